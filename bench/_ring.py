@@ -1,0 +1,90 @@
+"""A bare ring of three processes that hand on raw messages: the floor of the loop over DDS.
+
+Run as a program it is one of the two that only hand on; `laps_per_second` is the third.
+"""
+
+import os
+import signal
+import statistics
+import subprocess
+import sys
+import time
+
+import rclpy
+from rclpy.node import Node
+from seft_msgs_py.node_shell import message_class, qos_profile
+from seft_msgs_py.topics import JOINT_TRAJECTORY, Topic
+from seft_msgs_py.wait_set import LoopCallbackGroup, WaitSet, take_all
+
+MESSAGE_SIZE = 140  # bytes, as rig/state with one axis
+
+
+class Station:
+    """Receives on one topic and publishes on another."""
+
+    def __init__(self, listens: str, speaks: str) -> None:
+        rclpy.init(args=[])
+        self.node = Node(f"ring_{speaks}")
+        inward, outward = (Topic(name, JOINT_TRAJECTORY) for name in (listens, speaks))
+        self.subscription = self.node.create_subscription(
+            message_class(inward),
+            inward.name,
+            lambda _: None,
+            qos_profile(inward, 64),
+            callback_group=LoopCallbackGroup(),
+            raw=True,
+        )
+        self.publisher = self.node.create_publisher(
+            message_class(outward), outward.name, qos_profile(outward)
+        )
+        self.wait_set = WaitSet(self.node, [self.subscription])
+
+    def receive(self, timeout: float) -> list[bytes]:
+        """Wait for messages and take them."""
+        self.wait_set.wait(timeout)
+        return [raw for raw, _ in take_all(self.subscription)]
+
+    def matched(self) -> bool:
+        """Whether both neighbours are there."""
+        listeners = self.publisher.get_subscription_count()
+        return listeners > 0 and self.subscription.get_publisher_count() > 0
+
+
+def hand_on(listens: str, speaks: str) -> None:
+    """Hand on messages until killed."""
+    station = Station(listens, speaks)
+    while True:
+        for raw in station.receive(1.0):
+            station.publisher.publish(raw)
+
+
+def laps_per_second(laps: int) -> float:
+    """Send a message round the ring ``laps`` times; return 1 over the median lap."""
+    others = [
+        subprocess.Popen([sys.executable, __file__, listens, speaks])
+        for listens, speaks in (("ring_a", "ring_b"), ("ring_b", "ring_c"))
+    ]
+    try:
+        station = Station("ring_c", "ring_a")
+        message, times = os.urandom(MESSAGE_SIZE), []
+        while not station.matched():
+            time.sleep(0.05)
+        time.sleep(0.5)  # the other two may still be finding each other
+        for _ in range(laps):
+            start = time.perf_counter()
+            station.publisher.publish(message)
+            while not station.receive(5.0):
+                if any(other.poll() is not None for other in others):
+                    raise RuntimeError("a station of the ring has ended")
+            times.append(time.perf_counter() - start)
+        station.node.destroy_node()
+        rclpy.try_shutdown()
+        return 1.0 / statistics.median(times)
+    finally:
+        for other in others:
+            other.send_signal(signal.SIGKILL)
+            other.wait()
+
+
+if __name__ == "__main__":
+    hand_on(sys.argv[1], sys.argv[2])

@@ -1,0 +1,40 @@
+"""What the benchmarks of whole runs share."""
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rosbags.highlevel import AnyReader
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.messages import Status, decode_diagnostics
+from seft_ros.experiment.tables import TABLES
+from seft_ros.recording.bag_reader import read_bag
+from seft_ros.recording.record import Record
+from seft_ros.running.run import run_experiment
+
+CONFIG = Path(__file__).parent.parent / "config" / "jhu.yaml"
+
+
+def use_own_domain() -> None:
+    """Keep apart from other tests on this machine."""
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
+
+
+@contextmanager
+def recorded_run(*overrides: tuple[str, str, Any]) -> Iterator[tuple[Record, dict[str, Status]]]:
+    """Run jhu.yaml over DDS; give the record and the last status of each node."""
+    experiment = Experiment.load(TABLES, [CONFIG], overrides)
+    with tempfile.TemporaryDirectory() as folder:
+        finished = run_experiment(experiment, Path(folder) / "bag", lambda *_: None)
+        if finished.fault:
+            raise RuntimeError(finished.fault)
+        statuses = {}
+        with AnyReader([finished.bag]) as bag:
+            diagnostics = [c for c in bag.connections if c.topic == "/diagnostics"]
+            for _, _, raw in bag.messages(diagnostics):
+                statuses.update({s.name: s for s in decode_diagnostics(raw)[1]})
+        yield read_bag(finished.bag), statuses

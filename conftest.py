@@ -1,0 +1,7 @@
+"""Settings of ROS 2 for every test; rclpy and the processes that tests start read them."""
+
+import os
+
+os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"  # a wrong type in a message raises, not corrupts
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)  # apart from tests that run beside us

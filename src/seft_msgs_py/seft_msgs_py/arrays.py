@@ -1,0 +1,81 @@
+"""Parameters as arrays over the axes of a test."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from seft_msgs_py.errors import InputError
+
+Floats = npt.NDArray[np.float64]
+
+
+def per_axis(value: float | Sequence[float], axes: Sequence[str], where: str) -> Floats:
+    """One value for each of the n axes, shape (n,); a single number holds for all.
+
+    Raises
+    ------
+    InputError
+        If there are neither 1 nor n values; ``where`` names the parameter.
+    """
+    array = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    if array.size == 1:
+        return np.full(len(axes), array[0])
+    if array.size != len(axes):
+        raise InputError(
+            f"{where}: {array.size} values for {len(axes)} axes {list(axes)}; "
+            "give one, or one for each axis"
+        )
+    return array
+
+
+def as_matrix(value: float | Sequence[float], axes: Sequence[str], where: str) -> Floats:
+    """Matrix over n axes, shape (n, n): a number or n numbers are its diagonal.
+
+    n * n numbers are its rows, one after the other.
+
+    Raises
+    ------
+    InputError
+        If there are neither 1, n nor n * n values.
+    """
+    count = len(axes)
+    array = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    if array.size == 1:
+        return np.diag(np.full(count, array[0]))
+    if array.size == count:
+        return np.diag(array)
+    if array.size == count * count:
+        return array.reshape(count, count)
+    raise InputError(
+        f"{where}: {array.size} values for {count} axes {list(axes)}; give 1, {count} "
+        f"(a diagonal) or {count * count} (a matrix, row by row)"
+    )
+
+
+def mass_matrix(value: float | Sequence[float], axes: Sequence[str], where: str) -> Floats:
+    """Mass matrix over n axes, shape (n, n), symmetric and positive definite.
+
+    Raises
+    ------
+    InputError
+        As `as_matrix`, or if it is not symmetric positive definite.
+    """
+    matrix = symmetric_matrix(value, axes, where)
+    if np.linalg.eigvalsh(matrix)[0] <= 0:
+        raise InputError(f"{where} is {value}, but mass must be positive (definite) on every axis")
+    return matrix
+
+
+def symmetric_matrix(value: float | Sequence[float], axes: Sequence[str], where: str) -> Floats:
+    """Matrix over n axes, shape (n, n), that must be symmetric.
+
+    Raises
+    ------
+    InputError
+        As `as_matrix`, or if it is not symmetric.
+    """
+    matrix = as_matrix(value, axes, where)
+    if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0):
+        raise InputError(f"{where}: the matrix {matrix.tolist()} is not symmetric")
+    return matrix

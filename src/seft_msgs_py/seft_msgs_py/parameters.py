@@ -1,0 +1,227 @@
+"""Parameter tables: one row a parameter, with type, unit, default, bounds and description.
+
+A node declares its ROS parameters from its table, the `seft` command checks experiments
+with it, and the README's tables are printed from it.
+"""
+
+import difflib
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from seft_msgs_py.errors import InputError
+
+Kind = Literal["float", "int", "bool", "string", "floats", "ints", "strings"]
+Value = Any
+Section = dict[str, Value]
+
+_SCALAR_KIND: dict[str, Kind] = {"floats": "float", "ints": "int", "strings": "string"}
+_WORDS: dict[str, str] = {
+    "float": "a number",
+    "int": "a whole number",
+    "bool": "true or false",
+    "string": "text",
+    "floats": "a number, or a list of numbers",
+    "ints": "a whole number, or a list of them",
+    "strings": "a list of texts",
+}
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One row of a node's parameter table.
+
+    Attributes
+    ----------
+    name : str
+        Name within the node, dots included.
+    kind : str
+        ``float``, ``int``, ``bool``, ``string``, or a list of one of these: ``floats`` and
+        ``ints`` take a single number too, which then holds for every axis.
+    default : value or None
+        None: the parameter must be given.
+    description : str
+        What it means, for ``ros2 param describe`` and the README.
+    unit : str
+        SI unit; empty where it has none.
+    minimum, maximum : float or None
+        Bounds, inclusive; ``minimum`` is exclusive where ``positive`` is set.
+    positive : bool
+        The value must be greater than zero.
+    choices : tuple of str
+        Allowed texts; empty: any.
+    default_from : str
+        ``node:parameter`` of the same experiment whose value stands in where this one is
+        not given.
+    """
+
+    name: str
+    kind: Kind
+    default: Value
+    description: str
+    unit: str = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    positive: bool = False
+    choices: tuple[str, ...] = ()
+    default_from: str = ""
+
+    def check(self, value: Value, where: str) -> Value:
+        """Return the value in this parameter's type, if it fits.
+
+        Raises
+        ------
+        InputError
+            If type or range do not fit; names ``where``, parameter, value and what is allowed.
+        """
+        scalar = _SCALAR_KIND.get(self.kind)
+        if scalar is None:
+            return self._check_one(value, self.kind, where)
+        if isinstance(value, list | tuple):
+            if not value:
+                raise self._error(where, value, "must not be empty")
+            return [self._check_one(item, scalar, where) for item in value]
+        if self.kind == "strings":
+            raise self._error(where, value, f"must be {_WORDS[self.kind]}")
+        return self._check_one(value, scalar, where)
+
+    def _check_one(self, value: Value, kind: str, where: str) -> Value:
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        fits = {
+            "float": number,
+            "int": number and isinstance(value, int) and -(2**63) <= value < 2**63,
+            "bool": isinstance(value, bool),
+            "string": isinstance(value, str),
+        }[kind]
+        if not fits:
+            raise self._error(where, value, f"must be {_WORDS[self.kind]}")
+        if kind == "float":
+            try:
+                value = float(value)
+            except OverflowError:
+                value = math.inf
+            if not math.isfinite(value):
+                raise self._error(where, value, "must be finite")
+        if number:
+            self._check_range(value, where)
+        if self.choices and value not in self.choices:
+            hint = nearest(str(value), self.choices)
+            allowed = ", ".join(choice or '""' for choice in self.choices)
+            raise self._error(where, value, f"must be one of {allowed}{hint}")
+        return value
+
+    def _check_range(self, value: float, where: str) -> None:
+        unit = f" {self.unit}" if self.unit else ""
+        if self.positive and value <= 0:
+            raise self._error(where, value, "must be greater than zero")
+        if self.minimum is not None and value < self.minimum:
+            raise self._error(where, value, f"must be at least {self.minimum:g}{unit}")
+        if self.maximum is not None and value > self.maximum:
+            raise self._error(where, value, f"must be at most {self.maximum:g}{unit}")
+
+    def _error(self, where: str, value: Value, rule: str) -> InputError:
+        shown = f'"{value}"' if isinstance(value, str) else value
+        return InputError(f"{where}: {self.name} is {shown}, but {rule}")
+
+
+COMMON = (
+    Parameter("rate", "float", 500.0, "sampling rate of the loop", "Hz", positive=True),
+    Parameter("axes", "strings", ["x"], "names of the axes (actuators), in order"),
+)
+"""Parameters of every node; in a file they stand under ``/**``."""
+
+
+class Table:
+    """The parameters of one node.
+
+    Parameters
+    ----------
+    node : str
+        Node name.
+    rows : iterable of Parameter
+        Its own parameters; `COMMON` come first by themselves.
+    """
+
+    def __init__(self, node: str, rows: Iterable[Parameter]) -> None:
+        self.node = node
+        self.rows: dict[str, Parameter] = {row.name: row for row in (*COMMON, *rows)}
+
+    def check(self, given: Mapping[str, Value], where: str = "") -> Section:
+        """Check the values that are given; defaults are not filled in.
+
+        Raises
+        ------
+        InputError
+            At an unknown name, naming the nearest known one, or a value that does not fit.
+        """
+        where = where or self.node
+        checked: Section = {}
+        for name, value in given.items():
+            row = self.rows.get(name)
+            if row is None:
+                hint = nearest(name, self.rows)
+                raise InputError(f"{where}: there is no parameter {name}{hint}")
+            checked[name] = row.check(value, where)
+        return checked
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Words that name the known text nearest to a mistyped one; empty if none is near."""
+    known = [text for text in known if text]
+    last = [text for text in known if text.split(".")[-1] == name.split(".")[-1]]
+    close = difflib.get_close_matches(name, last or known, n=1, cutoff=0.5) or last[:1]
+    return f"; did you mean {close[0]}?" if close else ""
+
+
+def group(section: Mapping[str, Value], prefix: str) -> Section:
+    """Parameters of one group, without the prefix: ``specimen.mass`` -> ``mass``."""
+    dotted = prefix + "."
+    return {k.removeprefix(dotted): v for k, v in section.items() if k.startswith(dotted)}
+
+
+def resolve(
+    tables: Mapping[str, Table], given: Mapping[str, Mapping[str, Value]]
+) -> dict[str, Section]:
+    """Fill in what is not given, from other parameters of the experiment or from defaults.
+
+    Parameters
+    ----------
+    tables : mapping
+        Node name -> table; these nodes are resolved.
+    given : mapping
+        Node name -> checked values; may hold nodes without a table.
+
+    Raises
+    ------
+    InputError
+        At a parameter that must be given and is not.
+    """
+
+    def value_of(node: str, name: str, seen: tuple[str, ...]) -> Value:
+        here = f"{node}:{name}"
+        if name in given.get(node, {}):
+            return given[node][name]
+        row = tables[node].rows.get(name) if node in tables else None
+        if row is None or here in seen:
+            return None
+        if row.default_from:
+            other, _, parameter = row.default_from.partition(":")
+            value = value_of(other, parameter, (*seen, here))
+            if value is not None:
+                return value
+        return row.default
+
+    resolved: dict[str, Section] = {}
+    for node, table in tables.items():
+        resolved[node] = {}
+        for name, row in table.rows.items():
+            value = value_of(node, name, ())
+            if value is None:
+                raise InputError(f"{node}: {name} must be given ({_meaning(row)})")
+            resolved[node][name] = row.check(value, node)
+    return resolved
+
+
+def _meaning(row: Parameter) -> str:
+    return f"{row.description}, {row.unit}" if row.unit else row.description

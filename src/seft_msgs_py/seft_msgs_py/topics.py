@@ -1,0 +1,125 @@
+"""Topics of a test: names, message types, who sends and who listens, quality of service.
+
+The table in the README is made of these rows. Names are relative, so that a test can be
+put in a namespace; a bag holds them with a leading slash.
+"""
+
+from dataclasses import dataclass
+
+JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+DIAGNOSTIC_STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
+DIAGNOSTIC_ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
+STRING = "std_msgs/msg/String"
+CLOCK = "rosgraph_msgs/msg/Clock"
+
+NODES = (
+    "ground_motion",
+    "reference_force",
+    "force_controller",
+    "rig",
+    "supervisor",
+    "recorder",
+)
+
+QUANTITIES = ("positions", "velocities", "accelerations", "effort")
+"""Arrays of a JointTrajectoryPoint, in the order of the wire."""
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One topic and its quality of service.
+
+    Attributes
+    ----------
+    name : str
+        Relative name.
+    type : str
+        Message type.
+    publisher : str
+        Node that publishes it; empty where every node does.
+    subscribers : tuple of str
+        Nodes that a test can't start without having matched (the recorder listens to all).
+    latched : bool
+        Transient local: who comes late gets the last ones too.
+    depth : int
+        Samples the publisher keeps for a reader that falls behind. The recorder reads with
+        the same depth; depth, not speed, decides what a stalled recorder loses.
+    recorded : bool
+        Whether the bag holds it.
+    """
+
+    name: str
+    type: str
+    publisher: str = ""
+    subscribers: tuple[str, ...] = ()
+    latched: bool = False
+    depth: int = 4096
+    recorded: bool = True
+
+
+@dataclass(frozen=True)
+class LoopTopic(Topic):
+    """A topic of the loop: JointTrajectory, of which some arrays carry values.
+
+    Attributes
+    ----------
+    quantities : tuple of str
+        Arrays that carry values, in the order of the wire; the others are empty.
+    units : tuple of str
+        Unit of each.
+    """
+
+    quantities: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+
+
+GROUND_MOTION = LoopTopic(
+    "ground_motion",
+    JOINT_TRAJECTORY,
+    publisher="ground_motion",
+    subscribers=("reference_force",),
+    latched=True,
+    depth=256,
+    quantities=("accelerations",),
+    units=("m/s^2",),
+)
+RIG_STATE = LoopTopic(
+    "rig/state",
+    JOINT_TRAJECTORY,
+    publisher="rig",
+    subscribers=("ground_motion", "reference_force", "force_controller"),
+    quantities=QUANTITIES,
+    units=("m", "m/s", "m/s^2", "N"),
+)
+REFERENCE_FORCE = LoopTopic(
+    "reference_force",
+    JOINT_TRAJECTORY,
+    publisher="reference_force",
+    subscribers=("force_controller",),  # and a rig that says it is driven by it
+    quantities=("effort",),
+    units=("N",),
+)
+VALVE_COMMAND = LoopTopic(
+    "valve_command",
+    JOINT_TRAJECTORY,
+    publisher="force_controller",
+    subscribers=("rig",),
+    quantities=("effort",),
+    units=("V",),
+)
+LOOP_TOPICS = (GROUND_MOTION, RIG_STATE, REFERENCE_FORCE, VALVE_COMMAND)
+
+EXPERIMENT_STATE = Topic(
+    "experiment/state",
+    DIAGNOSTIC_STATUS,
+    publisher="supervisor",
+    subscribers=("ground_motion", "rig"),
+    latched=True,
+    depth=1,
+)
+DESCRIPTION = Topic("experiment/description", STRING, latched=True, depth=1)
+DIAGNOSTICS = Topic("diagnostics", DIAGNOSTIC_ARRAY, subscribers=("supervisor",), depth=256)
+CLOCK_TOPIC = Topic("/clock", CLOCK, publisher="rig", depth=1, recorded=False)
+
+TOPICS = (*LOOP_TOPICS, EXPERIMENT_STATE, DESCRIPTION, DIAGNOSTICS, CLOCK_TOPIC)
+RECORDED_TOPICS = tuple(topic for topic in TOPICS if topic.recorded)

@@ -1,0 +1,71 @@
+"""Waiting for raw messages in the calling thread: the only user of rclpy's private interface.
+
+rclpy's executors deserialise every message and hand it to tasks, which costs more than a whole
+step of the loop. rclpy's own ``wait_for_message`` shows the way taken here: a wait set over
+some subscriptions, from which bytes are taken as they came.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from rclpy.callback_groups import CallbackGroup
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+
+
+class LoopCallbackGroup(CallbackGroup):
+    """Group of the subscriptions that executors must leave to a `WaitSet`."""
+
+    def can_execute(self, entity: Any) -> bool:
+        """No executor may wait for these."""
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        """No executor may take from these."""
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        """Nothing was begun."""
+
+
+class WaitSet:
+    """Waits until one of some subscriptions has a message.
+
+    Parameters
+    ----------
+    node : Node
+        Whose context is waited in.
+    subscriptions : sequence of Subscription
+        Created with ``raw=True``, in a `LoopCallbackGroup`.
+    """
+
+    def __init__(self, node: Node, subscriptions: Sequence[Subscription]) -> None:
+        self._subscriptions = {each.handle.pointer: each for each in subscriptions}
+        self._handles = [each.handle for each in subscriptions]
+        if not self._handles:
+            raise ValueError("a wait set needs something to wait for")
+        self._wait_set = _rclpy.WaitSet(len(self._handles), 0, 0, 0, 0, 0, node.context.handle)
+
+    def wait(self, timeout: float) -> list[Subscription]:
+        """Wait for a message, at most ``timeout`` seconds; return where there are some."""
+        wait_set = self._wait_set
+        wait_set.clear_entities()
+        for handle in self._handles:
+            wait_set.add_subscription(handle)
+        wait_set.wait(max(0, int(timeout * 1e9)))
+        known = self._subscriptions
+        return [known[pointer] for pointer in wait_set.get_ready_entities("subscription")]
+
+
+def take_all(subscription: Subscription) -> Iterator[tuple[bytes, int]]:
+    """Take the messages that have arrived on a raw subscription, oldest first.
+
+    Yields
+    ------
+    bytes, int
+        The message, and the wall-clock time in ns at which it came in.
+    """
+    handle, kind = subscription.handle, subscription.msg_type
+    while (taken := handle.take_message(kind, True)) is not None:
+        yield taken[0], taken[1]["received_timestamp"]

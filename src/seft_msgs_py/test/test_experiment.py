@@ -1,0 +1,389 @@
+import contextlib
+import json
+import subprocess
+import sys
+
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.experiment import (
+    EVERY_NODE,
+    Experiment,
+    parse_override,
+    read_parameter_file,
+    split_ros_arguments,
+)
+from seft_msgs_py.parameters import Parameter, Table
+
+RIG = Table(
+    "rig",
+    [
+        Parameter("seed", "int", 0, "a seed", minimum=0),
+        Parameter("specimen.mass", "floats", None, "mass of it", "kg", positive=True),
+        Parameter("limits.force", "float", 9.0, "", default_from="supervisor:limits.force"),
+    ],
+)
+FORCE = Table(
+    "reference_force",
+    [
+        Parameter("mass_ratio", "float", 0.0, "alpha", minimum=0.0),
+        Parameter("model.mass", "floats", None, "m", "kg", default_from="rig:specimen.mass"),
+        Parameter("method", "string", "seft", "", choices=("eft", "seft")),
+        Parameter("seed", "int", 0, "another seed"),
+    ],
+)
+TABLES = (RIG, FORCE)
+RIG_HAS_MASS = "rig: {ros__parameters: {specimen: {mass: 52.7}}}\n"
+
+
+@pytest.fixture
+def load(tmp_path):
+    """Load an experiment of the text of parameter files, and overrides."""
+
+    def load_texts(*texts, overrides=(), tables=TABLES):
+        paths = [tmp_path / f"{index}.yaml" for index in range(len(texts))]
+        for path, text in zip(paths, texts, strict=True):
+            path.write_text(text)
+        return Experiment.load(tables, paths, [parse_override(text) for text in overrides])
+
+    return load_texts
+
+
+def refusal(load, *texts, **rest):
+    with pytest.raises(InputError) as caught:
+        load(*texts, **rest)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def in_rig(*lines):
+    return "rig:\n  ros__parameters:\n" + "".join(f"    {line}\n" for line in lines)
+
+
+def test_a_file_of_the_usual_form_is_read(load):
+    experiment = load(
+        "/**:\n  ros__parameters:\n    rate: 1000\n    axes: [east, north]\n"
+        + in_rig("seed: 3", "specimen:", "  mass: [1, 2.5]")
+        + "/reference_force:\n  ros__parameters: {mass_ratio: 1}\n"
+    )
+    assert experiment.timebase.period_ns == 1_000_000
+    assert experiment.axes == ("east", "north")
+    assert experiment["rig"] == {
+        "rate": 1000.0,
+        "axes": ["east", "north"],
+        "seed": 3,
+        "specimen.mass": [1.0, 2.5],
+        "limits.force": 9.0,
+    }
+    assert experiment["reference_force"]["mass_ratio"] == 1.0
+    assert isinstance(experiment["reference_force"]["mass_ratio"], float)
+
+
+@pytest.mark.parametrize("text", ["2.11e5", "2.11E+5", "211000", "+211000.0", "2.11e+05"])
+def test_numbers_are_numbers_however_they_are_written(load, text):
+    experiment = load(in_rig(f"specimen.mass: {text}"))
+    assert experiment["rig"]["specimen.mass"] == 211000.0
+    assert isinstance(experiment["rig"]["specimen.mass"], float)
+
+
+def test_dotted_and_nested_names_are_the_same(load):
+    nested, dotted = in_rig("specimen: {mass: 4}"), in_rig("specimen.mass: 4")
+    assert load(nested).sections == load(dotted).sections
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (in_rig("specimen.mas: 1"), "rig: there is no parameter specimen.mas; did you mean specim"),
+        (in_rig("mass: 1"), "did you mean specimen.mass?"),
+        (RIG_HAS_MASS + "/**: {ros__parameters: {sede: 1}}", "no parameter sede; did you mean see"),
+        ("rigg: {ros__parameters: {}}", "there is no node rigg; did you mean rig?"),
+        ("force: {ros__parameters: {}}", "did you mean reference_force?"),
+        ("/lab/rig: {ros__parameters: {}}", "there is no node /lab/rig"),
+        (in_rig("seed: x"), 'rig: seed is "x", but must be a whole number'),
+        (in_rig("seed: 1.0"), "rig: seed is 1.0, but must be a whole number"),
+        (in_rig("seed: true"), "rig: seed is True, but must be a whole number"),
+        (in_rig("seed: -1"), "rig: seed is -1, but must be at least 0"),
+        (in_rig("seed:"), "rig seed has no value"),
+        (in_rig("seed: 1" + "0" * 30), "must be a whole number"),
+        (in_rig("specimen.mass: 1" + "0" * 400), "must be finite"),
+        (in_rig("specimen.mass: .nan"), "specimen.mass is nan, but must be finite"),
+        (in_rig("specimen.mass: -.inf"), "specimen.mass is -inf, but must be finite"),
+        (in_rig("specimen.mass: 0"), "specimen.mass is 0.0, but must be greater than zero"),
+        (in_rig("specimen.mass: []"), "must not be empty"),
+        (in_rig("specimen.mass: 2024-01-01"), "must be a number"),
+        (in_rig("specimen: 3"), "there is no parameter specimen"),
+        (RIG_HAS_MASS + "/**: {ros__parameters: {rate: true}}", "rate is True, but must be a numb"),
+        (RIG_HAS_MASS + "/**: {ros__parameters: {rate: 333}}", "usable rates are 320 and 400 Hz"),
+        (RIG_HAS_MASS + "/**: {ros__parameters: {axes: x}}", "must be a list of texts"),
+        (RIG_HAS_MASS + "/**: {ros__parameters: {axes: [x, x]}}", "names must differ"),
+        (RIG_HAS_MASS + '/**: {ros__parameters: {axes: [""]}}', "names must differ"),
+        (RIG_HAS_MASS + '/**: {ros__parameters: {axes: ["a\\nb"]}}', "must be printable"),
+        (RIG_HAS_MASS + '/**: {ros__parameters: {axes: ["\\0"]}}', "must be printable"),
+        (RIG_HAS_MASS + '/**: {ros__parameters: {axes: ["\\ud800"]}}', ""),
+        ("", "holds no node names"),
+        ("# only a comment", "holds no node names"),
+        ("{}", "holds no node names"),
+        ("rig", "holds no node names"),
+        ("[rig]", "holds no node names"),
+        ("rig: {seed: 1}", "under rig there must be ros__parameters, and only that"),
+        ("rig: {ros__parameters: {}, seed: 1}", "and only that"),
+        ("rig: 3", "there must be ros__parameters"),
+        ("rig:", "there must be ros__parameters"),
+        ("rig: {ros__parameters: 3}", "must hold names and values"),
+        ("rig: {ros__parameters: [3]}", "must hold names and values"),
+        ("rig:\n  ros__parameters:\n\tseed: 1", "line 3 "),
+        ("rig:\n  ros__parameters: {seed: 1", "line 2 "),
+        ("rig: {ros__parameters: {}}\nrig: {ros__parameters: {}}", "line 2 found duplicate key"),
+        (in_rig("seed: 1", "seed: 2"), "line 4 found duplicate key"),
+        (in_rig("seed: !!python/name:os.system x"), "line 3 could not determine a constructor"),
+        (in_rig("seed: *other"), "undefined alias"),
+        (in_rig("seed: !!int ''"), ""),
+        (in_rig("seed: !!bool x"), ""),
+        ("rig: {ros__parameters: &a {b: *a}}", "nested too deep"),
+        (in_rig("seed: &a [*a]"), "must be a whole number"),
+        ("a: " + "[" * 5000, ""),
+        ("rig: {ros__parameters: {}}", "rig: specimen.mass must be given (mass of it, kg)"),
+    ],
+)
+def test_what_makes_no_experiment_is_refused_in_one_line(load, tmp_path, text, told):
+    message = refusal(load, text)
+    assert told in message
+
+
+@pytest.mark.parametrize("text", [in_rig("sede: 1"), in_rig("seed: x"), "rigg: {}", "rig: ["])
+def test_the_file_at_fault_is_named(load, tmp_path, text):
+    assert refusal(load, RIG_HAS_MASS, text).startswith(f"{tmp_path / '1.yaml'}:")
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path):
+    binary = tmp_path / "binary.yaml"
+    binary.write_bytes(b"\xff\xfe\x00\x01")
+    for path, told in (
+        (tmp_path / "none.yaml", "No such file"),
+        (tmp_path, "Is a directory"),
+        (binary, "not a text file"),
+    ):
+        with pytest.raises(InputError, match=told) as caught:
+            read_parameter_file(path)
+        assert str(caught.value).startswith(f"{path}:")
+
+
+def wildcard(text):
+    return f"/**: {{ros__parameters: {{{text}}}}}\n"
+
+
+def test_a_parameter_of_every_node_reaches_every_node(load):
+    experiment = load(RIG_HAS_MASS, wildcard("rate: 512, seed: 4"))
+    for node in ("rig", "reference_force"):
+        assert (experiment[node]["rate"], experiment[node]["seed"]) == (512.0, 4)
+
+
+def test_a_parameter_of_one_node_may_stand_under_every_node(load):
+    experiment = load(wildcard("mass_ratio: 0.5, specimen: {mass: 2}"))
+    assert experiment["reference_force"]["mass_ratio"] == 0.5
+    assert experiment["rig"]["specimen.mass"] == 2.0
+
+
+@pytest.mark.parametrize("wildcard_first", [True, False])
+def test_within_a_file_the_node_itself_wins_over_every_node(load, wildcard_first):
+    parts = [wildcard("seed: 4"), in_rig("seed: 5", "specimen.mass: 1")]
+    experiment = load("".join(parts if wildcard_first else parts[::-1]))
+    assert (experiment["rig"]["seed"], experiment["reference_force"]["seed"]) == (5, 4)
+
+
+def test_later_files_win_and_overrides_win_over_files(load):
+    first, second = in_rig("seed: 1", "specimen.mass: 1"), in_rig("seed: 2")
+    assert load(first, second)["rig"]["seed"] == 2
+    assert load(second, first)["rig"]["seed"] == 1
+    overridden = load(first, second, overrides=["rig:seed:=3"])
+    assert overridden["rig"]["seed"] == 3
+    assert overridden["rig"]["specimen.mass"] == 1.0
+    assert load(first, overrides=["rig:seed:=3", "rig:seed:=4"])["rig"]["seed"] == 4
+    assert load(first, overrides=["seed:=6"])["rig"]["seed"] == 6
+
+
+@pytest.mark.parametrize(
+    ("overrides", "told"),
+    [
+        (["rig:sede:=1"], "-p: rig: there is no parameter sede; did you mean seed?"),
+        (["mass_ration:=1"], "-p: /**: there is no parameter mass_ration; did you mean mass_ratio"),
+        (["reference_force:mass_ratio:=x"], 'mass_ratio is "x", but must be a number'),
+        (["reference_force:mass_ratio:=true"], "mass_ratio is True, but must be a number"),
+        (["reference_force:mass_ratio:="], "mass_ratio is None, but must be a number"),
+        (["reference_force:mass_ratio:=-1"], "mass_ratio is -1.0, but must be at least 0"),
+        (["reference_force:method:=sefft"], "must be one of eft, seft; did you mean seft?"),
+        (["rate:=333"], "320 and 400"),
+    ],
+)
+def test_a_wrong_override_is_refused_like_a_wrong_file(load, overrides, told):
+    assert told in refusal(load, RIG_HAS_MASS, overrides=overrides)
+
+
+def test_the_model_is_the_specimen_where_it_is_not_given(load):
+    assert load(RIG_HAS_MASS)["reference_force"]["model.mass"] == 52.7
+    own = load(RIG_HAS_MASS, overrides=["reference_force:model.mass:=60"])
+    assert own["reference_force"]["model.mass"] == 60.0
+    assert own["rig"]["specimen.mass"] == 52.7
+
+
+def test_a_node_takes_values_from_nodes_it_has_no_table_of(load):
+    text = RIG_HAS_MASS + "supervisor: {ros__parameters: {limits: {force: 7}, foreign: 1}}\n"
+    assert load(text, tables=[RIG])["rig"]["limits.force"] == 7.0
+    assert load(text, tables=[FORCE])["reference_force"]["model.mass"] == 52.7
+
+
+@pytest.mark.parametrize("name", ["rate: 1000", "axes: [y]"])
+def test_nodes_that_differ_in_rate_or_axes_are_refused(load, name):
+    text = RIG_HAS_MASS + f"reference_force: {{ros__parameters: {{{name}}}}}\n"
+    assert "set it once, under /**" in refusal(load, text)
+
+
+NAMES = st.lists(
+    st.sampled_from(["x", "y", "n", "on", "1", "1e5", "null", "größe", "a b", "~", "- x", "#"]),
+    min_size=1,
+    max_size=3,
+    unique=True,
+)
+NUMBERS = st.floats(1e-300, 1e300)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(NAMES, NUMBERS, st.lists(NUMBERS, min_size=1, max_size=4), st.integers(0, 2**63 - 1))
+def test_what_is_written_is_read_back_with_values_and_types(load, axes, ratio, mass, seed):
+    given_values = {
+        "rig": {"axes": axes, "specimen.mass": mass, "seed": seed},
+        "reference_force": {"axes": axes, "mass_ratio": ratio},
+    }
+    sections = {
+        node: {row.name: row.default for row in table.rows.values()} | given_values[node]
+        for node, table in (("rig", RIG), ("reference_force", FORCE))
+    }
+    sections["reference_force"]["model.mass"] = mass
+    experiment = Experiment(sections)
+    again = load(experiment.to_yaml())
+    assert again.sections == experiment.sections
+    assert repr(again.sections) == repr(experiment.sections)
+
+
+ASK_RCL = """
+import json, sys, rclpy
+from rclpy.node import Node
+rclpy.init(args=["--ros-args", "--params-file", sys.argv[1]])
+sections = {}
+for name in ("rig", "reference_force"):
+    node = Node(
+        name,
+        automatically_declare_parameters_from_overrides=True,
+        start_parameter_services=False,
+        enable_rosout=False,
+    )
+    found = {n: p.value for n, p in node.get_parameters_by_prefix("").items()}
+    sections[name] = {n: v if isinstance(v, (str, int, float)) else list(v)
+                      for n, v in found.items()}
+print(json.dumps(sections))
+"""
+
+
+def test_what_is_written_is_read_by_ros_itself(load, tmp_path):
+    pytest.importorskip("rclpy")
+    experiment = load(
+        wildcard('axes: [x, "y", "on", "12"]') + in_rig("specimen.mass: [5.0e-6, 1.0e+22, 3, 4]")
+    )
+    path = tmp_path / "written.yaml"
+    path.write_text(experiment.to_yaml())
+    done = subprocess.run(
+        [sys.executable, "-c", ASK_RCL, str(path)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    read = json.loads(done.stdout)
+    for node, section in experiment.sections.items():
+        assert {name: read[node][name] for name in section} == section
+    assert isinstance(read["rig"]["rate"], float)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("rig:seed:=3", ("rig", "seed", 3)),
+        ("/rig:seed:=3", ("rig", "seed", 3)),
+        ("rate:=500", (EVERY_NODE, "rate", 500)),
+        ("/**:rate:=500.0", (EVERY_NODE, "rate", 500.0)),
+        ("rig:specimen.mass:=2.11e5", ("rig", "specimen.mass", 211000.0)),
+        ("rig:specimen.mass:=[1.0, 2.0]", ("rig", "specimen.mass", [1.0, 2.0])),
+        ("recorder:name:=a:=b:c", ("recorder", "name", "a:=b:c")),
+        ("recorder:name:=", ("recorder", "name", None)),
+        ("recorder:name:=''", ("recorder", "name", "")),
+        ('axes:=["x", y]', (EVERY_NODE, "axes", ["x", "y"])),
+        ("ground_motion:file:=/a b/kobe.txt", ("ground_motion", "file", "/a b/kobe.txt")),
+    ],
+)
+def test_an_override_is_node_parameter_value(text, expected):
+    assert parse_override(text) == expected
+
+
+@pytest.mark.parametrize(
+    "text", ["", "rig", "rig:seed", "rig:seed=3", ":=3", ":seed:=3", "rig::=3"]
+)
+def test_an_override_of_another_form_is_refused(text):
+    with pytest.raises(InputError, match="expected node:parameter:=value"):
+        parse_override(text)
+
+
+def test_an_override_for_an_unknown_node_names_the_nearest():
+    with pytest.raises(InputError, match=r"there is no node force_control; did you mean force_con"):
+        parse_override("force_control:voltage_limit:=3")
+
+
+@pytest.mark.parametrize(
+    ("argv", "files", "overrides"),
+    [
+        ([], [], []),
+        (["node", "--params-file", "no"], [], []),
+        (["node", "--ros-args", "--params-file", "a.yaml"], ["a.yaml"], []),
+        (["--ros-args", "--params-file", "a", "--params-file", "b"], ["a", "b"], []),
+        (["--ros-args", "-p", "rig:seed:=1"], [], [("rig", "seed", 1)]),
+        (["--ros-args", "--param", "rate:=100"], [], [(EVERY_NODE, "rate", 100)]),
+        (["--ros-args", "-r", "__ns:=/lab", "-p", "rate:=1"], [], [(EVERY_NODE, "rate", 1)]),
+        (["--ros-args", "--", "-p", "rate:=1"], [], []),
+        (["--ros-args", "--", "x", "--ros-args", "-p", "rate:=1"], [], [(EVERY_NODE, "rate", 1)]),
+    ],
+)
+def test_parameters_are_found_among_the_ros_arguments(argv, files, overrides):
+    assert split_ros_arguments(argv) == (files, overrides)
+
+
+@pytest.mark.parametrize("option", ["-p", "--param", "--params-file"])
+def test_a_ros_option_without_its_value_is_refused(option):
+    with pytest.raises(InputError, match=f"{option} needs a value"):
+        split_ros_arguments(["node", "--ros-args", option])
+
+
+YAML_PIECES = st.sampled_from(
+    ["rig", "/**", "ros__parameters", ": ", ":\n  ", "\n", "- ", "{", "}", "[", "]", ", ", "? "]
+    + ["&a ", "*a", "<<: *a", "!!int ", "!!float ", "!!bool ", "!!timestamp ", "!!set ", "!x "]
+    + ["seed", "1", "1_", "0x_", "1e5", ".nan", "2001-01-01", "'", '"', "\\ud800", "\t", "# "]
+    + ["%YAML 1.1\n", "--- ", "...", "| ", "> ", "~", "=", "\x00", "\ufeff", "\x85", "é"]
+)
+
+
+@settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=400
+)
+@given(st.lists(YAML_PIECES, max_size=15).map("".join) | st.text(max_size=60))
+@example("? - a\n: b")
+@example("!!float _")
+def test_any_text_is_read_or_refused_with_an_input_error(tmp_path, text):
+    path = tmp_path / "any.yaml"
+    path.write_bytes(text.encode(errors="surrogatepass"))
+    try:
+        sections = read_parameter_file(path)
+    except InputError as error:
+        assert "\n" not in str(error)
+    else:
+        with contextlib.suppress(InputError):
+            Experiment.load(TABLES, [path])
+        assert all(isinstance(name, str) for section in sections.values() for name in section)
+    with contextlib.suppress(InputError):
+        parse_override(f"rig:seed:={text}")

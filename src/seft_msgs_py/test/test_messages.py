@@ -1,0 +1,182 @@
+import contextlib
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from seft_msgs_py.errors import WireError
+from seft_msgs_py.messages import (
+    ERROR,
+    OK,
+    STALE,
+    WARN,
+    Status,
+    decode_clock,
+    decode_diagnostics,
+    decode_status,
+    decode_string,
+    encode_clock,
+    encode_diagnostics,
+    encode_status,
+    encode_string,
+)
+
+rclpy_serialization = pytest.importorskip("rclpy.serialization")
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
+from std_msgs.msg import String  # noqa: E402
+
+serialise = rclpy_serialization.serialize_message
+deserialise = rclpy_serialization.deserialize_message
+
+UNTIMED = settings(deadline=None)  # the first use builds the typestore
+TEXT = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00"))
+STATUS = st.builds(
+    Status,
+    name=TEXT,
+    level=st.integers(0, 3),
+    message=TEXT,
+    hardware_id=TEXT,
+    values=st.dictionaries(TEXT, TEXT, max_size=4),
+)
+STAMP = st.integers(0, 2**31 * 10**9 - 1)
+DECODERS = (decode_string, decode_status, decode_diagnostics, decode_clock)
+RIG = Status("rig", WARN, "3 steps late", "paper's rig", {"missed": "3", "phase": "running"})
+ENCODED = (
+    encode_string("größer"),
+    encode_status(RIG),
+    encode_diagnostics(5, [RIG, RIG]),
+    encode_clock(7_000_000_001),
+)
+
+
+def ros_status(status):
+    return DiagnosticStatus(
+        level=bytes([status.level]),
+        name=status.name,
+        message=status.message,
+        hardware_id=status.hardware_id,
+        values=[KeyValue(key=key, value=value) for key, value in status.values.items()],
+    )
+
+
+@UNTIMED
+@given(TEXT)
+def test_text_has_the_bytes_that_rclpy_writes(text):
+    assert encode_string(text) == serialise(String(data=text))
+    assert decode_string(encode_string(text)) == text
+
+
+@UNTIMED
+@given(STAMP)
+def test_clock_has_the_bytes_that_rclpy_writes(stamp):
+    clock = Clock()
+    clock.clock.sec, clock.clock.nanosec = divmod(stamp, 10**9)
+    assert encode_clock(stamp) == serialise(clock)
+    assert decode_clock(encode_clock(stamp)) == stamp
+
+
+@UNTIMED
+@given(STATUS)
+def test_status_is_read_alike_by_rclpy_and_here(status):
+    assert deserialise(encode_status(status), DiagnosticStatus) == ros_status(status)
+    assert decode_status(serialise(ros_status(status))) == status
+    assert len(encode_status(status)) == len(serialise(ros_status(status)))
+
+
+@UNTIMED
+@given(STAMP, st.lists(STATUS, max_size=3))
+def test_diagnostics_are_read_alike_by_rclpy_and_here(stamp, statuses):
+    ours = encode_diagnostics(stamp, statuses)
+    theirs = DiagnosticArray(status=[ros_status(status) for status in statuses])
+    theirs.header.stamp.sec, theirs.header.stamp.nanosec = divmod(stamp, 10**9)
+    assert deserialise(ours, DiagnosticArray) == theirs
+    assert decode_diagnostics(serialise(theirs)) == (stamp, statuses)
+
+
+@pytest.mark.parametrize("padding", [b"\x00", b"\x00\x00\x00", b"garbage that a middleware left"])
+def test_bytes_past_the_end_are_ignored(padding):
+    for decode, raw in zip(DECODERS, ENCODED, strict=True):
+        assert decode(raw + padding) == decode(raw)
+
+
+def test_big_endian_messages_are_read():
+    assert decode_clock(b"\x00\x00\x00\x00" + struct.pack(">iI", 3, 4)) == 3_000_000_004
+
+
+def test_levels_are_those_of_ros():
+    ros = (DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR)
+    assert tuple(bytes([level]) for level in (OK, WARN, ERROR, STALE)) == (
+        *ros,
+        DiagnosticStatus.STALE,
+    )
+
+
+def test_of_keys_that_come_twice_the_last_counts():
+    twice = DiagnosticStatus(values=[KeyValue(key="a", value="1"), KeyValue(key="a", value="2")])
+    assert decode_status(serialise(twice)).values == {"a": "2"}
+
+
+@UNTIMED
+@given(st.binary(max_size=200) | st.binary(max_size=200).map(lambda b: b"\x00\x01\x00\x00" + b))
+def test_garbage_is_refused_with_a_wire_error(raw):
+    for decode in DECODERS:
+        try:
+            decode(raw)
+        except WireError as error:
+            assert "\n" not in str(error)
+
+
+def test_every_truncation_is_refused():
+    for decode, raw in zip(DECODERS, ENCODED, strict=True):
+        for end in range(len(raw)):
+            with pytest.raises(WireError):
+                decode(raw[:end])
+
+
+@UNTIMED
+@given(st.sampled_from(range(4)), st.data())
+def test_flipped_bytes_are_read_or_refused(which, data):
+    raw = bytearray(ENCODED[which])
+    at = data.draw(st.integers(0, len(raw) - 1))
+    raw[at] = data.draw(st.integers(0, 255))
+    with contextlib.suppress(WireError):
+        DECODERS[which](bytes(raw))
+
+
+@pytest.mark.parametrize(
+    "encode",
+    [
+        lambda: encode_string(b"bytes"),
+        lambda: encode_string(None),
+        lambda: encode_string("nul \x00"),
+        lambda: encode_string("surrogate \ud800"),
+        lambda: encode_clock(1.0),
+        lambda: encode_clock(True),
+        lambda: encode_clock(np.int64(1)),
+        lambda: encode_clock(-1),
+        lambda: encode_clock(2**31 * 10**9),
+        lambda: encode_status({"name": "rig"}),
+        lambda: encode_status(Status("rig", True, "")),
+        lambda: encode_status(Status("rig", 4, "")),
+        lambda: encode_status(Status("rig", b"\x00", "")),
+        lambda: encode_status(Status("rig", np.int64(0), "")),
+        lambda: encode_status(Status(1, 0, "")),
+        lambda: encode_status(Status("rig", 0, None)),
+        lambda: encode_status(Status("rig", 0, "", values={"missed": 3})),
+        lambda: encode_status(Status("rig", 0, "", values={3: "missed"})),
+        lambda: encode_diagnostics(0.5, []),
+        lambda: encode_diagnostics(0, [None]),
+    ],
+)
+def test_a_wrong_python_type_is_refused_not_corrupted(encode):
+    with pytest.raises(WireError):
+        encode()
+
+
+@pytest.mark.parametrize("decode", DECODERS)
+@pytest.mark.parametrize("raw", [None, "text", 3, [1, 2, 3, 4]])
+def test_only_bytes_are_decoded(decode, raw):
+    with pytest.raises(WireError):
+        decode(raw)

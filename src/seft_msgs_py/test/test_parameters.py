@@ -1,0 +1,231 @@
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.parameters import Parameter, Table, group, nearest, resolve
+
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+KINDS = ("float", "int", "bool", "string", "floats", "ints", "strings")
+
+
+def check(kind, value, **row):
+    return Parameter("mass_ratio", kind, None, "a test's", **row).check(value, "here")
+
+
+def refused(kind, value, rule, **row):
+    with pytest.raises(InputError) as caught:
+        check(kind, value, **row)
+    text = str(caught.value)
+    assert text.startswith("here: mass_ratio is ")
+    assert rule in text
+    assert "\n" not in text
+    return text
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "expected"),
+    [
+        ("float", 2, 2.0),
+        ("float", 2.11e5, 211000.0),
+        ("int", 7, 7),
+        ("int", -(2**63), -(2**63)),
+        ("bool", False, False),
+        ("string", "", ""),
+        ("string", "größe", "größe"),
+        ("floats", 2, 2.0),
+        ("floats", [1, 2.5], [1.0, 2.5]),
+        ("floats", (1, 2), [1.0, 2.0]),
+        ("ints", 3, 3),
+        ("ints", [3, 4], [3, 4]),
+        ("strings", ["x", "y"], ["x", "y"]),
+    ],
+)
+def test_a_value_that_fits_is_returned_in_the_type_of_the_parameter(kind, value, expected):
+    result = check(kind, value)
+    assert result == expected
+    assert type(result) is type(expected)
+    if isinstance(expected, list):
+        assert [type(item) for item in result] == [type(item) for item in expected]
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "rule"),
+    [
+        ("float", ["x", "", True, None, [1.0], {}, 1j], "must be a number"),
+        ("int", [1.0, 1.5, "1", True, None, [1], 2**63, -(2**63) - 1], "must be a whole number"),
+        ("bool", [0, 1, "true", None, [True]], "must be true or false"),
+        ("string", [1, 1.0, True, None, ["x"]], "must be text"),
+        ("floats", ["x", True, None, {}, [1.0, "x"], [True], [[1.0]]], "must be a number, or"),
+        ("ints", [1.5, [1, 1.5], [1, True], "1"], "must be a whole number, or"),
+        ("strings", ["x", 1, None, [1], ["x", True], {}], "must be a list of texts"),
+    ],
+)
+def test_a_wrong_type_is_refused_with_what_it_must_be(kind, values, rule):
+    for value in values:
+        refused(kind, value, rule)
+
+
+def test_a_text_where_a_number_belongs_is_shown_in_quotes():
+    assert refused("float", "x", "must be a number") == (
+        'here: mass_ratio is "x", but must be a number'
+    )
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 10**400, -(10**400)])
+def test_a_number_that_is_not_finite_is_refused(value):
+    refused("float", value, "must be finite")
+    refused("floats", [1.0, value], "must be finite")
+
+
+@pytest.mark.parametrize("kind", ["floats", "ints", "strings"])
+def test_an_empty_list_is_refused(kind):
+    refused(kind, [], "must not be empty")
+
+
+@given(FINITE, FINITE, FINITE)
+def test_bounds_are_inclusive(value, one, other):
+    low, high = min(one, other), max(one, other)
+    if low <= value <= high:
+        assert check("float", value, minimum=low, maximum=high) == value
+    else:
+        refused("float", value, "must be at", minimum=low, maximum=high)
+
+
+@given(FINITE)
+def test_positive_excludes_zero(value):
+    if value > 0:
+        assert check("floats", [1.0, value], positive=True) == [1.0, value]
+    else:
+        refused("floats", [1.0, value], "must be greater than zero", positive=True)
+
+
+def test_a_bound_is_told_with_its_unit():
+    refused("float", -1, "must be at least 0 kg", minimum=0.0, unit="kg")
+    refused("float", 11, "must be at most 10 s", maximum=10.0, unit="s")
+
+
+def test_every_item_of_a_list_is_held_to_bounds_and_choices():
+    refused("ints", [0, -1], "must be at least 0", minimum=0)
+    refused("strings", ["rig", "rug"], "did you mean rig?", choices=("rig", "recorder"))
+
+
+def test_another_choice_is_refused_with_all_of_them_and_the_nearest():
+    text = refused("string", "setf", "must be one of eft, seft", choices=("eft", "seft"))
+    assert text.endswith("did you mean seft?")
+    refused("string", "x", 'must be one of "", a', choices=("", "a"))
+
+
+@given(
+    st.sampled_from(KINDS),
+    st.recursive(
+        st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+        lambda inner: st.lists(inner, max_size=3),
+        max_leaves=5,
+    ),
+)
+def test_any_value_is_converted_for_good_or_refused_in_an_input_error(kind, value):
+    try:
+        once = check(kind, value)
+    except InputError:
+        return
+    assert check(kind, once) == once
+
+
+TABLE = Table(
+    "rig",
+    [
+        Parameter("seed", "int", 0, "a seed"),
+        Parameter("specimen.mass", "floats", None, "mass of it", "kg"),
+        Parameter("specimen.damping", "floats", 0.0, "damping of it"),
+        Parameter("sensors.force_noise", "float", 0.0, "noise"),
+    ],
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [
+        ("sede", "seed"),
+        ("specimen.mas", "specimen.mass"),
+        ("specimen.dampening", "specimen.damping"),
+        ("mass", "specimen.mass"),
+        ("force_noise", "sensors.force_noise"),
+        ("actuator.mass", "specimen.mass"),
+        ("raet", "rate"),
+        ("axis", "axes"),
+    ],
+)
+def test_an_unknown_parameter_names_the_nearest(name, meant):
+    with pytest.raises(InputError) as caught:
+        TABLE.check({name: 1})
+    assert str(caught.value) == f"rig: there is no parameter {name}; did you mean {meant}?"
+
+
+def test_an_unknown_parameter_that_is_like_none_gets_no_hint():
+    with pytest.raises(InputError, match=r"there is no parameter zzzzzz$"):
+        TABLE.check({"zzzzzz": 1})
+    assert nearest("", ["x"]) == ""
+    assert nearest("x", []) == ""
+
+
+def test_checking_fills_in_nothing():
+    assert TABLE.check({"seed": 3}) == {"seed": 3}
+    assert TABLE.check({}) == {}
+
+
+def test_rate_and_axes_are_of_every_node():
+    assert list(TABLE.rows)[:2] == ["rate", "axes"]
+    assert TABLE.check({"rate": 500, "axes": ["x"]}) == {"rate": 500.0, "axes": ["x"]}
+
+
+def test_a_group_is_the_parameters_under_one_name():
+    section = {"specimen.mass": 1.0, "specimen.a.b": 2, "specimens.mass": 3, "specimen": 4}
+    assert group(section, "specimen") == {"mass": 1.0, "a.b": 2}
+
+
+def chained(*sources, default=None):
+    """Tables a, b, c, ...: x of each takes the next one's where it is not given."""
+    rows = [Parameter("x", "float", default, "an x", "kg", default_from=s) for s in sources]
+    return {node: Table(node, [row]) for node, row in zip("abcd", rows, strict=False)}
+
+
+@pytest.mark.parametrize(
+    ("given_values", "expected"),
+    [
+        ({}, [9.0, 9.0, 9.0]),
+        ({"c": 3.0}, [3.0, 3.0, 3.0]),
+        ({"b": 2.0}, [2.0, 2.0, 9.0]),
+        ({"a": 1.0}, [1.0, 9.0, 9.0]),
+        ({"b": 2.0, "c": 3.0}, [2.0, 2.0, 3.0]),
+        ({"a": 1.0, "b": 2.0, "c": 3.0}, [1.0, 2.0, 3.0]),
+    ],
+)
+def test_what_is_not_given_comes_down_the_chain(given_values, expected):
+    tables = chained("b:x", "c:x", "", default=9.0)
+    sections = resolve(tables, {node: {"x": value} for node, value in given_values.items()})
+    assert [sections[node]["x"] for node in "abc"] == expected
+
+
+def test_a_value_comes_from_a_node_without_a_table_and_is_checked():
+    tables = chained("elsewhere:x")
+    assert resolve(tables, {"elsewhere": {"x": 4}})["a"]["x"] == 4.0
+    with pytest.raises(InputError, match='a: x is "text", but must be a number'):
+        resolve(tables, {"elsewhere": {"x": "text"}})
+
+
+def test_a_parameter_that_must_be_given_is_named_with_its_meaning():
+    for tables in (chained(""), chained("elsewhere:x"), chained("b:x", "a:x")):
+        with pytest.raises(InputError, match=r"a: x must be given \(an x, kg\)"):
+            resolve(tables, {})
+
+
+def test_a_chain_that_bites_its_tail_ends_in_the_default():
+    tables = chained("b:x", "a:x", default=5.0)
+    assert [section["x"] for section in resolve(tables, {}).values()] == [5.0, 5.0]
+    assert resolve(tables, {"b": {"x": 1.0}})["a"]["x"] == 1.0
+
+
+def test_common_parameters_have_the_documented_defaults():
+    assert resolve({"rig": Table("rig", [])}, {}) == {"rig": {"rate": 500.0, "axes": ["x"]}}

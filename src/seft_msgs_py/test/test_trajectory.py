@@ -1,0 +1,403 @@
+import contextlib
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from seft_msgs_py.errors import WireError
+from seft_msgs_py.messages import typestore
+from seft_msgs_py.timebase import Timebase
+from seft_msgs_py.topics import (
+    GROUND_MOTION,
+    JOINT_TRAJECTORY,
+    LOOP_TOPICS,
+    QUANTITIES,
+    REFERENCE_FORCE,
+    RIG_STATE,
+)
+from seft_msgs_py.trajectory import TrajectoryCodec, parse_trajectory
+
+serialization = pytest.importorskip("rclpy.serialization")
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint  # noqa: E402
+
+TIMEBASE = Timebase.from_rate(500.0)
+DAYS = 7 * 24 * 3600 * 500  # in steps
+AXES = st.lists(
+    st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00"), min_size=1),
+    min_size=1,
+    max_size=12,
+    unique=True,
+)
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+NOT_FINITE = st.sampled_from([np.nan, np.inf, -np.inf])
+
+
+@st.composite
+def messages(draw, most_points=4):
+    """A codec, a step, and values of shape (p, q, n)."""
+    codec = TrajectoryCodec(draw(st.sampled_from(LOOP_TOPICS)), draw(AXES), TIMEBASE)
+    shape = (draw(st.integers(1, most_points)), len(codec.topic.quantities), len(codec.axes))
+    return codec, draw(st.integers(0, DAYS)), draw(arrays(np.float64, shape, elements=FINITE))
+
+
+def cdr(codec, step, values, pad=b"\x00", end=b"", frame_id="", options=b"\x00\x00"):
+    """The message by the CDR rules, one field after another; padding is filled with ``pad``."""
+    out = bytearray(b"\x00\x01" + options)
+
+    def put(form, *items, align):
+        out.extend(pad * (-(len(out) - 4) % align))
+        out.extend(struct.pack("<" + form, *items))
+
+    def text(value):
+        data = value.encode() + b"\x00"
+        put("I", len(data), align=4)
+        out.extend(data)
+
+    stamp = step * codec.timebase.period_ns
+    put("iI", stamp // 10**9, stamp % 10**9, align=4)
+    text(frame_id)
+    put("I", len(codec.axes), align=4)
+    for axis in codec.axes:
+        text(axis)
+    put("I", len(values), align=4)
+    for index, point in enumerate(values):
+        for quantity in QUANTITIES:
+            row = (
+                codec.topic.quantities.index(quantity) if quantity in codec.topic.quantities else -1
+            )
+            given = point[row] if row >= 0 else ()
+            put("I", len(given), align=4)
+            for value in given:
+                put("d", value, align=8)
+        after = index * codec.timebase.period_ns
+        put("iI", after // 10**9, after % 10**9, align=4)
+    return bytes(out) + end
+
+
+def ros_message(codec, step, values):
+    message = JointTrajectory(joint_names=codec.axes)
+    stamp = message.header.stamp
+    stamp.sec, stamp.nanosec = divmod(step * codec.timebase.period_ns, 10**9)
+    for index, point in enumerate(values):
+        fields = dict(zip(codec.topic.quantities, point.tolist(), strict=True))
+        ros = JointTrajectoryPoint(**fields)
+        ros.time_from_start.nanosec = index * codec.timebase.period_ns
+        message.points.append(ros)
+    return message
+
+
+def rosbags_message(codec, step, values):
+    kinds = typestore().types
+    time, duration = kinds["builtin_interfaces/msg/Time"], kinds["builtin_interfaces/msg/Duration"]
+    points = []
+    for index, point in enumerate(values):
+        fields = {name: np.empty(0) for name in QUANTITIES}
+        fields |= dict(zip(codec.topic.quantities, point, strict=True))
+        after = duration(0, index * codec.timebase.period_ns)
+        points.append(
+            kinds["trajectory_msgs/msg/JointTrajectoryPoint"](**fields, time_from_start=after)
+        )
+    stamp = time(*divmod(step * codec.timebase.period_ns, 10**9))
+    header = kinds["std_msgs/msg/Header"](stamp, "")
+    return kinds[JOINT_TRAJECTORY](header, list(codec.axes), points)
+
+
+def assert_holds(message, codec, step, values):
+    """A message of rclpy or rosbags has these names, times and values, bit for bit."""
+    stamp = message.header.stamp
+    assert stamp.sec * 10**9 + stamp.nanosec == step * 2_000_000
+    assert message.header.frame_id == ""
+    assert tuple(message.joint_names) == codec.axes
+    assert len(message.points) == len(values)
+    for index, point in enumerate(message.points):
+        after = point.time_from_start
+        assert (after.sec, after.nanosec) == (0, index * 2_000_000)
+        for name in QUANTITIES:
+            got = np.asarray(getattr(point, name), dtype=np.float64)
+            if name in codec.topic.quantities:
+                expected = values[index, codec.topic.quantities.index(name)]
+                assert got.tobytes() == expected.tobytes()
+            else:
+                assert not got.size
+
+
+def assert_decodes(codec, raw, step, values):
+    got_step, got = codec.decode(raw)
+    assert got_step == step
+    assert got.shape == values.shape
+    assert got.tobytes() == values.tobytes()
+
+
+@settings(deadline=None)
+@given(messages())
+def test_samples_come_back_bit_for_bit(message):
+    codec, step, values = message
+    assert_decodes(codec, codec.encode_points(step, values), step, values)
+
+
+@pytest.mark.parametrize(
+    "value", [-0.0, 5e-324, -5e-324, 2.2250738585072014e-308 / 3, 1.7976931348623157e308]
+)
+def test_signed_zero_denormals_and_the_largest_number_survive(value):
+    codec = TrajectoryCodec(REFERENCE_FORCE, ("x",), TIMEBASE)
+    _, values = codec.decode(codec.encode(5, np.array([value])))
+    assert struct.pack("<d", values[0, 0, 0]) == struct.pack("<d", value)
+
+
+@settings(deadline=None)
+@given(messages())
+def test_rclpy_and_rosbags_read_the_samples_bit_for_bit(message):
+    codec, step, values = message
+    raw = codec.encode_points(step, values)
+    assert_holds(serialization.deserialize_message(raw, JointTrajectory), codec, step, values)
+    assert_holds(typestore().deserialize_cdr(raw, JOINT_TRAJECTORY), codec, step, values)
+
+
+@settings(deadline=None)
+@given(messages())
+def test_the_bytes_follow_the_rules_of_cdr(message):
+    codec, step, values = message
+    assert codec.encode_points(step, values) == cdr(codec, step, values)
+
+
+@settings(deadline=None)
+@given(messages(), st.binary(max_size=9))
+def test_what_rclpy_and_rosbags_write_is_read(message, end):
+    codec, step, values = message
+    ros = serialization.serialize_message(ros_message(codec, step, values))
+    assert_decodes(codec, ros + end, step, values)
+    bag = typestore().serialize_cdr(rosbags_message(codec, step, values), JOINT_TRAJECTORY)
+    assert_decodes(codec, bytes(bag) + end, step, values)
+
+
+@settings(deadline=None)
+@given(messages(), st.binary(min_size=1, max_size=1), st.binary(max_size=40))
+def test_garbage_in_padding_and_past_the_end_is_ignored(message, pad, end):
+    codec, step, values = message
+    assert_decodes(codec, cdr(codec, step, values, pad, end), step, values)
+
+
+def test_a_frame_and_cdr_options_are_ignored():
+    codec = TrajectoryCodec(RIG_STATE, ("x", "y"), TIMEBASE)
+    values = np.arange(8.0).reshape(1, 4, 2)
+    assert_decodes(codec, cdr(codec, 7, values, frame_id="lab", options=b"\x00\x03"), 7, values)
+
+
+def test_the_size_is_the_measured_one():  # FACTS: one point and one axis is 108 bytes
+    codec = TrajectoryCodec(RIG_STATE, ("x",), TIMEBASE)
+    assert len(codec.encode(0, np.zeros((4, 1)))) == 108
+
+
+@pytest.mark.parametrize("shape", [(3,), (1, 3), (1, 1, 3)])
+def test_one_quantity_may_leave_out_its_dimension(shape):
+    codec = TrajectoryCodec(REFERENCE_FORCE, ("x", "y", "z"), TIMEBASE)
+    values = np.array([1.0, 2.0, 3.0]).reshape(shape)
+    assert_decodes(codec, codec.encode(4, values), 4, values.reshape(1, 1, 3))
+
+
+def test_points_of_one_quantity_may_leave_out_its_dimension():
+    codec = TrajectoryCodec(GROUND_MOTION, ("x", "y"), TIMEBASE)
+    values = np.arange(6.0).reshape(3, 2)
+    assert_decodes(codec, codec.encode_points(4, values), 4, values.reshape(3, 1, 2))
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        1,
+        1.0,
+        None,
+        [1.0, 2.0, 3.0],
+        (1.0, 2.0, 3.0),
+        np.array([1, 2, 3]),
+        np.array([1, 2, 3], dtype=np.float32),
+        np.array([1, 2, 3], dtype=np.complex128),
+        np.array([1, 2, 3], dtype=">f8"),
+        np.array([True, False, True]),
+        np.array(["1", "2", "3"]),
+        np.array(1.0),
+        np.zeros(0),
+        np.zeros(2),
+        np.zeros(4),
+        np.zeros((3, 1)),
+        np.zeros((2, 2)),
+        np.zeros((1, 3, 1)),
+        np.zeros((0, 3)),
+        np.zeros((3, 0)),
+    ],
+)
+def test_another_type_or_shape_is_refused_not_corrupted(values):
+    codec = TrajectoryCodec(REFERENCE_FORCE, ("x", "y", "z"), TIMEBASE)
+    with pytest.raises(WireError, match="reference_force"):
+        codec.encode(0, values)
+    with pytest.raises(WireError, match="reference_force"):
+        codec.encode_points(0, values)
+
+
+def test_points_on_three_axes_are_not_mistaken_for_three_axes():
+    codec = TrajectoryCodec(GROUND_MOTION, ("x", "y", "z"), TIMEBASE)
+    with pytest.raises(WireError, match="shape"):
+        codec.encode_points(0, np.zeros(3))
+
+
+def test_a_state_needs_all_four_quantities():
+    codec = TrajectoryCodec(RIG_STATE, ("x", "y"), TIMEBASE)
+    for shape in ((2,), (1, 2), (3, 2), (8,), (2, 4), (2, 4, 2)):
+        with pytest.raises(WireError, match="positions/velocities/accelerations/effort"):
+            codec.encode(0, np.zeros(shape))
+
+
+@settings(deadline=None)
+@given(messages(), NOT_FINITE, st.data())
+def test_nan_and_inf_are_refused_both_ways_by_axis_and_quantity(message, value, data):
+    codec, step, values = message
+    point, row, column = (data.draw(st.integers(0, size - 1)) for size in values.shape)
+    values[point, row, column] = value
+    expected = f"{codec.topic.quantities[row]} of axis {codec.axes[column]} is {value}"
+    for attempt in (
+        lambda: codec.encode_points(step, values),
+        lambda: codec.decode(cdr(codec, step, values)),
+        lambda: codec.decode(cdr(codec, step, values, pad=b"\xa5")),
+        lambda: codec.decode(cdr(codec, step, values, frame_id="slow way")),
+    ):
+        with pytest.raises(WireError) as caught:
+            attempt()
+        assert expected in str(caught.value)
+
+
+@pytest.mark.parametrize("other", [("y", "x"), ("x",), ("x", "y", "z"), ("x", "Y"), ("x", "y ")])
+@pytest.mark.parametrize("topic", LOOP_TOPICS, ids=lambda topic: topic.name)
+def test_other_axes_are_refused_with_both_lists(topic, other):
+    theirs = TrajectoryCodec(topic, other, TIMEBASE)
+    ours = TrajectoryCodec(topic, ("x", "y"), TIMEBASE)
+    values = np.zeros((1, len(topic.quantities), len(other)))
+    with pytest.raises(WireError) as caught:
+        ours.decode(theirs.encode_points(0, values))
+    assert f"axes are {list(other)}, not ['x', 'y']" in str(caught.value)
+
+
+def test_another_quantity_is_refused():
+    force = TrajectoryCodec(REFERENCE_FORCE, ("x",), TIMEBASE)
+    motion = TrajectoryCodec(GROUND_MOTION, ("x",), TIMEBASE)
+    with pytest.raises(WireError, match="0 accelerations for 1 axes"):
+        motion.decode(force.encode(0, np.zeros(1)))
+
+
+def test_too_many_values_for_the_axes_are_refused():
+    codec = TrajectoryCodec(REFERENCE_FORCE, ("x",), TIMEBASE)
+    message = ros_message(codec, 0, np.zeros((1, 1, 1)))
+    message.points[0].effort = [1.0, 2.0]
+    with pytest.raises(WireError, match="2 effort for 1 axes"):
+        codec.decode(serialization.serialize_message(message))
+
+
+@pytest.mark.parametrize(("theirs", "step"), [(1000.0, 1), (512.0, 1), (400.0, 3)])
+def test_samples_of_another_rate_are_refused(theirs, step):
+    sender = TrajectoryCodec(REFERENCE_FORCE, ("x",), Timebase.from_rate(theirs))
+    receiver = TrajectoryCodec(REFERENCE_FORCE, ("x",), TIMEBASE)
+    with pytest.raises(WireError, match="another rate"):
+        receiver.decode(sender.encode(step, np.zeros(1)))
+
+
+def test_future_points_of_another_rate_are_refused():
+    sender = TrajectoryCodec(GROUND_MOTION, ("x",), Timebase.from_rate(250.0))
+    receiver = TrajectoryCodec(GROUND_MOTION, ("x",), TIMEBASE)
+    with pytest.raises(WireError, match="point 1 is 4000000 ns after the stamp"):
+        receiver.decode(sender.encode_points(0, np.zeros((2, 1))))
+
+
+@pytest.mark.parametrize("nanoseconds", [1, 1_999_999, 2_000_000])
+def test_a_first_point_after_the_stamp_is_refused(nanoseconds):
+    codec = TrajectoryCodec(REFERENCE_FORCE, ("x",), TIMEBASE)
+    message = ros_message(codec, 3, np.zeros((1, 1, 1)))
+    message.points[0].time_from_start.nanosec = nanoseconds
+    with pytest.raises(WireError, match=f"point 0 is {nanoseconds} ns after the stamp"):
+        codec.decode(serialization.serialize_message(message))
+
+
+def test_a_message_without_points_is_refused():
+    codec = TrajectoryCodec(REFERENCE_FORCE, ("x",), TIMEBASE)
+    with pytest.raises(WireError, match="at least one point"):
+        codec.encode_points(0, np.zeros((0, 1)))
+    with pytest.raises(WireError, match="no point"):
+        codec.decode(cdr(codec, 0, []))
+
+
+def test_a_negative_stamp_is_refused():
+    codec = TrajectoryCodec(REFERENCE_FORCE, ("x",), TIMEBASE)
+    with pytest.raises(WireError, match="-2000000 ns"):
+        codec.decode(cdr(codec, -1, np.zeros((1, 1, 1))))
+
+
+def test_a_message_is_taken_apart_without_judging_it():
+    codec = TrajectoryCodec(RIG_STATE, ("größe", "y"), TIMEBASE)
+    values = np.arange(16.0).reshape(2, 4, 2)
+    message = parse_trajectory(cdr(codec, 501, values, pad=b"\xff", frame_id="lab"))
+    assert (message.stamp_ns, message.frame_id) == (1_002_000_000, "lab")
+    assert message.axes == ("größe", "y")
+    assert [point.time_from_start_ns for point in message.points] == [0, 2_000_000]
+    assert message.points[1].accelerations == (12.0, 13.0)
+
+
+def test_every_truncation_is_refused():
+    for topic in LOOP_TOPICS:
+        codec = TrajectoryCodec(topic, ("x", "y"), TIMEBASE)
+        raw = codec.encode_points(9, np.ones((2, len(topic.quantities), 2)))
+        for end in range(len(raw)):
+            with pytest.raises(WireError):
+                codec.decode(raw[:end])
+
+
+def decode_or_refuse(codec, raw):
+    """Decode; the one error that may come is a WireError of one line."""
+    try:
+        step, values = codec.decode(raw)
+    except WireError as error:
+        assert str(error)
+        return
+    assert step >= 0
+    assert np.isfinite(values).all()
+    assert values.shape[1:] == (len(codec.topic.quantities), len(codec.axes))
+
+
+@settings(deadline=None, max_examples=300)
+@given(st.binary(max_size=300), st.booleans(), st.sampled_from(LOOP_TOPICS))
+def test_arbitrary_bytes_are_read_or_refused(raw, headed, topic):
+    codec = TrajectoryCodec(topic, ("x",), TIMEBASE)
+    decode_or_refuse(codec, b"\x00\x01\x00\x00" + raw if headed else raw)
+    with contextlib.suppress(WireError):
+        parse_trajectory(raw)
+
+
+@settings(deadline=None, max_examples=300)
+@given(messages(), st.data())
+def test_mutated_messages_are_read_or_refused(message, data):
+    codec, step, values = message
+    raw = bytearray(codec.encode_points(step, values))
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(0, len(raw) - 1))
+        piece = data.draw(
+            st.binary(min_size=1, max_size=8)
+            | st.sampled_from([b"\xff" * 4, b"\xff\xff\xff\x7f", b"\x00" * 4, b"\x01\x00\x00\x00"])
+        )
+        kind = data.draw(st.sampled_from(["overwrite", "insert", "cut"]))
+        if kind == "overwrite":
+            raw[at : at + len(piece)] = piece
+        elif kind == "insert":
+            raw[at:at] = piece
+        elif len(raw) > 8:
+            del raw[at : at + len(piece)]
+    decode_or_refuse(codec, bytes(raw))
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1))
+def test_a_claimed_size_beyond_the_message_takes_no_memory(points, names):
+    codec = TrajectoryCodec(REFERENCE_FORCE, ("x",), TIMEBASE)
+    raw = bytearray(codec.encode(0, np.zeros(1)))
+    struct.pack_into("<I", raw, 4 + 16, names)
+    decode_or_refuse(codec, bytes(raw))
+    struct.pack_into("<I", raw, 4 + 16, 1)
+    struct.pack_into("<I", raw, 4 + 28, points)
+    decode_or_refuse(codec, bytes(raw))

@@ -1,0 +1,79 @@
+"""Limits of a test, checked on every sample."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from seft_msgs_py.parameters import Parameter
+
+Floats = npt.NDArray[np.float64]
+
+NAMES = ("displacement", "velocity", "acceleration", "force")
+UNITS = ("m", "m/s", "m/s^2", "N")
+_DEFAULTS = (0.076, 0.5, 98.1, 22200.0)
+
+
+def limit_rows(default_from: str = "") -> list[Parameter]:
+    """Rows ``limits.*`` of a parameter table; defaults suit the paper's rig.
+
+    Parameters
+    ----------
+    default_from : str
+        Node whose limits stand in where these are not given.
+    """
+    return [
+        Parameter(
+            f"limits.{name}",
+            "float",
+            default,
+            f"largest {name} on any axis; beyond it the test trips",
+            unit,
+            positive=True,
+            default_from=f"{default_from}:limits.{name}" if default_from else "",
+        )
+        for name, unit, default in zip(NAMES, UNITS, _DEFAULTS, strict=True)
+    ]
+
+
+class Limits:
+    """Largest magnitudes of a sample.
+
+    Parameters
+    ----------
+    limits : dict
+        ``displacement`` (m), ``velocity`` (m/s), ``acceleration`` (m/s^2), ``force`` (N).
+    axes : sequence of str
+        Names of the n axes.
+    """
+
+    def __init__(self, limits: dict[str, Any], axes: Sequence[str]) -> None:
+        self._axes = tuple(axes)
+        self._limits = np.array([[limits[name]] for name in NAMES], dtype=np.float64)
+        self._scale = 1.0 / self._limits
+
+    def violation(self, state: Floats) -> str | None:
+        """Say which limit a measured state breaks, if any; NaN breaks every limit.
+
+        Parameters
+        ----------
+        state : ndarray
+            Displacement, velocity, acceleration and force, shape (4, n).
+
+        Returns
+        -------
+        str or None
+            One line with limit, value and axis.
+        """
+        scaled = (state * self._scale).ravel()
+        if scaled.dot(scaled) <= 1.0:  # inside the ellipsoid, and so inside the box
+            return None
+        within = np.abs(state) <= self._limits
+        if within.all():
+            return None
+        row, column = np.argwhere(~within)[0]
+        name, unit, limit = NAMES[row], UNITS[row], self._limits[row, 0]
+        return (
+            f"{name} {state[row, column]:.5g} {unit} on axis {self._axes[column]} "
+            f"is beyond the limit of {limit:g} {unit}"
+        )

@@ -1,0 +1,205 @@
+"""Node ``rig``: the simulated rig behind the topics that a lab's hardware driver has.
+
+It publishes rig/state and obeys valve_command (idealised actuators: reference_force). It is
+the sampling clock of the test; the supervisor's experiment/state starts and stops it.
+"""
+
+import sys
+import time
+from collections.abc import Sequence
+
+import numpy as np
+from seft_msgs_py.messages import Status, decode_status, encode_clock
+from seft_msgs_py.node_shell import NodeShell, run_node
+from seft_msgs_py.outcome import FINISHED, LISTED_STEPS, TRIPPED, Trip, rig_status
+from seft_msgs_py.topics import (
+    CLOCK_TOPIC,
+    EXPERIMENT_STATE,
+    REFERENCE_FORCE,
+    RIG_STATE,
+    VALVE_COMMAND,
+    LoopTopic,
+)
+from seft_msgs_py.trajectory import Floats, TrajectoryCodec
+
+from seft_plant_sim.parameters import TABLE
+from seft_plant_sim.rig import Rig
+
+CLOCK_PERIOD = 0.1  # s of wall time
+
+
+class Command:
+    """The newest command on one topic."""
+
+    def __init__(self, topic: LoopTopic, shell: NodeShell) -> None:
+        experiment = shell.experiment
+        self.codec = TrajectoryCodec(topic, experiment.axes, experiment.timebase)
+        self.reset()
+        shell.subscribe(topic, self._receive, depth=64)
+
+    def reset(self) -> None:
+        """Back to no drive."""
+        self.step = -1
+        self.value: Floats = np.zeros(len(self.codec.axes))
+
+    def _receive(self, raw: bytes, _: int) -> None:
+        step, values = self.codec.decode(raw)
+        if step > self.step:
+            self.step = step
+            self.value = values[0, 0]
+
+
+class RigNode:
+    """Steps a `Rig` at its pace and moves its samples between topics.
+
+    Parameters
+    ----------
+    shell : NodeShell
+        Node and parameters.
+    """
+
+    def __init__(self, shell: NodeShell) -> None:
+        self._shell = shell
+        experiment = shell.experiment
+        self._timebase = experiment.timebase
+        self._section = experiment["rig"]
+        self._rig = Rig.from_parameters(self._section, experiment.axes, self._timebase)
+        self._state_codec = TrajectoryCodec(RIG_STATE, experiment.axes, self._timebase)
+        self._state = shell.publisher(RIG_STATE)
+        self._clock = shell.publisher(CLOCK_TOPIC)
+        self._valve = self._drive = Command(VALVE_COMMAND, shell)
+        if self._rig.drive == REFERENCE_FORCE.name:
+            self._drive = Command(REFERENCE_FORCE, shell)
+        shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
+        self._armed = False
+        self._wanted: Status | None = None
+        self._clock_at = 0.0
+
+    def run(self) -> None:
+        """Run a test each time the supervisor says so, until told to stop."""
+        self._shell.report(Status("rig", 0, "idle", values={"phase": "idle"}))
+        while not self._shell.stopping:
+            self._shell.spin_once()
+            if self._is_wanted():
+                self._run_test(int(self._wanted.values["steps"]))  # type: ignore[union-attr]
+                self._wanted = None  # a test runs once
+
+    def _run_test(self, steps: int) -> None:
+        self._valve.reset()
+        self._drive.reset()
+        self._missed: list[int] = []
+        self._missed_count = 0
+        started = time.monotonic()
+        self._shell.report(Status("rig", 0, "running", values={"phase": "running"}))
+        pace = self._lockstep if self._section["pace"] == "lockstep" else self._realtime
+        reason = pace(steps)
+        done = self._rig.step_index + 1
+        wall = time.monotonic() - started
+        self._publish_clock(self._rig.step_index, force=True)
+        phase, trip = FINISHED, None
+        if reason is not None:
+            step = self._rig.step_index
+            phase, trip = TRIPPED, Trip(reason, step, self._timebase.stamp_ns(step) / 1e9)
+        self._shell.report(rig_status(phase, done, self._missed_count, self._missed, wall, trip))
+
+    def _lockstep(self, steps: int) -> str | None:
+        """Each step waits for its commands; return why the test ended early, if it did."""
+        rig, timeout = self._rig, self._section["lockstep_timeout"]
+        state = rig.reset()
+        while True:
+            step = rig.step_index
+            self._publish(step, state)
+            deadline = time.monotonic() + timeout
+            while self._valve.step < step or self._drive.step < step:
+                self._shell.spin_once(0.05)
+                if not self._is_wanted():
+                    return rig.violation or "stopped"
+                if time.monotonic() > deadline:
+                    late = self._valve if self._valve.step < step else self._drive
+                    return rig.violation or (
+                        f"no {late.codec.topic.name} for step {step} within {timeout:g} s in "
+                        f"lockstep; is {late.codec.topic.publisher} running?"
+                    )
+            if rig.violation is not None:
+                return rig.violation
+            if step + 1 == steps:
+                return None
+            state = rig.step(self._drive.value)
+
+    def _realtime(self, steps: int) -> str | None:
+        """Absolute deadlines: at each, apply the newest command, and count it if it is old."""
+        rig, shell, drive = self._rig, self._shell, self._drive
+        period = self._timebase.dt
+        timeout = self._section["watchdog.command_timeout"]
+        patience = max(1, round(timeout / period))
+        start = time.monotonic()
+        state = rig.reset()
+        while True:
+            step = rig.step_index
+            self._publish(step, state)
+            deadline = start + (step + 1) * period
+            while (left := deadline - time.monotonic()) > 0:
+                shell.spin_once(left)
+            if not self._is_wanted():
+                return rig.violation or "stopped"
+            if rig.violation is not None:
+                return rig.violation
+            if step + 1 == steps:
+                return None
+            if drive.step < step:
+                shell.spin_once(0.0)  # what came while we were late counts as in time
+            if drive.step < step:
+                self._missed_count += 1
+                if len(self._missed) < LISTED_STEPS:
+                    self._missed.append(step)
+                if step - drive.step > patience:
+                    return (
+                        f"no new {drive.codec.topic.name} for {timeout:g} s (the last is of step "
+                        f"{drive.step}); is {drive.codec.topic.publisher} running?"
+                    )
+            state = rig.step(self._drive.value)
+
+    def _publish(self, step: int, state: Floats) -> None:
+        self._state.publish(self._state_codec.encode(step, state))
+        self._publish_clock(step)
+
+    def _publish_clock(self, step: int, force: bool = False) -> None:
+        now = time.monotonic()
+        if force or now - self._clock_at >= CLOCK_PERIOD:
+            self._clock_at = now
+            self._clock.publish(encode_clock(self._timebase.stamp_ns(step)))
+
+    def _is_wanted(self) -> bool:
+        return (
+            self._wanted is not None
+            and self._wanted.message == "running"
+            and not self._shell.stopping
+        )
+
+    def _on_experiment_state(self, raw: bytes, _: int) -> None:
+        """Follow the supervisor; a rig that comes up in the middle of a test stays at rest."""
+        status = decode_status(raw)
+        if status.message == "running" and not self._armed:
+            self._shell.refuse("a test that was running before this rig was ready for it")
+            return
+        self._armed = status.message == "ready"
+        self._wanted = status
+
+
+def _main(argv: Sequence[str]) -> None:
+    shell = NodeShell(TABLE, [TABLE], argv)
+    try:
+        node = RigNode(shell)
+        shell.start({"drive": node._drive.codec.topic.name})
+        node.run()
+    finally:
+        shell.close()
+
+
+def main() -> int:
+    """Entry point of ``ros2 run seft_plant_sim rig``."""
+    return run_node(_main, "rig")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""What a record tells: agreement with the exact response, figures, comparisons."""

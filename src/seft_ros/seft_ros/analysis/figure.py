@@ -1,0 +1,102 @@
+"""A figure of a test: what was measured against the exact response."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.topics import RIG_STATE
+from seft_plant_sim.whole_structure import ReferenceResponse
+
+from seft_ros.analysis.metrics import nrmse
+from seft_ros.analysis.reference import COMPARED, quantity
+from seft_ros.analysis.title import title_of
+from seft_ros.recording.record import Record
+
+MOST_AXES = 3
+_ROWS = {"displacement": ("mm", 1e3), "force": ("N", 1.0), "acceleration": ("m/s²", 1.0)}
+_EXACT, _TEST, _TRIP, _GRID, _TEXT = "#9aa3ad", "#0b5fa5", "#c1272d", "#e6e9ec", "#33383d"
+
+
+def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
+    """Draw displacement, force and acceleration over time, one column for each axis.
+
+    Parameters
+    ----------
+    record : Record
+        The test; of more than `MOST_AXES` axes the first are drawn.
+    reference : ReferenceResponse or None
+        Exact response by step, as `seft_ros.analysis.reference.reference_of` gives it.
+    """
+    axes = record.experiment.axes[:MOST_AXES]
+    width = 9.5 if len(axes) == 1 else 5.5 * len(axes)
+    figure = Figure(figsize=(width, 7.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(len(_ROWS), len(axes), sharex=True, sharey="row", squeeze=False)
+    for row, name in enumerate(_ROWS):
+        for column in range(len(axes)):
+            _draw(panels[row, column], record, reference, name, column)
+        unit = _ROWS[name][0]
+        panels[row, 0].set_ylabel(f"{name} / {unit}", color=_TEXT)
+    for column, axis in enumerate(axes):
+        if len(record.experiment.axes) > 1:
+            text = f"axis {axis}"
+            panels[0, column].set_title(
+                text, loc="left", fontsize=11, color=_TEXT, parse_math=False
+            )
+        panels[-1, column].set_xlabel("time / s", color=_TEXT)
+    figure.align_ylabels()
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    figure.suptitle(_title(record), fontsize=11, color=_TEXT, parse_math=False)
+    return figure
+
+
+def save_figure(figure: Figure, path: str | Path) -> None:
+    """Save a figure; the suffix tells the format, png where there is none.
+
+    Raises
+    ------
+    InputError
+        If the file can't be written.
+    """
+    path = Path(path)
+    path = path if path.suffix else path.with_suffix(".png")
+    try:
+        figure.savefig(path, dpi=150)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        raise InputError(f"{path}: the figure can't be saved ({reason})") from None
+
+
+def _draw(
+    panel: Axes, record: Record, reference: ReferenceResponse | None, name: str, column: int
+) -> None:
+    states, dt = record.series[RIG_STATE.name], record.experiment.timebase.dt
+    scale = _ROWS[name][1]
+    row = dict(COMPARED)[name]
+    y = states.values[:, row, column]
+    if reference is not None:
+        exact = quantity(reference, name)[:, column]
+        time = np.arange(len(exact)) * dt
+        panel.plot(time, exact * scale, color=_EXACT, lw=2.2, label="exact response")
+        error = nrmse(y, exact[states.steps])
+        text = f"NRMSE {error * 100:.3g} %" if np.isfinite(error) else "NRMSE undefined"
+        panel.set_title(text, loc="right", fontsize=9, color=_TEXT)
+    panel.plot(states.steps * dt, y * scale, color=_TEST, lw=0.9, label="test")
+    if record.trip is not None:
+        panel.axvline(record.trip.time_s, color=_TRIP, lw=1.2, ls="--", label="trip")
+    panel.margins(x=0.01)
+    panel.grid(color=_GRID, lw=0.8)
+    panel.set_axisbelow(True)
+    panel.tick_params(colors=_TEXT, labelsize=9)
+    panel.spines[["top", "right"]].set_visible(False)
+
+
+def _title(record: Record) -> str:
+    title = title_of(record)
+    if record.trip is not None:
+        title += f"\ntripped at {record.trip.time_s:.3f} s: {record.trip.reason}"
+    return title

@@ -1,0 +1,194 @@
+"""How well a measured response agrees with a reference.
+
+All axes are taken together where arrays have several. A measure that makes no sense (of no
+samples, against a reference that is zero throughout, of values that are not finite) is NaN.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.fft import irfft, next_fast_len, rfft
+
+Floats = npt.NDArray[np.float64]
+Steps = npt.NDArray[np.int64]
+
+_ITERATIONS = 30
+_RESOLUTION = 1e-9  # of a sample
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """A response against its reference.
+
+    Attributes
+    ----------
+    nrmse : float
+        RMS(y - y_ref) / RMS(y_ref) over the whole record, no shift.
+    nrmse_aligned : float
+        The same after the best-fit pure delay is removed.
+    peak, reference_peak : float
+        Largest magnitudes, in the unit of the signal.
+    delay_s : float
+        Best-fit pure delay, s; positive where the response lags.
+    """
+
+    nrmse: float
+    nrmse_aligned: float
+    peak: float
+    reference_peak: float
+    delay_s: float
+
+
+def agreement(y: Floats, reference: Floats, dt: float, steps: Steps | None = None) -> Agreement:
+    """Compare a response with its reference.
+
+    Parameters
+    ----------
+    y : ndarray
+        Response at the steps there are, shape (M, n) or (M,).
+    reference : ndarray
+        At every step from 0 on, shape (N, n) or (N,).
+    dt : float
+        Sampling period, s.
+    steps : ndarray of int, optional
+        Shape (M,), strictly increasing and below N; default all N. For the delay, what is
+        missing is interpolated; errors count the steps there are.
+    """
+    y, reference = _columns(y), _columns(reference)
+    if steps is None:
+        steps = np.arange(len(reference))
+    at_steps = reference[steps]
+    delay, aligned = math.nan, math.nan
+    if len(steps) and np.isfinite(y).all() and np.isfinite(reference).all():
+        every = np.arange(len(reference))
+        filled = np.stack([np.interp(every, steps, column) for column in y.T], axis=1)
+        delay = best_fit_delay(filled, reference, dt)
+        aligned = nrmse_aligned(y, reference, dt, delay, steps)
+    return Agreement(nrmse(y, at_steps), aligned, peak(y), peak(at_steps), delay)
+
+
+def nrmse(y: Floats, reference: Floats) -> float:
+    """RMS(y - y_ref) / RMS(y_ref), arrays of the same shape."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        return _ratio(_rms(y - reference), _rms(reference))
+
+
+def nrmse_aligned(
+    y: Floats, reference: Floats, dt: float, delay: float, steps: Steps | None = None
+) -> float:
+    """Normalised RMS error after the reference is shifted by a delay (s).
+
+    Samples for which the shifted reference would have to be known beyond its end (as with
+    a negative delay) are left out. ``steps`` as in `agreement`.
+    """
+    y, reference = _columns(y), _columns(reference)
+    if steps is None:
+        steps = np.arange(len(reference))
+    if not math.isfinite(delay):
+        return math.nan
+    known = steps <= len(reference) - 1 + math.floor(delay / dt + 1e-6)
+    shifted = delayed(reference, delay, dt)[steps[known]]
+    return _ratio(_rms(y[known] - shifted), _rms(reference[steps]))
+
+
+def peak(y: Floats) -> float:
+    """Largest magnitude; NaN if there is none or a value is NaN."""
+    return float(np.max(np.abs(y))) if y.size else math.nan
+
+
+def best_fit_delay(y: Floats, reference: Floats, dt: float) -> float:
+    """Pure delay tau (s) for which RMS(y(t) - y_ref(t - tau)) is smallest.
+
+    It is the largest value of the cross-correlation of both signals, each zero outside its
+    record: found on the samples, up to half a record's length, then between them by Newton's
+    method on the correlation's Fourier series, which is exact for band-limited signals. One
+    delay for all axes. Zero where no delay makes the error smaller.
+
+    Parameters
+    ----------
+    y, reference : ndarray
+        Shape (N, n) or (N,).
+    dt : float
+        Sampling period, s.
+    """
+    y, reference = _scaled(_columns(y)), _scaled(_columns(reference))
+    if not (y.size and _rms(y) > 0 and _rms(reference) > 0):  # NaN too
+        return math.nan
+    size = next_fast_len(2 * len(y), real=True)
+    cross = (rfft(y, size, axis=0) * rfft(reference, size, axis=0).conj()).sum(axis=1)
+    correlation = irfft(cross, size)
+    longest = len(y) // 2
+    lags = np.concatenate([np.arange(longest + 1), np.arange(-longest, 0)])
+    lag = lags[np.argmax(correlation[lags])]
+    delay = _refine(cross, 2 * np.pi / size * np.arange(len(cross)), float(lag)) * dt
+    errors = [nrmse_aligned(y, reference, dt, tau) for tau in (delay, 0.0)]
+    return delay if errors[0] < errors[1] else 0.0
+
+
+def delayed(y: Floats, delay: float, dt: float) -> Floats:
+    """Shift a signal in time as if it were band-limited, shape (N, n) as given.
+
+    Before its start the signal is zero: a test begins at rest. Beyond its end it goes on
+    point-symmetrically and fades out, so that a record which ends in full swing does not
+    ring.
+
+    Parameters
+    ----------
+    y : ndarray
+        Shape (N, n) or (N,).
+    delay : float
+        s; negative: earlier.
+    dt : float
+        Sampling period, s.
+    """
+    count, shift = len(y), delay / dt
+    if shift == int(shift) and 0 <= shift < count:  # no interpolation, and exact
+        return np.concatenate([np.zeros_like(y[: int(shift)]), y[: count - int(shift)]])
+    columns = _columns(y)
+    fade = 0.5 + 0.5 * np.cos(np.pi * np.arange(1, count) / count)[:, np.newaxis]
+    beyond = (2 * columns[-1] - columns[-2::-1]) * fade
+    size = next_fast_len(2 * count + math.ceil(abs(shift)), real=True)
+    turns = np.arange(size // 2 + 1)[:, np.newaxis] * (shift / size)
+    spectrum = rfft(np.concatenate([columns, beyond]), size, axis=0) * np.exp(-2j * np.pi * turns)
+    shifted: Floats = irfft(spectrum, size, axis=0)[:count]
+    return shifted.reshape(y.shape)
+
+
+def _refine(cross: npt.NDArray[np.complex128], omega: Floats, lag: float) -> float:
+    """Newton's method for the nearest maximum of sum Re(cross exp(i omega lag))."""
+    best = lag
+    for _ in range(_ITERATIONS):
+        terms = cross * np.exp(1j * omega * best)
+        slope = -np.sum(omega * terms.imag)
+        curvature = -np.sum(omega**2 * terms.real)
+        if not curvature < 0:
+            return lag
+        change = -slope / curvature
+        best = min(max(best + change, lag - 1.0), lag + 1.0)
+        if abs(change) < _RESOLUTION:
+            break
+    return float(best)
+
+
+def _columns(y: Floats) -> Floats:
+    return y[:, np.newaxis] if y.ndim == 1 else y
+
+
+def _scaled(y: Floats) -> Floats:
+    """Divide by the peak, for squares not to overflow."""
+    most = peak(y)
+    return y / most if math.isfinite(most) and most > 0 else y
+
+
+def _rms(y: Floats) -> float:
+    most = peak(y)
+    if not math.isfinite(most) or most == 0:
+        return most
+    return most * float(np.sqrt(np.mean((y / most) ** 2)))
+
+
+def _ratio(error: float, reference: float) -> float:
+    ratio = error / reference if reference > 0 else math.nan
+    return ratio if math.isfinite(ratio) else math.nan

@@ -1,0 +1,99 @@
+"""What a test was worth, as a dict of JSON values: the ``--json`` of run, simulate, report."""
+
+import math
+from typing import Any
+
+import numpy as np
+from seft_msgs_py.topics import LOOP_TOPICS, RIG_STATE
+from seft_plant_sim.whole_structure import ReferenceResponse
+
+from seft_ros.analysis.metrics import Floats, agreement, peak
+from seft_ros.analysis.reference import COMPARED, quantity, reference_of
+from seft_ros.recording.record import Record
+
+__all__ = ["json_safe", "reference_of", "summarise"]
+
+_MEASURES = ("nrmse", "nrmse_aligned", "peak", "reference_peak", "delay_s")
+
+
+def summarise(record: Record, reference: ReferenceResponse | None = None) -> dict[str, Any]:
+    """Summarise a test.
+
+    Parameters
+    ----------
+    record : Record
+        The test.
+    reference : ReferenceResponse, optional
+        As `reference_of` gives it; computed if not given.
+
+    Returns
+    -------
+    dict
+        ``steps`` (from 0 to the last that was recorded), ``rate_hz``, ``duration_s``,
+        ``wall_s``, ``realtime_factor``, ``complete``, ``stable`` (no trip, and all samples
+        finite), ``trip`` (null or reason, step, time_s), ``missed``, ``lost`` (samples that
+        the record lacks, by topic), and for displacement (m), acceleration (m/s^2) and force
+        (N) nrmse, nrmse_aligned, peak, reference_peak and delay_s over all axes; ``axes``
+        has the same three for each axis. What is unknown or makes no sense is null.
+    """
+    if reference is None:
+        reference = reference_of(record)
+    states = record.series[RIG_STATE.name]
+    steps = int(states.steps[-1]) + 1 if len(states.steps) else 0
+    duration = steps * record.experiment.timebase.dt
+    trip = record.trip
+    finite = all(np.isfinite(series.values).all() for series in record.series.values())
+    axes = record.experiment.axes
+    by_axis = {
+        axis: _three(record, reference, slice(column, column + 1))
+        for column, axis in enumerate(axes)
+    }
+    summary = {
+        "steps": steps,
+        "rate_hz": record.experiment.timebase.rate,
+        "duration_s": duration,
+        "wall_s": record.wall_s,
+        "realtime_factor": duration / record.wall_s if record.wall_s else None,
+        "complete": record.complete,
+        "stable": trip is None and finite,
+        "trip": trip and {"reason": trip.reason, "step": trip.step, "time_s": trip.time_s},
+        "missed": record.missed,
+        "lost": {topic.name: _lost(record, topic.name, steps) for topic in LOOP_TOPICS},
+        **(by_axis[axes[0]] if len(axes) == 1 else _three(record, reference, slice(None))),
+        "axes": by_axis,
+    }
+    return {key: json_safe(value) for key, value in summary.items()}
+
+
+def json_safe(value: Any) -> Any:
+    """Replace what JSON has no number for by None, in dicts and lists too."""
+    if isinstance(value, dict):
+        return {key: json_safe(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_safe(item) for item in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value
+
+
+def _three(
+    record: Record, reference: ReferenceResponse | None, columns: slice
+) -> dict[str, dict[str, Any]]:
+    """Measures of displacement, acceleration and force on some axes."""
+    states = record.series[RIG_STATE.name]
+    dt = record.experiment.timebase.dt
+    found: dict[str, dict[str, Any]] = {}
+    for name, row in COMPARED:
+        y: Floats = states.values[:, row, columns]
+        if reference is None:
+            found[name] = {**dict.fromkeys(_MEASURES), "peak": peak(y)}
+        else:
+            exact = quantity(reference, name)[:, columns]
+            measured = agreement(y, exact, dt, states.steps)
+            found[name] = {measure: getattr(measured, measure) for measure in _MEASURES}
+    return found
+
+
+def _lost(record: Record, topic: str, steps: int) -> int:
+    series = record.series[topic]
+    return steps - int(np.searchsorted(series.steps, steps))

@@ -1,0 +1,133 @@
+"""A summary and a comparison for people: one table and one verdict each."""
+
+from typing import Any
+
+from rich.table import Table
+from rich.text import Text
+
+from seft_ros.analysis.title import title_of
+from seft_ros.recording.record import Record
+
+_UNITS = {
+    "displacement": ("mm", 1e3),
+    "force": ("N", 1.0),
+    "acceleration": ("m/s²", 1.0),
+}
+
+
+def summary_table(record: Record, summary: dict[str, Any]) -> Table:
+    """Tabulate how a test agrees with the exact response; the caption is its `verdict`.
+
+    Parameters
+    ----------
+    record : Record
+        The test.
+    summary : dict
+        As `seft_ros.analysis.summary.summarise` gives it.
+    """
+    good = summary["stable"] and summary["complete"] and not summary["missed"]
+    table = _table(f"{title_of(record)}\n{_pace(summary)}", verdict(summary), good)
+    for heading in ("", "peak", "exact peak", "NRMSE", "NRMSE aligned", "delay"):
+        table.add_column(heading, justify="right" if heading else "left", no_wrap=True)
+    _add_rows(table, summary, "")
+    if len(summary["axes"]) > 1:
+        for axis, part in summary["axes"].items():
+            table.add_section()
+            _add_rows(table, part, f"{axis} ")
+    return table
+
+
+def comparison_table(comparison: dict[str, Any]) -> Table:
+    """Tabulate how two records differ; the caption says where they first do.
+
+    Parameters
+    ----------
+    comparison : dict
+        As `seft_ros.analysis.compare.compare` gives it.
+    """
+    table = _table("a against b", _difference(comparison), comparison["identical"])
+    for heading in ("topic", "in a", "in b", "only in b", "only in a", "largest", "NRMSE"):
+        table.add_column(heading, justify="left" if heading == "topic" else "right")
+    for topic, row in comparison["topics"].items():
+        counts = [row[key] for key in ("samples_a", "samples_b", "missing_a", "missing_b")]
+        largest = "-" if row["max_abs"] is None else f"{row['max_abs']:.3g}"
+        table.add_row(topic, *map(str, counts), largest, _percent(row["nrmse"]))
+    return table
+
+
+def verdict(summary: dict[str, Any]) -> str:
+    """Say how a test went, in one line."""
+    trip, missed = summary["trip"], summary["missed"]
+    error, aligned = (summary["displacement"][key] for key in ("nrmse", "nrmse_aligned"))
+    if trip is not None:
+        text = f"TRIPPED at {trip['time_s']:.3f} s (step {trip['step']}): {trip['reason']}"
+    elif not summary["stable"]:
+        text = "UNSTABLE: samples are not finite"
+    elif not summary["complete"]:
+        text = "CUT OFF: the record ends before the test did"
+    elif error is not None:
+        text = f"done: displacement error {_percent(error)}, {_percent(aligned)} without its delay"
+    else:
+        text = "done, with nothing to hold it against"
+    if missed:
+        text += f"; {missed} of {summary['steps']} steps had no command in time"
+    lost = {topic: count for topic, count in summary["lost"].items() if count}
+    if lost:
+        text += f"; samples lost: {', '.join(f'{n} of {topic}' for topic, n in lost.items())}"
+    return text
+
+
+def _difference(comparison: dict[str, Any]) -> str:
+    first = comparison["first_difference"]
+    missed = comparison["missed"]
+    held = ", ".join(f"{missed[key]} in {key}" for key in ("a", "b") if missed[key])
+    tail = f"; steps without a command in time: {held}" if held else ""
+    if first is None:
+        return f"identical, bit for bit{tail}"
+    where = f"first difference at step {first['step']}, {first['topic']}"
+    if first["field"] is None:
+        lacking = "a" if first["a"] == "missing" else "b"
+        return f"{where}: the sample is missing in {lacking}{tail}"
+    values = f"{first['a']!r} in a, {first['b']!r} in b"
+    return f"{where}, {first['field']} of axis {first['axis']}: {values}{tail}"
+
+
+def _table(title: str, caption: str, good: bool) -> Table:
+    return Table(
+        title=Text(title),
+        title_justify="left",
+        title_style="",
+        caption=Text(caption, style="bold green" if good else "bold red"),
+        caption_justify="left",
+        caption_style="",
+    )
+
+
+def _pace(summary: dict[str, Any]) -> str:
+    text = f"{summary['steps']} steps, {summary['duration_s']:g} s"
+    if summary["realtime_factor"] is not None:
+        text += f", in {summary['wall_s']:.3g} s ({summary['realtime_factor']:.3g} x real time)"
+    return text
+
+
+def _add_rows(table: Table, part: dict[str, Any], prefix: str) -> None:
+    for name, (unit, scale) in _UNITS.items():
+        row = part[name]
+        table.add_row(
+            f"{prefix}{name}",
+            _number(row["peak"], scale, unit),
+            _number(row["reference_peak"], scale, unit),
+            _percent(row["nrmse"]),
+            _percent(row["nrmse_aligned"]),
+            "-" if row["delay_s"] is None else f"{row['delay_s'] * 1e3:.2f} ms",
+        )
+
+
+def _number(value: float | None, scale: float, unit: str) -> str:
+    return "-" if value is None else f"{value * scale:.4g} {unit}"
+
+
+def _percent(value: float | None) -> str:
+    if value is None:
+        return "-"
+    return "0 %" if value == 0 else f"{value * 100:#.3g} %".replace(". %", " %")

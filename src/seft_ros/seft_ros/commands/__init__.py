@@ -1,0 +1,1 @@
+"""The `seft` command, one module for each subcommand."""

@@ -1,0 +1,55 @@
+"""The `seft` command."""
+
+import sys
+
+import typer
+from seft_msgs_py.errors import SeftError
+
+from seft_ros.commands.compare import compare
+from seft_ros.commands.motion import motion
+from seft_ros.commands.options import complain
+from seft_ros.commands.recover import recover
+from seft_ros.commands.report import report
+from seft_ros.commands.run import run
+from seft_ros.commands.simulate import simulate
+
+APP = typer.Typer(
+    name="seft",
+    help="Substructure effective force testing (SEFT) on ROS 2.\n\n"
+    "seft run config/demo.yaml runs a test as separate nodes over DDS and records it; "
+    "seft simulate does the same in one process, without ROS. "
+    "seft COMMAND --help shows examples.",
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+for command in (run, simulate, report, compare, motion, recover):
+    APP.command()(command)
+
+
+def main() -> int:
+    """Run the command line; return 0 done, 1 tripped or unstable, 2 wrong input."""
+    try:
+        return int(APP(standalone_mode=False) or 0)
+    except SeftError as error:
+        complain(str(error))
+        return error.exit_status
+    except typer.Exit as end:
+        return end.exit_code
+    except typer.Abort:
+        return 1
+    except typer.TyperException as error:
+        text = error.format_message()
+        if "\n" in text:  # help, where no command is given
+            print(text, file=sys.stderr)
+        else:
+            complain(f"{text} (seft --help shows what there is)")
+        return 2
+    except KeyboardInterrupt:
+        complain("interrupted")
+        return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""A test as a whole: parameter tables, blocks, offline loop, states."""

@@ -1,0 +1,37 @@
+"""The four blocks of a test, made of one experiment."""
+
+from dataclasses import dataclass
+
+from seft_msgs_py.experiment import Experiment
+from seft_plant_sim.rig import Rig
+
+from seft_ros.force_controller.block import ForceController
+from seft_ros.ground_motion.block import GroundMotion
+from seft_ros.reference_force.block import ReferenceForce
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Ground motion, reference force, force controller and rig of a test."""
+
+    ground_motion: GroundMotion
+    reference_force: ReferenceForce
+    force_controller: ForceController
+    rig: Rig
+
+
+def build_blocks(experiment: Experiment) -> Blocks:
+    """Make the blocks of an experiment.
+
+    Raises
+    ------
+    InputError
+        If a parameter makes no sense together with the others, or the record can't be read.
+    """
+    axes, timebase = experiment.axes, experiment.timebase
+    return Blocks(
+        GroundMotion.from_parameters(experiment["ground_motion"], axes, timebase),
+        ReferenceForce.from_parameters(experiment["reference_force"], axes),
+        ForceController.from_parameters(experiment["force_controller"], axes, timebase),
+        Rig.from_parameters(experiment["rig"], axes, timebase),
+    )

@@ -1,0 +1,76 @@
+"""Whether the nodes of a test have found each other, from what each says of itself."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from seft_msgs_py.messages import Status
+from seft_msgs_py.topics import RECORDED_TOPICS, TOPICS
+
+STALE = 3.0  # s without a status: a node counts as absent
+
+
+@dataclass(frozen=True)
+class Heard:
+    """The last status of a node and when it came (s, monotonic)."""
+
+    status: Status
+    at: float
+
+
+def missing(
+    peers: Sequence[str],
+    heard: Mapping[str, Heard],
+    descriptions: Mapping[str, Mapping[str, Any]],
+    now: float,
+) -> str:
+    """Say what a test still lacks before it can start; empty if nothing.
+
+    Parameters
+    ----------
+    peers : sequence of str
+        Nodes that the test needs.
+    heard : mapping
+        Node name -> last status; holds the supervisor's own too.
+    descriptions : mapping
+        Node name -> what it says of its parameters.
+    now : float
+        Monotonic time, s.
+    """
+    absent = [n for n in peers if n not in heard or now - heard[n].at > STALE]
+    if absent:
+        return "node " + ", ".join(absent)
+    silent = [node for node in peers if node not in descriptions]
+    if silent:
+        return "the parameters of " + ", ".join(silent)
+    conflict = _conflict(peers, descriptions)
+    if conflict:
+        return conflict
+    for publisher in (*peers, "supervisor"):
+        for topic in TOPICS:
+            if topic.publisher not in (publisher, ""):
+                continue
+            known = heard[publisher].status.values.get(f"matched {topic.name}", "").split()
+            wanted = {node for node in topic.subscribers if node in (*peers, "supervisor")}
+            if topic.name == descriptions.get("rig", {}).get("drive"):
+                wanted.add("rig")
+            if topic in RECORDED_TOPICS and "recorder" in peers:
+                wanted.add("recorder")
+            lost = sorted(wanted - set(known) - {publisher})
+            if lost:
+                return f"{publisher} to reach {', '.join(lost)} on {topic.name}"
+    if heard["ground_motion"].status.values.get("phase") != "primed":
+        return "the first of the ground motion"
+    return ""
+
+
+def _conflict(peers: Sequence[str], descriptions: Mapping[str, Mapping[str, Any]]) -> str:
+    """Nodes that were started with different rates or axes can't work together."""
+    for name in ("rate", "axes"):
+        first, *others = peers
+        value = descriptions[first]["parameters"].get(name)
+        for node in others:
+            other = descriptions[node]["parameters"].get(name)
+            if other != value:
+                return f"one {name}: {first} has {value}, {node} has {other}"
+    return ""

@@ -1,0 +1,46 @@
+"""Parameter tables of the nodes that watch and record a test."""
+
+from seft_msgs_py.parameters import Parameter, Table
+from seft_msgs_py.topics import NODES
+from seft_plant_sim.limits import limit_rows
+
+SUPERVISOR = Table(
+    "supervisor",
+    [
+        *limit_rows(),
+        Parameter(
+            "watchdog.command_timeout",
+            "float",
+            0.1,
+            "longest time the rig goes without a new command in realtime",
+            "s",
+            positive=True,
+        ),
+        Parameter(
+            "watchdog.peer_timeout",
+            "float",
+            5.0,
+            "longest silence of a node before the test trips",
+            "s",
+            positive=True,
+        ),
+        Parameter(
+            "peers",
+            "strings",
+            [node for node in NODES if node != "supervisor"],
+            "nodes that a test needs",
+            choices=tuple(node for node in NODES if node != "supervisor"),
+        ),
+    ],
+)
+
+RECORDER = Table(
+    "recorder",
+    [
+        Parameter("directory", "string", "bags", "folder in which a test's bag is made"),
+        Parameter("name", "string", "", "name of the bag in it; empty: date and time of the start"),
+        Parameter(
+            "storage", "string", "mcap", "file format of the bag", choices=("mcap", "sqlite3")
+        ),
+    ],
+)

@@ -1,0 +1,1 @@
+"""Force control: from force error to valve drive."""

@@ -1,0 +1,76 @@
+"""Figure of a ground motion: accelerations and response spectra."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.figure import Figure
+
+from seft_ros.ground_motion.spectrum import response_spectrum
+
+PERIODS = np.geomspace(0.02, 5.0, 150)
+"""Natural periods of the spectrum in s."""
+
+_DAMPING = 0.05
+
+
+def motion_figure(
+    samples: npt.NDArray[np.float64], dt: float, axes: Sequence[str], title: str
+) -> Figure:
+    """Draw acceleration against time, one panel per axis, above the 5 % response spectra.
+
+    Parameters
+    ----------
+    samples : ndarray
+        Shape (N, n), in m/s^2.
+    dt : float
+        Sampling period in s.
+    axes : sequence of str
+        Names of the n axes.
+    title : str
+        Heading.
+
+    Returns
+    -------
+    Figure
+        Made without pyplot: save it with ``figure.savefig``.
+    """
+    n = samples.shape[1]
+    if len(axes) != n:
+        raise ValueError(f"{n} axes of samples, but {len(axes)} names")
+    figure = Figure(figsize=(8.0, 3.6 + 1.9 * n), layout="constrained")
+    panels = figure.subplots(n + 1, 1, height_ratios=[*[1.0] * n, 1.6])
+    figure.suptitle(title)
+    times = dt * np.arange(len(samples))
+    limit = 1.08 * float(np.abs(samples).max()) or 1.0
+    for index, (name, panel) in enumerate(zip(axes, panels[:-1], strict=True)):
+        values = samples[:, index]
+        peak = int(np.abs(values).argmax())
+        panel.plot(times, values, color=f"C{index}", linewidth=0.8)
+        panel.plot(times[peak], values[peak], "o", color=f"C{index}", markersize=4)
+        panel.annotate(
+            f"{name}: peak {values[peak]:.3g} m/s²",
+            (0.99, 0.95),
+            xycoords="axes fraction",
+            ha="right",
+            va="top",
+        )
+        panel.set(xlim=(0, times[-1] or dt), ylim=(-limit, limit), ylabel="ground acc. (m/s²)")
+        panel.grid(alpha=0.3)
+        panel.label_outer() if index < n - 1 else panel.set_xlabel("time (s)")
+    spectra = panels[-1]
+    for index, name in enumerate(axes):
+        spectrum = response_spectrum(samples[:, index], dt, PERIODS, _DAMPING)
+        spectra.semilogx(PERIODS, spectrum, color=f"C{index}", label=name)
+    spectra.set(
+        xlim=(PERIODS[0], PERIODS[-1]),
+        xlabel="natural period (s)",
+        ylabel="pseudo-acceleration (m/s²)",
+        title=f"response spectrum, {_DAMPING:.0%} damping",
+    )
+    spectra.set_ylim(bottom=0)
+    spectra.xaxis.set_major_formatter("{x:g}")
+    spectra.grid(which="both", alpha=0.3)
+    if n > 1:
+        spectra.legend(title="axis", frameon=False)
+    return figure

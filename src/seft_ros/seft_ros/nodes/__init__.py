@@ -1,0 +1,1 @@
+"""ROS nodes: thin shells that move samples between topics and blocks."""

@@ -1,0 +1,83 @@
+"""Node ``ground_motion``: publishes the ground motion ahead of the rig's time, by a timer."""
+
+import sys
+from collections.abc import Sequence
+
+from seft_msgs_py.messages import Status, decode_status
+from seft_msgs_py.node_shell import NodeShell, run_node
+from seft_msgs_py.topics import EXPERIMENT_STATE, GROUND_MOTION, RIG_STATE
+from seft_msgs_py.trajectory import TrajectoryCodec
+
+from seft_ros.experiment.tables import TABLES
+from seft_ros.ground_motion.block import GroundMotion
+from seft_ros.ground_motion.parameters import TABLE
+
+TIMER_PERIOD = 0.02  # s
+
+
+class GroundMotionNode:
+    """Moves chunks of a `GroundMotion` to its topic, a lead ahead of the newest rig/state."""
+
+    def __init__(self, shell: NodeShell) -> None:
+        experiment = shell.experiment
+        section = experiment["ground_motion"]
+        self._shell = shell
+        self.motion = GroundMotion.from_parameters(section, experiment.axes, experiment.timebase)
+        self._lead_steps = max(1, round(section["lead"] * experiment.timebase.rate))
+        self._codec = TrajectoryCodec(GROUND_MOTION, experiment.axes, experiment.timebase)
+        self._state_codec = TrajectoryCodec(RIG_STATE, experiment.axes, experiment.timebase)
+        self._publisher = shell.publisher(GROUND_MOTION)
+        self._next_chunk = 0
+        self._published_until = 0
+        self._rig_step = 0
+        self._phase = "idle"
+        shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
+        shell.subscribe(RIG_STATE, self._on_rig_state, depth=1, wake=False)
+
+    def tick(self) -> None:
+        """Publish what the lead asks for; the first of it before the test starts."""
+        if self._phase in ("done", "tripped"):
+            return
+        while (
+            self._next_chunk < self.motion.chunks
+            and self._published_until <= self._rig_step + self._lead_steps
+        ):
+            first, values = self.motion.chunk(self._next_chunk)
+            self._publisher.publish(self._codec.encode_points(first, values))
+            self._next_chunk += 1
+            self._published_until = first + len(values)
+            if first == 0:
+                self._report("primed")
+
+    def _on_experiment_state(self, raw: bytes, _: int) -> None:
+        phase = decode_status(raw).message
+        if self._phase in ("done", "tripped") and phase not in ("done", "tripped"):
+            self._next_chunk = self._published_until = self._rig_step = 0  # for the next test
+        self._phase = phase
+
+    def _on_rig_state(self, raw: bytes, _: int) -> None:
+        if self._phase == "running":
+            self._rig_step = self._state_codec.decode(raw)[0]
+
+    def _report(self, phase: str) -> None:
+        values = {"phase": phase, "steps": str(self.motion.steps)}
+        self._shell.report(Status("ground_motion", 0, phase, values=values))
+
+
+def _main(argv: Sequence[str]) -> None:
+    shell = NodeShell(TABLE, TABLES, argv)
+    try:
+        node = GroundMotionNode(shell)
+        shell.start({"steps": node.motion.steps})
+        shell.spin(node.tick, TIMER_PERIOD)
+    finally:
+        shell.close()
+
+
+def main() -> int:
+    """Entry point of ``ros2 run seft_ros ground_motion``."""
+    return run_node(_main, "ground_motion")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,148 @@
+"""Node ``recorder``: writes every message of a test, as it came, into a bag.
+
+It keeps what is needed from before the start (descriptions, ground motion ahead), opens a bag
+when the test runs, and closes it when the test has ended and the topics have fallen silent.
+"""
+
+import json
+import sys
+import time
+from collections import deque
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+
+from seft_msgs_py.messages import Status, decode_status, decode_string, encode_string
+from seft_msgs_py.node_shell import Handler, NodeShell, run_node
+from seft_msgs_py.topics import (
+    DESCRIPTION,
+    EXPERIMENT_STATE,
+    GROUND_MOTION,
+    LOOP_TOPICS,
+    RECORDED_TOPICS,
+    Topic,
+)
+from seft_msgs_py.trajectory import TrajectoryCodec
+
+from seft_ros.experiment.tables import TABLES
+from seft_ros.experiment.watching import RECORDER
+from seft_ros.recording.bag_writer import BagWriter
+from seft_ros.recording.environment import describe_environment
+
+SILENCE = 0.3  # s without a loop message: the test's last message has come
+LONGEST_DRAIN = 5.0  # s
+TICK = 0.02  # s
+
+
+class RecorderNode:
+    """Moves bytes from topics to a `BagWriter`."""
+
+    def __init__(self, shell: NodeShell) -> None:
+        self._shell = shell
+        self._section = shell.experiment["recorder"]
+        self._motion_codec = TrajectoryCodec(
+            GROUND_MOTION, shell.experiment.axes, shell.experiment.timebase
+        )
+        self._descriptions: dict[str, tuple[Topic, bytes, int]] = {}
+        self._before: deque[tuple[Topic, bytes, int]] = deque(maxlen=20_000)
+        self._bag: BagWriter | None = None
+        self._phase = "idle"
+        self._ended_at: float | None = None
+        self._loop_message_at = 0.0
+        describe_environment("run")  # asks git once, before a test is under way
+        for topic in RECORDED_TOPICS:
+            depth = 64 if topic.latched and topic is not GROUND_MOTION else None
+            shell.subscribe(topic, self._receiver(topic), depth=depth, wake=False)
+
+    def tick(self) -> None:
+        """Keep the bag flushed, and close it when the test has ended."""
+        if self._bag is None:
+            return
+        self._bag.flush_if_due()
+        if self._ended_at is not None:
+            now = time.monotonic()
+            silent = now - max(self._loop_message_at, self._ended_at) > SILENCE
+            if silent or now - self._ended_at > LONGEST_DRAIN:
+                self._close()
+
+    def close(self) -> None:
+        """Write what has come and close the bag, if one is open."""
+        self._shell.spin_once(0.0)
+        if self._bag is not None:
+            self._close()
+
+    def _receiver(self, topic: Topic) -> Handler:
+        loop_topic = topic in LOOP_TOPICS
+
+        def receive(raw: bytes, now: int) -> None:
+            if loop_topic:
+                self._loop_message_at = time.monotonic()
+            if topic is DESCRIPTION:
+                node = json.loads(decode_string(raw)).get("node", "")
+                self._descriptions[node] = (topic, raw, now)
+            if topic is EXPERIMENT_STATE:
+                self._follow(decode_status(raw).message)
+            if self._bag is not None:
+                self._bag.write(topic, raw, now)
+            elif loop_topic:
+                self._keep(topic, raw, now)
+
+        return receive
+
+    def _keep(self, topic: Topic, raw: bytes, now: int) -> None:
+        """Hold what comes before the bag is open; a new ground motion replaces an old one."""
+        if topic is GROUND_MOTION and self._motion_codec.decode(raw)[0] == 0:
+            self._before.clear()
+        self._before.append((topic, raw, now))
+
+    def _follow(self, phase: str) -> None:
+        if phase == "running" and self._bag is None and self._phase != "running":
+            self._open()
+        elif phase in ("done", "tripped") and self._bag is not None and self._ended_at is None:
+            self._ended_at = time.monotonic()
+        self._phase = phase
+
+    def _open(self) -> None:
+        directory = Path(self._section["directory"])
+        name = self._section["name"] or datetime.now().strftime("seft_%Y-%m-%d_%H-%M-%S")
+        self._bag = BagWriter(directory / name, self._section["storage"])
+        self._ended_at = None
+        now = time.time_ns()
+        environment = {"environment": describe_environment("run")}
+        self._bag.write(DESCRIPTION, encode_string(json.dumps(environment)), now)
+        for topic, raw, _ in self._descriptions.values():
+            self._bag.write(topic, raw, now)
+        while self._before:
+            self._bag.write(*self._before.popleft())
+        self._report("recording")
+
+    def _close(self) -> None:
+        bag, self._bag = self._bag, None
+        if bag is not None:
+            bag.close({})
+            self._report("saved", bag.path)
+
+    def _report(self, phase: str, path: Path | None = None) -> None:
+        values = {"phase": phase, **({"bag": str(path)} if path else {})}
+        self._shell.report(Status("recorder", 0, phase, values=values))
+
+
+def _main(argv: Sequence[str]) -> None:
+    shell = NodeShell(RECORDER, TABLES, argv)
+    node = RecorderNode(shell)
+    try:
+        shell.start()
+        shell.report(Status("recorder", 0, "idle", values={"phase": "idle"}))
+        shell.spin(node.tick, TICK)
+    finally:
+        node.close()
+        shell.close()
+
+
+def main() -> int:
+    """Entry point of ``ros2 run seft_ros recorder``."""
+    return run_node(_main, "recorder")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

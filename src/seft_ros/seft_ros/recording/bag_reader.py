@@ -1,0 +1,140 @@
+"""Read a bag back as the record of a test."""
+
+from collections import defaultdict
+from pathlib import Path
+
+from rosbags.interfaces import Connection
+from rosbags.rosbag2 import Reader
+from seft_msgs_py.errors import InputError, WireError
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.messages import decode_diagnostics, decode_string
+from seft_msgs_py.outcome import Outcome, read_outcome
+from seft_msgs_py.timebase import Timebase
+from seft_msgs_py.topics import (
+    DESCRIPTION,
+    DIAGNOSTICS,
+    GROUND_MOTION,
+    LOOP_TOPICS,
+    RIG_STATE,
+    LoopTopic,
+    Topic,
+)
+from seft_msgs_py.trajectory import TrajectoryCodec
+
+from seft_ros.recording.bag_files import open_bag, read_messages
+from seft_ros.recording.description import Description, read_description
+from seft_ros.recording.record import Record, Series
+from seft_ros.recording.samples import SampleBuffer, until
+
+UNDECODABLE = "undecodable"
+"""Key of a record's environment: messages that could not be understood, and were left out."""
+
+
+def read_bag(path: str | Path) -> Record:
+    """Read the record of a test from a bag (mcap or sqlite3), whoever recorded it.
+
+    Samples are ordered by step; of a step that came twice the first counts. Topics may
+    stand in a namespace. Messages that can't be decoded are left out and counted in
+    ``environment["undecodable"]``; other topics are not looked at.
+
+    Parameters
+    ----------
+    path : path
+        A bag's folder, or a single mcap or sqlite3 file.
+
+    Raises
+    ------
+    InputError
+        If there is no bag, it is damaged or cut off, or no test is described in it.
+    """
+    path = Path(path)
+    reader = open_bag(path)
+    try:
+        bag = _Bag(path, reader)
+        description = bag.description()
+        try:
+            experiment = description.experiment()
+        except InputError as error:
+            raise InputError(
+                f"{path}: the bag holds no test: {error} on {DESCRIPTION.name}; record tests "
+                "with seft run or seft simulate, or that topic too"
+            ) from None
+        series = {topic.name: bag.series(topic, experiment) for topic in LOOP_TOPICS}
+        outcome = bag.outcome(experiment.timebase)
+    finally:
+        reader.close()
+    states = series[RIG_STATE.name].steps
+    last_step = int(states[-1]) if len(states) else -1
+    series[GROUND_MOTION.name] = until(series[GROUND_MOTION.name], last_step)
+    return Record(
+        experiment=experiment,
+        series=series,
+        trip=outcome.trip if outcome else None,
+        missed=outcome.missed if outcome else None,
+        missed_steps=outcome.missed_steps if outcome else [],
+        wall_s=outcome.wall_s if outcome else None,
+        complete=outcome is not None,
+        environment={**description.environment, UNDECODABLE: bag.undecodable},
+    )
+
+
+class _Bag:
+    """An open bag, of which the topics of one test are read."""
+
+    def __init__(self, path: Path, reader: Reader) -> None:
+        self.path = path
+        self.reader = reader
+        self.undecodable = 0
+        described = {item.topic for item in reader.connections if _is(DESCRIPTION, item)}
+        prefixes = {name.removesuffix(DESCRIPTION.name) for name in described}
+        if len(prefixes) > 1:
+            raise InputError(
+                f"{path}: the bag holds several tests, in {', '.join(sorted(prefixes))}; "
+                "record one namespace in a bag"
+            )
+        self.prefix = prefixes.pop() if prefixes else "/"
+        self.connections: dict[str, list[Connection]] = defaultdict(list)
+        for connection in reader.connections:
+            self.connections[connection.topic].append(connection)
+
+    def connections_of(self, topic: Topic) -> list[Connection]:
+        """List the connections of a topic that carry its type."""
+        found = self.connections[self.prefix + topic.name]
+        return [connection for connection in found if connection.msgtype == topic.type]
+
+    def description(self) -> Description:
+        texts = []
+        for _, _, raw in read_messages(self.reader, self.connections_of(DESCRIPTION), self.path):
+            try:
+                texts.append(decode_string(raw))
+            except WireError:
+                self.undecodable += 1
+        description, refused = read_description(texts)
+        self.undecodable += refused
+        return description
+
+    def series(self, topic: LoopTopic, experiment: Experiment) -> Series:
+        connections = self.connections_of(topic)
+        codec = TrajectoryCodec(topic, experiment.axes, experiment.timebase)
+        expected = sum(connection.msgcount for connection in connections)
+        samples = SampleBuffer(len(topic.quantities), len(experiment.axes), expected)
+        for _, _, raw in read_messages(self.reader, connections, self.path):
+            try:
+                samples.append(*codec.decode(raw))
+            except WireError:
+                self.undecodable += 1
+        return samples.series()
+
+    def outcome(self, timebase: Timebase) -> Outcome | None:
+        outcome = None
+        for _, _, raw in read_messages(self.reader, self.connections_of(DIAGNOSTICS), self.path):
+            try:
+                for status in decode_diagnostics(raw)[1]:
+                    outcome = read_outcome(status, timebase) or outcome
+            except WireError:
+                self.undecodable += 1
+        return outcome
+
+
+def _is(topic: Topic, connection: Connection) -> bool:
+    return connection.msgtype == topic.type and connection.topic.endswith("/" + topic.name)

@@ -1,0 +1,72 @@
+"""What is left of a test: its samples by step, its configuration, and how it ended."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.outcome import Trip
+from seft_msgs_py.topics import LOOP_TOPICS
+
+__all__ = ["Record", "Series", "Trip"]
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Series:
+    """Samples of one loop topic, in the order of their steps.
+
+    Attributes
+    ----------
+    steps : ndarray of int64
+        Shape (N,), strictly increasing; steps that were lost are not there.
+    values : ndarray
+        Shape (N, q, n): samples, quantities as on the topic, axes; SI units.
+    """
+
+    steps: npt.NDArray[np.int64]
+    values: Floats
+
+
+@dataclass(frozen=True)
+class Record:
+    """One test, from a bag or from the offline loop.
+
+    Attributes
+    ----------
+    experiment : Experiment
+        The resolved configuration of every node.
+    series : dict
+        Topic name (relative, as in `seft_msgs_py.topics`) -> `Series`. ``ground_motion`` is
+        cut at the last step of ``rig/state``: what was published ahead is not part of the
+        test.
+    trip : Trip or None
+        None if the test ran to its end.
+    missed : int or None
+        Steps at which the rig had no new command and held the last; None if unknown (the
+        recorder was cut off before the rig said).
+    missed_steps : list of int
+        The first of these steps (the rig lists a bounded number).
+    wall_s : float or None
+        Wall-clock duration of the test; None if unknown.
+    complete : bool
+        Whether the rig reported the end of the test in this record.
+    environment : dict
+        Wall-clock start, git revision, package versions, mode, as recorded.
+    """
+
+    experiment: Experiment
+    series: dict[str, Series]
+    trip: Trip | None = None
+    missed: int | None = 0
+    missed_steps: list[int] = field(default_factory=list)
+    wall_s: float | None = None
+    complete: bool = True
+    environment: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        missing = {topic.name for topic in LOOP_TOPICS} - set(self.series)
+        if missing:
+            raise ValueError(f"a record needs a series for each loop topic; missing {missing}")

@@ -1,0 +1,132 @@
+"""Write a record as a bag of the same form as a recorded one."""
+
+import time
+from collections.abc import Iterable, Sequence
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from seft_msgs_py.messages import encode_diagnostics, encode_string
+from seft_msgs_py.outcome import FINISHED, TRIPPED, rig_status
+from seft_msgs_py.timebase import NANOSECONDS_PER_SECOND
+from seft_msgs_py.topics import DESCRIPTION, DIAGNOSTICS, GROUND_MOTION, LOOP_TOPICS, RIG_STATE
+from seft_msgs_py.trajectory import TrajectoryCodec
+
+from seft_ros.recording.bag_reader import UNDECODABLE
+from seft_ros.recording.bag_writer import BagWriter
+from seft_ros.recording.description import write_description
+from seft_ros.recording.record import Record
+from seft_ros.recording.samples import Run, consecutive_runs
+
+CHUNK_STEPS = 100
+NOT_FINITE = "not_finite"
+"""Key of the environment: samples that no message can carry, for they are NaN or infinite."""
+
+Floats = npt.NDArray[np.float64]
+Chunk = tuple[int, Floats]  # first step, values (p, n)
+
+
+def write_record(
+    record: Record,
+    path: str | Path,
+    storage: str = "mcap",
+    ground_motion: Iterable[Chunk] | None = None,
+) -> None:
+    """Write a bag that `read_bag` reads as this record.
+
+    The messages are those of a test over DDS, in the order of time: the description, then
+    each step's rig state, reference force and valve command, with ground motion one message
+    ahead, and how it ended. The log time of step k is the wall-clock start plus k periods.
+    Samples that are not finite are left out, as no node sends them, and counted in the
+    environment.
+
+    Parameters
+    ----------
+    record : Record
+        A test; series may have gaps.
+    path : path
+        Folder to be made.
+    storage : str
+        ``mcap`` or ``sqlite3``.
+    ground_motion : iterable of (first step, ndarray), optional
+        Messages of ground motion, each of shape (p, n), m/s^2; they may go beyond the
+        record's end. Default: the record's, in messages of `CHUNK_STEPS`.
+
+    Raises
+    ------
+    InputError
+        If the path exists or can't be written.
+    ExperimentError
+        If the disk is full.
+    """
+    timebase, axes = record.experiment.timebase, record.experiment.axes
+    start_ns = _start_ns(record)
+    codecs = {topic.name: TrajectoryCodec(topic, axes, timebase) for topic in LOOP_TOPICS}
+    motion = _motion(record, ground_motion)
+    events, not_finite = _events(record)
+    environment = {k: v for k, v in record.environment.items() if k != UNDECODABLE}
+    if not_finite:
+        environment[NOT_FINITE] = not_finite
+    with BagWriter(path, storage) as bag:
+        for text in write_description(record.experiment.sections, environment):
+            bag.write(DESCRIPTION, encode_string(text), start_ns)
+        sent, time_ns = 0, start_ns
+        for step, which, index in events.tolist():
+            time_ns = start_ns + timebase.stamp_ns(step)
+            while sent < len(motion) and motion[max(0, sent - 1)].first_step <= step:
+                run = motion[sent]
+                raw = codecs[GROUND_MOTION.name].encode_points(run.first_step, run.values)
+                bag.write(GROUND_MOTION, raw, time_ns)
+                sent += 1
+            topic = LOOP_TOPICS[which]
+            sample = record.series[topic.name].values[index]
+            bag.write(topic, codecs[topic.name].encode(step, sample), time_ns)
+        if record.complete and record.missed is not None:
+            status = rig_status(
+                TRIPPED if record.trip else FINISHED,
+                len(record.series[RIG_STATE.name].steps),
+                record.missed,
+                record.missed_steps,
+                record.wall_s,
+                record.trip,
+            )
+            bag.write(DIAGNOSTICS, encode_diagnostics(time_ns, [status]), time_ns)
+
+
+def _motion(record: Record, given: Iterable[Chunk] | None) -> Sequence[Run]:
+    if given is None:
+        return consecutive_runs(record.series[GROUND_MOTION.name], CHUNK_STEPS)
+    return [Run(first_step, np.ascontiguousarray(v)[:, np.newaxis, :]) for first_step, v in given]
+
+
+def _events(record: Record) -> tuple[npt.NDArray[np.int64], int]:
+    """List the samples to be written, in their order, and count those that can't be.
+
+    Returns
+    -------
+    events : ndarray of int64
+        Shape (M, 3): step, index of the topic in `LOOP_TOPICS`, index of the sample.
+    not_finite : int
+        Samples left out.
+    """
+    parts, not_finite = [], 0
+    for which, topic in enumerate(LOOP_TOPICS):
+        if topic is GROUND_MOTION:
+            continue
+        series = record.series[topic.name]
+        (kept,) = np.nonzero(np.isfinite(series.values).all(axis=(1, 2)))
+        not_finite += len(series.steps) - len(kept)
+        parts.append(np.stack([series.steps[kept], np.full_like(kept, which), kept], axis=1))
+    events = np.concatenate(parts)
+    return events[np.lexsort((events[:, 1], events[:, 0]))], not_finite
+
+
+def _start_ns(record: Record) -> int:
+    """Wall-clock start of the test; now, where it is not known."""
+    try:
+        start = datetime.fromisoformat(record.environment["start"])
+    except (KeyError, TypeError, ValueError):
+        return time.time_ns()
+    seconds = int(start.replace(microsecond=0).timestamp())
+    return seconds * NANOSECONDS_PER_SECOND + start.microsecond * 1000

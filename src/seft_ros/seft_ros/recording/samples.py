@@ -1,0 +1,76 @@
+"""Samples of a topic, gathered message by message in whatever order they come."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from seft_ros.recording.record import Series
+
+Floats = npt.NDArray[np.float64]
+
+
+class SampleBuffer:
+    """Arrays that grow; memory is that of the samples, at most doubled.
+
+    Parameters
+    ----------
+    quantities, axes : int
+        Sizes q and n of a sample.
+    capacity : int
+        Number of samples to expect.
+    """
+
+    def __init__(self, quantities: int, axes: int, capacity: int) -> None:
+        self._steps = np.empty(max(1, capacity), np.int64)
+        self._values = np.empty((max(1, capacity), quantities, axes))
+        self._count = 0
+
+    def append(self, step: int, values: Floats) -> None:
+        """Add samples of consecutive steps, shape (p, q, n), the first at ``step``."""
+        end = self._count + len(values)
+        if end > len(self._steps):
+            size = max(end, 2 * len(self._steps))
+            self._steps = np.resize(self._steps, size)
+            self._values = np.resize(self._values, (size, *self._values.shape[1:]))
+        self._steps[self._count : end] = range(step, step + len(values))
+        self._values[self._count : end] = values
+        self._count = end
+
+    def series(self) -> Series:
+        """Order the samples by step; of those that came twice the first counts."""
+        steps, first = np.unique(self._steps[: self._count], return_index=True)
+        return Series(steps, self._values[first])
+
+
+@dataclass(frozen=True)
+class Run:
+    """Samples of consecutive steps.
+
+    Attributes
+    ----------
+    first_step : int
+        Step of the first.
+    values : ndarray
+        Shape (p, q, n).
+    """
+
+    first_step: int
+    values: Floats
+
+
+def consecutive_runs(series: Series, longest: int) -> list[Run]:
+    """Cut a series where steps are missing, and every ``longest`` steps."""
+    ends = np.flatnonzero(np.diff(series.steps) != 1) + 1
+    runs = []
+    for start, end in zip([0, *ends], [*ends, len(series.steps)], strict=True):
+        for at in range(int(start), int(end), longest):
+            values = series.values[at : min(at + longest, int(end))]
+            runs.append(Run(int(series.steps[at]), values))
+    return runs
+
+
+def until(series: Series, last_step: int) -> Series:
+    """Cut a series after a step."""
+    end = int(np.searchsorted(series.steps, last_step, side="right"))
+    return Series(series.steps[:end], series.values[:end])

@@ -1,0 +1,1 @@
+"""Reference force, with compensation of the actuator."""

@@ -1,0 +1,1 @@
+"""Running a test as separate node processes."""

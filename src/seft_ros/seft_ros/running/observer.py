@@ -1,0 +1,97 @@
+"""What the `seft` command sees of a test on the graph, and the services it calls."""
+
+import time
+from collections import Counter
+from typing import Any
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from seft_msgs_py.errors import ExperimentError
+from seft_msgs_py.node_shell import message_class, qos_profile
+from seft_msgs_py.topics import CLOCK_TOPIC, DIAGNOSTICS, EXPERIMENT_STATE, NODES
+from std_srvs.srv import Trigger
+
+SERVICE_TIMEOUT = 10.0  # s
+
+
+class Observer:
+    """Follows experiment/state, /clock and the recorder's status.
+
+    Attributes
+    ----------
+    state : str
+        The test's state; empty until it is heard.
+    values : dict
+        What the state comes with: ``detail``, ``steps``, ``step``.
+    time_ns : int
+        Experiment time, nanoseconds.
+    recorder_phase : str
+        ``idle``, ``recording``, ``saved``.
+    """
+
+    def __init__(self) -> None:
+        self.state = ""
+        self.values: dict[str, str] = {}
+        self.time_ns = 0
+        self.recorder_phase = ""
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        self._node = Node("seft", start_parameter_services=False)
+        for topic, receive in (
+            (EXPERIMENT_STATE, self._on_state),
+            (CLOCK_TOPIC, self._on_clock),
+            (DIAGNOSTICS, self._on_diagnostics),
+        ):
+            self._node.create_subscription(
+                message_class(topic), topic.name, receive, qos_profile(topic)
+            )
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+
+    def spin(self, timeout: float) -> None:
+        """Take in what comes within ``timeout`` seconds, at least one look."""
+        deadline = time.monotonic() + timeout
+        while True:
+            self._executor.spin_once(timeout_sec=max(0.0, deadline - time.monotonic()))
+            if time.monotonic() >= deadline:
+                return
+
+    def call(self, service: str) -> tuple[bool, str]:
+        """Call a service of the supervisor; return whether it was accepted, and its answer."""
+        client = self._node.create_client(Trigger, service)
+        try:
+            if not client.wait_for_service(SERVICE_TIMEOUT):
+                raise ExperimentError(f"service {service} is not there; is supervisor running?")
+            future = client.call_async(Trigger.Request())
+            self._executor.spin_until_future_complete(future, SERVICE_TIMEOUT)
+            response = future.result()
+            if response is None:
+                raise ExperimentError(f"supervisor did not answer {service}")
+            return response.success, response.message
+        finally:
+            self._node.destroy_client(client)
+
+    def doubled(self) -> list[str]:
+        """Names of nodes of which the graph holds more than one."""
+        counts = Counter(self._node.get_node_names())
+        return [node for node in NODES if counts[node] > 1]
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+        rclpy.try_shutdown()
+
+    def _on_state(self, message: Any) -> None:
+        self.state = message.message
+        self.values = {item.key: item.value for item in message.values}
+
+    def _on_clock(self, message: Any) -> None:
+        self.time_ns = message.clock.sec * 1_000_000_000 + message.clock.nanosec
+
+    def _on_diagnostics(self, message: Any) -> None:
+        for status in message.status:
+            if status.name == "recorder":
+                values = {item.key: item.value for item in status.values}
+                self.recorder_phase = values.get("phase", "")

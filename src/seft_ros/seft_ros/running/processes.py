@@ -1,0 +1,114 @@
+"""The node processes of a test: started, watched and ended together."""
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterable
+from pathlib import Path
+
+MODULES = {
+    "ground_motion": "seft_ros.nodes.ground_motion",
+    "reference_force": "seft_ros.nodes.reference_force",
+    "force_controller": "seft_ros.nodes.force_controller",
+    "rig": "seft_plant_sim.rig_node",
+    "supervisor": "seft_ros.nodes.supervisor",
+    "recorder": "seft_ros.nodes.recorder",
+}
+"""Module of each node, for ``python -m``: it works with and without a ROS installation."""
+
+LOOP_NODES = ("rig", "reference_force", "force_controller")
+"""Nodes that work one after the other within a step."""
+
+_PR_SET_PDEATHSIG = 1
+_LIBC = ctypes.CDLL(None, use_errno=True)
+
+
+class NodeProcesses:
+    """Processes of some nodes, each with its log file.
+
+    Parameters
+    ----------
+    nodes : iterable of str
+        Names of the nodes.
+    parameters : Path
+        Parameter file that all of them read.
+    logs : Path
+        Folder for the logs.
+    pin : bool
+        Keep the loop's nodes on one core and the others off it. They work in turn, so that a
+        second core gives them nothing but wake-ups across cores.
+    """
+
+    def __init__(self, nodes: Iterable[str], parameters: Path, logs: Path, pin: bool) -> None:
+        self._logs = logs
+        cores = sorted(os.sched_getaffinity(0))
+        self._pin = pin and len(cores) > 1
+        self._loop_core, self._other_cores = {cores[0]}, set(cores[1:])
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        try:
+            for node in nodes:
+                self._processes[node] = self._start(node, parameters)
+        except BaseException:
+            self.stop(0.0)
+            raise
+
+    def ended(self) -> dict[str, str]:
+        """Nodes whose process has ended, and how, with the last line they wrote."""
+        found = {}
+        for node, process in self._processes.items():
+            code = process.poll()
+            if code is not None:
+                how = f"killed by signal {-code}" if code < 0 else f"exit status {code}"
+                found[node] = f"node {node} ended ({how}): {self._last_line(node)}"
+        return found
+
+    def exit_status(self, node: str) -> int | None:
+        """Exit status of a node's process; None while it runs."""
+        return self._processes[node].poll()
+
+    def pids(self) -> dict[str, int]:
+        """Process numbers by node."""
+        return {node: process.pid for node, process in self._processes.items()}
+
+    def stop(self, patience: float = 10.0) -> None:
+        """Ask all processes to end, and kill what has not after ``patience`` seconds."""
+        for process in self._processes.values():
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+        deadline = time.monotonic() + patience
+        for process in self._processes.values():
+            try:
+                process.wait(max(0.01, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+    def _start(self, node: str, parameters: Path) -> "subprocess.Popen[bytes]":
+        command = [sys.executable, "-m", MODULES[node]]
+        command += ["--ros-args", "--params-file", str(parameters)]
+        with (self._logs / f"{node}.log").open("wb") as log:
+            process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,  # Ctrl-C is ours to pass on, in order
+                preexec_fn=_end_with_parent,
+                env=os.environ | {"ROS_LOG_DIR": str(self._logs)},
+            )
+        if self._pin:
+            cores = self._loop_core if node in LOOP_NODES else self._other_cores
+            os.sched_setaffinity(process.pid, cores)
+        return process
+
+    def _last_line(self, node: str) -> str:
+        text = (self._logs / f"{node}.log").read_text(errors="replace").strip()
+        return text.splitlines()[-1] if text else "it wrote nothing"
+
+
+def _end_with_parent() -> None:
+    """Have the kernel end this process when the one that started it dies."""
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

@@ -1,0 +1,56 @@
+"""Installation of seft_ros, by colcon or by pip."""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "seft_ros"
+NODES = ("ground_motion", "reference_force", "force_controller", "supervisor", "recorder")
+
+
+def experiments() -> list[tuple[str, list[str]]]:
+    """List the project's config folder, which the link beside this file points at."""
+    files = sorted(path for path in Path("config").rglob("*") if path.is_file())
+    return [(f"share/{NAME}/{path.parent}", [str(path)]) for path in files]
+
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Substructure effective force testing (SEFT) on ROS 2: nodes, analysis, command",
+    author="Seed e22a9f6a maintainers",
+    author_email="maintainers@users.noreply.h-seed-e22a9f6a.example",
+    maintainer="Seed e22a9f6a maintainers",
+    maintainer_email="maintainers@users.noreply.h-seed-e22a9f6a.example",
+    license="Apache-2.0",
+    python_requires=">=3.12",
+    packages=find_packages(exclude=["test"]),
+    package_data={NAME: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        *experiments(),
+    ],
+    install_requires=[
+        "lz4",
+        "matplotlib",
+        "mcap",
+        "numpy",
+        "rich",
+        "rosbags",
+        "ruamel.yaml",
+        "scipy",
+        "seft_msgs_py",
+        "seft_plant_sim",
+        "typer",
+        "zstandard",
+    ],
+    extras_require={"test": ["hypothesis", "pytest"]},
+    entry_points={
+        "console_scripts": [
+            "seft = seft_ros.commands.main:main",
+            *(f"{node} = seft_ros.nodes.{node}:main" for node in NODES),
+        ]
+    },
+    zip_safe=False,
+)

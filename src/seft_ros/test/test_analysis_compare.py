@@ -1,0 +1,187 @@
+import dataclasses
+import io
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rich.console import Console
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.topics import LOOP_TOPICS
+from seft_ros.analysis.compare import compare
+from seft_ros.analysis.table import comparison_table
+from seft_ros.recording.record import Record, Series
+
+AXES = ("x", "y")
+COUNT = 40
+PLACES = [
+    (topic, row, column)
+    for topic in LOOP_TOPICS
+    for row in range(len(topic.quantities))
+    for column in range(len(AXES))
+]
+
+
+def make_record(count=COUNT, rate=500.0, axes=AXES, missed=0):
+    rng = np.random.default_rng(5)
+    steps = np.arange(count)
+    shapes = {topic.name: (COUNT, len(topic.quantities), len(axes)) for topic in LOOP_TOPICS}
+    series = {name: Series(steps, rng.normal(size=shape)[:count]) for name, shape in shapes.items()}
+    return Record(Experiment({"rig": {"rate": rate, "axes": list(axes)}}), series, missed=missed)
+
+
+def without(record, topic, steps):
+    series = record.series[topic]
+    kept = ~np.isin(series.steps, list(steps))
+    return dataclasses.replace(
+        record, series={**record.series, topic: Series(series.steps[kept], series.values[kept])}
+    )
+
+
+def test_the_same_samples_are_identical():
+    result = compare(make_record(), make_record(missed=2))
+    assert result["identical"] is True
+    assert result["first_difference"] is None
+    assert result["missed"] == {"a": 0, "b": 2}
+    assert list(result["topics"]) == [topic.name for topic in LOOP_TOPICS]
+    for row in result["topics"].values():
+        assert (row["samples_a"], row["samples_b"]) == (COUNT, COUNT)
+        assert (row["missing_a"], row["missing_b"]) == (0, 0)
+        assert (row["max_abs"], row["nrmse"]) == (0.0, 0.0)
+
+
+@settings(deadline=None)
+@given(place=st.sampled_from(PLACES), step=st.integers(0, COUNT - 1))
+def test_one_bit_anywhere_is_a_difference_and_is_named(place, step):
+    topic, row, column = place
+    a, b = make_record(), make_record()
+    value = float(b.series[topic.name].values[step, row, column])
+    b.series[topic.name].values[step, row, column] = np.nextafter(value, np.inf)
+    result = compare(a, b)
+    assert result["identical"] is False
+    assert result["first_difference"] == {
+        "topic": topic.name,
+        "step": step,
+        "field": topic.quantities[row],
+        "axis": AXES[column],
+        "a": value,
+        "b": np.nextafter(value, np.inf),
+    }
+    swapped = compare(b, a)["first_difference"]
+    assert (swapped["a"], swapped["b"]) == (np.nextafter(value, np.inf), value)
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(st.sampled_from(PLACES), st.integers(0, COUNT - 1)), min_size=1))
+def test_the_smallest_step_comes_first_then_the_order_of_the_topics(changes):
+    a, b = make_record(), make_record()
+    for (topic, row, column), step in changes:
+        b.series[topic.name].values[step, row, column] = 77.0
+    step, place = min((step, PLACES.index(place)) for place, step in changes)
+    topic, row, column = PLACES[place]
+    first = compare(a, b)["first_difference"]
+    found = (first["step"], first["topic"], first["field"], first["axis"])
+    assert found == (step, topic.name, topic.quantities[row], AXES[column])
+
+
+def test_a_zero_of_the_other_sign_is_not_the_same_bits():
+    a, b = make_record(), make_record()
+    a.series["valve_command"].values[3] = 0.0
+    b.series["valve_command"].values[3] = -0.0
+    result = compare(a, b)
+    assert result["identical"] is False
+    assert result["first_difference"]["step"] == 3
+    assert result["topics"]["valve_command"]["max_abs"] == 0.0
+
+
+def test_the_same_nan_is_the_same_and_the_result_is_json():
+    a, b = make_record(), make_record()
+    for record in (a, b):
+        record.series["rig/state"].values[5] = math.nan
+    assert compare(a, b)["identical"] is True
+    b.series["rig/state"].values[5] = math.inf
+    result = json.loads(json.dumps(compare(a, b), allow_nan=False))
+    assert result["identical"] is False
+    assert result["topics"]["rig/state"]["max_abs"] is None
+
+
+def test_errors_are_told_of_each_field_and_the_largest_of_the_topic():
+    a, b = make_record(), make_record()
+    values = a.series["rig/state"].values
+    b.series["rig/state"].values[:, 0] *= 1.5
+    b.series["rig/state"].values[7, 3, 1] += 10.0
+    row = compare(a, b)["topics"]["rig/state"]
+    assert row["fields"]["positions"]["nrmse"] == pytest.approx(0.5)
+    assert row["fields"]["velocities"] == {"max_abs": 0.0, "nrmse": 0.0}
+    rms = np.sqrt(np.mean(values[:, 3] ** 2))
+    assert row["fields"]["effort"]["nrmse"] == pytest.approx(10.0 / np.sqrt(80) / rms)
+    assert row["max_abs"] == pytest.approx(10.0)
+    assert row["nrmse"] == pytest.approx(max(0.5, 10.0 / np.sqrt(80) / rms))
+
+
+def test_of_records_of_different_length_the_common_steps_are_compared():
+    result = compare(make_record(), make_record(25))
+    assert result["identical"] is False
+    assert result["first_difference"] == {
+        "topic": "ground_motion",
+        "step": 25,
+        "field": None,
+        "axis": None,
+        "a": "present",
+        "b": "missing",
+    }
+    for row in result["topics"].values():
+        assert (row["samples_a"], row["samples_b"]) == (40, 25)
+        assert (row["missing_a"], row["missing_b"]) == (0, 15)
+        assert row["max_abs"] == 0.0
+
+
+def test_samples_are_aligned_by_step_and_not_by_place():
+    a = without(make_record(), "rig/state", [3, 4])
+    result = compare(a, without(make_record(), "rig/state", [10]))
+    assert result["topics"]["rig/state"]["max_abs"] == 0.0
+    assert (result["topics"]["rig/state"]["missing_a"], result["first_difference"]["step"]) == (
+        2,
+        3,
+    )
+    assert result["first_difference"]["a"] == "missing"
+
+
+def test_a_value_that_differs_before_a_step_is_lost_comes_first():
+    b = without(make_record(), "ground_motion", range(20, 40))
+    b.series["valve_command"].values[19] += 1.0
+    assert compare(make_record(), b)["first_difference"]["topic"] == "valve_command"
+    assert compare(make_record(), b)["first_difference"]["step"] == 19
+
+
+def test_records_without_a_common_step_are_compared():
+    result = compare(make_record(0), make_record())
+    assert result["first_difference"]["step"] == 0
+    assert result["topics"]["rig/state"]["missing_a"] == 40
+    assert compare(make_record(0), make_record(0))["identical"] is True
+
+
+def test_records_of_other_axes_or_rate_can_not_be_compared():
+    with pytest.raises(InputError, match=r"axes are \['x', 'y'\] in the first and \['x'\]"):
+        compare(make_record(), make_record(axes=("x",)))
+    with pytest.raises(InputError, match="500 Hz in the first and 1000 Hz in the second"):
+        compare(make_record(), make_record(rate=1000.0))
+
+
+def shown(result):
+    stream = io.StringIO()
+    Console(file=stream, width=200).print(comparison_table(result))
+    return stream.getvalue()
+
+
+def test_the_table_says_where_records_first_differ():
+    a, b = make_record(), make_record(missed=3)
+    assert "identical, bit for bit; steps without a command in time: 3 in b" in shown(compare(a, b))
+    b.series["rig/state"].values[3, 3, 1] = 77.0
+    text = shown(compare(a, b))
+    assert "first difference at step 3, rig/state, effort of axis y" in text
+    assert "77.0 in b" in text
+    assert "the sample is missing in b" in shown(compare(a, make_record(5)))

@@ -1,0 +1,305 @@
+import dataclasses
+import io
+import json
+import math
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from rich.console import Console
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.outcome import Trip
+from seft_msgs_py.topics import LOOP_TOPICS
+from seft_plant_sim.whole_structure import reference_response
+from seft_ros.analysis import figure
+from seft_ros.analysis.metrics import delayed, nrmse
+from seft_ros.analysis.summary import json_safe, reference_of, summarise
+from seft_ros.analysis.table import summary_table, verdict
+from seft_ros.recording.record import Record, Series
+
+COUNT = 2000
+DT = 0.002
+SPECIMEN = {"mass": 52.7, "damping": 903.5, "stiffness": 2.11e5}
+MEASURES = ["nrmse", "nrmse_aligned", "peak", "reference_peak", "delay_s"]
+THREE = ("displacement", "acceleration", "force")
+
+
+def experiment(axes):
+    common = {"rate": 500.0, "axes": list(axes)}
+    return Experiment(
+        {
+            "reference_force": {
+                **common,
+                "method": "seft",
+                "mass_ratio": 0.5,
+                "compensation.method": "none",
+                **{f"model.{name}": value for name, value in SPECIMEN.items()},
+            },
+            "rig": {
+                **common,
+                "specimen.kind": "linear",
+                **{f"specimen.{name}": value for name, value in SPECIMEN.items()},
+            },
+        }
+    )
+
+
+def make_record(axes=("x",), gain=1.0, delay=0.0, **changes):
+    """A test that follows the exact response with a gain and a delay."""
+    time = np.arange(COUNT) * DT
+    packet = np.exp(-(((time - 1.0) / 0.3) ** 2)) * np.sin(2 * np.pi * 6.0 * time)
+    ground = np.stack([packet * (1 + column) for column in range(len(axes))], axis=1)
+    exact = reference_response(experiment(axes), ground)
+    states = np.stack(
+        [getattr(exact, n) for n in ("displacement", "velocity", "acceleration", "force")], axis=1
+    )
+    states = gain * np.stack([delayed(states[:, row], delay, DT) for row in range(4)], axis=1)
+    steps = np.arange(COUNT)
+    one = np.zeros((COUNT, 1, len(axes)))
+    series = {
+        "ground_motion": Series(steps, ground[:, np.newaxis]),
+        "rig/state": Series(steps, states),
+        "reference_force": Series(steps, one),
+        "valve_command": Series(steps, one.copy()),
+    }
+    record = Record(experiment(axes), series, missed=0, wall_s=2.0)
+    return dataclasses.replace(record, **changes)
+
+
+def without(record, topic, steps):
+    """The record with samples lost on a topic."""
+    series = record.series[topic]
+    kept = ~np.isin(series.steps, steps)
+    return dataclasses.replace(
+        record, series={**record.series, topic: Series(series.steps[kept], series.values[kept])}
+    )
+
+
+def test_a_perfect_test_has_no_error():
+    summary = summarise(make_record())
+    for name in THREE:
+        assert summary[name]["nrmse"] == 0.0
+        assert summary[name]["nrmse_aligned"] == 0.0
+        assert summary[name]["delay_s"] == 0.0
+        assert summary[name]["peak"] == summary[name]["reference_peak"] > 0
+
+
+def test_gain_and_delay_of_a_test_are_told():
+    summary = summarise(make_record(gain=1.04, delay=0.0137))
+    for name in THREE:
+        assert list(summary[name]) == MEASURES
+        assert summary[name]["delay_s"] == pytest.approx(0.0137, abs=1e-6)
+        assert summary[name]["nrmse_aligned"] == pytest.approx(0.04, rel=1e-4)
+        assert summary[name]["nrmse"] > 0.3
+        assert summary[name]["peak"] == pytest.approx(
+            1.04 * summary[name]["reference_peak"], rel=0.02
+        )
+
+
+def test_times_and_counts_are_told():
+    summary = summarise(make_record(missed=3))
+    assert summary["steps"] == COUNT
+    assert summary["rate_hz"] == 500.0
+    assert summary["duration_s"] == pytest.approx(4.0)
+    assert summary["wall_s"] == 2.0
+    assert summary["realtime_factor"] == pytest.approx(2.0)
+    assert summary["missed"] == 3
+    assert summary["stable"] is True
+    assert summary["complete"] is True
+    assert summary["trip"] is None
+    assert summary["lost"] == {topic.name: 0 for topic in LOOP_TOPICS}
+
+
+def test_a_summary_is_json():
+    record = make_record(("x", "y"), wall_s=None, missed=None, trip=Trip("limit", 9, 0.018))
+    record.series["rig/state"].values[5, 0, 0] = math.nan
+    record.series["rig/state"].values[5, 3, 1] = math.inf
+    summary = json.loads(json.dumps(summarise(record), allow_nan=False))
+    assert summary["realtime_factor"] is None
+    assert summary["displacement"]["nrmse"] is None
+    assert summary["displacement"]["peak"] is None
+    assert summary["force"]["peak"] is None
+    assert summary["acceleration"]["nrmse"] == 0.0
+    assert summary["axes"]["y"]["displacement"]["nrmse"] == 0.0
+
+
+def test_of_several_axes_each_is_told_and_the_top_level_is_all_of_them():
+    record = make_record(("x", "y", "z"))
+    record.series["rig/state"].values[:, :, 1] *= 1.1
+    summary = summarise(record)
+    assert list(summary["axes"]) == ["x", "y", "z"]
+    errors = [summary["axes"][axis]["displacement"]["nrmse"] for axis in "xyz"]
+    assert errors == [0.0, pytest.approx(0.1), 0.0]
+    reference = reference_of(record).displacement
+    assert summary["displacement"]["nrmse"] == nrmse(
+        record.series["rig/state"].values[:, 0], reference
+    )
+
+
+def test_of_one_axis_both_are_the_same():
+    summary = summarise(make_record(gain=1.1))
+    assert {name: summary[name] for name in THREE} == summary["axes"]["x"]
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+@pytest.mark.parametrize("topic", [topic.name for topic in LOOP_TOPICS[1:]])
+def test_a_test_with_values_that_are_not_finite_is_not_stable(topic, value):
+    record = make_record()
+    record.series[topic].values[-1, 0, 0] = value
+    assert summarise(record)["stable"] is False
+
+
+def test_a_tripped_test_is_not_stable_and_tells_why():
+    summary = summarise(make_record(trip=Trip("force beyond limit", 1999, 3.998)))
+    assert summary["stable"] is False
+    assert summary["trip"] == {"reason": "force beyond limit", "step": 1999, "time_s": 3.998}
+
+
+def test_lost_steps_are_counted_and_the_others_compared():
+    record = without(make_record(gain=1.05), "rig/state", [300, 301, 700])
+    summary = summarise(without(record, "valve_command", range(10)))
+    assert summary["steps"] == COUNT
+    assert summary["lost"] == {
+        "ground_motion": 0,
+        "rig/state": 3,
+        "reference_force": 0,
+        "valve_command": 10,
+    }
+    assert summary["displacement"]["nrmse"] == pytest.approx(0.05)
+
+
+def test_without_the_whole_ground_motion_there_is_no_reference():
+    record = without(make_record(), "ground_motion", [40])
+    assert reference_of(record) is None
+    summary = summarise(record)
+    assert summary["displacement"]["nrmse"] is None
+    assert summary["displacement"]["reference_peak"] is None
+    assert summary["displacement"]["peak"] > 0
+    assert summary["lost"]["ground_motion"] == 1
+
+
+def test_an_empty_record_is_summarised():
+    record = make_record()
+    for topic in LOOP_TOPICS:
+        record = without(record, topic.name, range(COUNT))
+    summary = summarise(record)
+    assert summary["steps"] == 0
+    assert summary["displacement"] == dict.fromkeys(MEASURES)
+    assert "done" in verdict(summary)
+
+
+def test_a_reference_that_is_given_is_used():
+    record = make_record()
+    reference = reference_of(record)
+    doubled = dataclasses.replace(reference, displacement=2 * reference.displacement)
+    assert summarise(record, doubled)["displacement"]["nrmse"] == pytest.approx(0.5)
+
+
+def test_numbers_that_json_lacks_become_null():
+    value = {"a": math.nan, "b": [math.inf, (np.float64(1.5), -math.inf)], "c": "nan", "d": 3}
+    assert json_safe(value) == {"a": None, "b": [None, [1.5, None]], "c": "nan", "d": 3}
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, "done: displacement error 0 %"),
+        (
+            {"trip": Trip("force [N] beyond limit", 700, 1.4)},
+            "TRIPPED at 1.400 s (step 700): force [N]",
+        ),
+        ({"complete": False, "missed": None}, "CUT OFF"),
+        ({"missed": 7}, "7 of 2000 steps had no command in time"),
+    ],
+)
+def test_the_verdict_says_how_the_test_went(changes, words):
+    record = make_record(**changes)
+    summary = summarise(record)
+    assert words in verdict(summary)
+    assert "\n" not in verdict(summary)
+    stream = io.StringIO()
+    Console(file=stream, width=200).print(summary_table(record, summary))
+    assert words in stream.getvalue()
+
+
+def test_the_verdict_names_samples_that_are_lost_and_values_that_are_not_finite():
+    record = without(make_record(), "reference_force", [1, 2])
+    assert "samples lost: 2 of reference_force" in verdict(summarise(record))
+    record.series["rig/state"].values[-1] = math.nan
+    assert "UNSTABLE" in verdict(summarise(record))
+
+
+def test_the_table_is_in_units_for_people():
+    record = make_record(("x", "y"), gain=1.1, delay=0.004)
+    summary = summarise(record)
+    stream = io.StringIO()
+    Console(file=stream, width=100).print(summary_table(record, summary))
+    text = stream.getvalue()
+    assert "SEFT, mass ratio 0.5, compensation none, 500 Hz" in text
+    assert f"{summary['displacement']['peak'] * 1e3:.4g} mm" in text
+    assert "4.00 ms" in text
+    assert "10.0 %" in text
+    assert "x displacement" in text
+    assert "y force" in text
+
+
+@pytest.mark.parametrize("axes", [("x",), ("x", "y", "z"), tuple("abcd")])
+def test_a_figure_has_a_column_for_each_axis_up_to_three(axes):
+    record = make_record(axes)
+    drawn = figure.test_figure(record, reference_of(record))
+    assert len(drawn.axes) == 3 * min(len(axes), 3)
+    labels = [text.get_text() for text in drawn.legends[0].get_texts()]
+    assert labels == ["exact response", "test"]
+    for panel in drawn.axes:
+        assert len(panel.lines) == 2
+    assert "mass ratio 0.5" in drawn.get_suptitle()
+    assert "500 Hz" in drawn.get_suptitle()
+
+
+def test_a_figure_holds_the_samples_in_units_for_people_against_time():
+    record = make_record(gain=1.1)
+    panel = figure.test_figure(record, reference_of(record)).axes[0]
+    exact, test = panel.lines
+    assert panel.get_ylabel() == "displacement / mm"
+    assert np.array_equal(test.get_ydata(), record.series["rig/state"].values[:, 0, 0] * 1e3)
+    assert test.get_xdata()[-1] == pytest.approx(3.998)
+    assert np.array_equal(exact.get_ydata(), reference_of(record).displacement[:, 0] * 1e3)
+    assert panel.get_title(loc="right") == "NRMSE 10 %"
+
+
+def test_a_trip_is_a_line_across_all_panels_and_stands_in_the_title():
+    record = make_record(trip=Trip("force of $5 on axis $x", 1999, 3.998))
+    drawn = figure.test_figure(record, reference_of(record))
+    for panel in drawn.axes:
+        assert list(panel.lines[-1].get_xdata()) == [3.998, 3.998]
+    assert "tripped at 3.998 s: force of $5 on axis $x" in drawn.get_suptitle()
+
+
+def test_figures_are_saved_as_png_without_touching_the_users_pyplot(tmp_path):
+    backend = mpl.get_backend()
+    record = make_record(trip=Trip("force of $5 on axis $x", 1999, 3.998))
+    figure.save_figure(figure.test_figure(record, reference_of(record)), tmp_path / "figure")
+    height, width, _ = imread(tmp_path / "figure.png").shape
+    assert (width, height) == (1425, 1080)
+    assert mpl.get_backend() == backend
+
+
+def test_what_can_not_be_compared_is_drawn_still(tmp_path):
+    record = make_record()
+    record.series["rig/state"].values[100:, 0] = math.nan
+    figure.save_figure(figure.test_figure(record, reference_of(record)), tmp_path / "nan.png")
+    figure.save_figure(figure.test_figure(record, None), tmp_path / "alone.png")
+    for topic in LOOP_TOPICS:
+        record = without(record, topic.name, range(COUNT))
+    figure.save_figure(figure.test_figure(record, None), tmp_path / "empty.png")
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+@pytest.mark.parametrize("name", ["no/folder/figure.png", "figure.docx"])
+def test_a_figure_that_cannot_be_saved_is_an_input_error(tmp_path, name):
+    record = make_record()
+    with pytest.raises(InputError, match="can't be saved") as caught:
+        figure.save_figure(figure.test_figure(record, None), tmp_path / name)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,189 @@
+"""The ground motion of a test: resampled, scaled, and cut into chunks."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.parameters import Table, resolve
+from seft_msgs_py.timebase import Timebase
+from seft_ros.ground_motion.block import GroundMotion
+from seft_ros.ground_motion.parameters import TABLE
+from seft_ros.ground_motion.resample import resample
+
+
+def build(axes=("x",), rate=200.0, **values):
+    """Ground motion of these parameters; a double underscore stands for a dot."""
+    given = TABLE.check({name.replace("__", "."): value for name, value in values.items()})
+    section = resolve({"ground_motion": TABLE}, {"ground_motion": given})["ground_motion"]
+    return GroundMotion.from_parameters(section, axes, Timebase.from_rate(rate))
+
+
+@pytest.fixture
+def tent(tmp_path):
+    """Parameters of a record 0, 2, 0, -4, 0 m/s^2 every 0.01 s, beside one of twice that."""
+    path = tmp_path / "tent.txt"
+    path.write_text("0 0\n2 4\n0 0\n-4 -8\n0 0\n")
+    return {"file": str(path), "unit": "m/s2", "dt": 0.01, "tail": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("rate", "time_scale", "expected"),
+    [
+        (100.0, 1.0, [0, 2, 0, -4, 0]),
+        (200.0, 1.0, [0, 1, 2, 1, 0, -2, -4, -2, 0]),
+        (200.0, 0.5, [0, 2, 0, -4, 0]),
+        (100.0, 2.0, [0, 1, 2, 1, 0, -2, -4, -2, 0]),
+        (50.0, 1.0, [0, 0, 0]),  # slower than the record: the peaks are lost
+        (125.0, 1.0, [0, 1.6, 0.8, -1.6, -3.2, 0]),
+        (64.0, 1.0, [0, 0.875, -3.5]),  # ends between two steps: 1.5625, 3.125 record steps
+    ],
+)
+def test_the_record_is_linear_between_its_samples(tent, rate, time_scale, expected):
+    motion = build(rate=rate, time_scale=time_scale, **tent)
+    np.testing.assert_allclose(motion.samples[:, 0], expected, atol=1e-12)
+
+
+def test_the_tail_is_zeros_after_the_record(tent):
+    motion = build(rate=100.0, **{**tent, "tail": 0.03})
+    np.testing.assert_array_equal(motion.samples[:, 0], [0, 2, 0, -4, 0, 0, 0, 0])
+    assert motion.steps == 8
+
+
+@settings(deadline=None)
+@given(
+    st.sampled_from([0.01, 0.005, 0.02, 1 / 3 * 0.01]),
+    st.sampled_from([0.5, 1.0, 2.0, 0.3]),
+    st.integers(2, 3000),
+)
+def test_a_loop_at_the_rate_of_the_record_gives_the_record_itself(dt, time_scale, length):
+    record = np.random.default_rng(length).normal(size=(length, 2))
+    timebase = Timebase(rate=1 / (dt * time_scale), period_ns=round(dt * time_scale * 1e9))
+    exact = timebase.dt / time_scale
+    np.testing.assert_array_equal(resample(record, exact, timebase, time_scale), record)
+
+
+def test_peak_force_scales_the_largest_mass_times_acceleration(tent):
+    motion = build(rate=100.0, peak_force=1000.0, mass=50.0, **tent)
+    np.testing.assert_allclose(motion.samples[:, 0], [0, 10, 0, -20, 0])
+
+
+def test_peak_force_counts_only_the_samples_at_the_rate_of_the_loop(tent):
+    motion = build(rate=125.0, peak_force=320.0, mass=10.0, **tent)
+    np.testing.assert_allclose(motion.samples[:, 0], [0, 16, 8, -16, -32, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("mass", "largest"),
+    [
+        (10.0, 80.0),  # 10 * 8 on the second axis
+        ([100.0, 1.0], 400.0),  # 100 * 4 on the first
+        ([10.0, -4.0, -4.0, 10.0], 64.0),  # -4 * 4 + 10 * 8 on the second
+        ([2.0, 1.0, 1.0, 1.0], 16.0),  # 2 * 4 + 1 * 8 on the first
+    ],
+)
+def test_the_mass_is_a_number_or_a_list_or_a_matrix(tent, mass, largest):
+    values = {**tent, "column": [0, 1], "peak_force": 2 * largest, "mass": mass}
+    motion = build(("x", "y"), 100.0, **values)
+    np.testing.assert_allclose(motion.samples, [[0, 0], [4, 8], [0, 0], [-8, -16], [0, 0]])
+
+
+def test_the_mass_comes_from_the_reference_force_where_it_is_not_given(tent):
+    given = {
+        "ground_motion": TABLE.check({**tent, "peak_force": 100.0}),
+        "reference_force": {"model.mass": 25.0},
+    }
+    section = resolve({"ground_motion": TABLE, "other": Table("other", ())}, given)["ground_motion"]
+    motion = GroundMotion.from_parameters(section, ["x"], Timebase.from_rate(100))
+    assert np.abs(motion.samples).max() == pytest.approx(4.0)
+
+
+def test_the_influence_vector_is_a_factor_per_axis(tent):
+    motion = build(("x", "y"), 100.0, influence=[0.5, -2.0], **tent)
+    np.testing.assert_array_equal(motion.samples[1], [1.0, -4.0])
+    np.testing.assert_array_equal(
+        build(("x", "y"), 100.0, influence=3.0, **tent).samples[1], [6, 6]
+    )
+
+
+def test_samples_are_float64_contiguous_and_read_only(tent):
+    samples = build(("x", "y"), **tent).samples
+    assert samples.dtype == np.float64
+    assert samples.flags.c_contiguous
+    with pytest.raises(ValueError, match="read-only"):
+        samples[0, 0] = 1.0
+
+
+@settings(deadline=None)
+@given(st.integers(1, 300), st.integers(1, 50))
+def test_chunks_cover_every_step_once_and_in_order(steps, chunk_steps):
+    values = np.arange(2.0 * steps).reshape(steps, 2)
+    motion = GroundMotion(values, Timebase.from_rate(100), chunk_steps)
+    chunks = [motion.chunk(index) for index in range(motion.chunks)]
+    assert [first for first, _ in chunks] == list(range(0, steps, chunk_steps))
+    assert {len(part) for _, part in chunks[:-1]} <= {chunk_steps}
+    np.testing.assert_array_equal(np.concatenate([part for _, part in chunks]), values)
+    for outside in (-1, motion.chunks):
+        with pytest.raises(IndexError):
+            motion.chunk(outside)
+
+
+@pytest.mark.parametrize(
+    ("lead", "rate", "steps"), [(1.0, 500.0, 125), (0.001, 500.0, 1), (1e9, 500.0, 11001)]
+)
+def test_a_chunk_is_a_quarter_of_the_lead(lead, rate, steps):
+    assert build(rate=rate, lead=lead).chunk_steps == steps
+
+
+def test_without_a_file_the_motion_is_synthetic_and_the_same_on_every_axis():
+    motion = build(("x", "y"), 200.0, synthetic__peak=2.0, synthetic__seed=7)
+    assert motion.samples.shape == (4401, 2)  # 20 s, 2 s of tail, and the first sample
+    np.testing.assert_array_equal(motion.samples[:, 0], motion.samples[:, 1])
+    assert np.abs(motion.samples).max() == pytest.approx(2.0)
+    assert not motion.samples[4001:].any()
+    assert motion.source == "synthetic, seed 7"
+
+
+@pytest.mark.parametrize(
+    ("values", "what"),
+    [
+        ({"peak_force": 10.0}, "mass (for peak_force) is 0.0, but mass must be positive"),
+        (
+            {"peak_force": 10.0, "mass": [1.0, 2.0, 3.0]},
+            "mass (for peak_force): 3 values for 2 axes",
+        ),
+        ({"peak_force": 10.0, "mass": 1.0, "influence": 0.0}, "motion of zeros can't be scaled"),
+        ({"column": [0, 1, 0]}, "column: 3 values for 2 axes"),
+        ({"column": 2}, "2 columns, 0 to 1"),
+        ({"influence": [1.0, 1.0, 1.0]}, "influence: 3 values for 2 axes"),
+        ({"influence": 1e308}, "accelerations beyond all numbers"),
+        ({"tail": 1e9}, "5e+07 steps"),
+        ({"time_scale": 1e30}, "5e+07 steps"),
+        ({"time_scale": 1e-300}, "less than a step"),
+        ({"dt": 0.0}, "set ground_motion dt"),
+        ({"file": "", "synthetic.duration": 1e300}, "5e+07 steps"),
+        ({"file": "", "synthetic.dt": 1e-300}, "5e+07 steps"),
+        ({"file": "", "synthetic.rise": 9.0}, "synthetic.plateau_end is 8 s"),
+        ({"synthetic.duration": 0.0}, "must be greater than zero"),
+        ({"time_scale": -1.0}, "must be greater than zero"),
+        ({"unit": "cm/s^2"}, "did you mean cm/s2?"),
+    ],
+)
+def test_what_can_not_be_used_is_refused_in_one_line(tent, values, what):
+    with pytest.raises(InputError) as caught:
+        build(("x", "y"), **{**tent, **values})
+    assert what in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_node_loads_neither_scipy_nor_matplotlib():
+    code = (
+        "import sys, seft_ros.ground_motion.block, seft_ros.ground_motion.parameters;"
+        "sys.exit(bool({'scipy', 'matplotlib'} & set(sys.modules)))"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    assert subprocess.run([sys.executable, "-c", code], env=environment).returncode == 0

@@ -1,0 +1,162 @@
+"""Files that must not read: each fault is told in one line, with the place."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from seft_msgs_py.errors import InputError
+from seft_ros.ground_motion.record_file import read_record
+
+AT2 = "TITLE\nSTATION\nACCELERATION TIME HISTORY IN UNITS OF G\n"
+
+
+def refusal(path: Path, columns=(0,), unit="g", dt=0.01) -> str:
+    with pytest.raises(InputError) as caught:
+        read_record(path, list(columns), unit, dt)
+    text = str(caught.value)
+    assert "\n" not in text
+    assert str(path) in text
+    return text
+
+
+def write(folder: Path, content: str | bytes) -> Path:
+    path = folder / "motion.txt"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+@pytest.mark.parametrize(
+    ("content", "place", "what"),
+    [
+        ("1 2\n3 nan\n", "", ""),  # column 1 is not chosen
+        ("1\n2\nnan\n4\n", "line 3", "nan, not a finite number"),
+        ("1\n\n2\n% note\n-inf\n4\n", "line 5", "-inf, not a finite number"),
+        ("1\n2\n1e999\n", "line 3", "inf, not a finite number"),
+        ("nan\n2\n", "line 1", "nan, not a finite number"),
+        ("1 2\n3 4\n5\n", "line 3", "half-written last row: 1 columns, but 2 before"),
+        ("1,2\n3,4\n5,", "line 3", "half-written last row"),
+        ("1,2\n3,\n5,6\n", "line 2", "1 columns, but 2 before"),
+        ("1,2\n,3\n5,6\n", "line 2", "a field is empty"),
+        ("1 2\n3 4\n5 6 7\n8 9\n", "line 3", "3 columns, but 2 before"),
+        ("% c\n1 2\n3 abc\n5 6\n", "line 3", '"abc" is no number'),
+        ("1 2\n3 1_0\n", "line 2", '"1_0" is no number'),
+        ("1 2\n3 0x10\n", "line 2", '"0x10" is no number'),
+        ("1 2\n3 4\nEnd of record\n", "line 3", "3 columns, but 2 before"),
+        ("1\n2\nEnd\n", "line 3", '"End" is no number'),
+        ("1 2O\n3 4\n5 6\n", "line 1", '"2O" is no number'),
+        ("1.2.3\n4\n5\n", "line 1", '"1.2.3" is no number'),
+        ("0,005\n0,010\n", "line 1", "decimal points, not commas"),
+        ("t;a\n0;0,5\n1;0,6\n", "line 2", "decimal points, not commas"),
+        ("only text\nand more\n", "", "no line of numbers"),
+        ("# 1\n# 2\n", "", "no line of numbers"),
+        ("1\n", "", "one sample"),
+        ("", "", "empty"),
+        (" \n\t\n", "", "empty"),
+        (b"1 2\n3 \xff4\n", "line 2", "byte 0xff is no text"),
+        (b"\x50\x4b\x03\x04\n\x00\x01", "line 2", "byte 0x00 is no text"),
+        ("1\n2\n".encode("utf-16"), "line 1", "is no text"),
+        (AT2 + "NPTS= 7, DT= .01\n 1. 2. 3. 4. 5.\n 6.\n", "line 4", "6 values follow: the file"),
+        (AT2 + "NPTS= 7, DT= .01 SEC\n", "line 4", "0 values follow: the file is trunc"),
+        (AT2 + "3 0.01 NPTS, DT\n 1. 2. 3. 4. 5.\n", "line 4", "5 values follow: that is too many"),
+        (AT2 + "NPTS= 3, DT= .01 SEC\n 1. 2.\n abc\n", "line 6", '"abc" is no number'),
+        (AT2 + "NPTS= 3, DT= .01 SEC\n 1. NaN\n 2.\n", "line 5", "nan, not a finite number"),
+        (AT2 + "NPTS= 3, DT= .01 SEC\n 1. 2.\n 1E999\n", "line 6", "inf, not a finite number"),
+        (AT2 + "NPTS= 2, DT= 0 SEC\n 1. 2.\n", "line 4", "both must be positive"),
+        (AT2 + "NPTS= 0, DT= .01 SEC\n", "line 4", "both must be positive"),
+        (AT2 + "NPTS= many\n 1. 2.\n", "line 4", "NPTS without a count and a DT"),
+        ("VELOCITY TIME SERIES\nNPTS= 2, DT= .01 SEC\n 1. 2.\n", "line 1", "holds a velocity"),
+        ("RECORD\nIN UNITS OF CM/S\nNPTS= 2, DT= .01 SEC\n 1. 2.\n", "line 2", "CM/S is no accel"),
+    ],
+)  # fmt: skip
+def test_a_fault_in_a_file_is_told_with_its_line(tmp_path, content, place, what):
+    path = write(tmp_path, content)
+    if not what:
+        assert read_record(path, [0], "g", 0.01).accelerations.shape == (2, 1)
+        return
+    text = refusal(path)
+    assert what in text
+    assert place in text
+
+
+def test_a_missing_file_and_a_folder_are_told_apart(tmp_path):
+    assert "no such file" in refusal(tmp_path / "nowhere.at2")
+    assert "is a folder" in refusal(tmp_path)
+
+
+def test_an_at2_name_without_a_header_is_refused(tmp_path):
+    path = tmp_path / "plain.AT2"
+    path.write_text("1.0\n2.0\n")
+    assert "no header line gives NPTS" in refusal(path)
+
+
+def test_a_column_out_of_range_is_told_how_many_there_are(tmp_path):
+    path = write(tmp_path, "1 2\n3 4\n")
+    assert "column is [2], but" in refusal(path, [2])
+    assert "2 columns, 0 to 1" in refusal(path, [0, 2])
+    assert "2 columns, 0 to 1" in refusal(path, [-1])
+    path = write(tmp_path, "NPTS= 2, DT= .01 SEC\n 1. 2.\n")
+    assert "one column, 0" in refusal(path, [1])
+
+
+def test_a_file_without_sampling_period_asks_for_dt(tmp_path):
+    path = write(tmp_path, "1\n2\n")
+    assert refusal(path, dt=0.0).endswith("set ground_motion dt")
+
+
+def test_a_dt_other_than_that_of_the_header_is_refused(tmp_path):
+    path = write(tmp_path, AT2 + "NPTS= 2, DT= .01 SEC\n 1. 2.\n")
+    assert "dt is 0.02 s, but" in refusal(path, dt=0.02)
+
+
+def test_a_unit_other_than_that_of_the_column_name_is_refused(tmp_path):
+    path = write(tmp_path, "t (s),a (cm/s^2)\n0,1\n0.01,2\n")
+    assert "the header (line 1)" in refusal(path, [1], "g")
+    assert read_record(path, [1], "cm/s2").accelerations[1, 0] == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize("times", ["0\n0.01\n0.01\n0.03", "0.03\n0.02\n0.01\n0", "0\n0\n0\n0"])
+def test_times_that_do_not_rise_evenly_are_refused(tmp_path, times):
+    path = write(tmp_path, "time,a\n" + times.replace("\n", ",1\n") + ",1\n")
+    assert "resample the record evenly" in refusal(path, [1])
+
+
+def test_a_time_that_is_no_number_is_told_with_its_line(tmp_path):
+    assert "line 3" in refusal(write(tmp_path, "time,a\n0,1\nnan,1\n0.02,1\n"), [1])
+
+
+def test_a_nameless_column_of_times_is_not_taken_for_accelerations(tmp_path):
+    path = write(tmp_path, "".join(f"{k * 0.01:.2f} {np.sin(k):.6f}\n" for k in range(50)))
+    assert "rises evenly in steps of 0.01 as time does" in refusal(path, [0])
+    assert read_record(path, [1], "g", 0.01).accelerations.shape == (50, 1)
+
+
+@settings(deadline=None)
+@given(st.binary(max_size=200))
+@example(b"1,2\n3,4;5")
+@example(b"NPTS= 99999999999999999999, DT= 1e-999\n1")
+@example(b"\xef\xbb\xbf%\n")
+def test_any_bytes_are_a_record_or_one_line_of_refusal(tmp_path_factory, content):
+    path = write(tmp_path_factory.mktemp("bytes"), content)
+    try:
+        record = read_record(path, [0], "g", 0.01)
+    except InputError as error:
+        assert "\n" not in str(error)
+    else:
+        assert np.isfinite(record.accelerations).all()
+
+
+LINES = st.lists(st.text(alphabet="01.-+eE,; \t%nafNPTS=DT", max_size=12), min_size=1, max_size=6)
+
+
+@settings(deadline=None)
+@given(LINES)
+def test_almost_records_are_read_or_refused_in_one_line(tmp_path_factory, lines):
+    path = write(tmp_path_factory.mktemp("lines"), "\n".join(lines))
+    try:
+        record = read_record(path, [0], "m/s2", 0.01)
+    except InputError as error:
+        assert "\n" not in str(error)
+    else:
+        assert np.isfinite(record.accelerations).all()

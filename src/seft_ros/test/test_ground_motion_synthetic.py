@@ -1,0 +1,96 @@
+"""Synthetic motions: their spectrum, envelope, peak, and that a seed is a motion."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from seft_msgs_py.errors import InputError
+from seft_ros.ground_motion.synthetic import (
+    envelope,
+    motion_spectrum,
+    stationary_motion,
+    synthetic_motion,
+)
+
+FILTERS = {
+    "ground_frequency": 2.5,
+    "ground_damping": 0.6,
+    "filter_frequency": 0.25,
+    "filter_damping": 0.6,
+}
+SHAPE = {"rise": 2.0, "plateau_end": 8.0, "decay": 0.35}
+MOTION = {"seed": 3, "duration": 20.0, "dt": 0.005, "peak": 3.0, **FILTERS, **SHAPE}
+
+
+def test_the_spectrum_has_the_values_of_kanai_tajimi_and_clough_penzien():
+    # at f = f_g:  |H_kt|^2 = (1 + 4 z^2) / (4 z^2);  the high-pass with r = f / f_f = 10:
+    # |H_cp|^2 = r^4 / ((1 - r^2)^2 + 4 z^2 r^2)
+    kanai_tajimi = (1 + 4 * 0.36) / (4 * 0.36)
+    clough_penzien = 1e4 / (99**2 + 1.44 * 100)
+    np.testing.assert_allclose(motion_spectrum(2.5, **FILTERS), kanai_tajimi * clough_penzien)
+
+
+def test_the_spectrum_vanishes_at_zero_with_the_fourth_power_of_frequency():
+    low = motion_spectrum([0.0, 1e-4, 2e-4], **FILTERS)
+    assert low[0] == 0
+    assert low[2] / low[1] == pytest.approx(16, rel=1e-4)
+
+
+def test_the_average_periodogram_of_many_seeds_is_the_target_spectrum():
+    steps, dt, seeds = 2000, 0.01, 400
+    periodograms = [
+        np.abs(np.fft.rfft(stationary_motion(seed, steps, dt, **FILTERS))) ** 2 / steps
+        for seed in range(seeds)
+    ]
+    average = np.mean(periodograms, axis=0)
+    target = motion_spectrum(np.fft.rfftfreq(steps, dt), **FILTERS)
+    # each ordinate scatters by 1 / sqrt(400) = 5 %, a band of 20 by 1.1 %
+    bands = average[1:981].reshape(-1, 20).mean(axis=1) / target[1:981].reshape(-1, 20).mean(axis=1)
+    np.testing.assert_allclose(bands, 1, atol=0.05)
+    assert average[0] < 1e-20
+
+
+def test_the_envelope_rises_stays_and_decays():
+    times = [0, 1, 2, 5, 8, 8 + 1 / 0.35]
+    np.testing.assert_allclose(envelope(times, **SHAPE), [0, 0.25, 1, 1, 1, np.exp(-1)])
+    np.testing.assert_array_equal(envelope([0, 1, 99], 0, 0, 0), [1, 1, 1])
+
+
+def test_motions_of_many_seeds_are_as_strong_as_the_envelope_says():
+    motions = np.array([synthetic_motion(**{**MOTION, "seed": seed}) for seed in range(200)])
+    rms = np.sqrt(np.mean(motions**2, axis=0))
+    at = {t: np.sqrt(np.mean(rms[round(t / 0.005) - 20 : round(t / 0.005) + 21] ** 2))
+          for t in (1.0, 5.0, 12.0)}  # fmt: skip
+    assert at[1.0] / at[5.0] == pytest.approx(0.25, rel=0.1)
+    assert at[12.0] / at[5.0] == pytest.approx(np.exp(-0.35 * 4), rel=0.1)
+    assert not motions[:, 0].any()
+
+
+def test_a_seed_is_a_motion():
+    first = synthetic_motion(**MOTION)
+    np.testing.assert_array_equal(first, synthetic_motion(**MOTION))
+    assert np.abs(first - synthetic_motion(**{**MOTION, "seed": 4})).max() > 1
+
+
+@settings(deadline=None)
+@given(st.integers(0, 2**63), st.floats(0.1, 50), st.sampled_from([1.0, 3.3, 20.0]))
+def test_the_largest_acceleration_is_the_peak_and_the_length_the_duration(seed, peak, duration):
+    motion = synthetic_motion(**{**MOTION, "seed": seed, "peak": peak, "duration": duration})
+    assert np.abs(motion).max() == pytest.approx(peak, rel=1e-12)
+    assert len(motion) == round(duration / 0.005) + 1
+
+
+@pytest.mark.parametrize(
+    ("given", "what"),
+    [
+        ({"plateau_end": 1.0}, "synthetic.plateau_end is 1 s"),
+        ({"duration": 0.01}, "synthetic.duration is 0.01 s"),
+        ({"dt": 0.25, "ground_frequency": 2.0}, "below half the sampling rate"),
+        ({"rise": 1e200, "plateau_end": 1e200}, "a motion that is zero"),
+    ],
+)
+def test_contradictions_are_refused_by_name(given, what):
+    with pytest.raises(InputError) as caught:
+        synthetic_motion(**{**MOTION, **given})
+    assert what in str(caught.value)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,88 @@
+"""Runs of the `seft` command and of single nodes, each test on a ROS domain of its own."""
+
+import itertools
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+
+import pytest
+from graph_tools import JHU, PATIENCE
+from seft_ros.running.processes import MODULES
+
+_domains = itertools.count(101 + os.getpid() % 50)
+
+
+@pytest.fixture
+def domain(monkeypatch):
+    """A ROS domain that no other test uses."""
+    number = 101 + next(_domains) % 100
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
+    return number
+
+
+@pytest.fixture
+def seft(domain, tmp_path) -> Callable[..., subprocess.CompletedProcess]:
+    """Run `seft` in an empty folder."""
+
+    def run(*words, status=None) -> subprocess.CompletedProcess:
+        done = subprocess.run(
+            [sys.executable, "-m", "seft_ros.commands.main", *map(str, words)],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE,
+        )
+        if status is not None:
+            assert done.returncode == status, done.stderr
+        return done
+
+    return run
+
+
+@pytest.fixture
+def seft_json(seft):
+    """Run `seft ... --json`; give the object it prints."""
+
+    def run(*words, status=0) -> dict:
+        return json.loads(seft(*words, "--json", status=status).stdout)
+
+    return run
+
+
+@pytest.fixture
+def start(domain, tmp_path) -> Iterator[Callable[..., subprocess.Popen]]:
+    """Start programs; what still runs at the end of the test is killed."""
+    started: list[subprocess.Popen] = []
+
+    def launch(*words, **options) -> subprocess.Popen:
+        options.setdefault("stderr", subprocess.PIPE)
+        process = subprocess.Popen(
+            [sys.executable, "-m", *map(str, words)],
+            cwd=tmp_path,
+            stdout=subprocess.PIPE,
+            text=True,
+            **options,
+        )
+        started.append(process)
+        return process
+
+    yield launch
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+@pytest.fixture
+def start_node(start):
+    """Start one node with parameters, as `ros2 run` would."""
+
+    def launch(node, *overrides, config=JHU) -> subprocess.Popen:
+        words = [MODULES[node], "--ros-args", "--params-file", config]
+        for override in overrides:
+            words += ["-p", override]
+        return start(*words)
+
+    return launch

@@ -1,0 +1,44 @@
+"""What the tests of whole graphs share."""
+
+import os
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from seft_ros.running.processes import MODULES
+
+ROOT = Path(__file__).parent.parent
+JHU = ROOT / "config" / "jhu.yaml"
+PATIENCE = 120.0  # s; far beyond what anything here takes
+
+
+def wait_for(condition: Callable[[], object], what: str) -> object:
+    """Wait until a condition holds; return what it gives."""
+    deadline = time.monotonic() + PATIENCE
+    while not (found := condition()):
+        assert time.monotonic() < deadline, f"waited in vain for {what}"
+        time.sleep(0.02)
+    return found
+
+
+def children(pid: int) -> dict[str, int]:
+    """Node processes that a `seft run` has started: node -> pid."""
+    found = {}
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdigit():
+            continue
+        try:
+            words = (entry / "cmdline").read_bytes().decode().split("\0")
+            parent = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
+        except (OSError, ValueError):
+            continue
+        for node, module in MODULES.items():
+            if parent == pid and module in words:
+                found[node] = int(entry.name)
+    return found
+
+
+def kill(pid: int) -> None:
+    """End a process as the power would."""
+    os.kill(pid, signal.SIGKILL)

@@ -1,0 +1,116 @@
+"""Runs that break: one line says why, the bag is readable, no process is left."""
+
+import signal
+import subprocess
+from pathlib import Path
+
+import pytest
+from graph_tools import JHU, PATIENCE, children, kill, wait_for
+from seft_ros.recording.bag_reader import read_bag
+
+LONG = ("-p", "ground_motion:synthetic.duration:=200.0")
+
+
+@pytest.fixture
+def running(start, tmp_path):
+    """A `seft run` that has been under way for a while, and its node processes."""
+
+    def launch(*words):
+        process = start("seft_ros.commands.main", "run", JHU, *LONG, *words, "--out", "bag")
+        wait_for(lambda: (tmp_path / "bag").exists(), "the bag")
+        wait_for(lambda: bag_size(tmp_path / "bag") > 200_000, "some data in it")
+        nodes = wait_for(lambda: children(process.pid), "the nodes")
+        assert len(nodes) == 6
+        return process, nodes
+
+    return launch
+
+
+def bag_size(bag):
+    return sum(file.stat().st_size for file in bag.glob("*.*"))
+
+
+def ending(process: subprocess.Popen, nodes: dict[str, int]) -> str:
+    """Wait for the end; return the last line on stderr."""
+    _, errors = process.communicate(timeout=PATIENCE)
+    assert "Traceback" not in errors
+    assert not children(process.pid)
+    return errors.strip().splitlines()[-1]
+
+
+@pytest.mark.parametrize("pace", ["lockstep", "realtime"])
+@pytest.mark.parametrize("node", ["force_controller", "rig", "ground_motion", "supervisor"])
+def test_a_node_that_dies_ends_the_run_with_a_readable_bag(running, tmp_path, node, pace):
+    process, nodes = running("-p", f"rig:pace:={pace}")
+    kill(nodes[node])
+    line = ending(process, nodes)
+    assert process.returncode == 1
+    assert f"node {node} ended (killed by signal 9)" in line
+    assert len(read_bag(tmp_path / "bag").series["rig/state"].steps) > 100
+
+
+def test_a_killed_recorder_loses_at_most_half_a_second(running, seft, tmp_path):
+    process, nodes = running()
+    kill(nodes["recorder"])
+    line = ending(process, nodes)
+    assert process.returncode == 1
+    assert "node recorder ended (killed by signal 9)" in line
+    last_step = int(line.split("at step ")[1].split(")")[0])
+    refused = seft("report", "bag", status=2)
+    assert "seft recover bag" in refused.stderr
+    seft("recover", "bag", status=0)
+    steps = read_bag(tmp_path / "bag").series["rig/state"].steps
+    # the clock that dates the death is published 10 times a second
+    assert steps[-1] >= last_step - 250 - 75
+    assert (steps == range(len(steps))).all()
+
+
+def test_an_interrupted_run_keeps_its_bag(running, tmp_path):
+    process, nodes = running()
+    process.send_signal(signal.SIGINT)
+    ending(process, nodes)
+    assert process.returncode == 1
+    assert len(read_bag(tmp_path / "bag").series["rig/state"].steps) > 100
+
+
+def test_nodes_do_not_outlive_a_killed_run(running):
+    process, nodes = running()
+    kill(process.pid)
+    process.wait()
+
+    def gone():
+        return not any(is_alive(pid) for pid in nodes.values())
+
+    wait_for(gone, "the nodes to end")
+
+
+def is_alive(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("reference_force:mass_ratio:=x", "mass_ratio"),
+        ("rate:=333.0", "333"),
+        ("rig:specimen.mass:=0.0", "mass"),
+        ("force_controller:numerator:=[1.0, 0.0, 0.0, 0.0]", "improper"),
+        ("ground_motion:unit:=furlong", "furlong"),
+        ("ground_motion:file:=nowhere.AT2", "nowhere.AT2"),
+    ],
+)
+def test_wrong_input_is_told_before_any_node_starts(seft, tmp_path, override, words):
+    done = seft("run", JHU, "-p", override, status=2)
+    assert done.stdout == ""
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert words in done.stderr
+    assert not (tmp_path / "bags").exists()
+
+
+def test_a_bag_is_not_overwritten(seft, tmp_path):
+    (tmp_path / "bag").mkdir()
+    done = seft("run", JHU, "--out", "bag", status=2)
+    assert "exists already" in done.stderr

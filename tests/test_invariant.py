@@ -1,0 +1,72 @@
+"""Offline = lockstep = realtime where no command was missed, bit for bit."""
+
+import pytest
+from graph_tools import JHU
+from seft_ros.recording.bag_reader import read_bag
+
+SHORT = ("-p", "ground_motion:synthetic.duration:=5.0", "-p", "ground_motion:tail:=0.5")
+LOCKSTEP = ("-p", "rig:pace:=lockstep")
+
+EXPERIMENTS = {
+    "servo_hydraulic": ("-p", "reference_force:mass_ratio:=0.5"),
+    "delay": (
+        *("-p", "rig:actuator.kind:=delay", "-p", "rig:actuator.delay:=0.0113"),
+        *("-p", "reference_force:mass_ratio:=0.5"),
+    ),
+    "eft_ideal": ("-p", "rig:actuator.kind:=ideal", "-p", "reference_force:method:=eft"),
+    "coupled_axes": (
+        *("-p", "axes:=[north, east]"),
+        *("-p", "rig:specimen.stiffness:=[2.0e5, -1.0e4, -1.0e4, 3.0e5]"),
+        *("-p", "rig:specimen.mass:=[52.7, 40.0]"),
+        *("-p", "ground_motion:influence:=[1.0, 0.5]"),
+        *("-p", "reference_force:mass_ratio:=0.3"),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_lockstep_over_dds_gives_the_bits_of_the_offline_loop(seft_json, name):
+    words = (JHU, *SHORT, *EXPERIMENTS[name])
+    simulated = seft_json("simulate", *words, "--out", "simulated")
+    lockstep = seft_json("run", *words, *LOCKSTEP, "--out", "lockstep")
+    compared = seft_json("compare", "simulated", "lockstep")
+    assert compared["identical"] is True
+    assert compared["first_difference"] is None
+    for topic in ("ground_motion", "rig/state", "reference_force", "valve_command"):
+        samples = compared["topics"][topic]
+        assert samples["samples_a"] == samples["samples_b"] == simulated["steps"] == 1501
+        assert samples["max_abs"] == 0.0
+    for quantity in ("displacement", "acceleration", "force"):
+        assert lockstep[quantity] == simulated[quantity]
+
+
+def test_realtime_differs_only_from_the_first_missed_command_on(seft_json, tmp_path):
+    words = (JHU, *SHORT, *EXPERIMENTS["servo_hydraulic"])
+    seft_json("simulate", *words, "--out", "simulated")
+    realtime = seft_json("run", *words, "--out", "realtime")
+    compared = seft_json("compare", "simulated", "realtime", status=None)
+    assert realtime["missed"] == compared["missed"]["b"]
+    if realtime["missed"] == 0:
+        assert compared["identical"] is True
+    elif compared["first_difference"] is not None:
+        first_missed = read_bag(tmp_path / "realtime").missed_steps[0]
+        assert compared["first_difference"]["step"] > first_missed
+    assert realtime["steps"] == 1501
+    assert realtime["realtime_factor"] == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_trip_ends_all_three_ways_of_running_at_the_same_sample(seft_json):
+    words = (JHU, *SHORT, "-p", "supervisor:limits.acceleration:=6.0")
+    simulated = seft_json("simulate", *words, "--out", "simulated", status=1)
+    lockstep = seft_json("run", *words, *LOCKSTEP, "--out", "lockstep", status=1)
+    assert simulated["trip"] == lockstep["trip"]
+    assert simulated["trip"]["reason"].startswith("acceleration")
+    assert simulated["stable"] is lockstep["stable"] is False
+    assert seft_json("compare", "simulated", "lockstep")["identical"] is True
+
+
+def test_bags_of_both_storages_hold_the_same_test(seft_json):
+    words = (JHU, *SHORT, *LOCKSTEP)
+    seft_json("run", *words, "--out", "mcap")
+    seft_json("run", *words, "-p", "recorder:storage:=sqlite3", "--out", "sqlite3")
+    assert seft_json("compare", "mcap", "sqlite3")["identical"] is True

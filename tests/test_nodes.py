@@ -1,0 +1,122 @@
+"""Nodes started one by one, in any order, as `ros2 run` does."""
+
+import random
+import signal
+
+import pytest
+from graph_tools import PATIENCE, wait_for
+from seft_ros.recording.bag_reader import read_bag
+from seft_ros.running.observer import Observer
+from seft_ros.running.processes import MODULES
+
+SHORT = ("ground_motion:synthetic.duration:=3.0", "ground_motion:tail:=0.2")
+
+
+@pytest.fixture
+def observer(domain):
+    watching = Observer()
+    yield watching
+    watching.close()
+
+
+def is_in_state(observer, state):
+    def look():
+        observer.spin(0.05)
+        return observer.state == state
+
+    return look
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_nodes_start_in_any_order_and_run_two_tests_in_a_row(start_node, observer, tmp_path, seed):
+    order = random.Random(seed).sample(sorted(MODULES), len(MODULES))
+    overrides = (*SHORT, "rig:pace:=lockstep")
+    nodes = {node: start_node(node, *overrides) for node in order}
+    for test in (1, 2):
+        wait_for(is_in_state(observer, "ready"), "ready")
+        accepted, answer = observer.call("stop")
+        assert not accepted
+        assert answer == "can't stop: the test is ready (all nodes are ready)"
+        accepted, answer = observer.call("start")
+        assert accepted, answer
+        wait_for(is_in_state(observer, "done"), "done")
+        wait_for(lambda: (observer.spin(0.05), observer.recorder_phase == "saved")[1], "saved")
+        assert observer.call("start")[0] is False
+        assert observer.call("reset")[0] is True
+        bags = sorted((tmp_path / "bags").iterdir())
+        assert len(bags) == test
+        record = read_bag(bags[-1])
+        assert record.complete
+        assert len(record.series["rig/state"].steps) == 851
+    for node in nodes.values():
+        node.send_signal(signal.SIGINT)
+    for name, node in nodes.items():
+        _, errors = node.communicate(timeout=PATIENCE)
+        assert node.returncode == 0, (name, errors)
+        assert "Traceback" not in errors
+
+
+def test_the_supervisor_names_what_is_missing_and_refuses_to_start(start_node, observer):
+    for node in ("supervisor", "ground_motion", "reference_force", "rig"):
+        start_node(node)
+    wait_for(
+        lambda: (
+            observer.spin(0.05),
+            observer.values.get("detail") == "waiting for node force_controller, recorder",
+        )[1],
+        "the supervisor's words",
+    )
+    accepted, answer = observer.call("start")
+    assert not accepted
+    assert "force_controller" in answer
+
+
+def test_nodes_of_different_rates_do_not_start(start_node, observer):
+    for node in MODULES:
+        start_node(node, *(["rate:=250.0"] if node == "rig" else []))
+    wait_for(
+        lambda: (observer.spin(0.05), "one rate" in observer.values.get("detail", ""))[1],
+        "the supervisor's words",
+    )
+    assert "rig has 250" in observer.values["detail"]
+
+
+def test_a_test_is_stopped_by_the_operator(start_node, observer, tmp_path):
+    for node in MODULES:
+        start_node(node)
+    wait_for(is_in_state(observer, "ready"), "ready")
+    assert observer.call("start")[0]
+    wait_for(lambda: (observer.spin(0.05), observer.time_ns > 10**9)[1], "a second of the test")
+    assert observer.call("stop") == (True, "the test is stopped")
+    wait_for(lambda: (observer.spin(0.05), observer.recorder_phase == "saved")[1], "saved")
+    (bag,) = (tmp_path / "bags").iterdir()
+    steps = read_bag(bag).series["rig/state"].steps
+    assert 500 <= len(steps) < 8000
+
+
+@pytest.mark.parametrize("node", sorted(MODULES))
+def test_a_node_tells_a_wrong_parameter_in_one_line(start_node, node):
+    process = start_node(node, f"{node}:noise:=1")
+    _, errors = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 2
+    assert len(errors.strip().splitlines()) == 1
+    assert f"{node}: -p: {node}: there is no parameter noise" in errors
+
+
+def test_a_rig_that_comes_back_in_the_middle_of_a_test_stays_at_rest(start_node, observer):
+    nodes = {node: start_node(node, "supervisor:watchdog.peer_timeout:=60.0") for node in MODULES}
+    wait_for(is_in_state(observer, "ready"), "ready")
+    assert observer.call("start")[0]
+    wait_for(lambda: (observer.spin(0.05), observer.time_ns > 10**9)[1], "a second of the test")
+    nodes["rig"].kill()
+    nodes["rig"].wait()
+    reached = observer.time_ns
+    second = start_node("rig")
+    observer.time_ns = 0
+    for _ in range(60):
+        observer.spin(0.05)
+    assert reached > 10**9
+    assert observer.time_ns == 0
+    second.send_signal(signal.SIGINT)
+    _, errors = second.communicate(timeout=PATIENCE)
+    assert "before this rig was ready" in errors
