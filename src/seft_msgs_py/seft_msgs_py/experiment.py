@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.error import MarkedYAMLError
 from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 
 from seft_msgs_py.errors import InputError
@@ -253,5 +253,5 @@ def _parse_yaml(text: str, where: str) -> Any:
         mark = error.problem_mark
         line = f" line {mark.line + 1}" if mark is not None else ""
         raise InputError(f"{where}:{line} {error.problem or error.context}") from None
-    except (YAMLError, ValueError, LookupError, RecursionError) as error:
+    except Exception as error:  # at odd input ruamel lets all kinds of them through
         raise InputError(f"{where}: {(str(error).splitlines() or ['no YAML'])[0]}") from None

@@ -38,6 +38,8 @@ IDLE_WAIT = 0.05  # s; a signal is noticed within this time
 STATUS_PERIOD = 1.0  # s
 STATUS_CHECK = 0.2  # s
 WARN_PERIOD = 1.0  # s
+WARM_UP_STEPS = 200
+"""Steps a node of the loop tries on itself, so that its first real ones are not its slowest."""
 
 Handler = Callable[[bytes, int], None]
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from seft_msgs_py.messages import Status, decode_status, encode_clock
-from seft_msgs_py.node_shell import NodeShell, run_node
+from seft_msgs_py.node_shell import WARM_UP_STEPS, NodeShell, run_node
 from seft_msgs_py.outcome import FINISHED, LISTED_STEPS, TRIPPED, Trip, rig_status
 from seft_msgs_py.topics import (
     CLOCK_TOPIC,
@@ -74,6 +74,7 @@ class RigNode:
         self._armed = False
         self._wanted: Status | None = None
         self._clock_at = 0.0
+        self._warm_up()
 
     def run(self) -> None:
         """Run a test each time the supervisor says so, until told to stop."""
@@ -83,6 +84,12 @@ class RigNode:
             if self._is_wanted():
                 self._run_test(int(self._wanted.values["steps"]))  # type: ignore[union-attr]
                 self._wanted = None  # a test runs once
+
+    def _warm_up(self) -> None:
+        state = self._rig.reset()
+        for step in range(WARM_UP_STEPS):
+            self._state_codec.decode(self._state_codec.encode(step, state))
+            state = self._rig.step(self._drive.value)
 
     def _run_test(self, steps: int) -> None:
         self._valve.reset()

@@ -50,7 +50,7 @@ def reference_response(experiment: Experiment, ground_motion: Floats) -> Referen
     section = experiment["reference_force"]
     model = group(section, "model")
     axes = experiment.axes
-    if "rig" in experiment.sections:
+    if "specimen.mass" in experiment.sections.get("rig", {}):
         source, where = group(experiment["rig"], "specimen"), "rig: specimen"
     else:
         source, where = model, "reference_force: model"

@@ -317,14 +317,21 @@ def test_a_recovery_that_was_killed_between_the_two_renames_is_finished(
     assert not (tmp_path / "bag.recovering").exists()
 
 
-def test_a_disk_that_refuses_leaves_the_recording_as_it_was(tmp_path, whole, monkeypatch):
+@pytest.mark.parametrize(
+    "error",
+    [
+        OSError(28, "No space left on device"),
+        sqlite3.OperationalError("database or disk is full"),
+    ],
+)
+def test_a_disk_that_refuses_leaves_the_recording_as_it_was(tmp_path, whole, monkeypatch, error):
     path = cut_bag(tmp_path / "bag", whole[0][:2000])
 
     def full(*_, **__):
-        raise OSError(28, "No space left on device")
+        raise error
 
     monkeypatch.setattr(recover_module, "Writer", full)
-    with pytest.raises(InputError, match=r"No space left on device.*it is as it was"):
+    with pytest.raises(InputError, match=r"(No space|disk is full).*it is as it was"):
         recover(path)
     assert (path / "bag.mcap").read_bytes() == whole[0][:2000]
     assert list(tmp_path.iterdir()) == [path]

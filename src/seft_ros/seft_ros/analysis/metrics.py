@@ -113,11 +113,12 @@ def best_fit_delay(y: Floats, reference: Floats, dt: float) -> float:
     dt : float
         Sampling period, s.
     """
-    y, reference = _scaled(_columns(y)), _scaled(_columns(reference))
-    if not (y.size and _rms(y) > 0 and _rms(reference) > 0):  # NaN too
+    y, reference = _columns(y), _columns(reference)
+    if not all(0 < _rms(signal) < math.inf for signal in (y, reference)):  # nor NaN
         return math.nan
     size = next_fast_len(2 * len(y), real=True)
-    cross = (rfft(y, size, axis=0) * rfft(reference, size, axis=0).conj()).sum(axis=1)
+    spectra = [rfft(_scaled(signal), size, axis=0) for signal in (y, reference)]
+    cross = (spectra[0] * spectra[1].conj()).sum(axis=1)
     correlation = irfft(cross, size)
     longest = len(y) // 2
     lags = np.concatenate([np.arange(longest + 1), np.arange(-longest, 0)])

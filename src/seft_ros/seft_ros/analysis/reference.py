@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.errors import InputError
 from seft_msgs_py.topics import GROUND_MOTION, RIG_STATE
 from seft_plant_sim.whole_structure import ReferenceResponse, reference_response
 
@@ -40,14 +41,26 @@ def reference_of(record: Record) -> ReferenceResponse | None:
     Returns
     -------
     ReferenceResponse or None
-        Arrays of shape (N, n); None if the record holds no rig state, or not the ground
-        motion of all N steps.
+        Arrays of shape (N, n); None if the record holds no rig state, not the ground motion
+        of all N steps, or nothing of the reference-force node's parameters.
+
+    Raises
+    ------
+    InputError
+        If parameters are missing that describe the structure, or make none.
     """
     states, motion = record.series[RIG_STATE.name], record.series[GROUND_MOTION.name]
     count = int(states.steps[-1]) + 1 if len(states.steps) else 0
-    if count == 0 or not np.array_equal(motion.steps[:count], np.arange(count)):
+    whole = count > 0 and np.array_equal(motion.steps[:count], np.arange(count))
+    if not whole or "reference_force" not in record.experiment.sections:
         return None
-    return reference_response(record.experiment, motion.values[:count, 0, :])
+    try:
+        return reference_response(record.experiment, motion.values[:count, 0, :])
+    except KeyError as error:
+        raise InputError(
+            f"the structure is not known: its description lacks {error.args[0]}; was it "
+            "recorded with another version?"
+        ) from None
 
 
 def quantity(reference: ReferenceResponse, name: str) -> Floats:

@@ -8,6 +8,7 @@ from seft_msgs_py.errors import SeftError
 from seft_ros.commands.compare import compare
 from seft_ros.commands.motion import motion
 from seft_ros.commands.options import complain
+from seft_ros.commands.parameters import parameters
 from seft_ros.commands.recover import recover
 from seft_ros.commands.report import report
 from seft_ros.commands.run import run
@@ -24,7 +25,7 @@ APP = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (run, simulate, report, compare, motion, recover):
+for command in (run, simulate, report, compare, motion, recover, parameters):
     APP.command()(command)
 
 

@@ -28,4 +28,4 @@ def report(
 
     record = read_bag(bag)
     summary = present(record, bag, as_json=json)
-    return 0 if summary["stable"] else 1
+    return 0 if summary["stable"] and summary["complete"] else 1

@@ -3,8 +3,15 @@
 import sys
 from collections.abc import Sequence
 
+import numpy as np
 from seft_msgs_py.messages import Status
-from seft_msgs_py.node_shell import IDLE_WAIT, Handler, NodeShell, run_node
+from seft_msgs_py.node_shell import (
+    IDLE_WAIT,
+    WARM_UP_STEPS,
+    Handler,
+    NodeShell,
+    run_node,
+)
 from seft_msgs_py.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND, LoopTopic
 from seft_msgs_py.trajectory import Floats, TrajectoryCodec
 
@@ -30,6 +37,7 @@ class ForceControllerNode:
         self._states: dict[int, Floats] = {}
         self._forces: dict[int, Floats] = {}
         self._last = -1
+        self._warm_up()
         # the state of a step is nearly always there before the force that answers it: only the
         # force is worth waking up for
         for topic, pending, other, wake in (
@@ -37,6 +45,14 @@ class ForceControllerNode:
             (RIG_STATE, self._states, self._forces, False),
         ):
             shell.subscribe(topic, self._receiver(topic, pending, other), depth=64, wake=wake)
+
+    def _warm_up(self) -> None:
+        axes = len(self._shell.experiment.axes)
+        force, state = np.zeros(axes), np.zeros((4, axes))
+        for step in range(WARM_UP_STEPS):
+            raw = self._command_codec.encode(step, self._block.step(force, state))
+            self._command_codec.decode(raw)
+        self._block.reset()
 
     def run(self) -> None:
         """Answer until told to stop."""

@@ -3,8 +3,9 @@
 import sys
 from collections.abc import Sequence
 
+import numpy as np
 from seft_msgs_py.messages import Status
-from seft_msgs_py.node_shell import NodeShell, run_node
+from seft_msgs_py.node_shell import WARM_UP_STEPS, NodeShell, run_node
 from seft_msgs_py.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
 from seft_msgs_py.trajectory import Floats, TrajectoryCodec
 
@@ -28,8 +29,17 @@ class ReferenceForceNode:
         self._motion: dict[int, Floats] = {}
         self._waiting: dict[int, Floats] = {}
         self._last = -1
+        self._warm_up()
         shell.subscribe(GROUND_MOTION, self._on_ground_motion)
         shell.subscribe(RIG_STATE, self._on_rig_state, depth=64)
+
+    def _warm_up(self) -> None:
+        axes = len(self._shell.experiment.axes)
+        motion, state = np.zeros(axes), np.zeros((4, axes))
+        for step in range(WARM_UP_STEPS):
+            self._state_codec.decode(self._state_codec.encode(step, state))
+            self._force_codec.encode(step, self._block.step(motion, state))
+        self._block.reset()
 
     def _on_ground_motion(self, raw: bytes, _: int) -> None:
         first, values = self._motion_codec.decode(raw)

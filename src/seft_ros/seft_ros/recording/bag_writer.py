@@ -8,25 +8,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from rosbags.interfaces import (
-    Connection,
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
+from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 from seft_msgs_py.errors import ExperimentError, InputError, SeftError
-from seft_msgs_py.messages import typestore
 from seft_msgs_py.topics import Topic
 
 from seft_ros.recording.bag_storage import BagStorage, McapStorage, SqliteStorage
+from seft_ros.recording.bag_topics import add_topic
 
 FLUSH_PERIOD = 0.25  # s of wall time
 STORAGES = ("mcap", "sqlite3")
-_FOREVER = QosTime(9223372036, 854775807)
 
 
 class BagWriter:
@@ -95,7 +86,7 @@ class BagWriter:
         try:
             connection = self._connections.get(topic.name)
             if connection is None:
-                connection = self._connect(topic)
+                connection = add_topic(self._writer, topic)
             self._writer.write(connection, time_ns, raw)
             self._connections[topic.name] = connection
         except (OSError, sqlite3.Error) as error:
@@ -178,14 +169,6 @@ class BagWriter:
             if error is None:  # else the reason for leaving is what there is to tell
                 raise
 
-    def _connect(self, topic: Topic) -> Connection:
-        return self._writer.add_connection(
-            "/" + topic.name.lstrip("/"),
-            topic.type,
-            typestore=typestore(),
-            offered_qos_profiles=[offered_qos(topic)],
-        )
-
     def _broken(self, error: Exception) -> ExperimentError:
         with suppress(OSError, sqlite3.Error):
             self._writer.abort()
@@ -194,21 +177,6 @@ class BagWriter:
             f"back what was recorded with: seft recover {self.path}"
         )
         return self._error
-
-
-def offered_qos(topic: Topic) -> Qos:
-    """Quality of service with which a topic is published."""
-    return Qos(
-        history=QosHistory.KEEP_LAST,
-        depth=topic.depth,
-        reliability=QosReliability.RELIABLE,
-        durability=QosDurability.TRANSIENT_LOCAL if topic.latched else QosDurability.VOLATILE,
-        deadline=_FOREVER,
-        lifespan=_FOREVER,
-        liveliness=QosLiveliness.AUTOMATIC,
-        liveliness_lease_duration=_FOREVER,
-        avoid_ros_namespace_conventions=False,
-    )
 
 
 def _reason(error: Exception) -> str:

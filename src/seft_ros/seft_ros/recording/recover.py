@@ -1,24 +1,20 @@
 """Make a whole bag of one whose recorder was killed."""
 
 import shutil
+import sqlite3
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import zstandard
-from rosbags.interfaces import Connection, Qos
+from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.rosbag2.metadata import parse_qos
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.messages import typestore
 
 from seft_ros.recording.bag_files import open_bag, storage_files, storage_suffix
+from seft_ros.recording.bag_topics import add_source
 from seft_ros.recording.salvage import Found, Source, mcap_messages, sqlite_messages
-
-_UNKNOWN_HASH = "RIHS01_" + "0" * 64
 
 
 @dataclass(frozen=True)
@@ -98,10 +94,9 @@ def recover(path: str | Path) -> Recovery:
         finally:
             if place.exists():
                 shutil.rmtree(fresh, ignore_errors=True)
-    except OSError as error:
-        raise InputError(
-            f"{path}: it can't be recovered ({error.strerror or error}); it is as it was"
-        ) from None
+    except (OSError, sqlite3.Error) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{path}: it can't be recovered ({reason}); it is as it was") from None
     return _summary(path, cut)
 
 
@@ -140,7 +135,7 @@ def _build(files: list[Path], fresh: Path, built: Path, shown: Path, single: boo
         for file in files:
             for source, time_ns, data in _messages(file, fresh):
                 if source not in connections:
-                    connections[source] = _connect(writer, source)
+                    connections[source] = add_source(writer, source)
                 writer.write(connections[source], time_ns, data)
                 counts[source.topic] += 1
         if not counts:
@@ -165,37 +160,3 @@ def _messages(file: Path, scratch: Path) -> Iterator[Found]:
         if (source := file.with_name(file.name + part)).exists():
             shutil.copyfile(source, copies / source.name)
     return sqlite_messages(copies / file.name)
-
-
-def _connect(writer: Writer, source: Source) -> Connection:
-    definition, digest = source.definition, _UNKNOWN_HASH
-    if source.type in typestore().fielddefs:
-        digest = typestore().hash_rihs01(source.type)
-        definition = definition or typestore().generate_msgdef(source.type, ros_version=2)[0]
-    else:
-        digest = _hash(source)
-    return writer.add_connection(
-        source.topic,
-        source.type,
-        msgdef=definition,
-        rihs01=digest,
-        serialization_format=source.serialization,
-        offered_qos_profiles=_qos(source.qos),
-    )
-
-
-def _hash(source: Source) -> str:
-    store = get_typestore(Stores.EMPTY)
-    try:
-        store.register(get_types_from_msg(source.definition, source.type))
-        return store.hash_rihs01(source.type)
-    except Exception:  # the definition is foreign text: the message counts, not its hash
-        return _UNKNOWN_HASH
-
-
-def _qos(text: str) -> list[Qos]:
-    profile: Any = text
-    try:
-        return parse_qos(profile)
-    except Exception:  # likewise
-        return []

@@ -1,0 +1,72 @@
+"""``seft parameters``: the parameter tables, as text for people and for docs."""
+
+from typing import Annotated
+
+import typer
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.parameters import COMMON, Parameter, nearest
+
+from seft_ros.experiment.tables import TABLES
+
+
+def parameters(
+    node: Annotated[
+        str | None, typer.Argument(metavar="NODE", help="One node; default all.")
+    ] = None,
+) -> int:
+    """Print every parameter with type, default, unit, bounds and meaning, as Markdown.
+
+    Examples:
+
+        seft parameters rig
+
+        seft parameters > docs/parameters.md
+    """
+    names = [table.node for table in TABLES]
+    if node is not None and node not in names:
+        raise InputError(f"there is no node {node}{nearest(node, names)}")
+    print(parameters_text([node] if node else names))
+    return 0
+
+
+def parameters_text(nodes: list[str]) -> str:
+    """Markdown tables of some nodes' parameters."""
+    common = [row.name for row in COMMON]
+    parts = [
+        "# Parameters\n\nMade by `seft parameters`. A value in *italics* is taken from another "
+        "parameter of the same experiment where it is not given; **required** ones have none.",
+        "## every node, under `/**`\n\n" + _table(COMMON),
+    ]
+    for table in TABLES:
+        if table.node in nodes:
+            own = tuple(row for name, row in table.rows.items() if name not in common)
+            parts.append(f"## {table.node}\n\n{_table(own)}")
+    return "\n\n".join(parts)
+
+
+def _table(rows: tuple[Parameter, ...]) -> str:
+    lines = ["| parameter | type | default | unit | meaning |", "|---|---|---|---|---|"]
+    for row in rows:
+        meaning = row.description.replace("|", "\\|")
+        lines.append(
+            f"| `{row.name}` | {_type(row)} | {_default(row)} | {row.unit} | {meaning} |"
+        )
+    return "\n".join(lines)
+
+
+def _type(row: Parameter) -> str:
+    if row.choices:
+        return " \\| ".join(f"`{choice}`" for choice in row.choices)
+    bounds = []
+    if row.positive:
+        bounds.append("> 0")
+    if row.minimum is not None:
+        bounds.append(f">= {row.minimum:g}")
+    if row.maximum is not None:
+        bounds.append(f"<= {row.maximum:g}")
+    return " ".join([row.kind, ", ".join(bounds)]).strip()
+
+
+def _default(row: Parameter) -> str:
+    own = "**required**" if row.default is None else f"`{row.default!r}`".replace("'", '"')
+    return f"*{row.default_from}*, else {own}" if row.default_from else own
