@@ -12,9 +12,9 @@ import time
 
 import rclpy
 from rclpy.node import Node
-from seft_msgs_py.node_shell import message_class, qos_profile
+from seft_msgs_py.ros_types import message_class, qos_profile
 from seft_msgs_py.topics import JOINT_TRAJECTORY, Topic
-from seft_msgs_py.wait_set import LoopCallbackGroup, WaitSet, take_all
+from seft_msgs_py.wait_set import LoopCallbackGroup, WaitSet, sender, take
 
 MESSAGE_SIZE = 140  # bytes, as rig/state with one axis
 
@@ -37,12 +37,13 @@ class Station:
         self.publisher = self.node.create_publisher(
             message_class(outward), outward.name, qos_profile(outward)
         )
+        self.send = sender(self.publisher)
         self.wait_set = WaitSet(self.node, [self.subscription])
 
-    def receive(self, timeout: float) -> list[bytes]:
-        """Wait for messages and take them."""
-        self.wait_set.wait(timeout)
-        return [raw for raw, _ in take_all(self.subscription)]
+    def receive(self, timeout: float) -> bytes | None:
+        """Wait for a message and take it."""
+        taken = take(self.subscription) if self.wait_set.wait(timeout) else None
+        return taken and taken[0]
 
     def matched(self) -> bool:
         """Whether both neighbours are there."""
@@ -54,8 +55,9 @@ def hand_on(listens: str, speaks: str) -> None:
     """Hand on messages until killed."""
     station = Station(listens, speaks)
     while True:
-        for raw in station.receive(1.0):
-            station.publisher.publish(raw)
+        raw = station.receive(1.0)
+        if raw is not None:
+            station.send(raw)
 
 
 def laps_per_second(laps: int) -> float:
@@ -72,7 +74,7 @@ def laps_per_second(laps: int) -> float:
         time.sleep(0.5)  # the other two may still be finding each other
         for _ in range(laps):
             start = time.perf_counter()
-            station.publisher.publish(message)
+            station.send(message)
             while not station.receive(5.0):
                 if any(other.poll() is not None for other in others):
                     raise RuntimeError("a station of the ring has ended")

@@ -9,6 +9,9 @@ class SeftError(Exception):
 
     exit_status = 1
 
+    def __str__(self) -> str:
+        return " ".join(super().__str__().splitlines())  # whatever a file or an option held
+
 
 class InputError(SeftError):
     """What was given (file, parameter, message, option) can't be used; exit status 2."""

@@ -107,6 +107,11 @@ def encode_diagnostics(stamp_ns: int, statuses: Sequence[Status]) -> bytes:
     return _encode(DIAGNOSTIC_ARRAY, header=header, status=[_status_message(s) for s in statuses])
 
 
+def restamp(message: bytearray, stamp_ns: int) -> None:
+    """Give a message that begins with a header another stamp; encoding anew costs 100 times."""
+    struct.pack_into("<iI", message, 4, *divmod(stamp_ns, NANOSECONDS_PER_SECOND))
+
+
 def decode_diagnostics(raw: bytes) -> tuple[int, list[Status]]:
     """Read a diagnostic_msgs/msg/DiagnosticArray.
 

@@ -1,8 +1,8 @@
 """What every node of a test is made of: parameters, raw topics, status, a clean end.
 
-The loop's messages are waited for and handled in the main thread. All else (parameter
-services, the status timer, services of the supervisor) runs in a second thread, so that it
-does not stand in the loop's way.
+The main thread waits for the loop's messages and handles them, and in the pause after that
+tells the node's status. Services (of parameters, of the supervisor) are served by a second
+thread, which sleeps while nobody calls.
 """
 
 import gc
@@ -12,27 +12,27 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
-from importlib import import_module
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import numpy as np
 import rclpy
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
-from seft_msgs_py.errors import SeftError, WireError
-from seft_msgs_py.experiment import Experiment, split_ros_arguments
-from seft_msgs_py.messages import Status, encode_diagnostics, encode_string
-from seft_msgs_py.parameters import Parameter, Table
-from seft_msgs_py.topics import DESCRIPTION, DIAGNOSTICS, Topic
-from seft_msgs_py.wait_set import LoopCallbackGroup, WaitSet, take_all
+from seft_msgs_py.errors import InputError, SeftError, WireError
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.messages import Status, encode_diagnostics, encode_string, restamp
+from seft_msgs_py.parameter_file import split_ros_arguments
+from seft_msgs_py.parameters import Table
+from seft_msgs_py.ros_types import message_class, parameter_descriptor, qos_profile
+from seft_msgs_py.topics import DESCRIPTION, DIAGNOSTICS, LoopTopic, Topic
+from seft_msgs_py.wait_set import LoopCallbackGroup, WaitSet, sender, take
 
 IDLE_WAIT = 0.05  # s; a signal is noticed within this time
 STATUS_PERIOD = 1.0  # s
@@ -59,7 +59,7 @@ class NodeShell:
     Attributes
     ----------
     experiment : Experiment
-        What the command line and its parameter files say, of all nodes in ``tables``.
+        This node's section of what the command line and its parameter files say.
     node : rclpy.node.Node
         The node itself.
     stopping : bool
@@ -69,38 +69,48 @@ class NodeShell:
     def __init__(self, table: Table, tables: Iterable[Table], argv: Sequence[str]) -> None:
         files, overrides = split_ros_arguments(argv)
         self.name = table.node
-        self.experiment = Experiment.load(tables, files, overrides)
+        self.experiment = Experiment.load(tables, files, overrides, nodes=[self.name])
         self.stopping = False
         self.refused = 0
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._on_signal)
-        rclpy.init(args=_without_parameters(argv), signal_handler_options=SignalHandlerOptions.NO)
+        try:
+            rclpy.init(
+                args=_without_parameters(argv), signal_handler_options=SignalHandlerOptions.NO
+            )
+        except Exception as error:  # rclpy has several kinds, most of them private
+            raise InputError(
+                f"ROS arguments not understood: {str(error).splitlines()[0]}"
+            ) from None
         section = self.experiment[self.name]
         self.node = Node(
             self.name,
             parameter_overrides=[RosParameter(name, value=v) for name, v in section.items()],
         )
         for row in table.rows.values():
-            self.node.declare_parameter(row.name, section[row.name], _descriptor(row))
+            self.node.declare_parameter(row.name, section[row.name], parameter_descriptor(row))
         self._group = LoopCallbackGroup()
         self._handlers: dict[Subscription, Handler] = {}
         self._quiet: list[tuple[Subscription, Handler]] = []
         self._publishers: dict[str, Publisher] = {}
         self._wait_set: WaitSet | None = None
         self._lock = threading.RLock()
+        self._handled_at = 0.0  # s, monotonic: the last message of the loop
+        self._looked_at = 0.0
         self._status = Status(self.name, 0, "starting", values={})
         self._status_sent: tuple[float, Status | None] = (0.0, None)
+        self._status_message = bytearray()
         self._diagnostics = self.publisher(DIAGNOSTICS)
         self._description = self.publisher(DESCRIPTION)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._spin_executor, daemon=True)
 
-    def publisher(self, topic: Topic) -> Publisher:
-        """Make the publisher of a topic; it takes message bytes."""
+    def publisher(self, topic: Topic) -> Callable[[bytes], None]:
+        """Make the publisher of a topic; give the function that publishes message bytes."""
         publisher = self.node.create_publisher(message_class(topic), topic.name, qos_profile(topic))
         self._publishers[topic.name] = publisher
-        return publisher
+        return sender(publisher)
 
     def subscribe(
         self, topic: Topic, handler: Handler, depth: int | None = None, wake: bool = True
@@ -127,6 +137,8 @@ class NodeShell:
             callback_group=self._group,
             raw=True,
         )
+        if wake and isinstance(topic, LoopTopic):
+            handler = self._noting_the_time(handler)
         if wake:
             self._handlers[subscription] = handler
             self._wait_set = WaitSet(self.node, list(self._handlers))
@@ -143,33 +155,48 @@ class NodeShell:
         """
         parameters = self.experiment[self.name]
         description = {"node": self.name, "parameters": parameters, **(facts or {})}
-        self._description.publish(encode_string(json.dumps(description)))
-        self.node.create_timer(STATUS_CHECK, self._publish_status_if_due)
+        self._description(encode_string(json.dumps(description)))
+        np.seterr(over="ignore", invalid="ignore")  # the limits see what is not finite
         sys.setswitchinterval(2e-4)  # the second thread gives way to the loop at once
         gc.collect()
         gc.freeze()
         self._thread.start()
 
     def spin_once(self, timeout: float = IDLE_WAIT) -> None:
-        """Wait for messages, at most ``timeout`` seconds, and handle those that have come."""
+        """Wait for messages, at most ``timeout`` seconds, and handle those that have come.
+
+        Of topics that end the waiting it takes one message; the next call finds the rest.
+        """
+        handled = False
         if self._wait_set is None:
             time.sleep(timeout)
         else:
             for subscription in self._wait_set.wait(timeout):
-                self._handle(subscription, self._handlers[subscription])
-        self.poll()
-
-    def poll(self) -> None:
-        """Handle what has come on the topics that do not end the waiting."""
+                self._handle_one(subscription, self._handlers[subscription])
+                handled = True
         for subscription, handler in self._quiet:
-            self._handle(subscription, handler)
+            while self._handle_one(subscription, handler):
+                pass
+        # what was due is answered: the best moment for what can wait
+        if handled or time.monotonic() - self._handled_at > STATUS_PERIOD:
+            self._look_after_status()
 
-    def _handle(self, subscription: Subscription, handler: Handler) -> None:
-        for raw, received_ns in take_all(subscription):
-            try:
-                handler(raw, received_ns)
-            except WireError as error:
-                self.refuse(str(error))
+    def _noting_the_time(self, handler: Handler) -> Handler:
+        def handle(raw: bytes, received_ns: int) -> None:
+            self._handled_at = time.monotonic()
+            handler(raw, received_ns)
+
+        return handle
+
+    def _handle_one(self, subscription: Subscription, handler: Handler) -> bool:
+        taken = take(subscription)
+        if taken is None:
+            return False
+        try:
+            handler(*taken)
+        except WireError as error:
+            self.refuse(str(error))
+        return True
 
     def spin(self, poll: Callable[[], None] | None = None, period: float = IDLE_WAIT) -> None:
         """Handle messages until told to stop, calling ``poll`` at least every ``period`` s."""
@@ -198,9 +225,9 @@ class NodeShell:
 
     def close(self) -> None:
         """Take the node off the graph."""
+        self.stopping = True
+        self._executor.shutdown(timeout_sec=1.0)
         if self._thread.is_alive():
-            self._executor.shutdown(timeout_sec=1.0)
-            rclpy.try_shutdown()
             self._thread.join(timeout=2.0)
         self.node.destroy_node()
         rclpy.try_shutdown()
@@ -215,8 +242,20 @@ class NodeShell:
             found[f"matched {name}"] = " ".join(sorted(listeners))
         return found
 
-    def _publish_status_if_due(self) -> None:
+    def _look_after_status(self) -> None:
+        """Look who listens and what has changed; while the loop turns, only send what is due.
+
+        Asking for the graph takes a millisecond, which only an idle node has.
+        """
+        now = time.monotonic()
         sent_at, sent = self._status_sent
+        if now - self._handled_at < STATUS_PERIOD:
+            if now - sent_at >= STATUS_PERIOD:
+                self._publish_status()
+            return
+        if now - self._looked_at < STATUS_CHECK:
+            return
+        self._looked_at = now
         with self._lock:
             self._status = Status(
                 self._status.name,
@@ -230,12 +269,16 @@ class NodeShell:
                     "peak_memory_mb": str(_peak_memory_mb()),
                 },
             )
-            if self._status != sent or time.monotonic() - sent_at >= STATUS_PERIOD:
+            if self._status != sent or now - sent_at >= STATUS_PERIOD:
                 self._publish_status()
 
     def _publish_status(self) -> None:
+        now = time.time_ns()
+        if self._status != self._status_sent[1]:
+            self._status_message = bytearray(encode_diagnostics(now, [self._status]))
         self._status_sent = (time.monotonic(), self._status)
-        self._diagnostics.publish(encode_diagnostics(time.time_ns(), [self._status]))
+        restamp(self._status_message, now)
+        self._diagnostics(bytes(self._status_message))
 
     def _spin_executor(self) -> None:
         try:
@@ -254,7 +297,9 @@ def run_node(main: Callable[[Sequence[str]], None], name: str) -> int:
     try:
         main(sys.argv)
     except SeftError as error:
-        print(f"{name}: {error}", file=sys.stderr, flush=True)
+        text = str(error)
+        told = text if text.startswith(f"{name}: ") else f"{name}: {text}"
+        print(told, file=sys.stderr, flush=True)
         return error.exit_status
     except KeyboardInterrupt:
         return 0
@@ -269,41 +314,6 @@ def _peak_memory_mb() -> int:
         return -1
     kilobytes = [line.split()[1] for line in status.splitlines() if line.startswith("VmHWM")]
     return round(int(kilobytes[0]) / 1024) if kilobytes else -1
-
-
-def message_class(topic: Topic) -> Any:
-    """Message class of a topic."""
-    package, _, name = topic.type.split("/")
-    return getattr(import_module(f"{package}.msg"), name)
-
-
-def qos_profile(topic: Topic, depth: int | None = None) -> QoSProfile:
-    """Quality of service of a topic, for both ends; a reader may keep another depth."""
-    durability = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
-    return QoSProfile(
-        reliability=ReliabilityPolicy.RELIABLE,
-        durability=durability,
-        history=HistoryPolicy.KEEP_LAST,
-        depth=topic.depth if depth is None else depth,
-    )
-
-
-def _descriptor(row: Parameter) -> ParameterDescriptor:
-    """ROS description of a parameter; all are read when a node starts, and then fixed."""
-    unit = f" [{row.unit}]" if row.unit else ""
-    descriptor = ParameterDescriptor(description=row.description + unit, read_only=True)
-    if row.choices:
-        descriptor.additional_constraints = "one of: " + ", ".join(row.choices)
-    if row.kind == "float" and (row.minimum is not None or row.maximum is not None):
-        low = float("-inf") if row.minimum is None else float(row.minimum)
-        high = float("inf") if row.maximum is None else float(row.maximum)
-        descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
-    if row.kind == "int" and row.minimum is not None:
-        high_int = 2**63 - 1 if row.maximum is None else int(row.maximum)
-        descriptor.integer_range = [
-            IntegerRange(from_value=int(row.minimum), to_value=high_int, step=0)
-        ]
-    return descriptor
 
 
 def _without_parameters(argv: Sequence[str]) -> list[str]:

@@ -181,16 +181,20 @@ def group(section: Mapping[str, Value], prefix: str) -> Section:
 
 
 def resolve(
-    tables: Mapping[str, Table], given: Mapping[str, Mapping[str, Value]]
+    tables: Mapping[str, Table],
+    given: Mapping[str, Mapping[str, Value]],
+    nodes: Iterable[str] | None = None,
 ) -> dict[str, Section]:
     """Fill in what is not given, from other parameters of the experiment or from defaults.
 
     Parameters
     ----------
     tables : mapping
-        Node name -> table; these nodes are resolved.
+        Node name -> table.
     given : mapping
         Node name -> checked values; may hold nodes without a table.
+    nodes : iterable of str, optional
+        Nodes to be resolved; default all that have a table.
 
     Raises
     ------
@@ -213,9 +217,9 @@ def resolve(
         return row.default
 
     resolved: dict[str, Section] = {}
-    for node, table in tables.items():
+    for node in tables if nodes is None else nodes:
         resolved[node] = {}
-        for name, row in table.rows.items():
+        for name, row in tables[node].rows.items():
             value = value_of(node, name, ())
             if value is None:
                 raise InputError(f"{node}: {name} must be given ({_meaning(row)})")

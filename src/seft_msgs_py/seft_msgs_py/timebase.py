@@ -33,7 +33,7 @@ class Timebase:
             If the rate is not positive, or its period is no whole number of nanoseconds:
             stamps could then not name steps exactly.
         """
-        if not 0 < rate < float("inf"):
+        if not 1e-6 < rate < float("inf"):
             raise InputError(f"rate: {rate:g} Hz is no sampling rate; give a positive number")
         period = Fraction(NANOSECONDS_PER_SECOND) / Fraction(rate)
         if period.denominator != 1:

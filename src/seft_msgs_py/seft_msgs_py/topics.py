@@ -42,8 +42,9 @@ class Topic:
     latched : bool
         Transient local: who comes late gets the last ones too.
     depth : int
-        Samples the publisher keeps for a reader that falls behind. The recorder reads with
-        the same depth; depth, not speed, decides what a stalled recorder loses.
+        Samples the publisher keeps until its readers have acknowledged them. They do so all
+        at once, now and then, and a publisher that keeps thousands stands still for
+        milliseconds to clear them away.
     recorded : bool
         Whether the bag holds it.
     """
@@ -53,7 +54,7 @@ class Topic:
     publisher: str = ""
     subscribers: tuple[str, ...] = ()
     latched: bool = False
-    depth: int = 4096
+    depth: int = 128
     recorded: bool = True
 
 
@@ -87,7 +88,7 @@ RIG_STATE = LoopTopic(
     "rig/state",
     JOINT_TRAJECTORY,
     publisher="rig",
-    subscribers=("ground_motion", "reference_force", "force_controller"),
+    subscribers=("reference_force", "force_controller"),
     quantities=QUANTITIES,
     units=("m", "m/s", "m/s^2", "N"),
 )
@@ -119,7 +120,9 @@ EXPERIMENT_STATE = Topic(
 )
 DESCRIPTION = Topic("experiment/description", STRING, latched=True, depth=1)
 DIAGNOSTICS = Topic("diagnostics", DIAGNOSTIC_ARRAY, subscribers=("supervisor",), depth=256)
-CLOCK_TOPIC = Topic("/clock", CLOCK, publisher="rig", depth=1, recorded=False)
+CLOCK_TOPIC = Topic(
+    "/clock", CLOCK, publisher="rig", subscribers=("ground_motion",), depth=1, recorded=False
+)
 
 TOPICS = (*LOOP_TOPICS, EXPERIMENT_STATE, DESCRIPTION, DIAGNOSTICS, CLOCK_TOPIC)
 RECORDED_TOPICS = tuple(topic for topic in TOPICS if topic.recorded)

@@ -2,9 +2,10 @@
 
 A message with known axis names has a fixed layout, in which every double stands on a whole
 64-bit word counted from the end of the 4-byte encapsulation header, and the stamp is word 0.
-Encoding writes the words that vary into a prepared message; decoding checks that all other
-words are as prepared (padding aside: its bytes are arbitrary on the wire) and reads those.
-Anything else is taken apart field by field, to be understood or refused with a reason.
+Encoding writes what varies between prepared pieces; decoding checks that all else is as
+prepared and reads the doubles. A message whose padding is not zero (its bytes are arbitrary on
+the wire) or that has more points is checked word by word, padding aside. Anything else is taken
+apart field by field, to be understood or refused with a reason.
 """
 
 import struct
@@ -17,34 +18,13 @@ import numpy.typing as npt
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.timebase import NANOSECONDS_PER_SECOND, Timebase
 from seft_msgs_py.topics import QUANTITIES, LoopTopic
+from seft_msgs_py.trajectory_message import ENCAPSULATION, parse_trajectory
 
 Floats = npt.NDArray[np.float64]
 
-ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR, little endian, no options
 _STAMP = struct.Struct("<iI")
 _COUNT = struct.Struct("<I")
-_MAX_ITEMS = 1_000_000
-
-
-@dataclass(frozen=True)
-class TrajectoryPoint:
-    """One point as it stands on the wire; arrays hold as many values as were sent."""
-
-    positions: tuple[float, ...]
-    velocities: tuple[float, ...]
-    accelerations: tuple[float, ...]
-    effort: tuple[float, ...]
-    time_from_start_ns: int
-
-
-@dataclass(frozen=True)
-class Trajectory:
-    """A JointTrajectory message, taken apart and not yet judged."""
-
-    stamp_ns: int
-    frame_id: str
-    axes: tuple[str, ...]
-    points: tuple[TrajectoryPoint, ...]
+_FLOAT64 = np.dtype(np.float64)
 
 
 class TrajectoryCodec:
@@ -64,8 +44,25 @@ class TrajectoryCodec:
         self.topic = topic
         self.axes = tuple(axes)
         self.timebase = timebase
+        self._period_ns = timebase.period_ns
         self._layouts: dict[int, _Layout] = {}
-        self._single = self._layout(1)
+        self._single = single = self._layout(1)
+        shape = single.values.shape
+        self._single_shapes = (shape, shape[1:], *(((shape[2],),) if shape[1] == 1 else ()))
+        # one point: prepared bytes around each row of doubles, which are a stride apart
+        self._row_bytes = 8 * len(self.axes)
+        rows = (4 + 8 * single.values[0, :, 0]).tolist()
+        starts = [12, *(row + self._row_bytes for row in rows)]
+        self._fixed = [
+            (start, stop, single.template[start:stop])
+            for start, stop in zip(starts, [*rows, single.size], strict=True)
+        ]
+        self._pieces = [ENCAPSULATION, b"", self._fixed[0][2]]
+        for _, _, fixed in self._fixed[1:]:
+            self._pieces += [b"", fixed]
+        self._first_row = rows[0]
+        stride = rows[1] - rows[0] if len(rows) > 1 else self._row_bytes
+        self._single_strides = (stride * len(rows), stride, 8)
 
     def encode(self, step: int, values: Floats) -> bytes:
         """Make the message of one sample.
@@ -82,7 +79,18 @@ class TrajectoryCodec:
         WireError
             If shape or type do not fit, or a value is not finite.
         """
-        return self._encode(self._single, step, values, 1)
+        if (
+            values.__class__ is not np.ndarray
+            or values.dtype is not _FLOAT64
+            or values.shape not in self._single_shapes
+            or np.count_nonzero(np.isfinite(values)) != values.size
+        ):
+            return self._encode(self._single, step, values, 1)
+        data, width = values.tobytes(), self._row_bytes
+        pieces = self._pieces.copy()
+        pieces[1] = _STAMP.pack(*divmod(step * self._period_ns, NANOSECONDS_PER_SECOND))
+        pieces[3::2] = [data[at : at + width] for at in range(0, len(data), width)]
+        return b"".join(pieces)
 
     def encode_points(self, step: int, values: Floats) -> bytes:
         """Make the message of a sample and its known future, one point a step.
@@ -119,6 +127,20 @@ class TrajectoryCodec:
         WireError
             If the bytes are no such message, or not of these axes, quantities and steps.
         """
+        if len(raw) == self._single.size and raw[:4] == ENCAPSULATION:
+            for start, stop, fixed in self._fixed:
+                if raw[start:stop] != fixed:
+                    break
+            else:
+                shape, strides = self._single_shapes[0], self._single_strides
+                values = np.ndarray(shape, _FLOAT64, raw, self._first_row, strides)
+                if np.count_nonzero(np.isfinite(values)) == values.size:
+                    seconds, nanoseconds = _STAMP.unpack_from(raw, 4)
+                    stamp = seconds * NANOSECONDS_PER_SECOND + nanoseconds
+                    return self.timebase.step(stamp), values
+        return self._decode_any(raw)
+
+    def _decode_any(self, raw: bytes) -> tuple[int, Floats]:
         layout = self._layout_of(raw)
         if len(raw) < layout.size or raw[:4] != ENCAPSULATION:
             return self._decode_slowly(raw)
@@ -265,80 +287,6 @@ class _Layout:
             fixed=fixed_words,
             points_at=points_at,
         )
-
-
-def parse_trajectory(raw: bytes, topic: str = "trajectory") -> Trajectory:
-    """Take a JointTrajectory message apart, field by field.
-
-    Parameters
-    ----------
-    raw : bytes
-        CDR bytes with their encapsulation header; bytes past the end are ignored, as
-        middlewares round sizes up.
-    topic : str
-        Named in errors.
-
-    Raises
-    ------
-    WireError
-        If the bytes end early, are not little-endian CDR, or hold impossible sizes or text.
-    """
-    return _Parser(raw, topic).trajectory()
-
-
-class _Parser:
-    def __init__(self, raw: bytes, topic: str) -> None:
-        self.raw = raw
-        self.topic = topic
-        self.at = 4
-        if raw[:2] != ENCAPSULATION[:2] or len(raw) < 4:
-            raise WireError(
-                f"{topic}: {len(raw)} bytes that start with {raw[:4].hex() or 'nothing'} "
-                "are no little-endian CDR message"
-            )
-
-    def trajectory(self) -> Trajectory:
-        seconds, nanoseconds = self.unpack("<iI", 4)
-        frame_id = self.string()
-        axes = tuple(self.string() for _ in range(self.length(4)))
-        points = tuple(self.point() for _ in range(self.length(24)))
-        return Trajectory(seconds * NANOSECONDS_PER_SECOND + nanoseconds, frame_id, axes, points)
-
-    def point(self) -> TrajectoryPoint:
-        positions, velocities, accelerations, effort = [self.doubles() for _ in QUANTITIES]
-        seconds, nanoseconds = self.unpack("<iI", 4)
-        time_ns = seconds * NANOSECONDS_PER_SECOND + nanoseconds
-        return TrajectoryPoint(positions, velocities, accelerations, effort, time_ns)
-
-    def doubles(self) -> tuple[float, ...]:
-        count = self.length(8)
-        return self.unpack(f"<{count}d", 8) if count else ()
-
-    def string(self) -> str:
-        data = self.take(self.length(1), 1)
-        try:
-            return data.rstrip(b"\x00").decode()
-        except UnicodeDecodeError:
-            raise WireError(f"{self.topic}: text at byte {self.at} is not UTF-8") from None
-
-    def length(self, item_size: int) -> int:
-        (count,) = self.unpack("<I", 4)
-        if count > _MAX_ITEMS or count * item_size > len(self.raw) - self.at:
-            raise WireError(
-                f"{self.topic}: {count} items claimed at byte {self.at - 4}, but the message "
-                f"ends at {len(self.raw)}"
-            )
-        return int(count)
-
-    def unpack(self, form: str, align: int) -> tuple:  # type: ignore[type-arg]
-        return struct.unpack(form, self.take(struct.calcsize(form), align))
-
-    def take(self, size: int, align: int) -> bytes:
-        start = self.at + (-(self.at - 4) % align)
-        if start + size > len(self.raw):
-            raise WireError(f"{self.topic}: the message ends early, at byte {len(self.raw)}")
-        self.at = start + size
-        return self.raw[start : self.at]
 
 
 def _describe_non_finite(values: Floats, codec: TrajectoryCodec) -> str:

@@ -5,12 +5,13 @@ step of the loop. rclpy's own ``wait_for_message`` shows the way taken here: a w
 some subscriptions, from which bytes are taken as they came.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
 
@@ -58,14 +59,18 @@ class WaitSet:
         return [known[pointer] for pointer in wait_set.get_ready_entities("subscription")]
 
 
-def take_all(subscription: Subscription) -> Iterator[tuple[bytes, int]]:
-    """Take the messages that have arrived on a raw subscription, oldest first.
+def take(subscription: Subscription) -> tuple[bytes, int] | None:
+    """Take the oldest message that has arrived on a raw subscription.
 
-    Yields
-    ------
-    bytes, int
-        The message, and the wall-clock time in ns at which it came in.
+    Returns
+    -------
+    (bytes, int) or None
+        The message, and the wall-clock time in ns at which it came in; None if there is none.
     """
-    handle, kind = subscription.handle, subscription.msg_type
-    while (taken := handle.take_message(kind, True)) is not None:
-        yield taken[0], taken[1]["received_timestamp"]
+    taken = subscription.handle.take_message(subscription.msg_type, True)
+    return None if taken is None else (taken[0], taken[1]["received_timestamp"])
+
+
+def sender(publisher: Publisher) -> Callable[[bytes], None]:
+    """Give what publishes message bytes, without the checks that rclpy makes on the way."""
+    return publisher.handle.publish_raw

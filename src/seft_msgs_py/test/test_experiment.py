@@ -7,9 +7,9 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import (
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.parameter_file import (
     EVERY_NODE,
-    Experiment,
     parse_override,
     read_parameter_file,
     split_ros_arguments,
@@ -143,7 +143,7 @@ def test_dotted_and_nested_names_are_the_same(load):
         (in_rig("seed: !!bool x"), ""),
         ("rig: {ros__parameters: &a {b: *a}}", "nested too deep"),
         (in_rig("seed: &a [*a]"), "must be a whole number"),
-        ("a: " + "[" * 5000, ""),
+        ("a: " + "[" * 1500, ""),
         ("rig: {ros__parameters: {}}", "rig: specimen.mass must be given (mass of it, kg)"),
     ],
 )
@@ -238,6 +238,14 @@ def test_a_node_takes_values_from_nodes_it_has_no_table_of(load):
 def test_nodes_that_differ_in_rate_or_axes_are_refused(load, name):
     text = RIG_HAS_MASS + f"reference_force: {{ros__parameters: {{{name}}}}}\n"
     assert "set it once, under /**" in refusal(load, text)
+
+
+@pytest.mark.parametrize("node", ["rig", "reference_force"])
+def test_a_rate_under_a_node_is_not_lost_to_that_under_every_node(load, node):
+    own = f"{node}: {{ros__parameters: {{rate: 1000}}}}\n"
+    text = wildcard("rate: 500, specimen: {mass: 1}") + own
+    assert "1000.0" in refusal(load, text)
+    assert load(text, tables=[RIG])["rig"]["rate"] == (1000.0 if node == "rig" else 500.0)
 
 
 NAMES = st.lists(
@@ -375,6 +383,8 @@ YAML_PIECES = st.sampled_from([*YAML_WORDS.split(), *YAML_MARKS.split("|"), *YAM
 @given(st.lists(YAML_PIECES, max_size=15).map("".join) | st.text(max_size=60))
 @example("? - a\n: b")
 @example("!!float _")
+@example("!!timestamp rig\n\nrig")
+@example("rig\x85\x85rig: ")
 def test_any_text_is_read_or_refused_with_an_input_error(tmp_path, text):
     path = tmp_path / "any.yaml"
     path.write_bytes(text.encode(errors="surrogatepass"))

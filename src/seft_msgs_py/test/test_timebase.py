@@ -65,7 +65,7 @@ def test_an_accepted_rate_and_its_period_multiply_to_one_second_exactly(rate):
         assert Fraction(rate) * timebase.period_ns == 10**9
 
 
-@pytest.mark.parametrize("rate", [0, -500.0, math.inf, -math.inf, math.nan])
+@pytest.mark.parametrize("rate", [0, 5e-324, -500.0, math.inf, -math.inf, math.nan])
 def test_a_rate_that_is_no_positive_number_is_refused(rate):
     with pytest.raises(InputError, match="no sampling rate"):
         Timebase.from_rate(rate)

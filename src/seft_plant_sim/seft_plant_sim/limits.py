@@ -66,7 +66,7 @@ class Limits:
             One line with limit, value and axis.
         """
         scaled = (state * self._scale).ravel()
-        if scaled.dot(scaled) <= 1.0:  # inside the ellipsoid, and so inside the box
+        if scaled.dot(scaled) < 0.99:  # well inside the ellipsoid, and so inside the box
             return None
         within = np.abs(state) <= self._limits
         if within.all():

@@ -65,12 +65,12 @@ class RigNode:
         self._section = experiment["rig"]
         self._rig = Rig.from_parameters(self._section, experiment.axes, self._timebase)
         self._state_codec = TrajectoryCodec(RIG_STATE, experiment.axes, self._timebase)
-        self._state = shell.publisher(RIG_STATE)
-        self._clock = shell.publisher(CLOCK_TOPIC)
+        self._publish_state = shell.publisher(RIG_STATE)
+        self._publish_time = shell.publisher(CLOCK_TOPIC)
         self._valve = self._drive = Command(VALVE_COMMAND, shell)
         if self._rig.drive == REFERENCE_FORCE.name:
             self._drive = Command(REFERENCE_FORCE, shell)
-        shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
+        shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16, wake=False)
         self._armed = False
         self._wanted: Status | None = None
         self._clock_at = 0.0
@@ -167,14 +167,14 @@ class RigNode:
             state = rig.step(self._drive.value)
 
     def _publish(self, step: int, state: Floats) -> None:
-        self._state.publish(self._state_codec.encode(step, state))
+        self._publish_state(self._state_codec.encode(step, state))
         self._publish_clock(step)
 
     def _publish_clock(self, step: int, force: bool = False) -> None:
         now = time.monotonic()
         if force or now - self._clock_at >= CLOCK_PERIOD:
             self._clock_at = now
-            self._clock.publish(encode_clock(self._timebase.stamp_ns(step)))
+            self._publish_time(encode_clock(self._timebase.stamp_ns(step)))
 
     def _is_wanted(self) -> bool:
         return (

@@ -189,8 +189,8 @@ def test_without_the_reference_force_node_there_is_no_reference():
 
 def test_a_description_that_lacks_a_parameter_is_an_input_error():
     record = make_record()
-    del record.experiment.sections["rig"]["specimen.mass"]
-    with pytest.raises(InputError, match="lacks mass"):
+    del record.experiment.sections["rig"]["specimen.stiffness"]
+    with pytest.raises(InputError, match="lacks stiffness"):
         reference_of(record)
 
 

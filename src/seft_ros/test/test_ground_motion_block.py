@@ -133,7 +133,7 @@ def test_chunks_cover_every_step_once_and_in_order(steps, chunk_steps):
 
 
 @pytest.mark.parametrize(
-    ("lead", "rate", "steps"), [(1.0, 500.0, 125), (0.001, 500.0, 1), (1e9, 500.0, 11001)]
+    ("lead", "rate", "steps"), [(1.0, 500.0, 125), (0.001, 500.0, 1), (3600.0, 500.0, 11001)]
 )
 def test_a_chunk_is_a_quarter_of_the_lead(lead, rate, steps):
     assert build(rate=rate, lead=lead).chunk_steps == steps

@@ -11,7 +11,8 @@ from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.outcome import Trip
 from seft_msgs_py.timebase import Timebase
 from seft_msgs_py.topics import LOOP_TOPICS
-from seft_msgs_py.trajectory import TrajectoryCodec, parse_trajectory
+from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_msgs_py.trajectory_message import parse_trajectory
 from seft_ros.recording.bag_reader import read_bag
 from seft_ros.recording.record import Record, Series
 from seft_ros.recording.record_bag import write_record

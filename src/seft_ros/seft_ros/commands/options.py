@@ -7,7 +7,8 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from seft_msgs_py.experiment import Experiment, parse_override
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.parameter_file import parse_override
 
 from seft_ros.experiment.tables import TABLES
 

@@ -48,9 +48,7 @@ def _table(rows: tuple[Parameter, ...]) -> str:
     lines = ["| parameter | type | default | unit | meaning |", "|---|---|---|---|---|"]
     for row in rows:
         meaning = row.description.replace("|", "\\|")
-        lines.append(
-            f"| `{row.name}` | {_type(row)} | {_default(row)} | {row.unit} | {meaning} |"
-        )
+        lines.append(f"| `{row.name}` | {_type(row)} | {_default(row)} | {row.unit} | {meaning} |")
     return "\n".join(lines)
 
 

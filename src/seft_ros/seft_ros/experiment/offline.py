@@ -49,18 +49,19 @@ def simulate(
     start = time.perf_counter()
     state = rig.reset()
     step = 0
-    while True:
-        force = force_step(motion[step], state)
-        command = valve_step(force, state)
-        states[step] = state
-        forces[step] = force
-        commands[step] = command
-        step += 1
-        if step == total or rig.violation is not None:
-            break
-        if progress is not None and step % PROGRESS_STEPS == 0:
-            progress(step)
-        state = rig.step(command if valve_driven else force)
+    with np.errstate(over="ignore", invalid="ignore"):  # the limits see what is not finite
+        while True:
+            force = force_step(motion[step], state)
+            command = valve_step(force, state)
+            states[step] = state
+            forces[step] = force
+            commands[step] = command
+            step += 1
+            if step == total or rig.violation is not None:
+                break
+            if progress is not None and step % PROGRESS_STEPS == 0:
+                progress(step)
+            state = rig.step(command if valve_driven else force)
     wall = time.perf_counter() - start
 
     trip = None

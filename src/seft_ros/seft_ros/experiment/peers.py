@@ -59,7 +59,8 @@ def missing(
             lost = sorted(wanted - set(known) - {publisher})
             if lost:
                 return f"{publisher} to reach {', '.join(lost)} on {topic.name}"
-    if heard["ground_motion"].status.values.get("phase") != "primed":
+    motion = heard.get("ground_motion")
+    if motion is None or motion.status.values.get("phase") != "primed":
         return "the first of the ground motion"
     return ""
 

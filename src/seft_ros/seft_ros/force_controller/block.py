@@ -58,7 +58,7 @@ class ForceController:
         shift = np.column_stack([np.eye(order, k=1), b[1:], -a[1:]])
         self._update = np.kron(shift, one)
         self._limit = float(voltage_limit)
-        self._limit_squared = self._limit**2
+        self._safe_square = 0.99 * self._limit * self._limit
 
     @classmethod
     def from_parameters(
@@ -91,7 +91,7 @@ class ForceController:
         """
         np.subtract(reference_force, state[3], self._error)
         drive = self._output.dot(self._work)
-        if not drive.dot(drive) <= self._limit_squared:  # else no axis can be at its limit
+        if not drive.dot(drive) < self._safe_square:  # else no axis can be at its limit
             drive = np.clip(drive, -self._limit, self._limit)
         self._drive[:] = drive
         self._delays[:] = self._update.dot(self._work)

@@ -60,10 +60,11 @@ TABLE = Table(
         Parameter(
             "lead",
             "float",
-            1.0,
+            2.0,
             "how far ahead of the rig's time the motion is published",
             "s",
             positive=True,
+            maximum=3600.0,
         ),
         Parameter("synthetic.seed", "int", 0, "seed of the synthetic motion", minimum=0),
         Parameter("synthetic.duration", "float", 20.0, "its duration", "s", positive=True),

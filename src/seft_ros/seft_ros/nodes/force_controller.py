@@ -33,7 +33,7 @@ class ForceControllerNode:
             experiment["force_controller"], experiment.axes, experiment.timebase
         )
         self._command_codec = TrajectoryCodec(VALVE_COMMAND, experiment.axes, experiment.timebase)
-        self._publisher = shell.publisher(VALVE_COMMAND)
+        self._publish = shell.publisher(VALVE_COMMAND)
         self._states: dict[int, Floats] = {}
         self._forces: dict[int, Floats] = {}
         self._last = -1
@@ -84,7 +84,7 @@ class ForceControllerNode:
 
     def _answer(self, step: int) -> None:
         command = self._block.step(self._forces.pop(step)[0], self._states.pop(step))
-        self._publisher.publish(self._command_codec.encode(step, command))
+        self._publish(self._command_codec.encode(step, command))
         self._last = step
         for pending in (self._states, self._forces):
             for passed in [other for other in pending if other < step]:

@@ -3,9 +3,9 @@
 import sys
 from collections.abc import Sequence
 
-from seft_msgs_py.messages import Status, decode_status
+from seft_msgs_py.messages import Status, decode_clock, decode_status
 from seft_msgs_py.node_shell import NodeShell, run_node
-from seft_msgs_py.topics import EXPERIMENT_STATE, GROUND_MOTION, RIG_STATE
+from seft_msgs_py.topics import CLOCK_TOPIC, EXPERIMENT_STATE, GROUND_MOTION
 from seft_msgs_py.trajectory import TrajectoryCodec
 
 from seft_ros.experiment.tables import TABLES
@@ -16,7 +16,11 @@ TIMER_PERIOD = 0.02  # s
 
 
 class GroundMotionNode:
-    """Moves chunks of a `GroundMotion` to its topic, a lead ahead of the newest rig/state."""
+    """Moves chunks of a `GroundMotion` to its topic, a lead ahead of the rig's time.
+
+    That time is read from /clock, ten times a second: following every rig/state would wake one
+    more process in each step.
+    """
 
     def __init__(self, shell: NodeShell) -> None:
         experiment = shell.experiment
@@ -25,14 +29,14 @@ class GroundMotionNode:
         self.motion = GroundMotion.from_parameters(section, experiment.axes, experiment.timebase)
         self._lead_steps = max(1, round(section["lead"] * experiment.timebase.rate))
         self._codec = TrajectoryCodec(GROUND_MOTION, experiment.axes, experiment.timebase)
-        self._state_codec = TrajectoryCodec(RIG_STATE, experiment.axes, experiment.timebase)
-        self._publisher = shell.publisher(GROUND_MOTION)
+        self._period_ns = experiment.timebase.period_ns
+        self._publish = shell.publisher(GROUND_MOTION)
         self._next_chunk = 0
         self._published_until = 0
         self._rig_step = 0
         self._phase = "idle"
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
-        shell.subscribe(RIG_STATE, self._on_rig_state, depth=1, wake=False)
+        shell.subscribe(CLOCK_TOPIC, self._on_clock)
 
     def tick(self) -> None:
         """Publish what the lead asks for; the first of it before the test starts."""
@@ -43,7 +47,7 @@ class GroundMotionNode:
             and self._published_until <= self._rig_step + self._lead_steps
         ):
             first, values = self.motion.chunk(self._next_chunk)
-            self._publisher.publish(self._codec.encode_points(first, values))
+            self._publish(self._codec.encode_points(first, values))
             self._next_chunk += 1
             self._published_until = first + len(values)
             if first == 0:
@@ -55,9 +59,9 @@ class GroundMotionNode:
             self._next_chunk = self._published_until = self._rig_step = 0  # for the next test
         self._phase = phase
 
-    def _on_rig_state(self, raw: bytes, _: int) -> None:
+    def _on_clock(self, raw: bytes, _: int) -> None:
         if self._phase == "running":
-            self._rig_step = self._state_codec.decode(raw)[0]
+            self._rig_step = decode_clock(raw) // self._period_ns
 
     def _report(self, phase: str) -> None:
         values = {"phase": phase, "steps": str(self.motion.steps)}

@@ -32,6 +32,9 @@ from seft_ros.recording.environment import describe_environment
 SILENCE = 0.3  # s without a loop message: the test's last message has come
 LONGEST_DRAIN = 5.0  # s
 TICK = 0.02  # s
+READ_DEPTH = (
+    4096  # messages that may wait while the recorder is held up; depth decides what is lost
+)
 
 
 class RecorderNode:
@@ -51,7 +54,7 @@ class RecorderNode:
         self._loop_message_at = 0.0
         describe_environment("run")  # asks git once, before a test is under way
         for topic in RECORDED_TOPICS:
-            depth = 64 if topic.latched and topic is not GROUND_MOTION else None
+            depth = 64 if topic.latched and topic is not GROUND_MOTION else READ_DEPTH
             shell.subscribe(topic, self._receiver(topic), depth=depth, wake=False)
 
     def tick(self) -> None:

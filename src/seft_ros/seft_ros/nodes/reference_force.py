@@ -5,13 +5,15 @@ from collections.abc import Sequence
 
 import numpy as np
 from seft_msgs_py.messages import Status
-from seft_msgs_py.node_shell import WARM_UP_STEPS, NodeShell, run_node
+from seft_msgs_py.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell, run_node
 from seft_msgs_py.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
 from seft_msgs_py.trajectory import Floats, TrajectoryCodec
 
 from seft_ros.experiment.tables import TABLES
 from seft_ros.reference_force.block import ReferenceForce
 from seft_ros.reference_force.parameters import TABLE
+
+MOTION_WAIT = 0.0005  # s between looks for a ground motion that is late for its state
 
 
 class ReferenceForceNode:
@@ -25,13 +27,18 @@ class ReferenceForceNode:
             TrajectoryCodec(topic, experiment.axes, experiment.timebase)
             for topic in (GROUND_MOTION, RIG_STATE, REFERENCE_FORCE)
         )
-        self._publisher = shell.publisher(REFERENCE_FORCE)
+        self._publish = shell.publisher(REFERENCE_FORCE)
         self._motion: dict[int, Floats] = {}
         self._waiting: dict[int, Floats] = {}
         self._last = -1
         self._warm_up()
-        shell.subscribe(GROUND_MOTION, self._on_ground_motion)
+        shell.subscribe(GROUND_MOTION, self._on_ground_motion, wake=False)
         shell.subscribe(RIG_STATE, self._on_rig_state, depth=64)
+
+    def run(self) -> None:
+        """Answer until told to stop."""
+        while not self._shell.stopping:
+            self._shell.spin_once(MOTION_WAIT if self._waiting else IDLE_WAIT)
 
     def _warm_up(self) -> None:
         axes = len(self._shell.experiment.axes)
@@ -65,7 +72,7 @@ class ReferenceForceNode:
 
     def _answer(self, step: int, state: Floats) -> None:
         force = self._block.step(self._motion[step], state)
-        self._publisher.publish(self._force_codec.encode(step, force))
+        self._publish(self._force_codec.encode(step, force))
         for passed in range(max(self._last, 0), step):
             self._motion.pop(passed, None)
         self._last = step
@@ -74,10 +81,10 @@ class ReferenceForceNode:
 def _main(argv: Sequence[str]) -> None:
     shell = NodeShell(TABLE, TABLES, argv)
     try:
-        ReferenceForceNode(shell)
+        node = ReferenceForceNode(shell)
         shell.start()
         shell.report(Status("reference_force", 0, "ready", values={"phase": "ready"}))
-        shell.spin()
+        node.run()
     finally:
         shell.close()
 

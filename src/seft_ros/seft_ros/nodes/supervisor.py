@@ -39,7 +39,7 @@ class SupervisorNode:
         self._lock = threading.Lock()
         self._heard: dict[str, Heard] = {}
         self._descriptions: dict[str, dict[str, Any]] = {}
-        self._publisher = shell.publisher(EXPERIMENT_STATE)
+        self._publish = shell.publisher(EXPERIMENT_STATE)
         self._published: Status | None = None
         shell.subscribe(DIAGNOSTICS, self._on_diagnostics)
         shell.subscribe(DESCRIPTION, self._on_description, depth=64)
@@ -91,7 +91,7 @@ class SupervisorNode:
         status = Status("experiment", level, str(machine.state), values=values)
         if status != self._published:
             self._published = status
-            self._publisher.publish(encode_status(status))
+            self._publish(encode_status(status))
 
     def _on_diagnostics(self, raw: bytes, _: int) -> None:
         for status in decode_diagnostics(raw)[1]:
@@ -107,8 +107,9 @@ class SupervisorNode:
             if phase == "finished":
                 self._machine.finish(f"{status.values.get('steps')} steps done")
             else:
-                step = int(status.values["step"])
-                self._machine.trip(status.values["reason"], step)
+                step = status.values.get("step", "")
+                reason = status.values.get("reason") or status.message
+                self._machine.trip(reason, int(step) if step.isdecimal() else None)
             self._publish_if_changed()
 
     def _on_description(self, raw: bytes, _: int) -> None:

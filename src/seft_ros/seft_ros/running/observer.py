@@ -9,7 +9,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from seft_msgs_py.errors import ExperimentError
-from seft_msgs_py.node_shell import message_class, qos_profile
+from seft_msgs_py.ros_types import message_class, qos_profile
 from seft_msgs_py.topics import CLOCK_TOPIC, DIAGNOSTICS, EXPERIMENT_STATE, NODES
 from std_srvs.srv import Trigger
 

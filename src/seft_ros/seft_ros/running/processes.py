@@ -1,6 +1,5 @@
 """The node processes of a test: started, watched and ended together."""
 
-import ctypes
 import os
 import signal
 import subprocess
@@ -8,6 +7,8 @@ import sys
 import time
 from collections.abc import Iterable
 from pathlib import Path
+
+from seft_ros.running.scheduling import end_with_parent, prefer_latency, prefer_throughput
 
 MODULES = {
     "ground_motion": "seft_ros.nodes.ground_motion",
@@ -21,9 +22,6 @@ MODULES = {
 
 LOOP_NODES = ("rig", "reference_force", "force_controller")
 """Nodes that work one after the other within a step."""
-
-_PR_SET_PDEATHSIG = 1
-_LIBC = ctypes.CDLL(None, use_errno=True)
 
 
 class NodeProcesses:
@@ -40,13 +38,20 @@ class NodeProcesses:
     pin : bool
         Keep the loop's nodes on one core and the others off it. They work in turn, so that a
         second core gives them nothing but wake-ups across cores.
+    lockstep : bool
+        Schedule the loop's nodes for throughput rather than for latency.
     """
 
-    def __init__(self, nodes: Iterable[str], parameters: Path, logs: Path, pin: bool) -> None:
+    def __init__(
+        self, nodes: Iterable[str], parameters: Path, logs: Path, *, pin: bool, lockstep: bool
+    ) -> None:
         self._logs = logs
         cores = sorted(os.sched_getaffinity(0))
         self._pin = pin and len(cores) > 1
+        self._lockstep = lockstep
         self._loop_core, self._other_cores = {cores[0]}, set(cores[1:])
+        if self._pin:
+            os.sched_setaffinity(0, self._other_cores)  # this process keeps off it, too
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         try:
             for node in nodes:
@@ -96,19 +101,19 @@ class NodeProcesses:
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,  # Ctrl-C is ours to pass on, in order
-                preexec_fn=_end_with_parent,
+                preexec_fn=end_with_parent,
                 env=os.environ | {"ROS_LOG_DIR": str(self._logs)},
             )
-        if self._pin:
-            cores = self._loop_core if node in LOOP_NODES else self._other_cores
-            os.sched_setaffinity(process.pid, cores)
+        if self._pin and node in LOOP_NODES:
+            os.sched_setaffinity(process.pid, self._loop_core)
+            if self._lockstep:
+                prefer_throughput(process.pid)
+            else:
+                prefer_latency(process.pid)
+        elif self._pin:
+            os.sched_setaffinity(process.pid, self._other_cores)
         return process
 
     def _last_line(self, node: str) -> str:
         text = (self._logs / f"{node}.log").read_text(errors="replace").strip()
         return text.splitlines()[-1] if text else "it wrote nothing"
-
-
-def _end_with_parent() -> None:
-    """Have the kernel end this process when the one that started it dies."""
-    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

@@ -87,7 +87,13 @@ def run_experiment(
         parameters = folder / "parameters.yaml"
         parameters.write_text(experiment.to_yaml(), encoding="utf-8")
         progress("starting the nodes", 0)
-        processes = NodeProcesses(nodes, parameters, folder, pin)
+        processes = NodeProcesses(
+            nodes,
+            parameters,
+            folder,
+            pin=pin,
+            lockstep=experiment["rig"]["pace"] == "lockstep",
+        )
         try:
             observer = Observer()
             try:

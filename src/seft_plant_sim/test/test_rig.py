@@ -1,0 +1,109 @@
+import numpy as np
+import pytest
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.parameters import resolve
+from seft_msgs_py.timebase import Timebase
+from seft_plant_sim.parameters import TABLE
+from seft_plant_sim.rig import Rig
+
+TIMEBASE = Timebase.from_rate(500.0)
+ZERO = np.zeros(1)
+
+
+def rig(axes=("x",), **values):
+    """Rig of these parameters; a double underscore stands for a dot."""
+    values = {"specimen__mass": 52.7, "specimen__stiffness": 2.11e5, **values}
+    given = TABLE.check({name.replace("__", "."): value for name, value in values.items()})
+    section = resolve({"rig": TABLE}, {"rig": given})["rig"]
+    return Rig.from_parameters(section, axes, TIMEBASE)
+
+
+@pytest.mark.parametrize(
+    ("kind", "drive", "force_at"),
+    [
+        ("ideal", "reference_force", 1),
+        ("delay", "reference_force", 6),
+        ("servo_hydraulic", "valve_command", 3),
+    ],
+)
+def test_each_kind_obeys_its_drive_after_its_delay(kind, drive, force_at):
+    one = rig(actuator__kind=kind, actuator__delay=0.01, actuator__dead_time=0.003)
+    assert one.drive == drive
+    one.reset()
+    moved = [one.step(np.ones(1))[3, 0] for _ in range(10)]
+    assert np.flatnonzero(moved)[0] + 1 == force_at
+
+
+def test_steps_are_counted_from_the_sample_at_rest():
+    one = rig()
+    assert not one.reset().any()
+    assert one.step_index == 0
+    one.step(ZERO)
+    assert one.step_index == 1
+
+
+def test_reset_starts_the_very_same_test_again():
+    one = rig(sensors__force_noise=3.0, sensors__position_noise=1e-5, seed=4)
+    commands = np.random.default_rng(1).normal(size=(50, 1)) * 0.1
+
+    def samples():
+        return np.array([one.reset(), *(one.step(command) for command in commands)])
+
+    np.testing.assert_array_equal(samples(), samples())
+
+
+def test_noise_is_measured_but_moves_nothing():
+    quiet, noisy = rig(), rig(sensors__force_noise=3.0, seed=1)
+    quiet.reset()
+    noisy.reset()
+    commands = np.random.default_rng(2).normal(size=(200, 1)) * 0.1
+    one, other = (np.array([r.step(c) for c in commands]) for r in (quiet, noisy))
+    np.testing.assert_array_equal(one[:, :3], other[:, :3])
+    assert np.std(other[:, 3] - one[:, 3]) == pytest.approx(3.0, rel=0.2)
+
+
+def test_a_violation_is_that_of_the_last_sample_as_measured():
+    one = rig(actuator__kind="ideal", limits__force=100.0)
+    one.reset()
+    assert one.violation is None
+    one.step(np.full(1, 101.0))
+    assert one.violation == "force 101 N on axis x is beyond the limit of 100 N"
+    one.step(np.full(1, 99.0))
+    assert one.violation is None
+    one.step(np.full(1, -101.0))
+    one.reset()
+    assert one.violation is None
+    loud = rig(sensors__force_noise=1000.0, limits__force=1.0)
+    loud.reset()
+    assert loud.violation is not None  # the test must see what the sensor sees
+
+
+def test_one_axis_of_a_rig_of_three_is_a_rig_of_one():
+    three = rig(axes=("x", "y", "z"), actuator__leakage=[20.0, 0.0, 50.0])
+    ones = [rig(actuator__leakage=leakage) for leakage in (20.0, 0.0, 50.0)]
+    commands = np.random.default_rng(6).normal(size=(500, 3)) * 0.1
+    for single in (three, *ones):
+        single.reset()
+    for command in commands:
+        together = three.step(command)
+        alone = np.hstack([r.step(command[i : i + 1]) for i, r in enumerate(ones)])
+        np.testing.assert_allclose(together, alone, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ({"specimen__mass": 0.0}, "rig: specimen.mass is .* mass must be positive"),
+        ({"specimen__mass": [1.0, 2.0, 3.0]}, "rig: specimen.mass: 3 values for 2 axes"),
+        ({"specimen__mass": [1.0, 2.0, 2.0, 1.0]}, "positive .definite"),
+        ({"specimen__stiffness": [1.0, 2.0, 3.0, 4.0]}, "rig: specimen.stiffness: .* not symmetr"),
+        ({"actuator__flow_gain": [1.0, 2.0, 3.0]}, "rig: actuator.flow_gain: 3 values for 2 axes"),
+        ({"sensors__force_noise": [1.0] * 3}, "rig: sensors.force_noise: 3 values for 2 axes"),
+        ({"actuator__kind": "electric"}, "must be one of ideal, delay, servo_hydraulic"),
+        ({"actuator__delay": -0.001}, "actuator.delay is -0.001, but must be at least 0 s"),
+        ({"specimen__kind": "linera"}, "did you mean linear?"),
+    ],
+)
+def test_values_that_make_no_rig_are_refused_by_name(values, told):
+    with pytest.raises(InputError, match=told):
+        rig(axes=("x", "y"), **values)

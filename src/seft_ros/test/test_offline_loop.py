@@ -1,0 +1,280 @@
+"""The offline loop against a simulation written anew, and against the paper's numbers."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.parameter_file import parse_override
+from seft_plant_sim.whole_structure import reference_response
+from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.offline import simulate
+from seft_ros.experiment.tables import TABLES
+
+ROOT = Path(__file__).parents[3]
+JHU = ROOT / "config" / "jhu.yaml"
+KOBE = ROOT.parent / "shared" / "data" / "kobe_jma_1995.txt"
+KOBE_WORDS = (
+    f"ground_motion:file:={KOBE}",
+    "ground_motion:unit:=cm/s2",
+    "ground_motion:dt:=0.005",
+)
+QUIET = tuple(f"rig:sensors.{name}_noise:=0" for name in ("position", "acceleration", "force"))
+DELAY = ("rig:actuator.kind:=delay", "rig:actuator.delay:=0.01")
+needs_kobe = pytest.mark.skipif(not KOBE.is_file(), reason="no real records beside the project")
+motions = pytest.mark.parametrize(
+    "motion",
+    [pytest.param((), id="synthetic"), pytest.param(KOBE_WORDS, id="Kobe", marks=needs_kobe)],
+)
+
+M, C, K = 52.7, 903.5, 2.11e5
+H = 0.001  # half a step: the valve's dead time
+
+
+def run(*words, config=JHU):
+    """Record of an experiment, and its samples of rig/state, shape (N, 4, n)."""
+    experiment = Experiment.load(TABLES, [config], [parse_override(word) for word in words])
+    record = simulate(experiment, build_blocks(experiment))
+    return record, record.series["rig/state"].values
+
+
+def with_ratio(alpha):
+    return f"reference_force:mass_ratio:={alpha}"
+
+
+def ground_of(record):
+    return record.series["ground_motion"].values[:, 0, 0].tolist()
+
+
+def kobe_by_hand():
+    """N-S column at half its duration and 1000 N, every 2 ms, and 2 s of zeros."""
+    column = np.loadtxt(KOBE, comments="%")[:, 0] / 100
+    end = (len(column) - 1) * 0.0025
+    times = 0.002 * np.arange(int(end / 0.002 + 1e-9) + 1)
+    motion = np.interp(times, 0.0025 * np.arange(len(column)), column)
+    return np.concatenate([motion * (1000 / 52.7 / np.abs(motion).max()), np.zeros(1000)])
+
+
+class Servo:
+    """Actuator and specimen of config/jhu.yaml by modes, in steps of 1 ms."""
+
+    drive = "valve"
+
+    def __init__(self):
+        oil, leakage, flow, wv, zv = 1.664e7, 20.0, 0.038527, 2 * np.pi * 60.0, 0.7
+        a = np.array(
+            [
+                [0, 1, 0, 0, 0],
+                [-K / M, -C / M, 1 / M, 0, 0],
+                [0, -oil, -leakage, oil * flow, 0],
+                [0, 0, 0, 0, 1],
+                [0, 0, 0, -(wv**2), -2 * zv * wv],
+            ]
+        )
+        values, modes = np.linalg.eig(a)
+        inverse = np.linalg.inv(modes)
+        self.free = (modes * np.exp(values * H) @ inverse).real
+        self.forced = (modes * (np.expm1(values * H) / values) @ inverse).real[:, 4] * wv**2
+        self.z = np.zeros(5)
+        self.old = self.now = 0.0
+
+    def advance(self, command):
+        """To the next sample: the drive changes half way, when the dead time is over."""
+        for u in (self.old, self.now):
+            self.z = self.free @ self.z + self.forced * u
+        self.old, self.now = self.now, command
+        x, v, f = self.z[:3].tolist()
+        return x, v, (f - C * v - K * x) / M, f
+
+
+class Delayed:
+    """Eq. 5.2 with a delay of 10 ms, and the specimen's closed-form response to a held force."""
+
+    drive = "force"
+
+    def __init__(self):
+        self.line = [0.0] * 6
+        self.x = self.v = 0.0
+
+    def advance(self, command):
+        w, d = (K / M) ** 0.5, C / M / 2
+        wd = (w**2 - d**2) ** 0.5
+        decay, cosine, sine = np.exp(-2 * H * d), np.cos(2 * H * wd), np.sin(2 * H * wd)
+        rest = self.line[0] / K
+        y, v = self.x - rest, self.v
+        self.x = float(rest + decay * (y * cosine + (v + d * y) / wd * sine))
+        self.v = float(decay * (v * cosine - (d * v + w**2 * y) / wd * sine))
+        self.line = [*self.line[1:], command]
+        f = self.line[0]
+        return self.x, self.v, (f - C * self.v - K * self.x) / M, f
+
+
+def by_hand(motion, alpha, plant):
+    """The test of Eq. 2.4 and 2.5 with Eq. 3.1, sample after sample, in plain floats."""
+    s = 2 / (2 * H)
+    a0, a1, a2 = s**2 + 17.14 * s + 4002, 2 * 4002 - 2 * s**2, s**2 - 17.14 * s + 4002
+    e1 = e2 = u1 = u2 = reference = 0.0
+    state, samples = (0.0, 0.0, 0.0, 0.0), []
+    for k, ground in enumerate(motion):
+        if k:
+            state = plant.advance(u1 if plant.drive == "valve" else reference)
+        samples.append(state)
+        reference = -(1 + alpha) * M * ground - alpha * M * state[2]
+        error = reference - state[3]
+        u = (37 * (error + 2 * e1 + e2) - a1 * u1 - a2 * u2) / a0
+        u = max(-10.0, min(10.0, u))  # the recursion goes on from what the valve does
+        e2, e1, u2, u1 = e1, error, u1, u
+    return np.array(samples)
+
+
+@motions
+@pytest.mark.parametrize("alpha", [0.0, 0.5, 1.0])
+def test_the_rig_of_the_paper_moves_as_in_a_simulation_written_anew(motion, alpha):
+    record, states = run(*motion, *QUIET, with_ratio(alpha))
+    expected = by_hand(kobe_by_hand() if motion else ground_of(record), alpha, Servo())
+    assert len(states) == len(expected)
+    scale = np.abs(expected).max(axis=0)
+    np.testing.assert_allclose(states[:, :, 0] / scale, expected / scale, atol=1e-6)
+
+
+@motions
+@pytest.mark.parametrize("alpha", [0.0, 0.9])
+def test_the_delayed_rig_moves_as_in_a_simulation_written_anew(motion, alpha):
+    record, states = run(*motion, *QUIET, *DELAY, with_ratio(alpha))
+    expected = by_hand(ground_of(record), alpha, Delayed())
+    scale = np.abs(expected).max(axis=0)
+    np.testing.assert_allclose(states[:, :, 0] / scale, expected / scale, atol=1e-6)
+
+
+@needs_kobe
+@pytest.mark.parametrize(
+    ("alpha", "peak", "reference_peak"), [(0.0, 5.58, 5.6), (0.5, 7.86, 9.4), (1.0, 11.67, 16.9)]
+)
+def test_peaks_under_kobe_fall_short_as_in_the_paper(alpha, peak, reference_peak):
+    record, states = run(*KOBE_WORDS, with_ratio(alpha))
+    exact = reference_response(record.experiment, record.series["ground_motion"].values[:, 0])
+    assert record.trip is None
+    assert np.abs(states[:, 0]).max() * 1e3 == pytest.approx(peak, abs=0.02)
+    assert np.abs(exact.displacement).max() * 1e3 == pytest.approx(reference_peak, abs=0.1)
+
+
+@needs_kobe
+def test_a_mass_ratio_of_one_and_a_half_goes_unstable_within_3_s():
+    """The linear loop has one unstable pair of eigenvalues then, 1.0078 at 32.2 Hz."""
+    for noise in ((), QUIET):
+        record, states = run(*KOBE_WORDS, *noise, with_ratio(1.5))
+        assert record.trip.time_s < 3.0
+        last = states[-100:, 2, 0] * np.hanning(100)
+        spectrum = np.abs(np.fft.rfft(last, 2000))
+        assert np.argmax(spectrum) * 500 / 2000 == pytest.approx(32.2, abs=1.0)
+
+
+def test_a_delay_of_10_ms_is_stable_below_a_mass_ratio_of_one_and_not_at_one():
+    """A neutral delay equation: alpha_c = 1 - (2 f_n T)^2 with the loop's own 3 ms in T."""
+    critical = 1 - (2 * 10.07 * 0.013) ** 2
+    words = (*QUIET, *DELAY, "ground_motion:tail:=20")
+    for alpha in (0.9, critical - 0.01):
+        record, states = run(*words, with_ratio(alpha))
+        x = np.abs(states[:, 0, 0])
+        assert record.trip is None
+        assert x[-1000:].max() < 1e-9 * x.max()
+    for alpha in (critical + 0.01, 1.0):
+        assert run(*words, with_ratio(alpha))[0].trip is not None
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        (with_ratio(1.6), "supervisor:limits.acceleration:=30"),
+        (with_ratio(0.5), "supervisor:limits.displacement:=0.003"),
+        (with_ratio(0.0), "rig:limits.force:=500"),
+        (with_ratio(0.0), "rig:limits.velocity:=0.1"),
+    ],
+)
+def test_a_test_ends_with_the_sample_that_breaks_a_limit(words):
+    record, states = run(*words)
+    names = ("displacement", "velocity", "acceleration", "force")
+    limits = np.array([record.experiment["rig"][f"limits.{name}"] for name in names])
+    beyond = (np.abs(states[:, :, 0]) > limits).any(axis=1)
+    assert np.flatnonzero(beyond).tolist() == [len(states) - 1]
+    assert record.trip.step == len(states) - 1
+    assert record.trip.time_s == pytest.approx(record.trip.step * 0.002)
+    assert record.trip.reason.split()[0] in words[1]
+    for series in record.series.values():
+        np.testing.assert_array_equal(series.steps, np.arange(len(states)))
+
+
+def test_a_limit_broken_by_the_sample_at_rest_ends_the_test_there():
+    record, states = run("rig:sensors.force_noise:=1000", "rig:limits.force:=0.001")
+    assert len(states) == 1
+    assert record.trip.step == 0
+
+
+def test_axes_that_are_not_coupled_are_tests_of_their_own():
+    masses, stiffness, damping = (52.7, 50.0, 56.0), (2.11e5, 2.3e5, 2.0e5), (903.5, 850.0, 950.0)
+    influence, oil = (1.0, -0.5, 2.0), (1.664e7, 1.8e7, 1.5e7)
+    common = (
+        *QUIET,
+        with_ratio(0.4),
+        "ground_motion:peak_force:=0",
+        "reference_force:method:=seft",
+    )
+
+    def words(*axes):
+        def values(row):
+            return str([row[axis] for axis in axes])
+
+        return (
+            *common,
+            f"axes:={['xyz'[axis] for axis in axes]}",
+            f"ground_motion:influence:={values(influence)}",
+            *(
+                f"{node}:{group}.{name}:={values(row)}"
+                for node, group in (("rig", "specimen"), ("reference_force", "model"))
+                for name, row in (
+                    ("mass", masses),
+                    ("stiffness", stiffness),
+                    ("damping", damping),
+                )
+            ),
+            f"rig:actuator.oil_stiffness:={values(oil)}",
+        )
+
+    together = run(*words(0, 1, 2))[1]
+    assert together.shape[1:] == (4, 3)
+    for axis in range(3):
+        alone = run(*words(axis))[1]
+        assert len(alone) == len(together)
+        scale = np.abs(alone).max(axis=0)[:, 0]
+        np.testing.assert_allclose(
+            together[:, :, axis] / scale, alone[:, :, 0] / scale, rtol=0, atol=1e-12
+        )
+
+
+def test_the_same_experiment_gives_the_same_bits_and_another_seed_others():
+    one, two, other = (run(with_ratio(0.5), f"rig:seed:={seed}")[1] for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one, two)
+    assert not np.array_equal(one, other)
+
+
+def test_blocks_can_run_a_second_test():
+    experiment = Experiment.load(TABLES, [JHU], [parse_override(with_ratio(0.5))])
+    blocks = build_blocks(experiment)
+    first, second = (simulate(experiment, blocks).series for _ in range(2))
+    for topic in first:
+        np.testing.assert_array_equal(first[topic].values, second[topic].values)
+
+
+def test_the_record_holds_the_equations_sample_by_sample():
+    record, states = run(with_ratio(0.7))
+    ground = record.series["ground_motion"].values[:, 0, 0]
+    force = record.series["reference_force"].values[:, 0, 0]
+    np.testing.assert_allclose(force, -1.7 * M * ground - 0.7 * M * states[:, 2, 0], atol=1e-9)
+    assert np.abs(record.series["valve_command"].values).max() <= 10.0
+
+
+def test_progress_is_told_in_steps():
+    experiment = Experiment.load(TABLES, [JHU])
+    told = []
+    simulate(experiment, build_blocks(experiment), told.append)
+    assert told == [5000]

@@ -1,0 +1,135 @@
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from seft_msgs_py.messages import Status
+from seft_msgs_py.topics import NODES, TOPICS
+from seft_ros.experiment.peers import STALE, Heard, missing
+
+PEERS = tuple(node for node in NODES if node != "supervisor")
+NOW = 100.0
+
+
+def graph(peers=PEERS, drive="valve_command"):
+    """What a complete graph has said: status and description of each node."""
+    everyone = " ".join(NODES)
+    heard, descriptions = {}, {}
+    for node in (*peers, "supervisor"):
+        own = [topic for topic in TOPICS if topic.publisher in (node, "")]
+        values = {f"matched {topic.name}": everyone for topic in own}
+        if node == "ground_motion":
+            values["phase"] = "primed"
+        heard[node] = Heard(Status(node, 0, "", values=values), NOW - 0.5)
+        descriptions[node] = {"parameters": {"rate": 500.0, "axes": ["x"]}}
+    descriptions["rig"] = {**descriptions.get("rig", {}), "drive": drive}
+    return heard, descriptions
+
+
+def lost(publisher, topic, listener, **rest):
+    """What is missing where a listener does not hear a publisher on a topic."""
+    heard, descriptions = graph(**rest)
+    values = heard[publisher].status.values
+    values[f"matched {topic}"] = values[f"matched {topic}"].replace(listener, "")
+    return missing(PEERS, heard, descriptions, NOW)
+
+
+def test_nothing_is_missing_in_a_complete_graph():
+    assert missing(PEERS, *graph(), NOW) == ""
+
+
+@pytest.mark.parametrize("node", PEERS)
+def test_a_node_that_was_never_heard_is_named(node):
+    heard, descriptions = graph()
+    del heard[node]
+    assert missing(PEERS, heard, descriptions, NOW) == f"node {node}"
+
+
+@pytest.mark.parametrize(("age", "expected"), [(STALE, ""), (STALE + 0.01, "node rig")])
+def test_a_node_that_fell_silent_counts_as_absent(age, expected):
+    heard, descriptions = graph()
+    heard["rig"] = Heard(heard["rig"].status, NOW - age)
+    assert missing(PEERS, heard, descriptions, NOW) == expected
+
+
+def test_all_absent_nodes_are_named_in_order():
+    assert missing(PEERS, {}, {}, NOW) == "node " + ", ".join(PEERS)
+
+
+@pytest.mark.parametrize("node", PEERS)
+def test_a_node_without_a_description_is_named(node):
+    heard, descriptions = graph()
+    del descriptions[node]
+    assert missing(PEERS, heard, descriptions, NOW) == f"the parameters of {node}"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [
+        ("rate", 1000.0, "one rate: ground_motion has 500.0, rig has 1000.0"),
+        ("axes", ["x", "y"], "one axes: ground_motion has ['x'], rig has ['x', 'y']"),
+    ],
+)
+def test_nodes_that_were_started_differently_are_named_with_their_values(name, value, expected):
+    heard, descriptions = graph()
+    parameters = {**descriptions["rig"]["parameters"], name: value}
+    descriptions["rig"] = {**descriptions["rig"], "parameters": parameters}
+    assert missing(PEERS, heard, descriptions, NOW) == expected
+
+
+LINKS = [
+    ("ground_motion", "ground_motion", "reference_force"),
+    ("rig", "rig/state", "reference_force"),
+    ("rig", "rig/state", "force_controller"),
+    ("reference_force", "reference_force", "force_controller"),
+    ("force_controller", "valve_command", "rig"),
+    ("supervisor", "experiment/state", "rig"),
+    ("supervisor", "experiment/state", "ground_motion"),
+    ("rig", "diagnostics", "supervisor"),
+    ("reference_force", "diagnostics", "supervisor"),
+]
+
+
+@pytest.mark.parametrize(("publisher", "topic", "listener"), LINKS)
+def test_a_link_of_the_loop_that_is_not_there_is_named(publisher, topic, listener):
+    assert lost(publisher, topic, listener) == f"{publisher} to reach {listener} on {topic}"
+
+
+def test_a_rig_that_obeys_the_reference_force_must_hear_it():
+    reached = "reference_force to reach rig on reference_force"
+    assert lost("reference_force", "reference_force", "rig", drive="reference_force") == reached
+
+
+@pytest.mark.parametrize("topic", [topic for topic in TOPICS if topic.recorded and topic.publisher])
+def test_the_recorder_must_hear_every_recorded_topic(topic):
+    expected = f"{topic.publisher} to reach recorder on {topic.name}"
+    assert lost(topic.publisher, topic.name, "recorder") == expected
+
+
+def test_without_a_recorder_nobody_waits_for_it():
+    peers = tuple(node for node in PEERS if node != "recorder")
+    heard, descriptions = graph(peers)
+    for node in heard.values():
+        for key, value in node.status.values.items():
+            node.status.values[key] = value.replace("recorder", "")
+    assert missing(peers, heard, descriptions, NOW) == ""
+
+
+def test_a_test_waits_for_the_first_of_the_ground_motion():
+    heard, descriptions = graph()
+    heard["ground_motion"].status.values["phase"] = "idle"
+    assert missing(PEERS, heard, descriptions, NOW) == "the first of the ground motion"
+
+
+def test_a_test_without_a_ground_motion_node_waits_for_it_too():
+    peers = tuple(node for node in PEERS if node != "ground_motion")
+    heard, descriptions = graph(peers)
+    assert missing(peers, heard, descriptions, NOW) == "the first of the ground motion"
+
+
+@given(st.data())
+def test_every_missing_piece_alone_keeps_the_test_waiting(data):
+    heard, descriptions = graph()
+    publisher, topic, listener = data.draw(st.sampled_from(LINKS))
+    values = heard[publisher].status.values
+    remaining = data.draw(st.sets(st.sampled_from(NODES)).map(lambda nodes: nodes - {listener}))
+    values[f"matched {topic}"] = " ".join(sorted(remaining))
+    assert missing(PEERS, heard, descriptions, NOW) != ""

@@ -1,0 +1,100 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.parameters import resolve
+from seft_ros.reference_force.block import ReferenceForce
+from seft_ros.reference_force.parameters import TABLE
+
+NUMBERS = st.floats(-100, 100)
+
+
+def block(axes=("x",), **values):
+    """Block of these parameters; a double underscore stands for a dot."""
+    values = {"model__mass": 52.7, "model__stiffness": 2.11e5, **values}
+    given_values = TABLE.check({name.replace("__", "."): v for name, v in values.items()})
+    section = resolve({"reference_force": TABLE}, {"reference_force": given_values})
+    return ReferenceForce.from_parameters(section["reference_force"], axes)
+
+
+def step(reference_force, ground_motion, acceleration):
+    state = np.full((4, len(acceleration)), 1e9)  # only the acceleration may matter
+    state[2] = acceleration
+    return reference_force.step(np.array(ground_motion), state)
+
+
+@pytest.mark.parametrize(
+    ("alpha", "ground", "measured", "eft", "seft"),
+    [
+        (0.0, 2.0, 7.0, -105.4, -105.4),
+        (0.5, 2.0, 0.0, -158.1, -158.1),
+        (0.5, 2.0, 4.0, -158.1, -158.1 - 105.4),
+        (1.0, -1.0, 3.0, 105.4, 105.4 - 158.1),
+    ],
+)
+def test_one_axis_by_hand(alpha, ground, measured, eft, seft):
+    """Eq. 2.3: -(1 + alpha) m a_g; Eq. 2.5: the same less alpha m a."""
+    for method, expected in (("eft", eft), ("seft", seft)):
+        force = step(block(method=method, mass_ratio=alpha), [ground], [measured])
+        np.testing.assert_allclose(force, [expected], rtol=1e-12)
+
+
+def test_coupled_axes_by_hand():
+    """M = [[4, 1], [1, 3]], alpha = 0.5: f = -1.5 M a_g - 0.5 M a."""
+    mass = [4.0, 1.0, 1.0, 3.0]
+    values = {"model__mass": mass, "model__stiffness": [1.0, 2.0], "mass_ratio": 0.5}
+    eft = step(block(("x", "y"), method="eft", **values), [2.0, -2.0], [10.0, 20.0])
+    seft = step(block(("x", "y"), **values), [2.0, -2.0], [10.0, 20.0])
+    np.testing.assert_allclose(eft, [-9.0, 6.0])
+    np.testing.assert_allclose(seft, [-9.0 - 30.0, 6.0 - 35.0])
+
+
+def test_one_mass_holds_for_every_axis_and_a_list_is_a_diagonal():
+    values = {"mass_ratio": 1.0, "model__stiffness": 1.0}
+    same = step(block(("x", "y"), model__mass=2.0, **values), [1.0, 2.0], [3.0, 4.0])
+    np.testing.assert_allclose(same, [-4.0 - 6.0, -8.0 - 8.0])
+    own = step(block(("x", "y"), model__mass=[2.0, 3.0], **values), [1.0, 2.0], [3.0, 4.0])
+    np.testing.assert_allclose(own, [-4.0 - 6.0, -12.0 - 12.0])
+
+
+@given(NUMBERS, NUMBERS)
+def test_without_computed_mass_seft_is_eft_bit_for_bit(ground, measured):
+    eft, seft = (step(block(method=m), [ground], [measured]) for m in ("eft", "seft"))
+    np.testing.assert_array_equal(eft, seft)
+
+
+@given(st.floats(0, 20), NUMBERS, NUMBERS, NUMBERS, NUMBERS)
+def test_the_force_is_linear_in_motion_and_acceleration(alpha, g1, a1, g2, a2):
+    one = block(mass_ratio=alpha)
+    together = step(one, [g1 + g2], [a1 + a2])
+    apart = step(one, [g1], [a1]) + step(one, [g2], [a2])
+    np.testing.assert_allclose(together, apart, atol=1e-9 * 52.7 * 21 * 200)
+
+
+def test_a_force_is_not_changed_by_the_next_step():
+    one = block(mass_ratio=1.0)
+    first = step(one, [1.0], [1.0])
+    kept = first.copy()
+    one.reset()
+    step(one, [9.0], [9.0])
+    np.testing.assert_array_equal(first, kept)
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ({"model__mass": 0.0}, "reference_force: model.mass is 0.0, but mass must be positive"),
+        ({"model__mass": [1.0, -1.0]}, "mass must be positive"),
+        ({"model__mass": [1.0, 2.0, 3.0, 4.0]}, "reference_force: model.mass: .* not symmetric"),
+        ({"model__mass": [1.0] * 3}, "reference_force: model.mass: 3 values for 2 axes"),
+        ({"model__stiffness": [1.0] * 3}, "reference_force: model.stiffness: 3 values"),
+        ({"model__damping": [1.0, 2.0, 3.0, 4.0]}, "model.damping: .* not symmetric"),
+        ({"mass_ratio": -0.1}, "mass_ratio is -0.1, but must be at least 0"),
+        ({"method": "SEFT"}, "must be one of eft, seft"),
+        ({"compensation__method": "nonne"}, "compensation.method .* did you mean none?"),
+    ],
+)
+def test_parameters_that_make_no_reference_force_are_refused_by_name(values, told):
+    with pytest.raises(InputError, match=told):
+        block(("x", "y"), **values)
