@@ -53,6 +53,9 @@ def main() -> int:
     share = missed / steps
     print(f"realtime {RATE:g} Hz    {missed} of {steps:,} commands missed, {share:.3%}")
     print(f"                   (wanted: at most {WANTED:.1%}); steps {record.missed_steps[:20]}")
+    print(
+        f"                   the rig itself was late by more than a period {record.overruns} times"
+    )
     print(f"machine's stalls   {late} of {beats:,} bare wake-ups late by more than half a period,")
     print(f"                   {late / beats:.3%}; the worst by {1e3 * worst:.1f} ms")
     memory = {n: int(s.values.get("peak_memory_mb", -1)) for n, s in statuses.items()}

@@ -114,3 +114,26 @@ def test_a_bag_is_not_overwritten(seft, tmp_path):
     (tmp_path / "bag").mkdir()
     done = seft("run", JHU, "--out", "bag", status=2)
     assert "exists already" in done.stderr
+
+
+def test_a_second_test_on_the_same_domain_is_refused(running, seft, tmp_path):
+    process, nodes = running("-p", "rig:pace:=realtime")
+    refused = seft("run", JHU, "--out", "second", status=2)
+    assert "already has a node" in refused.stderr
+    assert "ROS_DOMAIN_ID" in refused.stderr
+    assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    ending(process, nodes)
+
+
+def test_a_missing_peer_in_lockstep_ends_the_run_with_its_name(seft, tmp_path):
+    done = seft(
+        *("run", JHU, "-p", "rig:pace:=lockstep", "-p", "rig:lockstep_timeout:=1.0"),
+        *("-p", "supervisor:peers:=[ground_motion, reference_force, rig, recorder]"),
+        *("--out", "bag"),
+        status=1,
+    )
+    last = done.stderr.strip().splitlines()[-1]
+    assert last.startswith("seft: the test tripped: no valve_command for step 0 within 1 s")
+    assert "is force_controller running?" in last
+    assert len(read_bag(tmp_path / "bag").series["rig/state"].steps) == 1

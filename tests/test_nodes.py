@@ -120,3 +120,12 @@ def test_a_rig_that_comes_back_in_the_middle_of_a_test_stays_at_rest(start_node,
     second.send_signal(signal.SIGINT)
     _, errors = second.communicate(timeout=PATIENCE)
     assert "before this rig was ready" in errors
+
+
+@pytest.mark.parametrize("node", ["recorder", "supervisor", "force_controller", "ground_motion"])
+def test_a_node_with_defaults_for_all_needs_no_file(start, observer, node):
+    process = start(MODULES[node])
+    wait_for(lambda: (observer.spin(0.05), observer.present() == [node])[1], "the node")
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0, errors

@@ -162,10 +162,15 @@ class NodeShell:
         gc.freeze()
         self._thread.start()
 
-    def spin_once(self, timeout: float = IDLE_WAIT) -> None:
+    def spin_once(self, timeout: float = IDLE_WAIT) -> bool:
         """Wait for messages, at most ``timeout`` seconds, and handle those that have come.
 
         Of topics that end the waiting it takes one message; the next call finds the rest.
+
+        Returns
+        -------
+        bool
+            Whether such a message was handled.
         """
         handled = False
         if self._wait_set is None:
@@ -180,6 +185,7 @@ class NodeShell:
         # what was due is answered: the best moment for what can wait
         if handled or time.monotonic() - self._handled_at > STATUS_PERIOD:
             self._look_after_status()
+        return handled
 
     def _noting_the_time(self, handler: Handler) -> Handler:
         def handle(raw: bytes, received_ns: int) -> None:

@@ -51,6 +51,8 @@ class Outcome:
         Wall-clock duration of the test.
     trip : Trip or None
         Why and when it was ended early; None if finished.
+    overruns : int
+        Times the rig's own clock was held up for more than a period.
     """
 
     phase: str
@@ -59,6 +61,7 @@ class Outcome:
     missed_steps: list[int]
     wall_s: float | None
     trip: Trip | None
+    overruns: int = 0
 
 
 def rig_status(
@@ -68,6 +71,8 @@ def rig_status(
     missed_steps: Sequence[int],
     wall_s: float | None,
     trip: Trip | None = None,
+    *,
+    overruns: int = 0,
 ) -> Status:
     """Status of the rig in any phase; in the last, `read_outcome` understands it.
 
@@ -83,6 +88,8 @@ def rig_status(
         Wall-clock time since the test began, s; None if it has not.
     trip : Trip, optional
         Needed where the phase is ``tripped``.
+    overruns : int
+        Times the rig's own clock was held up for more than a period.
 
     Raises
     ------
@@ -95,6 +102,7 @@ def rig_status(
         "phase": phase,
         "steps": str(int(steps)),
         "missed": str(int(missed)),
+        "overruns": str(int(overruns)),
         "missed_steps": ",".join(str(int(step)) for step in missed_steps[:LISTED_STEPS]),
     }
     if wall_s is not None:
@@ -135,6 +143,7 @@ def read_outcome(status: Status, timebase: Timebase) -> Outcome | None:
             phase=phase,
             steps=int(values["steps"]),
             missed=int(values["missed"]),
+            overruns=int(values.get("overruns", "0")),  # a driver may have no such thing
             missed_steps=[int(step) for step in listed.split(",")] if listed else [],
             wall_s=float(values["wall_s"]) if "wall_s" in values else None,
             trip=trip,

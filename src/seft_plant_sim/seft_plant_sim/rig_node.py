@@ -96,6 +96,7 @@ class RigNode:
         self._drive.reset()
         self._missed: list[int] = []
         self._missed_count = 0
+        self._overruns = 0
         started = time.monotonic()
         self._shell.report(Status("rig", 0, "running", values={"phase": "running"}))
         pace = self._lockstep if self._section["pace"] == "lockstep" else self._realtime
@@ -107,7 +108,11 @@ class RigNode:
         if reason is not None:
             step = self._rig.step_index
             phase, trip = TRIPPED, Trip(reason, step, self._timebase.stamp_ns(step) / 1e9)
-        self._shell.report(rig_status(phase, done, self._missed_count, self._missed, wall, trip))
+        self._shell.report(
+            rig_status(
+                phase, done, self._missed_count, self._missed, wall, trip, overruns=self._overruns
+            )
+        )
 
     def _lockstep(self, steps: int) -> str | None:
         """Each step waits for its commands; return why the test ended early, if it did."""
@@ -134,7 +139,11 @@ class RigNode:
             state = rig.step(self._drive.value)
 
     def _realtime(self, steps: int) -> str | None:
-        """Absolute deadlines: at each, apply the newest command, and count it if it is old."""
+        """Absolute deadlines: at each, apply the newest command, and count it if it is old.
+
+        A rig that was held up itself for more than a period goes on from there: hurrying
+        through the steps it is late for would leave the others no time to answer them.
+        """
         rig, shell, drive = self._rig, self._shell, self._drive
         period = self._timebase.dt
         timeout = self._section["watchdog.command_timeout"]
@@ -147,14 +156,18 @@ class RigNode:
             deadline = start + (step + 1) * period
             while (left := deadline - time.monotonic()) > 0:
                 shell.spin_once(left)
+            periods_late = int(-left / period)
+            if periods_late:
+                self._overruns += 1
+                start += periods_late * period
+            while drive.step < step and shell.spin_once(0.0):
+                pass  # what came while we were late counts as in time
             if not self._is_wanted():
                 return rig.violation or "stopped"
             if rig.violation is not None:
                 return rig.violation
             if step + 1 == steps:
                 return None
-            if drive.step < step:
-                shell.spin_once(0.0)  # what came while we were late counts as in time
             if drive.step < step:
                 self._missed_count += 1
                 if len(self._missed) < LISTED_STEPS:

@@ -81,7 +81,7 @@ def nrmse_aligned(
     """Normalised RMS error after the reference is shifted by a delay (s).
 
     Samples for which the shifted reference would have to be known beyond its end (as with
-    a negative delay) are left out. ``steps`` as in `agreement`.
+    a negative delay) count as free of error. ``steps`` as in `agreement`.
     """
     y, reference = _columns(y), _columns(reference)
     if steps is None:
@@ -90,7 +90,8 @@ def nrmse_aligned(
         return math.nan
     known = steps <= len(reference) - 1 + math.floor(delay / dt + 1e-6)
     shifted = delayed(reference, delay, dt)[steps[known]]
-    return _ratio(_rms(y[known] - shifted), _rms(reference[steps]))
+    error = _rms(y[known] - shifted) * math.sqrt(np.mean(known)) if known.any() else 0.0
+    return _ratio(error, _rms(reference[steps]))
 
 
 def peak(y: Floats) -> float:

@@ -31,8 +31,9 @@ def summarise(record: Record, reference: ReferenceResponse | None = None) -> dic
     dict
         ``steps`` (from 0 to the last that was recorded), ``rate_hz``, ``duration_s``,
         ``wall_s``, ``realtime_factor``, ``complete``, ``stable`` (no trip, and all samples
-        finite), ``trip`` (null or reason, step, time_s), ``missed``, ``lost`` (samples that
-        the record lacks, by topic), and for displacement (m), acceleration (m/s^2) and force
+        finite), ``trip`` (null or reason, step, time_s), ``missed`` (steps without a command
+        in time), ``overruns`` (times the rig's own clock was held up), ``lost`` (samples
+        that the record lacks, by topic), and for displacement (m), acceleration (m/s^2) and force
         (N) nrmse, nrmse_aligned, peak, reference_peak and delay_s over all axes; ``axes``
         has the same three for each axis. What is unknown or makes no sense is null.
     """
@@ -58,6 +59,7 @@ def summarise(record: Record, reference: ReferenceResponse | None = None) -> dic
         "stable": trip is None and finite,
         "trip": trip and {"reason": trip.reason, "step": trip.step, "time_s": trip.time_s},
         "missed": record.missed,
+        "overruns": record.overruns,
         "lost": {topic.name: _lost(record, topic.name, steps) for topic in LOOP_TOPICS},
         **(by_axis[axes[0]] if len(axes) == 1 else _three(record, reference, slice(None))),
         "axes": by_axis,

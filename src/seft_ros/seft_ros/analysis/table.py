@@ -8,6 +8,9 @@ from rich.text import Text
 from seft_ros.analysis.title import title_of
 from seft_ros.recording.record import Record
 
+GOOD_ERROR = 0.05
+"""Displacement error (nrmse) up to which a test is shown in green."""
+
 _UNITS = {
     "displacement": ("mm", 1e3),
     "force": ("N", 1.0),
@@ -25,8 +28,7 @@ def summary_table(record: Record, summary: dict[str, Any]) -> Table:
     summary : dict
         As `seft_ros.analysis.summary.summarise` gives it.
     """
-    good = summary["stable"] and summary["complete"] and not summary["missed"]
-    table = _table(f"{title_of(record)}\n{_pace(summary)}", verdict(summary), good)
+    table = _table(f"{title_of(record)}\n{_pace(summary)}", verdict(summary), _colour(summary))
     for heading in ("", "peak", "exact peak", "NRMSE", "NRMSE aligned", "delay"):
         table.add_column(heading, justify="right" if heading else "left", no_wrap=True)
     _add_rows(table, summary, "")
@@ -45,7 +47,8 @@ def comparison_table(comparison: dict[str, Any]) -> Table:
     comparison : dict
         As `seft_ros.analysis.compare.compare` gives it.
     """
-    table = _table("a against b", _difference(comparison), comparison["identical"])
+    colour = "green" if comparison["identical"] else "red"
+    table = _table("a against b", _difference(comparison), colour)
     for heading in ("topic", "in a", "in b", "only in b", "only in a", "largest", "NRMSE"):
         table.add_column(heading, justify="left" if heading == "topic" else "right")
     for topic, row in comparison["topics"].items():
@@ -71,6 +74,8 @@ def verdict(summary: dict[str, Any]) -> str:
         text = "done, with nothing to hold it against"
     if missed:
         text += f"; {missed} of {summary['steps']} steps had no command in time"
+    if summary["overruns"]:
+        text += f"; the rig's own clock was held up {summary['overruns']} times"
     lost = {topic: count for topic, count in summary["lost"].items() if count}
     if lost:
         text += f"; samples lost: {', '.join(f'{n} of {topic}' for topic, n in lost.items())}"
@@ -92,12 +97,21 @@ def _difference(comparison: dict[str, Any]) -> str:
     return f"{where}, {first['field']} of axis {first['axis']}: {values}{tail}"
 
 
-def _table(title: str, caption: str, good: bool) -> Table:
+def _colour(summary: dict[str, Any]) -> str:
+    """Red: the test did not run to its end; yellow: it did, and is wrong or not as timed."""
+    if not (summary["stable"] and summary["complete"]):
+        return "red"
+    error = summary["displacement"]["nrmse"]
+    right = error is not None and error <= GOOD_ERROR
+    return "green" if right and not summary["missed"] else "yellow"
+
+
+def _table(title: str, caption: str, colour: str) -> Table:
     return Table(
         title=Text(title),
         title_justify="left",
         title_style="",
-        caption=Text(caption, style="bold green" if good else "bold red"),
+        caption=Text(caption, style=f"bold {colour}"),
         caption_justify="left",
         caption_style="",
     )

@@ -72,6 +72,7 @@ def read_bag(path: str | Path) -> Record:
         trip=outcome.trip if outcome else None,
         missed=outcome.missed if outcome else None,
         missed_steps=outcome.missed_steps if outcome else [],
+        overruns=outcome.overruns if outcome else None,
         wall_s=outcome.wall_s if outcome else None,
         complete=outcome is not None,
         environment={**description.environment, UNDECODABLE: bag.undecodable},

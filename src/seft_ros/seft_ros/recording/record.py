@@ -49,6 +49,9 @@ class Record:
         recorder was cut off before the rig said).
     missed_steps : list of int
         The first of these steps (the rig lists a bounded number).
+    overruns : int or None
+        Times the rig's own clock was held up for more than a period, and went on from there;
+        None if unknown.
     wall_s : float or None
         Wall-clock duration of the test; None if unknown.
     complete : bool
@@ -62,6 +65,7 @@ class Record:
     trip: Trip | None = None
     missed: int | None = 0
     missed_steps: list[int] = field(default_factory=list)
+    overruns: int | None = 0
     wall_s: float | None = None
     complete: bool = True
     environment: dict[str, Any] = field(default_factory=dict)

@@ -90,6 +90,7 @@ def write_record(
                 record.missed_steps,
                 record.wall_s,
                 record.trip,
+                overruns=record.overruns or 0,
             )
             bag.write(DIAGNOSTICS, encode_diagnostics(time_ns, [status]), time_ns)
 

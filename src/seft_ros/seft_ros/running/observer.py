@@ -1,7 +1,6 @@
 """What the `seft` command sees of a test on the graph, and the services it calls."""
 
 import time
-from collections import Counter
 from typing import Any
 
 import rclpy
@@ -72,10 +71,10 @@ class Observer:
         finally:
             self._node.destroy_client(client)
 
-    def doubled(self) -> list[str]:
-        """Names of nodes of which the graph holds more than one."""
-        counts = Counter(self._node.get_node_names())
-        return [node for node in NODES if counts[node] > 1]
+    def present(self) -> list[str]:
+        """Names of a test's nodes that are on the graph."""
+        found = set(self._node.get_node_names())
+        return [node for node in NODES if node in found]
 
     def close(self) -> None:
         """Leave the graph."""

@@ -19,6 +19,7 @@ from seft_ros.running.processes import MODULES, NodeProcesses
 
 READY_TIMEOUT = 60.0  # s
 SAVE_TIMEOUT = 20.0  # s
+DISCOVERY = 1.0  # s
 LOOK = 0.05  # s
 
 Progress = Callable[[str, int], None]
@@ -86,16 +87,18 @@ def run_experiment(
     with _working_folder(bag) as folder:
         parameters = folder / "parameters.yaml"
         parameters.write_text(experiment.to_yaml(), encoding="utf-8")
-        progress("starting the nodes", 0)
-        processes = NodeProcesses(
-            nodes,
-            parameters,
-            folder,
-            pin=pin,
-            lockstep=experiment["rig"]["pace"] == "lockstep",
-        )
+        progress("looking for other tests", 0)
+        observer = Observer()
         try:
-            observer = Observer()
+            _refuse_company(observer)
+            progress("starting the nodes", 0)
+            processes = NodeProcesses(
+                nodes,
+                parameters,
+                folder,
+                pin=pin,
+                lockstep=experiment["rig"]["pace"] == "lockstep",
+            )
             try:
                 _wait_until_ready(observer, processes, progress)
                 accepted, answer = observer.call("start")
@@ -104,12 +107,24 @@ def run_experiment(
                 fault = _follow(observer, processes, progress, experiment)
                 _wait_until_saved(observer, processes)
             finally:
-                observer.close()
+                processes.stop()
         finally:
-            processes.stop()
+            observer.close()
     if not bag.exists():
         raise ExperimentError(fault or "the recorder made no bag")
     return Finished(bag, fault)
+
+
+def _refuse_company(observer: Observer) -> None:
+    """See that no other test is on the graph: two would command each other's rig."""
+    observer.spin(DISCOVERY)
+    present = observer.present()
+    if present:
+        domain = os.environ.get("ROS_DOMAIN_ID", "0")
+        raise InputError(
+            f"ROS domain {domain} already has a node {', '.join(present)}: another test's; end "
+            "it, or set ROS_DOMAIN_ID to another number"
+        )
 
 
 def _wait_until_ready(observer: Observer, processes: NodeProcesses, progress: Progress) -> None:
@@ -122,13 +137,6 @@ def _wait_until_ready(observer: Observer, processes: NodeProcesses, progress: Pr
         progress(detail, 0)
         if time.monotonic() > deadline:
             raise InputError(f"not ready after {READY_TIMEOUT:g} s: {detail}")
-    doubled = observer.doubled()
-    if doubled:
-        domain = os.environ.get("ROS_DOMAIN_ID", "0")
-        raise InputError(
-            f"ROS domain {domain} holds more than one node named {', '.join(doubled)}: another "
-            "test is running; end it, or set ROS_DOMAIN_ID to another number"
-        )
 
 
 def _follow(
