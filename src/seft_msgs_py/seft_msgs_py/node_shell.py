@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -63,7 +64,7 @@ class NodeShell:
     node : rclpy.node.Node
         The node itself.
     stopping : bool
-        Set by SIGINT, SIGTERM or `stop`.
+        Set by SIGINT and SIGTERM.
     """
 
     def __init__(self, table: Table, tables: Iterable[Table], argv: Sequence[str]) -> None:
@@ -94,7 +95,6 @@ class NodeShell:
         self._quiet: list[tuple[Subscription, Handler]] = []
         self._publishers: dict[str, Publisher] = {}
         self._wait_set: WaitSet | None = None
-        self._lock = threading.RLock()
         self._handled_at = 0.0  # s, monotonic: the last message of the loop
         self._looked_at = 0.0
         self._status = Status(self.name, 0, "starting", values={})
@@ -221,13 +221,8 @@ class NodeShell:
 
     def report(self, status: Status) -> None:
         """Make this the node's status, and publish it at once."""
-        with self._lock:
-            self._status = status
-            self._publish_status()
-
-    def stop(self) -> None:
-        """End `spin` soon."""
-        self.stopping = True
+        self._status = replace(status, values={**status.values, **self._own_values()})
+        self._publish_status()
 
     def close(self) -> None:
         """Take the node off the graph."""
@@ -262,21 +257,13 @@ class NodeShell:
         if now - self._looked_at < STATUS_CHECK:
             return
         self._looked_at = now
-        with self._lock:
-            self._status = Status(
-                self._status.name,
-                self._status.level,
-                self._status.message,
-                self._status.hardware_id,
-                {
-                    **self._status.values,
-                    **self.matched(),
-                    "refused": str(self.refused),
-                    "peak_memory_mb": str(_peak_memory_mb()),
-                },
-            )
-            if self._status != sent or now - sent_at >= STATUS_PERIOD:
-                self._publish_status()
+        values = {**self._status.values, **self.matched(), **self._own_values()}
+        self._status = replace(self._status, values=values)
+        if self._status != sent or now - sent_at >= STATUS_PERIOD:
+            self._publish_status()
+
+    def _own_values(self) -> dict[str, str]:
+        return {"refused": str(self.refused), "peak_memory_mb": str(_peak_memory_mb())}
 
     def _publish_status(self) -> None:
         now = time.time_ns()
@@ -298,17 +285,32 @@ class NodeShell:
         self.stopping = True
 
 
-def run_node(main: Callable[[Sequence[str]], None], name: str) -> int:
-    """Run a node's main function; tell a user's errors in one line and return exit status."""
+def run_node(table: Table, tables: Iterable[Table], serve: Callable[[NodeShell], None]) -> int:
+    """Run a node in this process: the body of its executable.
+
+    Parameters
+    ----------
+    table, tables : Table, iterable of Table
+        As `NodeShell` takes them; the command line is the process's.
+    serve : callable
+        Makes the node's own object in the shell, starts it and returns when it stops.
+
+    Returns
+    -------
+    int
+        Exit status. A user's error is told in one line on stderr.
+    """
     try:
-        main(sys.argv)
+        shell = NodeShell(table, tables, sys.argv)
+        try:
+            serve(shell)
+        finally:
+            shell.close()
     except SeftError as error:
         text = str(error)
-        told = text if text.startswith(f"{name}: ") else f"{name}: {text}"
+        told = text if text.startswith(f"{table.node}: ") else f"{table.node}: {text}"
         print(told, file=sys.stderr, flush=True)
         return error.exit_status
-    except KeyboardInterrupt:
-        return 0
     return 0
 
 

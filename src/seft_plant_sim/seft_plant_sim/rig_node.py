@@ -6,7 +6,6 @@ the sampling clock of the test; the supervisor's experiment/state starts and sto
 
 import sys
 import time
-from collections.abc import Sequence
 
 import numpy as np
 from seft_msgs_py.messages import Status, decode_status, encode_clock
@@ -75,6 +74,11 @@ class RigNode:
         self._wanted: Status | None = None
         self._clock_at = 0.0
         self._warm_up()
+
+    @property
+    def drive_topic(self) -> str:
+        """Topic whose commands drive the actuators."""
+        return self._drive.codec.topic.name
 
     def run(self) -> None:
         """Run a test each time the supervisor says so, until told to stop."""
@@ -206,19 +210,15 @@ class RigNode:
         self._wanted = status
 
 
-def _main(argv: Sequence[str]) -> None:
-    shell = NodeShell(TABLE, [TABLE], argv)
-    try:
-        node = RigNode(shell)
-        shell.start({"drive": node._drive.codec.topic.name})
-        node.run()
-    finally:
-        shell.close()
+def _serve(shell: NodeShell) -> None:
+    node = RigNode(shell)
+    shell.start({"drive": node.drive_topic})
+    node.run()
 
 
 def main() -> int:
     """Entry point of ``ros2 run seft_plant_sim rig``."""
-    return run_node(_main, "rig")
+    return run_node(TABLE, [TABLE], _serve)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
 """Node ``force_controller``: answers state and reference force with the valve command."""
 
 import sys
-from collections.abc import Sequence
 
 import numpy as np
 from seft_msgs_py.messages import Status
@@ -91,20 +90,16 @@ class ForceControllerNode:
                 del pending[passed]
 
 
-def _main(argv: Sequence[str]) -> None:
-    shell = NodeShell(TABLE, TABLES, argv)
-    try:
-        node = ForceControllerNode(shell)
-        shell.start()
-        shell.report(Status("force_controller", 0, "ready", values={"phase": "ready"}))
-        node.run()
-    finally:
-        shell.close()
+def _serve(shell: NodeShell) -> None:
+    node = ForceControllerNode(shell)
+    shell.start()
+    shell.report(Status("force_controller", 0, "ready", values={"phase": "ready"}))
+    node.run()
 
 
 def main() -> int:
     """Entry point of ``ros2 run seft_ros force_controller``."""
-    return run_node(_main, "force_controller")
+    return run_node(TABLE, TABLES, _serve)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
 """Node ``ground_motion``: publishes the ground motion ahead of the rig's time, by a timer."""
 
 import sys
-from collections.abc import Sequence
 
 from seft_msgs_py.messages import Status, decode_clock, decode_status
 from seft_msgs_py.node_shell import NodeShell, run_node
@@ -68,19 +67,15 @@ class GroundMotionNode:
         self._shell.report(Status("ground_motion", 0, phase, values=values))
 
 
-def _main(argv: Sequence[str]) -> None:
-    shell = NodeShell(TABLE, TABLES, argv)
-    try:
-        node = GroundMotionNode(shell)
-        shell.start({"steps": node.motion.steps})
-        shell.spin(node.tick, TIMER_PERIOD)
-    finally:
-        shell.close()
+def _serve(shell: NodeShell) -> None:
+    node = GroundMotionNode(shell)
+    shell.start({"steps": node.motion.steps})
+    shell.spin(node.tick, TIMER_PERIOD)
 
 
 def main() -> int:
     """Entry point of ``ros2 run seft_ros ground_motion``."""
-    return run_node(_main, "ground_motion")
+    return run_node(TABLE, TABLES, _serve)
 
 
 if __name__ == "__main__":

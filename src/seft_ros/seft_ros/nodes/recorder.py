@@ -8,7 +8,6 @@ import json
 import sys
 import time
 from collections import deque
-from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
@@ -130,8 +129,7 @@ class RecorderNode:
         self._shell.report(Status("recorder", 0, phase, values=values))
 
 
-def _main(argv: Sequence[str]) -> None:
-    shell = NodeShell(RECORDER, TABLES, argv)
+def _serve(shell: NodeShell) -> None:
     node = RecorderNode(shell)
     try:
         shell.start()
@@ -139,12 +137,11 @@ def _main(argv: Sequence[str]) -> None:
         shell.spin(node.tick, TICK)
     finally:
         node.close()
-        shell.close()
 
 
 def main() -> int:
     """Entry point of ``ros2 run seft_ros recorder``."""
-    return run_node(_main, "recorder")
+    return run_node(RECORDER, TABLES, _serve)
 
 
 if __name__ == "__main__":

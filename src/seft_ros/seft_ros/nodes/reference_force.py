@@ -1,7 +1,6 @@
 """Node ``reference_force``: answers each rig/state with the reference force of its step."""
 
 import sys
-from collections.abc import Sequence
 
 import numpy as np
 from seft_msgs_py.messages import Status
@@ -78,20 +77,16 @@ class ReferenceForceNode:
         self._last = step
 
 
-def _main(argv: Sequence[str]) -> None:
-    shell = NodeShell(TABLE, TABLES, argv)
-    try:
-        node = ReferenceForceNode(shell)
-        shell.start()
-        shell.report(Status("reference_force", 0, "ready", values={"phase": "ready"}))
-        node.run()
-    finally:
-        shell.close()
+def _serve(shell: NodeShell) -> None:
+    node = ReferenceForceNode(shell)
+    shell.start()
+    shell.report(Status("reference_force", 0, "ready", values={"phase": "ready"}))
+    node.run()
 
 
 def main() -> int:
     """Entry point of ``ros2 run seft_ros reference_force``."""
-    return run_node(_main, "reference_force")
+    return run_node(TABLE, TABLES, _serve)
 
 
 if __name__ == "__main__":

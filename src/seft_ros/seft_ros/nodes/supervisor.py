@@ -8,7 +8,7 @@ import json
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 from seft_msgs_py.messages import (
@@ -118,20 +118,16 @@ class SupervisorNode:
             self._descriptions[description["node"]] = description
 
 
-def _main(argv: Sequence[str]) -> None:
-    shell = NodeShell(SUPERVISOR, TABLES, argv)
-    try:
-        node = SupervisorNode(shell)
-        shell.start()
-        shell.report(Status("supervisor", 0, "watching", values={"phase": "watching"}))
-        shell.spin(node.tick)
-    finally:
-        shell.close()
+def _serve(shell: NodeShell) -> None:
+    node = SupervisorNode(shell)
+    shell.start()
+    shell.report(Status("supervisor", 0, "watching", values={"phase": "watching"}))
+    shell.spin(node.tick)
 
 
 def main() -> int:
     """Entry point of ``ros2 run seft_ros supervisor``."""
-    return run_node(_main, "supervisor")
+    return run_node(SUPERVISOR, TABLES, _serve)
 
 
 if __name__ == "__main__":
