@@ -94,6 +94,7 @@ class NodeShell:
         self._handlers: dict[Subscription, Handler] = {}
         self._quiet: list[tuple[Subscription, Handler]] = []
         self._publishers: dict[str, Publisher] = {}
+        self._subscriptions: dict[str, Subscription] = {}
         self._wait_set: WaitSet | None = None
         self._handled_at = 0.0  # s, monotonic: the last message of the loop
         self._looked_at = 0.0
@@ -113,7 +114,12 @@ class NodeShell:
         return sender(publisher)
 
     def subscribe(
-        self, topic: Topic, handler: Handler, depth: int | None = None, wake: bool = True
+        self,
+        topic: Topic,
+        handler: Handler,
+        depth: int | None = None,
+        wake: bool = True,
+        reliable: bool = True,
     ) -> None:
         """Hand every message of a topic to ``handler`` as bytes, in the main thread.
 
@@ -128,15 +134,19 @@ class NodeShell:
             Messages kept while the node is busy; default the topic's.
         wake : bool
             Whether a message ends the waiting; else it is handled when the node is up.
+        reliable : bool
+            Whether a lost message is sent again. To the loop it would come too late, and the
+            acknowledging costs a tenth of a step.
         """
         subscription = self.node.create_subscription(
             message_class(topic),
             topic.name,
             lambda _: None,
-            qos_profile(topic, depth),
+            qos_profile(topic, depth, reliable),
             callback_group=self._group,
             raw=True,
         )
+        self._subscriptions[topic.name] = subscription
         if wake and isinstance(topic, LoopTopic):
             handler = self._noting_the_time(handler)
         if wake:
@@ -234,8 +244,13 @@ class NodeShell:
         rclpy.try_shutdown()
 
     def matched(self) -> dict[str, str]:
-        """Names of the nodes that listen to each topic of this one, separated by blanks."""
+        """Who is connected: names of the nodes that listen to each topic, number of its senders.
+
+        Names are separated by blanks.
+        """
         found = {}
+        for name, subscription in self._subscriptions.items():
+            found[f"senders {name}"] = str(subscription.get_publisher_count())
         for name, publisher in self._publishers.items():
             listeners = {info.node_name for info in self.node.get_subscriptions_info_by_topic(name)}
             if len(listeners) > publisher.get_subscription_count():

@@ -16,11 +16,11 @@ def message_class(topic: Topic) -> Any:
     return getattr(import_module(f"{package}.msg"), name)
 
 
-def qos_profile(topic: Topic, depth: int | None = None) -> QoSProfile:
-    """Quality of service of a topic, for both ends; a reader may keep another depth."""
+def qos_profile(topic: Topic, depth: int | None = None, reliable: bool = True) -> QoSProfile:
+    """Quality of service of a topic; a reader may keep another depth, or go without resending."""
     durability = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
     return QoSProfile(
-        reliability=ReliabilityPolicy.RELIABLE,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=durability,
         history=HistoryPolicy.KEEP_LAST,
         depth=topic.depth if depth is None else depth,

@@ -34,7 +34,7 @@ class Command:
         experiment = shell.experiment
         self.codec = TrajectoryCodec(topic, experiment.axes, experiment.timebase)
         self.reset()
-        shell.subscribe(topic, self._receive, depth=64)
+        shell.subscribe(topic, self._receive, depth=64, reliable=False)
 
     def reset(self) -> None:
         """Back to no drive."""

@@ -133,3 +133,12 @@ def test_every_missing_piece_alone_keeps_the_test_waiting(data):
     remaining = data.draw(st.sets(st.sampled_from(NODES)).map(lambda nodes: nodes - {listener}))
     values[f"matched {topic}"] = " ".join(sorted(remaining))
     assert missing(PEERS, heard, descriptions, NOW) != ""
+
+
+def test_a_listener_that_knows_no_sender_yet_is_named():
+    heard, descriptions = graph()
+    heard["force_controller"].status.values["senders rig/state"] = "0"
+    expected = "force_controller to hear rig on rig/state"
+    assert missing(PEERS, heard, descriptions, NOW) == expected
+    heard["force_controller"].status.values["senders rig/state"] = "1"
+    assert missing(PEERS, heard, descriptions, NOW) == ""

@@ -59,6 +59,9 @@ def missing(
             lost = sorted(wanted - set(known) - {publisher})
             if lost:
                 return f"{publisher} to reach {', '.join(lost)} on {topic.name}"
+            for node in sorted(wanted & set(heard)):
+                if heard[node].status.values.get(f"senders {topic.name}") == "0":
+                    return f"{node} to hear {publisher} on {topic.name}"
     motion = heard.get("ground_motion")
     if motion is None or motion.status.values.get("phase") != "primed":
         return "the first of the ground motion"

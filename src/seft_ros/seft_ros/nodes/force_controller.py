@@ -43,7 +43,8 @@ class ForceControllerNode:
             (REFERENCE_FORCE, self._forces, self._states, True),
             (RIG_STATE, self._states, self._forces, False),
         ):
-            shell.subscribe(topic, self._receiver(topic, pending, other), depth=64, wake=wake)
+            receiver = self._receiver(topic, pending, other)
+            shell.subscribe(topic, receiver, depth=64, wake=wake, reliable=False)
 
     def _warm_up(self) -> None:
         axes = len(self._shell.experiment.axes)

@@ -32,7 +32,7 @@ class ReferenceForceNode:
         self._last = -1
         self._warm_up()
         shell.subscribe(GROUND_MOTION, self._on_ground_motion, wake=False)
-        shell.subscribe(RIG_STATE, self._on_rig_state, depth=64)
+        shell.subscribe(RIG_STATE, self._on_rig_state, depth=64, reliable=False)
 
     def run(self) -> None:
         """Answer until told to stop."""
