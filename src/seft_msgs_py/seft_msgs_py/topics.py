@@ -42,9 +42,8 @@ class Topic:
     latched : bool
         Transient local: who comes late gets the last ones too.
     depth : int
-        Samples the publisher keeps until its readers have acknowledged them. They do so all
-        at once, now and then, and a publisher that keeps thousands stands still for
-        milliseconds to clear them away.
+        Samples the publisher keeps for a reader that is held up, until it acknowledges them:
+        in lockstep thousands go by in a second.
     recorded : bool
         Whether the bag holds it.
     """
@@ -54,7 +53,7 @@ class Topic:
     publisher: str = ""
     subscribers: tuple[str, ...] = ()
     latched: bool = False
-    depth: int = 128
+    depth: int = 4096
     recorded: bool = True
 
 

@@ -20,6 +20,7 @@ from seft_ros.running.processes import MODULES, NodeProcesses
 READY_TIMEOUT = 60.0  # s
 SAVE_TIMEOUT = 20.0  # s
 DISCOVERY = 1.0  # s
+FASTDDS_PROFILES = Path(__file__).with_name("fastdds.xml")
 LOOK = 0.05  # s
 
 Progress = Callable[[str, int], None]
@@ -82,6 +83,7 @@ def run_experiment(
         If the run broke before anything was recorded.
     """
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(FASTDDS_PROFILES))
     experiment["recorder"].update(directory=str(bag.parent.resolve()), name=bag.name)
     nodes = [node for node in MODULES if node in (*experiment["supervisor"]["peers"], "supervisor")]
     with _working_folder(bag) as folder:
