@@ -1,7 +1,8 @@
 """How a test ended: what the rig's last status says of it, written and read here alone."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.messages import ERROR, OK, WARN, Status
@@ -34,6 +35,53 @@ class Trip:
 
 
 @dataclass(frozen=True)
+class Saturation:
+    """What was at the end of its range in a test: stroke, valve, a sensor...
+
+    Attributes
+    ----------
+    samples : dict
+        Name -> number of samples.
+    first_step : dict
+        Name -> the first of these steps.
+    """
+
+    samples: dict[str, int] = field(default_factory=dict)
+    first_step: dict[str, int] = field(default_factory=dict)
+
+    def add(self, step: int, names: Iterable[str]) -> None:
+        """Count what is at the end of its range at a step."""
+        for name in set(names):
+            self.samples[name] = self.samples.get(name, 0) + 1
+            self.first_step.setdefault(name, step)
+
+    def to_json(self) -> str:
+        """Text: name -> samples and first_step."""
+        named = sorted(self.samples)
+        return json.dumps(
+            {n: {"samples": self.samples[n], "first_step": self.first_step[n]} for n in named}
+        )
+
+    @classmethod
+    def from_json(cls, text: str) -> "Saturation":
+        """Read what `to_json` wrote.
+
+        Raises
+        ------
+        ValueError
+            If it is something else.
+        """
+        found = cls()
+        try:
+            for name, counts in json.loads(text).items():
+                found.samples[str(name)] = int(counts["samples"])
+                found.first_step[str(name)] = int(counts["first_step"])
+        except (AttributeError, KeyError, TypeError) as error:
+            raise ValueError(f"saturated: {error}") from None
+        return found
+
+
+@dataclass(frozen=True)
 class Outcome:
     """End of a test, as the rig saw it.
 
@@ -53,6 +101,8 @@ class Outcome:
         Why and when it was ended early; None if finished.
     overruns : int
         Times the rig's own clock was held up for more than a period.
+    saturation : Saturation
+        What was at the end of its range.
     """
 
     phase: str
@@ -62,6 +112,7 @@ class Outcome:
     wall_s: float | None
     trip: Trip | None
     overruns: int = 0
+    saturation: Saturation = field(default_factory=Saturation)
 
 
 def rig_status(
@@ -73,6 +124,7 @@ def rig_status(
     trip: Trip | None = None,
     *,
     overruns: int = 0,
+    saturation: Saturation | None = None,
 ) -> Status:
     """Status of the rig in any phase; in the last, `read_outcome` understands it.
 
@@ -90,6 +142,8 @@ def rig_status(
         Needed where the phase is ``tripped``.
     overruns : int
         Times the rig's own clock was held up for more than a period.
+    saturation : Saturation, optional
+        What was at the end of its range; default nothing.
 
     Raises
     ------
@@ -104,6 +158,7 @@ def rig_status(
         "missed": str(int(missed)),
         "overruns": str(int(overruns)),
         "missed_steps": ",".join(str(int(step)) for step in missed_steps[:LISTED_STEPS]),
+        "saturated": (saturation or Saturation()).to_json(),
     }
     if wall_s is not None:
         values["wall_s"] = repr(float(wall_s))
@@ -147,6 +202,7 @@ def read_outcome(status: Status, timebase: Timebase) -> Outcome | None:
             missed_steps=[int(step) for step in listed.split(",")] if listed else [],
             wall_s=float(values["wall_s"]) if "wall_s" in values else None,
             trip=trip,
+            saturation=Saturation.from_json(values.get("saturated", "{}")),
         )
     except KeyError as error:
         raise WireError(f"status of the {phase} rig: {error.args[0]} is missing") from None

@@ -1,5 +1,6 @@
 """Limits of a test, checked on every sample."""
 
+from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
@@ -33,6 +34,17 @@ def limit_rows(default_from: str = "") -> list[Parameter]:
             default_from=f"{default_from}:limits.{name}" if default_from else "",
         )
         for name, unit, default in zip(NAMES, UNITS, _DEFAULTS, strict=True)
+    ] + [
+        Parameter(
+            "limits.saturated_time",
+            "float",
+            0.05,
+            "longest time within one second that sensors may be at the end of their range; "
+            "a test that is blind for longer trips",
+            "s",
+            minimum=0.0,
+            default_from=f"{default_from}:limits.saturated_time" if default_from else "",
+        )
     ]
 
 
@@ -76,4 +88,53 @@ class Limits:
         return (
             f"{name} {state[row, column]:.5g} {unit} on axis {self._axes[column]} "
             f"is beyond the limit of {limit:g} {unit}"
+        )
+
+
+class SaturatedTime:
+    """How long sensors have been at the end of their range within the last second.
+
+    Parameters
+    ----------
+    longest : float
+        Time beyond which it is a violation, s.
+    dt : float
+        Sampling period, s.
+    """
+
+    def __init__(self, longest: float, dt: float) -> None:
+        self._longest = longest
+        self._allowed = int(longest / dt * (1 + 1e-9))
+        self._window = round(1.0 / dt)
+        self._steps: deque[int] = deque()
+
+    def reset(self) -> None:
+        """Forget the test so far."""
+        self._steps.clear()
+
+    def violation(self, step: int, sensors: Sequence[str]) -> str | None:
+        """Say whether sensors have been blind for too long.
+
+        Parameters
+        ----------
+        step : int
+            Step of the sample.
+        sensors : sequence of str
+            Which are at the end of their range, one at least.
+
+        Returns
+        -------
+        str or None
+            One line with the sensors and the time.
+        """
+        steps = self._steps
+        steps.append(step)
+        while steps[0] <= step - self._window:
+            steps.popleft()
+        if len(steps) <= self._allowed:
+            return None
+        names = " and ".join(sorted(set(sensors))).replace("_range", "")
+        return (
+            f"{names} at the end of the sensor's range for more than {self._longest:g} s within "
+            "one second: the test is blind"
         )

@@ -4,82 +4,238 @@ from seft_msgs_py.parameters import Parameter, Table
 
 from seft_plant_sim.limits import limit_rows
 
+PACE = (
+    Parameter(
+        "pace",
+        "string",
+        "realtime",
+        "realtime: absolute deadlines, a missing command holds the last; "
+        "lockstep: each step waits for its command",
+        choices=("realtime", "lockstep"),
+    ),
+    Parameter(
+        "lockstep_timeout",
+        "float",
+        5.0,
+        "longest wait for a command in lockstep",
+        "s",
+        positive=True,
+    ),
+    Parameter("seed", "int", 0, "seed of the sensor noise", minimum=0),
+)
+
+SPECIMEN = (
+    Parameter(
+        "specimen.kind",
+        "string",
+        "linear",
+        "restoring force: linear, bilinear with kinematic hardening, or Bouc-Wen",
+        choices=("linear", "bilinear", "bouc_wen"),
+    ),
+    Parameter("specimen.mass", "floats", None, "mass: one number, a diagonal, or a matrix", "kg"),
+    Parameter("specimen.damping", "floats", 0.0, "viscous damping, likewise", "N s/m"),
+    Parameter(
+        "specimen.stiffness", "floats", None, "stiffness, likewise; as new where it yields", "N/m"
+    ),
+    Parameter(
+        "specimen.springs",
+        "floats",
+        0.0,
+        "springs that yield: deformation of each per displacement of each axis, spring by "
+        "spring; 0: one between each axis and the ground",
+    ),
+    Parameter(
+        "specimen.yield_displacement",
+        "floats",
+        0.0,
+        "deformation at which a spring yields, for all or per spring",
+        "m",
+        minimum=0.0,
+    ),
+    Parameter(
+        "specimen.hardening_ratio",
+        "floats",
+        0.05,
+        "stiffness after yielding over the elastic one, likewise",
+        minimum=0.0,
+        maximum=0.999,
+    ),
+    Parameter("specimen.bouc_wen.exponent", "float", 1.0, "sharpness of yielding, n", minimum=1.0),
+    Parameter("specimen.bouc_wen.beta", "float", 0.5, "shape of unloading, beta"),
+    Parameter("specimen.bouc_wen.gamma", "float", 0.5, "shape of unloading, gamma"),
+    *(
+        Parameter(
+            f"specimen.bouc_wen.{name}_loss",
+            "float",
+            0.0,
+            f"degradation of {name} per work of yield force times yield displacement "
+            f"(Baber & Wen 1981, {symbol})",
+            minimum=0.0,
+        )
+        for name, symbol in (
+            ("amplitude", "delta_A"),
+            ("strength", "delta_nu"),
+            ("stiffness", "delta_eta"),
+        )
+    ),
+)
+
+ACTUATOR = (
+    Parameter(
+        "actuator.kind",
+        "string",
+        "servo_hydraulic",
+        "ideal and delay (Eq. 5.2) apply the reference force; servo_hydraulic obeys its valve, "
+        "servo_hydraulic_linear is its small-signal limit",
+        choices=("ideal", "delay", "servo_hydraulic", "servo_hydraulic_linear"),
+    ),
+    Parameter(
+        "actuator.delay", "float", 0.0, "delay of kind delay", "s", minimum=0.0, maximum=10.0
+    ),
+    # identified; 0: from the data sheets below
+    *(
+        Parameter(f"actuator.{name}", "floats", 0.0, f"{what}; 0: {source}", unit, minimum=0.0)
+        for name, what, source, unit in (
+            ("oil_stiffness", "stiffness of the oil column", "4 beta A^2 / V", "N/m"),
+            (
+                "oil_column_frequency",
+                "resonance of the specimen's mass on the oil column, in place of oil_stiffness",
+                "not given",
+                "Hz",
+            ),
+            ("flow_gain", "piston velocity for one volt", "from the rated flow", "m/s/V"),
+            ("leakage", "leakage rate", "4 beta C / V", "1/s"),
+            ("force_capacity", "force without flow", "supply_pressure * piston_area", "N"),
+        )
+    ),
+    # data sheets; the defaults are the paper's rig as docs/rig.md explains
+    *(
+        Parameter(f"actuator.{name}", "floats", default, what, unit, positive=True)
+        for name, default, what, unit in (
+            ("piston_area", 1.1836e-3, "net area of the piston, A", "m^2"),
+            ("supply_pressure", 20.7e6, "supply pressure", "Pa"),
+            ("rated_flow", 2.754e-4, "flow of the open valve at rated_pressure_drop", "m^3/s"),
+            ("rated_pressure_drop", 6.9e6, "pressure drop of rated_flow", "Pa"),
+            ("rated_voltage", 10.0, "drive at which the valve is fully open", "V"),
+            ("bulk_modulus", 0.7e9, "effective bulk modulus of oil, air and hoses, beta", "Pa"),
+            ("oil_volume", 2.357e-4, "oil under compression, both chambers, V", "m^3"),
+        )
+    ),
+    Parameter(
+        "actuator.leakage_coefficient",
+        "floats",
+        4.2e-12,
+        "leakage flow per load pressure, C",
+        "m^3/s/Pa",
+        minimum=0.0,
+    ),
+    Parameter(
+        "actuator.valve_frequency",
+        "floats",
+        70.0,
+        "natural frequency of the valve",
+        "Hz",
+        positive=True,
+    ),
+    Parameter("actuator.valve_damping", "floats", 0.6, "damping ratio of the valve", positive=True),
+    Parameter(
+        "actuator.dead_time",
+        "float",
+        0.001,
+        "dead time of the valve",
+        "s",
+        minimum=0.0,
+        maximum=1.0,
+    ),
+    Parameter("actuator.friction", "floats", 0.0, "Coulomb friction of the piston", "N", minimum=0),
+    Parameter(
+        "actuator.friction_velocity",
+        "floats",
+        0.005,
+        "velocity over which Coulomb friction builds up",
+        "m/s",
+        positive=True,
+    ),
+    Parameter(
+        "actuator.viscous_friction",
+        "floats",
+        0.0,
+        "viscous friction of the piston",
+        "N s/m",
+        minimum=0.0,
+    ),
+    Parameter(
+        "actuator.stroke",
+        "floats",
+        0.076,
+        "displacement either way at which the piston meets its stops",
+        "m",
+        positive=True,
+    ),
+)
+
+SENSORS = (
+    *(
+        Parameter(
+            f"sensors.{name}_{row}",
+            "floats",
+            0.0,
+            f"{text} of {quantity}{end}",
+            unit,
+            minimum=None if row == "bias" else 0.0,
+        )
+        for row, text, end in (
+            ("noise", "RMS noise", ""),
+            ("bias", "constant error", ""),
+            ("range", "range", " either way, where the sensor saturates; 0: no end"),
+        )
+        for name, quantity, unit in (
+            ("position", "displacement", "m"),
+            ("velocity", "velocity", "m/s"),
+            ("acceleration", "acceleration", "m/s^2"),
+            ("force", "force", "N"),
+        )
+    ),
+    Parameter(
+        "sensors.adc_bits",
+        "int",
+        0,
+        "bits of the analog-digital converter over each range; 0: exact",
+        minimum=0,
+        maximum=32,
+    ),
+    Parameter(
+        "sensors.anti_alias",
+        "float",
+        0.0,
+        "cut-off of the anti-aliasing filters (Butterworth, second order); 0: none",
+        "Hz",
+        minimum=0.0,
+    ),
+    Parameter(
+        "sensors.velocity",
+        "string",
+        "measured",
+        "measured, or derived from the measured displacement by a filtered derivative",
+        choices=("measured", "derived"),
+    ),
+    Parameter(
+        "sensors.velocity_cutoff",
+        "float",
+        100.0,
+        "cut-off of that derivative",
+        "Hz",
+        positive=True,
+    ),
+)
+
 TABLE = Table(
     "rig",
     [
-        Parameter(
-            "pace",
-            "string",
-            "realtime",
-            "realtime: absolute deadlines, a missing command holds the last; "
-            "lockstep: each step waits for its command",
-            choices=("realtime", "lockstep"),
-        ),
-        Parameter(
-            "lockstep_timeout",
-            "float",
-            5.0,
-            "longest wait for a command in lockstep",
-            "s",
-            positive=True,
-        ),
-        Parameter("seed", "int", 0, "seed of the sensor noise", minimum=0),
-        Parameter("specimen.kind", "string", "linear", "restoring force law", choices=("linear",)),
-        Parameter(
-            "specimen.mass", "floats", None, "mass: one number, a diagonal, or a matrix", "kg"
-        ),
-        Parameter("specimen.damping", "floats", 0.0, "viscous damping, likewise", "N s/m"),
-        Parameter("specimen.stiffness", "floats", None, "stiffness, likewise", "N/m"),
-        Parameter(
-            "actuator.kind",
-            "string",
-            "servo_hydraulic",
-            "ideal and delay (Eq. 5.2) apply the reference force; servo_hydraulic obeys its valve",
-            choices=("ideal", "delay", "servo_hydraulic"),
-        ),
-        Parameter(
-            "actuator.delay", "float", 0.0, "delay of kind delay", "s", minimum=0.0, maximum=10.0
-        ),
-        Parameter(
-            "actuator.oil_stiffness", "floats", 1.664e7, "stiffness of the oil column", "N/m"
-        ),
-        Parameter("actuator.leakage", "floats", 20.0, "leakage rate", "1/s", minimum=0.0),
-        Parameter("actuator.flow_gain", "floats", 0.03853, "piston velocity for one volt", "m/s/V"),
-        Parameter(
-            "actuator.valve_frequency",
-            "floats",
-            60.0,
-            "natural frequency of the valve",
-            "Hz",
-            positive=True,
-        ),
-        Parameter(
-            "actuator.valve_damping", "floats", 0.7, "damping ratio of the valve", positive=True
-        ),
-        Parameter(
-            "actuator.dead_time",
-            "float",
-            0.001,
-            "dead time of the valve",
-            "s",
-            minimum=0.0,
-            maximum=1.0,
-        ),
-        Parameter(
-            "sensors.position_noise", "floats", 0.0, "RMS noise of displacement", "m", minimum=0.0
-        ),
-        Parameter(
-            "sensors.velocity_noise", "floats", 0.0, "RMS noise of velocity", "m/s", minimum=0.0
-        ),
-        Parameter(
-            "sensors.acceleration_noise",
-            "floats",
-            0.0,
-            "RMS noise of acceleration",
-            "m/s^2",
-            minimum=0.0,
-        ),
-        Parameter("sensors.force_noise", "floats", 0.0, "RMS noise of force", "N", minimum=0.0),
+        *PACE,
+        *SPECIMEN,
+        *ACTUATOR,
+        *SENSORS,
         *limit_rows(default_from="supervisor"),
         Parameter(
             "watchdog.command_timeout",

@@ -1,54 +1,28 @@
-"""Exact sampling of a continuous model whose drive is held between samples."""
+"""Sampling of a continuous model whose drive is held between samples."""
 
-from collections import deque
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import expm
-from seft_msgs_py.errors import InputError
 
-from seft_plant_sim.actuator import ContinuousModel
+from seft_plant_sim.continuous_model import ContinuousModel
+from seft_plant_sim.dead_time import DeadTime
+from seft_plant_sim.nonlinear_plant import NonlinearPlant
 
 Floats = npt.NDArray[np.float64]
 
-MAX_DELAY_STEPS = 1_000_000
 
-
-class LinearPlant:
-    """Actuator and specimen between samples: zero-order hold, exact for any dead time.
+class Plant(Protocol):
+    """Actuator and specimen between samples.
 
     The command given to `step` is applied from the new sample on; displacement and velocity
     follow from what was applied before. Where the model answers its drive without delay (the
     ideal actuator), the new sample holds that answer already.
-
-    Parameters
-    ----------
-    model : ContinuousModel
-        n axes.
-    dt : float
-        Sampling period, s.
     """
-
-    def __init__(self, model: ContinuousModel, dt: float) -> None:
-        self._axes = model.b.shape[1]
-        self._size = len(model.a)
-        steps = int(model.delay / dt + 1e-9)
-        if steps > MAX_DELAY_STEPS:
-            raise InputError(f"actuator: a delay of {model.delay:g} s is {steps} samples long")
-        rest = model.delay - steps * dt
-        self._part = rest if rest > 1e-9 * dt else 0.0
-        self._matrix = self._transition(model, dt)
-        self._line: deque[Floats] = deque(maxlen=steps + 2)
-        self._work = np.zeros(self._matrix.shape[1])
-        self._state = self._work[: self._size]
-        self._before, self._after, self._now = self._work[self._size :].reshape(3, self._axes)
-        self.reset()
 
     def reset(self) -> Floats:
         """Bring it to rest with no drive; return the sample there, shape (4, n)."""
-        self._work[:] = 0.0
-        self._line.extend(np.zeros(self._axes) for _ in range(self._line.maxlen or 0))
-        return np.zeros((4, self._axes))
 
     def step(self, command: Floats) -> Floats:
         """Advance by one sample.
@@ -64,14 +38,53 @@ class LinearPlant:
             Shape (4, n): displacement (m), velocity (m/s), acceleration (m/s^2), force (N) at
             the new sample.
         """
-        line = self._line
-        self._before[:] = line[0]
-        self._after[:] = line[1]
-        line.append(command)  # the oldest falls out
-        self._now[:] = line[0] if self._part else line[1]
+
+    def saturated(self) -> list[str]:
+        """Name what is at the end of its range at the last sample."""
+
+
+def make_plant(model: ContinuousModel, dt: float) -> Plant:
+    """Plant of a model at a sampling period of ``dt`` seconds."""
+    return LinearPlant(model, dt) if model.nonlinearity is None else NonlinearPlant(model, dt)
+
+
+class LinearPlant:
+    """Linear `Plant`: zero-order hold, exact for any dead time.
+
+    Parameters
+    ----------
+    model : ContinuousModel
+        n axes; a nonlinearity is left out.
+    dt : float
+        Sampling period, s.
+    """
+
+    def __init__(self, model: ContinuousModel, dt: float) -> None:
+        self._axes = model.b.shape[1]
+        self._size = len(model.a)
+        self._dead_time = DeadTime(model.delay, dt, self._axes)
+        self._matrix = self._transition(model, dt)
+        self._work = np.zeros(self._matrix.shape[1])
+        self._state = self._work[: self._size]
+        self._drives = tuple(self._work[self._size :].reshape(3, self._axes))
+        self.reset()
+
+    def reset(self) -> Floats:
+        """Bring it to rest with no drive; return the sample there, shape (4, n)."""
+        self._work[:] = 0.0
+        self._dead_time.reset()
+        return np.zeros((4, self._axes))
+
+    def step(self, command: Floats) -> Floats:
+        """Advance by one sample, see `Plant.step`."""
+        self._dead_time.step(command, *self._drives)
         result = self._matrix.dot(self._work)
         self._state[:] = result[: self._size]
         return result[self._size :].reshape(4, self._axes)
+
+    def saturated(self) -> list[str]:
+        """Nothing: a linear model has no end."""
+        return []
 
     def _transition(self, model: ContinuousModel, dt: float) -> Floats:
         """Matrix from one sample to the next.
@@ -79,8 +92,8 @@ class LinearPlant:
         It takes (z, drive before and after its change between the samples, drive at the new
         sample) to (z, outputs) at the new sample.
         """
-        held, part = dt - self._part, self._part
-        free_held, forced_held = _zero_order_hold(model, held)
+        part = self._dead_time.part
+        free_held, forced_held = _zero_order_hold(model, dt - part)
         free_part, forced_part = _zero_order_hold(model, part)
         state = np.hstack([free_held @ free_part, free_held @ forced_part, forced_held])
         output = np.hstack([model.c @ state, model.d])

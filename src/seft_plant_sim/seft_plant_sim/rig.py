@@ -4,15 +4,17 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.arrays import per_axis
+from seft_msgs_py.outcome import Saturation
 from seft_msgs_py.parameters import group
 from seft_msgs_py.timebase import Timebase
 
-from seft_plant_sim.actuator import ContinuousModel, Drive, delayed_force, servo_hydraulic
-from seft_plant_sim.limits import Limits
-from seft_plant_sim.plant import LinearPlant
+from seft_plant_sim.actuator import delayed_force, servo_hydraulic
+from seft_plant_sim.continuous_model import ContinuousModel, Drive, with_low_pass
+from seft_plant_sim.hydraulics import Hydraulics
+from seft_plant_sim.limits import Limits, SaturatedTime
+from seft_plant_sim.plant import make_plant
 from seft_plant_sim.sensors import Sensors
-from seft_plant_sim.specimen import LinearSpecimen
+from seft_plant_sim.specimen import Specimen
 
 Floats = npt.NDArray[np.float64]
 
@@ -28,6 +30,8 @@ class Rig:
         What is measured of them.
     limits : Limits
         What trips the test.
+    saturated_time : SaturatedTime
+        What trips it when sensors are at the end of their range.
     dt : float
         Sampling period, s.
 
@@ -39,15 +43,27 @@ class Rig:
         Step of the last sample.
     violation : str or None
         The limit that the last sample breaks; the test must end with that sample.
+    saturation : Saturation
+        What has been at the end of its range since the reset: stroke, force capacity, valve,
+        and the sensors' ranges.
     """
 
-    def __init__(self, model: ContinuousModel, sensors: Sensors, limits: Limits, dt: float) -> None:
+    def __init__(
+        self,
+        model: ContinuousModel,
+        sensors: Sensors,
+        limits: Limits,
+        saturated_time: SaturatedTime,
+        dt: float,
+    ) -> None:
         self.drive: Drive = model.drive
-        self._plant = LinearPlant(model, dt)
+        self._plant = make_plant(model, dt)
         self._sensors = sensors
         self._limits = limits
+        self._saturated_time = saturated_time
         self.step_index = 0
         self.violation: str | None = None
+        self.saturation = Saturation()
 
     @classmethod
     def from_parameters(
@@ -63,15 +79,19 @@ class Rig:
         return cls(
             continuous_model(section, axes),
             Sensors.from_parameters(
-                group(section, "sensors"), section["seed"], axes, "rig: sensors"
+                group(section, "sensors"), section["seed"], timebase.dt, axes, "rig: sensors"
             ),
             Limits(group(section, "limits"), axes),
+            SaturatedTime(section["limits.saturated_time"], timebase.dt),
             timebase.dt,
         )
 
     def reset(self) -> Floats:
         """Bring the rig to rest and take the sample of step 0, shape (4, n)."""
         self.step_index = 0
+        self.saturation = Saturation()
+        self._sensors.reset()
+        self._saturated_time.reset()
         return self._measure(self._plant.reset())
 
     def step(self, command: Floats) -> Floats:
@@ -95,17 +115,23 @@ class Rig:
     def _measure(self, state: Floats) -> Floats:
         measured = self._sensors.measure(self.step_index, state)
         self.violation = self._limits.violation(measured)
+        step, blind, at_end = self.step_index, self._sensors.saturated, self._plant.saturated()
+        if blind and self.violation is None:
+            self.violation = self._saturated_time.violation(step, blind)
+        if blind or at_end:
+            self.saturation.add(step, blind + at_end)
         return measured
 
 
 def continuous_model(section: dict[str, Any], axes: tuple[str, ...]) -> ContinuousModel:
-    """Model of the actuator and specimen that a rig's parameters describe."""
-    specimen = LinearSpecimen.from_parameters(group(section, "specimen"), axes, "rig: specimen")
+    """Model of actuator, specimen and anti-aliasing filters that a rig's parameters describe."""
+    specimen = Specimen.from_parameters(group(section, "specimen"), axes, "rig: specimen")
     actuator = group(section, "actuator")
-    if actuator["kind"] == "ideal":
-        return delayed_force(specimen, 0.0)
-    if actuator["kind"] == "delay":
-        return delayed_force(specimen, actuator["delay"])
-    names = ("oil_stiffness", "leakage", "flow_gain", "valve_frequency", "valve_damping")
-    values = {name: per_axis(actuator[name], axes, f"rig: actuator.{name}") for name in names}
-    return servo_hydraulic(specimen, **values, dead_time=actuator["dead_time"])
+    kind = actuator["kind"]
+    if kind in ("ideal", "delay"):
+        model = delayed_force(specimen, actuator["delay"] if kind == "delay" else 0.0)
+    else:
+        hydraulics = Hydraulics.from_parameters(actuator, specimen, axes, "rig: actuator")
+        model = servo_hydraulic(specimen, hydraulics, linear=kind == "servo_hydraulic_linear")
+    cutoff = section["sensors.anti_alias"]
+    return with_low_pass(model, cutoff) if cutoff else model

@@ -82,12 +82,19 @@ class RigNode:
 
     def run(self) -> None:
         """Run a test each time the supervisor says so, until told to stop."""
-        self._shell.report(Status("rig", 0, "idle", values={"phase": "idle"}))
+        self._rest()
         while not self._shell.stopping:
             self._shell.spin_once()
             if self._is_wanted():
                 self._run_test(int(self._wanted.values["steps"]))  # type: ignore[union-attr]
-                self._wanted = None  # a test runs once
+                if self._is_wanted():
+                    self._wanted = None  # a test runs once
+            elif self._ended and self._wanted is not None and self._wanted.message == "idle":
+                self._rest()  # how the last test ended has been told
+
+    def _rest(self) -> None:
+        self._ended = False
+        self._shell.report(Status("rig", 0, "idle", values={"phase": "idle"}))
 
     def _warm_up(self) -> None:
         state = self._rig.reset()
@@ -108,13 +115,21 @@ class RigNode:
         done = self._rig.step_index + 1
         wall = time.monotonic() - started
         self._publish_clock(self._rig.step_index, force=True)
+        self._ended = True
         phase, trip = FINISHED, None
         if reason is not None:
             step = self._rig.step_index
             phase, trip = TRIPPED, Trip(reason, step, self._timebase.stamp_ns(step) / 1e9)
         self._shell.report(
             rig_status(
-                phase, done, self._missed_count, self._missed, wall, trip, overruns=self._overruns
+                phase,
+                done,
+                self._missed_count,
+                self._missed,
+                wall,
+                trip,
+                overruns=self._overruns,
+                saturation=self._rig.saturation,
             )
         )
 

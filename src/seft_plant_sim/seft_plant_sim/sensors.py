@@ -1,48 +1,115 @@
 """Sensors of the rig: what the data acquisition sees of the true motion and force."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.arrays import per_axis
+from seft_msgs_py.errors import InputError
 
 Floats = npt.NDArray[np.float64]
 
 BLOCK = 4096
+CHANNELS = ("position", "velocity", "acceleration", "force")
+
+
+@dataclass(frozen=True)
+class Channels:
+    """Data of the sensors, each array of shape (4, n): m, m/s, m/s^2 and N over the axes.
+
+    Attributes
+    ----------
+    noise : ndarray
+        RMS noise.
+    bias : ndarray
+        Constant error.
+    range : ndarray
+        Largest magnitude that is measured; infinite where there is no end.
+    resolution : ndarray
+        Step of the analog-digital converters; 0 throughout: there are none.
+    """
+
+    noise: Floats
+    bias: Floats
+    range: Floats
+    resolution: Floats
 
 
 class Sensors:
-    """White measurement noise, a function of seed and step alone.
+    """Bias, white noise, range and resolution of every sensor, in this order.
 
-    A sample's noise does not depend on which samples were taken before: steps may be skipped
-    or repeated, and every way of running a test sees the same noise.
+    The noise is a function of seed, axis and step alone: it does not depend on which samples
+    were taken before, and every way of running a test sees the same.
 
     Parameters
     ----------
-    noise : ndarray
-        RMS noise of displacement (m), velocity (m/s), acceleration (m/s^2) and force (N),
-        shape (4, n).
+    channels : Channels
+        Of n axes.
     seed : int
         Seed of the noise.
+    differentiator : Differentiator, optional
+        Derives the velocity from the measured displacement; else it is measured.
     """
 
-    def __init__(self, noise: Floats, seed: int) -> None:
-        self._noise = noise
+    def __init__(
+        self, channels: Channels, seed: int, differentiator: "Differentiator | None" = None
+    ) -> None:
+        self._channels = channels
         self._seed = seed
+        self._differentiator = differentiator
         self._block_index = -1
-        self._block: Floats = np.empty((0, *noise.shape))
+        self._block: Floats = np.empty((0, *channels.noise.shape))
+        self._per_range = 1.0 / channels.range
+        self._has_bias = bool(channels.bias.any())
+        self._has_range = bool(np.isfinite(channels.range).any())
+        self._has_resolution = bool(channels.resolution.any())
+        self.saturated: list[str] = []
 
     @classmethod
     def from_parameters(
-        cls, group: dict[str, Any], seed: int, axes: tuple[str, ...], where: str
+        cls, group: dict[str, Any], seed: int, dt: float, axes: tuple[str, ...], where: str
     ) -> "Sensors":
-        """Make them of the parameters ``position_noise`` ... ``force_noise``."""
-        names = ("position_noise", "velocity_noise", "acceleration_noise", "force_noise")
-        rows = [per_axis(group[name], axes, f"{where}.{name}") for name in names]
-        return cls(np.array(rows), seed)
+        """Make them of the parameters ``sensors.*``.
+
+        Raises
+        ------
+        InputError
+            If sizes do not fit the axes, or a converter has bits but no range.
+        """
+
+        def values(what: str) -> Floats:
+            names = [f"{channel}_{what}" for channel in CHANNELS]
+            return np.array([per_axis(group[name], axes, f"{where}.{name}") for name in names])
+
+        noise, bias, ranges = values("noise"), values("bias"), values("range")
+        derived = group["velocity"] == "derived"
+        if derived:  # there is no sensor of it
+            for rows in (noise, bias, ranges):
+                rows[CHANNELS.index("velocity")] = 0.0
+        resolution = np.zeros_like(ranges)
+        if group["adc_bits"]:
+            resolution = 2.0 * ranges / 2.0 ** group["adc_bits"]
+            for channel, row in zip(CHANNELS, ranges, strict=True):
+                if not row.all() and not (derived and channel == "velocity"):
+                    raise InputError(
+                        f"{where}.adc_bits is {group['adc_bits']}, but {channel}_range is 0: "
+                        f"a converter needs a range; give {where}.{channel}_range"
+                    )
+            resolution[resolution == 0] = 1.0  # of the velocity, which is derived: any will do
+        ranges[ranges == 0] = np.inf
+        differentiator = None
+        if derived:
+            differentiator = Differentiator(group["velocity_cutoff"], dt, len(axes))
+        return cls(Channels(noise, bias, ranges, resolution), seed, differentiator)
+
+    def reset(self) -> None:
+        """Forget the test so far."""
+        if self._differentiator is not None:
+            self._differentiator.reset()
 
     def measure(self, step: int, state: Floats) -> Floats:
-        """Measure the true state at a step.
+        """Measure the state at a step; `saturated` then names the sensors at their range.
 
         Parameters
         ----------
@@ -56,9 +123,76 @@ class Sensors:
         ndarray
             As measured, shape (4, n).
         """
+        measured = state + self._noise(step)
+        channels = self._channels
+        if self._has_bias:
+            measured += channels.bias
+        self.saturated = []
+        if self._has_range:
+            scaled = (measured * self._per_range).ravel()
+            if not scaled.dot(scaled) < 1.0:  # else none can be at its range
+                self._saturate(measured)
+        if self._has_resolution:
+            measured /= channels.resolution
+            np.rint(measured, out=measured)
+            measured *= channels.resolution
+        if self._differentiator is not None:
+            measured[1] = self._differentiator.step(measured[0])
+        return measured
+
+    def _saturate(self, measured: Floats) -> None:
+        limit = self._channels.range
+        beyond = np.abs(measured) >= limit
+        self.saturated = [f"{CHANNELS[row]}_range" for row, _ in np.argwhere(beyond)]
+        np.clip(measured, -limit, limit, out=measured)
+
+    def _noise(self, step: int) -> Floats:
         index, row = divmod(step, BLOCK)
         if index != self._block_index:
-            generator = np.random.default_rng([self._seed, index])
-            self._block = generator.standard_normal((BLOCK, *self._noise.shape)) * self._noise
             self._block_index = index
-        return np.add(state, self._block[row])
+            noise = self._channels.noise
+            axes = range(noise.shape[1])
+            drawn = [
+                np.random.default_rng([self._seed, index, axis]).standard_normal((BLOCK, 4))
+                for axis in axes
+            ]
+            self._block = np.stack(drawn, axis=2) * noise
+        return self._block[row]
+
+
+class Differentiator:
+    """Velocity from displacement, as a laboratory derives it: v = s / (1 + s / w_c) x.
+
+    Discretised with the bilinear transform; at rest at the first displacement, as a filter is
+    that has been running for long.
+
+    Parameters
+    ----------
+    cutoff : float
+        w_c / (2 pi), Hz.
+    dt : float
+        Sampling period, s.
+    axes : int
+        Number of axes n.
+    """
+
+    def __init__(self, cutoff: float, dt: float, axes: int) -> None:
+        half = np.pi * cutoff * dt
+        self._gain = 2 * np.pi * cutoff / (1 + half)
+        self._pole = (1 - half) / (1 + half)
+        self._last = np.zeros((2, axes))
+        self._running = False
+
+    def reset(self) -> None:
+        """Forget the test so far."""
+        self._running = False
+
+    def step(self, displacement: Floats) -> Floats:
+        """Velocity in m/s, shape (n,), of the next displacement in m."""
+        x, v = self._last
+        if not self._running:
+            x[:], v[:] = displacement, 0.0
+            self._running = True
+        v[:] = self._pole * v + self._gain * (displacement - x)
+        x[:] = displacement
+        return v

@@ -1,46 +1,86 @@
 """The load-resisting member under test."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.arrays import mass_matrix, symmetric_matrix
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.parameters import group
+
+from seft_plant_sim.restoring_force import BilinearSpring, BoucWenSpring, HystereticSpring
 
 Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class LinearSpecimen:
-    """Mass, damping and stiffness of a linear specimen: M a + C v + K x = f (Eq. 2.4).
+class Specimen:
+    """Mass, damping and restoring force of a specimen: M a + C v + r(x) = f (Eq. 2.4).
+
+    Linear, r = K x. With hysteretic springs, r = D^T s, where the springs' deformations are
+    e = D x; as long as they are elastic this is K x again.
 
     Attributes
     ----------
     mass, damping, stiffness : ndarray
-        Shape (n, n), in kg, N s/m and N/m.
+        M, C and K, shape (n, n), in kg, N s/m and N/m.
+    springs : tuple of HystereticSpring
+        p of them; none: the specimen is linear.
+    deformation : ndarray
+        D, shape (p, n): deformation of each spring per displacement of each axis.
     """
 
     mass: Floats
     damping: Floats
     stiffness: Floats
+    springs: tuple[HystereticSpring, ...] = ()
+    deformation: Floats = field(default_factory=lambda: np.zeros((0, 0)))
 
     @classmethod
     def from_parameters(
-        cls, group: dict[str, Any], axes: Sequence[str], where: str
-    ) -> "LinearSpecimen":
-        """Make it of parameters ``mass``, ``damping`` and ``stiffness``.
+        cls, section: dict[str, Any], axes: Sequence[str], where: str
+    ) -> "Specimen":
+        """Make it of parameters ``mass``, ``damping``, ``stiffness``, and ``kind`` if given.
 
         Raises
         ------
         InputError
-            If a matrix does not fit the axes, is not symmetric, or mass is not positive.
+            If a matrix does not fit the axes, is not symmetric, mass is not positive, or the
+            stiffness is not what such springs add up to.
         """
-        return cls(
-            mass=mass_matrix(group["mass"], axes, f"{where}.mass"),
-            damping=symmetric_matrix(group["damping"], axes, f"{where}.damping"),
-            stiffness=symmetric_matrix(group["stiffness"], axes, f"{where}.stiffness"),
+        linear = cls(
+            mass=mass_matrix(section["mass"], axes, f"{where}.mass"),
+            damping=symmetric_matrix(section["damping"], axes, f"{where}.damping"),
+            stiffness=symmetric_matrix(section["stiffness"], axes, f"{where}.stiffness"),
         )
+        kind = section.get("kind", "linear")
+        if kind == "linear":
+            return linear
+        deformation = _deformation(section["springs"], axes, where)
+        stiffness = _spring_stiffness(linear.stiffness, deformation, where)
+        count = len(deformation)
+        yields, hardening = (
+            _per_spring(section[name], count, f"{where}.{name}")
+            for name in ("yield_displacement", "hardening_ratio")
+        )
+        if min(yields) <= 0.0:
+            raise InputError(
+                f"{where}.yield_displacement is {section['yield_displacement']}, but a "
+                f"{kind} specimen yields: give the displacement in m"
+            )
+        extra = group(section, "bouc_wen") if kind == "bouc_wen" else {}
+        if extra and extra["beta"] + extra["gamma"] <= 0.0:
+            raise InputError(
+                f"{where}.bouc_wen: beta {extra['beta']} and gamma {extra['gamma']} must add up "
+                "to more than 0, or the spring never yields"
+            )
+        law = BoucWenSpring if kind == "bouc_wen" else BilinearSpring
+        springs = tuple(
+            law(*values, **extra) for values in zip(stiffness, yields, hardening, strict=True)
+        )
+        return replace(linear, springs=springs, deformation=deformation)
 
     @property
     def axes(self) -> int:
@@ -48,7 +88,7 @@ class LinearSpecimen:
         return len(self.mass)
 
     def state_matrices(self) -> tuple[Floats, Floats]:
-        """State-space form over (x, v), driven by the force f.
+        """State-space form over (x, v), driven by the force f, of the elastic specimen.
 
         Returns
         -------
@@ -63,3 +103,41 @@ class LinearSpecimen:
         b = np.zeros((2 * n, n))
         b[n:] = np.linalg.inv(self.mass)
         return a, b
+
+
+def _deformation(value: float | Sequence[float], axes: Sequence[str], where: str) -> Floats:
+    """Matrix D over the axes; a single 0 stands for one spring between each axis and the ground."""
+    numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    n = len(axes)
+    if numbers.size == 1 and numbers[0] == 0.0:
+        return np.eye(n)
+    if numbers.size % n:
+        raise InputError(
+            f"{where}.springs: {numbers.size} values for {n} axes {list(axes)}; give {n} for "
+            "each spring (its deformation per displacement of each axis), spring by spring"
+        )
+    return numbers.reshape(-1, n)
+
+
+def _spring_stiffness(stiffness: Floats, deformation: Floats, where: str) -> list[float]:
+    """Stiffnesses k of springs with deformations D that add up to K = D^T diag(k) D."""
+    each = np.array([np.outer(row, row).ravel() for row in deformation]).T
+    found = np.linalg.lstsq(each, stiffness.ravel(), rcond=None)[0]
+    if not np.allclose(each @ found, stiffness.ravel(), rtol=0.0, atol=1e-6 * stiffness.max()):
+        raise InputError(
+            f"{where}.stiffness {stiffness.tolist()} is not what springs with the deformations "
+            f"{deformation.tolist()} add up to; name the springs in {where}.springs"
+        )
+    if found.min() <= 0.0:
+        raise InputError(
+            f"{where}.stiffness: the springs' own come out as {np.round(found, 6).tolist()} N/m, "
+            f"but must be positive; mend {where}.springs or the stiffness"
+        )
+    return found.tolist()
+
+
+def _per_spring(value: float | Sequence[float], count: int, where: str) -> list[float]:
+    numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    if numbers.size not in (1, count):
+        raise InputError(f"{where}: {numbers.size} values for {count} springs; give 1 or {count}")
+    return np.broadcast_to(numbers, count).tolist()

@@ -1,6 +1,6 @@
 """The response that a perfect test would give: the whole structure, solved exactly."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -9,7 +9,8 @@ from seft_msgs_py.arrays import as_matrix
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.parameters import group
 
-from seft_plant_sim.specimen import LinearSpecimen
+from seft_plant_sim.hysteretic_response import hysteretic_response
+from seft_plant_sim.specimen import Specimen
 
 Floats = npt.NDArray[np.float64]
 
@@ -35,7 +36,7 @@ class ReferenceResponse:
 def reference_response(experiment: Experiment, ground_motion: Floats) -> ReferenceResponse:
     """Exact response of the whole structure of an experiment (paper Eq. 2.1).
 
-    M x'' + C x' + K x = -M a_g from rest. In a SEFT test M is the specimen's mass and the
+    M x'' + C x' + r(x) = -M a_g from rest. In a SEFT test M is the specimen's mass and the
     computed mass, mass_ratio times the model's; in an EFT test M is (1 + mass_ratio) times
     the model's mass, all of it on the specimen (Eq. 2.2). Where the rig is simulated, the
     specimen is the simulated one; else it is the reference-force node's model.
@@ -48,21 +49,17 @@ def reference_response(experiment: Experiment, ground_motion: Floats) -> Referen
         Ground acceleration of each axis by step, shape (N, n), m/s^2; linear in between.
     """
     section = experiment["reference_force"]
-    model = group(section, "model")
     axes = experiment.axes
-    if "specimen.mass" in experiment.sections.get("rig", {}):
-        source, where = group(experiment["rig"], "specimen"), "rig: specimen"
-    else:
-        source, where = model, "reference_force: model"
-    specimen = LinearSpecimen.from_parameters(source, axes, where)
-    model_mass = as_matrix(model["mass"], axes, "reference_force: model.mass")
+    specimen = tested_specimen(experiment)
+    model_mass = as_matrix(section["model.mass"], axes, "reference_force: model.mass")
     if section["method"] == "eft":
         mass = (1.0 + section["mass_ratio"]) * model_mass
     else:
         mass = specimen.mass + section["mass_ratio"] * model_mass
-    whole = LinearSpecimen(mass, specimen.damping, specimen.stiffness)
-    displacement, velocity = _respond(whole, ground_motion, experiment.timebase.dt)
-    restoring = displacement @ specimen.stiffness.T + velocity @ specimen.damping.T
+    whole = replace(specimen, mass=mass)
+    respond = hysteretic_response if specimen.springs else _linear_response
+    displacement, velocity, elastic = respond(whole, ground_motion, experiment.timebase.dt)
+    restoring = elastic + velocity @ specimen.damping.T
     acceleration = -ground_motion - np.linalg.solve(mass, restoring.T).T
     if section["method"] == "eft":
         force = -ground_motion @ mass.T
@@ -71,8 +68,19 @@ def reference_response(experiment: Experiment, ground_motion: Floats) -> Referen
     return ReferenceResponse(displacement, velocity, acceleration, force)
 
 
-def _respond(structure: LinearSpecimen, ground_motion: Floats, dt: float) -> tuple[Floats, Floats]:
-    """Displacement and velocity under ground motion, from rest.
+def tested_specimen(experiment: Experiment) -> Specimen:
+    """Specimen of an experiment: the simulated one, else the reference-force node's model."""
+    if "specimen.mass" in experiment.sections.get("rig", {}):
+        source, where = group(experiment["rig"], "specimen"), "rig: specimen"
+    else:
+        source, where = group(experiment["reference_force"], "model"), "reference_force: model"
+    return Specimen.from_parameters(source, experiment.axes, where)
+
+
+def _linear_response(
+    structure: Specimen, ground_motion: Floats, dt: float
+) -> tuple[Floats, Floats, Floats]:
+    """Displacement, velocity and force of the springs under ground motion, from rest.
 
     Exact where the motion is linear between samples (first-order hold, Van Loan 1978).
     """
@@ -89,4 +97,5 @@ def _respond(structure: LinearSpecimen, ground_motion: Floats, dt: float) -> tup
     states = np.zeros((len(ground_motion), 2 * n))
     for step in range(len(drive)):
         states[step + 1] = free.dot(states[step]) + drive[step]
-    return states[:, :n], states[:, n:]
+    displacement, velocity = states[:, :n], states[:, n:]
+    return displacement, velocity, displacement @ structure.stiffness.T

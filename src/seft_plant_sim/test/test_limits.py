@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.parameters import Table
-from seft_plant_sim.limits import NAMES, Limits, limit_rows
+from seft_plant_sim.limits import NAMES, Limits, SaturatedTime, limit_rows
 
 PAPER = {"displacement": 0.076, "velocity": 0.5, "acceleration": 98.1, "force": 22200.0}
 UNITS = ("m", "m/s", "m/s^2", "N")
@@ -77,12 +77,52 @@ def test_the_least_excess_alone_is_a_violation(limit, row):
 
 def test_limits_of_another_node_stand_in():
     rows = limit_rows("supervisor")
-    assert [row.default_from for row in rows] == [f"supervisor:limits.{name}" for name in NAMES]
-    assert [row.default_from for row in limit_rows()] == [""] * 4
-    assert [row.default for row in rows] == list(PAPER.values())
-    assert [row.unit for row in rows] == list(UNITS)
+    names = [*NAMES, "saturated_time"]
+    assert [row.default_from for row in rows] == [f"supervisor:limits.{name}" for name in names]
+    assert [row.default_from for row in limit_rows()] == [""] * 5
+    assert [row.default for row in rows] == [*PAPER.values(), 0.05]
+    assert [row.unit for row in rows] == [*UNITS, "s"]
 
 
 def test_a_limit_must_be_positive():
     with pytest.raises(InputError, match=r"limits\.force is 0.0, but must be greater than zero"):
         Table("supervisor", limit_rows()).check({"limits.force": 0})
+
+
+def blind_until(limit, steps):
+    """Step of the first violation if sensors are at their range in these steps, and its text."""
+    saturated_time = SaturatedTime(limit, 0.002)
+    for step in steps:
+        told = saturated_time.violation(step, ["force_range"])
+        if told is not None:
+            return step, told
+    return None
+
+
+def test_sensors_may_be_blind_for_so_long_and_no_longer():
+    assert blind_until(0.05, range(100, 125)) is None
+    step, told = blind_until(0.05, range(100, 126))
+    assert step == 125
+    assert told == (
+        "force at the end of the sensor's range for more than 0.05 s within one second: "
+        "the test is blind"
+    )
+    assert blind_until(0.0, [7])[0] == 7
+
+
+def test_only_the_last_second_counts_and_gaps_within_it_do_not_help():
+    assert blind_until(0.05, range(0, 50_000, 20)) is None  # 25 in each second, at the most
+    assert blind_until(0.05, range(0, 500, 19))[0] == 25 * 19
+    assert blind_until(0.05, [*range(25), *range(500, 525)]) is None
+    assert blind_until(0.05, [*range(25), 499]) == (499, blind_until(0.05, range(26))[1])
+
+
+def test_each_blind_sensor_is_named_once_and_a_reset_forgets():
+    saturated_time = SaturatedTime(0.0, 0.002)
+    told = saturated_time.violation(3, ["velocity_range", "force_range", "force_range"])
+    assert told.startswith("force and velocity at the end of the sensor's range")
+    twice = SaturatedTime(0.002, 0.002)
+    assert twice.violation(0, ["force_range"]) is None
+    twice.reset()
+    assert twice.violation(0, ["force_range"]) is None
+    assert twice.violation(1, ["force_range"]) is not None

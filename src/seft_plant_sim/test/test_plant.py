@@ -7,12 +7,13 @@ import pytest
 from scipy.integrate import solve_ivp
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.actuator import delayed_force, servo_hydraulic
+from seft_plant_sim.hydraulics import Hydraulics
 from seft_plant_sim.plant import LinearPlant
-from seft_plant_sim.specimen import LinearSpecimen
+from seft_plant_sim.specimen import Specimen
 
 DT = 0.002
-PAPER = LinearSpecimen(np.array([[52.7]]), np.array([[903.5]]), np.array([[2.11e5]]))
-COUPLED = LinearSpecimen(
+PAPER = Specimen(np.array([[52.7]]), np.array([[903.5]]), np.array([[2.11e5]]))
+COUPLED = Specimen(
     np.array([[60.0, 5.0, 0.0], [5.0, 45.0, -3.0], [0.0, -3.0, 30.0]]),
     np.array([[900.0, -200.0, 0.0], [-200.0, 700.0, -100.0], [0.0, -100.0, 300.0]]),
     np.array([[3.0e5, -1.0e5, 0.0], [-1.0e5, 2.5e5, -0.8e5], [0.0, -0.8e5, 0.9e5]]),
@@ -29,7 +30,10 @@ DELAYS = [0.0, 0.001, 0.0027, 0.010, 0.0113]
 
 def hydraulic(specimen, dead_time):
     values = {name: np.array(row[: specimen.axes]) for name, row in HYDRAULIC.items()}
-    return servo_hydraulic(specimen, **values, dead_time=dead_time)
+    unused = ("opening_limit", "force_capacity", "friction", "friction_velocity", "stroke")
+    values |= {name: np.full(specimen.axes, np.inf) for name in unused}
+    values["viscous_friction"] = np.zeros(specimen.axes)
+    return servo_hydraulic(specimen, Hydraulics(**values, dead_time=dead_time), linear=True)
 
 
 def run(plant, commands):
@@ -105,7 +109,7 @@ def test_free_decay_has_the_frequency_and_damping_of_the_paper():
 
 
 def test_an_undamped_specimen_swings_on_without_loss():
-    specimen = LinearSpecimen(PAPER.mass, np.zeros((1, 1)), PAPER.stiffness)
+    specimen = Specimen(PAPER.mass, np.zeros((1, 1)), PAPER.stiffness)
     plant = LinearPlant(delayed_force(specimen, 0.0), DT)
     run(plant, np.full((100, 1), 1000.0))
     samples = np.array([plant.step(np.zeros(1)) for _ in range(50_000)])[1:, :, 0]

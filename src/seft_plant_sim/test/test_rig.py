@@ -107,3 +107,62 @@ def test_one_axis_of_a_rig_of_three_is_a_rig_of_one():
 def test_values_that_make_no_rig_are_refused_by_name(values, told):
     with pytest.raises(InputError, match=told):
         rig(axes=("x", "y"), **values)
+
+
+def counts(one):
+    return one.saturation.samples, one.saturation.first_step
+
+
+def test_what_is_at_the_end_of_its_range_is_counted_from_its_first_step():
+    one = rig(actuator__kind="ideal", sensors__force_range=100.0, sensors__acceleration_range=1.0)
+    one.reset()
+    for force in (50.0, 101.0, -200.0, 10.0, 300.0):
+        one.step(np.full(1, force))
+    samples, first = counts(one)
+    assert samples["force_range"] == 3
+    assert first["force_range"] == 2
+    assert samples["acceleration_range"] == 3  # 50 N on 52.7 kg are 0.95 m/s^2
+    assert first["acceleration_range"] == 2
+    assert set(samples) == set(first) == {"force_range", "acceleration_range"}
+
+
+def test_valve_force_capacity_and_stroke_are_counted():
+    one = rig(actuator__stroke=0.01, limits__displacement=1.0, limits__velocity=10.0)
+    one.reset()
+    for _ in range(300):
+        one.step(np.full(1, 12.0))
+    samples, first = counts(one)
+    assert set(samples) >= {"valve", "stroke"}
+    assert first["valve"] < first["stroke"]
+    assert samples["stroke"] <= 300 - first["stroke"] + 1
+
+
+def test_a_sample_counts_once_however_many_axes_are_at_the_end():
+    one = rig(axes=("x", "y"), actuator__kind="ideal", sensors__force_range=10.0)
+    one.reset()
+    one.step(np.full(2, 99.0))
+    assert counts(one) == ({"force_range": 1}, {"force_range": 1})
+
+
+def test_reset_forgets_what_was_at_the_end_and_leaves_the_last_report_alone():
+    one = rig(actuator__kind="ideal", sensors__force_range=10.0)
+    one.reset()
+    one.step(np.full(1, 99.0))
+    before = one.saturation
+    one.reset()
+    assert counts(one) == ({}, {})
+    assert before.samples == {"force_range": 1}
+
+
+def test_a_test_that_is_blind_for_long_ends_with_the_reason():
+    one = rig(actuator__kind="ideal", sensors__force_range=10.0, limits__saturated_time=0.01)
+    one.reset()
+    told = []
+    for _ in range(6):
+        one.step(np.full(1, 99.0))
+        told.append(one.violation)
+    assert told[:5] == [None] * 5
+    assert told[5].startswith("force at the end of the sensor's range for more than 0.01 s")
+    one.reset()
+    one.step(np.full(1, 99.0))
+    assert one.violation is None

@@ -1,4 +1,7 @@
-"""Noise is a function of seed, step and number of axes; of nothing else."""
+"""What sensors make of the truth: bias, noise, range and resolution.
+
+Noise is a function of seed, axis and step; of nothing else.
+"""
 
 import itertools
 
@@ -7,15 +10,34 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.sensors import Sensors
+from seft_msgs_py.parameters import group, resolve
+from seft_plant_sim.parameters import TABLE
+from seft_plant_sim.sensors import Channels, Sensors
 
+DT = 0.002
 RMS = np.array([[5e-6, 1e-5], [0.01, 0.02], [0.05, 0.1], [3.0, 0.0]])
 STATE = np.arange(8.0).reshape(4, 2)
 
 
+def sensors(rms=RMS, seed=1, **rows):
+    """Sensors with this noise, and bias, range or resolution where given."""
+    rms = np.asarray(rms, dtype=float)
+    values = {"bias": 0.0, "range": np.inf, "resolution": 0.0} | rows
+    full = {name: np.broadcast_to(value, rms.shape).astype(float) for name, value in values.items()}
+    return Sensors(Channels(rms, **full), seed)
+
+
+def from_parameters(seed=1, axes=("x", "y"), **values):
+    """Sensors of the table's defaults with changes."""
+    given = {"specimen.mass": 1.0, "specimen.stiffness": 1.0}
+    given |= {f"sensors.{name}": value for name, value in values.items()}
+    section = resolve({"rig": TABLE}, {"rig": TABLE.check(given)})["rig"]
+    return Sensors.from_parameters(group(section, "sensors"), seed, DT, axes, "rig: sensors")
+
+
 def noise(steps, rms=RMS, seed=1):
-    sensors = Sensors(rms, seed)
-    return np.array([sensors.measure(step, np.zeros(rms.shape)) for step in steps])
+    one = sensors(rms, seed)
+    return np.array([one.measure(step, np.zeros(rms.shape)) for step in steps])
 
 
 @settings(max_examples=25, deadline=None)
@@ -50,26 +72,106 @@ def test_noise_is_white_and_differs_between_axes_and_quantities():
 
 def test_noise_is_added_to_the_true_state_and_leaves_it_alone():
     state = STATE.copy()
-    measured = Sensors(RMS, 1).measure(3, state)
+    measured = sensors().measure(3, state)
     np.testing.assert_array_equal(measured, STATE + noise([3])[0])
     np.testing.assert_array_equal(state, STATE)
 
 
 def test_sensors_without_noise_measure_the_truth():
-    np.testing.assert_array_equal(Sensors(np.zeros((4, 2)), 5).measure(9, STATE), STATE)
+    np.testing.assert_array_equal(sensors(np.zeros((4, 2)), 5).measure(9, STATE), STATE)
 
 
 def test_twice_the_rms_is_twice_the_noise():
     np.testing.assert_array_equal(noise([7], 2 * RMS), 2 * noise([7]))
 
 
+def test_noise_of_an_axis_does_not_depend_on_how_many_there_are():
+    steps = [0, 1, 4095, 4096, 9000]
+    three = noise(steps, np.ones((4, 3)))
+    for count in (1, 2):
+        np.testing.assert_array_equal(noise(steps, np.ones((4, count))), three[:, :, :count])
+
+
 def test_parameters_are_one_number_or_one_for_each_axis():
     names = ("position_noise", "velocity_noise", "acceleration_noise", "force_noise")
     values = dict(zip(names, [[5e-6, 1e-5], [0.01, 0.02], [0.05, 0.1], [3.0, 0.0]], strict=True))
-    sensors = Sensors.from_parameters(values, 1, ("x", "y"), "rig: sensors")
-    np.testing.assert_array_equal(sensors.measure(4, STATE), STATE + noise([4])[0])
-    same = Sensors.from_parameters(dict.fromkeys(names, 2.0), 1, ("x", "y"), "rig: sensors")
+    measured = from_parameters(**values).measure(4, STATE)
+    np.testing.assert_array_equal(measured, STATE + noise([4])[0])
+    same = from_parameters(**dict.fromkeys(names, 2.0))
     np.testing.assert_array_equal(same.measure(4, 0 * STATE), noise([4], np.full((4, 2), 2.0))[0])
-    with pytest.raises(InputError, match=r"rig: sensors\.force_noise: 3 values for 2 axes"):
-        values["force_noise"] = [1.0, 2.0, 3.0]
-        Sensors.from_parameters(values, 1, ("x", "y"), "rig: sensors")
+    for name in ("force_noise", "position_bias", "acceleration_range"):
+        with pytest.raises(InputError, match=rf"rig: sensors\.{name}: 3 values for 2 axes"):
+            from_parameters(**{name: [1.0, 2.0, 3.0]})
+
+
+def test_bias_is_added_per_axis():
+    one = from_parameters(position_bias=[1e-3, -2e-3], force_bias=5.0)
+    bias = np.array([[1e-3, -2e-3], [0.0, 0.0], [0.0, 0.0], [5.0, 5.0]])
+    np.testing.assert_array_equal(one.measure(0, STATE), STATE + bias)
+
+
+def test_a_range_ends_either_way_and_is_reported_where_it_does():
+    one = from_parameters(acceleration_range=[4.5, 10.0], force_range=100.0)
+    np.testing.assert_array_equal(one.measure(0, STATE)[2], [4.0, 5.0])
+    assert one.saturated == []
+    np.testing.assert_array_equal(one.measure(1, 3 * STATE)[2], [4.5, 10.0])
+    assert set(one.saturated) == {"acceleration_range"}
+    measured = one.measure(2, -30 * STATE)
+    np.testing.assert_array_equal(measured[2:], [[-4.5, -10.0], [-100.0, -100.0]])
+    np.testing.assert_array_equal(measured[:2], -30 * STATE[:2])  # no range: no end
+    assert set(one.saturated) == {"acceleration_range", "force_range"}
+    one.measure(3, STATE)
+    assert one.saturated == []
+
+
+@given(st.lists(st.floats(-3, 3), min_size=8, max_size=8))
+def test_a_sensor_is_reported_if_and_only_if_it_is_at_its_range(values):
+    state = np.reshape(values, (4, 2))
+    one = sensors(np.zeros((4, 2)), range=1.0)
+    measured = one.measure(0, state)
+    np.testing.assert_array_equal(measured, np.clip(state, -1.0, 1.0))
+    names = ("position", "velocity", "acceleration", "force")
+    beyond = (np.abs(state) >= 1.0).any(axis=1)
+    assert set(one.saturated) == {f"{n}_range" for n, b in zip(names, beyond, strict=True) if b}
+
+
+@given(st.integers(1, 24), st.floats(-0.999, 0.999))
+def test_a_converter_gives_the_nearest_multiple_of_its_resolution(bits, part):
+    ranges = {"position": 0.1, "velocity": 1.0, "acceleration": 40.0, "force": 22200.0}
+    one = from_parameters(
+        adc_bits=bits, axes=("x",), **{f"{name}_range": value for name, value in ranges.items()}
+    )
+    truth = part * np.array(list(ranges.values()))[:, np.newaxis]
+    step = 2 * np.array(list(ranges.values()))[:, np.newaxis] / 2**bits
+    measured = one.measure(0, truth)
+    np.testing.assert_allclose(measured / step, np.rint(measured / step), rtol=1e-15, atol=0)
+    assert (np.abs(measured - truth) <= 0.5000001 * step).all()
+
+
+def test_a_converter_sees_noise_and_bias_and_ends_at_the_range():
+    one = sensors(np.full((4, 2), 0.3), bias=10.0, range=12.0, resolution=0.5)
+    samples = np.array([one.measure(step, np.zeros((4, 2))) for step in range(4000)])
+    np.testing.assert_array_equal(samples % 0.5, 0.0)
+    np.testing.assert_allclose(samples.mean(axis=0), 10.0, atol=0.03)
+    np.testing.assert_allclose(samples.std(axis=0), np.hypot(0.3, 0.5 / np.sqrt(12)), rtol=0.05)
+    assert one.measure(9, np.full((4, 2), 99.0)).max() == 12.0
+
+
+def test_a_converter_needs_a_range():
+    ranges = {"position_range": 0.1, "velocity_range": 1.0, "force_range": 2e4}
+    with pytest.raises(InputError, match=r"adc_bits is 16, but acceleration_range is 0: .* needs"):
+        from_parameters(adc_bits=16, **ranges)
+    with pytest.raises(InputError, match=r"position_range is 0"):
+        from_parameters(adc_bits=16, position_range=[0.1, 0.0])
+
+
+def test_a_velocity_that_is_derived_has_no_sensor():
+    """Neither its noise nor its bias nor its range mean anything then."""
+    ranges = {"position_range": 0.1, "acceleration_range": 40.0, "force_range": 2e4}
+    one = from_parameters(velocity="derived", adc_bits=16, **ranges)
+    assert one.measure(0, np.zeros((4, 2))).tolist() == np.zeros((4, 2)).tolist()
+    noisy = {"velocity_noise": 5.0, "velocity_bias": 3.0, "velocity_range": 1e-9}
+    other = from_parameters(velocity="derived", adc_bits=16, **ranges, **noisy)
+    fast = np.array([[0.0], [9.0], [0.0], [0.0]]) * np.ones(2)
+    assert not other.measure(0, fast).any()
+    assert other.saturated == []

@@ -10,7 +10,7 @@ from matplotlib.image import imread
 from rich.console import Console
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.outcome import Trip
+from seft_msgs_py.outcome import Saturation, Trip
 from seft_msgs_py.topics import LOOP_TOPICS
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis import figure
@@ -168,6 +168,21 @@ def test_lost_steps_are_counted_and_the_others_compared():
         "valve_command": 10,
     }
     assert summary["displacement"]["nrmse"] == pytest.approx(0.05)
+
+
+def test_what_was_at_the_end_of_its_range_is_told_by_name():
+    assert summarise(make_record())["saturated"] == {}
+    saturation = Saturation({"valve": 12, "force_range": 3}, {"valve": 40, "force_range": 500})
+    summary = summarise(make_record(saturation=saturation))
+    assert summary["saturated"] == {
+        "force_range": {"samples": 3, "first_step": 500},
+        "valve": {"samples": 12, "first_step": 40},
+    }
+    assert list(summary["saturated"]) == ["force_range", "valve"]
+    words = "at the end of its range: force range (3 samples from 1.000 s), valve (12 samples"
+    assert words in verdict(summary)
+    assert summary["stable"] is True
+    assert "range" not in verdict(summarise(make_record()))
 
 
 def test_without_the_whole_ground_motion_there_is_no_reference():

@@ -19,7 +19,30 @@ KOBE_WORDS = (
     "ground_motion:unit:=cm/s2",
     "ground_motion:dt:=0.005",
 )
-QUIET = tuple(f"rig:sensors.{name}_noise:=0" for name in ("position", "acceleration", "force"))
+PERFECT = (
+    "rig:sensors.adc_bits:=0",
+    *(
+        f"rig:sensors.{name}_{row}:=0"
+        for name in ("position", "velocity", "acceleration", "force")
+        for row in ("noise", "bias", "range")
+    ),
+)
+"""Sensors that measure the truth."""
+LINEAR = (
+    "rig:actuator.kind:=servo_hydraulic_linear",
+    "rig:actuator.oil_stiffness:=1.664e7",
+    "rig:actuator.oil_column_frequency:=0",
+    "rig:actuator.leakage:=20",
+    "rig:actuator.flow_gain:=0.038527",
+    "rig:actuator.valve_frequency:=60",
+    "rig:actuator.valve_damping:=0.7",
+    "rig:actuator.dead_time:=0.001",
+    "rig:actuator.viscous_friction:=0",
+    *(f"{node}.damping:=903.5" for node in ("rig:specimen", "reference_force:model")),
+)
+"""A linear rig with the poles of Eq. 3.1, whose response under Kobe is known."""
+NOISY = (*LINEAR, *PERFECT, "rig:sensors.acceleration_noise:=0.05", "rig:sensors.force_noise:=3")
+QUIET = (*LINEAR, *PERFECT)
 DELAY = ("rig:actuator.kind:=delay", "rig:actuator.delay:=0.01")
 needs_kobe = pytest.mark.skipif(not KOBE.is_file(), reason="no real records beside the project")
 motions = pytest.mark.parametrize(
@@ -56,7 +79,7 @@ def kobe_by_hand():
 
 
 class Servo:
-    """Actuator and specimen of config/jhu.yaml by modes, in steps of 1 ms."""
+    """The linear actuator and its specimen by modes, in steps of 1 ms."""
 
     drive = "valve"
 
@@ -151,7 +174,7 @@ def test_the_delayed_rig_moves_as_in_a_simulation_written_anew(motion, alpha):
     ("alpha", "peak", "reference_peak"), [(0.0, 5.58, 5.6), (0.5, 7.86, 9.4), (1.0, 11.67, 16.9)]
 )
 def test_peaks_under_kobe_fall_short_as_in_the_paper(alpha, peak, reference_peak):
-    record, states = run(*KOBE_WORDS, with_ratio(alpha))
+    record, states = run(*KOBE_WORDS, *NOISY, with_ratio(alpha))
     exact = reference_response(record.experiment, record.series["ground_motion"].values[:, 0])
     assert record.trip is None
     assert np.abs(states[:, 0]).max() * 1e3 == pytest.approx(peak, abs=0.02)
@@ -161,7 +184,7 @@ def test_peaks_under_kobe_fall_short_as_in_the_paper(alpha, peak, reference_peak
 @needs_kobe
 def test_a_mass_ratio_of_one_and_a_half_goes_unstable_within_3_s():
     """The linear loop has one unstable pair of eigenvalues then, 1.0078 at 32.2 Hz."""
-    for noise in ((), QUIET):
+    for noise in (NOISY, QUIET):
         record, states = run(*KOBE_WORDS, *noise, with_ratio(1.5))
         assert record.trip.time_s < 3.0
         last = states[-100:, 2, 0] * np.hanning(100)
@@ -205,7 +228,7 @@ def test_a_test_ends_with_the_sample_that_breaks_a_limit(words):
 
 
 def test_a_limit_broken_by_the_sample_at_rest_ends_the_test_there():
-    record, states = run("rig:sensors.force_noise:=1000", "rig:limits.force:=0.001")
+    record, states = run(*PERFECT, "rig:sensors.force_noise:=1000", "rig:limits.force:=0.001")
     assert len(states) == 1
     assert record.trip.step == 0
 

@@ -7,6 +7,7 @@ import numpy as np
 from seft_msgs_py.topics import LOOP_TOPICS, RIG_STATE
 from seft_plant_sim.whole_structure import ReferenceResponse
 
+from seft_ros.analysis.energy import energy_of
 from seft_ros.analysis.metrics import Floats, agreement, peak
 from seft_ros.analysis.reference import COMPARED, quantity, reference_of
 from seft_ros.recording.record import Record
@@ -32,10 +33,13 @@ def summarise(record: Record, reference: ReferenceResponse | None = None) -> dic
         ``steps`` (from 0 to the last that was recorded), ``rate_hz``, ``duration_s``,
         ``wall_s``, ``realtime_factor``, ``complete``, ``stable`` (no trip, and all samples
         finite), ``trip`` (null or reason, step, time_s), ``missed`` (steps without a command
-        in time), ``overruns`` (times the rig's own clock was held up), ``lost`` (samples
-        that the record lacks, by topic), and for displacement (m), acceleration (m/s^2) and force
-        (N) nrmse, nrmse_aligned, peak, reference_peak and delay_s over all axes; ``axes``
-        has the same three for each axis. What is unknown or makes no sense is null.
+        in time), ``overruns`` (times the rig's own clock was held up), ``saturated`` (what was at
+        the end of its range: stroke, force_capacity, valve, a sensor's range; with samples and
+        first_step), ``lost`` (samples that the record lacks, by topic), ``energy`` (of the
+        specimen at the end, and how the balance closes; see `energy_of`), and for displacement
+        (m), acceleration (m/s^2) and force (N) nrmse, nrmse_aligned, peak, reference_peak and
+        delay_s over all axes; ``axes`` has the same three for each axis. What is unknown or
+        makes no sense is null.
     """
     if reference is None:
         reference = reference_of(record)
@@ -60,7 +64,9 @@ def summarise(record: Record, reference: ReferenceResponse | None = None) -> dic
         "trip": trip and {"reason": trip.reason, "step": trip.step, "time_s": trip.time_s},
         "missed": record.missed,
         "overruns": record.overruns,
+        "saturated": _saturated(record),
         "lost": {topic.name: _lost(record, topic.name, steps) for topic in LOOP_TOPICS},
+        "energy": energy_of(record),
         **(by_axis[axes[0]] if len(axes) == 1 else _three(record, reference, slice(None))),
         "axes": by_axis,
     }
@@ -94,6 +100,14 @@ def _three(
             measured = agreement(y, exact, dt, states.steps)
             found[name] = {measure: getattr(measured, measure) for measure in _MEASURES}
     return found
+
+
+def _saturated(record: Record) -> dict[str, dict[str, int]]:
+    counts = record.saturation
+    return {
+        name: {"samples": samples, "first_step": counts.first_step[name]}
+        for name, samples in sorted(counts.samples.items())
+    }
 
 
 def _lost(record: Record, topic: str, steps: int) -> int:

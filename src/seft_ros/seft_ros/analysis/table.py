@@ -76,10 +76,20 @@ def verdict(summary: dict[str, Any]) -> str:
         text += f"; {missed} of {summary['steps']} steps had no command in time"
     if summary["overruns"]:
         text += f"; the rig's own clock was held up {summary['overruns']} times"
+    if summary["saturated"]:
+        text += f"; at the end of its range: {_saturated(summary)}"
     lost = {topic: count for topic, count in summary["lost"].items() if count}
     if lost:
         text += f"; samples lost: {', '.join(f'{n} of {topic}' for topic, n in lost.items())}"
     return text
+
+
+def _saturated(summary: dict[str, Any]) -> str:
+    dt = 1.0 / summary["rate_hz"]
+    return ", ".join(
+        f"{name.replace('_', ' ')} ({row['samples']} samples from {row['first_step'] * dt:.3f} s)"
+        for name, row in summary["saturated"].items()
+    )
 
 
 def _difference(comparison: dict[str, Any]) -> str:

@@ -77,6 +77,7 @@ def simulate(
             VALVE_COMMAND.name: Series(steps, commands[:step, np.newaxis, :]),
         },
         trip=trip,
+        saturation=rig.saturation,
         wall_s=wall,
         environment=environment,
     )

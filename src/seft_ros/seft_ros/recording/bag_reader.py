@@ -8,7 +8,7 @@ from rosbags.rosbag2 import Reader
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.messages import decode_diagnostics, decode_string
-from seft_msgs_py.outcome import Outcome, read_outcome
+from seft_msgs_py.outcome import Outcome, Saturation, read_outcome
 from seft_msgs_py.timebase import Timebase
 from seft_msgs_py.topics import (
     DESCRIPTION,
@@ -73,6 +73,7 @@ def read_bag(path: str | Path) -> Record:
         missed=outcome.missed if outcome else None,
         missed_steps=outcome.missed_steps if outcome else [],
         overruns=outcome.overruns if outcome else None,
+        saturation=outcome.saturation if outcome else Saturation(),
         wall_s=outcome.wall_s if outcome else None,
         complete=outcome is not None,
         environment={**description.environment, UNDECODABLE: bag.undecodable},

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.outcome import Trip
+from seft_msgs_py.outcome import Saturation, Trip
 from seft_msgs_py.topics import LOOP_TOPICS
 
 __all__ = ["Record", "Series", "Trip"]
@@ -52,6 +52,8 @@ class Record:
     overruns : int or None
         Times the rig's own clock was held up for more than a period, and went on from there;
         None if unknown.
+    saturation : Saturation
+        What the rig says was at the end of its range.
     wall_s : float or None
         Wall-clock duration of the test; None if unknown.
     complete : bool
@@ -66,6 +68,7 @@ class Record:
     missed: int | None = 0
     missed_steps: list[int] = field(default_factory=list)
     overruns: int | None = 0
+    saturation: Saturation = field(default_factory=Saturation)
     wall_s: float | None = None
     complete: bool = True
     environment: dict[str, Any] = field(default_factory=dict)

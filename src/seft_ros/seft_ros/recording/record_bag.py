@@ -91,6 +91,7 @@ def write_record(
                 record.wall_s,
                 record.trip,
                 overruns=record.overruns or 0,
+                saturation=record.saturation,
             )
             bag.write(DIAGNOSTICS, encode_diagnostics(time_ns, [status]), time_ns)
 

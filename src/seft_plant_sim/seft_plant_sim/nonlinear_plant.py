@@ -1,0 +1,151 @@
+"""Integration of a model that is not linear, between samples."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import expm
+from seft_msgs_py.errors import InputError
+
+from seft_plant_sim.continuous_model import ContinuousModel
+from seft_plant_sim.dead_time import DeadTime
+from seft_plant_sim.nonlinearity import Nonlinearity
+
+Floats = npt.NDArray[np.float64]
+
+LONGEST_STEP = 5e-4  # s
+STEP_TIMES_RATE = 0.5  # of the fastest residual
+MAX_STEPS = 500
+
+
+class NonlinearPlant:
+    """`Plant` of a model with a nonlinearity.
+
+    z' = a z + b w + g r(z) is integrated with the exponential Runge-Kutta scheme ETD2RK (Cox &
+    Matthews 2002, Eq. 22) in equal steps: the linear part, which holds the fast oil column and
+    the valve, is solved exactly, and without residuals this is `LinearPlant`.
+
+    Parameters
+    ----------
+    model : ContinuousModel
+        n axes, with a nonlinearity.
+    dt : float
+        Sampling period, s.
+
+    Raises
+    ------
+    InputError
+        If a residual is too fast to be followed.
+    """
+
+    def __init__(self, model: ContinuousModel, dt: float) -> None:
+        assert model.nonlinearity is not None
+        nonlinearity = model.nonlinearity
+        self._parts = nonlinearity.parts
+        self._axes = model.b.shape[1]
+        self._limit = nonlinearity.drive_limit
+        size, residuals = len(model.a), nonlinearity.inputs.shape[1]
+        self._dead_time = DeadTime(model.delay, dt, self._axes)
+        part = self._dead_time.part
+        self._before = _Stretch.of(model, nonlinearity, part)
+        self._after = _Stretch.of(model, nonlinearity, dt - part)
+        self._output = np.hstack([model.c, model.d, nonlinearity.outputs])
+        self._work = np.zeros(size + self._axes + residuals)  # z, drive, residuals
+        self._state = self._work[:size]
+        self._drive = self._work[size : size + self._axes]
+        self._residual = self._work[size + self._axes :]
+        self._drives = tuple(np.zeros((3, self._axes)))
+        self.reset()
+
+    def reset(self) -> Floats:
+        """Bring it to rest with no drive; return the sample there, shape (4, n)."""
+        self._work[:] = 0.0
+        self._dead_time.reset()
+        return np.zeros((4, self._axes))
+
+    def step(self, command: Floats) -> Floats:
+        """Advance by one sample, see `Plant.step`."""
+        before, after, now = self._drives
+        command = np.minimum(np.maximum(command, -self._limit), self._limit)
+        self._dead_time.step(command, before, after, now)
+        self._integrate(self._before, before)
+        self._integrate(self._after, after)
+        self._drive[:] = now
+        return self._output.dot(self._work).reshape(4, self._axes)
+
+    def saturated(self) -> list[str]:
+        """Name what is at the end of its range at the last sample."""
+        z = self._state.tolist()
+        return [name for part in self._parts for name in part.saturated(z)]
+
+    def _integrate(self, stretch: "_Stretch", drive: Floats) -> None:
+        work, state, residual = self._work, self._state, self._residual
+        self._drive[:] = drive
+        for _ in range(stretch.steps):
+            predicted = stretch.predict.dot(work)
+            change = self._residuals(predicted.tolist())
+            change -= residual
+            predicted += stretch.correct.dot(change)
+            z = predicted.tolist()
+            self._settle(z)
+            state[:] = z
+            residual[:] = self._residuals(z)
+
+    def _residuals(self, z: list[float]) -> Floats:
+        parts = self._parts
+        found = parts[0].residuals(z)
+        for part in parts[1:]:
+            found += part.residuals(z)
+        return np.array(found)
+
+    def _settle(self, z: list[float]) -> None:
+        for part in self._parts:
+            part.settle(z)
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """A time over which the drive does not change, in equal steps.
+
+    Attributes
+    ----------
+    steps : int
+        Their number; 0 where the time is none.
+    predict : ndarray
+        Shape (s, s + n + r): takes (z, drive, residuals) to the state after one step if the
+        residuals stay as they are.
+    correct : ndarray
+        Shape (s, r): what a change of the residuals in the step adds.
+    """
+
+    steps: int
+    predict: Floats
+    correct: Floats
+
+    @classmethod
+    def of(cls, model: ContinuousModel, nonlinearity: Nonlinearity, time: float) -> "_Stretch":
+        fastest = max(part.fastest for part in nonlinearity.parts)
+        longest = min(LONGEST_STEP, STEP_TIMES_RATE / fastest) if fastest else LONGEST_STEP
+        steps = math.ceil(time / longest * (1 - 1e-9))
+        if steps > MAX_STEPS:
+            raise InputError(
+                f"rig: friction or end stops answer at {fastest:.3g} 1/s, too fast to be "
+                "followed; raise actuator.friction_velocity or check mass and oil_stiffness"
+            )
+        s = len(model.a)
+        drives = np.hstack([model.b, nonlinearity.inputs])
+        m = drives.shape[1]
+        # exponential of the model with drives that are constant (first m) or grow from 0 (last)
+        augmented = np.zeros((s + 2 * m, s + 2 * m))
+        h = time / max(1, steps)
+        augmented[:s, :s] = model.a * h
+        augmented[:s, s : s + m] = drives * h
+        augmented[s : s + m, s + m :] = np.eye(m)
+        exponential = expm(augmented)[:s]
+        axes = model.b.shape[1]
+        return cls(
+            steps,
+            np.ascontiguousarray(exponential[:, : s + m]),
+            np.ascontiguousarray(exponential[:, s + m + axes :]),
+        )

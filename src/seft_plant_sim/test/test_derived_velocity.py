@@ -1,0 +1,57 @@
+"""Velocity derived from displacement: s / (1 + s / w_c), discretised by the bilinear transform."""
+
+import numpy as np
+import pytest
+from seft_plant_sim.sensors import Channels, Differentiator, Sensors
+
+DT = 0.002
+
+
+def derived(displacement, cutoff=100.0):
+    """Velocity of each displacement of one axis."""
+    differentiator = Differentiator(cutoff, DT, 1)
+    return np.array([differentiator.step(np.array([x])).item() for x in displacement])
+
+
+def test_a_ramp_has_its_slope_after_the_time_of_the_filter():
+    """First-order: v = slope (1 - e^(-w_c t)) in continuous time; exact after ten constants."""
+    time = DT * np.arange(500)
+    velocity = derived(0.03 * time, cutoff=20.0)
+    expected = 0.03 * (1 - np.exp(-2 * np.pi * 20.0 * time))
+    np.testing.assert_allclose(velocity, expected, atol=0.03 * 0.05)
+    np.testing.assert_allclose(velocity[100:], 0.03, rtol=1e-9)
+
+
+@pytest.mark.parametrize("cutoff", [20.0, 100.0])
+@pytest.mark.parametrize("hz", [0.5, 10.0, 40.0, 120.0])
+def test_gain_and_phase_are_those_of_the_filtered_derivative(hz, cutoff):
+    """The bilinear transform puts the analog frequency (2/dt) tan(w dt/2) at w, exactly."""
+    time = DT * np.arange(5000)
+    turn = np.exp(2j * np.pi * hz * time)
+    late = slice(2500, 5000)  # 5 s in: whole periods of every frequency above
+    gain = np.mean(derived(turn.imag, cutoff)[late] * turn[late].conj()) * 2j
+    s = 2j / DT * np.tan(np.pi * hz * DT)
+    assert gain == pytest.approx(s / (1 + s / (2 * np.pi * cutoff)), rel=1e-6)
+
+
+def test_it_settles_on_an_offset_at_once():
+    """A laboratory's filter has been running for long when a test starts."""
+    np.testing.assert_array_equal(derived(np.full(50, 3e-3)), 0.0)
+
+
+def test_it_sees_the_displacement_as_it_is_measured():
+    """Bias does not move it; range and converter do."""
+    rows = {"bias": np.full((4, 1), 0.02), "range": np.full((4, 1), 0.05)}
+    channels = Channels(np.zeros((4, 1)), **rows, resolution=np.full((4, 1), 0.01))
+    sensors = Sensors(channels, 1, Differentiator(100.0, DT, 1))
+    x = 0.06 * np.sin(2 * np.pi * 2.0 * DT * np.arange(400))
+    states = np.zeros((400, 4, 1))
+    states[:, 0, 0] = x
+    states[:, 1, 0] = 77.0  # the true velocity is not looked at
+    samples = np.array([sensors.measure(step, state) for step, state in enumerate(states)])
+    seen = np.rint(np.clip(x + 0.02, -0.05, 0.05) / 0.01) * 0.01
+    np.testing.assert_allclose(samples[:, 0, 0], seen, atol=1e-15)
+    np.testing.assert_allclose(samples[:, 1, 0], derived(seen), atol=1e-12)
+    sensors.reset()
+    again = np.array([sensors.measure(step, state) for step, state in enumerate(states)])
+    np.testing.assert_array_equal(again, samples)

@@ -1,0 +1,114 @@
+"""From data sheets to what the actuator is, by hand after Merritt (1967)."""
+
+import numpy as np
+import pytest
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.parameters import group, resolve
+from seft_plant_sim.actuator import servo_hydraulic
+from seft_plant_sim.hydraulics import Hydraulics
+from seft_plant_sim.parameters import TABLE
+from seft_plant_sim.specimen import Specimen
+
+SPECIMEN = Specimen(np.array([[52.7]]), np.array([[903.5]]), np.array([[2.11e5]]))
+PAIR = Specimen(np.diag([52.7, 80.0]), np.zeros((2, 2)), np.diag([2.11e5, 3e5]))
+SHEET = {
+    "piston_area": 1e-3,  # m^2
+    "supply_pressure": 21e6,  # Pa
+    "rated_flow": 3e-4,  # m^3/s at
+    "rated_pressure_drop": 7e6,  # Pa
+    "rated_voltage": 5.0,  # V
+    "bulk_modulus": 1e9,  # Pa
+    "oil_volume": 2e-4,  # m^3
+    "leakage_coefficient": 3e-12,  # m^3/s/Pa
+}
+
+
+def hydraulics(specimen=SPECIMEN, axes=("x",), **values):
+    given = {"specimen.mass": 1.0, "specimen.stiffness": 1.0}
+    given |= {f"actuator.{name}": value for name, value in (SHEET | values).items()}
+    section = resolve({"rig": TABLE}, {"rig": TABLE.check(given)})["rig"]
+    return Hydraulics.from_parameters(group(section, "actuator"), specimen, axes, "rig: actuator")
+
+
+def test_data_sheets_give_the_identified_values():
+    """4 beta A^2/V; 4 beta C/V; Q sqrt(p_s/dp)/(A u); p_s A."""
+    made = hydraulics()
+    assert made.oil_stiffness.item() == pytest.approx(4 * 1e9 * 1e-6 / 2e-4)  # 2e7 N/m
+    assert made.leakage.item() == pytest.approx(60.0)
+    assert made.flow_gain.item() == pytest.approx(3e-4 * np.sqrt(3.0) / (1e-3 * 5.0))
+    assert made.force_capacity.item() == pytest.approx(21e3)
+    assert made.opening_limit.item() == 5.0
+
+
+@pytest.mark.parametrize("name", ["oil_stiffness", "flow_gain", "leakage", "force_capacity"])
+def test_an_identified_value_counts_before_the_data_sheet_and_changes_no_other(name):
+    sheet, given = hydraulics(), hydraulics(**{name: 123.0})
+    assert getattr(given, name).item() == 123.0
+    others = {"oil_stiffness", "flow_gain", "leakage", "force_capacity"} - {name}
+    for other in others:
+        assert getattr(given, other) == getattr(sheet, other)
+
+
+def test_an_oil_column_frequency_is_the_pole_of_actuator_and_specimen():
+    """Of mass, oil and specimen's spring together: the paper's 90 Hz, exactly if undamped."""
+    made = hydraulics(oil_column_frequency=90.0)
+    assert made.oil_stiffness.item() == pytest.approx(52.7 * (2 * np.pi * 90) ** 2 - 2.11e5)
+    undamped = Specimen(SPECIMEN.mass, np.zeros((1, 1)), SPECIMEN.stiffness)
+    closed = hydraulics(oil_column_frequency=90.0, leakage_coefficient=0.0)
+    poles = np.linalg.eigvals(servo_hydraulic(undamped, closed, linear=True).a)
+    (hz,) = {round(p.imag / (2 * np.pi), 6) for p in poles if p.imag > 2 * np.pi * 80}
+    assert hz == pytest.approx(90.0, abs=1e-5)
+
+
+def test_the_default_data_sheets_put_the_oil_column_at_90_hz():
+    given = {"specimen.mass": 1.0, "specimen.stiffness": 1.0}
+    section = resolve({"rig": TABLE}, {"rig": TABLE.check(given)})["rig"]
+    made = Hydraulics.from_parameters(group(section, "actuator"), SPECIMEN, ("x",), "rig: actuator")
+    resonance = np.sqrt((made.oil_stiffness.item() + 2.11e5) / 52.7) / (2 * np.pi)
+    assert resonance == pytest.approx(90.0, abs=0.1)
+
+
+def test_each_axis_may_have_its_own_actuator():
+    made = hydraulics(
+        PAIR,
+        ("x", "y"),
+        piston_area=[1e-3, 2e-3],
+        leakage=[0.0, 25.0],
+        friction=[10.0, 20.0],
+        stroke=0.1,
+    )
+    np.testing.assert_allclose(made.oil_stiffness, [2e7, 8e7])
+    np.testing.assert_allclose(made.force_capacity, [21e3, 42e3])
+    np.testing.assert_allclose(made.leakage, [60.0, 25.0])  # 0: that axis by its data sheet
+    np.testing.assert_allclose(made.friction, [10.0, 20.0])
+    np.testing.assert_allclose(made.stroke, [0.1, 0.1])
+    by_frequency = hydraulics(PAIR, ("x", "y"), oil_column_frequency=[90.0, 0.0])
+    np.testing.assert_allclose(
+        by_frequency.oil_stiffness, [52.7 * (2 * np.pi * 90) ** 2 - 2.11e5, 2e7]
+    )
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        (
+            {"oil_stiffness": 1e7, "oil_column_frequency": 90.0},
+            "rig: actuator: oil_stiffness and oil_column_frequency are both given; give one",
+        ),
+        (
+            {"oil_column_frequency": 10.0},
+            "oil_column_frequency is 10.0, but must be above the specimen's own frequency",
+        ),
+        ({"piston_area": [1.0, 2.0]}, r"rig: actuator\.piston_area: 2 values for 1 axes"),
+        ({"stroke": [1.0, 2.0]}, r"rig: actuator\.stroke: 2 values for 1 axes"),
+    ],
+)
+def test_values_that_contradict_each_other_are_refused(values, told):
+    with pytest.raises(InputError, match=told):
+        hydraulics(**values)
+
+
+@pytest.mark.parametrize("name", [*list(SHEET)[:-1], "friction_velocity", "stroke"])
+def test_a_data_sheet_has_positive_numbers(name):
+    with pytest.raises(InputError, match=f"actuator.{name} is 0.0, but must be greater than zero"):
+        hydraulics(**{name: 0.0})

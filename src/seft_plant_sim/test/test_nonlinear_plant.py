@@ -1,0 +1,173 @@
+"""Limits of the nonlinear rig: small signals, full opening, the end of the stroke, any drive."""
+
+import numpy as np
+import pytest
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.parameters import resolve
+from seft_plant_sim import nonlinear_plant
+from seft_plant_sim.nonlinear_plant import NonlinearPlant
+from seft_plant_sim.parameters import TABLE
+from seft_plant_sim.plant import LinearPlant, make_plant
+from seft_plant_sim.rig import continuous_model
+
+DT = 0.002
+NOISE = np.random.default_rng(3).normal(size=(250, 1))
+CAPACITY = 24500.0
+
+
+def plant(axes=("x",), **values):
+    """Plant of the table's defaults; a double underscore stands for a dot."""
+    specimen = {"mass": 52.7, "damping": 903.5, "stiffness": 2.11e5}
+    given = {f"specimen.{name}": value for name, value in specimen.items()}
+    given |= {"actuator.force_capacity": CAPACITY, "actuator.friction": 0.0}
+    given |= {name.replace("__", "."): value for name, value in values.items()}
+    section = resolve({"rig": TABLE}, {"rig": TABLE.check(given)})["rig"]
+    return make_plant(continuous_model(section, axes), DT)
+
+
+def run(one, commands):
+    """Samples, shape (N + 1, 4, n), and what was named as saturated."""
+    names = set()
+    samples = [one.reset()]
+    for command in commands:
+        samples.append(one.step(command))
+        names |= set(one.saturated())
+    return np.array(samples), names
+
+
+def difference(amplitude, **values):
+    """Largest difference of each quantity between nonlinear and linear, relative to its peak."""
+    nonlinear = run(plant(**values), amplitude * NOISE)[0]
+    linear = run(plant(actuator__kind="servo_hydraulic_linear", **values), amplitude * NOISE)[0]
+    return (np.abs(nonlinear - linear).max(axis=0) / np.abs(linear).max(axis=0)).ravel()
+
+
+def test_the_linear_kinds_are_solved_exactly_and_the_others_integrated():
+    for kind in ("ideal", "delay", "servo_hydraulic_linear"):
+        assert isinstance(plant(actuator__kind=kind), LinearPlant)
+    assert isinstance(plant(), NonlinearPlant)
+    yields = {"specimen__kind": "bilinear", "specimen__yield_displacement": 1.0}
+    assert isinstance(plant(actuator__kind="ideal", **yields), NonlinearPlant)
+
+
+def test_a_small_drive_sees_the_linear_rig():
+    """The difference falls with the square of the amplitude, as of the root of the pressure."""
+    small, large = difference(1e-3), difference(1e-1)
+    np.testing.assert_allclose(large / small, 100.0, rtol=0.02)
+    assert difference(1e-5).max() < 1e-6
+
+
+def test_a_specimen_that_yields_later_on_is_linear_until_then():
+    for law in ("bilinear", "bouc_wen"):
+        yields = {"specimen__kind": law, "specimen__yield_displacement": 1e3}
+        tolerance = 1e-9 if law == "bilinear" else 1e-5  # Bouc-Wen is never quite elastic
+        for kind, drive in (("ideal", 1000.0), ("servo_hydraulic_linear", 1.0)):
+            bent = run(plant(actuator__kind=kind, **yields), drive * NOISE)[0]
+            linear = run(plant(actuator__kind=kind), drive * NOISE)[0]
+            peak = np.abs(linear).max(axis=0)
+            np.testing.assert_allclose(bent / peak, linear / peak, atol=tolerance)
+
+
+@pytest.mark.parametrize("leakage", [0.0, 20.0])
+def test_a_fully_open_valve_stalls_at_the_force_capacity(leakage):
+    """Against a specimen that the stroke does not end before."""
+    values = {"specimen__stiffness": 2e6, "actuator__leakage_coefficient": 0.0}
+    samples, names = run(plant(actuator__leakage=leakage, **values), np.full((1500, 1), 10.0))
+    force = samples[:, 3, 0]
+    assert np.abs(force).max() <= 1.01 * CAPACITY
+    assert force[-1] > 0.99 * CAPACITY
+    assert samples[-1, 0, 0] == pytest.approx(force[-1] / 2e6, rel=5e-3)
+    assert "valve" in names
+    assert "stroke" not in names
+    back, _ = run(plant(actuator__leakage=leakage, **values), np.full((1500, 1), -10.0))
+    np.testing.assert_array_equal(back, -samples)
+
+
+def test_a_load_that_is_stronger_than_the_pressure_is_named():
+    """What swings on drives the piston against the oil."""
+    slow = np.repeat([[10.0], [-10.0], [10.0], [-10.0]], 20, axis=0)
+    values = {"actuator__force_capacity": 500.0, "specimen__mass": 2000.0}
+    _, names = run(plant(**values), slow)
+    assert "force_capacity" in names
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_stroke_ends_at_the_stops(sign):
+    samples, names = run(plant(), np.full((1500, 1), sign * 10.0))
+    x = sign * samples[:, 0, 0]
+    assert np.isfinite(samples).all()
+    assert 0.076 < x[-1] < 0.077
+    assert x.max() < 0.077
+    assert np.abs(samples[-1, 1]).max() < 1e-3  # and rests there
+    assert names >= {"stroke", "valve"}
+
+
+def test_nothing_is_named_within_all_ranges():
+    assert run(plant(), 0.5 * NOISE)[1] == set()
+
+
+@pytest.mark.parametrize("drive", [1e3, 1e9, 1e15])
+def test_no_drive_gives_what_is_no_number(drive):
+    turns = drive * np.sign(np.sin(np.arange(600) / 50.0))[:, np.newaxis]
+    for values in ({}, {"actuator__friction": 300.0, "sensors__anti_alias": 100.0}):
+        assert np.isfinite(run(plant(**values), turns)[0]).all()
+    yields = {"specimen__kind": "bouc_wen", "specimen__yield_displacement": 0.002}
+    assert np.isfinite(run(plant(**yields), turns)[0]).all()
+
+
+@pytest.mark.parametrize("law", ["linear", "bilinear", "bouc_wen"])
+def test_axes_that_are_not_coupled_are_rigs_of_their_own(law, monkeypatch):
+    """In equal steps: else those of the fastest axis are the steps of all."""
+    monkeypatch.setattr(nonlinear_plant, "LONGEST_STEP", 1e-4)
+    axes = ("x", "y", "z")
+    each = {
+        "specimen__mass": [52.7, 80.0, 40.0],
+        "specimen__stiffness": [2.11e5, 3e5, 1.5e5],
+        "actuator__oil_stiffness": [1.664e7, 2e7, 1.2e7],
+        "actuator__stroke": [0.076, 0.004, 0.05],
+        "actuator__friction": [0.0, 50.0, 10.0],
+    }
+    both = {"specimen__kind": law}
+    if law != "linear":
+        each["specimen__yield_displacement"] = [0.001, 0.002, 0.003]
+    if law != "linear":
+        both["specimen__yield_displacement"] = 0.001
+    commands = 5.0 * np.random.default_rng(6).normal(size=(150, 3))
+    together = run(plant(axes, **(both | each)), commands)[0]
+    for column in range(3):
+        own = {name: values[column] for name, values in each.items()}
+        alone = run(plant(**(both | own)), commands[:, column : column + 1])[0]
+        peak = np.abs(alone).max(axis=0)
+        error = np.abs(together[:, :, column] - alone[:, :, 0]) / peak[:, 0]
+        assert error.max() < 1e-9, column
+    twice = run(plant(("x", "y"), **both), np.repeat(commands[:, :1], 2, axis=1))[0]
+    once = run(plant(**both), commands[:, :1])[0]
+    np.testing.assert_allclose(twice[:, :, 1:], once, rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(twice[:, :, 0], twice[:, :, 1])
+
+
+def test_a_whole_dead_time_shifts_the_samples_of_none():
+    none = run(plant(actuator__dead_time=0.0), 2.0 * NOISE)[0]
+    for steps in (1, 4):
+        late = run(plant(actuator__dead_time=steps * DT), 2.0 * NOISE)[0]
+        np.testing.assert_array_equal(late[steps:], none[:-steps])
+        np.testing.assert_array_equal(late[: steps + 1], 0.0)
+
+
+def test_a_dead_time_that_is_nearly_whole_is_nearly_that():
+    whole = run(plant(actuator__dead_time=0.002), 2.0 * NOISE)[0]
+    nearly = run(plant(actuator__dead_time=0.002 + 1e-7), 2.0 * NOISE)[0]
+    peak = np.abs(whole).max(axis=0)
+    np.testing.assert_allclose(nearly / peak, whole / peak, atol=5e-3)
+
+
+def test_reset_brings_back_the_very_same_samples():
+    one = plant(specimen__kind="bilinear", specimen__yield_displacement=0.0005)
+    first = run(one, 3.0 * NOISE)[0]
+    np.testing.assert_array_equal(run(one, 3.0 * NOISE)[0], first)
+
+
+def test_what_is_too_fast_to_be_followed_is_refused():
+    told = "friction or end stops answer at .* raise actuator.friction_velocity"
+    with pytest.raises(InputError, match=told):
+        plant(actuator__friction=500.0, actuator__friction_velocity=1e-6)

@@ -1,0 +1,162 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.parameters import group, resolve
+from seft_plant_sim.parameters import TABLE
+from seft_plant_sim.restoring_force import BilinearSpring, BoucWenSpring
+from seft_plant_sim.specimen import Specimen
+
+STOREYS = np.array([[1.0, 0.0, 0.0], [-1.0, 1.0, 0.0], [0.0, -1.0, 1.0]])  # of a shear frame
+
+
+def specimen(axes=("x",), **values):
+    """Specimen of the table's defaults with changes; a double underscore stands for a dot."""
+    values = {"mass": 52.7, "stiffness": 2.11e5, **values}
+    given = {f"specimen.{name.replace('__', '.')}": value for name, value in values.items()}
+    section = resolve({"rig": TABLE}, {"rig": TABLE.check(given)})["rig"]
+    return Specimen.from_parameters(group(section, "specimen"), axes, "rig: specimen")
+
+
+def test_a_specimen_is_linear_unless_its_kind_says_otherwise():
+    linear = specimen(damping=903.5)
+    assert linear.springs == ()
+    assert linear.stiffness.tolist() == [[2.11e5]]
+    assert linear.damping.tolist() == [[903.5]]
+    model = {"mass": 2.0, "damping": 1.0, "stiffness": 3.0}  # the reference-force node's
+    assert Specimen.from_parameters(model, ("x",), "reference_force: model").springs == ()
+
+
+def test_each_axis_has_a_spring_to_the_ground_unless_springs_are_given():
+    pair = specimen(
+        ("x", "y"), kind="bilinear", stiffness=[100.0, 200.0], yield_displacement=[0.01, 0.02]
+    )
+    assert pair.springs == (
+        BilinearSpring(100.0, pytest.approx(0.01), 0.05),
+        BilinearSpring(200.0, pytest.approx(0.02), 0.05),
+    )
+    assert pair.deformation.tolist() == np.eye(2).tolist()
+
+
+def test_a_bouc_wen_spring_has_the_parameters_of_its_group():
+    one = specimen(
+        kind="bouc_wen",
+        yield_displacement=0.01,
+        hardening_ratio=0.1,
+        bouc_wen__exponent=2.0,
+        bouc_wen__beta=0.8,
+        bouc_wen__gamma=0.2,
+        bouc_wen__amplitude_loss=0.1,
+        bouc_wen__strength_loss=0.2,
+        bouc_wen__stiffness_loss=0.3,
+    )
+    (spring,) = one.springs
+    assert spring.stiffness == pytest.approx(2.11e5)
+    assert spring == BoucWenSpring(
+        spring.stiffness,
+        0.01,
+        0.1,
+        2.0,
+        0.8,
+        0.2,
+        amplitude_loss=0.1,
+        strength_loss=0.2,
+        stiffness_loss=0.3,
+    )
+
+
+@given(st.lists(st.floats(1e2, 1e7), min_size=3, max_size=3))
+def test_storeys_of_a_shear_frame_are_found_in_its_stiffness(storeys):
+    stiffness = STOREYS.T @ np.diag(storeys) @ STOREYS
+    frame = specimen(
+        ("1", "2", "3"),
+        kind="bilinear",
+        stiffness=stiffness.ravel().tolist(),
+        springs=STOREYS.ravel().tolist(),
+        yield_displacement=0.01,
+    )
+    found = [spring.stiffness for spring in frame.springs]
+    np.testing.assert_allclose(found, storeys, rtol=1e-6, atol=1e-9 * max(storeys))
+    assert frame.deformation.tolist() == STOREYS.tolist()
+
+
+def test_springs_may_be_more_than_axes():
+    springs = [1.0, 0.0, 0.0, 1.0, 1.0, -1.0]  # two to the ground, one in between
+    pair = specimen(
+        ("x", "y"),
+        kind="bilinear",
+        stiffness=[300.0, -200.0, -200.0, 700.0],
+        springs=springs,
+        yield_displacement=[0.01, 0.02, 0.03],
+    )
+    np.testing.assert_allclose([s.stiffness for s in pair.springs], [100.0, 500.0, 200.0])
+    assert [s.yield_displacement for s in pair.springs] == [0.01, 0.02, 0.03]
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ({}, r"specimen\.yield_displacement is 0.0, but a bilinear specimen yields: give the dis"),
+        ({"yield_displacement": [0.01, 0.0]}, r"yield_displacement is \[0.01, 0.0\], but"),
+        (
+            {"yield_displacement": [0.01, 0.02, 0.03]},
+            r"specimen\.yield_displacement: 3 values for 2 springs; give 1 or 2",
+        ),
+        (
+            {"yield_displacement": 0.01, "hardening_ratio": [0.1] * 3},
+            r"specimen\.hardening_ratio: 3 values for 2 springs",
+        ),
+        (
+            {"yield_displacement": 0.01, "springs": [1.0, 0.0, 1.0]},
+            r"specimen\.springs: 3 values for 2 axes \['x', 'y'\]; give 2 for each spring",
+        ),
+        (
+            {"yield_displacement": 0.01, "stiffness": [3.0, -1.0, -1.0, 2.0]},
+            r"specimen\.stiffness \[\[3.0, -1.0\], \[-1.0, 2.0\]\] is not what springs with the "
+            r"deformations \[\[1.0, 0.0\], \[0.0, 1.0\]\] add up to; name the springs in",
+        ),
+        (
+            {
+                "yield_displacement": 0.01,
+                "stiffness": [-1.0, 1.0, 1.0, -1.0],  # of a spring of -1 N/m in between
+                "springs": [1.0, -1.0],
+            },
+            r"specimen\.stiffness: the springs' own come out as \[-1.0\] N/m, but must be posit",
+        ),
+        (
+            {
+                "yield_displacement": 0.01,
+                "stiffness": [1.0, 1.0, 1.0, 1.0],
+                "springs": [1.0, 0.0, 0.0, 1.0, 1.0, -1.0],
+            },
+            r"the springs' own come out as \[2.0, 2.0, -1.0\] N/m, but must be positive; mend",
+        ),
+    ],
+)
+def test_what_makes_no_hysteretic_specimen_is_refused_by_name(values, told):
+    with pytest.raises(InputError, match=told) as caught:
+        specimen(("x", "y"), kind="bilinear", **values)
+    assert "\n" not in str(caught.value)
+
+
+def test_bouc_wen_springs_must_yield_at_some_force():
+    values = {"kind": "bouc_wen", "yield_displacement": 0.01, "bouc_wen__beta": 0.2}
+    with pytest.raises(InputError, match=r"bouc_wen: beta 0.2 and gamma -0.2 must add up to more"):
+        specimen(**values, bouc_wen__gamma=-0.2)
+
+
+def test_an_elastic_spring_carries_the_stiffness():
+    """r = D^T s is K x as long as the springs have not yielded."""
+    stiffness = STOREYS.T @ np.diag([3e5, 2e5, 1e5]) @ STOREYS
+    frame = specimen(
+        ("1", "2", "3"),
+        kind="bilinear",
+        stiffness=stiffness.ravel().tolist(),
+        springs=STOREYS.ravel().tolist(),
+        yield_displacement=0.01,
+    )
+    x = np.array([0.001, 0.003, -0.002])
+    e = frame.deformation @ x
+    s = [spring.force(d, d) for spring, d in zip(frame.springs, e, strict=True)]
+    np.testing.assert_allclose(frame.deformation.T @ s, stiffness @ x, rtol=1e-9)

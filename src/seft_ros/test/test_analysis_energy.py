@@ -1,0 +1,105 @@
+"""Energy balance in the summary of a test."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.parameter_file import parse_override
+from seft_ros.analysis.energy import energy_of
+from seft_ros.analysis.summary import summarise
+from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.offline import simulate
+from seft_ros.experiment.tables import TABLES
+from seft_ros.recording.bag_reader import read_bag
+from seft_ros.recording.record import Series
+from seft_ros.recording.record_bag import write_record
+
+JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
+SHORT = ("ground_motion:synthetic.duration:=8.0", "ground_motion:tail:=1.0")
+YIELDING = ("rig:specimen.kind:=bilinear", "rig:specimen.yield_displacement:=0.002")
+KEYS = ["input_j", "kinetic_j", "strain_j", "damped_j", "hysteretic_j", "closure"]
+
+
+def run(*words):
+    experiment = Experiment.load(TABLES, [JHU], [parse_override(word) for word in (*SHORT, *words)])
+    return simulate(experiment, build_blocks(experiment))
+
+
+@pytest.mark.parametrize("law", [(), YIELDING], ids=["linear", "bilinear"])
+@pytest.mark.parametrize(
+    "actuator",
+    [
+        (),
+        ("rig:actuator.kind:=ideal",),
+        ("rig:actuator.kind:=delay", "rig:actuator.delay:=0.0033"),
+        ("rig:actuator.kind:=delay", "rig:actuator.delay:=0.004"),
+        ("rig:actuator.kind:=ideal", "rig:sensors.anti_alias:=150"),
+    ],
+    ids=["servo-hydraulic", "ideal", "delay", "whole delay", "filtered"],
+)
+def test_the_energy_of_a_simulated_test_closes_with_the_noise_of_its_sensors(actuator, law):
+    record = run(*actuator, *law)
+    energy = energy_of(record)
+    assert list(energy) == KEYS
+    assert energy["closure"] < 0.01
+    held = sum(energy[f"{name}_j"] for name in ("kinetic", "strain", "damped", "hysteretic"))
+    assert energy["input_j"] == pytest.approx(held, rel=0.01)
+    assert (energy["hysteretic_j"] > 0.1 * energy["input_j"]) == bool(law)
+
+
+def test_it_stands_in_the_summary_and_survives_the_bag(tmp_path):
+    record = run(*YIELDING)
+    energy = summarise(record)["energy"]
+    assert energy == energy_of(record)
+    write_record(record, tmp_path / "bag")
+    assert summarise(read_bag(tmp_path / "bag"))["energy"] == energy
+
+
+def test_a_velocity_derived_from_displacement_is_good_enough():
+    assert energy_of(run("rig:sensors.velocity:=derived"))["closure"] < 0.02
+
+
+def test_a_record_without_all_of_its_samples_has_no_energy():
+    record = run()
+    states = record.series["rig/state"]
+    for kept in (np.arange(len(states.steps)) != 40, slice(1), slice(0)):
+        part = Series(states.steps[kept], states.values[kept])
+        lost = dataclasses.replace(record, series={**record.series, "rig/state": part})
+        assert energy_of(lost) is None
+    values = states.values.copy()
+    values[7, 2, 0] = np.nan
+    broken = {**record.series, "rig/state": Series(states.steps, values)}
+    assert energy_of(dataclasses.replace(record, series=broken)) is None
+
+
+def test_a_record_of_a_specimen_that_is_not_known_has_no_energy():
+    record = run()
+    sections = {"supervisor": record.experiment["supervisor"]}
+    unknown = dataclasses.replace(record, experiment=Experiment(sections))
+    assert energy_of(unknown) is None
+    assert summarise(unknown)["energy"] is None
+    del record.experiment.sections["rig"]
+    assert energy_of(record)["closure"] < 0.01  # the model is the specimen
+
+
+def test_a_test_that_went_unstable_is_json_still():
+    record = run(
+        "reference_force:mass_ratio:=3.0",
+        *(f"supervisor:limits.{name}:=1e300" for name in ("displacement", "velocity", "force")),
+        "supervisor:limits.acceleration:=1e300",
+        "supervisor:limits.saturated_time:=1e6",
+        "rig:actuator.kind:=ideal",
+    )
+    summary = summarise(record)
+    json.dumps(summary["energy"], allow_nan=False)
+
+
+def test_at_rest_there_is_no_closure():
+    record = run()
+    states = record.series["rig/state"]
+    rest = {**record.series, "rig/state": Series(states.steps, 0 * states.values)}
+    energy = summarise(dataclasses.replace(record, series=rest))["energy"]
+    assert energy == {**dict.fromkeys(KEYS, 0.0), "closure": None}

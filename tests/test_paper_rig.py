@@ -1,0 +1,75 @@
+"""Uncompensated tests on the paper's rig come out as the paper's did (section 4)."""
+
+import numpy as np
+import pytest
+from graph_tools import JHU, ROOT
+from seft_msgs_py.experiment import Experiment
+from seft_ros.analysis.summary import reference_of, summarise
+from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.offline import simulate
+from seft_ros.experiment.tables import TABLES
+
+RECORDS = ROOT.parent / "shared" / "data"
+MOTIONS = {
+    "synthetic 1": {"synthetic.seed": 1},
+    "synthetic 7": {"synthetic.seed": 7},
+    "Kobe JMA": {"file": RECORDS / "kobe_jma_1995.txt", "unit": "cm/s2", "dt": 0.005},
+    "El Centro": {"file": RECORDS / "elcentro_1940.txt", "unit": "cm/s2", "dt": 0.005},
+    "Nishi-Akashi": {"file": RECORDS / "kobe_nishi_akashi_090.AT2"},
+}
+HERE = [name for name, motion in MOTIONS.items() if motion.get("file", ROOT).exists()]
+
+
+def uncompensated(name, mass_ratio):
+    overrides = [("ground_motion", key, _plain(value)) for key, value in MOTIONS[name].items()]
+    overrides.append(("reference_force", "mass_ratio", mass_ratio))
+    experiment = Experiment.load(TABLES, [JHU], overrides)
+    record = simulate(experiment, build_blocks(experiment))
+    return record, summarise(record)
+
+
+def _plain(value):
+    return value if isinstance(value, int | float) else str(value)
+
+
+def vibration(acceleration, rate):
+    """Spectrum above 25 Hz: its RMS and the frequency of its peak."""
+    hz = np.fft.rfftfreq(len(acceleration), 1 / rate)
+    spectrum = np.abs(np.fft.rfft(acceleration))
+    spectrum[hz < 25] = 0.0
+    return np.sqrt(np.mean(np.fft.irfft(spectrum) ** 2)), hz[spectrum.argmax()]
+
+
+@pytest.mark.parametrize("name", HERE)
+def test_without_computed_mass_it_agrees(name):
+    _, summary = uncompensated(name, 0.0)
+    assert summary["stable"]
+    displacement = summary["displacement"]
+    assert displacement["nrmse_aligned"] < 0.1
+    assert displacement["peak"] == pytest.approx(displacement["reference_peak"], rel=0.06)
+    assert 0.012 < displacement["delay_s"] < 0.016
+
+
+@pytest.mark.parametrize("name", HERE)
+def test_with_computed_mass_the_response_is_too_small_and_vibrates(name):
+    rms = {}
+    for mass_ratio in (0.0, 0.5, 1.0):
+        record, summary = uncompensated(name, mass_ratio)
+        assert summary["stable"]
+        if mass_ratio:
+            assert summary["displacement"]["peak"] < 0.9 * summary["displacement"]["reference_peak"]
+        acceleration = record.series["rig/state"].values[:, 2, 0]
+        exact = reference_of(record).acceleration[:, 0]
+        rate = record.experiment.timebase.rate
+        rms[mass_ratio] = vibration(acceleration, rate)[0] / vibration(exact, rate)[0]
+    assert rms[0.0] < rms[0.5] < rms[1.0]
+    assert rms[1.0] > 3 * rms[0.0]
+
+
+@pytest.mark.parametrize("name", HERE)
+def test_at_a_mass_ratio_of_one_and_a_half_it_is_unstable_at_30_to_40_hz(name):
+    record, summary = uncompensated(name, 1.5)
+    assert not summary["stable"]
+    assert "acceleration_range" in summary["saturated"]
+    _, hz = vibration(record.series["rig/state"].values[:, 2, 0], record.experiment.timebase.rate)
+    assert 30 < hz < 40
