@@ -32,6 +32,7 @@ setup(
         *experiments(),
     ],
     install_requires=[
+        "control",
         "lz4",
         "matplotlib",
         "mcap",

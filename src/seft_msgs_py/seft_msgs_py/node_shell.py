@@ -237,9 +237,10 @@ class NodeShell:
     def close(self) -> None:
         """Take the node off the graph."""
         self.stopping = True
-        self._executor.shutdown(timeout_sec=1.0)
-        if self._thread.is_alive():
+        if self._thread.is_alive():  # it must not wait on what is being taken down
+            self._executor.wake()
             self._thread.join(timeout=2.0)
+        self._executor.shutdown(timeout_sec=1.0)
         self.node.destroy_node()
         rclpy.try_shutdown()
 

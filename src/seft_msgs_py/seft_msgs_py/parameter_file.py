@@ -1,4 +1,4 @@
-"""ROS 2 parameter files, and parameters on command lines, read but not yet checked."""
+"""ROS 2 parameter files, and parameters on command lines, read (not yet checked) and written."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -55,6 +55,39 @@ def read_parameter_file(path: str | Path) -> dict[str, Section]:
             raise InputError(f"{path}: {key} {PARAMETERS_KEY} must hold names and values")
         sections[node] = {**sections.get(node, {}), **_flatten(parameters, str(path), node)}
     return sections
+
+
+def write_parameter_file(
+    path: Path, sections: Mapping[str, Section], comments: Sequence[str] = ()
+) -> None:
+    """Write a new ROS 2 parameter file, to be read after an experiment's own.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    sections : mapping
+        Node name -> parameter name -> value, of plain Python types.
+    comments : sequence of str
+        Lines above.
+
+    Raises
+    ------
+    InputError
+        If the file exists already or can't be written.
+    """
+    yaml = YAML()
+    yaml.default_flow_style = None  # lists in one line
+    yaml.width = 4096
+    tree = {node: {PARAMETERS_KEY: dict(section)} for node, section in sections.items()}
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.writelines(f"# {line}\n" for line in comments)
+            yaml.dump(tree, file)
+    except FileExistsError:
+        raise InputError(f"{path}: exists already; name another file") from None
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from None
 
 
 def parse_override(text: str) -> Override:

@@ -17,6 +17,7 @@ from seft_ros.analysis import figure
 from seft_ros.analysis.metrics import delayed, nrmse
 from seft_ros.analysis.summary import json_safe, reference_of, summarise
 from seft_ros.analysis.table import summary_table, verdict
+from seft_ros.drawing.style import save_figure
 from seft_ros.recording.record import Record, Series
 
 COUNT = 2000
@@ -309,7 +310,7 @@ def test_a_trip_is_a_line_across_all_panels_and_stands_in_the_title():
 def test_figures_are_saved_as_png_without_touching_the_users_pyplot(tmp_path):
     backend = mpl.get_backend()
     record = make_record(trip=Trip("force of $5 on axis $x", 1999, 3.998))
-    figure.save_figure(figure.test_figure(record, reference_of(record)), tmp_path / "figure")
+    save_figure(figure.test_figure(record, reference_of(record)), tmp_path / "figure")
     height, width, _ = imread(tmp_path / "figure.png").shape
     assert (width, height) == (1425, 1080)
     assert mpl.get_backend() == backend
@@ -318,11 +319,11 @@ def test_figures_are_saved_as_png_without_touching_the_users_pyplot(tmp_path):
 def test_what_can_not_be_compared_is_drawn_still(tmp_path):
     record = make_record()
     record.series["rig/state"].values[100:, 0] = math.nan
-    figure.save_figure(figure.test_figure(record, reference_of(record)), tmp_path / "nan.png")
-    figure.save_figure(figure.test_figure(record, None), tmp_path / "alone.png")
+    save_figure(figure.test_figure(record, reference_of(record)), tmp_path / "nan.png")
+    save_figure(figure.test_figure(record, None), tmp_path / "alone.png")
     for topic in LOOP_TOPICS:
         record = without(record, topic.name, range(COUNT))
-    figure.save_figure(figure.test_figure(record, None), tmp_path / "empty.png")
+    save_figure(figure.test_figure(record, None), tmp_path / "empty.png")
     assert len(list(tmp_path.iterdir())) == 3
 
 
@@ -330,5 +331,5 @@ def test_what_can_not_be_compared_is_drawn_still(tmp_path):
 def test_a_figure_that_cannot_be_saved_is_an_input_error(tmp_path, name):
     record = make_record()
     with pytest.raises(InputError, match="can't be saved") as caught:
-        figure.save_figure(figure.test_figure(record, None), tmp_path / name)
+        save_figure(figure.test_figure(record, None), tmp_path / name)
     assert "\n" not in str(caught.value)

@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from seft_ros.commands.main import main
 
 CONFIG = Path(__file__).parents[3] / "config"
 JHU = str(CONFIG / "jhu.yaml")
@@ -14,19 +13,6 @@ AT2 = "PEER NGA\nKOBE\nACCELERATION IN G\n"
 KEYS = {"steps", "rate_hz", "duration_s", "wall_s", "realtime_factor", "stable", "trip"}
 MEASURES = {"nrmse", "nrmse_aligned", "peak", "reference_peak", "delay_s"}
 SHORT = ("-p", "ground_motion:synthetic.duration:=4", "-p", "ground_motion:tail:=1")
-
-
-@pytest.fixture
-def seft(monkeypatch, capsys, tmp_path):
-    """Run the command line in this process and an empty folder; (status, stdout, stderr)."""
-
-    def run(*words):
-        monkeypatch.chdir(tmp_path)
-        monkeypatch.setattr(sys, "argv", ["seft", *map(str, words)])
-        status = main()
-        return status, *capsys.readouterr()
-
-    return run
 
 
 @pytest.fixture
@@ -140,6 +126,9 @@ def test_a_faulty_experiment_is_refused(refused, tmp_path, text, told):
         (["simulate", JHU, *SHORT, "--out", "."], "exists already"),
         (["run", "none.yaml"], "none.yaml: No such file"),
         (["run", JHU, "-p", "rate:=333"], "320 and 400"),
+        (["run", JHU, "--external", "rigg"], "did you mean rig?"),
+        (["run", JHU, "--external", "recorder"], "--external recorder: must be one of"),
+        (["simulate", JHU, "--params-file", "none.yaml"], "none.yaml: No such file"),
         (["report", "none"], "none"),
         (["compare", "none", "other"], "none"),
         (["recover", "none"], "none"),
@@ -179,7 +168,7 @@ def test_simulate_prints_one_json_object_and_nothing_else(seft, tmp_path):
 
 
 def test_a_test_that_trips_ends_with_status_1_and_says_so(seft):
-    words = ("-p", "reference_force:mass_ratio:=1.5", "-p", "supervisor:limits.acceleration:=40")
+    words = ("-p", "reference_force:mass_ratio:=1.5", "-p", "supervisor:limits.acceleration:=30")
     status, out, err = seft("simulate", JHU, *words, "--json")
     summary = json.loads(out)
     assert status == 1
@@ -187,7 +176,7 @@ def test_a_test_that_trips_ends_with_status_1_and_says_so(seft):
     assert set(summary["trip"]) == {"reason", "step", "time_s"}
     assert summary["trip"]["step"] == summary["steps"] - 1
     assert "acceleration" in err.splitlines()[-1]
-    assert "beyond the limit of 40" in err.splitlines()[-1]
+    assert "beyond the limit of 30" in err.splitlines()[-1]
 
 
 def test_out_names_the_folder_of_the_bag_which_reports_the_same(seft, tmp_path):

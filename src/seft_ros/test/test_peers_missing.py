@@ -142,3 +142,12 @@ def test_a_listener_that_knows_no_sender_yet_is_named():
     assert missing(PEERS, heard, descriptions, NOW) == expected
     heard["force_controller"].status.values["senders rig/state"] = "1"
     assert missing(PEERS, heard, descriptions, NOW) == ""
+
+
+@pytest.mark.parametrize("phase", ["running", "finished", "tripped"])
+def test_a_rig_that_still_tells_of_the_last_test_is_waited_for(phase):
+    heard, descriptions = graph()
+    heard["rig"].status.values["phase"] = phase
+    assert missing(PEERS, heard, descriptions, NOW) == "the rig to leave the last test"
+    heard["rig"].status.values["phase"] = "idle"
+    assert missing(PEERS, heard, descriptions, NOW) == ""

@@ -1,23 +1,20 @@
 """A figure of a test: what was measured against the exact response."""
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from seft_msgs_py.errors import InputError
 from seft_msgs_py.topics import RIG_STATE
 from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.analysis.reference import COMPARED, quantity
 from seft_ros.analysis.title import title_of
+from seft_ros.drawing.style import FIRST, MARK, REFERENCE, TEXT, tidy
 from seft_ros.recording.record import Record
 
 MOST_AXES = 3
 _ROWS = {"displacement": ("mm", 1e3), "force": ("N", 1.0), "acceleration": ("m/s²", 1.0)}
-_EXACT, _TEST, _TRIP, _GRID, _TEXT = "#9aa3ad", "#0b5fa5", "#c1272d", "#e6e9ec", "#33383d"
 
 
 def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
@@ -39,36 +36,17 @@ def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
         for column in range(len(axes)):
             _draw(panels[row, column], record, reference, name, column)
         unit = _ROWS[name][0]
-        panels[row, 0].set_ylabel(f"{name} / {unit}", color=_TEXT)
+        panels[row, 0].set_ylabel(f"{name} / {unit}", color=TEXT)
     for column, axis in enumerate(axes):
         if len(record.experiment.axes) > 1:
             text = f"axis {axis}"
-            panels[0, column].set_title(
-                text, loc="left", fontsize=11, color=_TEXT, parse_math=False
-            )
-        panels[-1, column].set_xlabel("time / s", color=_TEXT)
+            panels[0, column].set_title(text, loc="left", fontsize=11, color=TEXT, parse_math=False)
+        panels[-1, column].set_xlabel("time / s", color=TEXT)
     figure.align_ylabels()
     handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
-    figure.suptitle(_title(record), fontsize=11, color=_TEXT, parse_math=False)
+    figure.suptitle(_title(record), fontsize=11, color=TEXT, parse_math=False)
     return figure
-
-
-def save_figure(figure: Figure, path: str | Path) -> None:
-    """Save a figure; the suffix tells the format, png where there is none.
-
-    Raises
-    ------
-    InputError
-        If the file can't be written.
-    """
-    path = Path(path)
-    path = path if path.suffix else path.with_suffix(".png")
-    try:
-        figure.savefig(path, dpi=150)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
-        raise InputError(f"{path}: the figure can't be saved ({reason})") from None
 
 
 def _draw(
@@ -81,18 +59,15 @@ def _draw(
     if reference is not None:
         exact = quantity(reference, name)[:, column]
         time = np.arange(len(exact)) * dt
-        panel.plot(time, exact * scale, color=_EXACT, lw=2.2, label="exact response")
+        panel.plot(time, exact * scale, color=REFERENCE, lw=2.2, label="exact response")
         error = nrmse(y, exact[states.steps])
         text = f"NRMSE {error * 100:.3g} %" if np.isfinite(error) else "NRMSE undefined"
-        panel.set_title(text, loc="right", fontsize=9, color=_TEXT)
-    panel.plot(states.steps * dt, y * scale, color=_TEST, lw=0.9, label="test")
+        panel.set_title(text, loc="right", fontsize=9, color=TEXT)
+    panel.plot(states.steps * dt, y * scale, color=FIRST, lw=0.9, label="test")
     if record.trip is not None:
-        panel.axvline(record.trip.time_s, color=_TRIP, lw=1.2, ls="--", label="trip")
+        panel.axvline(record.trip.time_s, color=MARK, lw=1.2, ls="--", label="trip")
     panel.margins(x=0.01)
-    panel.grid(color=_GRID, lw=0.8)
-    panel.set_axisbelow(True)
-    panel.tick_params(colors=_TEXT, labelsize=9)
-    panel.spines[["top", "right"]].set_visible(False)
+    tidy(panel)
 
 
 def _title(record: Record) -> str:

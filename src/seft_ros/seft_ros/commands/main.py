@@ -6,6 +6,8 @@ import typer
 from seft_msgs_py.errors import SeftError
 
 from seft_ros.commands.compare import compare
+from seft_ros.commands.design import design
+from seft_ros.commands.identify import identify
 from seft_ros.commands.motion import motion
 from seft_ros.commands.options import complain
 from seft_ros.commands.parameters import parameters
@@ -25,7 +27,7 @@ APP = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (run, simulate, report, compare, motion, recover, parameters):
+for command in (run, simulate, report, compare, motion, recover, identify, design, parameters):
     APP.command()(command)
 
 

@@ -37,6 +37,7 @@ def motion(
 
         seft motion record.csv --unit m/s2 --time-scale 0.5 --json
     """
+    from seft_ros.drawing.style import save_figure
     from seft_ros.ground_motion.block import GroundMotion
     from seft_ros.ground_motion.figure import motion_figure
     from seft_ros.ground_motion.parameters import TABLE
@@ -59,7 +60,7 @@ def motion(
     block = GroundMotion.from_parameters({**defaults, **given}, axes, Timebase.from_rate(rate))
     path = figure or Path(f"{file.stem}.png")
     drawn = motion_figure(block.samples, block.timebase.dt, axes, f"{file.name}, {rate:g} Hz")
-    drawn.savefig(path, dpi=150)
+    save_figure(drawn, path)
     summary = {"source": block.source, "rate_hz": rate, **motion_summary(block)}
     summary["figure"] = str(path)
     if json:

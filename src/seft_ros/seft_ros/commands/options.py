@@ -2,13 +2,17 @@
 
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from seft_msgs_py.errors import InputError
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.parameter_file import parse_override
+from seft_msgs_py.parameters import nearest
+from seft_msgs_py.topics import NODES
 
 from seft_ros.experiment.tables import TABLES
 
@@ -24,15 +28,47 @@ OverrideOption = Annotated[
         help="Override a parameter, as in ROS 2; may be given many times.",
     ),
 ]
+ParamsFileOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--params-file",
+        metavar="FILE",
+        help="Another parameter file, whose values win over CONFIG's; may be given many times.",
+    ),
+]
+ExternalOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--external",
+        metavar="NODE",
+        help="This node runs already, started by someone else, such as a lab's hardware driver "
+        "as rig; its parameters are its own. May be given many times.",
+    ),
+]
 JsonOption = Annotated[
     bool,
     typer.Option("--json", help="Print one JSON object on stdout, and nothing else there."),
 ]
 
 
-def load_experiment(config: Path, overrides: list[str] | None) -> Experiment:
-    """Read an experiment of a command line."""
-    return Experiment.load(TABLES, [config], [parse_override(text) for text in overrides or ()])
+def load_experiment(
+    config: Path,
+    overrides: list[str] | None,
+    params_files: Sequence[Path] | None = None,
+    external: Sequence[str] | None = None,
+) -> Experiment:
+    """Read an experiment of a command line; nodes that are external have no section in it."""
+    possible = [node for node in NODES if node not in ("supervisor", "recorder")]
+    for node in external or ():
+        if node not in possible:
+            raise InputError(
+                f"--external {node}: must be one of {', '.join(possible)}{nearest(node, possible)}"
+            )
+    return Experiment.load(
+        [table for table in TABLES if table.node not in (external or ())],
+        [config, *(params_files or ())],
+        [parse_override(text) for text in overrides or ()],
+    )
 
 
 def print_json(value: dict[str, Any]) -> None:

@@ -42,7 +42,8 @@ def present(record: Record, bag: Path | None, *, as_json: bool) -> dict[str, Any
     reference = reference_of(record)
     summary = summarise(record, reference)
     if bag is not None:
-        from seft_ros.analysis.figure import save_figure, test_figure
+        from seft_ros.analysis.figure import test_figure
+        from seft_ros.drawing.style import save_figure
 
         figure = bag / FIGURE
         save_figure(test_figure(record, reference), figure)

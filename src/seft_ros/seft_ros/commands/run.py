@@ -6,21 +6,27 @@ from typing import Annotated
 
 import typer
 from seft_msgs_py.errors import ExperimentError
+from seft_msgs_py.experiment import Experiment
 
 from seft_ros.commands.options import (
     ConfigArgument,
+    ExternalOption,
     JsonOption,
     OverrideOption,
+    ParamsFileOption,
     complain,
     load_experiment,
 )
 from seft_ros.commands.progress import step_progress
 from seft_ros.commands.results import present
+from seft_ros.experiment.tables import TABLES
 
 
 def run(
     config: ConfigArgument,
     param: OverrideOption = None,
+    params_file: ParamsFileOption = None,
+    external: ExternalOption = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -50,18 +56,19 @@ def run(
         seft run config/jhu.yaml -p rig:pace:=lockstep --out bags/lockstep
 
         ROS_DOMAIN_ID=7 seft run config/jhu.yaml --json
+
+        seft run config/jhu.yaml --external rig
     """
-    from seft_ros.experiment.blocks import build_blocks
     from seft_ros.recording.bag_reader import read_bag
     from seft_ros.running.run import bag_path, run_experiment
 
-    experiment = load_experiment(config, param)
+    experiment = load_experiment(config, param, params_file, external)
     bag = bag_path(experiment, out)
-    steps = build_blocks(experiment).ground_motion.steps
+    steps = _steps(experiment)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: end in order
     with step_progress(steps) as show:
         try:
-            finished = run_experiment(experiment, bag, show, pin=pin)
+            finished = run_experiment(experiment, bag, show, pin=pin, external=external or ())
         except KeyboardInterrupt:
             kept = f"; what was recorded is in {bag}" if bag.exists() else ""
             raise ExperimentError(f"interrupted{kept}") from None
@@ -73,3 +80,20 @@ def run(
         complain(f"the test tripped: {record.trip.reason}" if record.trip else "unstable")
         return 1
     return 0
+
+
+def _steps(experiment: Experiment) -> int:
+    """Count the steps of the test; makes the blocks to see that they can be made.
+
+    A node that is external has checked its own parameters; of such a ground motion the number
+    of steps is not known here.
+    """
+    from seft_ros.experiment.blocks import build_blocks
+    from seft_ros.ground_motion.block import GroundMotion
+
+    if all(table.node in experiment.sections for table in TABLES):
+        return build_blocks(experiment).ground_motion.steps
+    section = experiment.sections.get("ground_motion")
+    if section is None:
+        return 0
+    return GroundMotion.from_parameters(section, experiment.axes, experiment.timebase).steps

@@ -9,6 +9,7 @@ from seft_ros.commands.options import (
     ConfigArgument,
     JsonOption,
     OverrideOption,
+    ParamsFileOption,
     complain,
     load_experiment,
 )
@@ -19,6 +20,7 @@ from seft_ros.commands.results import check_out, present, save
 def simulate(
     config: ConfigArgument,
     param: OverrideOption = None,
+    params_file: ParamsFileOption = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -45,7 +47,7 @@ def simulate(
     from seft_ros.experiment.blocks import build_blocks
     from seft_ros.experiment.offline import simulate as run_offline
 
-    experiment = load_experiment(config, param)
+    experiment = load_experiment(config, param, params_file)
     if out is not None:
         check_out(out)
     blocks = build_blocks(experiment)

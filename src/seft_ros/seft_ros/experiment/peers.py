@@ -5,9 +5,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from seft_msgs_py.messages import Status
+from seft_msgs_py.outcome import FINISHED, TRIPPED
 from seft_msgs_py.topics import RECORDED_TOPICS, TOPICS
 
 STALE = 3.0  # s without a status: a node counts as absent
+CONFLICT = "one "
+"""Start of what is missing where nodes were started with parameters that contradict."""
+_IN_A_TEST = ("running", FINISHED, TRIPPED)  # phases of the rig
 
 
 @dataclass(frozen=True)
@@ -62,6 +66,8 @@ def missing(
             for node in sorted(wanted & set(heard)):
                 if heard[node].status.values.get(f"senders {topic.name}") == "0":
                     return f"{node} to hear {publisher} on {topic.name}"
+    if "rig" in peers and heard["rig"].status.values.get("phase") in _IN_A_TEST:
+        return "the rig to leave the last test"  # else its end would count for the next
     motion = heard.get("ground_motion")
     if motion is None or motion.status.values.get("phase") != "primed":
         return "the first of the ground motion"
@@ -76,5 +82,5 @@ def _conflict(peers: Sequence[str], descriptions: Mapping[str, Mapping[str, Any]
         for node in others:
             other = descriptions[node]["parameters"].get(name)
             if other != value:
-                return f"one {name}: {first} has {value}, {node} has {other}"
+                return f"{CONFLICT}{name}: {first} has {value}, {node} has {other}"
     return ""

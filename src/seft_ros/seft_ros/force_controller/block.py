@@ -14,6 +14,8 @@ Floats = npt.NDArray[np.float64]
 class ForceController:
     """Force servo on each of n axes: u = C(s) (f_r - f), limited to the valve's range.
 
+    Without feedback it is u = C(s) f_r, which drives the valve by a motion of one's own.
+
     C is discretised with the bilinear (Tustin) transform. Its recursion runs on the limited
     outputs, as the valve does, and so cannot wind up: the anti-windup of Astrom & Wittenmark
     (Computer-Controlled Systems, 3rd ed., sec. 9.4) with a dead-beat observer. While
@@ -29,6 +31,8 @@ class ForceController:
         Sampling period, s.
     axes : int
         Number of axes n.
+    feedback : bool
+        Whether the measured force is fed back.
 
     Raises
     ------
@@ -43,6 +47,7 @@ class ForceController:
         voltage_limit: float,
         dt: float,
         axes: int,
+        feedback: bool = True,
     ) -> None:
         b, a = bilinear(numerator, denominator, dt)
         order, one = len(a) - 1, np.eye(axes)
@@ -57,6 +62,7 @@ class ForceController:
         self._output = np.kron(first if order else np.array([[b[0], 0.0]]), one)
         shift = np.column_stack([np.eye(order, k=1), b[1:], -a[1:]])
         self._update = np.kron(shift, one)
+        self._feedback = feedback
         self._limit = float(voltage_limit)
         self._safe_square = 0.99 * self._limit * self._limit
 
@@ -68,7 +74,14 @@ class ForceController:
         numerator, denominator = (
             np.atleast_1d(section[name]).tolist() for name in ("numerator", "denominator")
         )
-        return cls(numerator, denominator, section["voltage_limit"], timebase.dt, len(axes))
+        return cls(
+            numerator,
+            denominator,
+            section["voltage_limit"],
+            timebase.dt,
+            len(axes),
+            section["feedback"],
+        )
 
     def reset(self) -> None:
         """Forget the test so far."""
@@ -89,7 +102,10 @@ class ForceController:
         ndarray
             Valve drive within the limit, shape (n,), V.
         """
-        np.subtract(reference_force, state[3], self._error)
+        if self._feedback:
+            np.subtract(reference_force, state[3], self._error)
+        else:
+            self._error[:] = reference_force
         drive = self._output.dot(self._work)
         if not drive.dot(drive) < self._safe_square:  # else no axis can be at its limit
             drive = np.clip(drive, -self._limit, self._limit)

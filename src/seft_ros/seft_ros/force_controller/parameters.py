@@ -18,5 +18,29 @@ TABLE = Table(
         Parameter(
             "voltage_limit", "float", 10.0, "largest valve drive, either way", "V", positive=True
         ),
+        Parameter(
+            "feedback",
+            "bool",
+            True,
+            "whether the measured force is fed back; without, the reference force drives the "
+            "valve through the controller (open loop, for identification)",
+        ),
+        Parameter(
+            "plant.numerator",
+            "floats",
+            [0.0],
+            "numerator of the identified response from valve command in V to force in N, in s, "
+            "highest power first; 0: not known. For design and preflight, the loop does not use it",
+        ),
+        Parameter("plant.denominator", "floats", [1.0], "its denominator, likewise"),
+        Parameter(
+            "plant.dead_time",
+            "float",
+            0.0,
+            "its dead time; the loop's own step of latency is not in it",
+            "s",
+            minimum=0.0,
+            maximum=1.0,
+        ),
     ],
 )

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
+from seft_ros.drawing.style import tidy
 from seft_ros.ground_motion.spectrum import response_spectrum
 
 PERIODS = np.geomspace(0.02, 5.0, 150)
@@ -56,7 +57,7 @@ def motion_figure(
             va="top",
         )
         panel.set(xlim=(0, times[-1] or dt), ylim=(-limit, limit), ylabel="ground acc. (m/s²)")
-        panel.grid(alpha=0.3)
+        tidy(panel)
         panel.label_outer() if index < n - 1 else panel.set_xlabel("time (s)")
     spectra = panels[-1]
     for index, name in enumerate(axes):
@@ -70,7 +71,7 @@ def motion_figure(
     )
     spectra.set_ylim(bottom=0)
     spectra.xaxis.set_major_formatter("{x:g}")
-    spectra.grid(which="both", alpha=0.3)
+    tidy(spectra)
     if n > 1:
         spectra.legend(title="axis", frameon=False)
     return figure

@@ -57,5 +57,22 @@ TABLE = Table(
             minimum=0.0,
             maximum=1.0,
         ),
+        Parameter(
+            "tracking.numerator",
+            "floats",
+            [0.0],
+            "numerator of the identified response from reference force to measured force of the "
+            "same step, in s, highest power first; 0: not known. For compensators",
+        ),
+        Parameter("tracking.denominator", "floats", [1.0], "its denominator, likewise"),
+        Parameter(
+            "tracking.dead_time",
+            "float",
+            0.0,
+            "its dead time, the loop's latency included",
+            "s",
+            minimum=0.0,
+            maximum=1.0,
+        ),
     ],
 )

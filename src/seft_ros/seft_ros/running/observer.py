@@ -28,6 +28,8 @@ class Observer:
         Experiment time, nanoseconds.
     recorder_phase : str
         ``idle``, ``recording``, ``saved``.
+    since : float
+        When it came up, monotonic, s.
     """
 
     def __init__(self) -> None:
@@ -35,6 +37,7 @@ class Observer:
         self.values: dict[str, str] = {}
         self.time_ns = 0
         self.recorder_phase = ""
+        self.since = time.monotonic()
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self._node = Node("seft", start_parameter_services=False)
         for topic, receive in (
@@ -75,6 +78,11 @@ class Observer:
         """Names of a test's nodes that are on the graph."""
         found = set(self._node.get_node_names())
         return [node for node in NODES if node in found]
+
+    def twins(self) -> list[str]:
+        """Names of a test's nodes that are on the graph more than once."""
+        found = self._node.get_node_names()
+        return [node for node in NODES if found.count(node) > 1]
 
     def close(self) -> None:
         """Leave the graph."""

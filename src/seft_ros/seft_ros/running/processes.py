@@ -49,7 +49,7 @@ class NodeProcesses:
         cores = sorted(os.sched_getaffinity(0))
         self._pin = pin and len(cores) > 1
         self._lockstep = lockstep
-        self._loop_core, self._other_cores = {cores[0]}, set(cores[1:])
+        self._cores, self._loop_core, self._other_cores = set(cores), {cores[0]}, set(cores[1:])
         if self._pin:
             os.sched_setaffinity(0, self._other_cores)  # this process keeps off it, too
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
@@ -90,6 +90,7 @@ class NodeProcesses:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
+        os.sched_setaffinity(0, self._cores)  # as found, for whatever this process does next
 
     def _start(self, node: str, parameters: Path) -> "subprocess.Popen[bytes]":
         command = [sys.executable, "-m", MODULES[node]]

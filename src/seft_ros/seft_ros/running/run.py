@@ -4,7 +4,7 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
@@ -13,6 +13,7 @@ from pathlib import Path
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.experiment import Experiment
 
+from seft_ros.experiment.peers import CONFLICT
 from seft_ros.experiment.state_machine import State
 from seft_ros.running.observer import Observer
 from seft_ros.running.processes import MODULES, NodeProcesses
@@ -20,6 +21,7 @@ from seft_ros.running.processes import MODULES, NodeProcesses
 READY_TIMEOUT = 60.0  # s
 SAVE_TIMEOUT = 20.0  # s
 DISCOVERY = 1.0  # s
+ANNOUNCEMENT = 3.2  # s; participants announce themselves every 3 s
 FASTDDS_PROFILES = Path(__file__).with_name("fastdds.xml")
 LOOK = 0.05  # s
 
@@ -60,7 +62,12 @@ def bag_path(experiment: Experiment, out: Path | None) -> Path:
 
 
 def run_experiment(
-    experiment: Experiment, bag: Path, progress: Progress, *, pin: bool = True
+    experiment: Experiment,
+    bag: Path,
+    progress: Progress,
+    *,
+    pin: bool = True,
+    external: Collection[str] = (),
 ) -> Finished:
     """Run a test over DDS and record it.
 
@@ -74,6 +81,9 @@ def run_experiment(
         Told of each stage and of the steps done.
     pin : bool
         Keep the loop's nodes on one core and the others off it.
+    external : collection of str
+        Nodes that someone else starts and ends; they are waited for. The experiment needs no
+        section of them.
 
     Raises
     ------
@@ -85,24 +95,26 @@ def run_experiment(
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(FASTDDS_PROFILES))
     experiment["recorder"].update(directory=str(bag.parent.resolve()), name=bag.name)
-    nodes = [node for node in MODULES if node in (*experiment["supervisor"]["peers"], "supervisor")]
+    wanted = {*experiment["supervisor"]["peers"], "supervisor"} - set(external)
+    nodes = [node for node in MODULES if node in wanted]
     with _working_folder(bag) as folder:
         parameters = folder / "parameters.yaml"
         parameters.write_text(experiment.to_yaml(), encoding="utf-8")
         progress("looking for other tests", 0)
         observer = Observer()
         try:
-            _refuse_company(observer)
+            _refuse_company(observer, external)
             progress("starting the nodes", 0)
             processes = NodeProcesses(
                 nodes,
                 parameters,
                 folder,
                 pin=pin,
-                lockstep=experiment["rig"]["pace"] == "lockstep",
+                lockstep=experiment.sections.get("rig", {}).get("pace") == "lockstep",
             )
             try:
                 _wait_until_ready(observer, processes, progress)
+                _refuse_twins(observer)
                 accepted, answer = observer.call("start")
                 if not accepted:
                     raise ExperimentError(f"the supervisor refused to start: {answer}")
@@ -117,15 +129,27 @@ def run_experiment(
     return Finished(bag, fault)
 
 
-def _refuse_company(observer: Observer) -> None:
+def _refuse_company(observer: Observer, external: Collection[str]) -> None:
     """See that no other test is on the graph: two would command each other's rig."""
     observer.spin(DISCOVERY)
-    present = observer.present()
-    if present:
+    _refuse([node for node in observer.present() if node not in external])
+
+
+def _refuse_twins(observer: Observer) -> None:
+    """See once more that no other test is there.
+
+    A single node that runs already may not be seen before it announces itself the next time.
+    """
+    observer.spin(max(0.0, observer.since + ANNOUNCEMENT - time.monotonic()))
+    _refuse(observer.twins())
+
+
+def _refuse(nodes: list[str]) -> None:
+    if nodes:
         domain = os.environ.get("ROS_DOMAIN_ID", "0")
         raise InputError(
-            f"ROS domain {domain} already has a node {', '.join(present)}: another test's; end "
-            "it, or set ROS_DOMAIN_ID to another number"
+            f"ROS domain {domain} already has a node {', '.join(nodes)}: another test's; end "
+            "it, set ROS_DOMAIN_ID to another number, or let a test have it with --external"
         )
 
 
@@ -137,6 +161,8 @@ def _wait_until_ready(observer: Observer, processes: NodeProcesses, progress: Pr
             raise InputError(f"{how}" if processes.exit_status(node) else f"node {node} ended")
         detail = observer.values.get("detail", "waiting for supervisor")
         progress(detail, 0)
+        if detail.startswith(f"waiting for {CONFLICT}"):  # waiting does not mend it
+            raise InputError(f"the nodes must have {detail.removeprefix('waiting for ')}")
         if time.monotonic() > deadline:
             raise InputError(f"not ready after {READY_TIMEOUT:g} s: {detail}")
 

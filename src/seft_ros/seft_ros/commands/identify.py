@@ -1,0 +1,214 @@
+"""``seft identify``: what rig is this? Two tests, and the models fitted to them."""
+
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.experiment import Experiment
+
+from seft_ros.commands.one_test import dds_test, offline_test
+from seft_ros.commands.options import (
+    ConfigArgument,
+    ExternalOption,
+    JsonOption,
+    OverrideOption,
+    ParamsFileOption,
+    complain,
+    load_experiment,
+    print_json,
+)
+from seft_ros.commands.results import FIGURE, check_out
+
+if TYPE_CHECKING:  # scipy and all: other commands start without
+    from seft_ros.identification.experiments import Levels
+    from seft_ros.identification.identified import Identified
+    from seft_ros.recording.record import Record
+
+PILOT, OPEN_LOOP, CLOSED_LOOP = "pilot", "open_loop", "closed_loop"
+EXCITATION, MODEL = "excitation.csv", "model.yaml"
+
+
+def identify(
+    config: ConfigArgument,
+    param: OverrideOption = None,
+    params_file: ParamsFileOption = None,
+    over_dds: Annotated[
+        bool,
+        typer.Option(
+            "--over-dds/--offline",
+            help="Run the tests as separate nodes over DDS, or in one process without ROS.",
+        ),
+    ] = False,
+    external: ExternalOption = None,
+    signal: Annotated[
+        str, typer.Option("--signal", metavar="random|chirp", help="Excitation.")
+    ] = "random",
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the random signal.")] = 1,
+    band: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            "--band",
+            metavar="LO HI",
+            help="Band of the excitation in Hz; default 0.3 to 0.45 times the rate, at most 200.",
+        ),
+    ] = None,
+    duration: Annotated[
+        float, typer.Option("--duration", metavar="S", help="Duration of each test in s.")
+    ] = 120.0,
+    amplitude: Annotated[
+        float | None,
+        typer.Option(
+            "--amplitude",
+            metavar="V",
+            help="RMS of the valve drive, open loop; default found by a pilot test, so that the "
+            "rig uses up to a fifth of its limits.",
+        ),
+    ] = None,
+    force: Annotated[
+        float | None,
+        typer.Option(
+            "--force",
+            metavar="N",
+            help="RMS of the reference force, closed loop; default 5 m/s^2 times the mass, at "
+            "most a 20th of the force limit (chirp: 0.3 times that).",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", metavar="DIR", help="Folder of what is made, must be new; default by the time."
+        ),
+    ] = None,
+    json: JsonOption = False,
+) -> int:
+    """Identify a rig: specimen, valve-to-force response, margins, closed loop and its delay.
+
+    Ordinary tests, with all limits and bags: open loop, where the excitation drives the valve
+    (force_controller's feedback is off), before it a short pilot at a low level that finds the
+    amplitude, and closed loop, where the excitation is the reference force. The folder then
+    holds the excitation, the bags, a figure, and model.yaml: a parameter file for
+    reference_force and force_controller, to be given as --params-file.
+
+    Rigs without a valve (actuator.kind ideal or delay) have the closed loop only.
+
+    Examples:
+
+        seft identify config/jhu.yaml --out identified
+
+        seft simulate config/jhu.yaml --params-file identified/model.yaml
+
+        seft identify config/jhu.yaml --over-dds -p rig:pace:=lockstep --json
+
+        seft identify config/lab.yaml --external rig --amplitude 0.1 --duration 300
+    """
+    from seft_ros.identification.experiments import (
+        PILOT_DURATION,
+        Levels,
+        check_levels,
+        closed_loop,
+        default_force,
+        has_valve,
+        open_loop,
+        pilot_voltage,
+        voltage_after,
+    )
+    from seft_ros.identification.identified import identify as identify_rig
+    from seft_ros.identification.motions import Motions
+    from seft_ros.loop_shaping.controller import Controller
+
+    if set(external or ()) - {"rig"}:
+        raise InputError("--external: only the rig may be, the other nodes are set up here")
+    experiment = load_experiment(config, param, params_file, external)
+    first = pilot_voltage(experiment) if amplitude is None else amplitude
+    levels = Levels(first, default_force(experiment, signal) if force is None else force)
+    check_levels(experiment, levels)
+    own = experiment["force_controller"]
+    controller = Controller.from_coefficients(own["numerator"], own["denominator"])
+    used = band or (0.3, min(0.45 * experiment.timebase.rate, 200.0))
+    folder = out or Path(datetime.now().strftime("identify_%Y-%m-%d_%H-%M-%S"))
+    motions = Motions(experiment, levels.force, signal, used, seed)
+    motions.check(duration)
+    check_out(folder)
+    record = motions.write(folder / EXCITATION, duration)
+
+    tests: dict[str, Record] = {}
+
+    def done(name: str, test: Experiment, seconds: float) -> bool:
+        if over_dds or external:
+            steps = motions.steps(seconds)
+            tests[name] = dds_test(test, folder / name, steps, external or ())
+        else:
+            tests[name] = offline_test(test, folder / name)
+        return tests[name].trip is None and has_valve(tests[name].experiment)
+
+    valve = has_valve(experiment)
+    if valve and amplitude is None:
+        seconds = min(duration, max(PILOT_DURATION, motions.shortest))
+        short = motions.write(folder / f"{PILOT}.csv", seconds)
+        valve = done(PILOT, open_loop(experiment, short, levels), seconds)
+        if valve:
+            levels = Levels(voltage_after(tests[PILOT], levels.voltage), levels.force)
+    if valve:
+        valve = done(OPEN_LOOP, open_loop(experiment, record, levels), duration)
+    if not any(test.trip for test in tests.values()):
+        done(CLOSED_LOOP, closed_loop(experiment, record), duration)
+
+    whole = {name: test for name, test in tests.items() if test.trip is None and name != PILOT}
+    if not valve:
+        whole.pop(OPEN_LOOP, None)  # an external rig tells only then that it has none
+    identified = None
+    if whole:
+        identified = identify_rig(whole.get(OPEN_LOOP), whole.get(CLOSED_LOOP), used, controller)
+    _present(identified, tests, levels, folder, str(config), json)
+    for name, test in tests.items():
+        if test.trip is not None:
+            at = f"{name.replace('_', ' ')} tripped at {test.trip.time_s:.3f} s"
+            complain(f"{at}: {test.trip.reason}; its bag is in {folder / name}")
+            return 1
+    if identified is not None and identified.unusable:
+        complain(identified.unusable[0])
+        return 1
+    return 0
+
+
+def _present(
+    identified: "Identified | None",
+    tests: dict[str, "Record"],
+    levels: "Levels",
+    folder: Path,
+    source: str,
+    as_json: bool,
+) -> None:
+    """Write the model, draw the figure and show the numbers."""
+    files = {"folder": str(folder), "excitation": str(folder / EXCITATION)}
+    files |= {name: str(folder / name) for name in tests}
+    summary: dict[str, Any] = {}
+    if identified is not None:
+        from seft_ros.drawing.style import save_figure
+        from seft_ros.identification.figure import identified_figure
+        from seft_ros.identification.parameter_file import write_model
+        from seft_ros.identification.summary import summarise_identified
+
+        summary = summarise_identified(identified)
+        files |= {"model": str(folder / MODEL), "figure": str(folder / FIGURE)}
+        write_model(identified, folder / MODEL, source)
+        save_figure(identified_figure(identified, f"seft identify {source}"), folder / FIGURE)
+    trips = {name: test.trip.reason if test.trip else None for name, test in tests.items()}
+    summary |= {
+        "tripped": {OPEN_LOOP: None, CLOSED_LOOP: None, **trips},
+        "excitation_rms": {"voltage": levels.voltage, "force": levels.force},
+        "files": files,
+    }
+    if as_json:
+        print_json(summary)
+        return
+    console = Console()
+    if identified is not None:
+        from seft_ros.identification.table import identified_table
+
+        console.print(identified_table(f"{source} as identified", identified.axes, summary))
+    for what, path in files.items():
+        console.print(f"{what + ':':12}{path}", soft_wrap=True, highlight=False)

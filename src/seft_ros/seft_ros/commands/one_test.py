@@ -1,0 +1,63 @@
+"""One test of several that a command makes, offline or over DDS, and its bag."""
+
+import signal
+from collections.abc import Collection
+from pathlib import Path
+
+from seft_msgs_py.errors import ExperimentError
+from seft_msgs_py.experiment import Experiment
+
+from seft_ros.commands.progress import step_progress
+from seft_ros.commands.results import save
+from seft_ros.recording.record import Record
+
+
+def offline_test(experiment: Experiment, bag: Path) -> Record:
+    """Run a test in one process, with a progress bar, and write its bag.
+
+    Raises
+    ------
+    InputError
+        If a parameter makes no sense together with the others.
+    """
+    from seft_ros.experiment.blocks import build_blocks
+    from seft_ros.experiment.offline import simulate
+
+    blocks = build_blocks(experiment)
+    with step_progress(blocks.ground_motion.steps) as show:
+        record = simulate(experiment, blocks, lambda done: show(f"{bag.name}: simulating", done))
+        show(f"{bag.name}: writing the bag", len(record.series["rig/state"].steps))
+        save(record, blocks, bag)
+    return record
+
+
+def dds_test(
+    experiment: Experiment, bag: Path, steps: int, external: Collection[str] = ()
+) -> Record:
+    """Run a test as separate nodes over DDS, with a progress bar, and read its bag.
+
+    Raises
+    ------
+    InputError
+        If the nodes do not become ready.
+    ExperimentError
+        If the run broke; what was recorded is kept.
+    """
+    from seft_ros.recording.bag_reader import read_bag
+    from seft_ros.running.run import run_experiment
+
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: end in order
+    with step_progress(steps) as show:
+        try:
+            finished = run_experiment(
+                experiment,
+                bag,
+                lambda what, done: show(f"{bag.name}: {what}", done),
+                external=external,
+            )
+        except KeyboardInterrupt:
+            kept = f"; what was recorded is in {bag}" if bag.exists() else ""
+            raise ExperimentError(f"{bag.name}: interrupted{kept}") from None
+    if finished.fault:
+        raise ExperimentError(f"{bag.name}: {finished.fault}; what was recorded is in {bag}")
+    return read_bag(finished.bag)

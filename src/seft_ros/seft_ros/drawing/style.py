@@ -1,0 +1,39 @@
+"""Look of the figures, and their way into a file."""
+
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from seft_msgs_py.errors import InputError
+
+REFERENCE = "#9aa3ad"  # what should be
+FIRST = "#0b5fa5"  # what is
+SECOND = "#3d8c40"
+MARK = "#c1272d"
+GRID = "#e6e9ec"
+TEXT = "#33383d"
+
+
+def tidy(panel: Axes) -> None:
+    """Give a panel the grid, the ticks and the frame that all panels have."""
+    panel.grid(color=GRID, lw=0.8)
+    panel.set_axisbelow(True)
+    panel.tick_params(colors=TEXT, labelsize=9)
+    panel.spines[["top", "right"]].set_visible(False)
+
+
+def save_figure(figure: Figure, path: str | Path) -> None:
+    """Save a figure; the suffix tells the format, png where there is none.
+
+    Raises
+    ------
+    InputError
+        If the file can't be written.
+    """
+    path = Path(path)
+    path = path if path.suffix else path.with_suffix(".png")
+    try:
+        figure.savefig(path, dpi=150)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        raise InputError(f"{path}: the figure can't be saved ({reason})") from None

@@ -1,0 +1,1 @@
+"""Identification of a rig from two tests: excitation, spectra, fitted models."""

@@ -1,0 +1,167 @@
+"""The tests of an identification: ordinary experiments with their own ground motion."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from seft_msgs_py.arrays import mass_matrix
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.parameters import group
+from seft_msgs_py.topics import RIG_STATE
+from seft_plant_sim.limits import NAMES
+
+from seft_ros.recording.record import Record
+
+Floats = npt.NDArray[np.float64]
+
+TAIL = 1.0
+"""Rest after the excitation, s."""
+
+PILOT_DURATION = 15.0
+"""Duration of the test that finds the amplitude of the open loop, s."""
+
+_PILOT_SHARE = 0.005  # of the voltage limit, RMS
+_LARGEST_SHARE = 0.1
+_TARGET = 0.22  # of the limit that is used most: its largest share in the open loop
+_ACCELERATION = 5.0  # m/s^2 RMS: what the default force gives a mass that is free
+_CHIRP_SHARE = 0.3
+_FORCE_SHARE = 0.05  # of the force limit, at most
+_PEAKS = 4.5  # largest value of Gaussian noise over its RMS, in a minute at 500 Hz
+_WITHOUT_VALVE = ("ideal", "delay")
+
+
+@dataclass(frozen=True)
+class Levels:
+    """RMS of the excitation on every axis.
+
+    Attributes
+    ----------
+    voltage : float
+        Of the valve command in the open loop, V.
+    force : float
+        Of the reference force in the closed loop, N.
+    """
+
+    voltage: float
+    force: float
+
+
+def default_force(experiment: Experiment, signal: str) -> float:
+    """RMS of the reference force that moves the specimen well, far inside its limits, N.
+
+    A chirp, which is all at one frequency at a time, gets less.
+    """
+    section = experiment["reference_force"]
+    mass = mass_matrix(section["model.mass"], experiment.axes, "reference_force: model.mass")
+    limit = experiment["supervisor"]["limits.force"]
+    force = min(_ACCELERATION * np.diag(mass).min(), _FORCE_SHARE * limit)
+    return float(force * (_CHIRP_SHARE if signal == "chirp" else 1.0))
+
+
+def pilot_voltage(experiment: Experiment) -> float:
+    """RMS of the valve command with which a rig that is not known yet is tried, V."""
+    return float(_PILOT_SHARE * experiment["force_controller"]["voltage_limit"])
+
+
+def voltage_after(pilot: Record, voltage: float) -> float:
+    """RMS of the valve command that moves a rig well, far inside its limits, V.
+
+    Parameters
+    ----------
+    pilot : Record
+        Open loop test at a low level.
+    voltage : float
+        RMS of its valve command, V.
+    """
+    states = pilot.series[RIG_STATE.name].values
+    limits = group(pilot.experiment["supervisor"], "limits")
+    largest = np.abs(states).max(axis=(0, 2)) / [limits[name] for name in NAMES]
+    most = _LARGEST_SHARE * pilot.experiment["force_controller"]["voltage_limit"]
+    return float(min(voltage * _TARGET / max(largest), most))
+
+
+def check_levels(experiment: Experiment, levels: Levels) -> None:
+    """Refuse levels whose peaks lie beyond what the experiment allows.
+
+    Raises
+    ------
+    InputError
+        In one line: option, value, limit.
+    """
+    for option, level, unit, node, name in (
+        ("--amplitude", levels.voltage, "V", "force_controller", "voltage_limit"),
+        ("--force", levels.force, "N", "supervisor", "limits.force"),
+    ):
+        limit = experiment[node][name]
+        if not 0 < _PEAKS * level <= limit:
+            raise InputError(
+                f"{option} is {level:g} {unit} RMS, but must be above 0, and its peaks, "
+                f"{_PEAKS:g} times as large, within {node} {name}, {limit:g} {unit}"
+            )
+
+
+def ground_accelerations(experiment: Experiment, forces: Floats) -> Floats:
+    """Ground motion (N, n) in m/s^2 whose reference forces -M a_g are these, in N."""
+    section = experiment["reference_force"]
+    mass = mass_matrix(section["model.mass"], experiment.axes, "reference_force: model.mass")
+    accelerations: Floats = -np.linalg.solve(mass, forces.T).T
+    return accelerations
+
+
+def has_valve(experiment: Experiment) -> bool:
+    """Whether a valve drives the rig, as far as the experiment says."""
+    return experiment.sections.get("rig", {}).get("actuator.kind") not in _WITHOUT_VALVE
+
+
+def open_loop(experiment: Experiment, record: Path, levels: Levels) -> Experiment:
+    """Test that drives the valves by the record, without force feedback.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The rig, its limits and all.
+    record : Path
+        Ground motion whose reference force has an RMS of ``levels.force``.
+    levels : Levels
+        Its valve commands get ``levels.voltage``.
+    """
+    controller = {
+        "numerator": [levels.voltage / levels.force],
+        "denominator": [1.0],
+        "feedback": False,
+    }
+    return _with(experiment, record, controller)
+
+
+def closed_loop(experiment: Experiment, record: Path) -> Experiment:
+    """Test that follows the record's reference force by the experiment's own controller."""
+    return _with(experiment, record, {"feedback": True})
+
+
+def _with(experiment: Experiment, record: Path, controller: dict[str, Any]) -> Experiment:
+    """Copy an experiment as one of conventional EFT under a ground motion."""
+    changes: dict[str, dict[str, Any]] = {
+        "ground_motion": {
+            "file": str(record.resolve()),
+            "column": list(_columns(experiment)),
+            "unit": "m/s2",
+            "dt": experiment.timebase.dt,
+            "peak_force": 0.0,
+            "time_scale": 1.0,
+            "influence": [1.0],
+            "tail": TAIL,
+        },
+        "reference_force": {"method": "eft", "mass_ratio": 0.0, "compensation.method": "none"},
+        "force_controller": controller,
+    }
+    return Experiment(
+        {node: {**own, **changes.get(node, {})} for node, own in experiment.sections.items()}
+    )
+
+
+def _columns(experiment: Experiment) -> Iterable[int]:
+    return range(len(experiment.axes))

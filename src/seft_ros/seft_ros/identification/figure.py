@@ -1,0 +1,146 @@
+"""A figure of an identification: plant with its fit, coherence, closed loop and its delay."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PathCollection
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+
+from seft_ros.drawing.style import FIRST, MARK, SECOND, TEXT, tidy
+from seft_ros.identification.identified import ClosedLoop, Identified, ValveResponse
+from seft_ros.identification.measurement import Measurement
+from seft_ros.loop_shaping.margins import FLATNESS_DB
+
+MOST_AXES = 3
+_SHADES = LinearSegmentedColormap.from_list("coherence", ["#dfe4e8", FIRST])
+_SHOWN_DB = (-12.0, 6.0)
+_COHERENT = 0.5  # below, a delay is noise
+_NOTE: dict[str, Any] = {"fontsize": 8, "color": MARK, "va": "bottom"}
+_ROWS = ("force per valve drive / N/V", "coherence", "force per reference / dB", "delay / ms")
+
+
+def identified_figure(identified: Identified, title: str) -> Figure:
+    """Draw what was measured and fitted, one column for each axis.
+
+    Parameters
+    ----------
+    identified : Identified
+        Of more than `MOST_AXES` axes the first are drawn.
+    title : str
+        Heading.
+    """
+    axes = identified.axes[:MOST_AXES]
+    figure = Figure(
+        figsize=(9.5 if len(axes) == 1 else 5.5 * len(axes), 11.0), layout="constrained"
+    )
+    FigureCanvasAgg(figure)
+    heights = [1.6, 0.8, 1.2, 1.2]
+    panels = figure.subplots(4, len(axes), sharex=True, squeeze=False, height_ratios=heights)
+    dots: PathCollection | None = None
+    for column, axis in enumerate(axes):
+        plant, coherence, tracking, delay = panels[:, column]
+        for panel in panels[:, column]:
+            _dress(panel, identified.band)
+        if identified.valves:
+            valve = identified.valves[column]
+            dots = _draw_plant(plant, valve)
+            _draw_coherence(coherence, valve.measured, FIRST, "valve to force")
+        if identified.closed_loops:
+            closed = identified.closed_loops[column]
+            _draw_coherence(coherence, closed.measured, SECOND, "reference to force")
+            _draw_tracking(tracking, delay, closed)
+        if len(identified.axes) > 1:
+            plant.set_title(f"axis {axis}", loc="left", fontsize=11, color=TEXT, parse_math=False)
+        delay.set_xlabel("frequency / Hz", color=TEXT)
+    for panel, label in zip(panels[:, 0], _ROWS, strict=True):
+        panel.set_ylabel(label, color=TEXT)
+    if dots is not None:
+        bar = figure.colorbar(dots, ax=list(panels[0]), aspect=15, pad=0.01)
+        bar.set_label("coherence", color=TEXT)
+        bar.outline.set_visible(False)
+    figure.align_ylabels()
+    figure.suptitle(title, fontsize=11, color=TEXT, parse_math=False)
+    return figure
+
+
+def _draw_plant(panel: Axes, valve: ValveResponse) -> PathCollection:
+    measured, model = valve.measured, valve.fit.model
+    dots = panel.scatter(
+        measured.frequencies_hz,
+        np.abs(measured.response),
+        c=measured.coherence,
+        cmap=_SHADES,
+        vmin=0.0,
+        vmax=1.0,
+        s=7,
+        lw=0,
+        label="measured",
+    )
+    loop = valve.loop
+    shown = loop.frequencies_hz >= measured.frequencies_hz[0]
+    f = loop.frequencies_hz[shown]
+    fitted = np.abs(loop.sampled.plant[shown])
+    text = f"fit, {100 * valve.fit.error:.2g} % off"
+    panel.plot(f, fitted, color=MARK, lw=1.1, label=text)
+    panel.set_yscale("log")
+    for root, name in ((model.zeros[0], "zero"), (model.poles[0], "oil column")):
+        if f[0] <= root.hz <= measured.frequencies_hz[-1]:
+            panel.axvline(root.hz, color=MARK, lw=0.8, ls="--")
+            _note(
+                panel,
+                root.hz,
+                f"{name} {root.hz:.4g} Hz\ndamping {100 * (root.damping or 0):.2g} %",
+            )
+    panel.legend(loc="lower left", frameon=False, fontsize=9)
+    return dots
+
+
+def _draw_coherence(panel: Axes, measured: Measurement, colour: str, label: str) -> None:
+    panel.plot(measured.frequencies_hz, measured.coherence, color=colour, lw=0.8, label=label)
+    panel.set_ylim(0.0, 1.05)
+    panel.legend(loc="lower left", frameon=False, fontsize=9)
+
+
+def _draw_tracking(panel: Axes, below: Axes, closed: ClosedLoop) -> None:
+    measured, tracking = closed.measured, closed.tracking
+    f = measured.frequencies_hz
+    fitted = closed.fit.model.response(f)
+    panel.axhspan(-FLATNESS_DB, FLATNESS_DB, color=SECOND, alpha=0.12, lw=0)
+    panel.plot(f, 20 * np.log10(np.abs(measured.response)), color=SECOND, lw=1.0, label="measured")
+    panel.plot(f, 20 * np.log10(np.abs(fitted)), color=MARK, lw=0.9, ls="--", label="low-order fit")
+    panel.set_ylim(*_SHOWN_DB)
+    panel.legend(loc="lower left", frameon=False, fontsize=9)
+    flat = tracking.flat_to_hz
+    if flat:
+        panel.axvline(flat, color=MARK, lw=0.8, ls="--")
+        _note(panel, flat, f"±{FLATNESS_DB:g} dB to {flat:.3g} Hz", 0.85)
+    delays = np.where(measured.coherence < _COHERENT, np.nan, 1e3 * tracking.delay_by_frequency)
+    below.plot(f, delays, color=SECOND, lw=1.0)
+    if tracking.delay_s is not None:
+        delay = 1e3 * tracking.delay_s
+        below.axhline(delay, color=MARK, lw=0.8, ls="--")
+        below.annotate(
+            f"best-fit delay {delay:.3g} ms", (0.01, delay), (0, 3),
+            xycoords=("axes fraction", "data"), textcoords="offset points", **_NOTE,
+        )  # fmt: skip
+        below.set_ylim(0.0, 2.0 * delay)
+
+
+def _dress(panel: Axes, band: tuple[float, float]) -> None:
+    panel.set_xscale("log")
+    panel.set_xlim(*band)
+    panel.xaxis.set_major_formatter("{x:g}")
+    tidy(panel)
+
+
+def _note(panel: Axes, hz: float, text: str, height: float = 0.03) -> None:
+    """Write beside a frequency, on the side where there is room."""
+    low, high = panel.get_xlim()
+    left = hz**2 > low * high and hz > high / 4
+    panel.annotate(
+        text, (hz, height), (-4 if left else 4, 0), xycoords=("data", "axes fraction"),
+        textcoords="offset points", ha="right" if left else "left", **_NOTE,
+    )  # fmt: skip

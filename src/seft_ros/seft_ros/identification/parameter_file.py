@@ -1,0 +1,66 @@
+"""What was identified as a ROS 2 parameter file of its own."""
+
+from pathlib import Path
+from typing import Any
+
+from seft_msgs_py.parameter_file import write_parameter_file
+
+from seft_ros.identification.identified import Identified
+from seft_ros.identification.rational import Rational
+
+_LONGEST_DELAY = 1.0  # s, as the table has it
+
+
+def model_parameters(identified: Identified) -> dict[str, dict[str, Any]]:
+    """Parameters of `reference_force` and `force_controller`, by node.
+
+    The specimen's matrices are those of all axes; plant and tracking, of which the tables hold
+    one, are those of the first axis.
+    """
+    specimen = identified.specimen
+    reference: dict[str, Any] = {
+        f"model.{name}": getattr(specimen, name).ravel().tolist()
+        for name in ("mass", "damping", "stiffness")
+    }
+    controller: dict[str, Any] = {}
+    if identified.closed_loops:
+        closed = identified.closed_loops[0]
+        if closed.tracking.delay_s is not None:
+            delay = min(max(closed.tracking.delay_s, 0.0), _LONGEST_DELAY)
+            reference["compensation.delay"] = float(delay)
+        reference |= _response("tracking", closed.fit.model)
+    if identified.valves:
+        controller = _response("plant", identified.valves[0].fit.model.rational())
+    sections = {"reference_force": reference, "force_controller": controller}
+    return {node: section for node, section in sections.items() if section}
+
+
+def write_model(identified: Identified, path: Path, source: str) -> None:
+    """Write the parameters, to be read after the experiment's own file.
+
+    Parameters
+    ----------
+    identified : Identified
+        What was identified.
+    path : Path
+        The file.
+    source : str
+        Where it comes from, for people to read.
+
+    Raises
+    ------
+    InputError
+        If it can't be written.
+    """
+    comments = [f"Identified by seft identify from {source}", f"Axes: {identified.axes}"]
+    if len(identified.axes) > 1:
+        comments += [f"plant.* and tracking.* are those of axis {identified.axes[0]}"]
+    write_parameter_file(path, model_parameters(identified), comments)
+
+
+def _response(prefix: str, model: Rational) -> dict[str, Any]:
+    return {
+        f"{prefix}.numerator": list(model.numerator),
+        f"{prefix}.denominator": list(model.denominator),
+        f"{prefix}.dead_time": float(model.dead_time),
+    }

@@ -1,0 +1,136 @@
+"""The plant as the digital loop sees it, and whether that loop is stable."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import expm
+from seft_msgs_py.errors import InputError
+
+from seft_ros.force_controller.block import bilinear
+from seft_ros.loop_shaping.controller import Controller
+from seft_ros.loop_shaping.plant import Plant
+
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+
+MAX_DELAY_STEPS = 500
+"""Longest dead time in samples: the closed loop's eigenvalues are still found in a second."""
+
+
+@dataclass(frozen=True)
+class SampledPlant:
+    """Exact sampling of a plant: zero-order hold, dead time and the loop's step of latency.
+
+    Sample k is answered by u_k, which holds from step k+1 on; the dead time is m whole samples
+    and a rest. So z_k+1 = a z_k + before u_k-m-2 + after u_k-m-1, f_k = c z_k + d u_k-m-1, or
+    d u_k-m-2 where there is a rest.
+
+    Attributes
+    ----------
+    a, before, after, c, d : ndarray
+        Shapes (s, s), (s, n), (s, n), (n, s), (n, n).
+    whole : int
+        m.
+    rest : bool
+        Whether a part of a sample remains.
+    dt : float
+        Sampling period, s.
+    """
+
+    a: Floats
+    before: Floats
+    after: Floats
+    c: Floats
+    d: Floats
+    whole: int
+    rest: bool
+    dt: float
+
+    @classmethod
+    def of(cls, plant: Plant, dt: float) -> "SampledPlant":
+        """Sample a plant.
+
+        Raises
+        ------
+        InputError
+            If its dead time is many samples long.
+        """
+        whole = int(plant.delay / dt + 1e-9)
+        if whole > MAX_DELAY_STEPS:
+            raise InputError(
+                f"the plant's dead time of {plant.delay:g} s is {whole} samples long, but no loop "
+                f"is shaped beyond {MAX_DELAY_STEPS}"
+            )
+        rest = plant.delay - whole * dt
+        rest = rest if rest > 1e-9 * dt else 0.0
+        early, forced_early = _hold(plant, rest)
+        late, forced_late = _hold(plant, dt - rest)
+        return cls(
+            a=late @ early,
+            before=late @ forced_early,
+            after=forced_late,
+            c=plant.c,
+            d=plant.d,
+            whole=whole,
+            rest=rest > 0,
+            dt=dt,
+        )
+
+    def response(self, frequencies_hz: Floats) -> Complexes:
+        """Frequency response of the first axis, from u_k to f_k, shape (N,), N/V."""
+        z = np.exp(2j * np.pi * frequencies_hz * self.dt)[:, np.newaxis, np.newaxis]
+        drive = self.before / z + self.after
+        states = np.linalg.solve(z * np.eye(len(self.a)) - self.a, drive)
+        direct = self.d / z if self.rest else self.d
+        forces = np.asarray(self.c @ states + direct, dtype=np.complex128)
+        return forces[:, 0, 0] * z[:, 0, 0] ** -(self.whole + 1.0)
+
+    def state_space(self) -> tuple[Floats, Floats, Floats]:
+        """Matrices a, b, c with the drives of the last m + 2 samples as states, newest first."""
+        size, n = self.before.shape
+        line = (self.whole + 2) * n
+        a = np.zeros((size + line, size + line))
+        a[:size, :size] = self.a
+        a[:size, -2 * n :] = np.hstack([self.after, self.before])
+        a[size + n :, size:-n] = np.eye(line - n)
+        b = np.zeros((size + line, n))
+        b[size : size + n] = np.eye(n)
+        c = np.zeros((n, size + line))
+        c[:, :size] = self.c
+        newest = size + (self.whole + self.rest) * n
+        c[:, newest : newest + n] = self.d
+        return a, b, c
+
+
+def closed_loop_poles(plant: SampledPlant, controller: Controller) -> Complexes:
+    """Eigenvalues of the sampled force loop, closed on all n axes; stable inside |z| = 1.
+
+    Exact, as long as no valve is at its limit. Where axes are coupled through the specimen this
+    says more than the margins of each.
+    """
+    a, b, c = plant.state_space()
+    num, den = bilinear(controller.numerator, controller.denominator, plant.dt)
+    order, one = len(den) - 1, np.eye(plant.before.shape[1])
+    # the controller as its block runs it: w' = shift w + gain e, u = w[0] + num[0] e, e = -c z
+    shift = np.eye(order, k=1)
+    shift[:, :1] = -den[1:, np.newaxis]
+    gain = np.kron((num[1:] - den[1:] * num[0])[:, np.newaxis], one)
+    first = np.kron(np.eye(1, order), one)
+    closed = np.block([[a - num[0] * b @ c, b @ first], [-gain @ c, np.kron(shift, one)]])
+    return np.linalg.eigvals(closed)
+
+
+def dominant_pole(plant: Plant, controller: Controller, dt: float) -> complex:
+    """Pole of the sampled loop, closed on all axes, that dies out last or grows fastest."""
+    poles = closed_loop_poles(SampledPlant.of(plant, dt), controller)
+    return complex(poles[np.abs(poles).argmax()])
+
+
+def _hold(plant: Plant, time: float) -> tuple[Floats, Floats]:
+    """Transition over ``time`` seconds under a constant drive: z(time) = free z + forced u."""
+    size, n = plant.b.shape
+    augmented = np.zeros((size + n, size + n))
+    augmented[:size] = np.hstack([plant.a, plant.b]) * time
+    exponential = expm(augmented)
+    return exponential[:size, :size], exponential[:size, size:]

@@ -1,0 +1,19 @@
+"""What tests of commands share."""
+
+import sys
+
+import pytest
+from seft_ros.commands.main import main
+
+
+@pytest.fixture
+def seft(monkeypatch, capsys, tmp_path):
+    """Run the command line in this process and an empty folder; (status, stdout, stderr)."""
+
+    def run(*words):
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr(sys, "argv", ["seft", *map(str, words)])
+        status = main()
+        return status, *capsys.readouterr()
+
+    return run

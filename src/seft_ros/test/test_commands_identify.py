@@ -1,0 +1,213 @@
+"""`seft identify` offline, end to end, on short tests."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.parameter_file import parse_override, read_parameter_file
+from seft_ros.experiment.tables import TABLES
+from seft_ros.loop_shaping.controller import Controller
+from seft_ros.loop_shaping.design import shape_loop
+from seft_ros.loop_shaping.plant import rig_plant
+from seft_ros.recording.bag_reader import read_bag
+
+JHU = str(Path(__file__).parents[3] / "config" / "jhu.yaml")
+LINEAR = ("rig:actuator.kind:=servo_hydraulic_linear",)
+SHORT = ("--duration", "40")
+
+
+@pytest.fixture
+def identify(seft):
+    """Run `seft identify --json` on the paper's rig; (status, what it prints, last line)."""
+
+    def run(*words, overrides=()):
+        parameters = [word for text in overrides for word in ("-p", text)]
+        status, out, err = seft("identify", JHU, *parameters, *words, "--json")
+        return status, json.loads(out) if out else None, err.strip().splitlines()[-1]
+
+    return run
+
+
+def analytic(*overrides):
+    """The force loop of the rig's linear model, as it runs."""
+    experiment = Experiment.load(TABLES, [JHU], [parse_override(text) for text in overrides])
+    own = experiment["force_controller"]
+    controller = Controller.from_coefficients(own["numerator"], own["denominator"])
+    plant = rig_plant(experiment["rig"], experiment.axes)
+    return shape_loop(plant, controller, experiment.timebase.dt)
+
+
+RIGS = {
+    "paper": (),
+    "heavier, softer valve": (
+        "rig:specimen.mass:=60.0",
+        "rig:specimen.stiffness:=2.4e5",
+        "rig:actuator.oil_column_frequency:=75.0",
+        "rig:actuator.valve_frequency:=50.0",
+        "rig:actuator.leakage:=15.0",
+        "force_controller:numerator:=25.0",
+        "rate:=1000.0",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_plant_loop_and_closed_loop_agree_with_the_analytic_model(identify, name):
+    overrides = (*LINEAR, *RIGS[name])
+    status, found, _ = identify(*SHORT, "--out", "out", overrides=overrides)
+    known = analytic(*overrides)
+    zero, pole = known.plant.antiresonance(), known.plant.oil_column()
+    assert status == 0
+    assert found["notes"] == []
+    assert found["plant_zero_hz"] == pytest.approx(zero.hz, rel=0.01)
+    assert found["plant_zero_damping"] == pytest.approx(zero.damping, rel=0.05)
+    assert found["plant_pole_hz"] == pytest.approx(pole.hz, rel=0.005)
+    assert found["plant_pole_damping"] == pytest.approx(pole.damping, rel=0.05)
+    assert found["crossover_hz"] == pytest.approx(known.margins.crossover_hz, rel=0.01)
+    assert found["phase_margin_deg"] == pytest.approx(known.margins.phase_margin_deg, rel=0.02)
+    assert found["gain_margin_db"] == pytest.approx(known.margins.gain_margin_db, rel=0.02)
+    assert found["delay_s"] == pytest.approx(known.tracking.delay_s, rel=0.02)
+    assert found["closed_loop_flat_to_hz"] == pytest.approx(known.tracking.flat_to_hz, rel=0.03)
+    assert found["bandwidth_hz"] == pytest.approx(known.tracking.bandwidth_hz, rel=0.02)
+    assert [row["hz"] for row in found["delay_by_frequency"]] == [1, 2, 5, 10, 15, 20, 25, 30]
+    assert found["tripped"] == {"pilot": None, "open_loop": None, "closed_loop": None}
+    assert found["fit_error"] < 0.03
+
+
+def test_the_folder_holds_what_repeats_and_uses_it(identify, seft, tmp_path):
+    status, found, _ = identify(*SHORT, "--out", "out", overrides=LINEAR)
+    assert status == 0
+    out = tmp_path / "out"
+    names = {"excitation.csv", "pilot.csv", "pilot", "open_loop", "closed_loop"}
+    assert {path.name for path in out.iterdir()} == names | {"model.yaml", "figure.png"}
+    record = read_bag(out / "open_loop")
+    assert record.experiment["force_controller"]["feedback"] is False
+    voltage = record.series["valve_command"].values.std()
+    assert voltage == pytest.approx(found["excitation_rms"]["voltage"], rel=0.05)
+    forces = np.loadtxt(out / "excitation.csv", ndmin=2) * -52.7
+    assert forces.std() == pytest.approx(found["excitation_rms"]["force"], rel=1e-6)
+
+    model = read_parameter_file(out / "model.yaml")
+    assert set(model) == {"reference_force", "force_controller"}
+    assert model["reference_force"]["model.mass"] == [pytest.approx(52.7, rel=0.005)]
+    assert model["reference_force"]["model.stiffness"] == [pytest.approx(2.11e5, rel=0.005)]
+    assert model["reference_force"]["compensation.delay"] == found["delay_s"]
+    experiment = Experiment.load(TABLES, [JHU, out / "model.yaml"])
+    assert experiment["force_controller"]["plant.dead_time"] == pytest.approx(0.001, abs=5e-5)
+
+    with_model = ("--params-file", out / "model.yaml", "--json")
+    status, text, _ = seft("simulate", JHU, *with_model, "-p", "ground_motion:tail:=0.5")
+    assert (status, json.loads(text)["stable"]) == (0, True)
+
+
+def test_the_same_seed_gives_the_same_numbers(identify):
+    first = identify(*SHORT, "--amplitude", "0.2", "--out", "a")[1]
+    second = identify(*SHORT, "--amplitude", "0.2", "--out", "b")[1]
+    other = identify(*SHORT, "--amplitude", "0.2", "--seed", "2", "--out", "c")[1]
+    assert {**first, "files": None} == {**second, "files": None}
+    assert first["plant_zero_hz"] != other["plant_zero_hz"]
+    assert first["plant_zero_hz"] == pytest.approx(other["plant_zero_hz"], rel=0.02)
+
+
+@pytest.mark.parametrize(("kind", "delay"), [("ideal", 0.002), ("delay", 0.0133)])
+def test_a_rig_without_a_valve_has_the_closed_loop_only(identify, kind, delay):
+    overrides = (f"rig:actuator.kind:={kind}", "rig:actuator.delay:=0.0113")
+    status, found, _ = identify("--duration", "20", "--out", "out", overrides=overrides)
+    assert status == 0
+    assert found["plant_zero_hz"] is found["crossover_hz"] is None
+    assert found["coherence"]["open_loop"] is None
+    # the loop's latency, the dead time, and half a sample where the command is held over it
+    assert delay - 1e-4 < found["delay_s"] < delay + 1.1e-3
+    assert found["specimen"]["mass"] == pytest.approx(52.7, rel=0.01)
+    assert any("valve" in note for note in found["notes"])
+
+
+def test_several_axes_have_their_numbers_each(identify, tmp_path):
+    overrides = (
+        *LINEAR,
+        "axes:=[north, east]",
+        "rig:specimen.stiffness:=[2.1e5, -3.0e4, -3.0e4, 2.0e5]",
+        "rig:specimen.mass:=[52.7, 50.0]",
+        "reference_force:model.mass:=[52.7, 50.0]",
+    )
+    status, found, _ = identify(*SHORT, "--out", "out", overrides=overrides)
+    assert status == 0
+    assert [axis["axis"] for axis in found["axes"]] == ["north", "east"]
+    assert found["axes"][0]["plant_zero_hz"] == found["plant_zero_hz"]
+    np.testing.assert_allclose(found["specimen"]["mass"], np.diag([52.7, 50.0]), atol=0.5)
+    known = [[2.1e5, -3.0e4], [-3.0e4, 2.0e5]]
+    np.testing.assert_allclose(found["specimen"]["stiffness"], known, atol=2e3)
+    for axis in found["axes"]:
+        assert axis["plant_zero_hz"] == pytest.approx(10.05, abs=0.15)
+        assert axis["plant_pole_hz"] == pytest.approx(90.0, rel=0.01)
+    model = read_parameter_file(tmp_path / "out" / "model.yaml")
+    assert len(model["reference_force"]["model.stiffness"]) == 4
+
+
+def test_a_trip_in_the_open_loop_ends_it_and_keeps_the_bag(identify, tmp_path):
+    limit = "supervisor:limits.acceleration:=5.0"
+    words = ("--amplitude", "0.3", *SHORT, "--out", "out")
+    status, found, line = identify(*words, overrides=(limit,))
+    assert status == 1
+    assert line.startswith("seft: open loop tripped at ")
+    assert "acceleration" in line
+    assert found["tripped"]["open_loop"].startswith("acceleration")
+    assert found["tripped"]["closed_loop"] is None
+    assert "plant_zero_hz" not in found
+    assert read_bag(tmp_path / "out" / "open_loop").trip is not None
+    assert not (tmp_path / "out" / "closed_loop").exists()
+
+
+def test_of_a_loop_that_is_unstable_the_plant_is_identified_all_the_same(identify):
+    overrides = (*LINEAR, "force_controller:numerator:=200.0")
+    status, found, line = identify(*SHORT, "--out", "out", overrides=overrides)
+    assert status == 1
+    assert "closed loop" in line
+    assert found["plant_zero_hz"] == pytest.approx(10.07, rel=0.01)
+    assert found["gain_margin_db"] < 0
+    assert found["delay_s"] is None
+    assert any("unstable" in note for note in found["notes"])
+
+
+def test_too_little_amplitude_is_told_with_band_and_remedy(identify):
+    status, found, line = identify("--amplitude", "3e-4", *SHORT, "--out", "out")
+    assert status == 1
+    assert line.startswith("seft: open loop: coherence of the force on axis x is below 0.5")
+    assert "Hz" in line
+    assert line.endswith("raise --amplitude or --duration")
+    assert found["plant_zero_hz"] is None
+    assert found["delay_s"] is not None
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--signal", "sine"), "one of random, chirp"),
+        (("--band", "10", "5"), "--band is 10 to 5 Hz"),
+        (("--duration", "5"), "needs 13.3333 s"),
+        (("--duration", "1e9"), "--duration"),
+        (("--amplitude", "5"), "--amplitude is 5 V"),
+        (("--force", "1e5"), "--force is 100000 N"),
+        (("--external", "recorder"), "--external"),
+        (("--external", "force_controller"), "--external"),
+        (("-p", "force_controller:denominator:=0"), "denominator is zero"),
+        (("-p", "rig:specimen.mass:=0"), "specimen.mass"),
+        (("--params-file", "none.yaml"), "none.yaml"),
+        (("--out", "."), "exists already"),
+    ],
+)
+def test_wrong_input_is_told_before_anything_is_written(seft, tmp_path, words, told):
+    status, out, err = seft("identify", JHU, *words)
+    assert (status, out) == (2, "")
+    assert err.count("\n") == 1
+    assert told in err
+    assert not any(tmp_path.iterdir())
+
+
+def test_people_get_a_table(seft):
+    status, out, _ = seft("identify", JHU, *SHORT, "--out", "out")
+    assert status == 0
+    for words in ("zero (specimen)", "oil column", "phase margin", "delay", "stiffness", "out/"):
+        assert words in out

@@ -1,0 +1,141 @@
+"""The tests of an identification as experiments, run offline."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.parameter_file import parse_override
+from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.offline import simulate
+from seft_ros.experiment.tables import TABLES
+from seft_ros.identification.excitation import excitation, write_excitation
+from seft_ros.identification.experiments import (
+    Levels,
+    check_levels,
+    closed_loop,
+    default_force,
+    ground_accelerations,
+    has_valve,
+    open_loop,
+    pilot_voltage,
+    voltage_after,
+)
+
+JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
+LEVELS = Levels(voltage=0.1, force=200.0)
+
+
+def experiment(*overrides):
+    return Experiment.load(TABLES, [JHU], [parse_override(text) for text in overrides])
+
+
+def run(test):
+    return simulate(test, build_blocks(test))
+
+
+@pytest.fixture
+def record(tmp_path):
+    """A record for an experiment, of 10 s, and the unit excitation in it."""
+
+    def make(of):
+        unit = excitation("random", 5000, len(of.axes), of.timebase.dt, (1.0, 100.0), 1)
+        path = tmp_path / "record.csv"
+        write_excitation(path, ground_accelerations(of, LEVELS.force * unit), of.axes)
+        return path, unit
+
+    return make
+
+
+TWO_AXES = ("axes:=[x, y]", "reference_force:model.mass:=[52.7, 3.0, 3.0, 40.0]")
+
+
+@pytest.mark.parametrize("overrides", [(), TWO_AXES])
+@pytest.mark.parametrize("mass_ratio", [0.0, 2.0])
+def test_in_the_open_loop_the_record_drives_the_valves_whatever_the_experiment_was(
+    record, overrides, mass_ratio
+):
+    of = experiment(
+        *overrides,
+        f"reference_force:mass_ratio:={mass_ratio}",
+        "ground_motion:peak_force:=1000.0",
+        "ground_motion:influence:=2.0",
+    )
+    path, unit = record(of)
+    done = run(open_loop(of, path, LEVELS))
+    commands = done.series["valve_command"].values[:, 0]
+    np.testing.assert_allclose(commands[: len(unit)], LEVELS.voltage * unit, atol=1e-9)
+    np.testing.assert_allclose(commands[len(unit) :], 0.0, atol=1e-9)
+    assert np.abs(done.series["rig/state"].values[:, 3]).max() > 100.0
+
+
+def test_in_the_closed_loop_it_is_the_reference_force_and_the_controller_the_experiments_own(
+    record,
+):
+    of = experiment()
+    path, unit = record(of)
+    test = closed_loop(of, path)
+    forces = run(test).series["reference_force"].values[:, 0]
+    np.testing.assert_allclose(forces[: len(unit)], LEVELS.force * unit, atol=1e-9)
+    for name in ("numerator", "denominator", "feedback", "voltage_limit"):
+        assert test["force_controller"][name] == of["force_controller"][name]
+    assert test["supervisor"] == of["supervisor"]
+    assert of["ground_motion"]["file"] == ""  # the experiment itself is as it was
+
+
+def test_the_default_force_follows_the_mass_up_to_a_share_of_the_limit():
+    assert default_force(experiment(), "random") == pytest.approx(5.0 * 52.7)
+    assert default_force(experiment(), "chirp") == pytest.approx(0.3 * 5.0 * 52.7)
+    heavy = experiment("reference_force:model.mass:=5000.0", "supervisor:limits.force:=2000.0")
+    assert default_force(heavy, "random") == pytest.approx(100.0)
+
+
+@pytest.mark.parametrize(
+    ("levels", "told"),
+    [
+        (Levels(3.0, 200.0), "--amplitude is 3 V RMS.*voltage_limit, 10 V"),
+        (Levels(0.0, 200.0), "--amplitude is 0 V"),
+        (Levels(0.1, 5000.0), "--force is 5000 N RMS.*22200 N"),
+        (Levels(0.1, -1.0), "--force is -1 N"),
+        (Levels(float("nan"), 1.0), "--amplitude is nan"),
+    ],
+)
+def test_levels_beyond_the_limits_are_refused(levels, told):
+    with pytest.raises(InputError, match=told):
+        check_levels(experiment(), levels)
+
+
+def test_after_a_pilot_the_rig_uses_a_fifth_of_its_limits(record):
+    of = experiment("rig:actuator.kind:=servo_hydraulic_linear")
+    path, _ = record(of)
+    low = Levels(pilot_voltage(of), LEVELS.force)
+    pilot = run(open_loop(of, path, low))
+    voltage = voltage_after(pilot, low.voltage)
+    assert voltage > 2 * low.voltage
+    states = run(open_loop(of, path, Levels(voltage, LEVELS.force))).series["rig/state"].values
+    limits = of["supervisor"]
+    shares = [
+        np.abs(states[:, row]).max() / limits[f"limits.{name}"]
+        for row, name in enumerate(("displacement", "velocity", "acceleration", "force"))
+    ]
+    assert max(shares) == pytest.approx(0.22, rel=0.05)
+
+
+def test_a_rig_that_hardly_moves_gets_a_tenth_of_the_voltage_limit_and_no_more(record):
+    of = experiment("rig:actuator.flow_gain:=1.0e-5", "rig:actuator.friction:=0.0")
+    path, _ = record(of)
+    low = Levels(pilot_voltage(of), LEVELS.force)
+    assert voltage_after(run(open_loop(of, path, low)), low.voltage) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "valve"), [("ideal", False), ("delay", False), ("servo_hydraulic", True)]
+)
+def test_idealised_actuators_have_no_valve(kind, valve):
+    assert has_valve(experiment(f"rig:actuator.kind:={kind}")) is valve
+
+
+def test_of_a_rig_that_is_not_described_a_valve_is_expected():
+    tables = [table for table in TABLES if table.node != "rig"]
+    assert has_valve(Experiment.load(tables, [JHU])) is True

@@ -1,0 +1,80 @@
+"""Mass, damping and stiffness from measured force and motion, whatever the sensors' noise."""
+
+import numpy as np
+import pytest
+from seft_ros.identification.specimen_fit import fit_specimen
+from seft_ros.identification.spectral import response, spectra
+
+RATE, SEGMENT, COUNT = 500.0, 8.0, 60_000
+MASS = np.array([[52.7, 3.0], [3.0, 40.0]])
+DAMPING = np.array([[800.0, -60.0], [-60.0, 500.0]])
+STIFFNESS = np.array([[2.1e5, -2.0e4], [-2.0e4, 1.5e5]])
+
+
+def measured(axes, noise, seed=1, force=1000.0):
+    """Response of (x, a, f) to the excitation; noise: RMS of displacement, acceleration, force.
+
+    The motion is periodic, and so exact; the sensors are not.
+    """
+    mass, damping, stiffness = (part[:axes, :axes] for part in (MASS, DAMPING, STIFFNESS))
+    rng = np.random.default_rng(seed)
+    f = np.fft.rfftfreq(COUNT, 1 / RATE)
+    s = 2j * np.pi * f[:, np.newaxis, np.newaxis]
+    band = ((f > 0.3) & (f < 60.0))[:, np.newaxis]
+    white = force * rng.standard_normal((COUNT, axes))
+    drive = np.fft.rfft(white, axis=0) * band
+    motion = np.linalg.solve(s**2 * mass + s * damping + stiffness, drive[..., np.newaxis])[..., 0]
+    signals = [drive, motion, s[..., 0] ** 2 * motion, drive]
+    signals = [np.fft.irfft(signal, COUNT, axis=0) for signal in signals]
+    for signal, rms in zip(signals[1:], noise, strict=True):
+        signal += rms * rng.standard_normal(signal.shape)
+    found = spectra(np.hstack(signals), RATE, SEGMENT)
+    return response(found, slice(0, axes), slice(axes, 4 * axes), (0.5, 50.0))
+
+
+@pytest.mark.parametrize("axes", [1, 2])
+def test_without_noise_the_matrices_are_found(axes):
+    fit = fit_specimen([measured(axes, (0.0, 0.0, 0.0))])
+    for found, known in zip(
+        (fit.mass, fit.damping, fit.stiffness), (MASS, DAMPING, STIFFNESS), strict=True
+    ):
+        known = known[:axes, :axes]
+        np.testing.assert_allclose(found, known, atol=0.01 * np.abs(known).max())
+        np.testing.assert_array_equal(found, found.T)
+    assert fit.error < 0.02
+
+
+def test_noise_of_the_sensors_does_not_bias_it():
+    """Noise as large as the signals; least squares on the signals would see half the stiffness."""
+    noise = (1.5e-3, 4.0, 300.0)
+    fits = [fit_specimen([measured(1, noise, seed)]) for seed in range(12)]
+    for name, known in (("mass", MASS), ("damping", DAMPING), ("stiffness", STIFFNESS)):
+        values = np.array([getattr(fit, name)[0, 0] for fit in fits]) / known[0, 0]
+        assert values.std() > 1e-4
+        assert abs(values.mean() - 1) < 3 * values.std() / np.sqrt(len(values)) + 0.005
+
+
+def test_two_tests_together_scatter_less_than_one():
+    noise = (1.5e-3, 4.0, 300.0)
+    one = [fit_specimen([measured(1, noise, s)]).stiffness[0, 0] for s in range(10)]
+    two = [
+        fit_specimen([measured(1, noise, s), measured(1, noise, 100 + s)]).stiffness[0, 0]
+        for s in range(10)
+    ]
+    assert np.std(two) < np.std(one)
+
+
+def test_frequencies_and_dampings_are_those_of_the_matrices():
+    fit = fit_specimen([measured(1, (0.0, 0.0, 0.0))])
+    (root,) = fit.roots()
+    assert root.hz == pytest.approx(np.sqrt(2.1e5 / 52.7) / (2 * np.pi), rel=1e-3)
+    assert root.damping == pytest.approx(800.0 / (2 * np.sqrt(2.1e5 * 52.7)), rel=0.01)
+    own = fit.axis_root(0)
+    assert (own.hz, own.damping) == pytest.approx((root.hz, root.damping), rel=1e-9)
+
+
+def test_damping_is_never_negative():
+    drowned = (1.5e-2, 40.0, 3000.0)
+    for seed in range(6):
+        fit = fit_specimen([measured(1, drowned, seed)])
+        assert fit.damping[0, 0] >= 0.0

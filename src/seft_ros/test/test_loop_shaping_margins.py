@@ -1,0 +1,123 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from seft_ros.loop_shaping.margins import loop_margins, tracking_measures
+
+F = np.geomspace(0.05, 200.0, 600)
+S = 2j * np.pi * F
+
+
+def delayed_integrator(crossover_hz, delay):
+    return 2 * np.pi * crossover_hz / S * np.exp(-S * delay)
+
+
+@settings(max_examples=12, deadline=None, derandomize=True)
+@given(st.floats(1.0, 20.0), st.floats(0.003, 0.02))
+def test_margins_of_an_integrator_with_delay_are_the_textbook_ones(crossover, delay):
+    found = loop_margins(F, delayed_integrator(crossover, delay))
+    phase_crossover = 1 / (4 * delay)
+    assert found.crossover_hz == pytest.approx(crossover, rel=1e-3)
+    assert found.phase_margin_deg == pytest.approx(90 - 360 * crossover * delay, abs=0.1)
+    assert found.phase_crossover_hz == pytest.approx(phase_crossover, rel=1e-3)
+    assert found.gain_margin_db == pytest.approx(
+        20 * np.log10(phase_crossover / crossover), abs=0.02
+    )
+    assert found.stable is (crossover < phase_crossover)
+
+
+def test_the_sensitivity_peak_is_the_distance_to_the_critical_point():
+    loop = delayed_integrator(10.0, 0.01)
+    found = loop_margins(F, loop)
+    assert found.sensitivity_peak == pytest.approx(1 / np.abs(1 + loop).min())
+    nearest = F[np.abs(1 + loop).argmin()]
+    assert found.sensitivity_peak_hz == pytest.approx(nearest)
+
+
+def test_all_crossovers_are_told_and_the_highest_counts():
+    resonance = (2 * np.pi * 60) ** 2
+    loop = 2 * np.pi * 5 / S * resonance / (S**2 + 0.02 * np.sqrt(resonance) * S + resonance)
+    found = loop_margins(F, loop)
+    assert len(found.crossovers_hz) == 3
+    assert list(found.crossovers_hz) == sorted(found.crossovers_hz)
+    assert found.crossovers_hz[0] == pytest.approx(5.0, rel=0.02)
+    assert found.crossover_hz == found.crossovers_hz[-1] > 60
+    assert found.stable is False  # 90 degrees before it and 270 behind, above 1
+
+
+def test_a_loop_that_never_crosses_has_no_margins():
+    found = loop_margins(F, 0.5 / (1 + S / 100))
+    assert found.crossovers_hz == ()
+    assert (found.crossover_hz, found.phase_margin_deg) == (None, None)
+    assert (found.gain_margin_db, found.phase_crossover_hz) == (None, None)
+    assert found.sensitivity_peak == pytest.approx(1.0, abs=0.1)
+    assert found.stable is True
+
+
+def test_stability_stays_open_where_the_data_end_above_one():
+    assert loop_margins(F, 100 / (1 + S / 100)).stable is None
+
+
+def test_what_is_not_finite_is_left_out():
+    loop = delayed_integrator(10.0, 0.01)
+    whole = loop_margins(F, loop)
+    loop[100], loop[200] = np.nan, np.inf
+    holed = loop_margins(F, loop)
+    assert holed.phase_margin_deg == pytest.approx(whole.phase_margin_deg, abs=1e-3)
+    nothing = loop_margins(F, np.full(len(F), np.nan, dtype=complex))
+    assert nothing.crossover_hz is None
+    assert nothing.sensitivity_peak is None
+
+
+@settings(max_examples=12, deadline=None, derandomize=True)
+@given(st.floats(0.0, 0.04), st.booleans())
+def test_a_pure_delay_is_found_however_the_frequencies_lie(delay, evenly):
+    f = np.linspace(0.5, 100.0, 200) if evenly else F
+    found = tracking_measures(f, np.exp(-2j * np.pi * f * delay))
+    assert found.delay_s == pytest.approx(delay, abs=1e-12)
+    assert found.delay_by_frequency == pytest.approx(np.full(len(f), delay), abs=1e-12)
+    assert (found.flat_to_hz, found.bandwidth_hz) == (None, None)
+    assert (found.dip_db, found.dip_hz) == (None, None)
+
+
+def test_bandwidth_of_a_first_order_lag_is_its_corner():
+    found = tracking_measures(F, 1 / (1 + S / (2 * np.pi * 20)))
+    half_power = np.sqrt(10**0.3 - 1)  # -3 dB is not quite half
+    assert found.bandwidth_hz == pytest.approx(20 * half_power, rel=1e-3)
+    assert found.flat_to_hz == pytest.approx(20 * np.sqrt(10**0.1 - 1), rel=1e-3)
+
+
+def test_the_fitted_delay_does_not_depend_on_where_the_points_lie():
+    spaced = [np.linspace(0.05, 200.0, 8000), F]
+    delays = [tracking_measures(f, (8 - 1j * f) / (8 + 1j * f)).delay_s for f in spaced]
+    assert delays[0] == pytest.approx(delays[1], rel=0.01)
+
+
+def test_a_dip_is_told_with_its_place():
+    w = 2 * np.pi * 10
+    notch = (S**2 + 2 * 0.10 * w * S + w**2) / (S**2 + 2 * 0.11 * w * S + w**2)
+    found = tracking_measures(F, notch)
+    assert found.dip_db == pytest.approx(20 * np.log10(0.10 / 0.11), abs=0.05)
+    assert found.dip_hz == pytest.approx(10.0, rel=0.02)
+    assert tracking_measures(F, notch, band_hz=9.0).dip_db is None
+
+
+def test_noise_and_outliers_change_little():
+    rng = np.random.default_rng(3)
+    f = np.arange(0.5, 100.0, 0.5)
+    clean = np.exp(-2j * np.pi * f * 0.014) / (1 + (1j * f / 40) ** 2 + 1.4j * f / 40)
+    noisy = clean + 0.01 * (rng.standard_normal(len(f)) + 1j * rng.standard_normal(len(f)))
+    noisy[[10, 30, 31]] *= 2.0  # 6 dB
+    true, found = tracking_measures(f, clean), tracking_measures(f, noisy)
+    assert found.delay_s == pytest.approx(true.delay_s, rel=0.01)
+    assert found.flat_to_hz == pytest.approx(true.flat_to_hz, rel=0.1)
+    assert found.bandwidth_hz == pytest.approx(true.bandwidth_hz, rel=0.1)
+    assert found.dip_db is None
+
+
+def test_a_loop_that_never_follows_is_flat_nowhere():
+    found = tracking_measures(F, np.full(len(F), 0.1 + 0j))
+    assert (found.flat_to_hz, found.bandwidth_hz, found.delay_s) == (0.0, 0.0, None)
+    empty = tracking_measures(F, np.full(len(F), np.nan, dtype=complex))
+    assert empty.delay_s is None
+    assert np.isnan(empty.delay_by_frequency).all()

@@ -1,0 +1,267 @@
+"""The plant in continuous time, sampled, and in the closed loop, against the blocks themselves."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.experiment import Experiment
+from seft_plant_sim.plant import LinearPlant
+from seft_plant_sim.rig import continuous_model
+from seft_ros.experiment.tables import TABLES
+from seft_ros.force_controller.block import ForceController
+from seft_ros.loop_shaping.controller import Controller
+from seft_ros.loop_shaping.design import shape_loop
+from seft_ros.loop_shaping.plant import choose_plant
+from seft_ros.loop_shaping.sampling import SampledPlant, closed_loop_poles, dominant_pole
+
+PAPER = Controller.from_coefficients(37.0, [1.0, 17.14, 4002.0])
+MASS, DAMPING, STIFFNESS = 52.7, 800.0, 2.11e5
+RIG = {
+    "specimen.kind": "linear",
+    "specimen.mass": MASS,
+    "specimen.damping": DAMPING,
+    "specimen.stiffness": STIFFNESS,
+    "actuator.kind": "servo_hydraulic",
+    "actuator.oil_stiffness": 1.664e7,
+    "actuator.leakage": 50.0,
+    "actuator.flow_gain": 0.04,
+    "actuator.valve_frequency": 70.0,
+    "actuator.valve_damping": 0.6,
+    "actuator.dead_time": 0.001,
+}
+
+
+def experiment(rate=500.0, axes=("x",), controller=None, **changed):
+    rig = RIG | {name.replace("__", "."): value for name, value in changed.items()}
+    given = [("rig", name, value) for name, value in rig.items()]
+    given += [("force_controller", f"plant.{k}", v) for k, v in (controller or {}).items()]
+    given += [("/**", "rate", rate), ("/**", "axes", list(axes))]
+    return Experiment.load(TABLES, overrides=given)
+
+
+def rig_forces(test, commands):
+    """Actuator forces of the simulated rig, (N, n), when command k answers sample k."""
+    rig = LinearPlant(continuous_model(test["rig"], test.axes), test.timebase.dt)
+    state, forces = rig.reset(), []
+    for k in range(len(commands)):
+        forces.append(state[3].copy())
+        state = rig.step(commands[k])
+    return np.array(forces)
+
+
+def identified(numerator, denominator, dead_time=0.0):
+    return {"numerator": numerator, "denominator": denominator, "dead_time": dead_time}
+
+
+def test_an_identified_plant_may_answer_at_once():
+    numerator, denominator = [2.0, 30.0, 4e4], [4.0, 100.0, 9e4]
+    plant = choose_plant(experiment(controller=identified(numerator, denominator)))
+    f = np.array([1.0, 20.0, 200.0])
+    s = 2j * np.pi * f
+    exact = np.polyval(numerator, s) / np.polyval(denominator, s)
+    assert plant.response(f) == pytest.approx(exact)
+
+
+def expanded():
+    """The rig's transfer function, multiplied out by hand."""
+    wv, oil, leakage = 2 * np.pi * 70.0, 1.664e7, 50.0
+    specimen = np.array([MASS, DAMPING, STIFFNESS])
+    numerator = oil * 0.04 * wv**2 * specimen
+    fluid = np.polyadd(np.polymul([1.0, leakage], specimen), [oil, 0.0])
+    denominator = np.polymul([1.0, 2 * 0.6 * wv, wv**2], fluid)
+    return numerator.tolist(), denominator.tolist()
+
+
+@settings(max_examples=15, deadline=None, derandomize=True)
+@given(st.floats(10.0, 500.0), st.floats(1.0, 30.0), st.floats(0.002, 0.4))
+def test_the_zeros_of_the_plant_are_the_specimens_poles(mass, hz, damping):
+    w = 2 * np.pi * hz
+    values = {"mass": mass, "stiffness": mass * w**2, "damping": 2 * damping * w * mass}
+    test = experiment(**{f"specimen__{name}": value for name, value in values.items()})
+    zero = choose_plant(test).antiresonance()
+    assert zero.hz == pytest.approx(hz, rel=1e-4)
+    assert zero.damping == pytest.approx(damping, rel=1e-3)
+
+
+@pytest.mark.parametrize("oil_stiffness", [5e6, 1.664e7, 4e7])
+def test_the_oil_column_is_the_spring_of_oil_and_specimen_under_the_mass(oil_stiffness):
+    pole = choose_plant(experiment(actuator__oil_stiffness=oil_stiffness)).oil_column()
+    expected = np.sqrt((oil_stiffness + STIFFNESS) / MASS) / (2 * np.pi)
+    assert pole.hz == pytest.approx(expected, rel=5e-3)
+    assert 0 < pole.damping < 0.2
+
+
+def test_the_response_is_that_of_the_transfer_function():
+    numerator, denominator = expanded()
+    f = np.array([0.3, 5.0, 10.0, 40.0, 90.0, 200.0])
+    s = 2j * np.pi * f
+    exact = np.polyval(numerator, s) / np.polyval(denominator, s) * np.exp(-0.001 * s)
+    assert choose_plant(experiment()).response(f) == pytest.approx(exact, rel=1e-9)
+
+
+@pytest.mark.parametrize("dead_time", [0.0, 0.0007, 0.002, 0.0105])
+@pytest.mark.parametrize("rate", [250.0, 500.0, 2000.0])
+def test_an_identified_plant_is_sampled_like_the_rig_that_it_equals(rate, dead_time):
+    numerator, denominator = expanded()
+    test = experiment(
+        rate,
+        controller=identified(numerator, denominator, dead_time),
+        actuator__dead_time=dead_time,
+    )
+    f = np.array([0.3, 5.0, 10.0, 40.0, 90.0, 0.4 * rate])
+    rig, fitted = (
+        SampledPlant.of(choose_plant(test, source), test.timebase.dt).response(f)
+        for source in ("rig", "identified")
+    )
+    assert choose_plant(test).source == "identified"
+    assert fitted == pytest.approx(rig, rel=1e-6)
+
+
+@pytest.mark.parametrize("dead_time", [0.0, 0.0013, 0.004, 0.0071])
+@pytest.mark.parametrize("cutoff", [0.0, 80.0])
+def test_the_sampled_response_is_the_rigs_own_pulse_response(dead_time, cutoff):
+    test = experiment(
+        actuator__dead_time=dead_time, sensors__anti_alias=cutoff, actuator__leakage=2e3
+    )
+    dt, count = test.timebase.dt, 12000
+    pulse = np.zeros((count, 1))
+    pulse[0] = 1.0
+    forces = rig_forces(test, pulse)[:, 0]
+    f = np.array([1.0, 10.0, 30.0, 90.0, 180.0])
+    spectrum = np.exp(-2j * np.pi * np.outer(f, np.arange(count) * dt)) @ forces
+    found = SampledPlant.of(choose_plant(test), dt).response(f)
+    assert found == pytest.approx(spectrum, rel=1e-6)
+
+
+@pytest.mark.parametrize("dead_time", [0.0, 0.0007, 0.004, 0.0051])
+def test_states_and_response_are_of_the_same_plant(dead_time):
+    controller = identified([2.0, 30.0, 4e4], [4.0, 100.0, 9e4], dead_time)
+    plant = SampledPlant.of(choose_plant(experiment(controller=controller)), 0.002)
+    f = np.array([1.0, 20.0, 200.0])
+    a, b, c = plant.state_space()
+    z = np.exp(2j * np.pi * f * 0.002)
+    states = [np.linalg.solve(point * np.eye(len(a)) - a, b) for point in z]
+    assert plant.response(f) == pytest.approx([(c @ state)[0, 0] for state in states])
+
+
+def test_a_plant_that_answers_at_once_is_sampled_with_the_step_of_latency_alone():
+    test = experiment(controller=identified([5.0], [1.0]))
+    f = np.array([10.0, 100.0])
+    plant = choose_plant(test)
+    z = np.exp(2j * np.pi * f * 0.002)
+    assert SampledPlant.of(plant, 0.002).response(f) == pytest.approx(5.0 / z)
+    half = choose_plant(experiment(controller=identified([5.0], [1.0], 0.001)))
+    assert SampledPlant.of(half, 0.002).response(f) == pytest.approx(5.0 / z**2)
+
+
+@pytest.mark.parametrize("frequency", [3.0, 10.0, 12.5, 25.0, 62.5])
+def test_a_sine_runs_through_the_blocks_as_the_closed_loop_says(frequency):
+    test = experiment()
+    dt, count, kept = test.timebase.dt, 6000, 2000  # 12 s; the last 4 s hold whole periods
+    controller = ForceController(PAPER.numerator, PAPER.denominator, 1e9, dt, 1)
+    rig = LinearPlant(continuous_model(test["rig"], test.axes), dt)
+    reference = np.sin(2 * np.pi * frequency * dt * np.arange(count))
+    state, forces = rig.reset(), []
+    for value in reference:
+        forces.append(state[3, 0])
+        state = rig.step(controller.step(np.array([value]), state))
+    carrier = np.exp(-2j * np.pi * frequency * dt * np.arange(count))[-kept:]
+    measured = (carrier @ np.array(forces)[-kept:]) / (carrier @ reference[-kept:])
+
+    plant = SampledPlant.of(choose_plant(test), dt)
+    f = np.array([frequency])
+    loop = plant.response(f) * PAPER.sampled_response(f, dt)
+    expected = (loop / (1 + loop))[0]
+    assert abs(measured) == pytest.approx(abs(expected), rel=1e-3)
+    assert np.angle(measured / expected) == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("axes", [("x",), ("x", "y")])
+@pytest.mark.parametrize("gain", [1.0, 2.6])
+def test_the_dominant_pole_is_how_the_blocks_grow_or_die_out(axes, gain):
+    coupled = {
+        "specimen__mass": [52.7, 80.0],
+        "specimen__stiffness": [2.11e5, -6e4, -6e4, 3e5],
+        "actuator__oil_stiffness": [1.664e7, 2.5e7],
+    }
+    test = experiment(axes=axes, **(coupled if len(axes) == 2 else {}))
+    dt = test.timebase.dt
+    controller = PAPER.scaled(gain)
+    pole = dominant_pole(choose_plant(test), controller, dt)
+    block = ForceController(controller.numerator, controller.denominator, 1e150, dt, len(axes))
+    rig = LinearPlant(continuous_model(test["rig"], test.axes), dt)
+    state, forces = rig.reset(), []
+    for k in range(1500):
+        state = rig.step(block.step(np.eye(len(axes))[0] * (k == 0), state))
+        forces.append(np.abs(state[3]).max())
+    peaks = np.log(np.max(np.reshape(forces, (6, 250)), axis=1))
+    assert np.exp((peaks[5] - peaks[2]) / 750) == pytest.approx(abs(pole), abs=1e-3)
+    assert (abs(pole) < 1) is (gain == 1.0)
+
+
+@settings(max_examples=8, deadline=None, derandomize=True)
+@given(st.floats(0.2, 4.0), st.floats(0.0, 0.008), st.sampled_from([200.0, 500.0, 1000.0]))
+def test_nyquists_criterion_agrees_with_the_eigenvalues(gain, dead_time, rate):
+    test = experiment(rate, actuator__dead_time=dead_time)
+    plant, dt = choose_plant(test), test.timebase.dt
+    design = shape_loop(plant, PAPER.scaled(gain), dt)
+    if abs(abs(dominant_pole(plant, design.controller, dt)) - 1) > 1e-4:
+        assert design.margins.stable is design.stable
+
+
+def test_a_static_controller_closes_the_loop_too():
+    plant = SampledPlant.of(choose_plant(experiment()), 0.002)
+    poles = closed_loop_poles(plant, Controller.from_coefficients(1e-6, 1.0))
+    assert np.abs(poles).max() < 1
+
+
+def test_uncoupled_axes_are_each_as_if_alone():
+    test = experiment(axes=("x", "y"), specimen__stiffness=[STIFFNESS, 9e5])
+    f = np.array([2.0, 30.0])
+    alone = experiment(specimen__stiffness=9e5)
+    plant, single = choose_plant(test).axis(1), choose_plant(alone)
+    assert plant.response(f) == pytest.approx(single.response(f), rel=1e-9)
+    assert len(plant.a) == len(single.a)
+
+
+def test_coupled_axes_see_each_other_through_closed_valves():
+    coupled = experiment(axes=("x", "y"), specimen__stiffness=[3e5, -1e5, -1e5, 3e5])
+    apart = experiment(axes=("x", "y"), specimen__stiffness=3e5)
+    zeros = [choose_plant(test).axis(0).antiresonance().hz for test in (coupled, apart)]
+    assert zeros[0] == pytest.approx(zeros[1], rel=0.01)  # the other end is all but clamped
+    assert abs(zeros[0] / zeros[1] - 1) > 1e-6
+    assert len(choose_plant(coupled).axis(0).a) == 8  # all but the other valve's
+
+
+def test_springs_at_rest_do_not_make_a_loop_unstable():
+    test = experiment(specimen__kind="bilinear", specimen__yield_displacement=0.01)
+    plant = choose_plant(test)
+    assert len(plant.a) == 5
+    assert abs(dominant_pole(plant, PAPER, test.timebase.dt)) < 1
+
+
+@pytest.mark.parametrize(
+    ("source", "changed", "told"),
+    [
+        ("auto", {"actuator__kind": "ideal"}, "actuator.kind is ideal"),
+        ("rig", {"actuator__kind": "delay"}, "no valve"),
+        ("identified", {}, "seft identify"),
+        ("auto", {"controller": identified([1.0, 2.0], [1.0])}, "improper"),
+        ("auto", {"controller": identified([1.0], [0.0])}, "plant.denominator is zero"),
+    ],
+)
+def test_what_gives_no_plant_is_told(source, changed, told):
+    with pytest.raises(InputError, match=told):
+        choose_plant(experiment(**changed), source)
+
+
+def test_a_rig_without_a_valve_can_be_shaped_by_its_identified_plant():
+    test = experiment(controller=identified([100.0], [1.0, 1.0]), actuator__kind="ideal")
+    assert choose_plant(test).response(np.array([0.0])) == pytest.approx(100.0)
+
+
+def test_a_dead_time_of_many_samples_is_refused():
+    plant = choose_plant(experiment(controller=identified([1.0], [1.0, 1.0], 1.0)))
+    with pytest.raises(InputError, match="1000 samples"):
+        SampledPlant.of(plant, 0.001)

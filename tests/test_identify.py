@@ -1,0 +1,41 @@
+"""Identification over DDS: the same numbers as offline, on a rig that someone else has started."""
+
+import json
+import signal
+
+from graph_tools import JHU, PATIENCE
+
+SHORT = ("--duration", "15", "--amplitude", "0.2")
+
+
+def numbers(printed):
+    return {key: value for key, value in printed.items() if key != "files"}
+
+
+def test_two_tests_in_a_row_on_an_external_rig_give_the_numbers_of_the_offline_loop(
+    seft, seft_json, start_node, tmp_path
+):
+    """Its parameters are its own: what the experiment says of a rig does not count."""
+    rig = start_node("rig", "rig:pace:=lockstep")
+    words = ("identify", JHU, *SHORT)
+    elsewhere = ("-p", "rig:specimen.mass:=20.0")
+    external = seft_json(*words, *elsewhere, "--external", "rig", "--out", "external")
+    assert numbers(external) == numbers(seft_json(*words, "--out", "offline"))
+    for name in ("open_loop", "closed_loop"):
+        bags = (f"external/{name}", f"offline/{name}")
+        assert seft_json("compare", *bags)["identical"] is True
+
+    refused = seft("run", JHU, "--external", "rig", "-p", "rate:=250.0", "--out", "bag", status=2)
+    assert refused.stdout == ""
+    last = refused.stderr.strip().splitlines()[-1]
+    assert last == "seft: the nodes must have one rate: ground_motion has 250.0, rig has 500.0"
+    refused = seft("run", JHU, "--out", "bag", status=2)
+    assert "already has a node rig" in refused.stderr
+
+    short = ("-p", "ground_motion:synthetic.duration:=3.0")
+    done = seft("run", JHU, *short, "--external", "rig", "--out", "bag", "--json", status=0)
+    assert json.loads(done.stdout)["stable"] is True
+    rig.send_signal(signal.SIGINT)
+    _, errors = rig.communicate(timeout=PATIENCE)
+    assert rig.returncode == 0, errors
+    assert "Traceback" not in errors
