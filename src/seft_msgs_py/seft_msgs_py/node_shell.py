@@ -26,6 +26,7 @@ from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
+from seft_msgs_py.ending import ending_within
 from seft_msgs_py.errors import InputError, SeftError, WireError
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.messages import Status, encode_diagnostics, encode_string, restamp
@@ -39,6 +40,7 @@ IDLE_WAIT = 0.05  # s; a signal is noticed within this time
 STATUS_PERIOD = 1.0  # s
 STATUS_CHECK = 0.2  # s
 WARN_PERIOD = 1.0  # s
+CLOSE_PATIENCE = 5.0  # s
 WARM_UP_STEPS = 200
 """Steps a node of the loop tries on itself, so that its first real ones are not its slowest."""
 
@@ -316,18 +318,28 @@ def run_node(table: Table, tables: Iterable[Table], serve: Callable[[NodeShell],
     int
         Exit status. A user's error is told in one line on stderr.
     """
+    status = 1
     try:
         shell = NodeShell(table, tables, sys.argv)
-        try:
-            serve(shell)
-        finally:
-            shell.close()
     except SeftError as error:
-        text = str(error)
-        told = text if text.startswith(f"{table.node}: ") else f"{table.node}: {text}"
-        print(told, file=sys.stderr, flush=True)
-        return error.exit_status
-    return 0
+        return _tell(table, error)
+    try:
+        serve(shell)
+        status = 0
+    except SeftError as error:
+        status = _tell(table, error)
+    finally:
+        with ending_within(CLOSE_PATIENCE, status):
+            shell.close()
+    return status
+
+
+def _tell(table: Table, error: SeftError) -> int:
+    """Say a user's error in one line; return its exit status."""
+    text = str(error)
+    told = text if text.startswith(f"{table.node}: ") else f"{table.node}: {text}"
+    print(told, file=sys.stderr, flush=True)
+    return error.exit_status
 
 
 def _peak_memory_mb() -> int:

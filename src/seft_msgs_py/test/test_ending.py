@@ -1,0 +1,29 @@
+import signal
+import subprocess
+import sys
+
+import pytest
+
+HELD = """
+import ctypes, sys
+from seft_msgs_py.ending import ending_within
+with ending_within(0.2, {status}):
+    while True:
+        ctypes.PyDLL(None).usleep(10_000_000)  # holds the interpreter, as a stuck library does
+"""
+
+
+@pytest.mark.parametrize("status", [0, 2])
+def test_a_process_that_is_stuck_in_a_library_ends_with_its_status(status):
+    code = HELD.format(status=status)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=60)
+    assert (done.returncode, done.stderr) == (status, b"")
+
+
+def test_what_ends_in_time_leaves_no_alarm_behind():
+    from seft_msgs_py.ending import ending_within
+
+    with ending_within(1000.0, 3):
+        assert signal.getitimer(signal.ITIMER_REAL)[0] > 0
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+    assert signal.getsignal(signal.SIGALRM) is signal.SIG_DFL
