@@ -50,19 +50,21 @@ class DeadTime:
         """Back to no drive."""
         self._line.extend(np.zeros(self._axes) for _ in range(self._line.maxlen or 0))
 
-    def step(self, command: Floats, before: Floats, after: Floats, now: Floats) -> None:
-        """Take the drive of the new sample; write the delayed drives that lead there.
+    def step(self, command: Floats) -> tuple[Floats, Floats, Floats]:
+        """Take the drive of the new sample; give the delayed drives that lead there.
 
         Parameters
         ----------
         command : ndarray
             Drive from the new sample on, shape (n,).
+
+        Returns
+        -------
         before, after, now : ndarray
-            Shape (n,), written: the delayed drive before and after its change on the way to
-            the new sample, and at the new sample.
+            Shape (n,): the delayed drive before and after its change on the way to the new
+            sample, and at the new sample.
         """
         line = self._line
-        before[:] = line[0]
-        after[:] = line[1]
+        before, after = line[0], line[1]
         line.append(command)  # the oldest falls out
-        now[:] = line[0] if self.part else line[1]
+        return before, after, line[0] if self.part else line[1]

@@ -62,7 +62,9 @@ class Limits:
     def __init__(self, limits: dict[str, Any], axes: Sequence[str]) -> None:
         self._axes = tuple(axes)
         self._limits = np.array([[limits[name]] for name in NAMES], dtype=np.float64)
-        self._scale = 1.0 / self._limits
+        self._scale = np.repeat(1.0 / self._limits, len(self._axes), axis=1)
+        self._scaled = np.zeros_like(self._scale)
+        self._flat = self._scaled.ravel()  # a view
 
     def violation(self, state: Floats) -> str | None:
         """Say which limit a measured state breaks, if any; NaN breaks every limit.
@@ -77,8 +79,8 @@ class Limits:
         str or None
             One line with limit, value and axis.
         """
-        scaled = (state * self._scale).ravel()
-        if scaled.dot(scaled) < 0.99:  # well inside the ellipsoid, and so inside the box
+        np.multiply(state, self._scale, self._scaled)
+        if self._flat.dot(self._flat) < 0.99:  # well inside the ellipsoid, and so inside the box
             return None
         within = np.abs(state) <= self._limits
         if within.all():

@@ -42,7 +42,9 @@ class NonlinearPlant:
     def __init__(self, model: ContinuousModel, dt: float) -> None:
         assert model.nonlinearity is not None
         nonlinearity = model.nonlinearity
-        self._parts = nonlinearity.parts
+        parts = nonlinearity.parts
+        self._parts = parts
+        self._residuals = parts[0].residuals if len(parts) == 1 else self._all_residuals
         self._axes = model.b.shape[1]
         self._limit = nonlinearity.drive_limit
         size, residuals = len(model.a), nonlinearity.inputs.shape[1]
@@ -55,7 +57,6 @@ class NonlinearPlant:
         self._state = self._work[:size]
         self._drive = self._work[size : size + self._axes]
         self._residual = self._work[size + self._axes :]
-        self._drives = tuple(np.zeros((3, self._axes)))
         self.reset()
 
     def reset(self) -> Floats:
@@ -66,9 +67,8 @@ class NonlinearPlant:
 
     def step(self, command: Floats) -> Floats:
         """Advance by one sample, see `Plant.step`."""
-        before, after, now = self._drives
         command = np.minimum(np.maximum(command, -self._limit), self._limit)
-        self._dead_time.step(command, before, after, now)
+        before, after, now = self._dead_time.step(command)
         self._integrate(self._before, before)
         self._integrate(self._after, after)
         self._drive[:] = now
@@ -81,27 +81,25 @@ class NonlinearPlant:
 
     def _integrate(self, stretch: "_Stretch", drive: Floats) -> None:
         work, state, residual = self._work, self._state, self._residual
+        residuals, settled = self._residuals, self._settled
+        predict, correct = stretch.predict, stretch.correct
         self._drive[:] = drive
         for _ in range(stretch.steps):
-            predicted = stretch.predict.dot(work)
-            change = self._residuals(predicted.tolist())
+            predicted = predict.dot(work)
+            change = np.array(residuals(predicted.tolist()))
             change -= residual
-            predicted += stretch.correct.dot(change)
-            z = predicted.tolist()
-            self._settle(z)
+            predicted += correct.dot(change)
+            z = settled(predicted.tolist())
             state[:] = z
-            residual[:] = self._residuals(z)
+            residual[:] = residuals(z)
 
-    def _residuals(self, z: list[float]) -> Floats:
-        parts = self._parts
-        found = parts[0].residuals(z)
-        for part in parts[1:]:
-            found += part.residuals(z)
-        return np.array(found)
+    def _all_residuals(self, z: list[float]) -> list[float]:
+        return [value for part in self._parts for value in part.residuals(z)]
 
-    def _settle(self, z: list[float]) -> None:
+    def _settled(self, z: list[float]) -> list[float]:
         for part in self._parts:
             part.settle(z)
+        return z
 
 
 @dataclass(frozen=True)

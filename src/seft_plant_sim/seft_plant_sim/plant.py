@@ -66,7 +66,8 @@ class LinearPlant:
         self._matrix = self._transition(model, dt)
         self._work = np.zeros(self._matrix.shape[1])
         self._state = self._work[: self._size]
-        self._drives = tuple(self._work[self._size :].reshape(3, self._axes))
+        self._before, self._after, self._now = self._work[self._size :].reshape(3, self._axes)
+        self._answers_at_once = bool(model.d.any())
         self.reset()
 
     def reset(self) -> Floats:
@@ -77,7 +78,11 @@ class LinearPlant:
 
     def step(self, command: Floats) -> Floats:
         """Advance by one sample, see `Plant.step`."""
-        self._dead_time.step(command, *self._drives)
+        before, after, now = self._dead_time.step(command)
+        self._before[:] = before
+        self._after[:] = after
+        if self._answers_at_once:
+            self._now[:] = now
         result = self._matrix.dot(self._work)
         self._state[:] = result[: self._size]
         return result[self._size :].reshape(4, self._axes)

@@ -60,10 +60,12 @@ class Sensors:
         self._differentiator = differentiator
         self._block_index = -1
         self._block: Floats = np.empty((0, *channels.noise.shape))
-        self._per_range = 1.0 / channels.range
         self._has_bias = bool(channels.bias.any())
         self._has_range = bool(np.isfinite(channels.range).any())
         self._has_resolution = bool(channels.resolution.any())
+        if self._has_resolution:
+            self._per_resolution = 1.0 / channels.resolution
+            self._safe_square = float((channels.range * self._per_resolution).min() ** 2)
         self.saturated: list[str] = []
 
     @classmethod
@@ -128,20 +130,20 @@ class Sensors:
         if self._has_bias:
             measured += channels.bias
         self.saturated = []
-        if self._has_range:
-            scaled = (measured * self._per_range).ravel()
-            if not scaled.dot(scaled) < 1.0:  # else none can be at its range
-                self._saturate(measured)
         if self._has_resolution:
-            measured /= channels.resolution
+            measured *= self._per_resolution
+            counts = measured.ravel()
+            if not counts.dot(counts) < self._safe_square:  # else none can be at its range
+                self._saturate(measured, channels.range * self._per_resolution)
             np.rint(measured, out=measured)
             measured *= channels.resolution
+        elif self._has_range:
+            self._saturate(measured, channels.range)
         if self._differentiator is not None:
             measured[1] = self._differentiator.step(measured[0])
         return measured
 
-    def _saturate(self, measured: Floats) -> None:
-        limit = self._channels.range
+    def _saturate(self, measured: Floats, limit: Floats) -> None:
         beyond = np.abs(measured) >= limit
         self.saturated = [f"{CHANNELS[row]}_range" for row, _ in np.argwhere(beyond)]
         np.clip(measured, -limit, limit, out=measured)

@@ -51,17 +51,17 @@ class ForceController:
     ) -> None:
         b, a = bilinear(numerator, denominator, dt)
         order, one = len(a) - 1, np.eye(axes)
-        # transposed direct form II on the vector (w, e, u), w the order * n delays:
-        # u = b0 e + w[0],  w' = shift(w) + b e - a u
-        self._work = np.zeros((order + 2) * axes)
+        # transposed direct form II on the vector (w, e), w the order * n delays:
+        # u = b0 e + w[0],  w' = shift(w) + b e - a u; with that u put in, in one matrix
+        self._work = np.zeros((order + 1) * axes)
         self._delays = self._work[: order * axes]
-        self._error = self._work[order * axes : (order + 1) * axes]
-        self._drive = self._work[(order + 1) * axes :]
-        first = np.eye(1, order + 2)
-        first[0, order] += b[0]
-        self._output = np.kron(first if order else np.array([[b[0], 0.0]]), one)
-        shift = np.column_stack([np.eye(order, k=1), b[1:], -a[1:]])
-        self._update = np.kron(shift, one)
+        self._error = self._work[order * axes :]
+        output = np.eye(1, order + 1)
+        output[0, order] = b[0]
+        update = np.column_stack([np.eye(order, k=1), b[1:]]) - np.outer(a[1:], output)
+        self._step = np.kron(np.vstack([output, update]), one)
+        self._from_drive = np.kron(a[1:, np.newaxis], one)
+        self._axes = axes
         self._feedback = feedback
         self._limit = float(voltage_limit)
         self._safe_square = 0.99 * self._limit * self._limit
@@ -106,11 +106,13 @@ class ForceController:
             np.subtract(reference_force, state[3], self._error)
         else:
             self._error[:] = reference_force
-        drive = self._output.dot(self._work)
+        result = self._step.dot(self._work)
+        drive, delays = result[: self._axes], result[self._axes :]
         if not drive.dot(drive) < self._safe_square:  # else no axis can be at its limit
-            drive = np.clip(drive, -self._limit, self._limit)
-        self._drive[:] = drive
-        self._delays[:] = self._update.dot(self._work)
+            limited = np.clip(drive, -self._limit, self._limit)
+            delays -= self._from_drive.dot(limited - drive)
+            drive = limited
+        self._delays[:] = delays
         return drive
 
 
