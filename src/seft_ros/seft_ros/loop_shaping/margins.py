@@ -29,9 +29,9 @@ class LoopMargins:
     Attributes
     ----------
     crossover_hz : float or None
-        Highest frequency at which |L| crosses 1.
+        First frequency at which |L| falls below 1: up to there the loop has gain.
     crossovers_hz : tuple of float
-        All of them, ascending.
+        All frequencies at which |L| crosses 1, ascending.
     phase_margin_deg : float or None
         Phase left above -180 degrees; of the crossover where that is least, either way.
     gain_margin_db : float or None
@@ -80,13 +80,14 @@ def loop_margins(frequencies_hz: Floats, loop: Complexes) -> LoopMargins:
         control.frd(loop, omega, smooth=True), returnall=True
     )
     crossovers = sorted({float(f"{w / (2 * np.pi):.9g}") for w in omegas})
+    falls = 0 if abs(loop[0]) > 1 else 1  # the first of them at which |L| falls
     margins_db = 20 * np.log10(gains)
     least_gain = int(np.abs(margins_db).argmin()) if len(gains) else None
     sensitivity = 1 / np.maximum(np.abs(1 + loop), 1e-9)
     peak = int(sensitivity.argmax())
     turning = np.unwrap(np.angle(1 + loop))[-1]
     return LoopMargins(
-        crossover_hz=crossovers[-1] if crossovers else None,
+        crossover_hz=crossovers[falls] if len(crossovers) > falls else None,
         crossovers_hz=tuple(crossovers),
         phase_margin_deg=float(phases[np.abs(phases).argmin()]) if len(phases) else None,
         gain_margin_db=None if least_gain is None else float(margins_db[least_gain]),
