@@ -139,7 +139,7 @@ def identify(
     def done(name: str, test: Experiment, seconds: float) -> bool:
         if over_dds or external:
             steps = motions.steps(seconds)
-            tests[name] = dds_test(test, folder / name, steps, external or ())
+            tests[name] = dds_test(test, folder / name, steps, external or (), label=f"{name}: ")
         else:
             tests[name] = offline_test(test, folder / name)
         return tests[name].trip is None and has_valve(tests[name].experiment)

@@ -1,4 +1,4 @@
-"""One test of several that a command makes, offline or over DDS, and its bag."""
+"""One test that a command makes, alone or of several, offline or over DDS, and its bag."""
 
 import signal
 from collections.abc import Collection
@@ -32,9 +32,17 @@ def offline_test(experiment: Experiment, bag: Path) -> Record:
 
 
 def dds_test(
-    experiment: Experiment, bag: Path, steps: int, external: Collection[str] = ()
+    experiment: Experiment,
+    bag: Path,
+    steps: int,
+    external: Collection[str] = (),
+    *,
+    pin: bool = True,
+    label: str = "",
 ) -> Record:
     """Run a test as separate nodes over DDS, with a progress bar, and read its bag.
+
+    The label stands before what is told of the test, where there are several.
 
     Raises
     ------
@@ -52,12 +60,13 @@ def dds_test(
             finished = run_experiment(
                 experiment,
                 bag,
-                lambda what, done: show(f"{bag.name}: {what}", done),
+                lambda what, done: show(f"{label}{what}", done),
+                pin=pin,
                 external=external,
             )
         except KeyboardInterrupt:
             kept = f"; what was recorded is in {bag}" if bag.exists() else ""
-            raise ExperimentError(f"{bag.name}: interrupted{kept}") from None
+            raise ExperimentError(f"{label}interrupted{kept}") from None
     if finished.fault:
-        raise ExperimentError(f"{bag.name}: {finished.fault}; what was recorded is in {bag}")
+        raise ExperimentError(f"{label}{finished.fault}; what was recorded is in {bag}")
     return read_bag(finished.bag)

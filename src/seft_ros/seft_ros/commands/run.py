@@ -1,13 +1,12 @@
 """``seft run``: the experiment as separate node processes over DDS."""
 
-import signal
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from seft_msgs_py.errors import ExperimentError
 from seft_msgs_py.experiment import Experiment
 
+from seft_ros.commands.one_test import dds_test
 from seft_ros.commands.options import (
     ConfigArgument,
     ExternalOption,
@@ -17,7 +16,6 @@ from seft_ros.commands.options import (
     complain,
     load_experiment,
 )
-from seft_ros.commands.progress import step_progress
 from seft_ros.commands.results import present
 from seft_ros.experiment.tables import TABLES
 
@@ -59,23 +57,12 @@ def run(
 
         seft run config/jhu.yaml --external rig
     """
-    from seft_ros.recording.bag_reader import read_bag
-    from seft_ros.running.run import bag_path, run_experiment
+    from seft_ros.running.run import bag_path
 
     experiment = load_experiment(config, param, params_file, external)
     bag = bag_path(experiment, out)
-    steps = _steps(experiment)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: end in order
-    with step_progress(steps) as show:
-        try:
-            finished = run_experiment(experiment, bag, show, pin=pin, external=external or ())
-        except KeyboardInterrupt:
-            kept = f"; what was recorded is in {bag}" if bag.exists() else ""
-            raise ExperimentError(f"interrupted{kept}") from None
-    if finished.fault:
-        raise ExperimentError(f"{finished.fault}; what was recorded is in {finished.bag}")
-    record = read_bag(finished.bag)
-    summary = present(record, finished.bag, as_json=json)
+    record = dds_test(experiment, bag, _steps(experiment), external or (), pin=pin)
+    summary = present(record, bag, as_json=json)
     if not summary["stable"]:
         complain(f"the test tripped: {record.trip.reason}" if record.trip else "unstable")
         return 1
