@@ -32,7 +32,8 @@ test: $(READY) ## all checks: lint, format, types, tests (CI runs the same)
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
-	$(BIN)/pytest
+	$(BIN)/pytest src -n 2
+	$(BIN)/pytest tests
 
 bench: $(READY) ## every benchmark in bench, one after another
 	@failed=; for file in $(sort $(wildcard bench/[!_]*.py)); do \

@@ -2,10 +2,19 @@
 
 import re
 
+import pytest
 from graph_tools import ROOT
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.parameter_file import parse_override
 from seft_msgs_py.topics import LOOP_TOPICS, TOPICS
+from seft_ros.commands.main import APP
 from seft_ros.commands.parameters import parameters_text
 from seft_ros.experiment.tables import TABLES
+from seft_ros.preflight.margins import critical_mass_ratio
+from seft_ros.preflight.plan import Plan
+from seft_ros.reference_force.compensation.methods import METHODS
+
+COMPENSATION = ROOT / "docs" / "compensation.md"
 
 
 def test_the_parameter_tables_are_those_of_the_code():
@@ -21,6 +30,43 @@ def test_the_readme_names_every_topic_node_and_command():
         assert all(unit in text for unit in topic.units)
     for table in TABLES:
         assert f"`{table.node}`" in text
+    for command in APP.registered_commands:
+        assert f"`seft {command.callback.__name__}" in text
+
+
+def test_every_compensation_method_is_in_the_readme_and_explained_in_every_table_of_methods():
+    for name in METHODS:
+        assert f"| `{name}` |" in (ROOT / "README.md").read_text()
+        assert len(re.findall(rf"^\| `{name}`", COMPENSATION.read_text(), re.MULTILINE)) >= 2
+
+
+def test_the_demo_uses_the_recommended_method_and_the_papers_experiment_none():
+    chosen = {
+        name: Experiment.load(TABLES, [ROOT / "config" / f"{name}.yaml"])["reference_force"][
+            "compensation.method"
+        ]
+        for name in ("demo", "jhu")
+    }
+    assert chosen == {"demo": "preview_inverse", "jhu": "none"}
+
+
+@pytest.mark.parametrize(
+    ("column", "overrides"),
+    [(1, []), (2, ["rig:actuator.kind:=delay", "rig:actuator.delay:=0.01"])],
+)
+@pytest.mark.parametrize("method", ["none", "restoring"])  # they need nothing identified
+def test_where_a_method_ends_is_what_preflight_says(method, column, overrides):
+    section = COMPENSATION.read_text().split("### Where each ends")[1]
+    row = next(line for line in section.splitlines() if line.startswith(f"| `{method}` |"))
+    told = row.split("|")[1 + column].strip()
+    given = [parse_override(text) for text in overrides]
+    given += [("reference_force", "compensation.method", method)]
+    experiment = Experiment.load(TABLES, [ROOT / "config" / "jhu.yaml"], given)
+    critical = critical_mass_ratio(Plan(experiment, "rig"))
+    if critical is None:
+        assert told == "> 50"
+    else:
+        assert float(told) == pytest.approx(critical.value, rel=0.005)
 
 
 def test_links_between_documents_lead_somewhere():

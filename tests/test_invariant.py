@@ -1,5 +1,6 @@
 """Offline = lockstep = realtime where no command was missed, bit for bit."""
 
+import numpy as np
 import pytest
 from graph_tools import JHU
 from seft_ros.recording.bag_reader import read_bag
@@ -16,12 +17,34 @@ EXPERIMENTS = {
     "eft_ideal": ("-p", "rig:actuator.kind:=ideal", "-p", "reference_force:method:=eft"),
     "coupled_axes": (
         *("-p", "axes:=[north, east]"),
-        *("-p", "rig:specimen.stiffness:=[2.0e5, -1.0e4, -1.0e4, 3.0e5]"),
-        *("-p", "rig:specimen.mass:=[52.7, 40.0]"),
+        *("-p", "rig:specimen.stiffness:=[2.0e5, -1.0e4, -1.0e4, 2.2e5]"),
+        *("-p", "rig:specimen.mass:=[52.7, 55.0]"),
         *("-p", "ground_motion:influence:=[1.0, 0.5]"),
         *("-p", "reference_force:mass_ratio:=0.3"),
     ),
+    "preview_inverse": (
+        *("-p", "axes:=[north, east]"),
+        *("-p", "ground_motion:influence:=[1.0, 0.5]"),
+        *("-p", "reference_force:compensation.method:=preview_inverse"),
+        *("-p", "reference_force:mass_ratio:=1.0"),
+        *("-p", "ground_motion:peak_force:=300.0"),
+    ),
+    "preview_inverse_yielding": (
+        *("-p", "rig:specimen.kind:=bilinear", "-p", "rig:specimen.yield_displacement:=0.001"),
+        *("-p", "reference_force:compensation.method:=preview_inverse"),
+        *("-p", "reference_force:mass_ratio:=1.0"),
+        *("-p", "ground_motion:peak_force:=300.0"),
+    ),
 }
+
+ESTIMATED_DELAY = (
+    *("-p", "axes:=[north, east]"),
+    *("-p", "ground_motion:influence:=[1.0, 0.5]"),
+    *("-p", "reference_force:mass_ratio:=0.5"),
+    *("-p", "reference_force:compensation.method:=linear_acceleration"),
+    *("-p", "reference_force:compensation.delay:=0.012"),
+    *("-p", "reference_force:compensation.estimate_delay:=true"),
+)
 
 
 @pytest.mark.parametrize("name", EXPERIMENTS)
@@ -40,8 +63,26 @@ def test_lockstep_over_dds_gives_the_bits_of_the_offline_loop(seft_json, name):
         assert lockstep[quantity] == simulated[quantity]
 
 
-def test_realtime_differs_only_from_the_first_missed_command_on(seft_json, tmp_path):
-    words = (JHU, *SHORT, *EXPERIMENTS["servo_hydraulic"])
+def test_estimates_over_dds_are_those_of_the_offline_loop(seft_json, tmp_path):
+    words = (JHU, *SHORT, *ESTIMATED_DELAY)
+    simulated = seft_json("simulate", *words, "--out", "simulated")
+    lockstep = seft_json("run", *words, *LOCKSTEP, "--out", "lockstep")
+    compared = seft_json("compare", "simulated", "lockstep")
+    assert compared["identical"] is True
+    samples = compared["topics"]["reference_force/estimates"]
+    assert samples["samples_a"] == samples["samples_b"] == 31
+    assert lockstep["estimates"] == simulated["estimates"]
+    one, other = (read_bag(tmp_path / name).estimates for name in ("simulated", "lockstep"))
+    assert one.names == other.names == ("delay",)
+    assert one.steps.tolist() == other.steps.tolist() == list(range(0, 1501, 50))
+    np.testing.assert_array_equal(one.values, other.values)
+    for axis in range(2):
+        assert len(set(one.values[:, 0, axis].tolist())) > 5  # something was identified
+
+
+@pytest.mark.parametrize("experiment", [EXPERIMENTS["servo_hydraulic"], ESTIMATED_DELAY])
+def test_realtime_differs_only_from_the_first_missed_command_on(seft_json, tmp_path, experiment):
+    words = (JHU, *SHORT, *experiment)
     seft_json("simulate", *words, "--out", "simulated")
     realtime = seft_json("run", *words, "--out", "realtime")
     compared = seft_json("compare", "simulated", "realtime", status=None)

@@ -109,6 +109,12 @@ VALVE_COMMAND = LoopTopic(
 )
 LOOP_TOPICS = (GROUND_MOTION, RIG_STATE, REFERENCE_FORCE, VALVE_COMMAND)
 
+ESTIMATES = Topic(
+    "reference_force/estimates", DIAGNOSTIC_ARRAY, publisher="reference_force", depth=256
+)
+STEP_TOPICS = (*LOOP_TOPICS, ESTIMATES)
+"""Topics whose messages belong to steps of the test, and are stamped with their time."""
+
 EXPERIMENT_STATE = Topic(
     "experiment/state",
     DIAGNOSTIC_STATUS,
@@ -123,5 +129,5 @@ CLOCK_TOPIC = Topic(
     "/clock", CLOCK, publisher="rig", subscribers=("ground_motion",), depth=1, recorded=False
 )
 
-TOPICS = (*LOOP_TOPICS, EXPERIMENT_STATE, DESCRIPTION, DIAGNOSTICS, CLOCK_TOPIC)
+TOPICS = (*STEP_TOPICS, EXPERIMENT_STATE, DESCRIPTION, DIAGNOSTICS, CLOCK_TOPIC)
 RECORDED_TOPICS = tuple(topic for topic in TOPICS if topic.recorded)

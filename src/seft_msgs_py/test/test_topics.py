@@ -23,6 +23,7 @@ def test_the_topics_are_those_of_the_contract():
         "rig/state": "rig",
         "reference_force": "reference_force",
         "valve_command": "force_controller",
+        "reference_force/estimates": "reference_force",
         "experiment/state": "supervisor",
         "experiment/description": "",
         "diagnostics": "",

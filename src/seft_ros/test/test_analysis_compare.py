@@ -13,7 +13,7 @@ from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.topics import LOOP_TOPICS
 from seft_ros.analysis.compare import compare
 from seft_ros.analysis.table import comparison_table
-from seft_ros.recording.record import Record, Series
+from seft_ros.recording.record import Estimates, Record, Series
 
 AXES = ("x", "y")
 COUNT = 40
@@ -169,6 +169,51 @@ def test_records_of_other_axes_or_rate_can_not_be_compared():
         compare(make_record(), make_record(axes=("x",)))
     with pytest.raises(InputError, match="500 Hz in the first and 1000 Hz in the second"):
         compare(make_record(), make_record(rate=1000.0))
+
+
+ESTIMATES = Estimates(np.array([0, 20]), np.arange(8.0).reshape(2, 2, 2), ("delay", "gain"))
+NAME = "reference_force/estimates"
+
+
+def estimating(estimates=ESTIMATES):
+    return dataclasses.replace(make_record(), estimates=estimates)
+
+
+def test_estimates_are_compared_like_samples():
+    same = compare(estimating(), estimating())
+    assert same["identical"] is True
+    assert same["topics"][NAME]["samples_a"] == 2
+    values = ESTIMATES.values.copy()
+    values[1, 1, 0] += 3.0
+    result = compare(estimating(), estimating(dataclasses.replace(ESTIMATES, values=values)))
+    assert result["first_difference"] == {
+        "topic": NAME,
+        "step": 20,
+        "field": "gain",
+        "axis": "x",
+        "a": 6.0,
+        "b": 9.0,
+    }
+    assert result["topics"][NAME]["max_abs"] == 3.0
+    assert result["topics"][NAME]["fields"]["delay"]["max_abs"] == 0.0
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_estimates_that_only_one_record_has_are_a_difference(swapped):
+    pair = (make_record(), estimating())
+    result = compare(*(reversed(pair) if swapped else pair))
+    assert result["first_difference"]["topic"] == NAME
+    assert result["first_difference"]["step"] == 0
+    assert result["first_difference"]["b" if swapped else "a"] == "missing"
+    assert result["topics"][NAME]["missing_b" if swapped else "missing_a"] == 2
+
+
+def test_estimates_are_told_apart_by_name_and_not_by_place():
+    turned = Estimates(ESTIMATES.steps, ESTIMATES.values[:, ::-1], ("gain", "delay"))
+    assert compare(estimating(), estimating(turned))["identical"] is True
+    fewer = Estimates(ESTIMATES.steps, ESTIMATES.values[:, :1], ("delay",))
+    first = compare(estimating(), estimating(fewer))["first_difference"]
+    assert (first["field"], first["a"], first["b"]) == ("gain", 2.0, None)
 
 
 def shown(result):

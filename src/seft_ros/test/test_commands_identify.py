@@ -1,6 +1,7 @@
 """`seft identify` offline, end to end, on short tests."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -94,12 +95,39 @@ def test_the_folder_holds_what_repeats_and_uses_it(identify, seft, tmp_path):
     assert model["reference_force"]["model.mass"] == [pytest.approx(52.7, rel=0.005)]
     assert model["reference_force"]["model.stiffness"] == [pytest.approx(2.11e5, rel=0.005)]
     assert model["reference_force"]["compensation.delay"] == found["delay_s"]
+    assert_tracking_feels_the_specimen(model)
+    assert not re.search("[&*]", (out / "model.yaml").read_text())  # ROS 2 reads no aliases
     experiment = Experiment.load(TABLES, [JHU, out / "model.yaml"])
     assert experiment["force_controller"]["plant.dead_time"] == pytest.approx(0.001, abs=5e-5)
 
     with_model = ("--params-file", out / "model.yaml", "--json")
     status, text, _ = seft("simulate", JHU, *with_model, "-p", "ground_motion:tail:=0.5")
     assert (status, json.loads(text)["stable"]) == (0, True)
+
+
+def assert_tracking_feels_the_specimen(model):
+    """Its force loop was identified with the specimen that was found in the same tests."""
+    section = model["reference_force"]
+    for name in ("stiffness", "damping"):
+        assert section[f"tracking.{name}"] == section[f"model.{name}"] != [0.0]
+
+
+def test_the_identified_model_is_what_preview_inverse_needs(identify, seft):
+    """Without a known response of the force loop the method is refused."""
+    assert identify("--out", "out")[0] == 0
+    overrides = {
+        "reference_force:compensation.method": "preview_inverse",
+        "reference_force:mass_ratio": "1.0",
+        "ground_motion:peak_force": "500.0",
+        "ground_motion:synthetic.duration": "12.0",
+    }
+    words = [word for name, value in overrides.items() for word in ("-p", f"{name}:={value}")]
+    unknown = ("-p", "reference_force:tracking.numerator:=[0.0]")
+    assert seft("simulate", JHU, *words, *unknown, "--json")[0] == 2
+    status, text, _ = seft("simulate", JHU, "--params-file", "out/model.yaml", *words, "--json")
+    summary = json.loads(text)
+    assert (status, summary["stable"]) == (0, True)
+    assert summary["displacement"]["nrmse"] < 0.02
 
 
 def test_the_same_seed_gives_the_same_numbers(identify):
@@ -112,7 +140,7 @@ def test_the_same_seed_gives_the_same_numbers(identify):
 
 
 @pytest.mark.parametrize(("kind", "delay"), [("ideal", 0.002), ("delay", 0.0133)])
-def test_a_rig_without_a_valve_has_the_closed_loop_only(identify, kind, delay):
+def test_a_rig_without_a_valve_has_the_closed_loop_only(identify, tmp_path, kind, delay):
     overrides = (f"rig:actuator.kind:={kind}", "rig:actuator.delay:=0.0113")
     status, found, _ = identify("--duration", "20", "--out", "out", overrides=overrides)
     assert status == 0
@@ -122,6 +150,9 @@ def test_a_rig_without_a_valve_has_the_closed_loop_only(identify, kind, delay):
     assert delay - 1e-4 < found["delay_s"] < delay + 1.1e-3
     assert found["specimen"]["mass"] == pytest.approx(52.7, rel=0.01)
     assert any("valve" in note for note in found["notes"])
+    section = read_parameter_file(tmp_path / "out" / "model.yaml")["reference_force"]
+    assert section["tracking.stiffness"] == section["tracking.damping"] == [0.0]  # not felt
+    assert section["tracking.dead_time"] > 0.0
 
 
 def test_several_axes_have_their_numbers_each(identify, tmp_path):
@@ -144,6 +175,7 @@ def test_several_axes_have_their_numbers_each(identify, tmp_path):
         assert axis["plant_pole_hz"] == pytest.approx(90.0, rel=0.01)
     model = read_parameter_file(tmp_path / "out" / "model.yaml")
     assert len(model["reference_force"]["model.stiffness"]) == 4
+    assert_tracking_feels_the_specimen(model)
 
 
 def test_a_trip_in_the_open_loop_ends_it_and_keeps_the_bag(identify, tmp_path):
@@ -171,7 +203,7 @@ def test_of_a_loop_that_is_unstable_the_plant_is_identified_all_the_same(identif
     assert any("unstable" in note for note in found["notes"])
 
 
-def test_too_little_amplitude_is_told_with_band_and_remedy(identify):
+def test_too_little_amplitude_is_told_with_band_and_remedy(identify, tmp_path):
     status, found, line = identify("--amplitude", "3e-4", *SHORT, "--out", "out")
     assert status == 1
     assert line.startswith("seft: open loop: coherence of the force on axis x is below 0.5")
@@ -179,6 +211,7 @@ def test_too_little_amplitude_is_told_with_band_and_remedy(identify):
     assert line.endswith("raise --amplitude or --duration")
     assert found["plant_zero_hz"] is None
     assert found["delay_s"] is not None
+    assert_tracking_feels_the_specimen(read_parameter_file(tmp_path / "out" / "model.yaml"))
 
 
 @pytest.mark.parametrize(

@@ -50,3 +50,14 @@ def test_noise_is_weighed_out():
     fit = fit_tracking(F, known.response(F) + noise, 1 / np.hypot(deviation, 0.01))
     low = F < 40.0
     assert np.abs(fit.model.response(F) - known.response(F))[low].max() < 0.01
+
+
+def test_the_dead_time_is_at_least_the_latency_that_is_there():
+    """Lags in series may pass for a dead time and the other way round: 6 ms, of which 2 dead."""
+    lags = 1 / np.polyval(np.polymul([0.002, 1.0], [0.002, 1.0]), 2j * np.pi * F)
+    measured = lags * np.exp(-2j * np.pi * F * 0.002)
+    free = fit_tracking(F, measured, ONES)
+    held = fit_tracking(F, measured, ONES, least_dead_time=0.003)
+    assert free.model.dead_time == pytest.approx(0.002, rel=0.05)
+    assert held.model.dead_time >= 0.003
+    assert held.error < 0.1

@@ -7,6 +7,7 @@ import yaml
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.estimates import EstimatesCodec
 from seft_msgs_py.messages import encode_diagnostics, encode_string
 from seft_msgs_py.outcome import Trip, rig_status
 from seft_msgs_py.timebase import Timebase
@@ -14,6 +15,7 @@ from seft_msgs_py.topics import (
     CLOCK,
     DESCRIPTION,
     DIAGNOSTICS,
+    ESTIMATES,
     GROUND_MOTION,
     LOOP_TOPICS,
     REFERENCE_FORCE,
@@ -120,6 +122,23 @@ def test_steps_that_were_lost_are_not_there(tmp_path):
     record = read_bag(write(tmp_path / "bag", messages))
     assert record.series["rig/state"].steps.tolist() == [0, 1, 4, 5]
     assert record.series["ground_motion"].steps.tolist() == [0, 1, 2, 3, 4, 5]
+
+
+def test_estimates_that_do_not_fit_the_test_are_left_out_and_counted(tmp_path):
+    codec, foreign = EstimatesCodec(AXES, TIMEBASE), EstimatesCodec(("z",), TIMEBASE)
+    delay = {"delay": np.array([0.01, 0.02])}
+    messages = [
+        codec.encode(50, delay),
+        codec.encode(0, delay),
+        codec.encode(100, {"stiffness": np.ones(2)}),
+        foreign.encode(150, {"delay": np.zeros(1)}),
+        b"\x00\x01\x00\x00garbage",
+    ]
+    record = read_bag(write(tmp_path / "bag", [*TEST, *((ESTIMATES, raw) for raw in messages)]))
+    assert record.estimates.names == ("delay",)
+    assert record.estimates.steps.tolist() == [0, 50]
+    assert record.estimates.values.tolist() == [[[0.01, 0.02]]] * 2
+    assert record.environment["undecodable"] == 3
 
 
 def test_without_the_rigs_last_word_the_end_is_unknown(tmp_path):

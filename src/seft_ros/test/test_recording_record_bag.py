@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from rosbags.rosbag2 import Reader
-from seft_msgs_py.errors import InputError
+from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.outcome import Trip
 from seft_msgs_py.timebase import Timebase
@@ -14,15 +14,16 @@ from seft_msgs_py.topics import LOOP_TOPICS
 from seft_msgs_py.trajectory import TrajectoryCodec
 from seft_msgs_py.trajectory_message import parse_trajectory
 from seft_ros.recording.bag_reader import read_bag
-from seft_ros.recording.record import Record, Series
+from seft_ros.recording.record import Estimates, Record, Series
 from seft_ros.recording.record_bag import write_record
-from seft_ros.recording.samples import SampleBuffer, consecutive_runs, until
+from seft_ros.recording.samples import EstimateBuffer, SampleBuffer, consecutive_runs, until
 
 AXES = ("x", "y")
 NODE = {"rate": 1000.0, "axes": list(AXES)}
 EXPERIMENT = Experiment({"rig": {**NODE, "seed": 3, "gain": 0.1}, "recorder": {**NODE}})
 START = 1_767_258_000_250_001_000
 ENVIRONMENT = {"start": "2026-01-01T10:00:00.250001+01:00", "mode": "simulate"}
+ESTIMATES_NAME = "/reference_force/estimates"
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 
 
@@ -37,10 +38,22 @@ def make_record(count=250, **changes):
     return dataclasses.replace(record, **changes)
 
 
+def make_estimates(steps=range(0, 250, 100)):
+    steps = np.array(steps)
+    values = np.random.default_rng(4).normal(size=(len(steps), 2, 2))
+    return Estimates(steps, values, ("delay", "stiffness"))
+
+
 def assert_same(a, b):
     for topic in LOOP_TOPICS:
         assert np.array_equal(a.series[topic.name].steps, b.series[topic.name].steps)
         values = [r.series[topic.name].values.view(np.uint64) for r in (a, b)]
+        assert np.array_equal(*values)
+    assert (a.estimates is None) == (b.estimates is None)
+    if a.estimates and b.estimates:
+        assert a.estimates.names == b.estimates.names
+        assert np.array_equal(a.estimates.steps, b.estimates.steps)
+        values = [record.estimates.values.view(np.uint64) for record in (a, b)]
         assert np.array_equal(*values)
     assert a.experiment.sections == b.experiment.sections
     for name in ("trip", "missed", "missed_steps", "wall_s", "complete"):
@@ -58,6 +71,21 @@ def test_a_record_is_read_back_bit_for_bit(tmp_path, storage):
     record = make_record()
     write_record(record, tmp_path / "bag", storage)
     assert_same(record, read_bag(tmp_path / "bag"))
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_estimates_are_read_back_bit_for_bit(tmp_path, storage):
+    record = make_record(estimates=make_estimates())
+    write_record(record, tmp_path / "bag", storage)
+    assert_same(record, read_bag(tmp_path / "bag"))
+    found = [(t - START, n) for n, t, _ in log(tmp_path / "bag") if t == START + 100_000_000]
+    assert found[-2:] == [(100_000_000, "/valve_command"), (100_000_000, ESTIMATES_NAME)]
+
+
+def test_a_bag_of_a_test_without_estimates_lacks_the_topic(tmp_path):
+    write_record(make_record(), tmp_path / "bag")
+    assert ESTIMATES_NAME not in {name for name, _, _ in log(tmp_path / "bag")}
+    assert read_bag(tmp_path / "bag").estimates is None
 
 
 @settings(max_examples=10, deadline=None)
@@ -116,12 +144,14 @@ def test_ground_motion_is_sent_ahead_in_the_messages_that_were_given(tmp_path):
 
 
 def test_samples_that_no_message_can_carry_are_left_out_and_counted(tmp_path):
-    record = make_record()
+    record = make_record(estimates=make_estimates())
     record.series["rig/state"].values[200:, 0, 0] = np.inf
     record.series["valve_command"].values[249] = np.nan
+    record.estimates.values[1, 0, 1] = np.nan
     write_record(record, tmp_path / "bag")
     back = read_bag(tmp_path / "bag")
-    assert back.environment["not_finite"] == 51
+    assert back.environment["not_finite"] == 52
+    assert back.estimates.steps.tolist() == [0, 200]
     assert len(back.series["rig/state"].steps) == 200
     assert len(back.series["valve_command"].steps) == 249
 
@@ -158,6 +188,21 @@ def test_a_buffer_keeps_the_first_sample_of_each_step(messages):
         dict(zip(series.steps.tolist(), series.values[:, 0, 0].tolist(), strict=True)) == expected
     )
     assert series.steps.tolist() == sorted(expected)
+
+
+def test_estimates_are_ordered_by_step_and_all_have_the_names_of_the_first():
+    buffer = EstimateBuffer()
+    assert buffer.series() is None
+    buffer.append(7, {})
+    assert buffer.series() is None
+    for step in (100, 0, 50, 0):
+        buffer.append(step, {"delay": np.full(2, step), "gain": np.full(2, -step)})
+    with pytest.raises(WireError, match="estimates of step 150 are gain, but were delay, gain"):
+        buffer.append(150, {"gain": np.zeros(2)})
+    estimates = buffer.series()
+    assert estimates.names == ("delay", "gain")
+    assert estimates.steps.tolist() == [0, 50, 100]
+    assert estimates.values[:, :, 1].tolist() == [[0, 0], [50, -50], [100, -100]]
 
 
 @given(st.sets(st.integers(0, 60)), st.integers(1, 9))

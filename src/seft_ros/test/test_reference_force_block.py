@@ -4,6 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.parameters import resolve
+from seft_msgs_py.timebase import Timebase
 from seft_ros.reference_force.block import ReferenceForce
 from seft_ros.reference_force.parameters import TABLE
 
@@ -15,13 +16,13 @@ def block(axes=("x",), **values):
     values = {"model__mass": 52.7, "model__stiffness": 2.11e5, **values}
     given_values = TABLE.check({name.replace("__", "."): v for name, v in values.items()})
     section = resolve({"reference_force": TABLE}, {"reference_force": given_values})
-    return ReferenceForce.from_parameters(section["reference_force"], axes)
+    return ReferenceForce.from_parameters(section["reference_force"], axes, Timebase.from_rate(500))
 
 
 def step(reference_force, ground_motion, acceleration):
     state = np.full((4, len(acceleration)), 1e9)  # only the acceleration may matter
     state[2] = acceleration
-    return reference_force.step(np.array(ground_motion), state)
+    return reference_force.step(np.array([ground_motion]), state)
 
 
 @pytest.mark.parametrize(

@@ -1,24 +1,29 @@
 """A figure of a test: what was measured against the exact response."""
 
 import numpy as np
+import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from seft_msgs_py.topics import RIG_STATE
 from seft_plant_sim.whole_structure import ReferenceResponse
 
+from seft_ros.analysis.estimates import shown_unit
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.analysis.reference import COMPARED, quantity
 from seft_ros.analysis.title import title_of
-from seft_ros.drawing.style import FIRST, MARK, REFERENCE, TEXT, tidy
-from seft_ros.recording.record import Record
+from seft_ros.drawing.style import FIRST, MARK, REFERENCE, SECOND, TEXT, tidy
+from seft_ros.recording.record import Estimates, Record
 
 MOST_AXES = 3
+_HEIGHT, _LOW = 2.4, 1.3  # inches of a panel
 _ROWS = {"displacement": ("mm", 1e3), "force": ("N", 1.0), "acceleration": ("m/s²", 1.0)}
 
 
 def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
     """Draw displacement, force and acceleration over time, one column for each axis.
+
+    Below them stands what the compensation identified on line, if anything.
 
     Parameters
     ----------
@@ -29,14 +34,25 @@ def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
     """
     axes = record.experiment.axes[:MOST_AXES]
     width = 9.5 if len(axes) == 1 else 5.5 * len(axes)
-    figure = Figure(figsize=(width, 7.2), layout="constrained")
+    estimates = record.estimates
+    heights = [_HEIGHT] * len(_ROWS) + [_LOW] * (len(estimates.names) if estimates else 0)
+    figure = Figure(figsize=(width, sum(heights)), layout="constrained")
     FigureCanvasAgg(figure)
-    panels = figure.subplots(len(_ROWS), len(axes), sharex=True, sharey="row", squeeze=False)
+    panels = figure.subplots(
+        len(heights),
+        len(axes),
+        sharex=True,
+        sharey="row",
+        squeeze=False,
+        height_ratios=heights,
+    )
     for row, name in enumerate(_ROWS):
         for column in range(len(axes)):
             _draw(panels[row, column], record, reference, name, column)
         unit = _ROWS[name][0]
         panels[row, 0].set_ylabel(f"{name} / {unit}", color=TEXT)
+    if estimates is not None:
+        _draw_estimates(panels[len(_ROWS) :], record, estimates)
     for column, axis in enumerate(axes):
         if len(record.experiment.axes) > 1:
             text = f"axis {axis}"
@@ -64,6 +80,21 @@ def _draw(
         text = f"NRMSE {error * 100:.3g} %" if np.isfinite(error) else "NRMSE undefined"
         panel.set_title(text, loc="right", fontsize=9, color=TEXT)
     panel.plot(states.steps * dt, y * scale, color=FIRST, lw=0.9, label="test")
+    _finish(panel, record)
+
+
+def _draw_estimates(panels: npt.NDArray[np.object_], record: Record, estimates: Estimates) -> None:
+    time = estimates.steps * record.experiment.timebase.dt
+    for row, name in enumerate(estimates.names):
+        unit, scale = shown_unit(name)
+        for column, panel in enumerate(panels[row]):
+            panel.plot(time, estimates.values[:, row, column] * scale, color=SECOND, lw=1.2)
+            _finish(panel, record)
+        label = f"{name} / {unit}" if unit else name
+        panels[row, 0].set_ylabel(label, color=TEXT, parse_math=False)
+
+
+def _finish(panel: Axes, record: Record) -> None:
     if record.trip is not None:
         panel.axvline(record.trip.time_s, color=MARK, lw=1.2, ls="--", label="trip")
     panel.margins(x=0.01)

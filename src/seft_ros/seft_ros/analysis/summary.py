@@ -8,6 +8,7 @@ from seft_msgs_py.topics import LOOP_TOPICS, RIG_STATE
 from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.energy import energy_of
+from seft_ros.analysis.estimates import summarise_estimates
 from seft_ros.analysis.metrics import Floats, agreement, peak
 from seft_ros.analysis.reference import COMPARED, quantity, reference_of
 from seft_ros.recording.record import Record
@@ -36,10 +37,11 @@ def summarise(record: Record, reference: ReferenceResponse | None = None) -> dic
         in time), ``overruns`` (times the rig's own clock was held up), ``saturated`` (what was at
         the end of its range: stroke, force_capacity, valve, a sensor's range; with samples and
         first_step), ``lost`` (samples that the record lacks, by topic), ``energy`` (of the
-        specimen at the end, and how the balance closes; see `energy_of`), and for displacement
-        (m), acceleration (m/s^2) and force (N) nrmse, nrmse_aligned, peak, reference_peak and
-        delay_s over all axes; ``axes`` has the same three for each axis. What is unknown or
-        makes no sense is null.
+        specimen at the end, and how the balance closes; see `energy_of`), ``estimates`` (what
+        the compensation identified on line: name -> axis -> first, last, least and largest, SI
+        units), and for displacement (m), acceleration (m/s^2) and force (N) nrmse,
+        nrmse_aligned, peak, reference_peak and delay_s over all axes; ``axes`` has the same
+        three for each axis. What is unknown or makes no sense is null.
     """
     if reference is None:
         reference = reference_of(record)
@@ -67,6 +69,7 @@ def summarise(record: Record, reference: ReferenceResponse | None = None) -> dic
         "saturated": _saturated(record),
         "lost": {topic.name: _lost(record, topic.name, steps) for topic in LOOP_TOPICS},
         "energy": energy_of(record),
+        "estimates": summarise_estimates(record.estimates, axes),
         **(by_axis[axes[0]] if len(axes) == 1 else _three(record, reference, slice(None))),
         "axes": by_axis,
     }

@@ -2,9 +2,11 @@
 
 from typing import Any
 
+from rich.console import JustifyMethod
 from rich.table import Table
 from rich.text import Text
 
+from seft_ros.analysis.estimates import estimate_lines
 from seft_ros.analysis.title import title_of
 from seft_ros.recording.record import Record
 
@@ -28,7 +30,8 @@ def summary_table(record: Record, summary: dict[str, Any]) -> Table:
     summary : dict
         As `seft_ros.analysis.summary.summarise` gives it.
     """
-    table = _table(f"{title_of(record)}\n{_pace(summary)}", verdict(summary), _colour(summary))
+    title = "\n".join([title_of(record), _pace(summary), *estimate_lines(summary)])
+    table = _table(title, verdict(summary), _colour(summary))
     for heading in ("", "peak", "exact peak", "NRMSE", "NRMSE aligned", "delay"):
         table.add_column(heading, justify="right" if heading else "left", no_wrap=True)
     _add_rows(table, summary, "")
@@ -50,7 +53,8 @@ def comparison_table(comparison: dict[str, Any]) -> Table:
     colour = "green" if comparison["identical"] else "red"
     table = _table("a against b", _difference(comparison), colour)
     for heading in ("topic", "in a", "in b", "only in b", "only in a", "largest", "NRMSE"):
-        table.add_column(heading, justify="left" if heading == "topic" else "right")
+        justify: JustifyMethod = "left" if heading == "topic" else "right"
+        table.add_column(heading, justify=justify, no_wrap=not heading.startswith("only"))
     for topic, row in comparison["topics"].items():
         counts = [row[key] for key in ("samples_a", "samples_b", "missing_a", "missing_b")]
         largest = "-" if row["max_abs"] is None else f"{row['max_abs']:.3g}"

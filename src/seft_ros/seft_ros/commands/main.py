@@ -11,10 +11,12 @@ from seft_ros.commands.identify import identify
 from seft_ros.commands.motion import motion
 from seft_ros.commands.options import complain
 from seft_ros.commands.parameters import parameters
+from seft_ros.commands.preflight import preflight
 from seft_ros.commands.recover import recover
 from seft_ros.commands.report import report
 from seft_ros.commands.run import run
 from seft_ros.commands.simulate import simulate
+from seft_ros.commands.tournament import tournament
 
 APP = typer.Typer(
     name="seft",
@@ -27,7 +29,10 @@ APP = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (run, simulate, report, compare, motion, recover, identify, design, parameters):
+for command in (
+    *(run, simulate, report, compare, motion, recover, identify, design, tournament),
+    *(preflight, parameters),
+):
     APP.command()(command)
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from seft_msgs_py.errors import InputError
 from seft_msgs_py.experiment import Experiment
 
 from seft_ros.commands.one_test import dds_test
@@ -40,9 +41,18 @@ def run(
             help="Keep the loop's nodes on one processor core and the others off it.",
         ),
     ] = True,
+    accept_unstable: Annotated[
+        bool,
+        typer.Option(
+            "--accept-unstable", help="Run a test that preflight finds unstable all the same."
+        ),
+    ] = False,
     json: JsonOption = False,
 ) -> int:
     """Run an experiment as separate nodes over DDS, record it, and show how it went.
+
+    First of all the closed loop's eigenvalues must say that the test is stable, as seft preflight
+    tells at length; an unstable plan is refused.
 
     Starts ground_motion, reference_force, force_controller, rig, recorder and supervisor,
     waits until all have found each other, runs the test, and ends them.
@@ -56,17 +66,54 @@ def run(
         ROS_DOMAIN_ID=7 seft run config/jhu.yaml --json
 
         seft run config/jhu.yaml --external rig
+
+        seft run config/jhu.yaml -p reference_force:mass_ratio:=2.0 --accept-unstable
     """
     from seft_ros.running.run import bag_path
 
     experiment = load_experiment(config, param, params_file, external)
     bag = bag_path(experiment, out)
-    record = dds_test(experiment, bag, _steps(experiment), external or (), pin=pin)
+    steps = _steps(experiment)
+    _check_stable(experiment, accept_unstable)
+    record = dds_test(experiment, bag, steps, external or (), pin=pin)
     summary = present(record, bag, as_json=json)
     if not summary["stable"]:
         complain(f"the test tripped: {record.trip.reason}" if record.trip else "unstable")
         return 1
     return 0
+
+
+def _check_stable(experiment: Experiment, accept_unstable: bool) -> None:
+    """Refuse an unstable plan; say so where its models are not known.
+
+    Raises
+    ------
+    InputError
+        If the closed loop is unstable, and that is not accepted.
+    """
+    from seft_ros.preflight.margins import critical_mass_ratio
+    from seft_ros.preflight.plan import Plan
+    from seft_ros.preflight.search import NEUTRAL
+    from seft_ros.preflight.verdict import instability
+
+    try:
+        plan = Plan(experiment)
+        stable = plan.loop().growth_rate() <= NEUTRAL
+    except InputError as error:  # what the nodes themselves can't use has been refused before
+        complain(f"preflight could not be done: {error}")
+        return
+    if stable:
+        return
+    told = f"unstable plan: {instability(plan)}"
+    if accept_unstable:
+        complain(f"{told}; accepted")
+        return
+    critical = critical_mass_ratio(plan)
+    where = f"; the critical mass ratio is {critical.value:.3g}" if critical else ""
+    raise InputError(
+        f"{told}{where}; see seft preflight, lower reference_force: mass_ratio, choose another "
+        "compensation.method, or run it all the same with --accept-unstable"
+    )
 
 
 def _steps(experiment: Experiment) -> int:

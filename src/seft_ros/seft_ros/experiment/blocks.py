@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from seft_msgs_py.errors import InputError
 from seft_msgs_py.experiment import Experiment
 from seft_plant_sim.rig import Rig
 
@@ -29,9 +30,17 @@ def build_blocks(experiment: Experiment) -> Blocks:
         If a parameter makes no sense together with the others, or the record can't be read.
     """
     axes, timebase = experiment.axes, experiment.timebase
-    return Blocks(
+    blocks = Blocks(
         GroundMotion.from_parameters(experiment["ground_motion"], axes, timebase),
-        ReferenceForce.from_parameters(experiment["reference_force"], axes),
+        ReferenceForce.from_parameters(experiment["reference_force"], axes, timebase),
         ForceController.from_parameters(experiment["force_controller"], axes, timebase),
         Rig.from_parameters(experiment["rig"], axes, timebase),
     )
+    known_ahead = len(blocks.ground_motion.known) - blocks.ground_motion.steps
+    if blocks.reference_force.preview > known_ahead:
+        raise InputError(
+            f"ground_motion: lead is {experiment['ground_motion']['lead']:g} s, but the "
+            f"compensation looks {blocks.reference_force.preview * timebase.dt:g} s ahead; make "
+            "the lead longer"
+        )
+    return blocks

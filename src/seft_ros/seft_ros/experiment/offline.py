@@ -10,6 +10,8 @@ from seft_msgs_py.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, VALVE
 from seft_ros.experiment.blocks import Blocks
 from seft_ros.recording.environment import describe_environment
 from seft_ros.recording.record import Record, Series, Trip
+from seft_ros.recording.samples import EstimateBuffer
+from seft_ros.reference_force.estimate_sampler import EstimateSampler
 
 PROGRESS_STEPS = 5000
 
@@ -37,11 +39,14 @@ def simulate(
     """
     motion, rig = blocks.ground_motion.samples, blocks.rig
     total, axes = motion.shape
+    known, window = blocks.ground_motion.known, 1 + blocks.reference_force.preview
     states = np.empty((total, 4, axes))
     forces = np.empty((total, axes))
     commands = np.empty((total, axes))
     blocks.reference_force.reset()
     blocks.force_controller.reset()
+    sampler = EstimateSampler(blocks.reference_force, experiment.timebase)
+    estimates = EstimateBuffer()
     force_step, valve_step = blocks.reference_force.step, blocks.force_controller.step
 
     valve_driven = rig.drive == VALVE_COMMAND.name
@@ -51,11 +56,13 @@ def simulate(
     step = 0
     with np.errstate(over="ignore", invalid="ignore"):  # the limits see what is not finite
         while True:
-            force = force_step(motion[step], state)
+            force = force_step(known[step : step + window], state)
             command = valve_step(force, state)
             states[step] = state
             forces[step] = force
             commands[step] = command
+            if step >= sampler.due:
+                estimates.append(step, sampler.sample(step))
             step += 1
             if step == total or rig.violation is not None:
                 break
@@ -76,6 +83,7 @@ def simulate(
             REFERENCE_FORCE.name: Series(steps, forces[:step, np.newaxis, :]),
             VALVE_COMMAND.name: Series(steps, commands[:step, np.newaxis, :]),
         },
+        estimates=estimates.series(),
         trip=trip,
         saturation=rig.saturation,
         wall_s=wall,

@@ -1,4 +1,8 @@
-"""The ground motion of a test: every step of it, known before the test starts."""
+"""The ground motion of a test: every step of it, known before the test starts.
+
+Beyond the end of the test the ground is known to be at rest, as far as the motion is published
+ahead: who looks ahead need not know where the end is.
+"""
 
 from collections.abc import Sequence
 
@@ -28,6 +32,8 @@ class GroundMotion:
         Of the loop.
     chunk_steps : int
         Steps to a chunk.
+    lead_steps : int
+        Steps of rest that are known beyond the end.
     source : str
         Where the motion comes from, for people to read.
 
@@ -35,28 +41,37 @@ class GroundMotion:
     ----------
     samples : ndarray
         Shape (N, n), read-only.
+    known : ndarray
+        The samples and then the rest, shape (N + lead_steps, n), read-only.
     steps : int
         N, the tail of free vibration included.
     chunk_steps : int
         Steps to a chunk; the last may have less.
     chunks : int
-        Number of chunks.
+        Number of chunks of what is known.
     """
 
     def __init__(
-        self, samples: npt.ArrayLike, timebase: Timebase, chunk_steps: int, source: str = ""
+        self,
+        samples: npt.ArrayLike,
+        timebase: Timebase,
+        chunk_steps: int,
+        lead_steps: int = 0,
+        source: str = "",
     ) -> None:
-        own = np.array(samples, dtype=np.float64, order="C")
-        if own.ndim != 2 or not own.size:
-            raise ValueError(f"samples must have shape (N, n), not {own.shape}")
+        given = np.asarray(samples, dtype=np.float64)
+        if given.ndim != 2 or not given.size:
+            raise ValueError(f"samples must have shape (N, n), not {given.shape}")
         if chunk_steps < 1:
             raise ValueError(f"a chunk holds at least one step, not {chunk_steps}")
-        own.flags.writeable = False
-        self.samples: npt.NDArray[np.float64] = own
+        self.steps = len(given)
+        self.known: npt.NDArray[np.float64] = np.zeros((self.steps + lead_steps, given.shape[1]))
+        self.known[: self.steps] = given
+        self.known.flags.writeable = False
+        self.samples = self.known[: self.steps]
         self.timebase = timebase
-        self.steps = len(own)
         self.chunk_steps = chunk_steps
-        self.chunks = -(-self.steps // chunk_steps)
+        self.chunks = -(-len(self.known) // chunk_steps)
         self.source = source
 
     @classmethod
@@ -95,8 +110,9 @@ class GroundMotion:
                 f"ground_motion: {record.source}: accelerations beyond all numbers; check its "
                 "values, influence and peak_force"
             )
-        chunk_steps = max(1, round(section["lead"] * timebase.rate / _CHUNKS_PER_LEAD))
-        return cls(samples, timebase, min(chunk_steps, len(samples)), record.source)
+        lead_steps = max(1, round(section["lead"] * timebase.rate))
+        chunk_steps = max(1, round(lead_steps / _CHUNKS_PER_LEAD))
+        return cls(samples, timebase, min(chunk_steps, len(samples)), lead_steps, record.source)
 
     def chunk(self, index: int) -> tuple[int, npt.NDArray[np.float64]]:
         """One of the pieces the motion is published in.
@@ -116,7 +132,7 @@ class GroundMotion:
         if not 0 <= index < self.chunks:
             raise IndexError(f"there is no chunk {index}; the motion has {self.chunks}")
         first = index * self.chunk_steps
-        return first, self.samples[first : first + self.chunk_steps]
+        return first, self.known[first : first + self.chunk_steps]
 
 
 def _recorded(section: Section, axes: Sequence[str]) -> RecordedMotion:

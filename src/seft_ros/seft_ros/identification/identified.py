@@ -147,7 +147,7 @@ def identify(
     for test in tests:
         for axis in range(len(axes)):
             if test.record is closed_loop:
-                closed_loops.append(_closed_loop(test.of(REFERENCE, FORCE, axis)))
+                closed_loops.append(_closed_loop(test.of(REFERENCE, FORCE, axis), dt))
             else:
                 measured = test.of(VALVE, FORCE, axis)
                 valves.append(_valve(measured, dt, specimen, axis, controller))
@@ -175,12 +175,11 @@ def _valve(
     return ValveResponse(measured, fit, shape_loop(identified_plant(section, 1), controller, dt))
 
 
-def _closed_loop(measured: Measurement) -> ClosedLoop:
+def _closed_loop(measured: Measurement, dt: float) -> ClosedLoop:
     f, tracking = measured.frequencies_hz, measured.response
     # to the end of what is known: a pole beyond would be made up
     coherent = np.flatnonzero(measured.coherence >= _COHERENT)
     known = slice(0, int(coherent[-1]) + 1)
     weight = 1.0 / np.hypot(measured.deviation, _TRACKING_FLOOR)[known]
-    return ClosedLoop(
-        measured, tracking_measures(f, tracking), fit_tracking(f[known], tracking[known], weight)
-    )
+    fit = fit_tracking(f[known], tracking[known], weight, least_dead_time=dt)  # the loop's latency
+    return ClosedLoop(measured, tracking_measures(f, tracking), fit)

@@ -57,7 +57,7 @@ class Motions:
         """
         self._unit(duration)
         sections, axes = self._experiment.sections, self._axes
-        ReferenceForce.from_parameters(sections["reference_force"], axes)
+        ReferenceForce.from_parameters(sections["reference_force"], axes, self._timebase)
         ForceController.from_parameters(sections["force_controller"], axes, self._timebase)
         if "rig" in sections:
             Rig.from_parameters(sections["rig"], axes, self._timebase)

@@ -15,7 +15,8 @@ def model_parameters(identified: Identified) -> dict[str, dict[str, Any]]:
     """Parameters of `reference_force` and `force_controller`, by node.
 
     The specimen's matrices are those of all axes; plant and tracking, of which the tables hold
-    one, are those of the first axis.
+    one, are those of the first axis. The specimen that the tracking was identified with is told
+    beside it where a valve drives the rig; the tracking of a rig without one does not feel it.
     """
     specimen = identified.specimen
     reference: dict[str, Any] = {
@@ -29,6 +30,9 @@ def model_parameters(identified: Identified) -> dict[str, dict[str, Any]]:
             delay = min(max(closed.tracking.delay_s, 0.0), _LONGEST_DELAY)
             reference["compensation.delay"] = float(delay)
         reference |= _response("tracking", closed.fit.model)
+        feels = identified.valves or identified.unusable  # a valve's test that was not usable
+        for name in ("stiffness", "damping"):  # copies: ROS 2 reads no YAML aliases
+            reference[f"tracking.{name}"] = list(reference[f"model.{name}"]) if feels else [0.0]
     if identified.valves:
         controller = _response("plant", identified.valves[0].fit.model.rational())
     sections = {"reference_force": reference, "force_controller": controller}

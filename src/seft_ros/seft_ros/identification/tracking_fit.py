@@ -37,7 +37,9 @@ class TrackingFit:
     error: float
 
 
-def fit_tracking(frequencies_hz: Floats, tracking: Complexes, weight: Floats) -> TrackingFit:
+def fit_tracking(
+    frequencies_hz: Floats, tracking: Complexes, weight: Floats, least_dead_time: float = 0.0
+) -> TrackingFit:
     """Fit as few pole pairs with dead time as are good to 1 %, or nearly as good as five.
 
     Each further pair starts where the last fit is furthest off, and comes with two zeros. Poles
@@ -51,9 +53,11 @@ def fit_tracking(frequencies_hz: Floats, tracking: Complexes, weight: Floats) ->
         T from reference force to measured force, shape (F,).
     weight : ndarray
         Weight of each frequency's error, shape (F,).
+    least_dead_time : float
+        Dead time that is there at any rate, s.
     """
     step = max(1, len(frequencies_hz) // _POINTS)
-    data = _Data(frequencies_hz[::step], tracking[::step], weight[::step])
+    data = _Data(frequencies_hz[::step], tracking[::step], weight[::step], least_dead_time)
     first = (data.solved(data.start(corner)) for corner in _CORNERS)
     fit, parameters = min(first, key=lambda found: found[0].error)
     fits = [fit]
@@ -72,7 +76,9 @@ class _Data:
     frequency, counted in the highest of the data, and of its damping ratio.
     """
 
-    def __init__(self, frequencies_hz: Floats, tracking: Complexes, weight: Floats) -> None:
+    def __init__(
+        self, frequencies_hz: Floats, tracking: Complexes, weight: Floats, least: float
+    ) -> None:
         self._f: Floats = frequencies_hz
         self._t: Complexes = tracking
         self._w: Floats = weight
@@ -80,13 +86,14 @@ class _Data:
         self._unit = float(omega[-1])  # for polynomials of even size
         self._s: Complexes = np.multiply(1j / self._unit, omega)
         phase = np.unwrap(np.angle(tracking))
-        self._longest = max(1e-3, float(-np.polyfit(omega, phase, 1, w=weight)[0]))
+        self._longest = max(1e-3, least, float(-np.polyfit(omega, phase, 1, w=weight)[0]))
+        self._least = least / self._longest
 
     def start(self, corner: float) -> Floats:
         """One pair, with the dead time that suits it best."""
         starts = [
             np.array([share, np.log(corner), np.log(0.7)])
-            for share in np.linspace(0.0, 1.0, _DEAD_TIMES)
+            for share in np.linspace(self._least, 1.0, _DEAD_TIMES)
         ]
         return min(starts, key=lambda p: float(np.sum(self._residuals(p) ** 2)))
 
@@ -100,7 +107,7 @@ class _Data:
         """Best fit from a start, and its parameters."""
         pairs = len(start) // 2
         bounds = (
-            np.concatenate([[0.0], np.tile(_LOWEST, pairs)]),
+            np.concatenate([[self._least], np.tile(_LOWEST, pairs)]),
             np.concatenate([[1.5], np.tile(_HIGHEST, pairs)]),
         )
         start = np.clip(start, *bounds)

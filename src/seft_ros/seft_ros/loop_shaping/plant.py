@@ -9,6 +9,7 @@ from scipy.linalg import block_diag
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.experiment import Experiment
 
+from seft_ros.loop_shaping.companion import companion_form
 from seft_ros.loop_shaping.roots import Root, lightly_damped, roots_of, uncancelled
 
 Floats = npt.NDArray[np.float64]
@@ -171,18 +172,9 @@ def identified_plant(section: dict[str, Any], axes: int) -> Plant:
             f"force_controller: the plant is improper: plant.numerator of degree "
             f"{numerator.size - 1} over plant.denominator of degree {order}"
         )
-    # controllable canonical form in s / scale: in s itself its entries spread over many decades
-    scale = float(np.abs(np.roots(denominator)).max(initial=0.0)) or 1.0
-    powers = scale ** np.arange(order, -1.0, -1.0)
-    den = denominator * powers
-    num = np.concatenate([np.zeros(order + 1 - numerator.size), numerator]) * powers / den[0]
-    den = den / den[0]
-    a = np.eye(order, k=-1)
-    a[:1] = -den[1:]
-    b = np.eye(order, 1)
-    c = (num[1:] - num[0] * den[1:])[np.newaxis]
-    d = num[:1, np.newaxis]
-    a, b, c, d = (block_diag(*[part] * axes) for part in (scale * a, scale * b, c, d))
+    a, b, c, direct = companion_form(numerator, denominator)
+    one_axis = (a, b[:, np.newaxis], c[np.newaxis], np.array([[direct]]))
+    a, b, c, d = (block_diag(*[part] * axes) for part in one_axis)
     return Plant("identified", a, b, c, d, float(section["plant.dead_time"]))
 
 

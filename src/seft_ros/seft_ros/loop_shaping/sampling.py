@@ -87,7 +87,10 @@ class SampledPlant:
         return forces[:, 0, 0] * z[:, 0, 0] ** -(self.whole + 1.0)
 
     def state_space(self) -> tuple[Floats, Floats, Floats]:
-        """Matrices a, b, c with the drives of the last m + 2 samples as states, newest first."""
+        """Matrices a, b, c with the drives of the last m + 2 samples as states, newest first.
+
+        The plant may have any number of outputs: c has as many rows.
+        """
         size, n = self.before.shape
         line = (self.whole + 2) * n
         a = np.zeros((size + line, size + line))
@@ -96,7 +99,7 @@ class SampledPlant:
         a[size + n :, size:-n] = np.eye(line - n)
         b = np.zeros((size + line, n))
         b[size : size + n] = np.eye(n)
-        c = np.zeros((n, size + line))
+        c = np.zeros((len(self.c), size + line))
         c[:, :size] = self.c
         newest = size + (self.whole + self.rest) * n
         c[:, newest : newest + n] = self.d
@@ -110,15 +113,24 @@ def closed_loop_poles(plant: SampledPlant, controller: Controller) -> Complexes:
     says more than the margins of each.
     """
     a, b, c = plant.state_space()
-    num, den = bilinear(controller.numerator, controller.denominator, plant.dt)
-    order, one = len(den) - 1, np.eye(plant.before.shape[1])
-    # the controller as its block runs it: w' = shift w + gain e, u = w[0] + num[0] e, e = -c z
+    own, gain, first, direct = controller_states(controller, plant.dt, plant.before.shape[1])
+    closed = np.block([[a - b @ direct @ c, b @ first], [-gain @ c, own]])
+    return np.linalg.eigvals(closed)
+
+
+def controller_states(
+    controller: Controller, dt: float, axes: int
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Matrices a, b, c, d of the controller on n axes as its block runs it, from e to u."""
+    num, den = bilinear(controller.numerator, controller.denominator, dt)
+    order, one = len(den) - 1, np.eye(axes)
+    # w' = shift w + gain e, u = w[0] + num[0] e
     shift = np.eye(order, k=1)
     shift[:, :1] = -den[1:, np.newaxis]
-    gain = np.kron((num[1:] - den[1:] * num[0])[:, np.newaxis], one)
-    first = np.kron(np.eye(1, order), one)
-    closed = np.block([[a - num[0] * b @ c, b @ first], [-gain @ c, np.kron(shift, one)]])
-    return np.linalg.eigvals(closed)
+    gain = (num[1:] - den[1:] * num[0])[:, np.newaxis]
+    parts = shift, gain, np.eye(1, order), num[:1, np.newaxis]
+    a, b, c, d = (np.kron(part, one) for part in parts)
+    return a, b, c, d
 
 
 def dominant_pole(plant: Plant, controller: Controller, dt: float) -> complex:

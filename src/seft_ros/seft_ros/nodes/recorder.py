@@ -17,8 +17,8 @@ from seft_msgs_py.topics import (
     DESCRIPTION,
     EXPERIMENT_STATE,
     GROUND_MOTION,
-    LOOP_TOPICS,
     RECORDED_TOPICS,
+    STEP_TOPICS,
     Topic,
 )
 from seft_msgs_py.trajectory import TrajectoryCodec
@@ -28,7 +28,7 @@ from seft_ros.experiment.watching import RECORDER
 from seft_ros.recording.bag_writer import BagWriter
 from seft_ros.recording.environment import describe_environment
 
-SILENCE = 0.3  # s without a loop message: the test's last message has come
+SILENCE = 0.3  # s without a message of a step: the test's last message has come
 LONGEST_DRAIN = 5.0  # s
 TICK = 0.02  # s
 READ_DEPTH = (
@@ -50,7 +50,7 @@ class RecorderNode:
         self._bag: BagWriter | None = None
         self._phase = "idle"
         self._ended_at: float | None = None
-        self._loop_message_at = 0.0
+        self._step_message_at = 0.0
         describe_environment("run")  # asks git once, before a test is under way
         for topic in RECORDED_TOPICS:
             depth = 64 if topic.latched and topic is not GROUND_MOTION else READ_DEPTH
@@ -63,7 +63,7 @@ class RecorderNode:
         self._bag.flush_if_due()
         if self._ended_at is not None:
             now = time.monotonic()
-            silent = now - max(self._loop_message_at, self._ended_at) > SILENCE
+            silent = now - max(self._step_message_at, self._ended_at) > SILENCE
             if silent or now - self._ended_at > LONGEST_DRAIN:
                 self._close()
 
@@ -74,11 +74,11 @@ class RecorderNode:
             self._close()
 
     def _receiver(self, topic: Topic) -> Handler:
-        loop_topic = topic in LOOP_TOPICS
+        of_a_step = topic in STEP_TOPICS
 
         def receive(raw: bytes, now: int) -> None:
-            if loop_topic:
-                self._loop_message_at = time.monotonic()
+            if of_a_step:
+                self._step_message_at = time.monotonic()
             if topic is DESCRIPTION:
                 node = json.loads(decode_string(raw)).get("node", "")
                 self._descriptions[node] = (topic, raw, now)
@@ -86,7 +86,7 @@ class RecorderNode:
                 self._follow(decode_status(raw).message)
             if self._bag is not None:
                 self._bag.write(topic, raw, now)
-            elif loop_topic:
+            elif of_a_step:
                 self._keep(topic, raw, now)
 
         return receive

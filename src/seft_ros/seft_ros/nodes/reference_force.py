@@ -3,13 +3,17 @@
 import sys
 
 import numpy as np
+from seft_msgs_py.errors import WireError
+from seft_msgs_py.estimates import EstimatesCodec
 from seft_msgs_py.messages import Status
 from seft_msgs_py.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell, run_node
-from seft_msgs_py.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
+from seft_msgs_py.topics import ESTIMATES, GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
 from seft_msgs_py.trajectory import Floats, TrajectoryCodec
 
 from seft_ros.experiment.tables import TABLES
 from seft_ros.reference_force.block import ReferenceForce
+from seft_ros.reference_force.estimate_sampler import EstimateSampler
+from seft_ros.reference_force.motion_buffer import MotionBuffer
 from seft_ros.reference_force.parameters import TABLE
 
 MOTION_WAIT = 0.0005  # s between looks for a ground motion that is late for its state
@@ -21,13 +25,19 @@ class ReferenceForceNode:
     def __init__(self, shell: NodeShell) -> None:
         experiment = shell.experiment
         self._shell = shell
-        self._block = ReferenceForce.from_parameters(experiment["reference_force"], experiment.axes)
+        self._block = ReferenceForce.from_parameters(
+            experiment["reference_force"], experiment.axes, experiment.timebase
+        )
+        self._window = 1 + self._block.preview
         self._motion_codec, self._state_codec, self._force_codec = (
             TrajectoryCodec(topic, experiment.axes, experiment.timebase)
             for topic in (GROUND_MOTION, RIG_STATE, REFERENCE_FORCE)
         )
+        self._sampler = EstimateSampler(self._block, experiment.timebase)
+        self._estimates_codec = EstimatesCodec(experiment.axes, experiment.timebase)
         self._publish = shell.publisher(REFERENCE_FORCE)
-        self._motion: dict[int, Floats] = {}
+        self._publish_estimates = shell.publisher(ESTIMATES)
+        self._motion = MotionBuffer(len(experiment.axes))
         self._waiting: dict[int, Floats] = {}
         self._last = -1
         self._warm_up()
@@ -41,40 +51,59 @@ class ReferenceForceNode:
 
     def _warm_up(self) -> None:
         axes = len(self._shell.experiment.axes)
-        motion, state = np.zeros(axes), np.zeros((4, axes))
+        motion, state = np.zeros((self._window, axes)), np.zeros((4, axes))
         for step in range(WARM_UP_STEPS):
             self._state_codec.decode(self._state_codec.encode(step, state))
             self._force_codec.encode(step, self._block.step(motion, state))
+            if step >= self._sampler.due and (estimates := self._sampler.sample(step)):
+                self._estimates_codec.decode(self._estimates_codec.encode(step, estimates))
+        self._reset()
+
+    def _reset(self) -> None:
+        self._last = -1
+        self._waiting.clear()
         self._block.reset()
+        self._sampler.reset()
 
     def _on_ground_motion(self, raw: bytes, _: int) -> None:
         first, values = self._motion_codec.decode(raw)
-        if first == 0:
-            self._motion.clear()
-        self._motion.update(zip(range(first, first + len(values)), values[:, 0], strict=True))
+        if first == 0:  # a new motion, of which nothing has passed
+            self._last = -1
+        self._motion.drop_before(self._last)
+        if not self._motion.add(first, values[:, 0]):
+            self._shell.refuse(f"ground_motion from step {first} on: steps before it are missing")
         for step in sorted(self._waiting):
-            if step in self._motion:
-                self._answer(step, self._waiting.pop(step))
+            self._answer(step, self._waiting[step])
 
     def _on_rig_state(self, raw: bytes, _: int) -> None:
         step, values = self._state_codec.decode(raw)
         if step == 0 and self._last != 0:  # a new test
-            self._last = -1
-            self._waiting.clear()
-            self._block.reset()
+            self._reset()
         if step <= self._last:
             self._shell.refuse(f"rig/state of step {step} after that of step {self._last}")
-        elif step in self._motion:
-            self._answer(step, values[0])
         else:
-            self._waiting[step] = values[0]
+            self._answer(step, values[0])
 
     def _answer(self, step: int, state: Floats) -> None:
-        force = self._block.step(self._motion[step], state)
-        self._publish(self._force_codec.encode(step, force))
-        for passed in range(max(self._last, 0), step):
-            self._motion.pop(passed, None)
+        """Answer a state, or let it wait for the ground motion it needs."""
+        motion = self._motion.window(step, self._window)
+        if motion is None:
+            self._waiting[step] = state
+            return
+        self._waiting.pop(step, None)
+        self._publish(self._force_codec.encode(step, self._block.step(motion, state)))
         self._last = step
+        if step >= self._sampler.due:  # the answer is out: what comes now holds nobody up
+            self._tell_estimates(step)
+
+    def _tell_estimates(self, step: int) -> None:
+        """Publish what the method has identified; if that can't be sent, the test goes on."""
+        estimates = self._sampler.sample(step)
+        try:
+            if estimates:
+                self._publish_estimates(self._estimates_codec.encode(step, estimates))
+        except WireError as error:
+            self._shell.refuse(str(error))
 
 
 def _serve(shell: NodeShell) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 from seft_msgs_py.errors import InputError, WireError
+from seft_msgs_py.estimates import EstimatesCodec
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.messages import decode_diagnostics, decode_string
 from seft_msgs_py.outcome import Outcome, Saturation, read_outcome
@@ -13,6 +14,7 @@ from seft_msgs_py.timebase import Timebase
 from seft_msgs_py.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
+    ESTIMATES,
     GROUND_MOTION,
     LOOP_TOPICS,
     RIG_STATE,
@@ -23,8 +25,8 @@ from seft_msgs_py.trajectory import TrajectoryCodec
 
 from seft_ros.recording.bag_files import open_bag, read_messages
 from seft_ros.recording.description import Description, read_description
-from seft_ros.recording.record import Record, Series
-from seft_ros.recording.samples import SampleBuffer, until
+from seft_ros.recording.record import Estimates, Record, Series
+from seft_ros.recording.samples import EstimateBuffer, SampleBuffer, until
 
 UNDECODABLE = "undecodable"
 """Key of a record's environment: messages that could not be understood, and were left out."""
@@ -60,6 +62,7 @@ def read_bag(path: str | Path) -> Record:
                 "with seft run or seft simulate, or that topic too"
             ) from None
         series = {topic.name: bag.series(topic, experiment) for topic in LOOP_TOPICS}
+        estimates = bag.estimates(experiment)
         outcome = bag.outcome(experiment.timebase)
     finally:
         reader.close()
@@ -69,6 +72,7 @@ def read_bag(path: str | Path) -> Record:
     return Record(
         experiment=experiment,
         series=series,
+        estimates=estimates,
         trip=outcome.trip if outcome else None,
         missed=outcome.missed if outcome else None,
         missed_steps=outcome.missed_steps if outcome else [],
@@ -126,6 +130,16 @@ class _Bag:
             except WireError:
                 self.undecodable += 1
         return samples.series()
+
+    def estimates(self, experiment: Experiment) -> Estimates | None:
+        codec = EstimatesCodec(experiment.axes, experiment.timebase)
+        estimates = EstimateBuffer()
+        for _, _, raw in read_messages(self.reader, self.connections_of(ESTIMATES), self.path):
+            try:
+                estimates.append(*codec.decode(raw))
+            except WireError:
+                self.undecodable += 1
+        return estimates.series()
 
     def outcome(self, timebase: Timebase) -> Outcome | None:
         outcome = None

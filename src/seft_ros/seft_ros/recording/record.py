@@ -9,14 +9,14 @@ from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.outcome import Saturation, Trip
 from seft_msgs_py.topics import LOOP_TOPICS
 
-__all__ = ["Record", "Series", "Trip"]
+__all__ = ["Estimates", "Record", "Series", "Trip"]
 
 Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Series:
-    """Samples of one loop topic, in the order of their steps.
+    """Samples of one topic, in the order of their steps.
 
     Attributes
     ----------
@@ -31,6 +31,19 @@ class Series:
 
 
 @dataclass(frozen=True)
+class Estimates(Series):
+    """What the compensation method identified on line, sampled now and then.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The q quantities: ``delay`` (s), ``stiffness`` (N/m), ``damping`` (N s/m)...
+    """
+
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Record:
     """One test, from a bag or from the offline loop.
 
@@ -42,6 +55,8 @@ class Record:
         Topic name (relative, as in `seft_msgs_py.topics`) -> `Series`. ``ground_motion`` is
         cut at the last step of ``rig/state``: what was published ahead is not part of the
         test.
+    estimates : Estimates or None
+        None if the compensation method identified nothing.
     trip : Trip or None
         None if the test ran to its end.
     missed : int or None
@@ -64,6 +79,7 @@ class Record:
 
     experiment: Experiment
     series: dict[str, Series]
+    estimates: Estimates | None = None
     trip: Trip | None = None
     missed: int | None = 0
     missed_steps: list[int] = field(default_factory=list)

@@ -7,10 +7,19 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.estimates import EstimatesCodec
 from seft_msgs_py.messages import encode_diagnostics, encode_string
 from seft_msgs_py.outcome import FINISHED, TRIPPED, rig_status
 from seft_msgs_py.timebase import NANOSECONDS_PER_SECOND
-from seft_msgs_py.topics import DESCRIPTION, DIAGNOSTICS, GROUND_MOTION, LOOP_TOPICS, RIG_STATE
+from seft_msgs_py.topics import (
+    DESCRIPTION,
+    DIAGNOSTICS,
+    ESTIMATES,
+    GROUND_MOTION,
+    LOOP_TOPICS,
+    RIG_STATE,
+    STEP_TOPICS,
+)
 from seft_msgs_py.trajectory import TrajectoryCodec
 
 from seft_ros.recording.bag_reader import UNDECODABLE
@@ -36,8 +45,8 @@ def write_record(
     """Write a bag that `read_bag` reads as this record.
 
     The messages are those of a test over DDS, in the order of time: the description, then
-    each step's rig state, reference force and valve command, with ground motion one message
-    ahead, and how it ended. The log time of step k is the wall-clock start plus k periods.
+    each step's rig state, reference force, valve command and estimates, with ground motion one
+    message ahead, and how it ended. The log time of step k is the wall-clock start plus k periods.
     Samples that are not finite are left out, as no node sends them, and counted in the
     environment.
 
@@ -63,6 +72,7 @@ def write_record(
     timebase, axes = record.experiment.timebase, record.experiment.axes
     start_ns = _start_ns(record)
     codecs = {topic.name: TrajectoryCodec(topic, axes, timebase) for topic in LOOP_TOPICS}
+    estimates_codec = EstimatesCodec(axes, timebase)
     motion = _motion(record, ground_motion)
     events, not_finite = _events(record)
     environment = {k: v for k, v in record.environment.items() if k != UNDECODABLE}
@@ -79,9 +89,13 @@ def write_record(
                 raw = codecs[GROUND_MOTION.name].encode_points(run.first_step, run.values)
                 bag.write(GROUND_MOTION, raw, time_ns)
                 sent += 1
-            topic = LOOP_TOPICS[which]
-            sample = record.series[topic.name].values[index]
-            bag.write(topic, codecs[topic.name].encode(step, sample), time_ns)
+            topic = STEP_TOPICS[which]
+            if topic is ESTIMATES and record.estimates:
+                named = zip(record.estimates.names, record.estimates.values[index], strict=True)
+                raw = estimates_codec.encode(step, dict(named))
+            else:
+                raw = codecs[topic.name].encode(step, record.series[topic.name].values[index])
+            bag.write(topic, raw, time_ns)
         if record.complete and record.missed is not None:
             status = rig_status(
                 TRIPPED if record.trip else FINISHED,
@@ -108,15 +122,15 @@ def _events(record: Record) -> tuple[npt.NDArray[np.int64], int]:
     Returns
     -------
     events : ndarray of int64
-        Shape (M, 3): step, index of the topic in `LOOP_TOPICS`, index of the sample.
+        Shape (M, 3): step, index of the topic in `STEP_TOPICS`, index of the sample.
     not_finite : int
         Samples left out.
     """
     parts, not_finite = [], 0
-    for which, topic in enumerate(LOOP_TOPICS):
-        if topic is GROUND_MOTION:
+    for which, topic in enumerate(STEP_TOPICS):
+        series = record.estimates if topic is ESTIMATES else record.series[topic.name]
+        if topic is GROUND_MOTION or series is None:
             continue
-        series = record.series[topic.name]
         (kept,) = np.nonzero(np.isfinite(series.values).all(axis=(1, 2)))
         not_finite += len(series.steps) - len(kept)
         parts.append(np.stack([series.steps[kept], np.full_like(kept, which), kept], axis=1))

@@ -1,11 +1,13 @@
 """Samples of a topic, gathered message by message in whatever order they come."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.errors import WireError
 
-from seft_ros.recording.record import Series
+from seft_ros.recording.record import Estimates, Series
 
 Floats = npt.NDArray[np.float64]
 
@@ -41,6 +43,42 @@ class SampleBuffer:
         """Order the samples by step; of those that came twice the first counts."""
         steps, first = np.unique(self._steps[: self._count], return_index=True)
         return Series(steps, self._values[first])
+
+
+class EstimateBuffer:
+    """Estimates of a compensation method, all with the names of the first."""
+
+    def __init__(self) -> None:
+        self._names: tuple[str, ...] = ()
+        self._samples: SampleBuffer | None = None
+
+    def append(self, step: int, estimates: Mapping[str, Floats]) -> None:
+        """Add the estimates of a step, name -> shape (n,); of none there is nothing to add.
+
+        Raises
+        ------
+        WireError
+            If they are others than those of the first step.
+        """
+        if not estimates:
+            return
+        sample = np.stack(list(estimates.values()))
+        if self._samples is None:
+            self._names = tuple(estimates)
+            self._samples = SampleBuffer(len(sample), sample.shape[1], 0)
+        if tuple(estimates) != self._names:
+            raise WireError(
+                f"estimates of step {step} are {', '.join(estimates)}, but were "
+                f"{', '.join(self._names)}"
+            )
+        self._samples.append(step, sample[np.newaxis])
+
+    def series(self) -> Estimates | None:
+        """Order them by step as `SampleBuffer.series` does; None if there are none."""
+        if self._samples is None:
+            return None
+        samples = self._samples.series()
+        return Estimates(samples.steps, samples.values, self._names)
 
 
 @dataclass(frozen=True)

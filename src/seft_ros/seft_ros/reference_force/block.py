@@ -5,59 +5,53 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.arrays import mass_matrix, symmetric_matrix
-from seft_msgs_py.parameters import group
+from seft_msgs_py.timebase import Timebase
 
-from seft_ros.reference_force.compensation import METHODS, Compensator
+from seft_ros.reference_force.compensation.compensator import Compensator, Knowledge
+from seft_ros.reference_force.compensation.methods import METHODS
 
 Floats = npt.NDArray[np.float64]
 
 
 class ReferenceForce:
-    """Reference force of a test over n axes.
+    """Reference force of a test over n axes, as a compensation method computes it.
+
+    What all methods aim at is
 
     - ``eft``:  f_r = -(M_e + M_c) a_g                  (paper Eq. 2.3)
     - ``seft``: f_r = -(M_e + M_c) a_g - M_c a          (paper Eq. 2.5)
 
-    with M_c = mass_ratio M_e and the acceleration a as measured or compensated.
+    with M_c = mass_ratio M_e and a the acceleration that this force causes.
 
     Parameters
     ----------
-    method : str
-        ``eft`` or ``seft``.
-    mass : ndarray
-        M_e, shape (n, n), kg.
-    mass_ratio : float
-        alpha.
     compensator : Compensator
-        Source of the acceleration that is fed back.
+        The method.
+
+    Attributes
+    ----------
+    preview : int
+        Steps of coming ground motion that `step` wants to see.
     """
 
-    def __init__(
-        self, method: str, mass: Floats, mass_ratio: float, compensator: Compensator
-    ) -> None:
-        axes = len(mass)
-        computed = mass_ratio * mass if method == "seft" else np.zeros_like(mass)
-        self._inertia = np.hstack([-(1.0 + mass_ratio) * mass, -computed])
-        self._work = np.zeros(2 * axes)
-        self._ground_motion, self._acceleration = self._work[:axes], self._work[axes:]
+    def __init__(self, compensator: Compensator) -> None:
+        self.preview = compensator.preview
         self._compensator = compensator
 
     @classmethod
-    def from_parameters(cls, section: dict[str, Any], axes: tuple[str, ...]) -> "ReferenceForce":
+    def from_parameters(
+        cls, section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
+    ) -> "ReferenceForce":
         """Make it of its section of an experiment.
 
         Raises
         ------
         InputError
-            If the model's sizes do not fit the axes, or its mass is not positive.
+            If the model's sizes do not fit the axes, its mass is not positive, or the method
+            lacks something.
         """
-        where = "reference_force: model"
-        mass = mass_matrix(section["model.mass"], axes, f"{where}.mass")
-        for name in ("damping", "stiffness"):
-            symmetric_matrix(section[f"model.{name}"], axes, f"{where}.{name}")
-        compensation = group(section, "compensation")
-        compensator = METHODS[compensation["method"]](compensation)
-        return cls(section["method"], mass, section["mass_ratio"], compensator)
+        known = knowledge(section, axes, timebase)
+        return cls(METHODS[section["compensation.method"]](known))
 
     def reset(self) -> None:
         """Forget the test so far."""
@@ -69,7 +63,8 @@ class ReferenceForce:
         Parameters
         ----------
         ground_motion : ndarray
-            Ground acceleration of each axis at the step, shape (n,), m/s^2.
+            Ground acceleration of each axis, of this step and the coming ones, shape
+            (1 + preview, n), m/s^2.
         state : ndarray
             Measured displacement, velocity, acceleration and force, shape (4, n).
 
@@ -78,6 +73,33 @@ class ReferenceForce:
         ndarray
             Shape (n,), N.
         """
-        self._ground_motion[:] = ground_motion
-        self._acceleration[:] = self._compensator.acceleration(state)
-        return self._inertia.dot(self._work)
+        return self._compensator.step(ground_motion, state)
+
+    def estimates(self) -> dict[str, Floats]:
+        """Estimate of each quantity that the method identifies on line, shape (n,) each."""
+        return self._compensator.estimates()
+
+
+def knowledge(section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase) -> Knowledge:
+    """Gather what a compensation method is told of a test.
+
+    Raises
+    ------
+    InputError
+        If the model's sizes do not fit the axes, or its mass is not positive.
+    """
+    where = "reference_force: model"
+    mass = mass_matrix(section["model.mass"], axes, f"{where}.mass")
+    damping, stiffness = (
+        symmetric_matrix(section[f"model.{name}"], axes, f"{where}.{name}")
+        for name in ("damping", "stiffness")
+    )
+    computed = section["mass_ratio"] * mass
+    if section["method"] == "eft":  # the specimen carries all of the mass
+        mass, computed = mass + computed, np.zeros_like(mass)
+    options = {
+        name: value
+        for name, value in section.items()
+        if name.startswith(("compensation.", "tracking."))
+    }
+    return Knowledge(mass, computed, damping, stiffness, timebase.dt, options)

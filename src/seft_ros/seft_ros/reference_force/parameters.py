@@ -2,7 +2,7 @@
 
 from seft_msgs_py.parameters import Parameter, Table
 
-from seft_ros.reference_force.compensation import METHODS
+from seft_ros.reference_force.compensation.methods import METHODS
 
 TABLE = Table(
     "reference_force",
@@ -52,10 +52,85 @@ TABLE = Table(
             "compensation.delay",
             "float",
             0.0,
-            "delay that the method compensates; `none` does not use it",
+            "delay that the method compensates: from reference force to measured force, latency of "
+            "the loop included, as seft identify finds it (an idealised actuator's delay and 1.5 "
+            "steps); `none` and `restoring` do not use it",
             "s",
             minimum=0.0,
             maximum=1.0,
+        ),
+        Parameter(
+            "compensation.order",
+            "int",
+            1,
+            "order of the polynomial of `polynomial`",
+            minimum=1,
+            maximum=3,
+        ),
+        Parameter(
+            "compensation.estimate_delay",
+            "bool",
+            False,
+            "estimate the delay of each axis while the test runs, from compensation.delay on; for "
+            "the methods that compensate a delay, `ats` adapts by itself",
+        ),
+        Parameter(
+            "compensation.delay_range",
+            "floats",
+            [0.002, 0.04],
+            "shortest and longest delay that is estimated",
+            "s",
+            minimum=0.0,
+            maximum=0.1,
+        ),
+        Parameter(
+            "compensation.delay_rate",
+            "float",
+            0.01,
+            "largest change of an estimated delay, s per s",
+            minimum=0.0,
+        ),
+        Parameter(
+            "compensation.excitation",
+            "float",
+            20.0,
+            "RMS of the forces over about a second from which on they are used to adapt; above "
+            "what the sensors' noise makes",
+            "N",
+            positive=True,
+        ),
+        Parameter(
+            "compensation.band",
+            "floats",
+            [1.0, 12.0],
+            "lowest and highest frequency at which forces are compared to adapt: where they have "
+            "their energy",
+            "Hz",
+            positive=True,
+        ),
+        Parameter(
+            "compensation.adaptive",
+            "bool",
+            True,
+            "identify stiffness, damping, and gain and delay of the force loop while the test "
+            "runs, and follow yielding; of `preview_inverse`",
+        ),
+        *(
+            Parameter(
+                f"compensation.noise.{name}",
+                "floats",
+                0.0,
+                f"RMS noise of the measured {quantity}, by which it is weighed against the others",
+                unit,
+                minimum=0.0,
+                default_from=f"rig:sensors.{name}_noise",
+            )
+            for name, quantity, unit in (
+                ("position", "displacement", "m"),
+                ("velocity", "velocity", "m/s"),
+                ("acceleration", "acceleration", "m/s^2"),
+                ("force", "force", "N"),
+            )
         ),
         Parameter(
             "tracking.numerator",
@@ -74,5 +149,14 @@ TABLE = Table(
             minimum=0.0,
             maximum=1.0,
         ),
+        Parameter(
+            "tracking.stiffness",
+            "floats",
+            0.0,
+            "stiffness of the specimen with which it was identified; 0: the force loop does not "
+            "feel the specimen (idealised actuators)",
+            "N/m",
+        ),
+        Parameter("tracking.damping", "floats", 0.0, "damping of that specimen", "N s/m"),
     ],
 )

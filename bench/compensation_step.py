@@ -1,0 +1,103 @@
+"""Time of one step of every compensation method, at one axis and at three."""
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from seft_msgs_py.experiment import Experiment
+from seft_plant_sim.whole_structure import reference_response
+from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.tables import TABLES
+from seft_ros.reference_force.block import ReferenceForce
+from seft_ros.reference_force.compensation.methods import METHODS
+
+CONFIG = Path(__file__).parent.parent / "config" / "jhu.yaml"
+STEPS = 2000
+SPECIMENS = ("linear", "bouc_wen")
+ROUNDS = 3
+WANTED = {1: 50e-6, 3: 100e-6}  # s, mean of a step, by the number of axes
+COMMON = [
+    ("reference_force", "mass_ratio", 1.0),
+    ("reference_force", "compensation.delay", 0.0139),
+    ("reference_force", "compensation.order", 3),
+    ("reference_force", "tracking.numerator", [1.0]),
+    ("reference_force", "tracking.denominator", [0.0075, 1.0]),
+    ("reference_force", "tracking.dead_time", 0.0065),
+]
+
+
+def adaptations() -> list[str]:
+    """Parameters that switch an identification on."""
+    rows = Experiment.load(TABLES, [CONFIG])["reference_force"]
+    return [
+        name for name, value in rows.items() if "compensation." in name and isinstance(value, bool)
+    ]
+
+
+def reference_force(method: str, adaptive: bool, axes: int) -> ReferenceForce:
+    overrides = [
+        *COMMON,
+        ("/**", "axes", [f"x{i}" for i in range(axes)]),
+        ("reference_force", "compensation.method", method),
+        *(("reference_force", name, adaptive) for name in adaptations()),
+    ]
+    experiment = Experiment.load(TABLES, [CONFIG], overrides)
+    return ReferenceForce.from_parameters(
+        experiment["reference_force"], experiment.axes, experiment.timebase
+    )
+
+
+def measured_test(axes: int, specimen: str) -> tuple[np.ndarray, np.ndarray]:
+    """Ground motion and states of a perfect test, with sensor noise, on every axis the same."""
+    overrides = [("reference_force", "mass_ratio", 1.0), ("ground_motion", "peak_force", 500.0)]
+    overrides += [("rig", "specimen.kind", specimen), ("rig", "specimen.yield_displacement", 4e-3)]
+    experiment = Experiment.load(TABLES, [CONFIG], overrides)
+    motion = build_blocks(experiment).ground_motion
+    exact = reference_response(experiment, motion.samples)
+    states = np.stack(
+        [exact.displacement, exact.velocity, exact.acceleration, exact.force],
+        axis=1,
+    )
+    noise = np.array([[5e-6], [1e-3], [0.05], [3.0]])
+    states = np.repeat(states, axes, axis=2)
+    states = states + noise * np.random.default_rng(1).normal(size=states.shape)
+    first = max(0, int(np.abs(exact.force[:, 0]).argmax()) - STEPS // 2)
+    return np.repeat(motion.known[first:], axes, axis=1), states[first : first + STEPS]
+
+
+def step_time(block: ReferenceForce, motion: np.ndarray, states: np.ndarray) -> float:
+    """Mean seconds of a step through the strongest part of a test."""
+    window = 1 + block.preview
+    block.reset()
+    start = time.perf_counter()
+    for step, state in enumerate(states):
+        block.step(motion[step : step + window], state)
+    return (time.perf_counter() - start) / STEPS
+
+
+def main() -> int:
+    cases = [(m, adaptive, n) for m in METHODS for adaptive in (False, True) for n in WANTED]
+    blocks = {case: reference_force(*case) for case in cases}
+    tests = {(specimen, n): measured_test(n, specimen) for specimen in SPECIMENS for n in WANTED}
+    times: dict = {(*case, specimen): [] for case in cases for specimen in SPECIMENS}
+    for _ in range(ROUNDS):  # interleaved: the machine's speed drifts
+        for *case, specimen in times:
+            block, test = blocks[tuple(case)], tests[specimen, case[2]]
+            times[*case, specimen].append(step_time(block, *test))
+    means = {case: float(np.median(found)) for case, found in times.items()}
+    print(f"{'step of the reference force, us':44s}" + "".join(f"{n:8d} axes" for n in WANTED))
+    for method in METHODS:
+        for adaptive in (False, True):
+            if adaptive and not blocks[method, True, 1].estimates():
+                continue
+            for specimen in SPECIMENS if adaptive else SPECIMENS[:1]:
+                row = [means[method, adaptive, n, specimen] for n in WANTED]
+                name = f"{method}{f', adapting, {specimen} specimen' if adaptive else ''}"
+                print(f"{name:44s}" + "".join(f"{mean * 1e6:13.1f}" for mean in row))
+    print(", ".join(f"wanted: {wanted * 1e6:.0f} us at {n}" for n, wanted in WANTED.items()))
+    return 0 if all(mean <= WANTED[case[2]] for case, mean in means.items()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,132 @@
+"""A figure of a preflight: where the test would be stable, with the plan marked."""
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator
+from scipy.ndimage import distance_transform_edt
+
+from seft_ros.drawing.style import TEXT
+from seft_ros.preflight.plan import Plan
+from seft_ros.preflight.result import Preflight
+from seft_ros.preflight.search import NEUTRAL
+from seft_ros.preflight.stability_map import StabilityMap
+
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+
+ROOM = 0.07
+"""Share of a panel that the name of a region needs about it."""
+
+LEVELS = (-30.0, -10.0, -3.0, -1.0, 0.0, 3.0, 10.0, 30.0, 100.0)
+_COLOURS = (
+    "#8fb8d8", "#abcae2", "#c6dbec", "#dceaf4", "#eef5fa",
+    "#fbe6de", "#f6cbbb", "#efac96", "#e58a70", "#d6684f",
+)  # fmt: skip
+_PLAN = {"stable": "#2e7d32", "marginal": "#e08a00", "unstable": "#b00020"}
+
+
+def preflight_figure(
+    plan: Plan, found: Preflight, maps: tuple[StabilityMap, StabilityMap]
+) -> Figure:
+    """Draw the growth rate over mass ratio and dead time, and over mass ratio and model error.
+
+    Parameters
+    ----------
+    plan : Plan
+        The test.
+    found : Preflight
+        Its preflight.
+    maps : tuple of StabilityMap
+        Of `seft_ros.preflight.stability_map.stability_maps`.
+    """
+    figure = Figure(figsize=(12.0, 5.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2)
+    delays, model = maps
+    norm = BoundaryNorm(LEVELS, len(_COLOURS), extend="both")
+    colours = ListedColormap(_COLOURS)
+    verdict = found.verdict
+    _draw(left, delays, 1e3, norm, colours, verdict)
+    _draw(right, model, 1.0, norm, colours, verdict)
+    left.set_title("against dead time, the method not told", loc="left", fontsize=11, color=TEXT)
+    left.set_ylabel("dead time of the actuator's path / ms", color=TEXT)
+    used = "" if _matters(model) else ": the method does not use the model"
+    right.set_title(f"against model error{used}", loc="left", fontsize=11, color=TEXT)
+    right.set_ylabel("model stiffness / true stiffness", color=TEXT)
+    right.set_yscale("log")
+    low, high = model.others[[0, -1]]
+    ticks = [t for t in (0.1, 0.2, 0.5, 0.7, 0.8, 1.0, 1.25, 1.5, 2.0, 5.0) if low <= t <= high]
+    right.yaxis.set_major_locator(FixedLocator(ticks))
+    right.yaxis.set_minor_locator(FixedLocator([]))
+    right.yaxis.set_major_formatter("{x:g}")
+    bar = figure.colorbar(
+        ScalarMappable(norm, colours), ax=(left, right), pad=0.01, aspect=32, spacing="uniform"
+    )
+    bar.set_ticks(list(LEVELS), labels=[f"{level:g}" for level in LEVELS])
+    bar.set_label("growth rate of the slowest mode / (1/s)", color=TEXT)
+    bar.ax.tick_params(colors=TEXT, labelsize=9, length=0)
+    bar.outline.set_visible(False)
+    figure.suptitle(_title(plan, found), fontsize=12, color=TEXT, x=0.01, ha="left")
+    return figure
+
+
+def _draw(
+    axes: Axes, area: StabilityMap, scale: float, norm: BoundaryNorm, colours: ListedColormap,
+    verdict: str,
+) -> None:  # fmt: skip
+    x, y = area.mass_ratios, scale * area.others
+    # interpolated on a scale on which it is nearly straight across the critical line
+    bent, levels = np.arcsinh(area.growth), np.arcsinh(LEVELS)
+    axes.contourf(x, y, bent, levels=levels, colors=_COLOURS, extend="both")
+    for name, inside in (("stable", area.growth < 0), ("unstable", area.growth > 0)):
+        _name_region(axes, name, area, y, inside)
+    if bent.min() < 0 < bent.max():
+        axes.contour(x, y, bent, levels=[0.0], colors=TEXT, linewidths=1.8)
+    planned = area.planned[0], scale * area.planned[1]
+    axes.plot(
+        *planned,
+        marker="o",
+        ms=9,
+        mfc=_PLAN[verdict],
+        mec="white",
+        mew=1.5,
+        clip_on=False,
+        zorder=5,
+    )
+    axes.annotate(
+        "planned", planned, (9, 7), textcoords="offset points", fontsize=9, color=TEXT, zorder=5,
+        annotation_clip=False, bbox={"boxstyle": "round,pad=0.2", "fc": "white", "ec": "none",
+        "alpha": 0.7},
+    )  # fmt: skip
+    axes.set_xlabel("mass ratio $\\alpha$", color=TEXT)
+    axes.tick_params(colors=TEXT, labelsize=9)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def _matters(area: StabilityMap) -> bool:
+    return bool(np.ptp(area.growth, axis=0).max() > NEUTRAL)
+
+
+def _name_region(axes: Axes, name: str, area: StabilityMap, y: Floats, inside: Bools) -> None:
+    """Write where a region is deepest, away from the plan, if there is room."""
+    free = inside.copy()
+    free[np.abs(area.others - area.planned[1]).argmin()] = False
+    depth = distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1]
+    row, column = np.unravel_index(depth.argmax(), depth.shape)
+    if depth.max() > ROOM * len(y):
+        place = float(area.mass_ratios[column]), float(y[row])
+        axes.text(*place, name, fontsize=11, color=TEXT, ha="center", va="center")
+
+
+def _title(plan: Plan, found: Preflight) -> str:
+    critical = found.margins.mass_ratio
+    end = f"critical mass ratio {critical.value:.3g}" if critical else "no critical mass ratio"
+    return (
+        f"preflight: {plan.section['compensation.method']} at mass ratio {plan.mass_ratio:g} is "
+        f"{found.verdict}, {end}"
+    )

@@ -1,0 +1,137 @@
+"""The rig as the loop of a test sees it: linear, from its drive to all that is measured."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.experiment import Experiment
+from seft_plant_sim.continuous_model import Drive
+from seft_plant_sim.rig import continuous_model
+from seft_plant_sim.specimen import Specimen
+from seft_plant_sim.whole_structure import tested_specimen
+
+from seft_ros.loop_shaping.plant import Plant, Source, choose_plant
+from seft_ros.loop_shaping.sampling import SampledPlant
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LoopRig:
+    """Actuators, specimen and sensors of n axes.
+
+    Attributes
+    ----------
+    plant : Plant
+        From the drive to (x, v, a, f), each over the n axes: c and d have 4n rows.
+    drive : str
+        ``valve_command``, or ``reference_force`` of an idealised actuator.
+    specimen : Specimen
+        What stands on the rig, as far as is known.
+    velocity_cutoff : float or None
+        Cutoff of the filter that derives the velocity from the displacement, Hz; None: the
+        velocity is measured.
+    small_signal : bool
+        Whether the rig is not linear and this is its limit for small motions.
+    """
+
+    plant: Plant
+    drive: Drive
+    specimen: Specimen
+    velocity_cutoff: float | None = None
+    small_signal: bool = False
+
+    def sampled(
+        self, dt: float, dead_time: float, gain: float = 1.0
+    ) -> tuple[Floats, Floats, Floats]:
+        """Matrices a, b, c from the drive that answers sample k to (x, v, a, f) of sample k.
+
+        Parameters
+        ----------
+        dt : float
+            Sampling period, s.
+        dead_time : float
+            Dead time of the drive in place of the plant's own, s.
+        gain : float
+            Factor on the drive.
+
+        Raises
+        ------
+        InputError
+            If the dead time is many samples long.
+        """
+        plant = replace(self.plant, b=gain * self.plant.b, d=gain * self.plant.d, delay=dead_time)
+        a, b, c = SampledPlant.of(plant, dt).state_space()
+        if self.velocity_cutoff is None:
+            return a, b, c
+        # v = g x + s, s' = p s + g (p - 1) x, as `seft_plant_sim.sensors.Differentiator` runs it
+        n, half = plant.axes, np.pi * self.velocity_cutoff * dt
+        g, p = 2 * half / dt / (1 + half), (1 - half) / (1 + half)
+        position, one = c[:n], np.eye(n)
+        a = np.block([[a, np.zeros((len(a), n))], [g * (p - 1) * position, p * one]])
+        b = np.vstack([b, np.zeros((n, n))])
+        c = np.hstack([c, np.zeros((4 * n, n))])
+        c[n : 2 * n] = np.hstack([g * position, one])
+        return a, b, c
+
+
+def choose_rig(experiment: Experiment, source: Source = "auto") -> LoopRig:
+    """Rig that an experiment describes.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Its sections `rig`, `force_controller` and `reference_force`.
+    source : str
+        ``rig``: the simulated one; ``identified``: `force_controller: plant.*` for the force, and
+        the specimen for the motion that follows from it; ``auto``: the identified plant where the
+        experiment gives one and the rig has a valve, else the rig.
+
+    Raises
+    ------
+    InputError
+        If the experiment has no such rig.
+    """
+    section = experiment.sections.get("rig")
+    ideal = section is not None and section["actuator.kind"] in ("ideal", "delay")
+    if section is not None and (source == "rig" or (source == "auto" and ideal)):
+        return _simulated(section, experiment)
+    if section is None and not np.any(experiment["force_controller"]["plant.numerator"]):
+        raise InputError(
+            "force_controller: plant.numerator is not given and the rig is not simulated here, so "
+            "there is no model of it; let seft identify write one"
+        )
+    plant = choose_plant(experiment, "identified" if section is None else source)
+    if plant.source == "rig" and section is not None:
+        return _simulated(section, experiment)
+    specimen = tested_specimen(experiment)
+    return LoopRig(_with_specimen(plant, specimen), "valve_command", specimen)
+
+
+def _simulated(section: dict[str, Any], experiment: Experiment) -> LoopRig:
+    model = continuous_model(section, experiment.axes)
+    plant = Plant("rig", model.a, model.b, model.c, model.d, model.delay).without_idle_states()
+    derived = section["sensors.velocity"] == "derived"
+    return LoopRig(
+        plant,
+        model.drive,
+        tested_specimen(experiment),
+        section["sensors.velocity_cutoff"] if derived else None,
+        model.nonlinearity is not None,
+    )
+
+
+def _with_specimen(plant: Plant, specimen: Specimen) -> Plant:
+    """Let displacement, velocity and acceleration follow from an identified plant's force."""
+    n, size = specimen.axes, len(plant.a)
+    moving, by_force = specimen.state_matrices()
+    a = np.block([[plant.a, np.zeros((size, 2 * n))], [by_force @ plant.c, moving]])
+    b = np.vstack([plant.b, by_force @ plant.d])
+    c = np.zeros((4 * n, size + 2 * n))
+    c[: 2 * n, size:] = np.eye(2 * n)
+    c[2 * n : 3 * n] = a[size + n :]
+    c[3 * n :, :size] = plant.c
+    d = np.vstack([np.zeros((2 * n, n)), b[size + n :], plant.d])
+    return replace(plant, a=a, b=b, c=c, d=d)

@@ -1,0 +1,88 @@
+"""The one shape of all compensation methods, and what they are made of."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from seft_ros.reference_force.compensation.linear_filter import LinearFilter
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What a method is told of the test over n axes.
+
+    Attributes
+    ----------
+    mass, computed_mass : ndarray
+        M_e on the rig and M_c computed, shape (n, n), kg. In an EFT test M_c is zero.
+    damping, stiffness : ndarray
+        C and K of the specimen as far as the experimenter knows them, shape (n, n), N s/m, N/m.
+    dt : float
+        Sampling period, s.
+    options : mapping
+        Parameters ``compensation.*`` and ``tracking.*`` of the reference force, by name.
+    """
+
+    mass: Floats
+    computed_mass: Floats
+    damping: Floats
+    stiffness: Floats
+    dt: float
+    options: Mapping[str, Any]
+
+    @property
+    def axes(self) -> int:
+        """Number of axes n."""
+        return len(self.mass)
+
+    @property
+    def total_mass(self) -> Floats:
+        """M_e + M_c, shape (n, n), kg."""
+        return self.mass + self.computed_mass
+
+
+class Compensator(Protocol):
+    """What the reference force asks of a compensation method.
+
+    Attributes
+    ----------
+    preview : int
+        Steps of coming ground motion that it looks at.
+    """
+
+    preview: int
+
+    def reset(self) -> None:
+        """Forget the test so far."""
+
+    def step(self, ground_motion: Floats, state: Floats) -> Floats:
+        """Compute the reference force of one step.
+
+        Parameters
+        ----------
+        ground_motion : ndarray
+            Ground acceleration of each axis, of this step and the coming ones, shape
+            (1 + preview, n), m/s^2.
+        state : ndarray
+            Measured displacement (m), velocity (m/s), acceleration (m/s^2) and force (N),
+            shape (4, n).
+
+        Returns
+        -------
+        ndarray
+            Shape (n,), N.
+        """
+
+    def estimates(self) -> dict[str, Floats]:
+        """Estimate of each quantity that is identified on line, by name; shape (n,) each."""
+
+    def linear(self) -> LinearFilter:
+        """Linear filter that the method is now: exactly, or as long as no estimate changes."""
+
+
+Method = Callable[[Knowledge], Compensator]

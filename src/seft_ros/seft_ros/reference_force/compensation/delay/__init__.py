@@ -1,0 +1,1 @@
+"""What methods share that compensate a delay, given or followed."""

@@ -1,0 +1,1 @@
+"""Parts of the preview inverse: prediction, inverse of the force loop, identification."""

@@ -1,0 +1,125 @@
+"""Coming target of the measured force, predicted with the whole structure."""
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import expm
+
+from seft_ros.reference_force.compensation.compensator import Knowledge
+
+Floats = npt.NDArray[np.float64]
+
+
+class TargetPrediction:
+    """Weighted sum of the coming target force, as gains of what is known now.
+
+    Over the horizon the whole structure is at work: (M_e + M_c) x'' + C x' + K x + p =
+    -(M_e + M_c) a_g, with the coming ground acceleration linear between samples, and p the part
+    of the restoring force r that is not C x' + K x. The target is
+
+        w = -M_e a_g + S r + N (x, v),  r = K x + C v + p
+
+    With S = M_c (M_e + M_c)^-1 and N = 0 it is the reference force itself, the algebraic loop
+    solved. Where the force loop feels the specimen, S is less by one and N = (K_0, C_0): then w
+    is the force with which the specimen that the loop was identified with would move as this
+    one does.
+
+    Parameters
+    ----------
+    knowledge : Knowledge
+        Masses and sampling period.
+    weights : ndarray
+        Sets of weights of the target from this step on, shape (m, 1 + horizon).
+    nominal : ndarray or None
+        (K_0, C_0), shape (n, 2n); None where the force loop does not feel the specimen.
+    """
+
+    def __init__(self, knowledge: Knowledge, weights: Floats, nominal: Floats | None) -> None:
+        n = knowledge.axes
+        self._dt, self._mass, self._weights = knowledge.dt, knowledge.mass, weights
+        self._inverse_mass = np.linalg.inv(knowledge.total_mass)
+        share = knowledge.computed_mass @ self._inverse_mass
+        self.nominal = np.zeros((n, 2 * n)) if nominal is None else nominal
+        self.share: Floats = share if nominal is None else share - np.eye(n)
+
+    def gains(self, restoring: Floats) -> tuple[Floats, Floats, Floats]:
+        """Gains of (x, v), of the ground motion and of p, for restoring = (K, C).
+
+        Parameters
+        ----------
+        restoring : ndarray
+            Shape (n, 2n).
+
+        Returns
+        -------
+        motion : ndarray
+            Shape (m n, 2n).
+        ground_motion, rest : ndarray
+            Of every step of the horizon, shape (m n, (1 + horizon) n).
+        """
+        free, start, end = self._transition(restoring)
+        sets, steps = self._weights.shape
+        n = len(self._mass)
+        target = self.share @ restoring + self.nominal
+        each = self._weights.T[:, :, np.newaxis, np.newaxis] * target
+        ahead = each.reshape(steps, sets * n, 2 * n)
+        lag, power = 1, free
+        while lag < steps:  # each step is given the weights of twice as many coming ones
+            ahead[:-lag] += ahead[lag:] @ power
+            lag, power = 2 * lag, power @ power
+        through = np.zeros((steps, sets * n, n))
+        through[:-1] = ahead[1:] @ start
+        through[1:] += ahead[1:] @ end
+        direct = self._weights.T[:, :, np.newaxis, np.newaxis]
+        ground = through - (direct * self._mass).reshape(steps, sets * n, n)
+        rest = through @ self._inverse_mass + (direct * self.share).reshape(steps, sets * n, n)
+        flat = (sets * n, steps * n)
+        return (
+            ahead[0].copy(),
+            ground.transpose(1, 0, 2).reshape(flat),
+            rest.transpose(1, 0, 2).reshape(flat),
+        )
+
+    def displacements(self, restoring: Floats) -> tuple[Floats, Floats, Floats]:
+        """Gains from which the coming displacements follow, as `gains` has them.
+
+        Returns
+        -------
+        motion : ndarray
+            Shape ((1 + horizon) n, 2n).
+        ground_motion, rest : ndarray
+            Shape ((1 + horizon) n, (1 + horizon) n).
+        """
+        free, start, end = self._transition(restoring)
+        n, steps = len(self._mass), self._weights.shape[1]
+        powers = np.empty((steps, n, 2 * n))
+        powers[0] = np.eye(n, 2 * n)
+        for step in range(1, steps):
+            powers[step] = powers[step - 1] @ free
+        lag = np.subtract.outer(np.arange(steps), np.arange(steps))
+        from_start = np.where(lag[..., np.newaxis, np.newaxis] > 0, (powers @ start)[lag - 1], 0.0)
+        from_end = np.where(lag[..., np.newaxis, np.newaxis] >= 0, (powers @ end)[lag], 0.0)
+        from_end[:, 0] = 0.0
+        ground = from_start + from_end
+        flat = (steps * n, steps * n)
+        return (
+            powers.reshape(steps * n, 2 * n),
+            ground.transpose(0, 2, 1, 3).reshape(flat),
+            (ground @ self._inverse_mass).transpose(0, 2, 1, 3).reshape(flat),
+        )
+
+    def _transition(self, restoring: Floats) -> tuple[Floats, Floats, Floats]:
+        """Transition of (x, v) over a step: free, and by a_g at its start and at its end."""
+        n = len(self._mass)
+        augmented = np.zeros((4 * n, 4 * n))
+        augmented[:n, n : 2 * n] = np.eye(n)
+        augmented[n : 2 * n, : 2 * n] = -self._inverse_mass @ restoring
+        augmented[n : 2 * n, 2 * n : 3 * n] = -np.eye(n)
+        augmented[: 2 * n] *= self._dt
+        augmented[2 * n : 3 * n, 3 * n :] = np.eye(n)
+        exponential = expm(augmented)
+        change = exponential[: 2 * n, 3 * n :]
+        return (
+            exponential[: 2 * n, : 2 * n],
+            exponential[: 2 * n, 2 * n : 3 * n] - change,
+            change,
+        )

@@ -1,0 +1,189 @@
+"""Preview inverse: whole-structure prediction through the inverse of the force loop."""
+
+import numpy as np
+import numpy.typing as npt
+
+from seft_ros.reference_force.compensation.compensator import Compensator, Knowledge
+from seft_ros.reference_force.compensation.linear_filter import LinearCompensator, LinearFilter
+from seft_ros.reference_force.compensation.preview.force_error import ForceErrorCorrection
+from seft_ros.reference_force.compensation.preview.plastic_force import PlasticForce
+from seft_ros.reference_force.compensation.preview.preview_filter import PreviewFilter
+from seft_ros.reference_force.compensation.preview.specimen_identification import (
+    SpecimenIdentification,
+)
+from seft_ros.reference_force.compensation.preview.tracking_identification import (
+    TrackingIdentification,
+)
+
+Floats = npt.NDArray[np.float64]
+
+_BIAS_CORNER, _BIAS_CORNER_ADAPTIVE = 30.0, 0.3  # Hz
+_EVERY = 10  # steps between looks whether the gains are still those of the specimen
+_NOTICEABLE = 5e-4  # relative change of stiffness or damping
+_YIELD_SIGMAS = 5.0
+_YIELD_SHARE = 0.03  # of the largest restoring force so far
+_YIELD_SMOOTHING = 0.3  # part of a new sample in the error that is looked at
+_DISTURBANCE_CORNER = 6.0  # Hz
+
+
+def preview_inverse(knowledge: Knowledge) -> Compensator:
+    """Ask for the force with which the measured force meets its predicted, coming target.
+
+    The target is the reference force of the solved loop, f_r* = -M_e a_g + S r with
+    S = M_c (M_e + M_c)^-1 and the measured restoring force r = f - M_e a. Over a short horizon
+    it is predicted with the whole structure, the measured state and the coming ground motion
+    (`TargetPrediction`), and goes through the non-causal inverse of the identified response T
+    from reference force to measured force (`PreviewTracking`).
+
+    T depends on the specimen (control-structure interaction, Dyke et al. 1995). With
+    d = K_0 x + C_0 v - r, by which the specimen departs from the one T was identified with,
+
+        f = T (f_r + d) - d,  so that  f_r = T^-1 (f_r* + d) - d
+
+    With ``compensation.adaptive`` stiffness, damping, and the gain and delay of T are identified
+    while the test runs; where the specimen yields, its tangent is followed (`PlasticForce`) and
+    what force errors did to it is mended (`ForceErrorCorrection`).
+
+    Raises
+    ------
+    InputError
+        If the force loop's response is not known, or makes no sense.
+    """
+    if knowledge.options["compensation.adaptive"]:
+        return AdaptivePreviewInverse(knowledge)
+    none = np.zeros(knowledge.axes)
+    return LinearCompensator(PreviewFilter(knowledge, _BIAS_CORNER).linear(1.0 + none, none))
+
+
+class AdaptivePreviewInverse:
+    """`preview_inverse` that identifies specimen and tracking while the test runs."""
+
+    def __init__(self, knowledge: Knowledge) -> None:
+        self._knowledge = knowledge
+        self._filter = PreviewFilter(knowledge, _BIAS_CORNER_ADAPTIVE)
+        self.preview = self._filter.preview
+        noise = self._filter.restoring_noise
+        self._noise = noise
+        self._sigmas: list[float] = (_YIELD_SIGMAS * np.sqrt(noise)).tolist()
+        self._specimen = SpecimenIdentification(
+            knowledge.mass,
+            knowledge.damping,
+            knowledge.stiffness,
+            float(noise.mean()),
+            knowledge.dt,
+        )
+        self._tracking = TrackingIdentification(
+            knowledge.axes, noise + self._filter.noise.force**2, knowledge.dt
+        )
+        self._smoothing = 1.0 - np.exp(-2 * np.pi * _DISTURBANCE_CORNER * knowledge.dt)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the test so far, and what was identified."""
+        n = self._knowledge.axes
+        self._filter.reset()
+        self._specimen.reset()
+        self._tracking.reset()
+        self._filter.set_restoring(self._specimen.restoring)
+        self._step = 0
+        self._error, self._largest = [0.0] * n, [0.0] * n
+        self._disturbance = np.zeros(n)
+        self._plastic: PlasticForce | None = None
+        self._correction: ForceErrorCorrection | None = None
+
+    def step(self, ground_motion: Floats, state: Floats) -> Floats:
+        """Compute the reference force of one step, see `Compensator.step`."""
+        known, tracking = self._filter, self._tracking
+        known.observe(state)
+        if self._plastic is None:
+            self._identify()
+        known.take_residual()
+        if self._plastic is None:
+            known.split()
+        else:
+            self._plastic.update(known.motion, known.rest, known.residual)
+        departure = known.departure()
+        deviation = tracking.deviation(known.model_force, state[3] + departure)
+        if self._plastic is None:
+            tracking.update(self._specimen.variance)
+            target, rate = known.target(ground_motion)
+            target = (1.0 - tracking.gain) * target - tracking.advance * rate
+        else:  # the loop is taken as it was identified
+            coming = self._plastic.coming(known.motion, known.rest, ground_motion)
+            target = known.target(ground_motion, coming)[0]
+            target -= known.reach * self._mending(ground_motion[0], state[3], deviation)
+        return known.command(target, departure)
+
+    def estimates(self) -> dict[str, Floats]:
+        """Estimates of each axis.
+
+        ``stiffness`` (tangent, N/m), ``damping`` (N s/m), and of the force loop ``amplitude``
+        and ``delay`` (s).
+        """
+        n = self._knowledge.axes
+        restoring = self._filter.restoring
+        slope = 0.0 if self._plastic is None else self._plastic.slope
+        return {
+            "stiffness": np.diag(restoring[:, :n]) + slope,
+            "damping": np.diag(restoring[:, n:]).copy(),
+            "amplitude": 1.0 + self._tracking.gain,
+            "delay": self._filter.delay - self._tracking.advance,
+        }
+
+    def linear(self) -> LinearFilter:
+        """Linear filter at what is identified now, the specimen elastic."""
+        return self._filter.linear(1.0 - self._tracking.gain, self._tracking.advance)
+
+    def _identify(self) -> None:
+        """Learn of the specimen; see whether it yields."""
+        known, specimen = self._filter, self._specimen
+        specimen.step(known.motion.reshape(-1), known.restoring_force)
+        self._step += 1
+        if self._step % _EVERY == 0:
+            restoring, used = specimen.bounded(), known.restoring
+            if (np.abs(restoring - used) > _NOTICEABLE * np.abs(restoring).max(axis=0)).any():
+                known.set_restoring(restoring)
+        if self._yields(known.restoring_force.tolist()):
+            self._follow_yielding()
+
+    def _yields(self, restoring_forces: list[float]) -> bool:
+        """Tell whether a restoring force is far from any that an elastic specimen might have."""
+        specimen, seen = self._specimen, False
+        of_axes = zip(
+            restoring_forces, specimen.error.tolist(), specimen.variance.tolist(), strict=True
+        )
+        for axis, (force, error, variance) in enumerate(of_axes):
+            self._error[axis] += _YIELD_SMOOTHING * (error - self._error[axis])
+            self._largest[axis] = max(self._largest[axis], abs(force))
+            visible = max(self._sigmas[axis], _YIELD_SHARE * self._largest[axis])
+            seen |= abs(self._error[axis]) > visible + 3.0 * variance**0.5
+        return seen
+
+    def _follow_yielding(self) -> None:
+        """Take the specimen as identified for its elastic part from now on.
+
+        The force loop is taken as it was identified: what had been learnt of it beside belonged
+        to small forces.
+        """
+        known = self._filter
+        known.set_restoring(self._specimen.bounded())
+        known.take_residual()
+        known.rest[:] = known.residual
+        self._tracking.reset()
+        self._tangent, self._elastic = known.restoring.copy(), known.restoring.diagonal().copy()
+        self._plastic = PlasticForce(
+            self._elastic,
+            self._noise,
+            known.prediction.displacements(known.restoring),
+        )
+        self._correction = ForceErrorCorrection(self._knowledge)
+
+    def _mending(self, ground_motion: Floats, force: Floats, deviation: Floats) -> Floats:
+        """Force by which the target is lowered: the loop's disturbance and past errors."""
+        known = self._filter
+        assert self._plastic is not None and self._correction is not None
+        self._disturbance += self._smoothing * (deviation - self._disturbance)
+        np.fill_diagonal(self._tangent, self._elastic + self._plastic.slope)
+        restoring_force = known.restoring.dot(known.motion.reshape(-1)) + known.rest
+        error = self._correction.step(ground_motion, force, restoring_force, self._tangent)
+        return self._disturbance + error

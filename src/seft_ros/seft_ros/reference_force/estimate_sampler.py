@@ -1,0 +1,58 @@
+"""When to look at what a compensation method identifies on line."""
+
+import numpy as np
+import numpy.typing as npt
+from seft_msgs_py.timebase import NANOSECONDS_PER_SECOND, Timebase
+
+from seft_ros.reference_force.block import ReferenceForce
+
+Floats = npt.NDArray[np.float64]
+
+PERIOD_NS = NANOSECONDS_PER_SECOND // 10
+"""Experiment time between two samples."""
+
+
+class EstimateSampler:
+    """Samples the estimates of a reference force at step 0 and every `PERIOD_NS` from there.
+
+    Where the step that is due was lost, the next one counts. Sampling is left to the caller,
+    for whom it must cost nothing to ask at every step: ``if step >= sampler.due``.
+
+    Parameters
+    ----------
+    reference_force : ReferenceForce
+        Whose estimates.
+    timebase : Timebase
+        Sampling clock of the test.
+
+    Attributes
+    ----------
+    due : int
+        Step at which, or after which, to call `sample`.
+    """
+
+    def __init__(self, reference_force: ReferenceForce, timebase: Timebase) -> None:
+        self.due = 0
+        self._estimates = reference_force.estimates
+        self._every = max(1, round(PERIOD_NS / timebase.period_ns))
+
+    def reset(self) -> None:
+        """Begin a new test."""
+        self.due = 0
+
+    def sample(self, step: int) -> dict[str, Floats]:
+        """Copy the estimates as they are after a step.
+
+        Parameters
+        ----------
+        step : int
+            Step of the last reference force.
+
+        Returns
+        -------
+        dict of str to ndarray
+            Name -> estimate of each axis, shape (n,), SI units; empty where the method
+            identifies nothing.
+        """
+        self.due = step - step % self._every + self._every
+        return {name: np.array(value) for name, value in self._estimates().items()}

@@ -1,0 +1,99 @@
+"""What a compensation method identified, in summary, table and figure."""
+
+import dataclasses
+import io
+import json
+import math
+
+import numpy as np
+import pytest
+from rich.console import Console
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.topics import LOOP_TOPICS
+from seft_ros.analysis.figure import test_figure as draw
+from seft_ros.analysis.summary import summarise
+from seft_ros.analysis.table import summary_table
+from seft_ros.recording.record import Estimates, Record, Series, Trip
+
+DELAY = np.array([[0.010, 0.010], [0.0141, 0.009], [0.0136, 0.012]])
+STIFFNESS = np.array([[2.11e5, 3e5], [2.0e5, 3.1e5], [1.9e5, 3.2e5]])
+STEPS = np.array([0, 50, 100])
+
+
+def make_record(axes=("x",), names=("delay", "stiffness"), **changes):
+    steps = np.arange(120)
+    series = {
+        topic.name: Series(steps, np.ones((120, len(topic.quantities), len(axes))))
+        for topic in LOOP_TOPICS
+    }
+    values = np.stack([DELAY, STIFFNESS], axis=1)[:, :, : len(axes)].copy()
+    experiment = Experiment({"rig": {"rate": 500.0, "axes": list(axes)}})
+    record = Record(experiment, series, estimates=Estimates(STEPS, values, names))
+    return dataclasses.replace(record, **changes)
+
+
+def shown(record):
+    stream = io.StringIO()
+    Console(file=stream, width=200).print(summary_table(record, summarise(record)))
+    return stream.getvalue()
+
+
+def test_a_summary_tells_how_each_estimate_went_per_axis_in_si_units():
+    estimates = summarise(make_record(("x", "y")))["estimates"]
+    assert list(estimates) == ["delay", "stiffness"]
+    assert estimates["delay"] == {
+        "x": {"first": 0.010, "last": 0.0136, "least": 0.010, "largest": 0.0141},
+        "y": {"first": 0.010, "last": 0.012, "least": 0.009, "largest": 0.012},
+    }
+    assert estimates["stiffness"]["x"]["last"] == 1.9e5
+
+
+def test_a_summary_without_estimates_has_none():
+    record = make_record(estimates=None)
+    assert summarise(record)["estimates"] == {}
+    assert "identified" not in shown(record)
+
+
+def test_a_summary_of_estimates_that_are_not_finite_is_json_and_can_be_shown():
+    record = make_record()
+    record.estimates.values[2, 0, 0] = math.nan
+    summary = json.loads(json.dumps(summarise(record), allow_nan=False))
+    assert summary["estimates"]["delay"]["x"]["first"] == 0.010
+    assert summary["estimates"]["delay"]["x"]["last"] is None
+    assert "delay as identified: 10 to - ms" in shown(record)
+
+
+def test_the_table_tells_estimates_in_units_for_people():
+    text = shown(make_record())
+    assert "delay as identified: 10 to 13.6 ms (between 10 and 14.1)" in text
+    assert "stiffness as identified: 211 to 190 kN/m (between 190 and 211)" in text
+    assert "delay as identified: x 10 to 13.6 ms (between 10 and 14.1), y 10 to 12 ms" in shown(
+        make_record(("x", "y"))
+    )
+    assert "gain as identified: 0.01 to 0.0136 (between" in shown(make_record(names=("gain", "q")))
+
+
+@pytest.mark.parametrize("axes", [("x",), ("x", "y")])
+def test_a_figure_has_a_small_panel_for_each_estimate_and_axis(axes):
+    plain = draw(make_record(axes, estimates=None), None)
+    record = make_record(axes, trip=Trip("limit", 110, 0.22))
+    drawn = draw(record, None)
+    panels = np.array(drawn.axes).reshape(5, len(axes))
+    assert len(plain.axes) == 3 * len(axes)
+    assert drawn.get_size_inches()[1] > plain.get_size_inches()[1]
+    drawn.draw_without_rendering()
+    heights = [panel.get_window_extent().height for panel in panels[:, 0]]
+    assert max(heights[3:]) < 0.7 * min(heights[:3])
+    assert [panel.get_ylabel() for panel in panels[3:, 0]] == ["delay / ms", "stiffness / kN/m"]
+    for column in range(len(axes)):
+        course, trip = panels[4, column].lines
+        np.testing.assert_allclose(course.get_xdata(), [0.0, 0.1, 0.2])
+        np.testing.assert_allclose(course.get_ydata(), STIFFNESS[:, column] / 1e3)
+        assert list(trip.get_xdata()) == [0.22, 0.22]
+        assert panels[4, column].get_xlabel() == "time / s"
+
+
+def test_an_estimate_of_unknown_unit_is_drawn_by_its_name():
+    panels = draw(make_record(names=("$gain", "delay")), None).axes
+    assert panels[3].get_ylabel() == "$gain"
+    assert panels[4].get_ylabel() == "delay / ms"

@@ -1,0 +1,274 @@
+"""The closed loop's matrices against the blocks themselves, and against closed forms."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import brentq
+from scipy.signal import ss2tf
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.experiment import Experiment
+from seft_plant_sim.rig import Rig, continuous_model
+from seft_ros.experiment.tables import TABLES
+from seft_ros.force_controller.block import ForceController
+from seft_ros.preflight.closed_loop import ClosedLoop
+from seft_ros.preflight.margins import critical_mass_ratio
+from seft_ros.preflight.modes import predicted_modes
+from seft_ros.preflight.plan import Plan
+from seft_ros.reference_force.block import ReferenceForce
+from seft_ros.reference_force.compensation.methods import METHODS
+
+M, C, K = 52.7, 800.3, 2.11e5
+RIG = {
+    "specimen.mass": M,
+    "specimen.damping": C,
+    "specimen.stiffness": K,
+    "actuator.oil_column_frequency": 90.0,
+    "actuator.leakage": 50.0,
+    "actuator.flow_gain": 0.0403,
+}
+SERVO = {"rig": {"actuator.kind": "servo_hydraulic_linear"}}
+COUPLED = {
+    "specimen.mass": [52.7, 40.0],
+    "specimen.stiffness": [2.0e5, -3.0e4, -3.0e4, 2.4e5],
+}
+WIDE = {f"limits.{name}": 1e9 for name in ("displacement", "velocity", "acceleration", "force")}
+
+
+def delayed(delay):
+    return {"rig": {"actuator.kind": "delay", "actuator.delay": delay}}
+
+
+def experiment(*parts, rate=500.0, axes=("x",), **reference):
+    """Experiment of the paper's rig, and what parts say otherwise, by node."""
+    sections = {
+        "rig": RIG | WIDE,
+        "reference_force": {
+            "compensation.delay": 0.012,
+            "compensation.adaptive": False,
+            "tracking.numerator": [1.0],
+            "tracking.dead_time": 0.012,
+        },
+    }
+    named = {name.replace("__", "."): value for name, value in reference.items()}
+    for part in (*parts, {"reference_force": named}):
+        for node, values in part.items():
+            sections[node] = sections.get(node, {}) | values
+    words = [(node, *item) for node, values in sections.items() for item in values.items()]
+    words += [("/**", "rate", rate), ("/**", "axes", list(axes))]
+    return Experiment.load(TABLES, overrides=words)
+
+
+def blocks_displacements(test, motion, steps):
+    """What the blocks do: displacements, shape (steps, n), under the motion and after it."""
+    axes, timebase = test.axes, test.timebase
+    rig = Rig.from_parameters(test["rig"], axes, timebase)
+    reference = ReferenceForce.from_parameters(test["reference_force"], axes, timebase)
+    control = ForceController.from_parameters(
+        test["force_controller"] | {"voltage_limit": 1e12}, axes, timebase
+    )
+    ground = np.vstack([motion, np.zeros((steps + reference.preview + 1, len(axes)))])
+    state, found = rig.reset(), []
+    for k in range(steps):
+        found.append(state[0].copy())
+        force = reference.step(ground[k : k + 1 + reference.preview], state)
+        drive = control.step(force, state)
+        state = rig.step(drive if rig.drive == "valve_command" else force)
+    return np.array(found)
+
+
+def loop_displacements(loop, motion, steps):
+    """The same by powers of the loop's matrix."""
+    width = loop.ground.shape[1]
+    ground = np.concatenate([motion.ravel(), np.zeros((steps + 1) * len(motion[0]) + width)])
+    q, found = np.zeros(len(loop.matrix)), []
+    for k in range(steps):
+        found.append(loop.displacement @ q)
+        first = k * motion.shape[1]
+        q = loop.matrix @ q + loop.ground @ ground[first : first + width]
+    return np.array(found)
+
+
+def assert_same(test, steps=120):
+    motion = np.random.default_rng(1).standard_normal((20, len(test.axes)))
+    blocks = blocks_displacements(test, motion, steps)
+    loop = loop_displacements(Plan(test).loop(), motion, steps)
+    assert np.abs(blocks).max() > 0
+    np.testing.assert_allclose(loop, blocks, rtol=1e-9, atol=1e-9 * np.abs(blocks).max())
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("rig", [delayed(0.0101), SERVO], ids=["delay", "servo"])
+def test_powers_of_the_matrix_are_what_the_blocks_do(method, rig):
+    test = experiment(rig, mass_ratio=0.7, compensation__method=method)
+    assert_same(test, 120 if not Plan(test).compensator().estimates() else 20)
+
+
+@pytest.mark.parametrize(
+    ("parts", "axes"),
+    [
+        ([{"rig": {"actuator.kind": "ideal"}}], "x"),
+        ([{"rig": COUPLED}, delayed(0.0034)], "xy"),
+        ([{"rig": COUPLED}, SERVO], "xy"),
+        ([SERVO, {"reference_force": {"method": "eft"}}], "x"),
+        ([SERVO, {"force_controller": {"feedback": False}}], "x"),
+        ([SERVO, {"force_controller": {"numerator": [1e-4], "denominator": [1.0]}}], "x"),
+        ([SERVO, {"rig": {"sensors.anti_alias": 150.0}}], "x"),
+        ([SERVO, {"rig": {"actuator.viscous_friction": 300.0}}], "x"),
+        ([delayed(0.01), {"rig": {"sensors.velocity": "derived"}}], "x"),
+        ([SERVO, {"rig": COUPLED | {"sensors.velocity": "derived"}}], "xy"),
+    ],
+)
+@pytest.mark.parametrize("method", ["none", "model"])
+def test_so_they_are_of_other_rigs_and_sensors(parts, axes, method):
+    test = experiment(*parts, axes=tuple(axes), mass_ratio=0.4, compensation__method=method)
+    assert_same(test)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    delay=st.floats(0.0, 0.03),
+    mass_ratio=st.floats(0.0, 1.2),
+    rate=st.sampled_from([200.0, 500.0, 1000.0]),
+    servo=st.booleans(),
+    method=st.sampled_from(["none", "restoring", "linear_acceleration"]),
+)
+def test_so_they_are_at_any_delay_and_rate(delay, mass_ratio, rate, servo, method):
+    dead_time = {"rig": SERVO["rig"] | {"actuator.dead_time": delay}}
+    rig = dead_time if servo else delayed(delay)
+    test = experiment(rig, rate=rate, mass_ratio=mass_ratio, compensation__method=method)
+    assert_same(test, 60)
+
+
+def test_a_rig_that_is_not_linear_is_taken_at_its_small_signal_limit():
+    linear = Plan(experiment(SERVO, mass_ratio=0.5))
+    yielding = {"specimen.kind": "bouc_wen", "specimen.yield_displacement": 0.005}
+    whole = Plan(
+        experiment({"rig": {"actuator.kind": "servo_hydraulic"} | yielding}, mass_ratio=0.5)
+    )
+    assert whole.rig.small_signal and not linear.rig.small_signal
+    for ratio in (0.1, 1.0, 3.0):
+        assert whole.loop(mass_ratio=ratio).dominant() == pytest.approx(
+            linear.loop(mass_ratio=ratio).dominant(), rel=1e-9
+        )
+
+
+@pytest.mark.parametrize("method", ["none", "model", "smith", "restoring"])
+def test_a_plant_identified_exactly_gives_the_rigs_own_loop(method):
+    """The motion then follows from the specimen."""
+    model = continuous_model(experiment(SERVO)["rig"], ("x",))
+    numerator, denominator = ss2tf(model.a, model.b, model.c[3:], model.d[3:])
+    plant = {
+        "plant.numerator": numerator[0, -3:].tolist(),
+        "plant.denominator": denominator.tolist(),
+        "plant.dead_time": model.delay,
+    }
+    test = experiment(
+        SERVO, {"force_controller": plant}, mass_ratio=1.0, compensation__method=method
+    )
+    rig, identified = Plan(test, "rig"), Plan(test)
+    assert (rig.rig.plant.source, identified.rig.plant.source) == ("rig", "identified")
+    found, exact = (plan.loop() for plan in (identified, rig))
+    motion = np.ones((5, 1))
+    expected = loop_displacements(exact, motion, 60)
+    np.testing.assert_allclose(
+        loop_displacements(found, motion, 60), expected, atol=1e-6 * np.abs(expected).max()
+    )
+    ends = [critical_mass_ratio(plan) for plan in (identified, rig)]
+    assert (ends[0] is None) == (ends[1] is None)
+    if ends[0] is not None:
+        assert ends[0].value == pytest.approx(ends[1].value, rel=1e-4)
+        assert ends[0].hz == pytest.approx(ends[1].hz, rel=1e-3)
+
+
+@settings(max_examples=30, deadline=None)
+@given(size=st.integers(60, 90), density=st.floats(0.002, 0.05), seed=st.integers(0, 1000))
+def test_a_loop_taken_apart_has_the_eigenvalues_of_the_whole(size, density, seed):
+    rng = np.random.default_rng(seed)
+    matrix = rng.standard_normal((size, size)) * (rng.random((size, size)) < density)
+    matrix += np.diag(rng.uniform(0.5, 1.5, size))
+    found = ClosedLoop(matrix, np.zeros((size, 1)), np.zeros((1, size)), 0.002).eigenvalues()
+    assert len(found) == size
+    power = [np.trace(np.linalg.matrix_power(matrix, k)) for k in (1, 2, 5)]
+    assert [np.sum(found**k).real for k in (1, 2, 5)] == pytest.approx(power, rel=1e-6, abs=1e-6)
+
+
+def neutral_delay_critical(damping_ratio, delay, natural):
+    """Smallest alpha at which m s^2 (1 + alpha exp(-s T)) + c s + k has a root s = jw."""
+
+    def forced(w):
+        u = (natural / w) ** 2
+        return u - 1 + 2j * damping_ratio * np.sqrt(u)
+
+    def turned(w):  # alpha exp(-jwT) = forced(w)
+        return np.angle(forced(w) * np.exp(1j * w * delay))
+
+    w = np.linspace(0.05 * natural, 30 * natural, 200_000)
+    angles = turned(w)
+    crossing = np.flatnonzero((angles[:-1] * angles[1:] < 0) & (np.abs(np.diff(angles)) < 1))
+    return min(abs(forced(brentq(turned, w[i], w[i + 1]))) for i in crossing)
+
+
+@pytest.mark.parametrize("delay", [0.004, 0.010, 0.020])
+@pytest.mark.parametrize("damping", [100.0, C])
+def test_a_pure_delay_ends_where_the_neutral_delay_equation_says(delay, damping):
+    """At a high rate; the sample that answers is one later, and the hold half a sample more."""
+    rate, natural = 5000.0, np.sqrt(K / M)
+    rig = {"rig": delayed(delay)["rig"] | {"specimen.damping": damping}}
+    found = critical_mass_ratio(Plan(experiment(rig, rate=rate)))
+    ratio = damping / (2 * np.sqrt(K * M))
+    assert found.value == pytest.approx(
+        neutral_delay_critical(ratio, delay + 1 / rate, natural), rel=0.01
+    )
+
+
+def test_ten_milliseconds_at_500_hz_end_at_the_known_mass_ratio():
+    found = critical_mass_ratio(Plan(experiment(delayed(0.010))))
+    assert found.value == pytest.approx(0.94, abs=0.02)
+    assert Plan(experiment(delayed(0.010), mass_ratio=0.9)).loop().growth_rate() < 0
+    assert Plan(experiment(delayed(0.010), mass_ratio=1.0)).loop().growth_rate() > 0
+
+
+@pytest.mark.parametrize("alpha", [0.2, 0.5, 0.9])
+def test_a_small_delay_adds_the_known_false_damping(alpha):
+    """To the first order in delay and damping: alpha w_n T / (2 (1 + alpha)^1.5).
+
+    T is the delay, the sample that answers, half a sample of hold, and half a sample times alpha:
+    the sampled acceleration holds the force's newest step, -alpha m a, in full already.
+    """
+    delay, rate, damping = 0.0002, 10000.0, 20.0
+    rig = {"rig": delayed(delay)["rig"] | {"specimen.damping": damping}}
+    (mode,) = predicted_modes(Plan(experiment(rig, rate=rate, mass_ratio=alpha)))
+    natural = np.sqrt(K / M)
+    assert mode.exact_hz == pytest.approx(natural / np.sqrt(1 + alpha) / (2 * np.pi), rel=1e-9)
+    exact = damping / (2 * np.sqrt(K * M * (1 + alpha)))
+    assert mode.exact_damping == pytest.approx(exact, rel=1e-9)
+    whole = delay + (3 + alpha) / (2 * rate)
+    expected = alpha * natural * whole / (2 * (1 + alpha) ** 1.5)
+    assert mode.false_damping == pytest.approx(expected, rel=0.02)
+    assert abs(mode.frequency_error) < 0.001
+
+
+def test_modes_of_several_axes_are_those_of_the_whole_structure():
+    """Without a computed mass and with a perfect actuator the test is the structure itself."""
+    ideal = {"rig": COUPLED | {"actuator.kind": "ideal"}}
+    modes = predicted_modes(Plan(experiment(ideal, rate=5000.0, axes=("x", "y"))))
+    k = np.reshape(COUPLED["specimen.stiffness"], (2, 2))
+    squares = np.sort(np.linalg.eigvals(np.diag([1 / 52.7, 1 / 40.0]) @ k).real)
+    assert [mode.exact_hz for mode in modes] == pytest.approx(
+        np.sqrt(squares) / (2 * np.pi), rel=1e-3
+    )
+    for mode in modes:
+        assert (mode.hz, mode.damping) == pytest.approx(
+            (mode.exact_hz, mode.exact_damping), rel=1e-9
+        )
+
+
+def test_a_rig_that_nobody_knows_has_no_plan():
+    whole = experiment()
+    unknown = Experiment({node: part for node, part in whole.sections.items() if node != "rig"})
+    with pytest.raises(InputError, match="seft identify"):
+        Plan(unknown)
+    elsewhere = {node: s for node, s in whole.sections.items() if node != "reference_force"}
+    with pytest.raises(InputError, match="runs elsewhere"):
+        Plan(Experiment(elsewhere))

@@ -1,0 +1,201 @@
+"""Margins against simulation: the blocks run free just inside and just outside of them."""
+
+import numpy as np
+import pytest
+from seft_msgs_py.experiment import Experiment
+from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.offline import simulate
+from seft_ros.experiment.tables import TABLES
+from seft_ros.preflight.margins import HIGHEST_MASS_RATIO, critical_mass_ratio, find_margins
+from seft_ros.preflight.plan import Plan
+from seft_ros.preflight.result import preflight
+from seft_ros.preflight.search import stability_change
+from seft_ros.preflight.summary import summarise
+from seft_ros.reference_force.compensation.methods import METHODS
+
+M, C, K = 52.7, 800.3, 2.11e5
+WIDE = {f"limits.{name}": 1e12 for name in ("displacement", "velocity", "acceleration", "force")}
+BASE = {
+    "/**": {"rate": 500.0, "axes": ["x"]},
+    "ground_motion": {"synthetic.duration": 0.5, "synthetic.rise": 0.1, "tail": 7.5},
+    "rig": WIDE | {"specimen.mass": M, "specimen.damping": C, "specimen.stiffness": K},
+    "force_controller": {"voltage_limit": 1e15},
+}
+DELAY = {
+    "rig": {"actuator.kind": "delay", "actuator.delay": 0.010},
+    "reference_force": {
+        "compensation.delay": 0.013,
+        "tracking.numerator": [1.0],
+        "tracking.dead_time": 0.012,
+    },
+}
+SERVO = {
+    "rig": {
+        "actuator.kind": "servo_hydraulic_linear",
+        "actuator.oil_column_frequency": 90.0,
+        "actuator.leakage": 50.0,
+        "actuator.flow_gain": 0.0403,
+    },
+    "reference_force": {
+        "compensation.delay": 0.0139,
+        "tracking.numerator": [1.0],
+        "tracking.denominator": [0.003, 1.0],
+        "tracking.dead_time": 0.010,
+    },
+}
+RIGS = {"delay": DELAY, "servo": SERVO}
+
+
+def experiment(*parts):
+    sections = {node: dict(values) for node, values in BASE.items()}
+    for part in parts:
+        for node, values in part.items():
+            sections[node] = sections.get(node, {}) | values
+    words = [(node, *item) for node, values in sections.items() for item in values.items()]
+    return Experiment.load(TABLES, overrides=words)
+
+
+def reference(**values):
+    named = {name.replace("__", "."): value for name, value in values.items()}
+    return {"reference_force": named}
+
+
+def grows(test):
+    """Whether the free vibration after a short motion grows, by the offline loop."""
+    record = simulate(test, build_blocks(test))
+    if record.trip is not None:
+        return True
+    states = record.series["rig/state"].values[:, 3, :]
+    middle, last = (np.abs(part).max() for part in np.array_split(states[500:], 2))
+    return bool(last > middle)
+
+
+@pytest.mark.parametrize("rig", RIGS)
+@pytest.mark.parametrize("method", METHODS)
+def test_the_critical_mass_ratio_is_that_of_simulation_within_2_percent(method, rig):
+    chosen = RIGS[rig], reference(compensation__method=method)
+    plan = Plan(experiment(*chosen))
+    if plan.compensator().estimates():
+        pytest.skip("it adapts: preflight is of the filter that it starts as")
+    critical = critical_mass_ratio(plan)
+    if critical is None:
+        assert not grows(experiment(*chosen, reference(mass_ratio=HIGHEST_MASS_RATIO)))
+        return
+    assert critical.value > 0
+    for factor, unstable in ((0.98, False), (1.02, True)):
+        test = experiment(*chosen, reference(mass_ratio=factor * critical.value))
+        assert grows(test) is unstable
+
+
+@pytest.mark.parametrize("method", ["none", "model"])
+@pytest.mark.parametrize("rig", RIGS)
+def test_so_are_the_critical_delay_gain_stiffness_and_told_delay(method, rig):
+    ratio = 0.6
+    chosen = RIGS[rig], reference(compensation__method=method, mass_ratio=ratio)
+    plan = Plan(experiment(*chosen))
+    margins = find_margins(plan)
+
+    def told_to_grow(part):
+        return grows(experiment(*chosen, part))
+
+    assert margins.dead_time is not None
+    kind = "actuator.delay" if rig == "delay" else "actuator.dead_time"
+    added = margins.dead_time.value - plan.dead_time
+    for factor, unstable in ((0.97, False), (1.03, True)):
+        dead_time = plan.dead_time + factor * added
+        assert told_to_grow({"rig": {kind: dead_time}}) is unstable
+    if rig == "servo":
+        assert margins.gain.highest is not None
+        for factor, unstable in ((0.98, False), (1.02, True)):
+            gain = 0.0403 * factor * margins.gain.highest.value
+            assert told_to_grow({"rig": {"actuator.flow_gain": gain}}) is unstable
+    if method == "none":
+        assert margins.stiffness is None and margins.told_delay is None
+        return
+    for name, found, planned in (
+        ("model.stiffness", margins.stiffness.highest.value * K, K),
+        ("compensation.delay", margins.told_delay.highest.value, 0.0),
+    ):
+        for factor, unstable in ((0.97, False), (1.03, True)):
+            value = planned + factor * (found - planned)
+            if name == "compensation.delay":
+                value += plan.section[name]
+            assert told_to_grow({"reference_force": {name: value}}) is unstable
+
+
+def test_the_frequency_that_sets_in_is_that_of_simulation():
+    critical = critical_mass_ratio(Plan(experiment(DELAY)))
+    test = experiment(DELAY, reference(mass_ratio=1.01 * critical.value))
+    force = simulate(test, build_blocks(test)).series["rig/state"].values[1000:, 3, 0]
+    spectrum = np.abs(np.fft.rfft(force * np.hanning(len(force))))
+    hz = np.fft.rfftfreq(len(force), 0.002)[spectrum.argmax()]
+    assert critical.hz == pytest.approx(hz, rel=0.01)
+
+
+def test_an_unstable_plan_tells_the_delay_at_which_it_would_be_stable():
+    ideal_end = find_margins(Plan(experiment(DELAY, reference(mass_ratio=0.96))))
+    assert (ideal_end.gain, ideal_end.stiffness, ideal_end.told_delay) == (None, None, None)
+    assert 0 < ideal_end.dead_time.value < 0.010
+    for factor, unstable in ((0.9, False), (1.1, True)):
+        delay = {"rig": {"actuator.delay": factor * ideal_end.dead_time.value}}
+        assert grows(experiment(DELAY, delay, reference(mass_ratio=0.96))) is unstable
+    never = find_margins(Plan(experiment(DELAY, reference(mass_ratio=1.1))))
+    assert never.dead_time.value == 0.0
+
+
+def test_an_unstable_force_loop_has_a_critical_mass_ratio_of_zero():
+    wild = {"force_controller": {"numerator": [200.0]}}
+    found = preflight(Plan(experiment(SERVO, wild)))
+    assert found.verdict == "unstable"
+    assert found.margins.mass_ratio.value == 0.0
+
+
+@pytest.mark.parametrize(
+    ("ratio", "verdict"), [(0.0, "stable"), (0.7, "stable"), (0.85, "marginal"), (0.95, "unstable")]
+)
+def test_the_verdict_follows_the_reserve_of_the_mass_ratio(ratio, verdict):
+    found = preflight(Plan(experiment(DELAY, reference(mass_ratio=ratio))))
+    assert found.verdict == verdict
+    assert bool(found.reasons) == (verdict != "stable")
+    if verdict == "marginal":
+        assert "critical mass ratio 0.933" in found.reasons[0]
+
+
+def test_thin_margins_of_delay_gain_and_stiffness_are_named():
+    thin = preflight(Plan(experiment(SERVO, reference(mass_ratio=1.05))))
+    assert thin.verdict == "marginal"
+    text = " / ".join(thin.reasons)
+    assert "dead time" in text and "gain of the actuator's path" in text
+    told = reference(compensation__method="model", mass_ratio=0.5, model__stiffness=2.6 * K)
+    wrong = preflight(Plan(experiment(DELAY, told)))
+    assert wrong.margins.stiffness.planned == pytest.approx(2.6)
+    assert 2.6 < wrong.margins.stiffness.highest.value < 1.1 * 2.6
+    assert any("model stiffness" in reason for reason in wrong.reasons)
+
+
+def test_what_adapts_is_promised_as_it_starts_only():
+    told = reference(compensation__method="linear_acceleration", mass_ratio=0.5)
+    fixed = summarise(plan := Plan(experiment(DELAY, told)), preflight(plan))
+    assert "adapts" not in fixed["promise"]
+    adaptive = reference(compensation__estimate_delay=True)
+    moving = summarise(plan := Plan(experiment(DELAY, told, adaptive)), preflight(plan))
+    assert "adapts" in moving["promise"] and "does not promise" in moving["promise"]
+    assert moving["critical_mass_ratio"] == pytest.approx(fixed["critical_mass_ratio"], rel=0.02)
+
+
+def test_what_is_not_linear_is_told():
+    servo = experiment(SERVO, {"rig": {"actuator.kind": "servo_hydraulic"}})
+    assert "small motions" in preflight(Plan(servo)).promise
+
+
+@pytest.mark.parametrize("edge", [0.1234, 3.3, 7.7])
+def test_a_change_of_stability_is_bracketed_and_narrowed(edge):
+    points = np.linspace(0.0, 8.0, 9).tolist()
+    for sign in (1.0, -1.0):
+        assert stability_change(lambda x, s=sign: s * (x - edge), points) == (
+            pytest.approx(edge, abs=1e-5)
+        )
+        assert stability_change(lambda x, s=sign: s * np.sign(x - edge), points[::-1]) == (
+            pytest.approx(edge, abs=1e-5)
+        )
+    assert stability_change(lambda x: -1.0, points) is None

@@ -1,0 +1,222 @@
+"""What a method identifies on line, as the offline loop and the node show it."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from seft_msgs_py.errors import WireError
+from seft_msgs_py.estimates import EstimatesCodec
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.parameter_file import parse_override
+from seft_msgs_py.timebase import Timebase
+from seft_msgs_py.topics import ESTIMATES, GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
+from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.offline import simulate
+from seft_ros.experiment.tables import TABLES
+from seft_ros.reference_force.block import ReferenceForce
+from seft_ros.reference_force.compensation.methods import METHODS
+from seft_ros.reference_force.compensation.none import none
+from seft_ros.reference_force.estimate_sampler import EstimateSampler
+
+JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
+WORDS = (
+    "axes:=[north, east]",
+    "ground_motion:influence:=[1.0, 0.5]",
+    "ground_motion:synthetic.duration:=1.5",
+    "ground_motion:tail:=0.3",
+    "reference_force:mass_ratio:=0.4",
+)
+
+
+class Watcher:
+    """No compensation; its estimates are the least and the largest force so far."""
+
+    def __init__(self, known):
+        self._none = none(known)
+        self.preview = 0
+        self.range = np.zeros((2, known.axes))
+
+    def reset(self):
+        self._none.reset()
+        self.range[:] = 0.0
+
+    def step(self, ground_motion, state):
+        np.minimum(self.range[0], state[3], out=self.range[0])
+        np.maximum(self.range[1], state[3], out=self.range[1])
+        return self._none.step(ground_motion, state)
+
+    def estimates(self):
+        return {"least": self.range[0], "largest": self.range[1]}  # its own arrays, not copies
+
+    def linear(self):
+        return self._none.linear()
+
+
+@pytest.fixture
+def watched(monkeypatch):
+    """An experiment whose method identifies something."""
+    monkeypatch.setitem(METHODS, "none", Watcher)
+    return Experiment.load(TABLES, [JHU], [parse_override(word) for word in WORDS])
+
+
+def run(experiment):
+    return simulate(experiment, build_blocks(experiment))
+
+
+def sampler(rate, estimates=dict):
+    return EstimateSampler(
+        ReferenceForce(SimpleNamespace(preview=0, estimates=estimates)), Timebase.from_rate(rate)
+    )
+
+
+@pytest.mark.parametrize(("rate", "every"), [(500.0, 50), (512.0, 51), (25.0, 2), (4.0, 1)])
+def test_samples_are_due_at_step_0_and_every_tenth_of_a_second(rate, every):
+    samples, due = sampler(rate), []
+    for step in range(10 * every):
+        if step >= samples.due:
+            samples.sample(step)
+            due.append(step)
+    assert due == list(range(0, 10 * every, every))
+
+
+@given(st.sets(st.integers(0, 1000)))
+def test_where_the_due_step_was_lost_the_next_one_counts(steps):
+    samples, sampled = sampler(500.0), []
+    for step in sorted(steps):
+        if step >= samples.due:
+            samples.sample(step)
+            sampled.append(step)
+    firsts = {}
+    for step in sorted(steps):
+        firsts.setdefault(step // 50, step)
+    assert sampled == list(firsts.values())
+
+
+def test_a_reset_begins_at_step_0_again():
+    samples = sampler(500.0)
+    samples.sample(120)
+    assert samples.due == 150
+    samples.reset()
+    assert samples.due == 0
+
+
+def test_the_offline_loop_keeps_what_the_method_knew_after_each_of_these_steps(watched):
+    record = run(watched)
+    states = record.series[RIG_STATE.name].values
+    estimates = record.estimates
+    assert estimates.names == ("least", "largest")
+    assert estimates.steps.tolist() == list(range(0, len(states), 50))
+    force = states[:, 3]
+    for row, step in enumerate(estimates.steps):
+        so_far = np.vstack([np.zeros((1, 2)), force[: step + 1]])
+        np.testing.assert_array_equal(estimates.values[row, 0], so_far.min(axis=0))
+        np.testing.assert_array_equal(estimates.values[row, 1], so_far.max(axis=0))
+
+
+def test_a_method_without_estimates_leaves_none():
+    experiment = Experiment.load(TABLES, [JHU], [parse_override(word) for word in WORDS])
+    assert run(experiment).estimates is None
+
+
+def test_estimates_may_not_change_their_names(watched, monkeypatch):
+    names = iter([{"delay": np.zeros(2)}, {"stiffness": np.zeros(2)}])
+    monkeypatch.setattr(Watcher, "estimates", lambda self: next(names))
+    with pytest.raises(WireError, match="step 50 are stiffness, but were delay"):
+        run(watched)
+
+
+class Shell:
+    """A node's shell without a network: what is published is kept, in order."""
+
+    def __init__(self, experiment):
+        self.experiment = experiment
+        self.sent, self.handlers, self.refusals = [], {}, []
+
+    def publisher(self, topic):
+        return lambda raw: self.sent.append((topic, raw))
+
+    def subscribe(self, topic, handler, **_):
+        self.handlers[topic.name] = handler
+
+    def refuse(self, reason):
+        self.refusals.append(reason)
+
+
+def start_node(experiment):
+    """Make a reference-force node; it must have tried itself out in silence."""
+    shell = Shell(experiment)
+    pytest.importorskip("seft_ros.nodes.reference_force").ReferenceForceNode(shell)
+    assert shell.sent == []
+    return shell
+
+
+def feed(shell, record):
+    """Hand a record's ground motion and states to the node."""
+    axes, timebase = record.experiment.axes, record.experiment.timebase
+    motion = TrajectoryCodec(GROUND_MOTION, axes, timebase)
+    state = TrajectoryCodec(RIG_STATE, axes, timebase)
+    samples = record.series[GROUND_MOTION.name].values
+    for first in range(0, len(samples), 100):
+        chunk = samples[first : first + 100]
+        shell.handlers[GROUND_MOTION.name](motion.encode_points(first, chunk), 0)
+    for step, sample in enumerate(record.series[RIG_STATE.name].values):
+        shell.handlers[RIG_STATE.name](state.encode(step, sample), 0)
+
+
+def test_the_node_publishes_the_estimates_of_the_offline_loop_after_the_force(watched):
+    record = run(watched)
+    shell = start_node(watched)
+    feed(shell, record)
+    codec = EstimatesCodec(watched.axes, watched.timebase)
+    force_codec = TrajectoryCodec(REFERENCE_FORCE, watched.axes, watched.timebase)
+    told = [codec.decode(raw) for topic, raw in shell.sent if topic is ESTIMATES]
+    assert [step for step, _ in told] == record.estimates.steps.tolist()
+    values = np.array([list(estimates.values()) for _, estimates in told])
+    np.testing.assert_array_equal(values, record.estimates.values)
+    for index, (topic, raw) in enumerate(shell.sent):
+        if topic is ESTIMATES:
+            before, force = shell.sent[index - 1]
+            assert before is REFERENCE_FORCE
+            assert force_codec.decode(force)[0] == codec.decode(raw)[0]
+    assert shell.refusals == []
+
+
+def test_the_node_begins_anew_with_a_second_test(watched):
+    record = run(watched)
+    shell = start_node(watched)
+    feed(shell, record)
+    first = list(shell.sent)
+    shell.sent.clear()
+    feed(shell, record)
+    assert shell.sent == first
+
+
+def test_the_node_of_a_method_without_estimates_publishes_none():
+    experiment = Experiment.load(TABLES, [JHU], [parse_override(word) for word in WORDS])
+    shell = start_node(experiment)
+    feed(shell, run(experiment))
+    assert {topic for topic, _ in shell.sent} == {REFERENCE_FORCE}
+
+
+def test_an_estimate_that_is_not_finite_is_refused_and_the_test_goes_on(watched, monkeypatch):
+    record = run(watched)
+    real = Watcher.estimates
+
+    def later_nan(self):
+        found = real(self)
+        return found if found["largest"][1] < 5.0 else {**found, "least": np.full(2, np.nan)}
+
+    monkeypatch.setattr(Watcher, "estimates", later_nan)
+    shell = start_node(watched)
+    feed(shell, record)
+    sent = [topic for topic, _ in shell.sent]
+    assert sent.count(REFERENCE_FORCE) == len(record.series[RIG_STATE.name].steps)
+    assert 0 < sent.count(ESTIMATES) < len(record.estimates.steps)
+    assert len(shell.refusals) == len(record.estimates.steps) - sent.count(ESTIMATES)
+    assert set(shell.refusals) == {
+        "reference_force/estimates: least of reference_force: north is nan, but must be finite"
+    }

@@ -1,0 +1,173 @@
+"""A tournament's tests are those of `seft simulate`, whoever calculates them."""
+
+import time
+from pathlib import Path
+
+import pytest
+from seft_msgs_py.errors import ExperimentError, InputError
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.parameter_file import parse_override
+from seft_ros.analysis.summary import summarise
+from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.offline import simulate
+from seft_ros.experiment.tables import TABLES
+from seft_ros.reference_force.compensation.methods import METHODS
+from seft_ros.tournament.cost import step_cost
+from seft_ros.tournament.entries import Entry, make_tournament
+from seft_ros.tournament.runs import count_calculations, run_all
+
+JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
+SHORT = ("ground_motion:synthetic.duration:=4", "ground_motion:tail:=0.5")
+DELAY = ("rig:actuator.kind:=delay", "rig:actuator.delay:=0.01")
+KEYS = ("steps", "stable", "trip", "saturated", "displacement", "acceleration", "force")
+
+
+def load(*words):
+    return Experiment.load(TABLES, [JHU], [parse_override(word) for word in (*SHORT, *words)])
+
+
+def simulated(experiment):
+    summary = summarise(simulate(experiment, build_blocks(experiment)))
+    return {key: summary[key] for key in KEYS}
+
+
+def impossible(_):
+    raise InputError("there is no model")
+
+
+def broken(known):
+    compensator = METHODS["none"](known)
+    compensator.step = lambda *_: 1 / 0
+    return compensator
+
+
+def test_the_first_rig_gives_what_simulate_gives():
+    tournament = make_tournament(load(), ["none", "restoring"], [0.5], rigs=1)
+    runs = run_all(tournament)
+    assert [run.entry for run in runs] == [Entry(0.5, 0, "none"), Entry(0.5, 0, "restoring")]
+    for run in runs:
+        words = (
+            "reference_force:mass_ratio:=0.5",
+            f"reference_force:compensation.method:={run.entry.method}",
+        )
+        assert run.summary == simulated(load(*words))
+
+
+def test_a_perturbed_rig_is_tested_with_the_configured_model_against_its_own_structure():
+    tournament = make_tournament(load(*DELAY), ["none"], [0.5], rigs=3, spread=0.3)
+    run = run_all(tournament)[2]
+    rig = tournament.rigs[2]
+    assert rig["specimen.mass"] != 52.7
+    words = (
+        *DELAY,
+        "reference_force:mass_ratio:=0.5",
+        *(
+            f"reference_force:model.{name}:={value!r}"
+            for name, value in (("mass", 52.7), ("damping", 800.3), ("stiffness", 2.11e5))
+        ),
+        "ground_motion:mass:=52.7",
+        *(
+            f"rig:{name}:={rig[name]!r}"
+            for name in ("seed", *(row for row in rig if row.startswith("specimen.")))
+            if not isinstance(rig[name], str)
+        ),
+        f"rig:actuator.delay:={rig['actuator.delay']!r}",
+        f"rig:actuator.friction:={rig['actuator.friction']!r}",
+    )
+    assert run.summary == simulated(load(*words))
+
+
+def test_the_model_stays_the_configured_one_where_it_follows_from_the_rig(tmp_path):
+    text = JHU.read_text()
+    start, end = text.index("    model:"), text.index("    compensation:")
+    (tmp_path / "bare.yaml").write_text(text[:start] + text[end:])
+    tournament = make_tournament(Experiment.load(TABLES, [tmp_path / "bare.yaml"]), rigs=4)
+    believed = [
+        tournament.experiment_of(Entry(0.0, rig, "none"))["reference_force"] for rig in range(4)
+    ]
+    assert all(section == believed[0] for section in believed)
+    assert believed[0]["model.mass"] == 52.7
+
+
+def test_all_methods_meet_the_same_rigs_on_the_same_motion():
+    tournament = make_tournament(load(), mass_ratios=[0.5, 1.0], rigs=3)
+    assert tournament.methods == tuple(METHODS)
+    for rig in range(3):
+        experiments = [
+            tournament.experiment_of(Entry(ratio, rig, method))
+            for ratio in (0.5, 1.0)
+            for method in METHODS
+        ]
+        for node in ("rig", "ground_motion", "force_controller"):
+            assert all(own[node] == experiments[0][node] for own in experiments)
+        assert experiments[0]["rig"] == tournament.rigs[rig]
+
+
+def test_results_do_not_depend_on_the_number_of_workers():
+    tournament = make_tournament(load(), ["none", "restoring"], [0.5, 1.5], rigs=2)
+    told = []
+    runs = run_all(tournament, 2, lambda what, done: told.append((what, done)))
+    assert runs == run_all(tournament, 1)
+    assert [done for _, done in told] == list(range(1, 1 + count_calculations(tournament)))
+    assert told[-1][0] == "mass ratio 1.5, rig 1, restoring"
+
+
+def test_a_rig_is_the_same_however_many_there_are():
+    few, many = (make_tournament(load(), ["none"], rigs=rigs) for rigs in (2, 5))
+    assert many.rigs[:2] == few.rigs
+
+
+def test_a_method_that_can_not_be_set_up_is_left_out_and_the_others_go_on(monkeypatch):
+    monkeypatch.setitem(METHODS, "impossible", impossible)
+    tournament = make_tournament(load(), ["impossible", "none"], [0.5])
+    assert tournament.not_possible == {(0.5, "impossible"): "there is no model"}
+    assert tournament.entries() == [Entry(0.5, 0, "none")]
+    with pytest.raises(InputError, match="no method is possible: there is no model"):
+        make_tournament(load(), ["impossible"])
+
+
+@pytest.mark.parametrize(
+    ("method", "told"), [("nome", "did you mean none"), ("smyth", "must be one of none")]
+)
+def test_an_unknown_method_is_refused(method, told):
+    with pytest.raises(InputError, match=told):
+        make_tournament(load(), [method])
+
+
+@pytest.mark.parametrize("ratio", [-1.0, float("nan"), float("inf")])
+def test_a_mass_ratio_out_of_bounds_is_refused(ratio):
+    with pytest.raises(InputError, match="mass_ratio is"):
+        make_tournament(load(), ["none"], [ratio])
+
+
+def test_an_experiment_that_makes_no_test_is_refused_before_any_method_is_blamed():
+    with pytest.raises(InputError, match="denominator is zero"):
+        make_tournament(load("force_controller:denominator:=0"))
+
+
+def test_a_method_that_breaks_is_told_with_its_test(monkeypatch):
+    monkeypatch.setitem(METHODS, "broken", broken)
+    tournament = make_tournament(load(), ["none", "broken"], [0.5], rigs=2)
+    with pytest.raises(ExperimentError) as caught:
+        run_all(tournament)
+    assert str(caught.value) == "mass ratio 0.5, rig 0, broken: ZeroDivisionError: division by zero"
+
+
+def test_the_cost_is_that_of_the_compensator_alone(monkeypatch):
+    def slow(known):
+        compensator = METHODS["none"](known)
+        quick = compensator.step
+
+        def step(*arguments):
+            end = time.perf_counter() + 200e-6
+            while time.perf_counter() < end:
+                pass
+            return quick(*arguments)
+
+        compensator.step = step
+        return compensator
+
+    monkeypatch.setitem(METHODS, "slow", slow)
+    tournament = make_tournament(load(), ["none", "slow"], [1.0])
+    assert step_cost(tournament, 1.0, "slow") >= 200e-6
+    assert step_cost(tournament, 1.0, "none") > 0

@@ -1,0 +1,80 @@
+import multiprocessing
+import operator
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from seft_msgs_py.errors import ExperimentError
+from seft_ros.tournament.workers import free_cores, parallel_map
+
+KILLED = """
+import os, signal
+from seft_ros.tournament.workers import parallel_map
+with parallel_map(2) as map_:
+    print(*map_(eval, ["__import__('os').getpid()"]), flush=True)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_results_keep_their_order():
+    with parallel_map(1) as map_:
+        assert list(map_(pow, [2, 3, 4], [3, 2, 1])) == [8, 9, 4]
+    with parallel_map(2) as map_:
+        assert list(map_(pow, [2, 3, 4], [3, 2, 1])) == [8, 9, 4]
+    assert multiprocessing.active_children() == []
+    assert free_cores() >= 1
+
+
+def test_workers_have_one_thread_for_linear_algebra_and_are_deaf_to_ctrl_c():
+    with parallel_map(2) as map_:
+        assert list(map_(os.getenv, ["OPENBLAS_NUM_THREADS"])) == [
+            os.environ["OPENBLAS_NUM_THREADS"]
+        ]
+        (mask,) = map_(signal.pthread_sigmask, [signal.SIG_BLOCK], [()])
+    assert signal.SIGINT in mask
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
+def test_an_error_in_a_worker_comes_through_and_ends_them_all():
+    with pytest.raises(ZeroDivisionError), parallel_map(2) as map_:
+        list(map_(operator.truediv, [1, 1], [0, 1]))
+    assert multiprocessing.active_children() == []
+
+
+def test_a_worker_that_dies_is_told():
+    with pytest.raises(ExperimentError, match="worker died"), parallel_map(2) as map_:
+        list(map_(os._exit, [3]))
+    assert multiprocessing.active_children() == []
+
+
+def test_an_interruption_stops_calculations_that_are_under_way():
+    with pytest.raises(KeyboardInterrupt), parallel_map(2) as map_:
+        assert next(map_(pow, [2], [3])) == 8  # one is up
+        map_(time.sleep, [1000.0] * 6)
+        raise KeyboardInterrupt
+    assert multiprocessing.active_children() == []
+
+
+def test_workers_end_with_a_parent_that_is_killed():
+    ended = subprocess.run(
+        [sys.executable, "-c", KILLED], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert ended.returncode == -signal.SIGKILL
+    assert not is_running(int(ended.stdout))
+
+
+def is_running(pid):
+    """Whether a process still runs after some seconds; one that nobody waited for does not."""
+    for _ in range(200):
+        try:
+            state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+        except (FileNotFoundError, ProcessLookupError):
+            return False
+        if state == "Z":
+            return False
+        time.sleep(0.05)
+    return True

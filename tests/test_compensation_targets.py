@@ -1,0 +1,108 @@
+"""What preview_inverse must reach on the paper's rig: noise on, valve within 10 V, no shift.
+
+Peak forces are the largest that the valve serves at these mass ratios. The model's stiffness is
+20 % off and its damping twice or half at the start.
+"""
+
+import numpy as np
+import pytest
+from graph_tools import JHU, ROOT
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.parameter_file import parse_override
+from seft_msgs_py.topics import VALVE_COMMAND
+from seft_ros.analysis.summary import summarise
+from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.offline import simulate
+from seft_ros.experiment.tables import TABLES
+
+RECORDS = ROOT.parent / "shared" / "data"
+FILES = {"Kobe JMA": "kobe_jma_1995.txt", "El Centro": "elcentro_1940.txt"}
+STIFFNESS, DAMPING = 2.11e5, 800.3
+WRONG = [(0.8, 2.0), (1.2, 0.5)]  # factors on stiffness and damping
+KOBE = {  # mass ratio: peak force (N), largest error
+    0.5: (500.0, 0.0125),  # 0.006 of it is the sensor's noise
+    1.0: (500.0, 0.010),
+    1.5: (400.0, 0.015),
+    3.0: (250.0, 0.020),
+    5.0: (180.0, 0.030),
+    10.0: (120.0, 0.050),
+}
+OTHERS = KOBE | {0.5: (450.0, 0.0125), 1.0: (330.0, 0.0125)}  # the valve's peak comes earlier
+
+
+def run(motion, mass_ratio, peak_force, *words):
+    """Summary of a test, and its largest valve command."""
+    if motion in FILES:
+        file = RECORDS / FILES[motion]
+        if not file.is_file():
+            pytest.skip("no real record here")
+        record = (
+            f"ground_motion:file:={file}",
+            "ground_motion:unit:=cm/s2",
+            "ground_motion:dt:=0.005",
+        )
+    else:
+        record = ("ground_motion:synthetic.duration:=16.0", "ground_motion:tail:=1.0")
+    given = (
+        *record,
+        "reference_force:compensation.method:=preview_inverse",
+        f"reference_force:mass_ratio:={mass_ratio}",
+        f"ground_motion:peak_force:={peak_force}",
+        *words,
+    )
+    experiment = Experiment.load(TABLES, [JHU], [parse_override(word) for word in given])
+    result = simulate(experiment, build_blocks(experiment))
+    return summarise(result), np.abs(result.series[VALVE_COMMAND.name].values).max()
+
+
+def believed(stiffness, damping):
+    return (
+        f"reference_force:model.stiffness:={stiffness * STIFFNESS}",
+        f"reference_force:model.damping:={damping * DAMPING}",
+    )
+
+
+def check(motion, mass_ratio, table, factors):
+    peak_force, most = table[mass_ratio]
+    summary, volts = run(motion, mass_ratio, peak_force, *believed(*factors))
+    assert summary["stable"] and not summary["saturated"] and volts < 10.0
+    assert summary["displacement"]["nrmse"] < most
+    assert abs(summary["displacement"]["delay_s"]) < 3e-4
+    stiffness = summary["estimates"]["stiffness"]["x"]
+    assert stiffness["first"] == factors[0] * STIFFNESS
+    assert stiffness["last"] == pytest.approx(STIFFNESS, rel=0.02)
+    assert summary["estimates"]["damping"]["x"]["last"] == pytest.approx(DAMPING, rel=0.1)
+
+
+@pytest.mark.parametrize("factors", WRONG)
+@pytest.mark.parametrize("mass_ratio", KOBE)
+def test_kobe_with_a_wrong_model(mass_ratio, factors):
+    check("Kobe JMA", mass_ratio, KOBE, factors)
+
+
+@pytest.mark.parametrize("mass_ratio", OTHERS)
+def test_el_centro_with_a_wrong_model(mass_ratio):
+    check("El Centro", mass_ratio, OTHERS, (0.8, 0.5))
+
+
+@pytest.mark.parametrize("factors", WRONG)
+@pytest.mark.parametrize("mass_ratio", OTHERS)
+def test_a_synthetic_motion_with_a_wrong_model(mass_ratio, factors):
+    check("synthetic", mass_ratio, OTHERS, factors)
+
+
+@pytest.mark.parametrize(
+    ("kind", "mass_ratio", "peak_force"),
+    [("bouc_wen", 1.0, 500.0), ("bouc_wen", 3.0, 250.0), ("bilinear", 3.0, 250.0)],
+)
+def test_a_yielding_specimen_at_a_ductility_of_about_four_on_kobe(kind, mass_ratio, peak_force):
+    summary, volts = run(
+        "Kobe JMA",
+        mass_ratio,
+        peak_force,
+        f"rig:specimen.kind:={kind}",
+        "rig:specimen.yield_displacement:=0.0038",
+    )
+    assert 3.0 < summary["displacement"]["reference_peak"] / 0.0038 < 5.5
+    assert summary["stable"] and volts < 10.0
+    assert summary["displacement"]["nrmse"] < 0.05
