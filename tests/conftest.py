@@ -11,13 +11,15 @@ import pytest
 from graph_tools import JHU, PATIENCE
 from seft_ros.running.processes import MODULES
 
-_domains = itertools.count(101 + os.getpid() % 50)
+_WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+_domains = itertools.count(os.getpid() % 50)
 
 
 @pytest.fixture
 def domain(monkeypatch):
     """A ROS domain that no other test uses."""
-    number = 101 + next(_domains) % 100
+    # below the range of passing ports, and each of two workers its own half
+    number = 1 + 50 * (_WORKER % 2) + next(_domains) % 50
     monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
     return number
 

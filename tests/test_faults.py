@@ -5,7 +5,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from graph_tools import JHU, PATIENCE, children, kill, wait_for
+from graph_tools import JHU, PATIENCE, STALLS_ALLOWED, children, kill, wait_for
 from seft_ros.recording.bag_reader import read_bag
 
 LONG = ("-p", "ground_motion:synthetic.duration:=200.0")
@@ -16,7 +16,8 @@ def running(start, tmp_path):
     """A `seft run` that has been under way for a while, and its node processes."""
 
     def launch(*words):
-        process = start("seft_ros.commands.main", "run", JHU, *LONG, *words, "--out", "bag")
+        words = (*LONG, *STALLS_ALLOWED, *words)
+        process = start("seft_ros.commands.main", "run", JHU, *words, "--out", "bag")
         wait_for(lambda: (tmp_path / "bag").exists(), "the bag")
         wait_for(lambda: bag_size(tmp_path / "bag") > 200_000, "some data in it")
         nodes = wait_for(lambda: children(process.pid), "the nodes")

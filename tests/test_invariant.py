@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from graph_tools import JHU
+from graph_tools import JHU, STALLS_ALLOWED
 from seft_ros.recording.bag_reader import read_bag
 
 SHORT = ("-p", "ground_motion:synthetic.duration:=5.0", "-p", "ground_motion:tail:=0.5")
@@ -82,7 +82,7 @@ def test_estimates_over_dds_are_those_of_the_offline_loop(seft_json, tmp_path):
 
 @pytest.mark.parametrize("experiment", [EXPERIMENTS["servo_hydraulic"], ESTIMATED_DELAY])
 def test_realtime_differs_only_from_the_first_missed_command_on(seft_json, tmp_path, experiment):
-    words = (JHU, *SHORT, *experiment)
+    words = (JHU, *SHORT, *STALLS_ALLOWED, *experiment)
     seft_json("simulate", *words, "--out", "simulated")
     realtime = seft_json("run", *words, "--out", "realtime")
     compared = seft_json("compare", "simulated", "realtime", status=None)
@@ -93,7 +93,7 @@ def test_realtime_differs_only_from_the_first_missed_command_on(seft_json, tmp_p
         first_missed = read_bag(tmp_path / "realtime").missed_steps[0]
         assert compared["first_difference"]["step"] > first_missed
     assert realtime["steps"] == 1501
-    assert realtime["realtime_factor"] == pytest.approx(1.0, abs=0.05)
+    assert realtime["realtime_factor"] < 1.05  # less where the machine stood still
 
 
 def test_a_trip_ends_all_three_ways_of_running_at_the_same_sample(seft_json):

@@ -6,7 +6,7 @@ import random
 import signal
 
 import pytest
-from graph_tools import PATIENCE, wait_for
+from graph_tools import PATIENCE, STALLS_ALLOWED, wait_for
 from seft_ros.recording.bag_reader import read_bag
 from seft_ros.running.observer import Observer
 from seft_ros.running.processes import MODULES
@@ -85,7 +85,7 @@ def test_nodes_of_different_rates_do_not_start(start_node, observer):
 
 def test_a_test_is_stopped_by_the_operator(start_node, observer, tmp_path):
     for node in MODULES:
-        start_node(node)
+        start_node(node, STALLS_ALLOWED[1])
     wait_for(is_in_state(observer, "ready"), "ready")
     assert observer.call("start")[0]
     wait_for(lambda: (observer.spin(0.05), observer.time_ns > 10**9)[1], "a second of the test")
@@ -106,14 +106,15 @@ def test_a_node_tells_a_wrong_parameter_in_one_line(start_node, node):
 
 
 def test_a_rig_that_comes_back_in_the_middle_of_a_test_stays_at_rest(start_node, observer):
-    nodes = {node: start_node(node, "supervisor:watchdog.peer_timeout:=60.0") for node in MODULES}
+    overrides = ("supervisor:watchdog.peer_timeout:=60.0", STALLS_ALLOWED[1])
+    nodes = {node: start_node(node, *overrides) for node in MODULES}
     wait_for(is_in_state(observer, "ready"), "ready")
     assert observer.call("start")[0]
     wait_for(lambda: (observer.spin(0.05), observer.time_ns > 10**9)[1], "a second of the test")
     nodes["rig"].kill()
     nodes["rig"].wait()
     reached = observer.time_ns
-    second = start_node("rig")
+    second = start_node("rig", *overrides)
     observer.time_ns = 0
     log = second.stderr.fileno()
     os.set_blocking(log, False)

@@ -26,6 +26,7 @@ from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
+from seft_msgs_py.claim import claim
 from seft_msgs_py.ending import ending_within
 from seft_msgs_py.errors import InputError, SeftError, WireError
 from seft_msgs_py.experiment import Experiment
@@ -90,6 +91,7 @@ class NodeShell:
             self.name,
             parameter_overrides=[RosParameter(name, value=v) for name, v in section.items()],
         )
+        self._claim = claim(self.node.context.get_domain_id(), self.node.get_fully_qualified_name())
         for row in table.rows.values():
             self.node.declare_parameter(row.name, section[row.name], parameter_descriptor(row))
         self._group = LoopCallbackGroup()

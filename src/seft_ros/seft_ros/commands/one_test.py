@@ -1,6 +1,5 @@
 """One test that a command makes, alone or of several, offline or over DDS, and its bag."""
 
-import signal
 from collections.abc import Collection
 from pathlib import Path
 
@@ -52,18 +51,17 @@ def dds_test(
         If the run broke; what was recorded is kept.
     """
     from seft_ros.recording.bag_reader import read_bag
+    from seft_ros.running.interruption import Interruption
     from seft_ros.running.run import run_experiment
 
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: end in order
-    with step_progress(steps) as show:
+    with step_progress(steps) as show, Interruption() as interruption:
+
+        def tell(what: str, done: int) -> None:
+            interruption.check()
+            show(f"{label}{what}", done)
+
         try:
-            finished = run_experiment(
-                experiment,
-                bag,
-                lambda what, done: show(f"{label}{what}", done),
-                pin=pin,
-                external=external,
-            )
+            finished = run_experiment(experiment, bag, tell, pin=pin, external=external)
         except KeyboardInterrupt:
             kept = f"; what was recorded is in {bag}" if bag.exists() else ""
             raise ExperimentError(f"{label}interrupted{kept}") from None

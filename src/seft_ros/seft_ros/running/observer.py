@@ -7,6 +7,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from seft_msgs_py.claim import is_claimed
 from seft_msgs_py.errors import ExperimentError
 from seft_msgs_py.ros_types import message_class, qos_profile
 from seft_msgs_py.topics import CLOCK_TOPIC, DIAGNOSTICS, EXPERIMENT_STATE, NODES
@@ -75,9 +76,10 @@ class Observer:
             self._node.destroy_client(client)
 
     def present(self) -> list[str]:
-        """Names of a test's nodes that are on the graph."""
+        """Names of a test's nodes that are on the graph, or on this host and not yet found."""
         found = set(self._node.get_node_names())
-        return [node for node in NODES if node in found]
+        domain = self._node.context.get_domain_id()
+        return [node for node in NODES if node in found or is_claimed(domain, f"/{node}")]
 
     def twins(self) -> list[str]:
         """Names of a test's nodes that are on the graph more than once."""

@@ -1,0 +1,48 @@
+"""Ctrl-C and SIGTERM, taken where they can be answered."""
+
+import signal
+from types import FrameType, TracebackType
+from typing import Self
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Interruption:
+    """Remembers the first Ctrl-C or SIGTERM until it is asked for; the second one acts at once.
+
+    An exception that a handler raises comes out wherever the program happens to be; within a
+    callback that C++ code has called, it is lost, and the test goes on.
+    """
+
+    def __init__(self) -> None:
+        self._seen = False
+        self._before: dict[int, object] = {}
+
+    def __enter__(self) -> Self:
+        self._before = {number: signal.signal(number, self._remember) for number in SIGNALS}
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)  # type: ignore[arg-type]
+
+    def check(self) -> None:
+        """Give way to what was asked for.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If a signal came.
+        """
+        if self._seen:
+            raise KeyboardInterrupt
+
+    def _remember(self, number: int, frame: FrameType | None) -> None:
+        if self._seen:
+            raise KeyboardInterrupt
+        self._seen = True
