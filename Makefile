@@ -33,7 +33,7 @@ test: $(READY) ## all checks: lint, format, types, tests (CI runs the same)
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/pytest src -n 2
-	$(BIN)/pytest tests
+	$(BIN)/pytest tests -n 2
 
 bench: $(READY) ## every benchmark in bench, one after another
 	@failed=; for file in $(sort $(wildcard bench/[!_]*.py)); do \

@@ -124,19 +124,17 @@ def test_the_fixed_method_is_its_equations(nominal):
     np.testing.assert_allclose(forces, exact, atol=1e-9 * np.abs(exact).max())
 
 
+@pytest.mark.parametrize("mends", [False, True])
 @pytest.mark.parametrize("nominal", [{}, FELT])
-def test_its_steps_are_the_linear_filter_that_it_says_it_is(nominal):
-    one = PreviewFilter(told(**nominal), 0.3)
+def test_its_steps_are_the_linear_filter_that_it_says_it_is(nominal, mends):
+    one = PreviewFilter(told(**nominal), 0.3, mends)
     gain, advance = np.array([0.97, 1.02]), np.array([4e-4, -7e-4])
     motion, states = shaking(2, 200, one.preview)
     expected = run(LinearCompensator(one.linear(gain, advance)), motion, states)
     found = []
     for k, state in enumerate(states):
-        one.observe(state)
-        one.take_residual()
-        one.split()
-        target, rate = one.target(motion[k : k + 1 + one.preview])
-        found.append(one.command(gain * target - advance * rate, one.departure()))
+        one.observe(motion[k : k + 1 + one.preview], state)
+        found.append(one.command(gain * one.target - advance * one.rate))
     np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
 
 
@@ -149,26 +147,58 @@ def test_a_filter_is_asked_for_without_disturbing_the_test():
         for k, state in enumerate(states):
             if asking:
                 one.linear(np.ones(2), np.zeros(2))
-            one.observe(state)
-            one.take_residual()
-            one.split()
-            target, _ = one.target(motion[k : k + 1 + one.preview])
-            forces.append(one.command(target, one.departure()))
+            one.observe(motion[k : k + 1 + one.preview], state)
+            forces.append(one.command(one.target))
     np.testing.assert_array_equal(forces[:20], forces[20:])
 
 
-def test_what_the_rest_will_be_counts_only_where_it_differs_from_now():
-    one = PreviewFilter(told(**FELT), 0.3)
-    motion, states = shaking(2, 1, one.preview)
-    one.observe(states[0])
-    one.take_residual()
-    one.split()
-    kept = one.target(motion)
-    same = one.target(motion, np.tile(one.rest, 1 + one.preview))
-    np.testing.assert_allclose(same, kept, rtol=1e-12)
-    other = one.target(motion, np.tile(one.rest + 10.0, 1 + one.preview))
-    change = one.rest_gains.reshape(2, -1, 2).sum(axis=(1, 2)) * 10.0
-    np.testing.assert_allclose(other[0] - kept[0], change, rtol=1e-9)
+@pytest.mark.parametrize("nominal", [{}, FELT])
+def test_a_rest_that_others_tell_counts_as_one_that_it_follows_itself(nominal):
+    """Elastic, p stays what it is over the horizon; told the same, it asks for the same force."""
+    motion, states = shaking(2, 30, 200)
+    elastic, told_so = (PreviewFilter(told(**nominal), 5.0) for _ in range(2))
+    told_so.set_restoring(told_so.restoring, elastic=False)
+    steps = 1 + elastic.preview
+    for k, state in enumerate(states):
+        for one in (elastic, told_so):
+            one.observe(motion[k : k + steps], state)
+        told_so.rest[:] = elastic.rest
+        told_so.expect(np.tile(elastic.rest, steps))
+        np.testing.assert_allclose(told_so.departure, elastic.departure, rtol=1e-9, atol=1e-8)
+        expected = elastic.command(elastic.target)
+        np.testing.assert_allclose(told_so.command(told_so.target), expected, rtol=1e-9)
+
+
+def test_the_course_is_the_whole_structures_response_to_the_ground_motion():
+    known = told()
+    one = PreviewFilter(known, 0.3, mends=True)
+    motion, _ = shaking(2, 120, one.preview)
+    system = np.zeros((8, 8))
+    system[:2, 2:4] = np.eye(2)
+    pull = np.hstack([known.stiffness, known.damping])
+    system[2:4, :4], system[2:4, 4:6] = -np.linalg.solve(known.total_mass, pull), -np.eye(2)
+    system[4:6, 6:] = np.eye(2)
+    ahead, y = expm(system * DT), np.zeros(4)
+    for k in range(100):
+        one.observe(motion[k : k + 1 + one.preview], np.zeros((4, 2)))
+        one.rest[:] = 0.0  # as if the specimen did as the model says
+        one.command(one.target)
+        rate = (motion[k + 1] - motion[k]) / DT
+        y = (ahead @ np.concatenate([y, motion[k], rate]))[:4]
+        np.testing.assert_allclose(one.course, y, atol=1e-6 * np.abs(y).max())
+
+
+def test_a_course_that_begins_anew_begins_at_the_measured_motion():
+    one = PreviewFilter(told(), 0.3, mends=True)
+    motion, states = shaking(2, 3, one.preview)
+    for k in range(2):
+        one.observe(motion[k : k + 1 + one.preview], states[k])
+        one.command(one.target)
+    one.observe(motion[2 : 3 + one.preview], states[2])
+    one.begin_course()
+    free, by_rest, by_ground = one.prediction.course()
+    exact = free @ one.motion + by_rest @ one.rest + by_ground @ motion[2:4].ravel()
+    np.testing.assert_allclose(one.course, exact, rtol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -57,9 +57,9 @@ def response(spring, alpha, steps=4000):
 
 def follower(alpha=1.0, n=1):
     known = knowledge(alpha, n)
-    prediction = TargetPrediction(known, np.zeros((1, 1 + HORIZON)), None)
     restoring = np.hstack([known.stiffness, known.damping])
-    gains = prediction.displacements(restoring)
+    prediction = TargetPrediction(known, np.zeros((1, 1 + HORIZON)), None, restoring)
+    gains = prediction.displacements()
     return PlasticForce(np.full(n, K), np.full(n, NOISE), gains), np.zeros(n)
 
 
@@ -71,7 +71,7 @@ def test_the_tangent_is_that_of_the_spring(spring):
     plastic, rest = follower()
     slopes = []
     for y, exact in zip(path, p, strict=True):
-        plastic.update(y[:, None], rest, exact + rng.normal(0, np.sqrt(NOISE), 1))
+        plastic.update(y, rest, exact + rng.normal(0, np.sqrt(NOISE), 1))
         slopes.append(plastic.slope[0])
     exact = np.gradient(p, DT) / np.gradient(path[:, 0], DT)
     steady = np.convolve(np.abs(np.gradient(exact)) < 0.02 * K, np.ones(25) / 25, "same") > 0.99
@@ -88,7 +88,7 @@ def test_its_force_is_freed_of_noise(spring):
     plastic, rest = follower()
     errors = []
     for y, r, exact in zip(path, measured, p, strict=True):
-        plastic.update(y[:, None], rest, np.array([r]))
+        plastic.update(y, rest, np.array([r]))
         errors.append(rest[0] - exact)
     assert np.sqrt(np.mean(np.square(errors))) < 0.9 * np.sqrt(NOISE)
     assert np.abs(errors).max() < 0.02 * np.abs(p).max()
@@ -103,7 +103,7 @@ def test_the_coming_force_is_better_known_than_by_holding_what_is(spring, alpha)
     rng, (plastic, rest) = np.random.default_rng(3), follower(alpha)
     followed, held = [], []
     for k in range(250, len(p) - 1 - HORIZON):
-        y = path[k][:, None]
+        y = path[k]
         plastic.update(y, rest, p[k] + rng.normal(0, np.sqrt(NOISE), 1))
         coming = plastic.coming(y, rest, a_g[k : k + 1 + HORIZON])
         assert coming[0] == pytest.approx(rest[0], abs=1e-6)
@@ -118,7 +118,7 @@ def test_an_elastic_specimen_is_expected_to_stay_so():
     plastic, rest = follower()
     slopes = []
     for y in path:
-        plastic.update(y[:, None], rest, rng.normal(0, np.sqrt(NOISE), 1))
+        plastic.update(y, rest, rng.normal(0, np.sqrt(NOISE), 1))
         assert abs(rest[0]) < 5 * np.sqrt(NOISE)
         slopes.append(plastic.slope[0])
     assert np.sqrt(np.mean(np.square(slopes))) < 0.1 * K
@@ -130,21 +130,25 @@ def test_axes_are_followed_on_their_own():
     (both, rest), singles = follower(n=2), [follower() for _ in range(2)]
     a_g = np.random.default_rng(5).normal(0, 2.0, (1 + HORIZON, 2))
     for k, y in enumerate(paths):
-        both.update(y, rest, np.array([p[0][k], p[1][k]]))
-        found = both.coming(y, rest, a_g).reshape(-1, 2)
+        both.update(y.ravel(), rest, np.array([p[0][k], p[1][k]]))
+        found = both.coming(y.ravel(), rest, a_g).reshape(-1, 2)
         for axis, (one, own) in enumerate(singles):
             column = slice(axis, axis + 1)
-            one.update(y[:, column], own, p[axis][k : k + 1])
+            one.update(y[:, axis], own, p[axis][k : k + 1])
             np.testing.assert_allclose(rest[axis], own[0], rtol=1e-12, atol=1e-12)
-            alone = one.coming(y[:, column], own, a_g[:, column])
+            alone = one.coming(y[:, axis], own, a_g[:, column])
             np.testing.assert_allclose(found[:, axis], alone, rtol=1e-9, atol=1e-7)
 
 
-def run_correction(known, tangent, error, steps):
+def correction(known, factor=1.0):
+    return ForceErrorCorrection(known, factor * np.hstack([known.stiffness, known.damping]))
+
+
+def run_correction(known, slope, error, steps):
     """Forces by which a lasting force error is answered, shape (steps, n)."""
-    n, one = known.axes, ForceErrorCorrection(known)
-    zero = np.zeros(n)
-    return np.array([one.step(zero, error, zero, tangent) for _ in range(steps)])
+    n, one = known.axes, correction(known)
+    zero, still = np.zeros(n), np.zeros(2 * n)
+    return np.array([one.step(zero, error, still, zero, slope, zero).copy() for _ in range(steps)])
 
 
 @pytest.mark.parametrize("alpha", [0.0, 1.0, 3.0])
@@ -152,7 +156,7 @@ def run_correction(known, tangent, error, steps):
 def test_a_lasting_force_error_is_answered_as_its_equations_say(alpha, stiffness):
     """Exact deviation of the damped oscillator under a constant force, and its integral."""
     known, error = knowledge(alpha), 2.0
-    tangent = np.array([[stiffness, C]])
+    slope = np.array([stiffness - K])
     times = DT * np.arange(1, 401)
     total, force = M * (1 + alpha), (1 + alpha) * error
     roots = np.roots([total, C, stiffness]).astype(complex)
@@ -168,26 +172,37 @@ def test_a_lasting_force_error_is_answered_as_its_equations_say(alpha, stiffness
         d = force / C * (times - total / C * (1 - fade))
     w = 2 * np.pi * 4.0
     exact = M * (w * w * d + 2 * w * rate)
-    found = run_correction(known, tangent, np.array([error]), 400)[:, 0]
+    found = run_correction(known, slope, np.array([error]), 400)[:, 0]
     # integral of w e, within a tenth of the largest restoring force so far: none
     np.testing.assert_allclose(found, exact, atol=0.02 * np.abs(exact).max())
 
 
 def test_the_integral_of_the_error_ends_at_a_tenth_of_the_restoring_force():
-    one = ForceErrorCorrection(knowledge(1.0))
-    stiff = np.array([[10 * K, 10 * C]])  # lets the specimen hardly deviate
+    one = correction(knowledge(1.0), 10.0)  # stiff: the specimen hardly deviates
     share, error, pull = 0.5, 5.0, np.array([200.0])
-    answers = [one.step(np.zeros(1), share * pull + error, pull, stiff)[0] for _ in range(500)]
+    zero, still = np.zeros(1), np.zeros(2)
+    answers = [one.step(zero, share * pull + error, still, pull, zero, zero)[0] for _ in range(500)]
     assert answers[20] == pytest.approx(21 * 2 * np.pi * 4.0 * DT * error, abs=0.5)
     assert answers[-1] == pytest.approx(0.1 * pull[0], abs=0.5)
 
 
+def test_a_deviation_of_the_loop_is_followed_where_it_lasts():
+    one, zero = correction(knowledge(1.0, n=2)), np.zeros(2)
+    answers = [
+        one.step(zero, zero, np.zeros(4), zero, zero, np.array([7.0, -3.0])).copy()
+        for _ in range(200)
+    ]
+    exact = 1.0 - np.exp(-2 * np.pi * 6.0 * DT * np.arange(1, 201))
+    np.testing.assert_allclose(answers, np.outer(exact, [7.0, -3.0]), rtol=1e-9)
+
+
 def test_without_force_errors_nothing_is_mended():
     rng, known = np.random.default_rng(6), knowledge(3.0, n=2)
-    one = ForceErrorCorrection(known)
-    tangent = np.hstack([known.stiffness, known.damping])
-    share = 0.75
+    one = correction(known)
+    restoring, share = np.hstack([known.stiffness, known.damping]), 0.75
     for _ in range(50):
-        a_g, r = rng.normal(size=2), 300 * rng.normal(size=2)
-        force = -M * a_g + share * r
-        np.testing.assert_allclose(one.step(a_g, force, r, tangent), 0.0, atol=1e-8)
+        a_g, rest, slope = rng.normal(size=(3, 2)) * [[1.0], [300.0], [K]]
+        motion = rng.normal(size=4) * 1e-3
+        force = -M * a_g + share * (restoring @ motion + rest)
+        mended = one.step(a_g, force, motion, rest, slope, np.zeros(2))
+        np.testing.assert_allclose(mended, 0.0, atol=1e-8)

@@ -56,7 +56,9 @@ def test_the_weighted_target_is_that_of_the_whole_structure(n, varying, felt):
     weights = np.random.default_rng(n).normal(size=(2, 1 + HORIZON))
     motion, ground_motion, rest = draw(n)
     rest = rest if varying else np.tile(rest[0], (1 + HORIZON, 1))
-    from_motion, from_ground, from_rest = TargetPrediction(known, weights, nominal).gains(restoring)
+    from_motion, from_ground, from_rest = TargetPrediction(
+        known, weights, nominal, restoring
+    ).gains()
     found = from_motion @ motion + from_ground @ ground_motion.ravel() + from_rest @ rest.ravel()
 
     path = coming(known, restoring, motion, ground_motion, rest)
@@ -72,7 +74,7 @@ def test_the_weighted_target_is_that_of_the_whole_structure(n, varying, felt):
 def test_the_coming_displacements_are_those_of_the_whole_structure(n):
     known, restoring = structure(n, seed=n + 10)
     motion, ground_motion, rest = draw(n)
-    gains = TargetPrediction(known, np.zeros((1, 1 + HORIZON)), None).displacements(restoring)
+    gains = TargetPrediction(known, np.zeros((1, 1 + HORIZON)), None, restoring).displacements()
     from_motion, from_ground, from_rest = gains
     found = from_motion @ motion + from_ground @ ground_motion.ravel() + from_rest @ rest.ravel()
     exact = coming(known, restoring, motion, ground_motion, rest)[:, :n]
@@ -83,6 +85,6 @@ def test_without_computed_mass_nothing_but_the_ground_motion_counts():
     known, restoring = structure(2, seed=4)
     known = Knowledge(known.mass, 0 * known.mass, known.damping, known.stiffness, DT, {})
     weights = np.random.default_rng(1).normal(size=(1, 1 + HORIZON))
-    motion, ground_motion, rest = TargetPrediction(known, weights, None).gains(restoring)
+    motion, ground_motion, rest = TargetPrediction(known, weights, None, restoring).gains()
     assert not motion.any() and not rest.any()
     np.testing.assert_allclose(ground_motion, -np.kron(weights, known.mass))

@@ -18,12 +18,11 @@ from seft_ros.reference_force.compensation.preview.tracking_identification impor
 Floats = npt.NDArray[np.float64]
 
 _BIAS_CORNER, _BIAS_CORNER_ADAPTIVE = 30.0, 0.3  # Hz
-_EVERY = 10  # steps between looks whether the gains are still those of the specimen
-_NOTICEABLE = 5e-4  # relative change of stiffness or damping
+_NOTICEABLE = 2e-3  # relative change of stiffness or damping
+_ANOTHER = 0.01  # likewise: a specimen that hardly is the same
 _YIELD_SIGMAS = 5.0
 _YIELD_SHARE = 0.03  # of the largest restoring force so far
 _YIELD_SMOOTHING = 0.3  # part of a new sample in the error that is looked at
-_DISTURBANCE_CORNER = 6.0  # Hz
 
 
 def preview_inverse(knowledge: Knowledge) -> Compensator:
@@ -60,7 +59,7 @@ class AdaptivePreviewInverse:
 
     def __init__(self, knowledge: Knowledge) -> None:
         self._knowledge = knowledge
-        self._filter = PreviewFilter(knowledge, _BIAS_CORNER_ADAPTIVE)
+        self._filter = PreviewFilter(knowledge, _BIAS_CORNER_ADAPTIVE, mends=True)
         self.preview = self._filter.preview
         noise = self._filter.restoring_noise
         self._noise = noise
@@ -75,7 +74,6 @@ class AdaptivePreviewInverse:
         self._tracking = TrackingIdentification(
             knowledge.axes, noise + self._filter.noise.force**2, knowledge.dt
         )
-        self._smoothing = 1.0 - np.exp(-2 * np.pi * _DISTURBANCE_CORNER * knowledge.dt)
         self.reset()
 
     def reset(self) -> None:
@@ -85,34 +83,28 @@ class AdaptivePreviewInverse:
         self._specimen.reset()
         self._tracking.reset()
         self._filter.set_restoring(self._specimen.restoring)
-        self._step = 0
         self._error, self._largest = [0.0] * n, [0.0] * n
-        self._disturbance = np.zeros(n)
         self._plastic: PlasticForce | None = None
-        self._correction: ForceErrorCorrection | None = None
 
     def step(self, ground_motion: Floats, state: Floats) -> Floats:
         """Compute the reference force of one step, see `Compensator.step`."""
         known, tracking = self._filter, self._tracking
-        known.observe(state)
+        known.observe(ground_motion, state)
         if self._plastic is None:
             self._identify()
-        known.take_residual()
-        if self._plastic is None:
-            known.split()
-        else:
-            self._plastic.update(known.motion, known.rest, known.residual)
-        departure = known.departure()
-        deviation = tracking.deviation(known.model_force, state[3] + departure)
-        if self._plastic is None:
+            tracking.deviation(known.model_force, state[3] + known.departure)
             tracking.update(self._specimen.variance)
-            target, rate = known.target(ground_motion)
-            target = (1.0 - tracking.gain) * target - tracking.advance * rate
+            target = (1.0 - tracking.gain) * known.target - tracking.advance * known.rate
         else:  # the loop is taken as it was identified
-            coming = self._plastic.coming(known.motion, known.rest, ground_motion)
-            target = known.target(ground_motion, coming)[0]
-            target -= known.reach * self._mending(ground_motion[0], state[3], deviation)
-        return known.command(target, departure)
+            motion, rest, plastic = known.motion, known.rest, self._plastic
+            plastic.update(motion, rest, known.residual)
+            known.expect(plastic.coming(motion, rest, ground_motion))
+            force = state[3]
+            deviation = force + known.departure - known.model_force
+            target = known.target - known.reach * self._correction.step(
+                ground_motion[0], force, motion, rest, plastic.slope, deviation
+            )
+        return known.command(target)
 
     def estimates(self) -> dict[str, Floats]:
         """Estimates of each axis.
@@ -137,20 +129,24 @@ class AdaptivePreviewInverse:
     def _identify(self) -> None:
         """Learn of the specimen; see whether it yields."""
         known, specimen = self._filter, self._specimen
-        specimen.step(known.motion.reshape(-1), known.restoring_force)
-        self._step += 1
-        if self._step % _EVERY == 0:
+        if specimen.step(known.motion, known.restoring_force):
             restoring, used = specimen.bounded(), known.restoring
-            if (np.abs(restoring - used) > _NOTICEABLE * np.abs(restoring).max(axis=0)).any():
+            change, largest = np.abs(restoring - used), np.abs(restoring).max(axis=0)
+            if (change > _NOTICEABLE * largest).any():
                 known.set_restoring(restoring)
-        if self._yields(known.restoring_force.tolist()):
+            if (change > _ANOTHER * largest).any():  # its course would have been another
+                known.begin_course()
+        if self._yields():
             self._follow_yielding()
 
-    def _yields(self, restoring_forces: list[float]) -> bool:
+    def _yields(self) -> bool:
         """Tell whether a restoring force is far from any that an elastic specimen might have."""
-        specimen, seen = self._specimen, False
+        known, seen = self._filter, False
         of_axes = zip(
-            restoring_forces, specimen.error.tolist(), specimen.variance.tolist(), strict=True
+            known.restoring_force.tolist(),
+            known.residual.tolist(),
+            self._specimen.variance.tolist(),
+            strict=True,
         )
         for axis, (force, error, variance) in enumerate(of_axes):
             self._error[axis] += _YIELD_SMOOTHING * (error - self._error[axis])
@@ -166,24 +162,12 @@ class AdaptivePreviewInverse:
         to small forces.
         """
         known = self._filter
-        known.set_restoring(self._specimen.bounded())
-        known.take_residual()
+        known.set_restoring(self._specimen.bounded(), elastic=False)
         known.rest[:] = known.residual
         self._tracking.reset()
-        self._tangent, self._elastic = known.restoring.copy(), known.restoring.diagonal().copy()
+        self._correction = ForceErrorCorrection(self._knowledge, known.restoring)
         self._plastic = PlasticForce(
-            self._elastic,
+            known.restoring.diagonal(),
             self._noise,
-            known.prediction.displacements(known.restoring),
+            known.prediction.displacements(),
         )
-        self._correction = ForceErrorCorrection(self._knowledge)
-
-    def _mending(self, ground_motion: Floats, force: Floats, deviation: Floats) -> Floats:
-        """Force by which the target is lowered: the loop's disturbance and past errors."""
-        known = self._filter
-        assert self._plastic is not None and self._correction is not None
-        self._disturbance += self._smoothing * (deviation - self._disturbance)
-        np.fill_diagonal(self._tangent, self._elastic + self._plastic.slope)
-        restoring_force = known.restoring.dot(known.motion.reshape(-1)) + known.rest
-        error = self._correction.step(ground_motion, force, restoring_force, self._tangent)
-        return self._disturbance + error

@@ -8,7 +8,6 @@ from seft_ros.reference_force.compensation.preview.tangent_filter import Tangent
 Floats = npt.NDArray[np.float64]
 
 _SOFTEST = -0.97  # slope over stiffness at which softening is expected to end
-_PASSES = 2  # of the coming displacements and the forces that depend on them
 
 
 class PlasticForce:
@@ -34,12 +33,21 @@ class PlasticForce:
         n = len(stiffness)
         pairs = zip(stiffness.tolist(), noise.tolist(), strict=True)
         self._filters = [TangentFilter(*pair) for pair in pairs]
-        self._lowest, self._straight = _SOFTEST * stiffness, -1e-9 * stiffness
-        from_motion, from_ground_motion, self._from_rest = displacements
-        self._from_known = np.hstack([from_motion, from_ground_motion])
-        self._known = np.zeros(self._from_known.shape[1])
-        self._forces = np.zeros((len(from_motion) // n, n))
-        self.slope, self._bend = np.zeros((2, n))
+        self._bounds = [(_SOFTEST * k, -1e-9 * k) for k in stiffness.tolist()]
+        from_motion, from_ground_motion, from_rest = displacements
+        from_here = from_motion.copy()
+        from_here[:, :n] -= np.tile(np.eye(n), (len(from_motion) // n, 1))
+        self._ways = np.hstack([from_here, from_ground_motion, from_rest])
+        steps = from_rest.shape[1]
+        self._known = np.zeros(2 * n + 2 * steps)
+        self._motion, self._ground_motion = self._known[: 2 * n], self._known[2 * n : -steps]
+        self._flat_forces = self._known[-steps:]  # p on the way
+        self._forces = self._flat_forces.reshape(-1, n)
+        self._begun = False
+        self.slope = np.zeros(n)
+        # of the way ahead: its direction, slope and bend on it, and where the bend ends
+        self._direction, self._slope, self._bend, self._end = np.zeros((4, n))
+        self._softens = False
 
     def update(self, motion: Floats, rest: Floats, residual: Floats) -> None:
         """Take a sample in: p is corrected in place.
@@ -47,44 +55,53 @@ class PlasticForce:
         Parameters
         ----------
         motion : ndarray
-            Displacement and velocity, shape (2, n).
+            Displacement and velocity, shape (2n,).
         rest : ndarray
             p, shape (n,), N.
         residual : ndarray
             p as measured, shape (n,), N.
         """
-        samples = zip(*motion.tolist(), rest.tolist(), residual.tolist(), strict=True)
-        for axis, (own, sample) in enumerate(zip(self._filters, samples, strict=True)):
+        samples = zip(
+            *motion.reshape(2, -1).tolist(), rest.tolist(), residual.tolist(), strict=True
+        )
+        of_axes = zip(self._filters, self._bounds, samples, strict=True)
+        self._softens = False
+        for axis, (own, (lowest, straight), sample) in enumerate(of_axes):
             rest[axis] = own.step(*sample)
-            self.slope[axis], self._bend[axis] = own.slope, own.bend
+            slope = self.slope[axis] = own.slope
+            direction = -1.0 if sample[1] < 0.0 else 1.0
+            bend = own.bend * direction
+            if bend < straight:
+                self._softens = True
+            else:  # only softening is expected to go on
+                bend = straight
+            self._direction[axis], self._slope[axis] = direction, slope * direction
+            self._bend[axis], self._end[axis] = bend * direction, min(lowest - slope, 0.0) / bend
 
     def coming(self, motion: Floats, rest: Floats, ground_motion: Floats) -> Floats:
-        """Predict p over the horizon, shape ((1 + horizon) n,), N.
+        """Predict p over the horizon, shape ((1 + horizon) n,), N; valid until the next call.
 
-        Beyond the point where the specimen turns it stays as it was there.
+        Beyond the point where the specimen turns it stays as it was there. The way depends on
+        the forces and they on the way: those of the step before are the guess.
         """
         n = len(rest)
-        self._known[: 2 * n] = motion.reshape(-1)
-        self._known[2 * n :] = ground_motion.reshape(-1)
-        direction = np.where(motion[1] < 0.0, -1.0, 1.0)
-        elastic = self._from_known.dot(self._known).reshape(-1, n)
-        elastic -= motion[0]
-        # only softening is expected to go on
-        bend = np.minimum(self._bend * direction, self._straight)
-        end = np.minimum(self._lowest - self.slope, 0.0) / bend
-        slope, bend = self.slope * direction, bend * direction
+        self._motion[:] = motion
+        self._ground_motion[:] = ground_motion.reshape(-1)
         forces = self._forces
-        forces[:] = rest
-        for _ in range(_PASSES):
-            way = elastic + self._from_rest.dot(forces.reshape(-1)).reshape(-1, n)
-            way *= direction
-            np.maximum.accumulate(way, out=way)
-            bent = np.minimum(way, end)
-            forces[:] = way
-            forces *= slope
+        if self._begun:
+            forces[:-1] = forces[1:]
+        else:
+            forces[:] = rest
+            self._begun = True
+        way = self._ways.dot(self._known).reshape(-1, n)
+        way *= self._direction
+        np.maximum.accumulate(way, out=way)
+        np.multiply(way, self._slope, out=forces)
+        if self._softens:
+            bent = np.minimum(way, self._end)
             way -= 0.5 * bent
             way *= bent
-            way *= bend
+            way *= self._bend
             forces += way
-            forces += rest
-        return forces.reshape(-1).copy()
+        forces += rest
+        return self._flat_forces

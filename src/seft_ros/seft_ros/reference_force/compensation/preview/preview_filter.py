@@ -54,37 +54,46 @@ class PreviewFilter:
         What is known of the test.
     bias_corner : float
         Frequency up to which the restoring force is corrected by its measurement, Hz.
+    mends : bool
+        Whether a deviation from `course` is taken back. With it goes what noise does to the
+        specimen; the model must be that of the specimen.
 
     Attributes
     ----------
     restoring : ndarray
         (K, C) of the specimen as they are taken to be, shape (n, 2n); set by `set_restoring`.
-    motion, rest : ndarray
-        Filtered displacement and velocity, shape (2, n), and what of the restoring force is
-        beside K x + C v, p, shape (n,), as the last step had them.
-    residual : ndarray
-        Measured restoring force less K x + C v, shape (n,), N.
+    motion, rest, restoring_force, residual : ndarray
+        As the last step had them: filtered (x, v), shape (2n,); what of the restoring force is
+        beside K x + C v, p; the measured restoring force; and its part beside K x + C v; the
+        last three of shape (n,), N. To change p is to tell it.
+    course : ndarray
+        (x, v) that the whole structure, as it is taken to be, makes of the ground motion alone,
+        shape (2n,), for the step to come.
+    departure : ndarray
+        Force by which the specimen departs from that of the tracking model, shape (n,), N.
+    target, rate : ndarray
+        Weighted target and its weighted rate, shape (n,).
     model_force : ndarray
         Force that the tracking model expects of this step, shape (n,), N; with the specimen it
         was identified with.
     """
 
-    def __init__(self, knowledge: Knowledge, bias_corner: float) -> None:
+    def __init__(self, knowledge: Knowledge, bias_corner: float, mends: bool = False) -> None:
         options, dt, n = knowledge.options, knowledge.dt, knowledge.axes
-        self._axes, self._mass, dt = n, knowledge.mass, knowledge.dt
+        self._axes, self._mass, self._mends = n, knowledge.mass, mends
         self.noise = Noise.from_options(options)
         model = TrackingModel.from_options(options, dt)
         self.delay = model.delay(dt)
         self.preview = min(LONGEST_HORIZON, int(np.ceil((self.delay + HORIZON) / dt)))
         tracking = PreviewTracking.design(model, self.preview, min(CORNER * dt, HIGHEST_CORNER))
-        nominal = _nominal(options, n)
+        self._nominal = _nominal(options, n)
         weights = np.zeros((2, 1 + self.preview))  # of the target, and of its rate
         weights[0] = tracking.target
         weights[1, 1:] += tracking.target[:-1] / (2 * dt)
         weights[1, :-1] -= tracking.target[1:] / (2 * dt)
-        self.prediction = TargetPrediction(knowledge, weights, nominal)
+        restoring = np.hstack([knowledge.stiffness, knowledge.damping])
+        self.prediction = TargetPrediction(knowledge, weights, self._nominal, restoring)
         self.reach = float(tracking.target.sum())
-        self._nominal = nominal
         self._observe = motion_filter(
             dt, self.noise.position, self.noise.velocity, self.noise.acceleration
         )
@@ -92,6 +101,7 @@ class PreviewFilter:
         inertia = (np.diag(self._mass) * self.noise.acceleration) ** 2
         self.restoring_noise = self.noise.force**2 + inertia
         self._trust = _TRUST * self.noise.force**2 / self.restoring_noise
+        self._direct_by_rest = float(self._nominal is not None) - self._trust
         # the loop's states z and the last forces: one product gives u less the target's part
         size, past = len(model.a), len(tracking.past)
         self._loop = np.zeros((2 + size + past, size + past))
@@ -100,97 +110,135 @@ class PreviewFilter:
         self._loop[2 : 2 + size, :size] = model.a
         self._loop[3 + size :, size:-1] = np.eye(past - 1)
         self._drive = np.concatenate([model.b, np.eye(1, past)[0]])[:, np.newaxis]
-        # states, then the ground motion: from x on they give the target by one product
-        count = (size + past + 4) * n
-        work = np.zeros(count + (1 + self.preview) * n)
-        self._states, self._ground_motion = work[:count], work[count:].reshape(-1, n)
-        self._known = work[count - 4 * n :]
-        self._tracking = work[: count - 4 * n].reshape(-1, n)
-        self._kinematic = work[count - 4 * n : count - n].reshape(3, n)
-        self.rest = work[count - n : count]
-        self._measured = np.zeros((6, n))
-        self.motion = self._kinematic[:2]
-        self._flat_motion = self.motion.reshape(-1)
-        self.zero = np.zeros(n)
-        self.set_restoring(np.hstack([knowledge.stiffness, knowledge.damping]))
+        self._loop_result = np.zeros((len(self._loop), n))
+        self.model_force = self._loop_result[1]
+        # z, then what is kept of the specimen, then inputs: the last two give all by one product
+        self._work = np.zeros(((size + past) + 6 + 4 + 1 + self.preview) * n)
+        loop, rest = np.split(self._work, [(size + past) * n])
+        self._states = self._work[: len(loop) + 6 * n]
+        self._tracking, self._known = loop.reshape(-1, n), rest
+        self._kept = rest[: 6 * n]  # x, v, a, p and the course
+        self._kept_rest, self._kept_course = rest[3 * n : 4 * n], rest[4 * n : 6 * n]
+        self._measured = rest[6 * n : 10 * n].reshape(4, n)
+        self._ground_motion = rest[10 * n :].reshape(-1, n)
+        self._result = np.zeros(12 * n)
+        parts = np.split(self._result, n * np.array([2, 3, 4, 6, 7, 8, 9, 10, 11]))
+        self.motion, _, self.rest, self.course, *forces = parts
+        self.residual, self.restoring_force, self.departure, self.target, self.rate = forces[:5]
+        self._direct = forces[5]  # part of the reference force that passes the inverse by
+        self.set_restoring(restoring)
 
     def reset(self) -> None:
         """Forget the test so far, but not the specimen."""
         self._states[:] = 0.0
 
-    def set_restoring(self, restoring: Floats) -> None:
-        """Take the specimen to be (K, C), shape (n, 2n)."""
+    def set_restoring(self, restoring: Floats, elastic: bool = True) -> None:
+        """Take the specimen to be (K, C) from the next step on.
+
+        Parameters
+        ----------
+        restoring : ndarray
+            Shape (n, 2n).
+        elastic : bool
+            Whether it is no more than that. Else p is told by others, see `expect`, and no
+            deviation is taken back.
+        """
         self.restoring = restoring.copy()
-        n = self._axes
-        motion, ground_motion, rest = self.prediction.gains(restoring)
-        self.rest_gains = np.ascontiguousarray(rest[:n])
-        lasting = rest.reshape(2 * n, -1, n).sum(axis=1)
-        self._gain = np.hstack([motion, np.zeros((2 * n, n)), lasting, ground_motion])
+        self.prediction.set_restoring(self.restoring)
+        n, known, eye = self._axes, len(self._known), np.eye(self._axes)
+        by_motion, by_ground, by_rest = self.prediction.gains()
+        self._rest_gains = np.ascontiguousarray(by_rest[:n])
+        a, p = slice(2 * n, 3 * n), slice(3 * n, 4 * n)
+        course, ground = slice(4 * n, 6 * n), slice(10 * n, None)
+        measured = slice(6 * n, 9 * n)
+        motion, residual, rest = (
+            np.zeros((2 * n, known)),
+            np.zeros((n, known)),
+            np.zeros((n, known)),
+        )
+        motion[:, : 3 * n] = np.kron(self._observe[:, :3], eye)
+        motion[:, measured] = np.kron(self._observe[:, 3:], eye)
+        residual[:, 8 * n : 9 * n], residual[:, 9 * n : 10 * n] = -self._mass, eye
+        restoring_force = residual.copy()
+        residual -= self.restoring @ motion
+        rest[:, p] = eye
+        if elastic:
+            rest += self._bias_gain * (residual - rest)
+        targets = np.zeros((2 * n, known))
+        targets[:, ground] = by_ground
+        if elastic:
+            targets += by_rest.reshape(2 * n, -1, n).sum(axis=1) @ rest
+        if elastic and self._mends:
+            way_back = self.prediction.way_back()
+            targets[:n, course] += by_motion[:n] - way_back
+            by_motion[:n] = way_back
+        targets += by_motion @ motion
+        free, course_by_rest, course_by_ground = self.prediction.course()
+        going_on = course_by_rest @ rest
+        going_on[:, course] += free
+        going_on[:, 10 * n : 12 * n] += course_by_ground
+        self._free = free
+        gain = np.zeros((12 * n, known))
+        gain[: 2 * n], gain[p], gain[4 * n : 6 * n] = motion, rest, going_on
+        gain[a, 8 * n : 9 * n] = eye
+        gain[6 * n : 7 * n], gain[7 * n : 8 * n] = residual, restoring_force
+        known_rest = rest if elastic else np.zeros_like(rest)
         if self._nominal is not None:
-            self._departure = self._nominal - self.restoring
+            gain[8 * n : 9 * n] = (self._nominal - self.restoring) @ motion - known_rest
+        gain[9 * n : 11 * n] = targets
+        gain[11 * n :] = np.diag(self._trust) @ (residual - known_rest) - gain[8 * n : 9 * n]
+        self._gain = gain
 
-    def observe(self, state: Floats) -> None:
-        """Take the measured sample in, shape (4, n): motion, restoring force, expected force."""
-        self._measured[:3] = self._kinematic
-        self._measured[3:] = state[:3]
-        self.motion[:] = self._observe.dot(self._measured)
-        self._kinematic[2] = state[2]
-        self.restoring_force = state[3] - self._mass.dot(state[2])
-        self._result = self._loop.dot(self._tracking)
-        self.model_force = self._result[1]
-
-    def take_residual(self) -> None:
-        """Hold the measured restoring force against K x + C v."""
-        self.residual = self.restoring_force - self.restoring.dot(self._flat_motion)
-
-    def split(self) -> None:
-        """Follow the slow part of the residual, p."""
-        self.rest += self._bias_gain * (self.residual - self.rest)
-
-    def departure(self) -> Floats:
-        """Force by which the specimen departs from that of the tracking model, shape (n,), N."""
-        if self._nominal is None:
-            return self.zero
-        departure: Floats = self._departure.dot(self._flat_motion) - self.rest
-        return departure
-
-    def target(self, ground_motion: Floats, rest: Floats | None = None) -> Floats:
-        """Weighted target, and its weighted rate, shape (2, n); p stays, or is given."""
+    def observe(self, ground_motion: Floats, state: Floats) -> None:
+        """Take a step in: known ground motion, shape (1 + preview, n), and state, (4, n)."""
+        self._measured[:] = state
         self._ground_motion[:] = ground_motion
-        sets: Floats = self._gain.dot(self._known).reshape(2, self._axes)
-        if rest is not None:
-            change = rest.reshape(-1, self._axes) - self.rest
-            sets[0] += self.rest_gains.dot(change.reshape(-1))
-        return sets
+        np.dot(self._gain, self._known, out=self._result)
+        np.dot(self._loop, self._tracking, out=self._loop_result)
 
-    def command(self, target: Floats, departure: Floats) -> Floats:
-        """Compute the reference force for a weighted target, shape (n,), N."""
-        drive = self._result[0] + target
-        self._tracking[:] = self._result[2:]
-        self._tracking += self._drive * drive
-        force: Floats = drive - departure
-        force += self._trust * (self.residual - self.rest)
+    def expect(self, coming: Floats) -> None:
+        """Reckon with p as `rest` has been told it is, and with a coming one.
+
+        Parameters
+        ----------
+        coming : ndarray
+            p over the horizon, shape ((1 + horizon) n,), N.
+        """
+        if self._nominal is not None:
+            self.departure -= self.rest
+        self._direct += self._direct_by_rest * self.rest
+        self.target += self._rest_gains.dot(coming)
+
+    def begin_course(self) -> None:
+        """Let the course begin at the motion of this step."""
+        self.course += self._free.dot(self.motion - self._kept_course)
+
+    def command(self, target: Floats) -> Floats:
+        """Compute the reference force for a weighted target, shape (n,), N; ends the step."""
+        drive = self._loop_result[0] + target
+        np.multiply(self._drive, drive, out=self._tracking)
+        self._tracking += self._loop_result[2:]
+        self._kept[:] = self._result[: len(self._kept)]
+        force: Floats = drive + self._direct
         return force
 
     def linear(self, gain: Floats, advance: Floats) -> LinearFilter:
         """Filter that this is, with a tracking gain and an advance (s) found on line."""
         n, states = self._axes, self._states.copy()
-        size, inputs = len(states), 4 * n
-        columns = size + inputs + (1 + self.preview) * n
+        size = len(states)
+        columns = len(self._work)
         matrix = np.empty((n + size, columns))
         for column in range(columns):
             unit = np.eye(1, columns, column)[0]
             self._states[:] = unit[:size]
-            ground_motion = unit[size + inputs :].reshape(-1, n)
-            self.observe(unit[size : size + inputs].reshape(4, n))
-            self.take_residual()
-            self.split()
-            target, rate = self.target(ground_motion)
-            force = self.command(gain * target - advance * rate, self.departure())
+            inputs = unit[size:].reshape(-1, n)
+            self.observe(inputs[4:], inputs[:4])
+            force = self.command(gain * self.target - advance * self.rate)
             matrix[:, column] = np.concatenate([force, self._states])
         self._states[:] = states
-        c, d, e = np.split(matrix[:n], [size, size + inputs], axis=1)
-        a, b, h = np.split(matrix[n:], [size, size + inputs], axis=1)
+        places = [size, size + 4 * n]
+        c, d, e = np.split(matrix[:n], places, axis=1)
+        a, b, h = np.split(matrix[n:], places, axis=1)
         return LinearFilter(a, b, h, c, d, e)
 
 

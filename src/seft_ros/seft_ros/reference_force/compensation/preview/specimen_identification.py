@@ -9,15 +9,17 @@ STIFFNESS_RANGE = (0.25, 4.0)  # of what is known at the start
 LARGEST_DAMPING = 6.0  # likewise, or of the least one that is reckoned with
 _LEAST_DAMPING_RATIO = 0.02
 _STIFFNESS_SPREAD, _DAMPING_SPREAD = 0.3, 1.0  # uncertainty at the start, relative
-_EXCITATION = 5.0  # RMS of the restoring force over its noise, below which nothing is learnt
+_EXCITATION = 1.5  # RMS of the restoring force over its noise, below which nothing is learnt
+BLOCK = 10  # samples that are learnt from at once
 _EXCITATION_TIME = 0.1  # s over which that is taken
 
 
 class SpecimenIdentification:
     """Recursive least squares of the restoring force on displacement and velocity.
 
-    r = K x + C v, n axes, K and C symmetric; a Kalman filter of constant parameters, which starts
-    at what is known with its uncertainty. Without excitation nothing moves, and noise averages
+    r = K x + C v, n axes, K and C symmetric; a Kalman filter of constant parameters, in its
+    information form and by blocks of samples, which starts at what is known with its
+    uncertainty. Without excitation nothing moves, and noise averages
     out; samples that hardly stand out of the noise, which would make the specimen seem soft, are
     left out.
 
@@ -34,9 +36,9 @@ class SpecimenIdentification:
     ----------
     restoring : ndarray
         (K, C), shape (n, 2n), within bounds.
-    error, variance : ndarray
-        Restoring force of the last sample less what was expected of it, and the part that the
-        parameters have in the variance of that, shape (n,), N and N^2.
+    variance : ndarray
+        Part that the parameters have in the variance of the restoring force expected of the
+        last sample, shape (n,), N^2.
     """
 
     def __init__(
@@ -54,25 +56,32 @@ class SpecimenIdentification:
         places = np.zeros((n, n), dtype=int)
         places[upper] = places[upper[::-1]] = np.arange(count)
         self._places = np.hstack([places, count + places])
-        self._axis = np.arange(n)[:, np.newaxis]
         self._start = np.hstack([stiffness[upper], damping[upper]])
         spread = np.outer([_STIFFNESS_SPREAD, _DAMPING_SPREAD], np.ones(n)) * [diagonal, damped]
         self._spread = np.sqrt(spread[:, upper[0]] * spread[:, upper[1]]).reshape(-1)
-        self._regressors = np.zeros((n, 2 * count))
+        # (x, v) to the force that a parameter of its spread makes on an axis over the noise's
+        self._regression = np.zeros((n, 2 * count, 2 * n))
+        for axis, columns in enumerate(self._places):
+            self._regression[axis, columns, np.arange(2 * n)] = 1.0
+        self._regression *= self._spread[:, np.newaxis] / np.sqrt(noise)
         self._noise = noise
-        self._least = n * _EXCITATION**2 * noise
-        self._forgetting = 1.0 - np.exp(-dt / _EXCITATION_TIME)
+        self._least = n * _EXCITATION**2
+        self._forgetting = 1.0 - np.exp(-BLOCK * dt / _EXCITATION_TIME)
+        self._motions, self._forces = np.zeros((BLOCK, 2 * n)), np.zeros((BLOCK, n))
         self.reset()
 
     def reset(self) -> None:
         """Go back to what was known."""
-        self._parameters = self._start.copy()
-        self._covariance = np.diag(self._spread**2)
+        count, n = len(self._spread), len(self._regression)
+        self._changes = np.zeros(count)  # of the parameters, over their spread
+        self._information, self._evidence = np.eye(count), np.zeros(count)
+        self._uncertainty = self._quadratic(np.eye(count))
         self.restoring = self._start[self._places]
-        self.error, self.variance = np.zeros((2, len(self.restoring)))
-        self._excitation = 0.0
+        self._first = self.restoring.copy()
+        self.variance = np.zeros(n)
+        self._excitation, self._filled = 0.0, 0
 
-    def step(self, motion: Floats, restoring_force: Floats) -> None:
+    def step(self, motion: Floats, restoring_force: Floats) -> bool:
         """Take a sample in.
 
         Parameters
@@ -81,24 +90,47 @@ class SpecimenIdentification:
             (x, v), shape (2n,).
         restoring_force : ndarray
             Measured, shape (n,), N.
+
+        Returns
+        -------
+        bool
+            Whether a block of samples is full, and was learnt from.
         """
-        self._regressors[self._axis, self._places] = motion
-        power = float(restoring_force.dot(restoring_force))
+        self._motions[self._filled], self._forces[self._filled] = motion, restoring_force
+        self._filled += 1
+        self.variance = self._uncertainty.dot(motion).dot(motion)
+        if self._filled < BLOCK:
+            return False
+        self._filled = 0
+        self._learn()
+        return True
+
+    def _learn(self) -> None:
+        """Take the block's samples over into the parameters, as they stand out of the noise."""
+        scale = np.sqrt(self._noise)
+        expected = self._motions @ self._first.T  # of the specimen as known at the start
+        power = np.square(expected / scale).sum() / BLOCK
         self._excitation += self._forgetting * (power - self._excitation)
-        learn = self._excitation > self._least
-        for axis, regressor in enumerate(self._regressors):  # noise of the axes is their own
-            part = self._covariance.dot(regressor)
-            variance = max(regressor.dot(part), 0.0)
-            error = restoring_force[axis] - regressor.dot(self._parameters)
-            self.error[axis], self.variance[axis] = error, variance
-            if learn:
-                part_of_noise = part / (self._noise + variance)
-                self._parameters += part_of_noise * error
-                self._covariance -= part[:, np.newaxis] * part_of_noise
+        if self._excitation <= self._least:
+            return
+        regressors = (self._regression @ self._motions.T).transpose(1, 0, 2)
+        regressors = regressors.reshape(len(self._spread), -1)
+        errors = (self._forces - expected) / scale
+        self._information += regressors @ regressors.T
+        self._evidence += regressors @ errors.T.reshape(-1)
+        covariance = np.linalg.inv(self._information)
+        self._changes = covariance @ self._evidence
+        self._uncertainty = self._quadratic(covariance)
+
+    def _quadratic(self, covariance: Floats) -> Floats:
+        """Forms of (x, v) that give the variance of each axis's expected force, (n, 2n, 2n)."""
+        turned = self._regression.transpose(0, 2, 1)
+        forms: Floats = self._noise * (turned @ covariance @ self._regression)
+        return forms
 
     def bounded(self) -> Floats:
         """Take the parameters over into `restoring`, within their bounds."""
-        self.restoring[:] = self._parameters[self._places]
+        self.restoring[:] = (self._start + self._spread * self._changes)[self._places]
         diagonal = self.restoring[self._diagonal]
         self.restoring[self._diagonal] = np.clip(diagonal, self._lowest, self._highest)
         return self.restoring

@@ -8,6 +8,8 @@ from seft_ros.reference_force.compensation.compensator import Knowledge
 
 Floats = npt.NDArray[np.float64]
 
+WAY_BACK = 4.0  # Hz: a displacement that force errors caused goes back critically damped
+
 
 class TargetPrediction:
     """Weighted sum of the coming target force, as gains of what is known now.
@@ -31,23 +33,29 @@ class TargetPrediction:
         Sets of weights of the target from this step on, shape (m, 1 + horizon).
     nominal : ndarray or None
         (K_0, C_0), shape (n, 2n); None where the force loop does not feel the specimen.
+    restoring : ndarray
+        (K, C) of the specimen, shape (n, 2n).
     """
 
-    def __init__(self, knowledge: Knowledge, weights: Floats, nominal: Floats | None) -> None:
+    def __init__(
+        self, knowledge: Knowledge, weights: Floats, nominal: Floats | None, restoring: Floats
+    ) -> None:
         n = knowledge.axes
         self._dt, self._mass, self._weights = knowledge.dt, knowledge.mass, weights
         self._inverse_mass = np.linalg.inv(knowledge.total_mass)
         share = knowledge.computed_mass @ self._inverse_mass
         self.nominal = np.zeros((n, 2 * n)) if nominal is None else nominal
         self.share: Floats = share if nominal is None else share - np.eye(n)
+        self.set_restoring(restoring)
 
-    def gains(self, restoring: Floats) -> tuple[Floats, Floats, Floats]:
-        """Gains of (x, v), of the ground motion and of p, for restoring = (K, C).
+    def set_restoring(self, restoring: Floats) -> None:
+        """Take the specimen to be (K, C), shape (n, 2n)."""
+        self._restoring = restoring
+        self._slowing = self._inverse_mass @ restoring
+        self._free, self._start, self._end = self._transition()
 
-        Parameters
-        ----------
-        restoring : ndarray
-            Shape (n, 2n).
+    def gains(self) -> tuple[Floats, Floats, Floats]:
+        """Gains of (x, v), of the ground motion and of p.
 
         Returns
         -------
@@ -56,19 +64,12 @@ class TargetPrediction:
         ground_motion, rest : ndarray
             Of every step of the horizon, shape (m n, (1 + horizon) n).
         """
-        free, start, end = self._transition(restoring)
         sets, steps = self._weights.shape
         n = len(self._mass)
-        target = self.share @ restoring + self.nominal
-        each = self._weights.T[:, :, np.newaxis, np.newaxis] * target
-        ahead = each.reshape(steps, sets * n, 2 * n)
-        lag, power = 1, free
-        while lag < steps:  # each step is given the weights of twice as many coming ones
-            ahead[:-lag] += ahead[lag:] @ power
-            lag, power = 2 * lag, power @ power
+        ahead = _ahead(self._weights, self.share @ self._restoring + self.nominal, self._free)
         through = np.zeros((steps, sets * n, n))
-        through[:-1] = ahead[1:] @ start
-        through[1:] += ahead[1:] @ end
+        through[:-1] = ahead[1:] @ self._start
+        through[1:] += ahead[1:] @ self._end
         direct = self._weights.T[:, :, np.newaxis, np.newaxis]
         ground = through - (direct * self._mass).reshape(steps, sets * n, n)
         rest = through @ self._inverse_mass + (direct * self.share).reshape(steps, sets * n, n)
@@ -79,7 +80,40 @@ class TargetPrediction:
             rest.transpose(1, 0, 2).reshape(flat),
         )
 
-    def displacements(self, restoring: Floats) -> tuple[Floats, Floats, Floats]:
+    def course(self) -> tuple[Floats, Floats, Floats]:
+        """Motion that the whole structure makes of the ground motion, as one gives the next.
+
+        Returns
+        -------
+        free, rest, ground_motion : ndarray
+            Gains of (x, v), of p, and of the ground motion of this step and the next, shapes
+            (2n, 2n), (2n, n) and (2n, 2n).
+        """
+        by_rest = (self._start + self._end) @ self._inverse_mass
+        return self._free, by_rest, np.hstack([self._start, self._end])
+
+    def way_back(self) -> Floats:
+        """Gain of the target for a deviation (d, d') from that motion which is taken back.
+
+        Over the horizon it goes back critically damped beside what the structure does of itself:
+        (M_e + M_c) d'' + C d' + K d = -(M_e + M_c) (w^2 d + 2 w d').
+
+        Returns
+        -------
+        ndarray
+            Shape (n, 2n).
+        """
+        n = len(self._mass)
+        w = 2 * np.pi * WAY_BACK
+        back = np.hstack([w * w * np.eye(n), 2 * w * np.eye(n)])
+        system = np.zeros((2 * n, 2 * n))
+        system[:n, n:] = np.eye(n)
+        system[n:] = -self._slowing - back
+        target = self.share @ self._restoring + self.nominal - self._mass @ back
+        gain: Floats = _ahead(self._weights[:1], target, expm(system * self._dt))[0]
+        return gain
+
+    def displacements(self) -> tuple[Floats, Floats, Floats]:
         """Gains from which the coming displacements follow, as `gains` has them.
 
         Returns
@@ -89,15 +123,16 @@ class TargetPrediction:
         ground_motion, rest : ndarray
             Shape ((1 + horizon) n, (1 + horizon) n).
         """
-        free, start, end = self._transition(restoring)
         n, steps = len(self._mass), self._weights.shape[1]
         powers = np.empty((steps, n, 2 * n))
         powers[0] = np.eye(n, 2 * n)
         for step in range(1, steps):
-            powers[step] = powers[step - 1] @ free
+            powers[step] = powers[step - 1] @ self._free
         lag = np.subtract.outer(np.arange(steps), np.arange(steps))
-        from_start = np.where(lag[..., np.newaxis, np.newaxis] > 0, (powers @ start)[lag - 1], 0.0)
-        from_end = np.where(lag[..., np.newaxis, np.newaxis] >= 0, (powers @ end)[lag], 0.0)
+        from_start = np.where(
+            lag[..., np.newaxis, np.newaxis] > 0, (powers @ self._start)[lag - 1], 0.0
+        )
+        from_end = np.where(lag[..., np.newaxis, np.newaxis] >= 0, (powers @ self._end)[lag], 0.0)
         from_end[:, 0] = 0.0
         ground = from_start + from_end
         flat = (steps * n, steps * n)
@@ -107,12 +142,12 @@ class TargetPrediction:
             (ground @ self._inverse_mass).transpose(0, 2, 1, 3).reshape(flat),
         )
 
-    def _transition(self, restoring: Floats) -> tuple[Floats, Floats, Floats]:
+    def _transition(self) -> tuple[Floats, Floats, Floats]:
         """Transition of (x, v) over a step: free, and by a_g at its start and at its end."""
         n = len(self._mass)
         augmented = np.zeros((4 * n, 4 * n))
         augmented[:n, n : 2 * n] = np.eye(n)
-        augmented[n : 2 * n, : 2 * n] = -self._inverse_mass @ restoring
+        augmented[n : 2 * n, : 2 * n] = -self._slowing
         augmented[n : 2 * n, 2 * n : 3 * n] = -np.eye(n)
         augmented[: 2 * n] *= self._dt
         augmented[2 * n : 3 * n, 3 * n :] = np.eye(n)
@@ -123,3 +158,18 @@ class TargetPrediction:
             exponential[: 2 * n, 2 * n : 3 * n] - change,
             change,
         )
+
+
+def _ahead(weights: Floats, target: Floats, transition: Floats) -> Floats:
+    """Weighted sums of ``target @ transition^k`` over the steps to come, from each step on.
+
+    Shape (steps, m n, 2n) for m sets of weights.
+    """
+    sets, steps = weights.shape
+    each = weights.T[:, :, np.newaxis, np.newaxis] * target
+    ahead: Floats = each.reshape(steps, sets * len(target), -1)
+    lag, power = 1, transition
+    while lag < steps:  # each step is given the weights of twice as many coming ones
+        ahead[:-lag] += ahead[lag:] @ power
+        lag, power = 2 * lag, power @ power
+    return ahead

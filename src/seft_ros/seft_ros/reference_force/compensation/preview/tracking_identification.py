@@ -42,17 +42,19 @@ class TrackingIdentification:
         self.gain, self.advance = self._parameters
         # of each axis: variance of gain, covariance, variance of advance
         self._covariance = [[_SPREAD[0] ** 2, 0.0, _SPREAD[1] ** 2] for _ in range(self._axes)]
-        self._last = np.zeros(self._axes)
-        self._regressor = np.zeros((2, self._axes))
+        self._last = [0.0] * self._axes
+        self._samples = [(0.0, 0.0, 0.0)] * self._axes  # y, dy/dt, deviation
 
-    def deviation(self, model_force: Floats, force: Floats) -> Floats:
-        """Force beside what is expected with the parameters as they are, shape (n,), N."""
-        self._regressor[0] = model_force
-        self._regressor[1] = (model_force - self._last) / self._dt
-        self._last[:] = model_force
-        explained = self._parameters * self._regressor
-        self._deviation: Floats = force - model_force - explained[0] - explained[1]
-        return self._deviation
+    def deviation(self, model_force: Floats, force: Floats) -> list[float]:
+        """Force beside what is expected with the parameters as they are, of each axis, N."""
+        expected = model_force.tolist()
+        of_axes = zip(expected, self._last, force.tolist(), *self._parameters.tolist(), strict=True)
+        self._samples = [
+            (y, (rate := (y - last) / self._dt), f - (1.0 + gain) * y - advance * rate)
+            for y, last, f, gain, advance in of_axes
+        ]
+        self._last = expected
+        return [error for _, _, error in self._samples]
 
     def update(self, variance: Floats) -> None:
         """Learn from the last deviation.
@@ -62,15 +64,14 @@ class TrackingIdentification:
         variance : ndarray
             That it has beside the noise, of what is not known of the specimen, shape (n,), N^2.
         """
-        samples = zip(
-            self._regressor.T.tolist(),
+        of_axes = zip(
+            self._samples,
             self._parameters.T.tolist(),
             self._covariance,
             (self._noise + variance).tolist(),
-            self._deviation.tolist(),
             strict=True,
         )
-        for axis, ((y, rate), (gain, advance), covariance, noise, error) in enumerate(samples):
+        for axis, ((y, rate, error), (gain, advance), covariance, noise) in enumerate(of_axes):
             own, shared, other = covariance
             part, other_part = own * y + shared * rate, shared * y + other * rate
             scale = 1.0 / (noise + part * y + other_part * rate)
