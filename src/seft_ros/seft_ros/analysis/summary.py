@@ -11,6 +11,7 @@ from seft_ros.analysis.energy import energy_of
 from seft_ros.analysis.estimates import summarise_estimates
 from seft_ros.analysis.metrics import Floats, agreement, peak
 from seft_ros.analysis.reference import COMPARED, quantity, reference_of
+from seft_ros.analysis.tracking import tracking_of
 from seft_ros.recording.record import Record
 
 __all__ = ["json_safe", "reference_of", "summarise"]
@@ -39,8 +40,10 @@ def summarise(record: Record, reference: ReferenceResponse | None = None) -> dic
         first_step), ``lost`` (samples that the record lacks, by topic), ``energy`` (of the
         specimen at the end, and how the balance closes; see `energy_of`), ``estimates`` (what
         the compensation identified on line: name -> axis -> first, last, least and largest, SI
-        units), and for displacement (m), acceleration (m/s^2) and force (N) nrmse,
-        nrmse_aligned, peak, reference_peak and delay_s over all axes; ``axes`` has the same
+        units), ``tracking`` (of the reference force by the measured force: axis -> frequency
+        evaluation index, tracking indicator, energy error, J1-J9; see `tracking_of`), and for
+        displacement (m), acceleration (m/s^2) and force (N) nrmse, nrmse_aligned, peak,
+        reference_peak and delay_s over all axes; ``axes`` has the same
         three for each axis. What is unknown or makes no sense is null.
     """
     if reference is None:
@@ -70,6 +73,7 @@ def summarise(record: Record, reference: ReferenceResponse | None = None) -> dic
         "lost": {topic.name: _lost(record, topic.name, steps) for topic in LOOP_TOPICS},
         "energy": energy_of(record),
         "estimates": summarise_estimates(record.estimates, axes),
+        "tracking": tracking_of(record, reference),
         **(by_axis[axes[0]] if len(axes) == 1 else _three(record, reference, slice(None))),
         "axes": by_axis,
     }

@@ -1,0 +1,91 @@
+"""How well the actuators' force followed the reference force in a test."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from seft_msgs_py.topics import REFERENCE_FORCE, RIG_STATE
+from seft_plant_sim.whole_structure import ReferenceResponse
+
+from seft_ros.analysis.benchmark_criteria import benchmark_criteria
+from seft_ros.analysis.energy_error import energy_error, relative_energy_error
+from seft_ros.analysis.frequency_evaluation import frequency_evaluation_index
+from seft_ros.analysis.tracking_indicator import relative_tracking_indicator
+from seft_ros.recording.record import Record, Series
+
+Floats = npt.NDArray[np.float64]
+Steps = npt.NDArray[np.int64]
+
+_DISPLACEMENT, _VELOCITY, _FORCE = (
+    RIG_STATE.quantities.index(name) for name in ("positions", "velocities", "effort")
+)
+
+
+def tracking_of(record: Record, reference: ReferenceResponse | None) -> dict[str, dict[str, Any]]:
+    """Tracking of each axis; formulas and signs are in docs/metrics.md.
+
+    Reference force and measured force are those of the same step: the rig measures at step k
+    what commands before it did, so even an ideal actuator is one period late. Samples between the
+    first and the last step that both topics have count; of the lost ones errors are left out, and
+    what needs every sample (spectra, areas, integrals, J1) interpolates them.
+
+    Parameters
+    ----------
+    record : Record
+        The test.
+    reference : ReferenceResponse or None
+        Exact response, for J4 and J7 (of the second axis J5 and J8...); None: they are NaN.
+
+    Returns
+    -------
+    dict
+        Axis -> ``fei_amplitude``, ``fei_delay_s``, ``fei_frequency_hz``,
+        ``tracking_indicator_end`` (over the square of the reference force's peak),
+        ``energy_error`` (over the largest input energy), ``energy_error_j`` (J), and ``J``: J1
+        (ms), J2, J3 and the axis's displacement criteria (%).
+    """
+    commands, states = record.series[REFERENCE_FORCE.name], record.series[RIG_STATE.name]
+    dt = record.experiment.timebase.dt
+    steps, at_commands, at_states = np.intersect1d(
+        commands.steps, states.steps, assume_unique=True, return_indices=True
+    )
+    every = np.arange(steps[0], steps[-1] + 1) if len(steps) else steps
+    command = _filled(commands, 0, every)
+    velocity, force = (_filled(states, row, every) for row in (_VELOCITY, _FORCE))
+    displacement = states.values[:, _DISPLACEMENT]
+    criteria = benchmark_criteria(
+        commands.values[at_commands, 0],
+        states.values[at_states, _FORCE],
+        np.full_like(displacement, np.nan)
+        if reference is None
+        else reference.displacement[states.steps],
+        displacement,
+        dt,
+        steps,
+    )
+    fei = frequency_evaluation_index(command, force, dt)
+    indicator = relative_tracking_indicator(command, force)
+    with np.errstate(invalid="ignore", over="ignore"):
+        work = energy_error(force - command, velocity, dt)
+    relative = relative_energy_error(command, force, velocity, dt)
+    return {
+        axis: {
+            "fei_amplitude": float(fei.amplitude[column]),
+            "fei_delay_s": float(fei.delay_s[column]),
+            "fei_frequency_hz": float(fei.frequency_hz[column]),
+            "tracking_indicator_end": float(indicator[column]),
+            "energy_error": float(relative[column]),
+            "energy_error_j": float(work[-1, column]) if len(work) > 1 else np.nan,
+            "J": criteria.of_axis(column),
+        }
+        for column, axis in enumerate(record.experiment.axes)
+    }
+
+
+def _filled(series: Series, row: int, every: Steps) -> Floats:
+    """Values of a quantity at every one of these steps, shape (N, n)."""
+    values = series.values[:, row]
+    if len(every) == 0 or np.array_equal(series.steps, every):
+        return values[: len(every)]
+    columns = [np.interp(every, series.steps, column) for column in values.T]
+    return np.stack(columns, axis=1)
