@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
-from seft_msgs_py.errors import InputError
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.topics import LOOP_TOPICS
 from seft_ros.analysis.compare import compare
@@ -162,13 +161,6 @@ def test_records_without_a_common_step_are_compared():
     assert result["first_difference"]["step"] == 0
     assert result["topics"]["rig/state"]["missing_a"] == 40
     assert compare(make_record(0), make_record(0))["identical"] is True
-
-
-def test_records_of_other_axes_or_rate_can_not_be_compared():
-    with pytest.raises(InputError, match=r"axes are \['x', 'y'\] in the first and \['x'\]"):
-        compare(make_record(), make_record(axes=("x",)))
-    with pytest.raises(InputError, match="500 Hz in the first and 1000 Hz in the second"):
-        compare(make_record(), make_record(rate=1000.0))
 
 
 ESTIMATES = Estimates(np.array([0, 20]), np.arange(8.0).reshape(2, 2, 2), ("delay", "gain"))

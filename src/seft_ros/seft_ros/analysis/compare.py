@@ -1,75 +1,124 @@
-"""Whether two records are the same test, bit for bit, and where they first differ."""
+"""Whether records are the same test, bit for bit, and where they first differ."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.topics import ESTIMATES, LOOP_TOPICS
+from seft_msgs_py.timebase import NANOSECONDS_PER_SECOND
+from seft_msgs_py.topics import ESTIMATES, LOOP_TOPICS, RIG_STATE
 
-from seft_ros.analysis.metrics import nrmse, peak
+from seft_ros.analysis.alignment import Alignment
 from seft_ros.analysis.summary import json_safe
+from seft_ros.analysis.topic_difference import compare_topic
 from seft_ros.recording.record import Estimates, Record, Series
 
-Floats = npt.NDArray[np.float64]
+_FIRSTS = ("first_difference", "first_value_difference")
 
 
 def compare(a: Record, b: Record) -> dict[str, Any]:
-    """Compare two records by step.
+    """Compare two records by step; at different rates by time, at the instants both have.
 
     Parameters
     ----------
     a, b : Record
-        Of the same axes and rate; lengths may differ.
+        With an axis in common, if not all; lengths and rates may differ.
 
     Returns
     -------
     dict
-        ``identical``: both hold the same steps on every loop topic, and equal bits; so too of
-        the estimates, if either has any.
+        ``identical``: both have the same rate and axes, hold the same steps on every loop
+        topic, and equal bits; so too of the estimates, if either has any.
         ``first_difference``: None, or ``topic``, ``step``, ``field``, ``axis``, ``a``, ``b`` of
         the smallest step that differs, first in the order of `LOOP_TOPICS`, estimates last;
         where a record lacks the step, field and axis are None and a, b are "present" or
-        "missing".
-        ``missed``: {a, b}. ``topics``: for each topic ``samples_a``, ``samples_b``,
-        ``missing_a`` and ``missing_b`` (steps that only the other has), and of the common
-        steps ``max_abs`` and ``nrmse`` (RMS(a - b) / RMS(a)): the largest of its fields,
-        which ``fields`` has one by one.
+        "missing". Aligned by time, ``step`` is that of a, and ``step_b`` that of b.
+        ``first_value_difference``: the same of the steps that both hold.
+        ``missed``, ``rate_hz``, ``length_s`` (time of the last sample): {a, b}.
+        ``aligned_by``: "step" or "time".
+        ``axes``: those ``compared``, and those ``only_a`` and ``only_b`` has.
+        ``topics``: for each topic ``samples_a``, ``samples_b``, ``identical``, ``compared``
+        (samples both hold), ``missing_a`` and ``missing_b`` (steps, or common instants, that
+        only the other has), and of what is compared ``max_abs`` and ``nrmse``
+        (RMS(a - b) / RMS(a)): the largest of its fields, which ``fields`` has one by one.
 
     Raises
     ------
     InputError
-        If axes or rate differ.
+        If no axis, or at different rates no instant, is common.
     """
-    _check_comparable(a, b)
+    alignment = Alignment.of(a, b)
     topics: dict[str, Any] = {}
-    first: dict[str, Any] | None = None
+    firsts: dict[str, dict[str, Any] | None] = dict.fromkeys(_FIRSTS)
     for topic, fields, one, other in _pairs(a, b):
-        topics[topic], difference = _compare_topic(topic, fields, a.experiment.axes, one, other)
-        if difference is not None and (first is None or difference["step"] < first["step"]):
-            first = difference
-    found = {
-        "identical": first is None,
-        "first_difference": first,
+        found = compare_topic(
+            topic, fields, alignment.axes, alignment.on_grid_a(one), alignment.on_grid_b(other)
+        )
+        counts = {"samples_a": len(one.steps), "samples_b": len(other.steps)}
+        topics[topic] = counts | found.figures
+        for key, new in zip(_FIRSTS, (found.first, found.first_value), strict=True):
+            old = firsts[key]
+            if new is not None and (old is None or new["step"] < old["step"]):
+                firsts[key] = new
+    same_axes = not (alignment.only_a or alignment.only_b)
+    found_all = {
+        "identical": firsts["first_difference"] is None and same_axes and not alignment.by_time,
+        **{key: _in_own_steps(first, alignment) for key, first in firsts.items()},
         "missed": {"a": a.missed, "b": b.missed},
+        "aligned_by": "time" if alignment.by_time else "step",
+        "rate_hz": {"a": a.experiment.timebase.rate, "b": b.experiment.timebase.rate},
+        "length_s": {"a": length_s(a), "b": length_s(b)},
+        "axes": {
+            "compared": alignment.axes,
+            "only_a": alignment.only_a,
+            "only_b": alignment.only_b,
+        },
         "topics": topics,
     }
-    return {key: json_safe(value) for key, value in found.items()}
+    return {key: json_safe(value) for key, value in found_all.items()}
 
 
-def _check_comparable(a: Record, b: Record) -> None:
-    one, other = a.experiment, b.experiment
-    if one.axes != other.axes:
-        raise InputError(
-            f"the tests can't be compared: axes are {list(one.axes)} in the first and "
-            f"{list(other.axes)} in the second"
-        )
-    if one.timebase != other.timebase:
-        raise InputError(
-            f"the tests can't be compared: the rate is {one.timebase.rate:g} Hz in the first "
-            f"and {other.timebase.rate:g} Hz in the second"
-        )
+def compare_all(names: Sequence[str], records: Sequence[Record]) -> dict[str, Any]:
+    """Compare each further record with the first.
+
+    Parameters
+    ----------
+    names : sequence of str
+        What the records are called in errors.
+    records : sequence of Record
+        Two or more.
+
+    Returns
+    -------
+    dict
+        Of two records as `compare`. Of more ``identical`` (all are), and ``comparisons``: for
+        each further record what `compare` gives, the first record being a.
+
+    Raises
+    ------
+    InputError
+        As `compare`, with the names of the two.
+    """
+    comparisons = []
+    for name, record in zip(names[1:], records[1:], strict=True):
+        try:
+            comparisons.append(compare(records[0], record))
+        except InputError as error:
+            raise InputError(f"{names[0]} and {name}: {error}") from None
+    if len(comparisons) == 1:
+        return comparisons[0]
+    return {
+        "identical": all(comparison["identical"] for comparison in comparisons),
+        "comparisons": comparisons,
+    }
+
+
+def length_s(record: Record) -> float:
+    """Experiment time of a test's last sample of the rig or, without, of any; s."""
+    states = record.series[RIG_STATE.name]
+    every = [states] if len(states.steps) else list(record.series.values())
+    last = max((int(series.steps[-1]) for series in every if len(series.steps)), default=0)
+    return record.experiment.timebase.stamp_ns(last) / NANOSECONDS_PER_SECOND
 
 
 def _pairs(a: Record, b: Record) -> Iterator[tuple[str, Sequence[str], Series, Series]]:
@@ -79,12 +128,14 @@ def _pairs(a: Record, b: Record) -> Iterator[tuple[str, Sequence[str], Series, S
     found = [record.estimates for record in (a, b)]
     names = tuple(dict.fromkeys(name for some in found if some for name in some.names))
     if names:
-        one, other = (_rows(some, names, len(a.experiment.axes)) for some in found)
+        one, other = (_rows(record, names) for record in (a, b))
         yield ESTIMATES.name, names, one, other
 
 
-def _rows(estimates: Estimates | None, names: Sequence[str], axes: int) -> Series:
+def _rows(record: Record, names: Sequence[str]) -> Series:
     """Estimates by these names; NaN where there is none of a name."""
+    estimates: Estimates | None = record.estimates
+    axes = len(record.experiment.axes)
     if estimates is None:
         return Series(np.empty(0, np.int64), np.empty((0, len(names), axes)))
     values = np.full((len(estimates.steps), len(names), axes), np.nan)
@@ -92,60 +143,8 @@ def _rows(estimates: Estimates | None, names: Sequence[str], axes: int) -> Serie
     return Series(estimates.steps, values)
 
 
-def _compare_topic(
-    topic: str, quantities: Sequence[str], axes: Sequence[str], one: Series, other: Series
-) -> tuple[dict[str, Any], dict[str, Any] | None]:
-    """Figures of a topic, and its first difference."""
-    common, in_a, in_b = np.intersect1d(
-        one.steps, other.steps, assume_unique=True, return_indices=True
-    )
-    values_a, values_b = one.values[in_a], other.values[in_b]
-    fields = {
-        quantity: _errors(values_a[:, row], values_b[:, row])
-        for row, quantity in enumerate(quantities)
-    }
-    figures = {
-        "samples_a": len(one.steps),
-        "samples_b": len(other.steps),
-        "missing_a": len(other.steps) - len(common),
-        "missing_b": len(one.steps) - len(common),
-        "max_abs": float(np.max([field["max_abs"] for field in fields.values()])),
-        "nrmse": float(np.max([field["nrmse"] for field in fields.values()])),
-        "fields": fields,
-    }
-    differing = np.argwhere(_bits(values_a) != _bits(values_b))
-    lacking = np.setxor1d(one.steps, other.steps, assume_unique=True)
-    at_value = int(common[differing[0, 0]]) if len(differing) else None
-    if len(lacking) and (at_value is None or lacking[0] < at_value):
-        present = bool(np.isin(lacking[0], one.steps))
-        return figures, {
-            "topic": topic,
-            "step": int(lacking[0]),
-            "field": None,
-            "axis": None,
-            "a": "present" if present else "missing",
-            "b": "missing" if present else "present",
-        }
-    if at_value is None:
-        return figures, None
-    sample, row, column = differing[0]
-    return figures, {
-        "topic": topic,
-        "step": at_value,
-        "field": quantities[row],
-        "axis": axes[column],
-        "a": float(values_a[sample, row, column]),
-        "b": float(values_b[sample, row, column]),
-    }
-
-
-def _errors(a: Floats, b: Floats) -> dict[str, float]:
-    """Largest and normalised error of a field; zero where all bits are equal."""
-    if np.array_equal(_bits(a), _bits(b)):
-        return {"max_abs": 0.0, "nrmse": 0.0}
-    with np.errstate(invalid="ignore", over="ignore"):
-        return {"max_abs": peak(a - b), "nrmse": nrmse(b, a)}
-
-
-def _bits(values: Floats) -> npt.NDArray[np.uint64]:
-    return np.ascontiguousarray(values).view(np.uint64)
+def _in_own_steps(first: dict[str, Any] | None, alignment: Alignment) -> dict[str, Any] | None:
+    if first is None or not alignment.by_time:
+        return first
+    instant = first["step"]
+    return first | {"step": instant * alignment.every_a, "step_b": instant * alignment.every_b}

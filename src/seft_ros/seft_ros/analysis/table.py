@@ -2,16 +2,20 @@
 
 from typing import Any
 
-from rich.console import JustifyMethod
+from rich.console import Group, JustifyMethod
 from rich.table import Table
 from rich.text import Text
+from seft_msgs_py.topics import LOOP_TOPICS
 
+from seft_ros.analysis.difference_text import difference_lines
 from seft_ros.analysis.estimates import estimate_lines
 from seft_ros.analysis.title import title_of
 from seft_ros.recording.record import Record
 
 GOOD_ERROR = 0.05
 """Displacement error (nrmse) up to which a test is shown in green."""
+
+_LEAST = 0.001  # %
 
 _UNITS = {
     "displacement": ("mm", 1e3),
@@ -42,24 +46,29 @@ def summary_table(record: Record, summary: dict[str, Any]) -> Table:
     return table
 
 
-def comparison_table(comparison: dict[str, Any]) -> Table:
-    """Tabulate how two records differ; the caption says where they first do.
+def comparison_table(comparison: dict[str, Any], a: str = "a", b: str = "b") -> Group:
+    """Tabulate how two records differ; the lines below say where they first do.
 
     Parameters
     ----------
     comparison : dict
         As `seft_ros.analysis.compare.compare` gives it.
+    a, b : str
+        What the records are called.
     """
-    colour = "green" if comparison["identical"] else "red"
-    table = _table("a against b", _difference(comparison), colour)
-    for heading in ("topic", "in a", "in b", "only in b", "only in a", "largest", "NRMSE"):
+    table = Table(title=f"{b} against {a}", title_justify="left", title_style="")
+    headings = (f"in {a}", f"in {b}", f"not\nin {a}", f"not\nin {b}", "largest", "NRMSE")
+    for heading in ("topic", *headings):
         justify: JustifyMethod = "left" if heading == "topic" else "right"
-        table.add_column(heading, justify=justify, no_wrap=not heading.startswith("only"))
+        table.add_column(heading, justify=justify, no_wrap=True)
     for topic, row in comparison["topics"].items():
         counts = [row[key] for key in ("samples_a", "samples_b", "missing_a", "missing_b")]
-        largest = "-" if row["max_abs"] is None else f"{row['max_abs']:.3g}"
-        table.add_row(topic, *map(str, counts), largest, _percent(row["nrmse"]))
-    return table
+        largest = "-" if row["max_abs"] is None else f"{row['max_abs']:.2g} {_unit(topic, row)}"
+        errors = (largest, small_percent(row["nrmse"])) if row["compared"] else ("-", "-")
+        table.add_row(topic, *map(str, counts), *errors)
+    first, *more = difference_lines(comparison, a, b)
+    colour = "green" if comparison["identical"] else "red"
+    return Group(table, Text(first, style=f"bold {colour}"), *map(Text, more))
 
 
 def verdict(summary: dict[str, Any]) -> str:
@@ -73,7 +82,7 @@ def verdict(summary: dict[str, Any]) -> str:
     elif not summary["complete"]:
         text = "CUT OFF: the record ends before the test did"
     elif error is not None:
-        text = f"done: displacement error {_percent(error)}, {_percent(aligned)} without its delay"
+        text = f"done: displacement error {percent(error)}, {percent(aligned)} without its delay"
     else:
         text = "done, with nothing to hold it against"
     if missed:
@@ -96,19 +105,13 @@ def _saturated(summary: dict[str, Any]) -> str:
     )
 
 
-def _difference(comparison: dict[str, Any]) -> str:
-    first = comparison["first_difference"]
-    missed = comparison["missed"]
-    held = ", ".join(f"{missed[key]} in {key}" for key in ("a", "b") if missed[key])
-    tail = f"; steps without a command in time: {held}" if held else ""
-    if first is None:
-        return f"identical, bit for bit{tail}"
-    where = f"first difference at step {first['step']}, {first['topic']}"
-    if first["field"] is None:
-        lacking = "a" if first["a"] == "missing" else "b"
-        return f"{where}: the sample is missing in {lacking}{tail}"
-    values = f"{first['a']!r} in a, {first['b']!r} in b"
-    return f"{where}, {first['field']} of axis {first['axis']}: {values}{tail}"
+def _unit(topic: str, row: dict[str, Any]) -> str:
+    """Look up the unit of the field that differs most; empty if it has no fixed one."""
+    units = {t.name: dict(zip(t.quantities, t.units, strict=True)) for t in LOOP_TOPICS}
+    for field, errors in row["fields"].items():
+        if errors["max_abs"] == row["max_abs"] != 0:
+            return units.get(topic, {}).get(field, "")
+    return ""
 
 
 def _colour(summary: dict[str, Any]) -> str:
@@ -145,8 +148,8 @@ def _add_rows(table: Table, part: dict[str, Any], prefix: str) -> None:
             f"{prefix}{name}",
             _number(row["peak"], scale, unit),
             _number(row["reference_peak"], scale, unit),
-            _percent(row["nrmse"]),
-            _percent(row["nrmse_aligned"]),
+            percent(row["nrmse"]),
+            percent(row["nrmse_aligned"]),
             "-" if row["delay_s"] is None else f"{row['delay_s'] * 1e3:.2f} ms",
         )
 
@@ -155,7 +158,13 @@ def _number(value: float | None, scale: float, unit: str) -> str:
     return "-" if value is None else f"{value * scale:.4g} {unit}"
 
 
-def _percent(value: float | None) -> str:
+def small_percent(value: float | None) -> str:
+    """Show a ratio as `percent` does, but none of the far too small ones."""
+    return f"<{_LEAST:g} %" if value is not None and 0 < value * 100 < _LEAST else percent(value)
+
+
+def percent(value: float | None) -> str:
+    """Show a ratio as a percentage of three digits; a dash where there is none."""
     if value is None:
         return "-"
     return "0 %" if value == 0 else f"{value * 100:#.3g} %".replace(". %", " %")

@@ -1,19 +1,40 @@
-"""``seft compare``: the same test twice."""
+"""``seft compare``: the same test twice, or more often."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from string import ascii_lowercase
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from seft_msgs_py.errors import InputError
 
 from seft_ros.commands.options import JsonOption, print_json
 
+if TYPE_CHECKING:
+    from seft_ros.recording.record import Record
+
 
 def compare(
-    bag_a: Annotated[Path, typer.Argument(metavar="BAG_A", help="Folder of a recorded test.")],
-    bag_b: Annotated[Path, typer.Argument(metavar="BAG_B", help="Folder of another.")],
+    bags: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="BAG BAG...", help="Folders of recorded tests; the first is held against each."
+        ),
+    ],
+    figure: Annotated[
+        Path | None,
+        typer.Option("--figure", metavar="FILE", help="Draw the tests on one another."),
+    ] = None,
     json: JsonOption = False,
 ) -> int:
-    """Compare two recorded tests sample by sample, aligned by step, bit for bit.
+    """Compare recorded tests with the first of them, sample by sample, bit for bit.
+
+    Samples are aligned by the step in their stamps, whatever time it took and whoever
+    recorded them. At different rates, those at times both have are compared. Tests of
+    different length or axes are compared in what is common; the rest is told.
+
+    Bags are mcap or sqlite3, also of ros2 bag record: compressed, split into files, with any
+    other topics. One that lacks experiment/description is compared without its configuration.
 
     Exit status 0 if all samples on the loop's topics are identical, 1 if not.
 
@@ -24,16 +45,70 @@ def compare(
         seft run config/jhu.yaml -p rig:pace:=lockstep --out bags/lockstep
 
         seft compare bags/simulated bags/lockstep
+
+    Realtime and hardware against the simulation, as a picture:
+
+        seft compare bags/simulated bags/realtime bags/hardware --figure tests.png
+
+    What the stock recorder wrote, for a script; first_difference names topic, step and field:
+
+        ros2 bag record --all --output bags/stock
+
+        seft compare bags/simulated bags/stock --json
     """
-    from rich.console import Console
-
-    from seft_ros.analysis.compare import compare as compare_records
-    from seft_ros.analysis.table import comparison_table
+    from seft_ros.analysis.bags_table import describe_bag
+    from seft_ros.analysis.compare import compare_all
     from seft_ros.recording.bag_reader import read_bag
+    from seft_ros.tournament.figure import check_figure
 
-    result = compare_records(read_bag(bag_a), read_bag(bag_b))
+    if not 2 <= len(bags) <= len(ascii_lowercase):
+        raise InputError(f"compare takes 2 to {len(ascii_lowercase)} bags, but got {len(bags)}")
+    path = check_figure(figure) if figure is not None else None
+    names = [str(bag) for bag in bags]
+    records = [read_bag(bag, described=False) for bag in bags]
+    result = compare_all(names, records)
+    result["bags"] = [
+        describe_bag(name, record) for name, record in zip(names, records, strict=True)
+    ]
+    if path is not None:
+        _draw(result, records, path)
+        result["figure"] = str(path)
     if json:
         print_json(result)
     else:
-        Console().print(comparison_table(result))
+        _show(result, path)
     return 0 if result["identical"] else 1
+
+
+def _comparisons(result: dict[str, Any]) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = result.get("comparisons", [result])
+    return found
+
+
+def _draw(result: dict[str, Any], records: Sequence["Record"], path: Path) -> None:
+    from seft_ros.analysis.comparison_figure import comparison_figure
+    from seft_ros.drawing.style import save_figure
+
+    names = [
+        f"{label}: {Path(bag['bag']).name}"
+        for label, bag in zip(ascii_lowercase, result["bags"], strict=False)
+    ]
+    save_figure(comparison_figure(records, _comparisons(result), names), path)
+
+
+def _show(result: dict[str, Any], figure: Path | None) -> None:
+    from rich.console import Console
+
+    from seft_ros.analysis.bags_table import comparisons_table, legend
+    from seft_ros.analysis.table import comparison_table
+
+    console = Console()
+    labels = list(ascii_lowercase[: len(result["bags"])])
+    for label, bag in zip(labels, result["bags"], strict=True):
+        console.print(legend(label, bag), soft_wrap=True, highlight=False, markup=False)
+    if "comparisons" in result:
+        console.print(comparisons_table(result["comparisons"], labels))
+    else:
+        console.print(comparison_table(result))
+    if figure is not None:
+        console.print(f"figure: {figure}", soft_wrap=True, highlight=False, markup=False)

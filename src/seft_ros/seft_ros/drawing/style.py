@@ -9,6 +9,8 @@ from seft_msgs_py.errors import InputError
 REFERENCE = "#9aa3ad"  # what should be
 FIRST = "#0b5fa5"  # what is
 SECOND = "#3d8c40"
+OTHERS = (FIRST, SECOND, "#d9822b", "#7b4fa3", "#00857c", "#8a5a2b")
+"""Lines that are held against one in `REFERENCE`, in turn."""
 MARK = "#c1272d"
 GRID = "#e6e9ec"
 TEXT = "#33383d"

@@ -40,6 +40,7 @@ def open_bag(path: str | Path) -> Reader:
             f"{path}: the bag can't be read: {reason}; get back what is in it with: "
             f"seft recover {path}"
         ) from None
+    _forget_unlike_qos(reader)
     return reader
 
 
@@ -110,6 +111,20 @@ def is_cut_off(file: Path) -> bool:
             return False
         stream.seek(max(0, size - len(_MCAP_MAGIC)))
         return stream.read() != _MCAP_MAGIC or size == len(_MCAP_MAGIC)
+
+
+def _forget_unlike_qos(reader: Reader) -> None:
+    """Let a file's topics have the quality of service that the metadata claims.
+
+    rosbags leaves out, without a word, the messages of topics of which the two tell different
+    things.
+    """
+    claimed = {(item.topic, item.msgtype): item.ext for item in reader.connections}
+    for storage in getattr(reader.storage, "storages", ()):
+        storage.connections = [
+            item._replace(ext=claimed.get((item.topic, item.msgtype), item.ext))
+            for item in storage.connections
+        ]
 
 
 def _lacks_metadata(path: Path) -> bool:

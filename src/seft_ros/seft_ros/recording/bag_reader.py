@@ -17,7 +17,9 @@ from seft_msgs_py.topics import (
     ESTIMATES,
     GROUND_MOTION,
     LOOP_TOPICS,
+    REFERENCE_FORCE,
     RIG_STATE,
+    VALVE_COMMAND,
     LoopTopic,
     Topic,
 )
@@ -25,14 +27,18 @@ from seft_msgs_py.trajectory import TrajectoryCodec
 
 from seft_ros.recording.bag_files import open_bag, read_messages
 from seft_ros.recording.description import Description, read_description
+from seft_ros.recording.inference import infer_experiment
 from seft_ros.recording.record import Estimates, Record, Series
 from seft_ros.recording.samples import EstimateBuffer, SampleBuffer, until
 
 UNDECODABLE = "undecodable"
 """Key of a record's environment: messages that could not be understood, and were left out."""
 
+_TELLING = (RIG_STATE, REFERENCE_FORCE, VALVE_COMMAND, GROUND_MOTION)
+"""Topics that tell where a test stands in a bag, and its axes and rate; the first says most."""
 
-def read_bag(path: str | Path) -> Record:
+
+def read_bag(path: str | Path, *, described: bool = True) -> Record:
     """Read the record of a test from a bag (mcap or sqlite3), whoever recorded it.
 
     Samples are ordered by step; of a step that came twice the first counts. Topics may
@@ -43,32 +49,32 @@ def read_bag(path: str | Path) -> Record:
     ----------
     path : path
         A bag's folder, or a single mcap or sqlite3 file.
+    described : bool
+        Whether the bag must hold the configuration. If not, and it does not, axes and rate are
+        told from the samples.
 
     Raises
     ------
     InputError
-        If there is no bag, it is damaged or cut off, or no test is described in it.
+        If there is no bag, it is damaged or cut off, no test is described in it, or there are
+        no samples that tell axes and rate.
     """
     path = Path(path)
     reader = open_bag(path)
     try:
         bag = _Bag(path, reader)
         description = bag.description()
-        try:
-            experiment = description.experiment()
-        except InputError as error:
-            raise InputError(
-                f"{path}: the bag holds no test: {error} on {DESCRIPTION.name}; record tests "
-                "with seft run or seft simulate, or that topic too"
-            ) from None
+        known = described or bool(description.sections)
+        experiment = bag.experiment(description) if known else bag.inferred_experiment()
         series = {topic.name: bag.series(topic, experiment) for topic in LOOP_TOPICS}
         estimates = bag.estimates(experiment)
         outcome = bag.outcome(experiment.timebase)
     finally:
         reader.close()
     states = series[RIG_STATE.name].steps
-    last_step = int(states[-1]) if len(states) else -1
-    series[GROUND_MOTION.name] = until(series[GROUND_MOTION.name], last_step)
+    if known or len(states):
+        last_step = int(states[-1]) if len(states) else -1
+        series[GROUND_MOTION.name] = until(series[GROUND_MOTION.name], last_step)
     return Record(
         experiment=experiment,
         series=series,
@@ -80,6 +86,7 @@ def read_bag(path: str | Path) -> Record:
         saturation=outcome.saturation if outcome else Saturation(),
         wall_s=outcome.wall_s if outcome else None,
         complete=outcome is not None,
+        described=known,
         environment={**description.environment, UNDECODABLE: bag.undecodable},
     )
 
@@ -91,8 +98,10 @@ class _Bag:
         self.path = path
         self.reader = reader
         self.undecodable = 0
-        described = {item.topic for item in reader.connections if _is(DESCRIPTION, item)}
-        prefixes = {name.removesuffix(DESCRIPTION.name) for name in described}
+        prefixes: set[str] = set()
+        for topic in (DESCRIPTION, *_TELLING):
+            found = {item.topic for item in reader.connections if _is(topic, item)}
+            prefixes = prefixes or {name.removesuffix(topic.name) for name in found}
         if len(prefixes) > 1:
             raise InputError(
                 f"{path}: the bag holds several tests, in {', '.join(sorted(prefixes))}; "
@@ -118,6 +127,30 @@ class _Bag:
         description, refused = read_description(texts)
         self.undecodable += refused
         return description
+
+    def experiment(self, description: Description) -> Experiment:
+        try:
+            return description.experiment()
+        except InputError as error:
+            raise InputError(
+                f"{self.path}: the bag holds no test: {error} on {DESCRIPTION.name}; record tests "
+                "with seft run or seft simulate, or that topic too (seft compare does without)"
+            ) from None
+
+    def inferred_experiment(self) -> Experiment:
+        for topic in _TELLING:
+            connections = self.connections_of(topic)
+            if not sum(connection.msgcount for connection in connections):
+                continue
+            messages = read_messages(self.reader, connections, self.path)
+            try:
+                return infer_experiment(raw for _, _, raw in messages)
+            except InputError as error:
+                raise InputError(
+                    f"{self.path}: the bag holds no test that can be read: {error} on {topic.name}"
+                ) from None
+        names = ", ".join(topic.name for topic in _TELLING)
+        raise InputError(f"{self.path}: the bag holds no test, for it has nothing on {names}")
 
     def series(self, topic: LoopTopic, experiment: Experiment) -> Series:
         connections = self.connections_of(topic)

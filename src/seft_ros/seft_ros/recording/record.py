@@ -73,6 +73,8 @@ class Record:
         Wall-clock duration of the test; None if unknown.
     complete : bool
         Whether the rig reported the end of the test in this record.
+    described : bool
+        Whether the configuration is known; if not, ``experiment`` has axes and rate alone.
     environment : dict
         Wall-clock start, git revision, package versions, mode, as recorded.
     """
@@ -87,6 +89,7 @@ class Record:
     saturation: Saturation = field(default_factory=Saturation)
     wall_s: float | None = None
     complete: bool = True
+    described: bool = True
     environment: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

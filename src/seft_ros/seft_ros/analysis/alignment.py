@@ -1,0 +1,97 @@
+"""How two records lie on one another: the axes and the instants that both have."""
+
+import math
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.topics import LOOP_TOPICS
+
+from seft_ros.recording.record import Record, Series
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Common axes of two records, and the grid of instants on which both have steps.
+
+    Attributes
+    ----------
+    axes : tuple of str
+        Common axes, in the order of the first record.
+    only_a, only_b : tuple of str
+        Axes that one record has and the other has not.
+    columns_a, columns_b : tuple of int
+        Where the common axes stand in each record.
+    every_a, every_b : int
+        Steps of each record from one instant of the grid to the next; both 1 at equal rates.
+    """
+
+    axes: tuple[str, ...]
+    only_a: tuple[str, ...]
+    only_b: tuple[str, ...]
+    columns_a: tuple[int, ...]
+    columns_b: tuple[int, ...]
+    every_a: int
+    every_b: int
+
+    @classmethod
+    def of(cls, a: Record, b: Record) -> Self:
+        """Align two records.
+
+        Raises
+        ------
+        InputError
+            If they have no axis in common, or at different rates no instants but the start.
+        """
+        one, other = a.experiment, b.experiment
+        axes = tuple(axis for axis in one.axes if axis in other.axes)
+        if not axes:
+            raise InputError(
+                f"the tests can't be compared, for they have no axis in common: axes are "
+                f"{list(one.axes)} in the first and {list(other.axes)} in the second"
+            )
+        periods = one.timebase.period_ns, other.timebase.period_ns
+        grid = math.lcm(*periods)
+        alignment = cls(
+            axes,
+            tuple(axis for axis in one.axes if axis not in axes),
+            tuple(axis for axis in other.axes if axis not in axes),
+            tuple(one.axes.index(axis) for axis in axes),
+            tuple(other.axes.index(axis) for axis in axes),
+            grid // periods[0],
+            grid // periods[1],
+        )
+        if alignment.by_time and not alignment._meet(a, b):
+            raise InputError(
+                f"the tests can't be compared: at {one.timebase.rate:g} Hz in the first and "
+                f"{other.timebase.rate:g} Hz in the second they have no samples at the same "
+                f"times, which would be {grid * 1e-9:g} s apart"
+            )
+        return alignment
+
+    @property
+    def by_time(self) -> bool:
+        """Whether the rates differ, so that steps do not coincide."""
+        return self.every_a != self.every_b
+
+    def on_grid_a(self, series: Series) -> Series:
+        """Keep the samples of the first record at instants of the grid, their steps from now on."""
+        return _thinned(series, self.every_a, self.columns_a)
+
+    def on_grid_b(self, series: Series) -> Series:
+        """Keep those of the second record."""
+        return _thinned(series, self.every_b, self.columns_b)
+
+    def _meet(self, a: Record, b: Record) -> bool:
+        for topic in LOOP_TOPICS:
+            instants_a = self.on_grid_a(a.series[topic.name]).steps
+            instants_b = self.on_grid_b(b.series[topic.name]).steps
+            if np.intersect1d(instants_a, instants_b).any():  # the start alone is none
+                return True
+        return False
+
+
+def _thinned(series: Series, every: int, columns: tuple[int, ...]) -> Series:
+    kept = series.steps % every == 0
+    return Series(series.steps[kept] // every, series.values[kept][:, :, list(columns)])
