@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 from rich.console import Console
 from seft_msgs_py.errors import InputError
+from seft_ros.drawing.style import check_figure
 from seft_ros.tournament.entries import Entry, Tournament
-from seft_ros.tournament.figure import check_figure, tournament_figure
+from seft_ros.tournament.figure import tournament_figure
 from seft_ros.tournament.runs import Run
 from seft_ros.tournament.standings import standings
 from seft_ros.tournament.table import percent, reasons, standings_table

@@ -58,8 +58,8 @@ def compare(
     """
     from seft_ros.analysis.bags_table import describe_bag
     from seft_ros.analysis.compare import compare_all
+    from seft_ros.drawing.style import check_figure
     from seft_ros.recording.bag_reader import read_bag
-    from seft_ros.tournament.figure import check_figure
 
     if not 2 <= len(bags) <= len(ascii_lowercase):
         raise InputError(f"compare takes 2 to {len(ascii_lowercase)} bags, but got {len(bags)}")

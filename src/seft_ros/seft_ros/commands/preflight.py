@@ -65,21 +65,21 @@ def preflight(
 
         seft preflight config/jhu.yaml --params-file identified/model.yaml --plant identified
     """
+    from seft_ros.drawing.style import check_figure, save_figure
     from seft_ros.preflight.plan import Plan
     from seft_ros.preflight.result import preflight as fly
     from seft_ros.preflight.summary import summarise
 
+    path = check_figure(figure) if figure is not None else None
     experiment = load_experiment(config, param, params_file, external)
     plan = Plan(experiment, plant)
     with _late_progress() as show:
         found = fly(plan, show)
         summary = summarise(plan, found)
-        if figure is not None:
-            from seft_ros.drawing.style import save_figure
+        if path is not None:
             from seft_ros.preflight.figure import preflight_figure
             from seft_ros.preflight.stability_map import stability_maps
 
-            path = figure if figure.suffix else figure.with_suffix(".png")
             maps = stability_maps(plan, found.margins, show)
             save_figure(preflight_figure(plan, found, maps), path)
             summary["figure"] = str(path)
@@ -93,7 +93,7 @@ def preflight(
         console = Console()
         for table in preflight_tables(plan, found, f"preflight of {config}"):
             console.print(table)
-        if figure is not None:
+        if path is not None:
             console.print(f"figure: {summary['figure']}", soft_wrap=True, highlight=False)
     for reason in found.reasons:
         complain(f"{found.verdict}: {reason}")

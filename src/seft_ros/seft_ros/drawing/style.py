@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from seft_msgs_py.errors import InputError
 
@@ -22,6 +23,24 @@ def tidy(panel: Axes) -> None:
     panel.set_axisbelow(True)
     panel.tick_params(colors=TEXT, labelsize=9)
     panel.spines[["top", "right"]].set_visible(False)
+
+
+def check_figure(path: Path) -> Path:
+    """Complete the name of a figure's file, before the work is done that it is to show.
+
+    Raises
+    ------
+    InputError
+        If there is no such folder, or figures have no such format.
+    """
+    path = path if path.suffix else path.with_suffix(".png")
+    known = FigureCanvasAgg.filetypes
+    if path.suffix[1:].lower() not in known:
+        raise InputError(f"{path}: figures end in {', '.join(f'.{name}' for name in known)}")
+    if not path.parent.is_dir() or path.is_dir():
+        what = "is a folder" if path.is_dir() else f"there is no folder {path.parent}"
+        raise InputError(f"{path}: {what}; name a file in a folder that exists")
+    return path
 
 
 def save_figure(figure: Figure, path: str | Path) -> None:

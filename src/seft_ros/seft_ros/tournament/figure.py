@@ -1,7 +1,6 @@
 """A figure of a tournament: the errors of all tests by method, one panel to a mass ratio."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +10,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FixedLocator, LogLocator, NullLocator
-from seft_msgs_py.errors import InputError
 
 from seft_ros.drawing.style import FIRST, MARK, REFERENCE, TEXT, tidy
 from seft_ros.tournament.runs import Run
@@ -33,24 +31,6 @@ class _Limits(NamedTuple):
     low: float
     edge: float
     high: float
-
-
-def check_figure(path: Path) -> Path:
-    """Complete the name of a figure's file, before the work is done that it is to show.
-
-    Raises
-    ------
-    InputError
-        If there is no such folder, or figures have no such format.
-    """
-    path = path if path.suffix else path.with_suffix(".png")
-    known = FigureCanvasAgg.filetypes
-    if path.suffix[1:].lower() not in known:
-        raise InputError(f"{path}: figures end in {', '.join(f'.{name}' for name in known)}")
-    if not path.parent.is_dir() or path.is_dir():
-        what = "is a folder" if path.is_dir() else f"there is no folder {path.parent}"
-        raise InputError(f"{path}: {what}; name a file in a folder that exists")
-    return path
 
 
 def tournament_figure(standings: Sequence[Standing], runs: Sequence[Run], title: str) -> Figure:
