@@ -8,7 +8,7 @@ import pytest
 from graph_tools import JHU, PATIENCE, STALLS_ALLOWED, children, kill, wait_for
 from seft_ros.recording.bag_reader import read_bag
 
-LONG = ("-p", "ground_motion:synthetic.duration:=200.0")
+LONG = ("-p", "ground_motion:synthetic.duration:=400.0")
 
 
 @pytest.fixture
@@ -118,7 +118,7 @@ def test_a_bag_is_not_overwritten(seft, tmp_path):
 
 
 def test_a_second_test_on_the_same_domain_is_refused(running, seft, tmp_path):
-    process, nodes = running("-p", "rig:pace:=realtime")
+    process, nodes = running("-p", "rig:pace:=lockstep")
     refused = seft("run", JHU, "--out", "second", status=2)
     assert "already has a node" in refused.stderr
     assert "ROS_DOMAIN_ID" in refused.stderr

@@ -18,6 +18,7 @@ from seft_msgs_py.topics import (
     EXPERIMENT_STATE,
     GROUND_MOTION,
     RECORDED_TOPICS,
+    RIG_STATE,
     STEP_TOPICS,
     Topic,
 )
@@ -29,7 +30,8 @@ from seft_ros.recording.bag_writer import BagWriter
 from seft_ros.recording.environment import describe_environment
 
 SILENCE = 0.3  # s without a message of a step: the test's last message has come
-LONGEST_DRAIN = 5.0  # s
+LONG_SILENCE = 3.5  # s, where samples of the rig lack: DDS may send them again every 3 s only
+LONGEST_DRAIN = 15.0  # s
 TICK = 0.02  # s
 READ_DEPTH = (
     4096  # messages that may wait while the recorder is held up; depth decides what is lost
@@ -51,6 +53,7 @@ class RecorderNode:
         self._phase = "idle"
         self._ended_at: float | None = None
         self._step_message_at = 0.0
+        self._samples, self._expected = 0, 0  # of the rig
         describe_environment("run")  # asks git once, before a test is under way
         for topic in RECORDED_TOPICS:
             depth = 64 if topic.latched and topic is not GROUND_MOTION else READ_DEPTH
@@ -63,7 +66,8 @@ class RecorderNode:
         self._bag.flush_if_due()
         if self._ended_at is not None:
             now = time.monotonic()
-            silent = now - max(self._step_message_at, self._ended_at) > SILENCE
+            patience = SILENCE if self._samples >= self._expected else LONG_SILENCE
+            silent = now - max(self._step_message_at, self._ended_at) > patience
             if silent or now - self._ended_at > LONGEST_DRAIN:
                 self._close()
 
@@ -83,9 +87,10 @@ class RecorderNode:
                 node = json.loads(decode_string(raw)).get("node", "")
                 self._descriptions[node] = (topic, raw, now)
             if topic is EXPERIMENT_STATE:
-                self._follow(decode_status(raw).message)
+                self._follow(decode_status(raw))
             if self._bag is not None:
                 self._bag.write(topic, raw, now)
+                self._samples += topic is RIG_STATE
             elif of_a_step:
                 self._keep(topic, raw, now)
 
@@ -97,11 +102,15 @@ class RecorderNode:
             self._before.clear()
         self._before.append((topic, raw, now))
 
-    def _follow(self, phase: str) -> None:
+    def _follow(self, test: Status) -> None:
+        phase = test.message
         if phase == "running" and self._bag is None and self._phase != "running":
             self._open()
         elif phase in ("done", "tripped") and self._bag is not None and self._ended_at is None:
             self._ended_at = time.monotonic()
+            last = test.values.get("step")  # where it tripped
+            steps = test.values.get("steps", "0") if phase == "done" else "0"
+            self._expected = int(last) + 1 if last is not None else int(steps)
         self._phase = phase
 
     def _open(self) -> None:
@@ -114,6 +123,7 @@ class RecorderNode:
         self._bag.write(DESCRIPTION, encode_string(json.dumps(environment)), now)
         for topic, raw, _ in self._descriptions.values():
             self._bag.write(topic, raw, now)
+        self._samples = sum(topic is RIG_STATE for topic, _, _ in self._before)
         while self._before:
             self._bag.write(*self._before.popleft())
         self._report("recording")
