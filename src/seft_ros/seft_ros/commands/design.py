@@ -1,7 +1,7 @@
 """``seft design``: shape the force loop."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from seft_msgs_py.errors import InputError
@@ -12,6 +12,7 @@ from seft_ros.commands.options import (
     JsonOption,
     OverrideOption,
     ParamsFileOption,
+    PlantOption,
     complain,
     load_experiment,
     print_json,
@@ -25,14 +26,7 @@ def design(
     config: ConfigArgument,
     param: OverrideOption = None,
     params_file: ParamsFileOption = None,
-    plant: Annotated[
-        Literal["auto", "rig", "identified"],
-        typer.Option(
-            "--plant",
-            help="rig: the simulated rig's linear model; identified: plant.* of force_controller; "
-            "auto: the identified one where it is given.",
-        ),
-    ] = "auto",
+    plant: PlantOption = "auto",
     axis: Annotated[
         str | None,
         typer.Option("--axis", metavar="NAME", help="Axis to be shown; default the first."),

@@ -4,7 +4,7 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 from rich.console import Console
@@ -36,6 +36,15 @@ ParamsFileOption = Annotated[
         help="Another parameter file, whose values win over CONFIG's; may be given many times.",
     ),
 ]
+PlantOption = Annotated[
+    Literal["auto", "rig", "identified"],
+    typer.Option(
+        "--plant",
+        help="rig: the simulated rig's linear model; identified: plant.* of force_controller; "
+        "auto: the identified one where it is given.",
+    ),
+]
+
 ExternalOption = Annotated[
     list[str] | None,
     typer.Option(

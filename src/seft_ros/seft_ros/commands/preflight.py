@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -14,6 +14,7 @@ from seft_ros.commands.options import (
     JsonOption,
     OverrideOption,
     ParamsFileOption,
+    PlantOption,
     complain,
     load_experiment,
     print_json,
@@ -28,14 +29,7 @@ def preflight(
     param: OverrideOption = None,
     params_file: ParamsFileOption = None,
     external: ExternalOption = None,
-    plant: Annotated[
-        Literal["auto", "rig", "identified"],
-        typer.Option(
-            "--plant",
-            help="rig: the simulated rig's linear model; identified: plant.* of force_controller; "
-            "auto: the identified one where it is given.",
-        ),
-    ] = "auto",
+    plant: PlantOption = "auto",
     figure: Annotated[
         Path | None,
         typer.Option(
