@@ -1,6 +1,7 @@
 """Zoomable figures in one style; what is too long to be seen is thinned before it is drawn."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -9,7 +10,7 @@ from bokeh.plotting import figure
 
 from seft_ros.drawing.style import FIRST, GRID, MARK, TEXT
 
-Floats = npt.NDArray[np.float64]
+Floats = npt.NDArray[np.floating[Any]]
 
 MOST_POINTS = 4000
 """Points of a line; more than twice the pixels of a wide screen."""
@@ -107,14 +108,16 @@ def line(
         _place_legend(panel)
 
 
-def path(panel: figure, x: Floats, y: Floats, label: str, *, color: str = FIRST) -> None:
+def path(
+    panel: figure, x: Floats, y: Floats, label: str, *, color: str = FIRST, width: float = 0.9
+) -> None:
     """Draw a curve of which neither coordinate increases, such as a hysteresis."""
     step = max(1, -(-len(x) // (2 * MOST_POINTS)))
     panel.line(
         x[::step].astype(np.float32),
         y[::step].astype(np.float32),
         color=color,
-        line_width=0.9,
+        line_width=width,
         **({"legend_label": label} if label else {}),
     )
     if label:
