@@ -10,19 +10,18 @@ apart field by field, to be understood or refused with a reason.
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.timebase import NANOSECONDS_PER_SECOND, Timebase
-from seft_msgs_py.topics import QUANTITIES, LoopTopic
+from seft_msgs_py.topics import LoopTopic
+from seft_msgs_py.trajectory_layout import STAMP, Layout
 from seft_msgs_py.trajectory_message import ENCAPSULATION, parse_trajectory
 
 Floats = npt.NDArray[np.float64]
 
-_STAMP = struct.Struct("<iI")
 _COUNT = struct.Struct("<I")
 _FLOAT64 = np.dtype(np.float64)
 
@@ -45,7 +44,7 @@ class TrajectoryCodec:
         self.axes = tuple(axes)
         self.timebase = timebase
         self._period_ns = timebase.period_ns
-        self._layouts: dict[int, _Layout] = {}
+        self._layouts: dict[int, Layout] = {}
         self._single = single = self._layout(1)
         shape = single.values.shape
         self._single_shapes = (shape, shape[1:], *(((shape[2],),) if shape[1] == 1 else ()))
@@ -88,7 +87,7 @@ class TrajectoryCodec:
             return self._encode(self._single, step, values, 1)
         data, width = values.tobytes(), self._row_bytes
         pieces = self._pieces.copy()
-        pieces[1] = _STAMP.pack(*divmod(step * self._period_ns, NANOSECONDS_PER_SECOND))
+        pieces[1] = STAMP.pack(*divmod(step * self._period_ns, NANOSECONDS_PER_SECOND))
         pieces[3::2] = [data[at : at + width] for at in range(0, len(data), width)]
         return b"".join(pieces)
 
@@ -135,26 +134,26 @@ class TrajectoryCodec:
                 shape, strides = self._single_shapes[0], self._single_strides
                 values = np.ndarray(shape, _FLOAT64, raw, self._first_row, strides)
                 if np.count_nonzero(np.isfinite(values)) == values.size:
-                    seconds, nanoseconds = _STAMP.unpack_from(raw, 4)
+                    seconds, nanoseconds = STAMP.unpack_from(raw, 4)
                     stamp = seconds * NANOSECONDS_PER_SECOND + nanoseconds
                     return self.timebase.step(stamp), values
         return self._decode_any(raw)
 
     def _decode_any(self, raw: bytes) -> tuple[int, Floats]:
-        layout = self._layout_of(raw)
+        layout = self.layout_of(raw)
         if len(raw) < layout.size or raw[:4] != ENCAPSULATION:
             return self._decode_slowly(raw)
         body = np.frombuffer(raw, "<u8", layout.words, 4)
         tail = raw[4 + body.nbytes : layout.size]
         if tail != layout.tail or np.count_nonzero((body & layout.mask) ^ layout.fixed):
             return self._decode_slowly(raw)
-        seconds, nanoseconds = _STAMP.unpack_from(raw, 4)
+        seconds, nanoseconds = STAMP.unpack_from(raw, 4)
         values = body.view(np.float64)[layout.values]
         if not np.isfinite(values).all():
             raise WireError(f"{self.topic.name}: {_describe_non_finite(values, self)}")
         return self.timebase.step(seconds * NANOSECONDS_PER_SECOND + nanoseconds), values
 
-    def _encode(self, layout: "_Layout", step: int, values: Floats, count: int) -> bytes:
+    def _encode(self, layout: Layout, step: int, values: Floats, count: int) -> bytes:
         if not isinstance(values, np.ndarray) or values.dtype != np.float64:
             raise WireError(
                 f"{self.topic.name}: values must be a float64 array, not {_type_name(values)}"
@@ -173,23 +172,21 @@ class TrajectoryCodec:
         if not np.isfinite(values).all():
             raise WireError(f"{self.topic.name}: {_describe_non_finite(values, self)}")
         message = bytearray(layout.template)
-        _STAMP.pack_into(
-            message, 4, *divmod(step * self.timebase.period_ns, NANOSECONDS_PER_SECOND)
-        )
+        STAMP.pack_into(message, 4, *divmod(step * self.timebase.period_ns, NANOSECONDS_PER_SECOND))
         np.frombuffer(message, "<f8", layout.words, 4)[layout.values] = values
         return bytes(message)
 
-    def _layout(self, count: int) -> "_Layout":
+    def _layout(self, count: int) -> Layout:
         layout = self._layouts.get(count)
         if layout is None:
             if len(self._layouts) > 64:
                 self._layouts.clear()
-            layout = _Layout.of(self.topic, self.axes, self.timebase, count)
+            layout = Layout.of(self.topic, self.axes, self.timebase, count)
             self._layouts[count] = layout
         return layout
 
-    def _layout_of(self, raw: bytes) -> "_Layout":
-        """Layout for as many points as the message claims, if it claims a sane number."""
+    def layout_of(self, raw: bytes) -> Layout:
+        """Layout of as many points as a message claims; of one, if that number makes no sense."""
         single = self._single
         if len(raw) < single.points_at + 4:
             return single
@@ -223,70 +220,6 @@ class TrajectoryCodec:
         if not np.isfinite(values).all():
             raise WireError(f"{name}: {_describe_non_finite(values, self)}")
         return self.timebase.step(message.stamp_ns), values
-
-
-@dataclass(frozen=True)
-class _Layout:
-    """Where things stand in a message of given axes, quantities and number of points."""
-
-    template: bytes
-    size: int
-    words: int
-    tail: bytes  # what stands after the last whole word
-    values: npt.NDArray[np.intp]  # (p, q, n) word indices of the doubles
-    mask: npt.NDArray[np.uint64]  # ones where a word must be as in the template
-    fixed: npt.NDArray[np.uint64]
-    points_at: int
-
-    @classmethod
-    def of(
-        cls, topic: LoopTopic, axes: tuple[str, ...], timebase: Timebase, count: int
-    ) -> "_Layout":
-        message, known = bytearray(ENCAPSULATION), bytearray(4)
-
-        def put(data: bytes, align: int = 4, fixed: bool = True) -> int:
-            padding = -(len(message) - 4) % align
-            message.extend(bytes(padding) + data)
-            known.extend(bytes(padding) + (b"\xff" if fixed else b"\x00") * len(data))
-            return len(message) - len(data)
-
-        def put_string(text: str) -> None:
-            data = text.encode() + b"\x00"
-            put(struct.pack("<I", len(data)))
-            put(data, align=1)
-
-        put(bytes(8), fixed=False)
-        put_string("")
-        put(struct.pack("<I", len(axes)))
-        for axis in axes:
-            put_string(axis)
-        points_at = put(struct.pack("<I", count))
-        values = np.empty((count, len(topic.quantities), len(axes)), np.intp)
-        for point in range(count):
-            for quantity in QUANTITIES:
-                if quantity not in topic.quantities:
-                    put(struct.pack("<I", 0))
-                    continue
-                put(struct.pack("<I", len(axes)))
-                row = topic.quantities.index(quantity)
-                for column in range(len(axes)):
-                    at = put(bytes(8), align=8, fixed=False)
-                    values[point, row, column] = (at - 4) // 8
-            put(_STAMP.pack(*divmod(point * timebase.period_ns, NANOSECONDS_PER_SECOND)))
-        size = len(message)
-        words = (size - 4) // 8
-        mask = np.frombuffer(bytes(known), "<u8", words, 4)
-        fixed_words = np.frombuffer(bytes(message), "<u8", words, 4) & mask
-        return cls(
-            template=bytes(message),
-            size=size,
-            words=words,
-            tail=bytes(message[4 + 8 * words :]),
-            values=values,
-            mask=mask,
-            fixed=fixed_words,
-            points_at=points_at,
-        )
 
 
 def _describe_non_finite(values: Floats, codec: TrajectoryCodec) -> str:

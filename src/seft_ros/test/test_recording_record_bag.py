@@ -180,7 +180,7 @@ def test_a_buffer_keeps_the_first_sample_of_each_step(messages):
     buffer = SampleBuffer(1, 1, 0)
     expected = {}
     for number, (step, count) in enumerate(messages):
-        buffer.append(step, np.full((count, 1, 1), float(number)))
+        buffer.append(step + np.arange(count), np.full((count, 1, 1), float(number)))
         for k in range(count):
             expected.setdefault(step + k, float(number))
     series = buffer.series()

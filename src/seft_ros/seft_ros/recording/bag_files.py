@@ -8,6 +8,8 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 from seft_msgs_py.errors import InputError
 
+from seft_ros.recording.chunk_reader import BagReader
+
 SUFFIXES = (".mcap", ".db3")
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
 
@@ -28,7 +30,7 @@ def open_bag(path: str | Path) -> Reader:
     path = Path(path)
     files = storage_files(path)
     try:
-        reader = Reader(path)
+        reader = BagReader(path)
         reader.open()
     except Exception as error:  # rosbags' parsers raise what garbage makes them raise
         reason = (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")

@@ -1,16 +1,15 @@
 """Read a bag back as the record of a test."""
 
 from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
 
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.estimates import EstimatesCodec
 from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.messages import decode_diagnostics, decode_string
-from seft_msgs_py.outcome import Outcome, Saturation, read_outcome
-from seft_msgs_py.timebase import Timebase
+from seft_msgs_py.messages import decode_string
+from seft_msgs_py.outcome import Saturation
 from seft_msgs_py.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
@@ -20,16 +19,20 @@ from seft_msgs_py.topics import (
     REFERENCE_FORCE,
     RIG_STATE,
     VALVE_COMMAND,
-    LoopTopic,
     Topic,
 )
-from seft_msgs_py.trajectory import TrajectoryCodec
 
 from seft_ros.recording.bag_files import open_bag, read_messages
 from seft_ros.recording.description import Description, read_description
+from seft_ros.recording.gathering import (
+    EstimatesGatherer,
+    Gatherer,
+    OutcomeGatherer,
+    SeriesGatherer,
+)
 from seft_ros.recording.inference import infer_experiment
-from seft_ros.recording.record import Estimates, Record, Series
-from seft_ros.recording.samples import EstimateBuffer, SampleBuffer, until
+from seft_ros.recording.record import Record
+from seft_ros.recording.samples import on_steps_of, until
 
 UNDECODABLE = "undecodable"
 """Key of a record's environment: messages that could not be understood, and were left out."""
@@ -66,19 +69,23 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         description = bag.description()
         known = described or bool(description.sections)
         experiment = bag.experiment(description) if known else bag.inferred_experiment()
-        series = {topic.name: bag.series(topic, experiment) for topic in LOOP_TOPICS}
-        estimates = bag.estimates(experiment)
-        outcome = bag.outcome(experiment.timebase)
+        loop = {topic: SeriesGatherer(topic, experiment, bag.count(topic)) for topic in LOOP_TOPICS}
+        estimates, ending = EstimatesGatherer(experiment), OutcomeGatherer(experiment.timebase)
+        gatherers: dict[Topic, Gatherer] = {**loop, ESTIMATES: estimates, DIAGNOSTICS: ending}
+        bag.gather(gatherers)
     finally:
         reader.close()
-    states = series[RIG_STATE.name].steps
+    series = {topic.name: gatherer.series() for topic, gatherer in loop.items()}
+    states, outcome = series[RIG_STATE.name].steps, ending.outcome
     if known or len(states):
         last_step = int(states[-1]) if len(states) else -1
         series[GROUND_MOTION.name] = until(series[GROUND_MOTION.name], last_step)
+    series = {name: on_steps_of(series[RIG_STATE.name], one) for name, one in series.items()}
+    undecodable = bag.undecodable + sum(item.undecodable for item in gatherers.values())
     return Record(
         experiment=experiment,
         series=series,
-        estimates=estimates,
+        estimates=estimates.series(),
         trip=outcome.trip if outcome else None,
         missed=outcome.missed if outcome else None,
         missed_steps=outcome.missed_steps if outcome else [],
@@ -87,7 +94,7 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         wall_s=outcome.wall_s if outcome else None,
         complete=outcome is not None,
         described=known,
-        environment={**description.environment, UNDECODABLE: bag.undecodable},
+        environment={**description.environment, UNDECODABLE: undecodable},
     )
 
 
@@ -152,37 +159,19 @@ class _Bag:
         names = ", ".join(topic.name for topic in _TELLING)
         raise InputError(f"{self.path}: the bag holds no test, for it has nothing on {names}")
 
-    def series(self, topic: LoopTopic, experiment: Experiment) -> Series:
-        connections = self.connections_of(topic)
-        codec = TrajectoryCodec(topic, experiment.axes, experiment.timebase)
-        expected = sum(connection.msgcount for connection in connections)
-        samples = SampleBuffer(len(topic.quantities), len(experiment.axes), expected)
-        for _, _, raw in read_messages(self.reader, connections, self.path):
-            try:
-                samples.append(*codec.decode(raw))
-            except WireError:
-                self.undecodable += 1
-        return samples.series()
+    def count(self, topic: Topic) -> int:
+        """Count the messages of a topic, as the bag claims."""
+        return sum(connection.msgcount for connection in self.connections_of(topic))
 
-    def estimates(self, experiment: Experiment) -> Estimates | None:
-        codec = EstimatesCodec(experiment.axes, experiment.timebase)
-        estimates = EstimateBuffer()
-        for _, _, raw in read_messages(self.reader, self.connections_of(ESTIMATES), self.path):
-            try:
-                estimates.append(*codec.decode(raw))
-            except WireError:
-                self.undecodable += 1
-        return estimates.series()
-
-    def outcome(self, timebase: Timebase) -> Outcome | None:
-        outcome = None
-        for _, _, raw in read_messages(self.reader, self.connections_of(DIAGNOSTICS), self.path):
-            try:
-                for status in decode_diagnostics(raw)[1]:
-                    outcome = read_outcome(status, timebase) or outcome
-            except WireError:
-                self.undecodable += 1
-        return outcome
+    def gather(self, gatherers: Mapping[Topic, Gatherer]) -> None:
+        """Let all messages of some topics go by, once, in the order of time."""
+        connections, take = [], {}
+        for topic, gatherer in gatherers.items():
+            for connection in self.connections_of(topic):
+                connections.append(connection)
+                take[connection.id] = gatherer.take
+        for connection, _, raw in read_messages(self.reader, connections, self.path):
+            take[connection.id](raw)
 
 
 def _is(topic: Topic, connection: Connection) -> bool:

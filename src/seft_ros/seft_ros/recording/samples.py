@@ -10,17 +10,18 @@ from seft_msgs_py.errors import WireError
 from seft_ros.recording.record import Estimates, Series
 
 Floats = npt.NDArray[np.float64]
+Steps = npt.NDArray[np.int64]
 
 
 class SampleBuffer:
-    """Arrays that grow; memory is that of the samples, at most doubled.
+    """Arrays that grow in place; memory is that of the samples.
 
     Parameters
     ----------
     quantities, axes : int
         Sizes q and n of a sample.
     capacity : int
-        Number of samples to expect.
+        Number of samples to expect; what of it is not filled takes no memory.
     """
 
     def __init__(self, quantities: int, axes: int, capacity: int) -> None:
@@ -28,21 +29,32 @@ class SampleBuffer:
         self._values = np.empty((max(1, capacity), quantities, axes))
         self._count = 0
 
-    def append(self, step: int, values: Floats) -> None:
-        """Add samples of consecutive steps, shape (p, q, n), the first at ``step``."""
-        end = self._count + len(values)
+    def append(self, steps: Steps, values: Floats) -> None:
+        """Add samples, of shapes (p,) and (p, q, n)."""
+        end = self._count + len(steps)
         if end > len(self._steps):
-            size = max(end, 2 * len(self._steps))
-            self._steps = np.resize(self._steps, size)
-            self._values = np.resize(self._values, (size, *self._values.shape[1:]))
-        self._steps[self._count : end] = range(step, step + len(values))
+            self._resize(max(end, 2 * len(self._steps)))
+        self._steps[self._count : end] = steps
         self._values[self._count : end] = values
         self._count = end
 
     def series(self) -> Series:
-        """Order the samples by step; of those that came twice the first counts."""
-        steps, first = np.unique(self._steps[: self._count], return_index=True)
-        return Series(steps, self._values[first])
+        """Give them ordered by step, of those that came twice the first; the buffer is empty then.
+
+        Samples that came in order, as they mostly do, are not copied.
+        """
+        self._resize(self._count)
+        steps, values, self._count = self._steps, self._values, 0
+        self._steps, self._values = steps[:0].copy(), values[:0].copy()
+        if (steps[1:] > steps[:-1]).all():
+            return Series(steps, values)
+        ordered, first = np.unique(steps, return_index=True)
+        return Series(ordered, values[first])
+
+    def _resize(self, count: int) -> None:
+        # nobody else has seen the arrays; the check takes a debugger's frames for references
+        self._steps.resize(count, refcheck=False)
+        self._values.resize((count, *self._values.shape[1:]), refcheck=False)
 
 
 class EstimateBuffer:
@@ -71,7 +83,7 @@ class EstimateBuffer:
                 f"estimates of step {step} are {', '.join(estimates)}, but were "
                 f"{', '.join(self._names)}"
             )
-        self._samples.append(step, sample[np.newaxis])
+        self._samples.append(np.array([step]), sample[np.newaxis])
 
     def series(self) -> Estimates | None:
         """Order them by step as `SampleBuffer.series` does; None if there are none."""
@@ -112,3 +124,9 @@ def until(series: Series, last_step: int) -> Series:
     """Cut a series after a step."""
     end = int(np.searchsorted(series.steps, last_step, side="right"))
     return Series(series.steps[:end], series.values[:end])
+
+
+def on_steps_of(other: Series, series: Series) -> Series:
+    """Let a series share its steps with another that has the same, to hold them once."""
+    steps = other.steps[: len(series.steps)]
+    return Series(steps, series.values) if np.array_equal(steps, series.steps) else series

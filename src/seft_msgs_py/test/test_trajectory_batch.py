@@ -1,0 +1,131 @@
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from seft_msgs_py.errors import WireError
+from seft_msgs_py.timebase import Timebase
+from seft_msgs_py.topics import LOOP_TOPICS, RIG_STATE
+from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_msgs_py.trajectory_batch import decode_batch
+
+TIMEBASE = Timebase.from_rate(500.0)
+NAMES = ("x", "größe", "an axis of a longer name", "y3")
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@st.composite
+def corrupted(draw, raw):
+    """A message whose bytes were changed, cut or added to."""
+    raw = bytearray(raw)
+    at = draw(st.integers(0, len(raw) - 1))
+    match draw(st.sampled_from(["byte", "cut", "end", "nan", "header"])):
+        case "byte":
+            raw[at] = draw(st.integers(0, 255))
+        case "cut":
+            del raw[at:]
+        case "end":
+            raw += draw(st.binary(max_size=12))
+        case "nan":
+            words = range(4, len(raw) - 7, 8)
+            struct.pack_into("<d", raw, draw(st.sampled_from(words)), np.nan)
+        case "header":
+            raw[at % 4] ^= draw(st.integers(0, 3))
+    return bytes(raw)
+
+
+@st.composite
+def batches(draw):
+    """A codec and messages: of it, of other axes, topics and rates, and corrupted ones."""
+    topic = draw(st.sampled_from(LOOP_TOPICS))
+    axes = NAMES[: draw(st.integers(1, len(NAMES)))]
+    codec = TrajectoryCodec(topic, axes, TIMEBASE)
+    others = [
+        TrajectoryCodec(topic, axes[::-1], TIMEBASE),
+        TrajectoryCodec(draw(st.sampled_from(LOOP_TOPICS)), axes, TIMEBASE),
+        TrajectoryCodec(topic, axes, Timebase.from_rate(800.0)),
+    ]
+    raws = []
+    for _ in range(draw(st.integers(0, 12))):
+        sender = draw(st.sampled_from([codec, codec, codec, *others]))
+        points = draw(st.sampled_from([1, 1, 3]))
+        shape = (points, len(sender.topic.quantities), len(axes))
+        values = draw(arrays(np.float64, shape, elements=FINITE))
+        raw = sender.encode_points(draw(st.integers(0, 10**9)), values)
+        raws.append(draw(corrupted(raw)) if draw(st.integers(0, 2)) == 0 else raw)
+    return codec, raws
+
+
+def decode_each(codec, raws):
+    """What a batch must give: each message by itself."""
+    steps, values, refused = [], [], 0
+    for raw in raws:
+        try:
+            step, points = codec.decode(raw)
+        except WireError:
+            refused += 1
+        else:
+            steps += range(step, step + len(points))
+            values.append(points.tobytes())
+    return steps, b"".join(values), refused
+
+
+def assert_as_each(codec, raws):
+    steps, values, refused = decode_batch(codec, raws)
+    assert values.shape == (len(steps), len(codec.topic.quantities), len(codec.axes))
+    assert (steps.dtype, values.dtype) == (np.int64, np.float64)
+    assert (steps.tolist(), values.tobytes(), refused) == decode_each(codec, raws)
+
+
+@settings(deadline=None, max_examples=400)
+@given(batches())
+def test_a_batch_gives_what_its_messages_give_one_by_one(batch):
+    assert_as_each(*batch)
+
+
+@pytest.mark.parametrize("pad", [b"\x00", b"\xa5"])
+def test_padding_and_trailing_bytes_are_ignored_as_in_a_single_message(pad):
+    codec = TrajectoryCodec(RIG_STATE, ("abc",), TIMEBASE)
+    raws = [codec.encode(step, np.full((4, 1), float(step))) for step in range(5)]
+    layout = codec.layout_of(raws[0])
+    known = bytes(4) + layout.mask.tobytes() + bytes(len(layout.tail))
+    values = set((4 + 8 * layout.values.ravel()).tolist())
+    padded = []
+    for raw in raws:
+        changed = bytearray(raw)
+        for at in range(12, layout.size - len(layout.tail)):
+            if not known[at] and not any(start <= at < start + 8 for start in values):
+                changed[at : at + 1] = pad
+        padded.append(bytes(changed) + b"past the end")
+    assert_as_each(codec, padded)
+    assert decode_batch(codec, padded)[2] == 0
+
+
+def test_stamps_off_the_grid_and_before_the_start_are_refused():
+    codec = TrajectoryCodec(RIG_STATE, ("x",), TIMEBASE)
+    raws = [bytearray(codec.encode(step, np.zeros((4, 1)))) for step in range(6)]
+    struct.pack_into("<iI", raws[1], 4, 0, 2_000_001)
+    struct.pack_into("<iI", raws[2], 4, -1, 0)
+    struct.pack_into("<iI", raws[3], 4, -1, 1_000_000_000)  # nanoseconds that make up for it
+    raws = [bytes(raw) for raw in raws]
+    assert_as_each(codec, raws)
+    steps, _, refused = decode_batch(codec, raws)
+    assert (steps.tolist(), refused) == ([0, 0, 4, 5], 2)
+
+
+def test_no_message_is_an_empty_batch():
+    codec = TrajectoryCodec(RIG_STATE, ("x", "y"), TIMEBASE)
+    assert_as_each(codec, [])
+    assert_as_each(codec, [b"", b"", b"\x00\x01\x00\x00"])
+
+
+def test_most_messages_never_meet_the_codec(monkeypatch):
+    codec = TrajectoryCodec(RIG_STATE, ("x",), TIMEBASE)
+    raws = [codec.encode(step, np.zeros((4, 1))) for step in range(50)]
+    raws[20] = raws[20][:-8] + b"\x00" * 7 + b"\x01"  # the point is not at the stamp
+    single = []
+    monkeypatch.setattr(codec, "decode", lambda raw: single.append(raw) or (0, np.zeros((1, 4, 1))))
+    decode_batch(codec, raws)
+    assert single == [raws[20]]
