@@ -7,6 +7,7 @@ operations. Every other message goes through `TrajectoryCodec.decode`, one by on
 
 from collections.abc import Iterator, Sequence
 from itertools import groupby
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +22,28 @@ Steps = npt.NDArray[np.int64]
 Samples = tuple[Steps, Floats]
 
 
-def decode_batch(codec: TrajectoryCodec, raws: Sequence[bytes]) -> tuple[Steps, Floats, int]:
+class Batch(NamedTuple):
+    """What many messages hold.
+
+    Attributes
+    ----------
+    steps : ndarray of int64
+        Shape (N,): steps of all points of all messages that are understood, in their order.
+    values : ndarray
+        Shape (N, q, n): points, quantities, axes. All finite.
+    messages : ndarray of int64
+        Shape (N,): index of the message that each point is of.
+    refused : int
+        Messages that are not understood.
+    """
+
+    steps: Steps
+    values: Floats
+    messages: Steps
+    refused: int
+
+
+def decode_batch(codec: TrajectoryCodec, raws: Sequence[bytes]) -> Batch:
     """Read messages as `TrajectoryCodec.decode` does each of them.
 
     Parameters
@@ -30,35 +52,34 @@ def decode_batch(codec: TrajectoryCodec, raws: Sequence[bytes]) -> tuple[Steps, 
         Of their topic.
     raws : sequence of bytes
         The messages; memory is a small multiple of theirs.
-
-    Returns
-    -------
-    steps : ndarray of int64
-        Shape (N,): steps of all points of all messages that are understood, in their order.
-    values : ndarray
-        Shape (N, q, n): points, quantities, axes. All finite.
-    refused : int
-        Messages that are not understood.
     """
     steps = [np.empty(0, np.int64)]
     values = [np.empty((0, len(codec.topic.quantities), len(codec.axes)))]
-    refused = 0
+    messages = [np.empty(0, np.int64)]
+    done = refused = 0
     for _, alike in groupby(raws, len):
-        for part in _decode_alike(codec, list(alike)):
+        for count, part in _decode_alike(codec, list(alike)):
             if part is None:
                 refused += 1
-            else:
+            elif count:
                 steps.append(part[0])
                 values.append(part[1])
-    return np.concatenate(steps), np.concatenate(values), refused
+                messages.append(np.repeat(np.arange(done, done + count), len(part[0]) // count))
+            done += count
+    return Batch(np.concatenate(steps), np.concatenate(values), np.concatenate(messages), refused)
 
 
-def _decode_alike(codec: TrajectoryCodec, raws: list[bytes]) -> Iterator[Samples | None]:
-    """Decode messages of equal length, in order; None for each that is not understood."""
+def _decode_alike(
+    codec: TrajectoryCodec, raws: list[bytes]
+) -> Iterator[tuple[int, Samples | None]]:
+    """Decode messages of equal length, in order, some at a time: their number, and what they hold.
+
+    None for each that is not understood.
+    """
     layout = codec.layout_of(raws[0])
     length, points = len(raws[0]), len(layout.values)
     if length < layout.size:
-        yield from (_decode_one(codec, raw) for raw in raws)
+        yield from ((1, _decode_one(codec, raw)) for raw in raws)
         return
     joined = b"".join(raws)
     rows = np.frombuffer(joined, np.uint8).reshape(len(raws), length)
@@ -75,9 +96,10 @@ def _decode_alike(codec: TrajectoryCodec, raws: list[bytes]) -> Iterator[Samples
     steps = first[:, np.newaxis] + np.arange(points)
     start = 0
     for end in [*np.flatnonzero(~fits).tolist(), len(raws)]:
-        yield steps[start:end].ravel(), values[start:end].reshape(-1, *layout.values.shape[1:])
+        part = values[start:end].reshape(-1, *layout.values.shape[1:])
+        yield end - start, (steps[start:end].ravel(), part)
         if end < len(raws):
-            yield _decode_one(codec, raws[end])
+            yield 1, _decode_one(codec, raws[end])
         start = end + 1
 
 

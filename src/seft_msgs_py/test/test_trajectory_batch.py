@@ -60,8 +60,8 @@ def batches(draw):
 
 def decode_each(codec, raws):
     """What a batch must give: each message by itself."""
-    steps, values, refused = [], [], 0
-    for raw in raws:
+    steps, values, messages, refused = [], [], [], 0
+    for index, raw in enumerate(raws):
         try:
             step, points = codec.decode(raw)
         except WireError:
@@ -69,14 +69,16 @@ def decode_each(codec, raws):
         else:
             steps += range(step, step + len(points))
             values.append(points.tobytes())
-    return steps, b"".join(values), refused
+            messages += [index] * len(points)
+    return steps, b"".join(values), messages, refused
 
 
 def assert_as_each(codec, raws):
-    steps, values, refused = decode_batch(codec, raws)
+    steps, values, messages, refused = decode_batch(codec, raws)
     assert values.shape == (len(steps), len(codec.topic.quantities), len(codec.axes))
     assert (steps.dtype, values.dtype) == (np.int64, np.float64)
-    assert (steps.tolist(), values.tobytes(), refused) == decode_each(codec, raws)
+    found = (steps.tolist(), values.tobytes(), messages.tolist(), refused)
+    assert found == decode_each(codec, raws)
 
 
 @settings(deadline=None, max_examples=400)
@@ -100,7 +102,7 @@ def test_padding_and_trailing_bytes_are_ignored_as_in_a_single_message(pad):
                 changed[at : at + 1] = pad
         padded.append(bytes(changed) + b"past the end")
     assert_as_each(codec, padded)
-    assert decode_batch(codec, padded)[2] == 0
+    assert decode_batch(codec, padded).refused == 0
 
 
 def test_stamps_off_the_grid_and_before_the_start_are_refused():
@@ -111,8 +113,8 @@ def test_stamps_off_the_grid_and_before_the_start_are_refused():
     struct.pack_into("<iI", raws[3], 4, -1, 1_000_000_000)  # nanoseconds that make up for it
     raws = [bytes(raw) for raw in raws]
     assert_as_each(codec, raws)
-    steps, _, refused = decode_batch(codec, raws)
-    assert (steps.tolist(), refused) == ([0, 0, 4, 5], 2)
+    batch = decode_batch(codec, raws)
+    assert (batch.steps.tolist(), batch.refused) == ([0, 0, 4, 5], 2)
 
 
 def test_no_message_is_an_empty_batch():

@@ -8,7 +8,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.estimates import EstimatesCodec
-from seft_msgs_py.messages import encode_diagnostics, encode_string
+from seft_msgs_py.messages import Status, encode_diagnostics, encode_status, encode_string
 from seft_msgs_py.outcome import Trip, rig_status
 from seft_msgs_py.timebase import Timebase
 from seft_msgs_py.topics import (
@@ -16,6 +16,7 @@ from seft_msgs_py.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
     ESTIMATES,
+    EXPERIMENT_STATE,
     GROUND_MOTION,
     LOOP_TOPICS,
     REFERENCE_FORCE,
@@ -115,6 +116,50 @@ def test_samples_are_ordered_by_step_and_of_duplicates_the_first_counts(tmp_path
     series = record.series["rig/state"]
     assert series.steps.tolist() == [0, 1, 2, 3]
     assert np.array_equal(series.values, [states(k) for k in range(4)])
+
+
+def test_each_sample_has_the_time_its_message_was_received(tmp_path):
+    late = [(RIG_STATE, CODECS["rig/state"].encode(3, states(99)))]
+    messages = [*description(), motion(0, 10), *loop([0, 3, 1]), *late, *loop([2])]
+    series = read_bag(write(tmp_path / "bag", messages)).series
+    at = [START + k for k, (topic, _) in enumerate(messages) if topic is RIG_STATE]
+    assert series["rig/state"].received_ns.tolist() == [at[0], at[2], at[4], at[1]]
+    assert series["ground_motion"].received_ns.tolist() == [START + len(description())] * 4
+
+
+def told(name, level, message, **values):
+    return DIAGNOSTICS, encode_diagnostics(0, [Status(name, level, message, values=values)])
+
+
+def test_what_nodes_tell_is_an_event_once_until_they_tell_another(tmp_path):
+    state = [
+        (EXPERIMENT_STATE, encode_status(Status("experiment", 0, "running", values=values)))
+        for values in ({"detail": "running"}, {"detail": "running"}, {"detail": "ramping"})
+    ]
+    messages = [
+        *description(),
+        motion(0, 8),
+        state[0],
+        *loop([0]),
+        told("rig", 0, "running"),
+        told("rig", 0, "running"),
+        state[1],
+        told("recorder", 1, "disk nearly full"),
+        state[2],
+        told("rig", 0, "running", late="1"),
+        told("rig", 2, "tripped"),
+    ]
+    record = read_bag(write(tmp_path / "bag", messages))
+    assert [(e.source, e.level, e.text) for e in record.events] == [
+        ("experiment", "ok", "running"),
+        ("rig", "ok", "running"),
+        ("recorder", "warn", "disk nearly full"),
+        ("experiment", "ok", "running: ramping"),
+        ("rig", "error", "tripped"),
+    ]
+    times = [e.time_s for e in record.events]
+    assert times == sorted(times)
+    assert times[0] < 0 < times[1]  # the rig's first sample is time zero
 
 
 def test_steps_that_were_lost_are_not_there(tmp_path):

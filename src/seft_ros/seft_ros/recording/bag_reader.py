@@ -14,6 +14,7 @@ from seft_msgs_py.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
     ESTIMATES,
+    EXPERIMENT_STATE,
     GROUND_MOTION,
     LOOP_TOPICS,
     REFERENCE_FORCE,
@@ -26,9 +27,11 @@ from seft_ros.recording.bag_files import open_bag, read_messages
 from seft_ros.recording.description import Description, read_description
 from seft_ros.recording.gathering import (
     EstimatesGatherer,
+    EventLog,
     Gatherer,
-    OutcomeGatherer,
     SeriesGatherer,
+    StateGatherer,
+    StatusGatherer,
 )
 from seft_ros.recording.inference import infer_experiment
 from seft_ros.recording.record import Record
@@ -70,13 +73,24 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         known = described or bool(description.sections)
         experiment = bag.experiment(description) if known else bag.inferred_experiment()
         loop = {topic: SeriesGatherer(topic, experiment, bag.count(topic)) for topic in LOOP_TOPICS}
-        estimates, ending = EstimatesGatherer(experiment), OutcomeGatherer(experiment.timebase)
-        gatherers: dict[Topic, Gatherer] = {**loop, ESTIMATES: estimates, DIAGNOSTICS: ending}
+        log = EventLog()
+        estimates = EstimatesGatherer(experiment)
+        statuses, test = StatusGatherer(experiment.timebase, log), StateGatherer(log)
+        gatherers: dict[Topic, Gatherer] = {
+            **dict(loop.items()),
+            ESTIMATES: estimates,
+            DIAGNOSTICS: statuses,
+            EXPERIMENT_STATE: test,
+        }
         bag.gather(gatherers)
+        start_ns = reader.start_time
     finally:
         reader.close()
     series = {topic.name: gatherer.series() for topic, gatherer in loop.items()}
-    states, outcome = series[RIG_STATE.name].steps, ending.outcome
+    states, outcome = series[RIG_STATE.name].steps, statuses.outcome
+    received = series[RIG_STATE.name].received_ns
+    if received is not None and len(received):
+        start_ns = int(received[0])
     if known or len(states):
         last_step = int(states[-1]) if len(states) else -1
         series[GROUND_MOTION.name] = until(series[GROUND_MOTION.name], last_step)
@@ -91,6 +105,7 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         missed_steps=outcome.missed_steps if outcome else [],
         overruns=outcome.overruns if outcome else None,
         saturation=outcome.saturation if outcome else Saturation(),
+        events=log.events(start_ns),
         wall_s=outcome.wall_s if outcome else None,
         complete=outcome is not None,
         described=known,
@@ -170,8 +185,8 @@ class _Bag:
             for connection in self.connections_of(topic):
                 connections.append(connection)
                 take[connection.id] = gatherer.take
-        for connection, _, raw in read_messages(self.reader, connections, self.path):
-            take[connection.id](raw)
+        for connection, received_ns, raw in read_messages(self.reader, connections, self.path):
+            take[connection.id](raw, received_ns)
 
 
 def _is(topic: Topic, connection: Connection) -> bool:

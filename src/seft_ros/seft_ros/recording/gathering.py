@@ -3,22 +3,34 @@
 Each object takes the messages of one topic, and counts those that it can't understand.
 """
 
+from functools import lru_cache
 from sys import getsizeof
 from typing import Protocol
 
+import numpy as np
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.estimates import EstimatesCodec
 from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.messages import decode_diagnostics
+from seft_msgs_py.messages import (
+    ERROR,
+    OK,
+    STALE,
+    WARN,
+    Status,
+    decode_diagnostics,
+    decode_status,
+)
 from seft_msgs_py.outcome import Outcome, read_outcome
-from seft_msgs_py.timebase import Timebase
+from seft_msgs_py.timebase import NANOSECONDS_PER_SECOND, Timebase
 from seft_msgs_py.topics import LoopTopic
 from seft_msgs_py.trajectory import TrajectoryCodec
 from seft_msgs_py.trajectory_batch import decode_batch
 
-from seft_ros.recording.record import Estimates, Series
+from seft_ros.recording.record import Estimates, Event, Series
 from seft_ros.recording.samples import EstimateBuffer, SampleBuffer
 
+_MOST_EVENTS = 1000
+_LEVELS = {OK: "ok", WARN: "warn", ERROR: "error", STALE: "stale"}
 _BATCH = 1 << 20  # bytes of messages: enough for arrays to pay, little enough for the cache
 
 
@@ -27,8 +39,8 @@ class Gatherer(Protocol):
 
     undecodable: int
 
-    def take(self, raw: bytes) -> None:
-        """Take the next message."""
+    def take(self, raw: bytes, received_ns: int) -> None:
+        """Take the next message, and when it was received."""
 
 
 class SeriesGatherer:
@@ -49,11 +61,13 @@ class SeriesGatherer:
         self._codec = TrajectoryCodec(topic, experiment.axes, experiment.timebase)
         self._samples = SampleBuffer(len(topic.quantities), len(experiment.axes), expected)
         self._batch: list[bytes] = []
+        self._received: list[int] = []
         self._size = 0
 
-    def take(self, raw: bytes) -> None:
+    def take(self, raw: bytes, received_ns: int) -> None:
         """Take the next message; it is decoded later, with others."""
         self._batch.append(raw)
+        self._received.append(received_ns)
         self._size += getsizeof(raw)
         if self._size >= _BATCH:
             self._decode()
@@ -64,10 +78,11 @@ class SeriesGatherer:
         return self._samples.series()
 
     def _decode(self) -> None:
-        steps, values, refused = decode_batch(self._codec, self._batch)
-        self._samples.append(steps, values)
-        self.undecodable += refused
-        self._batch, self._size = [], 0
+        batch = decode_batch(self._codec, self._batch)
+        received = np.array(self._received, np.int64)[batch.messages]
+        self._samples.append(batch.steps, batch.values, received)
+        self.undecodable += batch.refused
+        self._batch, self._received, self._size = [], [], 0
 
 
 class EstimatesGatherer:
@@ -78,8 +93,9 @@ class EstimatesGatherer:
         self._codec = EstimatesCodec(experiment.axes, experiment.timebase)
         self._estimates = EstimateBuffer()
 
-    def take(self, raw: bytes) -> None:
+    def take(self, raw: bytes, received_ns: int) -> None:
         """Take the next message."""
+        del received_ns  # the step says when
         try:
             self._estimates.append(*self._codec.decode(raw))
         except WireError:
@@ -90,8 +106,8 @@ class EstimatesGatherer:
         return self._estimates.series()
 
 
-class OutcomeGatherer:
-    """How the test ended: what the rig said last of it in its diagnostics.
+class StatusGatherer:
+    """What the nodes told in their diagnostics: how the test ended, and what changed.
 
     Attributes
     ----------
@@ -99,15 +115,62 @@ class OutcomeGatherer:
         None as long as the rig said nothing of an end.
     """
 
-    def __init__(self, timebase: Timebase) -> None:
+    def __init__(self, timebase: Timebase, log: "EventLog") -> None:
         self.undecodable = 0
         self.outcome: Outcome | None = None
-        self._timebase = timebase
+        self._timebase, self._log = timebase, log
+        self._decode = lru_cache(64)(decode_diagnostics)  # nodes repeat themselves
 
-    def take(self, raw: bytes) -> None:
+    def take(self, raw: bytes, received_ns: int) -> None:
         """Take the next message."""
         try:
-            for status in decode_diagnostics(raw)[1]:
-                self.outcome = read_outcome(status, self._timebase) or self.outcome
+            _, statuses = self._decode(raw[:4] + bytes(8) + raw[12:])  # but for the stamp
         except WireError:
             self.undecodable += 1
+            return
+        for status in statuses:
+            self.outcome = read_outcome(status, self._timebase) or self.outcome
+            self._log.add(received_ns, status, status.message)
+
+
+class StateGatherer:
+    """What the supervisor told of the test's state."""
+
+    def __init__(self, log: "EventLog") -> None:
+        self.undecodable = 0
+        self._log = log
+
+    def take(self, raw: bytes, received_ns: int) -> None:
+        """Take the next message."""
+        try:
+            status = decode_status(raw)
+        except WireError:
+            self.undecodable += 1
+            return
+        detail = status.values.get("detail", "")
+        same = detail in ("", status.message)
+        self._log.add(
+            received_ns, status, status.message if same else f"{status.message}: {detail}"
+        )
+
+
+class EventLog:
+    """What nodes told, each thing once until that node tells another; not without bound."""
+
+    def __init__(self) -> None:
+        self._told: dict[str, tuple[int, str]] = {}
+        self._events: list[tuple[int, str, int, str]] = []
+
+    def add(self, received_ns: int, status: Status, text: str) -> None:
+        """Take in what a node tells."""
+        told = (status.level, text)
+        if self._told.get(status.name) != told and len(self._events) < _MOST_EVENTS:
+            self._events.append((received_ns, status.name, *told))
+        self._told[status.name] = told
+
+    def events(self, start_ns: int) -> list[Event]:
+        """Give the events with their times after a moment of the wall clock."""
+        return [
+            Event((at - start_ns) / NANOSECONDS_PER_SECOND, source, _LEVELS.get(level, "?"), text)
+            for at, source, level, text in self._events
+        ]

@@ -53,7 +53,7 @@ class Event:
     Attributes
     ----------
     time_s : float
-        When it was received, s after the record's first message.
+        When it was received, s after the rig's first sample was received.
     source : str
         Who told.
     level : str

@@ -1,7 +1,7 @@
 """Samples of a topic, gathered message by message in whatever order they come."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -27,15 +27,21 @@ class SampleBuffer:
     def __init__(self, quantities: int, axes: int, capacity: int) -> None:
         self._steps = np.empty(max(1, capacity), np.int64)
         self._values = np.empty((max(1, capacity), quantities, axes))
+        self._received = np.empty(max(1, capacity), np.int64)
+        self._timed = True
         self._count = 0
 
-    def append(self, steps: Steps, values: Floats) -> None:
-        """Add samples, of shapes (p,) and (p, q, n)."""
+    def append(self, steps: Steps, values: Floats, received_ns: Steps | None = None) -> None:
+        """Add samples, of shapes (p,) and (p, q, n), and when each was received, shape (p,)."""
         end = self._count + len(steps)
         if end > len(self._steps):
             self._resize(max(end, 2 * len(self._steps)))
         self._steps[self._count : end] = steps
         self._values[self._count : end] = values
+        if received_ns is None:
+            self._timed = False
+        else:
+            self._received[self._count : end] = received_ns
         self._count = end
 
     def series(self) -> Series:
@@ -45,15 +51,19 @@ class SampleBuffer:
         """
         self._resize(self._count)
         steps, values, self._count = self._steps, self._values, 0
+        received = self._received if self._timed else None
         self._steps, self._values = steps[:0].copy(), values[:0].copy()
+        self._received = self._steps.copy()
         if (steps[1:] > steps[:-1]).all():
-            return Series(steps, values)
+            return Series(steps, values, received_ns=received)
         ordered, first = np.unique(steps, return_index=True)
-        return Series(ordered, values[first])
+        times = None if received is None else received[first]
+        return Series(ordered, values[first], received_ns=times)
 
     def _resize(self, count: int) -> None:
         # nobody else has seen the arrays; the check takes a debugger's frames for references
         self._steps.resize(count, refcheck=False)
+        self._received.resize(count, refcheck=False)
         self._values.resize((count, *self._values.shape[1:]), refcheck=False)
 
 
@@ -123,10 +133,11 @@ def consecutive_runs(series: Series, longest: int) -> list[Run]:
 def until(series: Series, last_step: int) -> Series:
     """Cut a series after a step."""
     end = int(np.searchsorted(series.steps, last_step, side="right"))
-    return Series(series.steps[:end], series.values[:end])
+    received = None if series.received_ns is None else series.received_ns[:end]
+    return Series(series.steps[:end], series.values[:end], received_ns=received)
 
 
 def on_steps_of(other: Series, series: Series) -> Series:
     """Let a series share its steps with another that has the same, to hold them once."""
     steps = other.steps[: len(series.steps)]
-    return Series(steps, series.values) if np.array_equal(steps, series.steps) else series
+    return replace(series, steps=steps) if np.array_equal(steps, series.steps) else series
