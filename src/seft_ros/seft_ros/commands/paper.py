@@ -64,7 +64,7 @@ def paper(
     workers.
 
     Exit status 0: the page was made. A claim that does not agree is a finding, not a failure; it
-    is shown as such. 2: wrong input.
+    is shown as such. 1: interrupted, or the rig can't be identified. 2: wrong input.
 
     Examples:
 

@@ -22,6 +22,7 @@ _PANELS = {
     "acceleration": ("g", "h", "i"),
 }
 _PEAKS = {0.5: "smaller", 1.0: "more so than at alpha = 0.5"}
+_SMALLER = 0.95  # of the reference's peak
 _MISMATCH = (0.10, 10.0)  # of the magnitude, degrees
 _VISIBLE = 3.0  # times the reference's share
 
@@ -90,14 +91,14 @@ def _discrepancies(found: Findings) -> Iterator[Claim]:
         for name in ("displacement", "force", "acceleration"):
             peaks = test.agreement(name)
             said = "not stated" if name == "displacement" else _PEAKS[ratio]
-            smaller = peaks.peak < peaks.reference_peak
+            smaller = peaks.peak <= _SMALLER * peaks.reference_peak
             yield holds(
                 f"{FIGURE} ({_PANELS[name][index]})",
                 f"peak {name} smaller than the reference at alpha = {ratio:g}",
                 said,
                 f"{peaks.peak / peaks.reference_peak:.3f} of the reference's",
                 smaller,
-                "below 1",
+                f"at most {_SMALLER:g}: at alpha = 0 peaks differ by some percent too",
                 "" if smaller else _in_total(test, name),
             )
     for name, panels in _PANELS.items():

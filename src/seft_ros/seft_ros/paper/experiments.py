@@ -7,6 +7,7 @@ from typing import Any
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.experiment import Experiment
 
+from seft_ros.experiment.blocks import build_blocks
 from seft_ros.identification.experiments import has_valve
 
 DELAY = 0.01
@@ -14,6 +15,9 @@ DELAY = 0.01
 
 BEYOND_SHARE = 0.4
 """Of the motion's amplitude, beyond the paper: what the valve can serve at a mass ratio of 1.5."""
+
+LEAST_RATE = 200.0
+"""Sampling rate that shows the vibration, at 30 to 45 Hz, Hz."""
 
 _QUANTITIES = ("position", "velocity", "acceleration", "force")
 _FAR = {"displacement": 1e3, "velocity": 1e3, "acceleration": 1e4, "force": 1e6}
@@ -25,7 +29,8 @@ def check_rig(experiment: Experiment) -> None:
     Raises
     ------
     InputError
-        If it has several axes, no valve, or another reference force than the paper's.
+        If parameters make no sense, the record can't be read, or the experiment has several
+        axes, no valve, a low rate, or another reference force than the paper's.
     """
     if len(experiment.axes) != 1:
         raise InputError(f"/**: axes are {list(experiment.axes)}, but the paper's rig has one axis")
@@ -35,8 +40,14 @@ def check_rig(experiment: Experiment) -> None:
             f"rig: actuator.kind is {kind}, but the paper's experiment needs servo_hydraulic; its "
             "simulations with a delay are made of it"
         )
+    if experiment.timebase.rate < LEAST_RATE:
+        raise InputError(
+            f"/**: rate is {experiment.timebase.rate:g} Hz, but the paper's vibration needs at "
+            f"least {LEAST_RATE:g} Hz to be seen"
+        )
     if experiment["reference_force"]["method"] != "seft":
         raise InputError("reference_force: method is eft, but the paper's experiment needs seft")
+    build_blocks(uncompensated(experiment, 0.0))
 
 
 def changed(experiment: Experiment, changes: Mapping[str, Mapping[str, Any]]) -> Experiment:

@@ -20,6 +20,7 @@ _UNITS = {
     "acceleration": ("m/s²", 1.0),
 }
 _SIMULATED, _COMPENSATED = OTHERS[2], OTHERS[1]
+_CALCULATED = (_SIMULATED, _COMPENSATED)
 _SMALL = 230  # pixels of height
 _STRONG = (0.1, 0.9)  # of the energy: what is shown at first
 _MARGIN = 0.3  # s before and after
@@ -127,8 +128,9 @@ def _history(
     unit, factor = _UNITS[name]
     panel = plot("time / s", f"{title} / {unit}", x_range=shared, height=_SMALL)
     for test, which, label, color in curves:
+        dash = "5 3" if color in _CALCULATED else "solid"  # what lies below must show
         signal = (test.exact if which else test.measured)[name]
-        line(panel, test.time, factor * signal, label, color=color, width=1.1)
+        line(panel, test.time, factor * signal, label, color=color, width=1.1, dash=dash)
     return Plot(panel, caption)
 
 

@@ -62,7 +62,7 @@ def _overview(found: Findings, claims: Sequence[Claim]) -> list[Block]:
     record = (
         f"Ground motion: {_source(found)}."
         if found.experiment["ground_motion"]["file"]
-        else f"Ground motion: {_source(found)}, not the paper's record; give Kobe JMA N-S by --file."
+        else f"Ground motion: {_source(found)}, not the paper's Kobe (--file)."
     )
     findings = [Cell(_reason(claim), Mark.BAD) for claim in against]
     return [
