@@ -10,6 +10,7 @@ from seft_ros.commands.design import design
 from seft_ros.commands.identify import identify
 from seft_ros.commands.motion import motion
 from seft_ros.commands.options import complain
+from seft_ros.commands.paper import paper
 from seft_ros.commands.parameters import parameters
 from seft_ros.commands.preflight import preflight
 from seft_ros.commands.recover import recover
@@ -31,7 +32,7 @@ APP = typer.Typer(
 )
 for command in (
     *(run, simulate, report, compare, motion, recover, identify, design, tournament),
-    *(preflight, parameters),
+    *(preflight, paper, parameters),
 ):
     APP.command()(command)
 

@@ -52,11 +52,14 @@ class Table:
         One for each column; none: a list of names and values.
     rows : sequence of sequences
         Text, or `Cell` with a mark.
+    wide : bool
+        Over the page's whole width.
     """
 
     headings: Sequence[str]
     rows: Sequence[Sequence[str | Cell]]
     numbers: bool = True
+    wide: bool = False
     kind: str = "table"
 
     def cells(self) -> list[list[Cell]]:
@@ -84,7 +87,24 @@ class Plot:
     kind: str = "plot"
 
 
-Block = Text | Verdict | Table | Plot
+@dataclass(frozen=True)
+class Grid:
+    """Plots side by side, row after row, where there is room; else one below the other.
+
+    Attributes
+    ----------
+    plots : sequence of Plot
+        Row by row.
+    columns : int
+        Most in a row, 2 to 4.
+    """
+
+    plots: Sequence[Plot]
+    columns: int = 3
+    kind: str = "grid"
+
+
+Block = Text | Verdict | Table | Plot | Grid
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from seft_msgs_py.errors import InputError
 
-from seft_ros.page.content import Plot, Section
+from seft_ros.page.content import Block, Grid, Plot, Section
 
 SUFFIX = ".html"
 
@@ -23,10 +23,10 @@ def write_page(path: Path, title: str, subtitle: str, sections: Sequence[Section
         If the file can't be written.
     """
     figures = {
-        f"{place}-{index}": block.figure
+        name: plot.figure
         for place, section in enumerate(sections)
         for index, block in enumerate(section.blocks)
-        if isinstance(block, Plot)
+        for name, plot in _plots(f"{place}-{index}", block)
     }
     script, places = components(figures) if figures else ("", {})
     library = Resources(mode="inline", components=["bokeh"]).render_js() if figures else ""
@@ -50,6 +50,13 @@ def write_page(path: Path, title: str, subtitle: str, sections: Sequence[Section
         path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: the page can't be written ({error.strerror})") from None
+
+
+def _plots(name: str, block: Block) -> list[tuple[str, Plot]]:
+    """Name the plots of a block, as the template looks for them."""
+    if isinstance(block, Grid):
+        return [(f"{name}-{index}", plot) for index, plot in enumerate(block.plots)]
+    return [(name, block)] if isinstance(block, Plot) else []
 
 
 def check_page(path: Path) -> Path:

@@ -1,0 +1,131 @@
+"""``seft paper``: the paper's figures and claims, reproduced."""
+
+import signal
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from seft_msgs_py.errors import ExperimentError, InputError
+from seft_msgs_py.experiment import Experiment
+
+from seft_ros.commands.options import (
+    JsonOption,
+    OverrideOption,
+    ParamsFileOption,
+    load_experiment,
+    print_json,
+)
+from seft_ros.commands.progress import step_progress
+
+
+def paper(
+    config: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[CONFIG]",
+            help="Experiment: a ROS 2 parameter file; default the paper's rig, config/jhu.yaml, as "
+            "installed.",
+            show_default=False,
+        ),
+    ] = None,
+    file: Annotated[
+        Path | None,
+        typer.Option(
+            "--file",
+            metavar="MOTION",
+            help="Record: PEER AT2, columns or csv. The paper's is Kobe 1995, JMA N-S. Default: "
+            "CONFIG's motion, which is synthetic.",
+        ),
+    ] = None,
+    unit: Annotated[str | None, typer.Option("--unit", help="g, m/s2 or cm/s2; default g.")] = None,
+    dt: Annotated[
+        float | None, typer.Option("--dt", help="Sampling period in s, where the file has none.")
+    ] = None,
+    column: Annotated[
+        int | None, typer.Option("--column", help="Column of the file, from 0; default the first.")
+    ] = None,
+    out: Annotated[Path, typer.Option("--out", metavar="HTML", help="The page.")] = Path(
+        "paper.html"
+    ),
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers", min=1, help="Processes that calculate; default one for each core."
+        ),
+    ] = None,
+    param: OverrideOption = None,
+    params_file: ParamsFileOption = None,
+    json: JsonOption = False,
+) -> int:
+    """Reproduce the figures and claims of the paper (Nakata & Combs 2012) on one page.
+
+    Identifies the simulated rig, runs the paper's tests and simulations, and judges every number
+    and statement by a criterion that stands beside it. Results do not depend on the number of
+    workers.
+
+    Exit status 0: the page was made. A claim that does not agree is a finding, not a failure; it
+    is shown as such. 1: interrupted, or the rig can't be identified. 2: wrong input.
+
+    Examples:
+
+        seft paper
+
+        seft paper --file kobe_jma_1995.txt --unit cm/s2 --dt 0.005 --column 0 --out kobe.html
+
+        seft paper --json -p rig:actuator.valve_frequency:=50.0
+    """
+    from seft_ros.page.write import check_page
+    from seft_ros.paper.claims import judge
+    from seft_ros.paper.default_config import default_config
+    from seft_ros.paper.experiments import check_rig
+    from seft_ros.paper.findings import CALCULATIONS, find
+    from seft_ros.paper.page import write_paper
+    from seft_ros.paper.summary import summarise_paper
+    from seft_ros.tournament.workers import free_cores
+
+    path = check_page(out)
+    given = {"unit": unit, "dt": dt, "column": column}
+    experiment = load_experiment(config or default_config(), param, params_file)
+    experiment = _with_motion(experiment, file, given)
+    check_rig(experiment)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: end the workers
+    try:
+        with step_progress(CALCULATIONS) as show:
+            found = find(experiment, workers or free_cores(), show)
+    except KeyboardInterrupt:
+        raise ExperimentError("interrupted; there is no page") from None
+    claims = judge(found)
+    name = "the paper's rig" if config is None else str(config)
+    write_paper(found, claims, name, path)
+    summary = summarise_paper(found, claims, path)
+    if json:
+        print_json(summary)
+        return 0
+    from rich.console import Console
+
+    from seft_ros.paper.table import claims_table
+
+    console = Console()
+    title = (
+        f"{name} under {Path(found.source).name}: {summary['agree']} of {len(claims)} claims agree"
+    )
+    console.print(claims_table(claims, title))
+    console.print(f"page: {path}", soft_wrap=True, highlight=False)
+    return 0
+
+
+def _with_motion(experiment: Experiment, file: Path | None, given: dict[str, Any]) -> Experiment:
+    """Put the record of the command line in the place of the experiment's own."""
+    from seft_ros.ground_motion.parameters import TABLE
+    from seft_ros.paper.experiments import changed
+
+    words = {name: value for name, value in given.items() if value is not None}
+    if file is None:
+        if words and not experiment["ground_motion"]["file"]:
+            raise InputError(
+                f"--{next(iter(words))}: there is no record that it could be of; name one by --file"
+            )
+        section = words
+    else:
+        section = {"file": str(file), "unit": "g", "dt": 0.0, "column": 0, **words}
+    return changed(experiment, {"ground_motion": TABLE.check(section, "seft paper")})

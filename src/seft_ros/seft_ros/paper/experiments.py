@@ -1,0 +1,117 @@
+"""The tests that reproduce the paper, each a change of one experiment."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.experiment import Experiment
+
+from seft_ros.experiment.blocks import build_blocks
+from seft_ros.identification.experiments import has_valve
+
+DELAY = 0.01
+"""Delay of the actuator that the paper identified and simulates with (section 5.2), s."""
+
+BEYOND_SHARE = 0.4
+"""Of the motion's amplitude, beyond the paper: what the valve can serve at a mass ratio of 1.5."""
+
+LEAST_RATE = 200.0
+"""Sampling rate that shows the vibration, at 30 to 45 Hz, Hz."""
+
+_QUANTITIES = ("position", "velocity", "acceleration", "force")
+_FAR = {"displacement": 1e3, "velocity": 1e3, "acceleration": 1e4, "force": 1e6}
+
+
+def check_rig(experiment: Experiment) -> None:
+    """See that an experiment is one of the paper's kind.
+
+    Raises
+    ------
+    InputError
+        If parameters make no sense, the record can't be read, or the experiment has several
+        axes, no valve, a low rate, or another reference force than the paper's.
+    """
+    if len(experiment.axes) != 1:
+        raise InputError(f"/**: axes are {list(experiment.axes)}, but the paper's rig has one axis")
+    if not has_valve(experiment):
+        kind = experiment["rig"]["actuator.kind"]
+        raise InputError(
+            f"rig: actuator.kind is {kind}, but the paper's experiment needs servo_hydraulic; its "
+            "simulations with a delay are made of it"
+        )
+    if experiment.timebase.rate < LEAST_RATE:
+        raise InputError(
+            f"/**: rate is {experiment.timebase.rate:g} Hz, but the paper's vibration needs at "
+            f"least {LEAST_RATE:g} Hz to be seen"
+        )
+    if experiment["reference_force"]["method"] != "seft":
+        raise InputError("reference_force: method is eft, but the paper's experiment needs seft")
+    build_blocks(uncompensated(experiment, 0.0))
+
+
+def changed(experiment: Experiment, changes: Mapping[str, Mapping[str, Any]]) -> Experiment:
+    """Copy an experiment with other values: node -> parameter -> value."""
+    return Experiment(
+        {node: {**own, **changes.get(node, {})} for node, own in experiment.sections.items()}
+    )
+
+
+def uncompensated(experiment: Experiment, mass_ratio: float) -> Experiment:
+    """Test on the rig by Eq. 2.5 (paper, section 4)."""
+    force = {"mass_ratio": mass_ratio, "compensation.method": "none"}
+    return changed(experiment, {"reference_force": force})
+
+
+def conventional(experiment: Experiment) -> Experiment:
+    """Conventional effective force test of the specimen alone (Eq. 2.3)."""
+    force = {"method": "eft", "mass_ratio": 0.0, "compensation.method": "none"}
+    return changed(experiment, {"reference_force": force})
+
+
+def delayed(
+    experiment: Experiment, mass_ratio: float, delay: float, bandwidth_hz: float = 0.0
+) -> Experiment:
+    """Numerical simulation with a delayed actuator, without sensors' errors (Eq. 5.4).
+
+    The loop adds its sampling period, the Delta t of the equation.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Specimen, motion and sampling.
+    mass_ratio : float
+        alpha.
+    delay : float
+        tau of the actuator at low frequency, s.
+    bandwidth_hz : float
+        Where its force falls off (-3 dB of a second-order Butterworth low-pass, whose own lag
+        is part of ``delay``), Hz; 0: a pure delay, as Eq. 5.2 has it.
+    """
+    lag = math.sqrt(2) / (2 * math.pi * bandwidth_hz) if bandwidth_hz else 0.0
+    rig: dict[str, Any] = {"actuator.kind": "delay", "actuator.delay": max(delay - lag, 0.0)}
+    for name in _QUANTITIES:
+        rig |= {f"sensors.{name}_{what}": [0.0] for what in ("noise", "bias", "range")}
+    # all of it is linear: a low-pass on every measured signal is one on the actuator's force
+    rig |= {"sensors.adc_bits": 0, "sensors.anti_alias": bandwidth_hz}
+    rig |= {f"limits.{name}": value for name, value in _FAR.items()}  # calculated, nothing breaks
+    return changed(uncompensated(experiment, mass_ratio), {"rig": rig})
+
+
+def model_compensated(experiment: Experiment, mass_ratio: float, told: float) -> Experiment:
+    """Simulate the pure delay with the paper's compensation, told a delay in s (section 6)."""
+    force = {"compensation.method": "model", "compensation.delay": told}
+    return changed(delayed(experiment, mass_ratio, DELAY), {"reference_force": force})
+
+
+def told_delay(experiment: Experiment) -> float:
+    """Whole delay of the simulated loop: tau, the sampling period of Eq. 5.4, half a one held."""
+    return DELAY + 1.5 * experiment.timebase.dt
+
+
+def recommended(experiment: Experiment, mass_ratio: float, peak_force: float) -> Experiment:
+    """Test on the rig with the compensator that docs/compensation.md recommends."""
+    force = {"mass_ratio": mass_ratio, "compensation.method": "preview_inverse"}
+    return changed(
+        experiment, {"reference_force": force, "ground_motion": {"peak_force": peak_force}}
+    )

@@ -1,0 +1,180 @@
+"""All calculations behind the claims, in parallel."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from seft_msgs_py.experiment import Experiment
+
+from seft_ros.ground_motion.block import GroundMotion
+from seft_ros.identification.identified import Identified
+from seft_ros.paper.experiments import (
+    BEYOND_SHARE,
+    DELAY,
+    changed,
+    conventional,
+    delayed,
+    model_compensated,
+    recommended,
+    told_delay,
+    uncompensated,
+)
+from seft_ros.paper.outcome import Outcome, run_test
+from seft_ros.paper.rig_identification import identify_rig
+from seft_ros.preflight.plan import Plan
+from seft_ros.tournament.workers import parallel_map
+
+Progress = Callable[[str, int], None]
+
+COMPUTED = (0.5, 1.0)
+"""Mass ratios at which the paper shows tests with a computed mass."""
+
+BEYOND = (0.5, 1.0, 1.5)
+"""Mass ratios of the tests beyond the paper."""
+
+Key = tuple[str, float]
+"""A kind of test and its mass ratio."""
+
+CALCULATIONS = 1 + 5 + 3 * len(COMPUTED) + 3 * len(BEYOND) + 2 * len(COMPUTED)
+"""Identification, tests on the rig, with the delay and with compensation, beyond the paper, and
+with the delay within the identified bandwidth: what `find` counts to."""
+
+
+@dataclass(frozen=True)
+class Growth:
+    """What eigenvalues of the sampled loop say: growth rate in 1/s, frequency in Hz."""
+
+    rate: float
+    hz: float
+
+
+@dataclass(frozen=True)
+class Findings:
+    """Everything that was calculated.
+
+    Attributes
+    ----------
+    experiment : Experiment
+        The rig, uncompensated, under the motion that was used.
+    source : str
+        Where the motion comes from.
+    peak_force : float
+        Largest |m a_g|, N.
+    identified : Identified
+        The rig by spectral identification.
+    tests : dict
+        ``rig``, ``eft``, ``delay`` (pure, the paper's), ``banded`` (the same within the force
+        loop's bandwidth), ``own`` (that with the rig's own delay), ``model`` and ``model_tau``
+        (compensated, told the whole delay and tau alone), ``plain``, ``preview`` and
+        ``preview_full`` (beyond the paper), each with its mass ratio.
+    growths : dict
+        Eigenvalues of ``rig``, ``delay`` and ``banded`` loops.
+    """
+
+    experiment: Experiment
+    source: str
+    peak_force: float
+    identified: Identified
+    tests: dict[Key, Outcome]
+    growths: dict[Key, Growth]
+
+    @property
+    def own_delay(self) -> float:
+        """Identified delay from reference force to measured force, s; NaN if there is none."""
+        found = self.identified.closed_loops[0].tracking.delay_s
+        return float("nan") if found is None else found
+
+
+def find(experiment: Experiment, workers: int, progress: Progress) -> Findings:
+    """Calculate everything.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        As `seft_ros.paper.experiments.check_rig` wants it.
+    workers : int
+        Number of processes; the results do not depend on it.
+    progress : callable
+        Called with a few words and how much is done, up to `CALCULATIONS`.
+
+    Raises
+    ------
+    InputError
+        If the motion can't be read, or parameters make no sense.
+    ExperimentError
+        If a test could not be calculated.
+    """
+    motion = GroundMotion.from_parameters(
+        experiment["ground_motion"], experiment.axes, experiment.timebase
+    )
+    mass = float(np.atleast_1d(experiment["reference_force"]["model.mass"])[0])
+    peak_force = mass * float(np.abs(motion.samples).max())
+    planned = _planned(experiment, peak_force)
+    tests: dict[Key, Outcome] = {}
+    done = 0
+
+    def told(what: str) -> None:
+        nonlocal done
+        done += 1
+        progress(what, done)
+
+    with parallel_map(workers) as map_:
+        progress("identification, and tests", 0)
+        identifying = map_(identify_rig, [experiment])  # first: it takes longest
+        for key, test in zip(planned, map_(run_test, planned.values()), strict=True):
+            tests[key] = test
+            told(f"{key[0]} test, mass ratio {key[1]:g}")
+        (identified,) = identifying
+        told("identification")
+        banded = _banded(experiment, identified)
+        for key, test in zip(banded, map_(run_test, banded.values()), strict=True):
+            tests[key] = test
+            told(f"{key[0]} test, mass ratio {key[1]:g}")
+    judged = {key: plan for key, plan in {**planned, **banded}.items() if key[0] in _JUDGED}
+    return Findings(
+        uncompensated(experiment, 0.0),
+        motion.source,
+        peak_force,
+        identified,
+        tests,
+        {key: _growth(plan) for key, plan in judged.items()},
+    )
+
+
+_JUDGED = ("rig", "delay", "banded")
+
+
+def _planned(experiment: Experiment, peak_force: float) -> dict[Key, Experiment]:
+    """Plan what needs nothing of the identification."""
+    lower = BEYOND_SHARE * peak_force
+    less = changed(experiment, {"ground_motion": {"peak_force": lower}})
+    planned = {("rig", ratio): uncompensated(experiment, ratio) for ratio in (0.0, 0.5, 1.0, 1.5)}
+    planned["eft", 0.0] = conventional(experiment)
+    for ratio in COMPUTED:
+        planned["delay", ratio] = delayed(experiment, ratio, DELAY)
+        planned["model", ratio] = model_compensated(experiment, ratio, told_delay(experiment))
+        planned["model_tau", ratio] = model_compensated(experiment, ratio, DELAY)
+    for ratio in BEYOND:
+        planned["plain", ratio] = uncompensated(less, ratio)
+        planned["preview", ratio] = recommended(experiment, ratio, lower)
+        planned["preview_full", ratio] = recommended(experiment, ratio, peak_force)
+    return planned
+
+
+def _banded(experiment: Experiment, identified: Identified) -> dict[Key, Experiment]:
+    """Plan simulations with a delay within the identified bandwidth of the force loop."""
+    tracking = identified.closed_loops[0].tracking
+    bandwidth = tracking.bandwidth_hz or 0.0
+    # what was identified, from f_r of a step to f of the same step, has the sampling period in it
+    own = max((tracking.delay_s or 0.0) - experiment.timebase.dt, 0.0)
+    planned = {}
+    for ratio in COMPUTED:
+        planned["banded", ratio] = delayed(experiment, ratio, DELAY, bandwidth)
+        planned["own", ratio] = delayed(experiment, ratio, own, bandwidth)
+    return planned
+
+
+def _growth(experiment: Experiment) -> Growth:
+    loop = Plan(experiment, "rig").loop()
+    hz = float(np.angle(loop.dominant()) / (2 * np.pi * loop.dt))
+    return Growth(float(loop.growth_rate()), hz)
