@@ -6,18 +6,24 @@ of the actuators' force is kinetic energy, strain energy, and what dampers and s
 closes if samples, mass, damping and restoring force fit each other.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from seft_plant_sim.specimen import Specimen
 
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
+
 Floats = npt.NDArray[np.float64]
 
 PATH_POINTS = 4
 """Points of the springs' path in a sample: knees and turning points lie between samples."""
 
+_BLOCK = 1 << 16  # samples
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)  # exact for the product of two splines
 
 
@@ -84,48 +90,64 @@ def energy_balance(
     """
     from scipy.interpolate import CubicSpline  # 20 MB that no node needs
 
-    count = len(displacement)
-    time = dt * np.arange(count)
+    time = dt * np.arange(len(displacement))
     motion = CubicSpline(time, displacement)
-    inside = (time[:-1, np.newaxis] + dt / 2 * (1 + _NODES)).ravel()
-    rate = motion(inside, 1)
-
-    def integral(power: Floats) -> Floats:
-        return _so_far((power.reshape(-1, len(_NODES)) * _WEIGHTS).sum(axis=1) * dt / 2)
-
     if held is None:
-        work = integral((CubicSpline(time, force)(inside) * rate).sum(axis=1))
+        work = _work(CubicSpline(time, force), motion, dt)
     else:
         change = motion(time[:-1] + held * dt)
         before, after = change - displacement[:-1], displacement[1:] - change
         work = _so_far((force[:-1] * before + force[1:] * after).sum(axis=1))
-    damping = CubicSpline(time, velocity @ specimen.damping.T)(inside)
-    strain, hysteretic = _springs(
-        specimen, motion(dt / PATH_POINTS * np.arange(PATH_POINTS * (count - 1) + 1))
-    )
+    damped = _work(CubicSpline(time, velocity @ specimen.damping.T), motion, dt)
+    strain, hysteretic = _springs(specimen, motion, dt)
     return EnergyBalance(
         input=work,
         kinetic=_quadratic(specimen.mass, velocity),
         strain=strain,
-        damped=integral((damping * rate).sum(axis=1)),
+        damped=damped,
         hysteretic=hysteretic,
     )
 
 
-def _springs(specimen: Specimen, path: Floats) -> tuple[Floats, Floats]:
-    """Strain energy and dissipation of the springs, at every `PATH_POINTS`-th point of a path."""
+def _work(force: "CubicSpline", motion: "CubicSpline", dt: float) -> Floats:
+    """Work of a force over a motion so far, at each sample."""
+    increments = np.empty(len(motion.x) - 1)
+    for block in _blocks(len(increments)):
+        inside = (motion.x[block, np.newaxis] + dt / 2 * (1 + _NODES)).ravel()
+        power = (force(inside) * motion(inside, 1)).sum(axis=1)
+        increments[block] = (power.reshape(-1, len(_NODES)) * _WEIGHTS).sum(axis=1) * dt / 2
+    return _so_far(increments)
+
+
+def _springs(specimen: Specimen, motion: "CubicSpline", dt: float) -> tuple[Floats, Floats]:
+    """Strain energy and dissipation of the springs, at each sample."""
     elastic = specimen.stiffness.copy()
-    strain, hysteretic = np.zeros((2, len(path)))
+    strain, hysteretic = np.zeros((2, len(motion.x)))
     for spring, row in zip(specimen.springs, specimen.deformation, strict=True):
-        e = path @ row
+        e = _deformation(row, motion, dt)
         z = spring.follow(e)
         elastic -= spring.stiffness * np.outer(row, row)
-        strain += spring.strain_energy(e, z)
+        strain += spring.strain_energy(e[::PATH_POINTS], z[::PATH_POINTS])
         # (1 - a) k z is the hysteretic part's force; e - z, what it does not give back
         middle = (1 - spring.hardening_ratio) * spring.stiffness * (z[1:] + z[:-1]) / 2
-        hysteretic += _so_far(middle * np.diff(e - z))
-    strain += _quadratic(elastic, path)
-    return strain[::PATH_POINTS], hysteretic[::PATH_POINTS]
+        hysteretic += _so_far(middle * np.diff(e - z))[::PATH_POINTS]
+    for block in _blocks(len(strain)):
+        strain[block] += _quadratic(elastic, motion(motion.x[block]))
+    return strain, hysteretic
+
+
+def _deformation(row: Floats, motion: "CubicSpline", dt: float) -> Floats:
+    """Deformation of a spring along the path, at `PATH_POINTS` a sample."""
+    path = np.empty(PATH_POINTS * (len(motion.x) - 1) + 1)
+    for block in _blocks(len(path)):
+        path[block] = motion(dt / PATH_POINTS * np.arange(block.start, block.stop)) @ row
+    return path
+
+
+def _blocks(count: int) -> Iterator[slice]:
+    """Cut a record into pieces: what stands between two samples is many times the samples."""
+    for start in range(0, count, _BLOCK):
+        yield slice(start, min(start + _BLOCK, count))
 
 
 def _quadratic(matrix: Floats, vectors: Floats) -> Floats:
