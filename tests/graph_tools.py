@@ -10,6 +10,7 @@ from seft_ros.running.processes import MODULES
 
 ROOT = Path(__file__).parent.parent
 JHU = ROOT / "config" / "jhu.yaml"
+DEMO = ROOT / "config" / "demo.yaml"
 PATIENCE = 120.0  # s; far beyond what anything here takes
 STALLS_ALLOWED = ("-p", "supervisor:watchdog.command_timeout:=60.0")
 """Lets a test in realtime outlive a machine that stands still for a while."""

@@ -8,6 +8,8 @@ from seft_ros.analysis.summary import reference_of, summarise
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES
+from seft_ros.preflight.instability_band import instability_band
+from seft_ros.preflight.plan import Plan
 
 RECORDS = ROOT.parent / "shared" / "data"
 MOTIONS = {
@@ -73,3 +75,14 @@ def test_at_a_mass_ratio_of_one_and_a_half_it_is_unstable_at_30_to_40_hz(name):
     assert "acceleration_range" in summary["saturated"]
     _, hz = vibration(record.series["rig/state"].values[:, 2, 0], record.experiment.timebase.rate)
     assert 30 < hz < 40
+
+
+@pytest.mark.parametrize("name", HERE)
+def test_it_goes_unstable_in_the_band_where_preflight_sees_it_start(name):
+    record, summary = uncompensated(name, 1.5)
+    assert not summary["stable"]
+    low, high = instability_band(Plan(record.experiment))
+    last = record.series["rig/state"].values[-150:, 2, 0]
+    spectrum = np.abs(np.fft.rfft(last * np.hanning(len(last))))
+    hz = np.fft.rfftfreq(len(last), record.experiment.timebase.dt)[spectrum.argmax()]
+    assert low < hz < high

@@ -25,14 +25,16 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.12",
     packages=find_packages(exclude=["test"]),
-    package_data={NAME: ["py.typed", "running/fastdds.xml"]},
+    package_data={NAME: ["py.typed", "running/fastdds.xml", "page/templates/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         *experiments(),
     ],
     install_requires=[
+        "bokeh",
         "control",
+        "jinja2",
         "lz4",
         "matplotlib",
         "mcap",

@@ -4,21 +4,19 @@ import numpy as np
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.topics import RIG_STATE
 from seft_plant_sim.dead_time import DeadTime
-from seft_plant_sim.energy import energy_balance
+from seft_plant_sim.energy import EnergyBalance, energy_balance
 from seft_plant_sim.whole_structure import tested_specimen
 
 from seft_ros.recording.record import Record
 
 
-def energy_of(record: Record) -> dict[str, float] | None:
-    """Energies of the specimen at the end of a test, as measured.
+def balance_of(record: Record) -> EnergyBalance | None:
+    """Energies of the specimen at each step, as measured; from step 0.
 
     Returns
     -------
-    dict or None
-        ``input_j``, ``kinetic_j``, ``strain_j``, ``damped_j``, ``hysteretic_j`` and
-        ``closure``, the largest of the balance's error over the test, relative to the largest
-        input. None if the specimen is not known, or samples are missing or not finite.
+    EnergyBalance or None
+        None if the specimen is not known, or samples are missing or not finite.
     """
     states = record.series[RIG_STATE.name]
     count = len(states.steps)
@@ -32,9 +30,25 @@ def energy_of(record: Record) -> dict[str, float] | None:
     displacement, velocity, _, force = np.moveaxis(states.values, 1, 0)
     dt, held = record.experiment.timebase.dt, _held(record.experiment)
     with np.errstate(over="ignore", invalid="ignore"):  # of a test that went unstable
-        balance = energy_balance(specimen, displacement, velocity, force, dt, held=held)
-        names = ("input", "kinetic", "strain", "damped", "hysteretic")
-        energies = {f"{name}_j": float(getattr(balance, name)[-1]) for name in names}
+        return energy_balance(specimen, displacement, velocity, force, dt, held=held)
+
+
+def energy_of(record: Record) -> dict[str, float] | None:
+    """Energies of the specimen at the end of a test, as measured.
+
+    Returns
+    -------
+    dict or None
+        ``input_j``, ``kinetic_j``, ``strain_j``, ``damped_j``, ``hysteretic_j`` and
+        ``closure``, the largest of the balance's error over the test, relative to the largest
+        input. None as `balance_of`.
+    """
+    balance = balance_of(record)
+    if balance is None:
+        return None
+    names = ("input", "kinetic", "strain", "damped", "hysteretic")
+    energies = {f"{name}_j": float(getattr(balance, name)[-1]) for name in names}
+    with np.errstate(over="ignore", invalid="ignore"):
         return {**energies, "closure": float(np.abs(balance.error).max())}
 
 

@@ -3,22 +3,17 @@
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from seft_msgs_py.topics import REFERENCE_FORCE, RIG_STATE
 from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.benchmark_criteria import benchmark_criteria
 from seft_ros.analysis.energy_error import energy_error, relative_energy_error
 from seft_ros.analysis.frequency_evaluation import frequency_evaluation_index
+from seft_ros.analysis.tracked import FORCE, tracked_of
 from seft_ros.analysis.tracking_indicator import relative_tracking_indicator
-from seft_ros.recording.record import Record, Series
+from seft_ros.recording.record import Record
 
-Floats = npt.NDArray[np.float64]
-Steps = npt.NDArray[np.int64]
-
-_DISPLACEMENT, _VELOCITY, _FORCE = (
-    RIG_STATE.quantities.index(name) for name in ("positions", "velocities", "effort")
-)
+_DISPLACEMENT = RIG_STATE.quantities.index("positions")
 
 
 def tracking_of(record: Record, reference: ReferenceResponse | None) -> dict[str, dict[str, Any]]:
@@ -49,13 +44,12 @@ def tracking_of(record: Record, reference: ReferenceResponse | None) -> dict[str
     steps, at_commands, at_states = np.intersect1d(
         commands.steps, states.steps, assume_unique=True, return_indices=True
     )
-    every = np.arange(steps[0], steps[-1] + 1) if len(steps) else steps
-    command = _filled(commands, 0, every)
-    velocity, force = (_filled(states, row, every) for row in (_VELOCITY, _FORCE))
+    signals = tracked_of(record)
+    command, force, velocity = signals.command, signals.force, signals.velocity
     displacement = states.values[:, _DISPLACEMENT]
     criteria = benchmark_criteria(
         commands.values[at_commands, 0],
-        states.values[at_states, _FORCE],
+        states.values[at_states, FORCE],
         np.full_like(displacement, np.nan)
         if reference is None
         else reference.displacement[states.steps],
@@ -80,12 +74,3 @@ def tracking_of(record: Record, reference: ReferenceResponse | None) -> dict[str
         }
         for column, axis in enumerate(record.experiment.axes)
     }
-
-
-def _filled(series: Series, row: int, every: Steps) -> Floats:
-    """Values of a quantity at every one of these steps, shape (N, n)."""
-    values = series.values[:, row]
-    if len(every) == 0 or np.array_equal(series.steps, every):
-        return values[: len(every)]
-    columns = [np.interp(every, series.steps, column) for column in values.T]
-    return np.stack(columns, axis=1)

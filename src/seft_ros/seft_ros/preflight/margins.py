@@ -151,6 +151,11 @@ def critical_dead_time(plan: Plan) -> Critical | None:
     return _end(plan, "dead_time", less) or _critical(plan, "dead_time", 0.0, 0.0)
 
 
+def highest_gain(plan: Plan) -> Critical | None:
+    """Find the factor on the drive above 1 at which a stable test turns unstable."""
+    return _end(plan, "gain", FACTORS)
+
+
 def gain_range(plan: Plan) -> Range:
     """Find the factor on the drive within which the test is stable."""
     return _range(plan, "gain", 1.0, FACTORS, 1.0 / FACTORS)

@@ -9,7 +9,7 @@ from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.outcome import Saturation, Trip
 from seft_msgs_py.topics import LOOP_TOPICS
 
-__all__ = ["Estimates", "Record", "Series", "Trip"]
+__all__ = ["Estimates", "Event", "Record", "Series", "Trip"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -24,10 +24,13 @@ class Series:
         Shape (N,), strictly increasing; steps that were lost are not there.
     values : ndarray
         Shape (N, q, n): samples, quantities as on the topic, axes; SI units.
+    received_ns : ndarray of int64 or None
+        Shape (N,): when each was received, ns of the wall clock; None if no message was.
     """
 
     steps: npt.NDArray[np.int64]
     values: Floats
+    received_ns: npt.NDArray[np.int64] | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,28 @@ class Estimates(Series):
     """
 
     names: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Event:
+    """What a node told while a test ran: a state, a warning, a trip.
+
+    Attributes
+    ----------
+    time_s : float
+        When it was received, s after the record's first message.
+    source : str
+        Who told.
+    level : str
+        ``ok``, ``warn``, ``error`` or ``stale``.
+    text : str
+        What.
+    """
+
+    time_s: float
+    source: str
+    level: str
+    text: str
 
 
 @dataclass(frozen=True)
@@ -69,6 +94,8 @@ class Record:
         None if unknown.
     saturation : Saturation
         What the rig says was at the end of its range.
+    events : list of Event
+        What the nodes told, in the order of time; each once until it changes.
     wall_s : float or None
         Wall-clock duration of the test; None if unknown.
     complete : bool
@@ -87,6 +114,7 @@ class Record:
     missed_steps: list[int] = field(default_factory=list)
     overruns: int | None = 0
     saturation: Saturation = field(default_factory=Saturation)
+    events: list[Event] = field(default_factory=list)
     wall_s: float | None = None
     complete: bool = True
     described: bool = True

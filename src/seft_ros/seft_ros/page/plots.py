@@ -1,0 +1,204 @@
+"""Zoomable figures in one style; what is too long to be seen is thinned before it is drawn."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from bokeh.models import BoxAnnotation, HoverTool, NumeralTickFormatter, Range1d, Span
+from bokeh.plotting import figure
+
+from seft_ros.drawing.style import FIRST, GRID, MARK, TEXT
+
+Floats = npt.NDArray[np.floating[Any]]
+
+MOST_POINTS = 4000
+"""Points of a line; more than twice the pixels of a wide screen."""
+
+_HEIGHT = 260  # pixels
+_TOOLS = "box_zoom,xwheel_zoom,pan,reset,save"
+
+
+def plot(
+    x_label: str,
+    y_label: str,
+    *,
+    x_range: Range1d | None = None,
+    log_x: bool = False,
+    log_y: bool = False,
+    equal: bool = False,
+    height: int = _HEIGHT,
+) -> figure:
+    """Make an empty figure, as wide as the page gives it room.
+
+    Parameters
+    ----------
+    x_label, y_label : str
+        With unit: ``time / s``.
+    x_range : Range1d, optional
+        Figures with the same one zoom together.
+    log_x, log_y : bool
+        Logarithmic axes.
+    equal : bool
+        Whether a unit has the same length along both axes.
+    height : int
+        Pixels.
+    """
+    shared = {} if x_range is None else {"x_range": x_range}
+    found = figure(
+        height=height,
+        sizing_mode="stretch_width",
+        tools=_TOOLS,
+        active_drag="box_zoom",
+        x_axis_label=x_label,
+        y_axis_label=y_label,
+        x_axis_type="log" if log_x else "linear",
+        y_axis_type="log" if log_y else "linear",
+        match_aspect=equal,
+        **shared,
+    )
+    found.toolbar.logo = None
+    found.toolbar.autohide = True
+    found.outline_line_color = None
+    found.min_border_right = 12
+    for grid in found.grid:
+        grid.grid_line_color = GRID
+    for axis in found.axis:
+        axis.axis_label_text_font_style = "normal"
+        axis.axis_label_text_color = axis.major_label_text_color = TEXT
+        axis.axis_line_color = axis.major_tick_line_color = axis.minor_tick_line_color = "#aab1b8"
+    if log_x:
+        found.xaxis.formatter = NumeralTickFormatter(format="0.[000]")
+    return found
+
+
+def line(
+    panel: figure,
+    x: Floats,
+    y: Floats,
+    label: str,
+    *,
+    color: str = FIRST,
+    width: float = 1.3,
+    dash: str = "solid",
+) -> None:
+    """Draw a line, thinned to `MOST_POINTS`; what is not finite is a gap.
+
+    Parameters
+    ----------
+    panel : figure
+        Of `plot`.
+    x, y : ndarray
+        Shape (N,), x increasing, in the units of the axes.
+    label : str
+        For the legend and under the pointer; empty: neither.
+    """
+    at = thinned(y)
+    renderer = panel.line(
+        np.asarray(x)[at].astype(np.float32),
+        np.where(np.isfinite(y[at]), y[at], np.nan).astype(np.float32),
+        color=color,
+        line_width=width,
+        line_dash=dash,
+        **({"legend_label": label} if label else {}),
+    )
+    if label:
+        tips = [(label, "@y{0.0000a}"), (str(panel.xaxis.axis_label), "@x{0.000}")]
+        panel.add_tools(HoverTool(renderers=[renderer], tooltips=tips, visible=False))
+        _place_legend(panel)
+
+
+def path(
+    panel: figure, x: Floats, y: Floats, label: str, *, color: str = FIRST, width: float = 0.9
+) -> None:
+    """Draw a curve of which neither coordinate increases, such as a hysteresis."""
+    step = max(1, -(-len(x) // (2 * MOST_POINTS)))
+    panel.line(
+        x[::step].astype(np.float32),
+        y[::step].astype(np.float32),
+        color=color,
+        line_width=width,
+        **({"legend_label": label} if label else {}),
+    )
+    if label:
+        _place_legend(panel)
+
+
+def bars(panel: figure, edges: Floats, counts: Floats, *, color: str = FIRST) -> None:
+    """Draw a histogram: counts, shape (B,), between edges, shape (B + 1,)."""
+    low = 0.5 if "Log" in type(panel.y_scale).__name__ else 0.0
+    renderer = panel.quad(
+        left=edges[:-1], right=edges[1:], bottom=low, top=counts, color=color, line_color="white"
+    )
+    tips = [("from", "@left{0.000}"), ("to", "@right{0.000}"), ("count", "@top{0}")]
+    panel.add_tools(HoverTool(renderers=[renderer], tooltips=tips, visible=False))
+
+
+def band(panel: figure, low: float, high: float, color: str = MARK) -> None:
+    """Shade a range of x."""
+    shade = {"fill_color": color, "fill_alpha": 0.1, "line_color": None, "level": "underlay"}
+    panel.add_layout(BoxAnnotation(left=low, right=high, **shade))
+
+
+def mark(panel: figure, x: float, *, color: str = MARK) -> None:
+    """Draw a vertical dashed line."""
+    panel.add_layout(Span(location=x, dimension="height", line_color=color, line_dash="dashed"))
+
+
+def level(panel: figure, y: float, *, color: str = "#aab1b8") -> None:
+    """Draw a horizontal line."""
+    panel.add_layout(Span(location=y, dimension="width", line_color=color, line_dash="dashed"))
+
+
+def time_range(times: Sequence[float] | Floats) -> Range1d:
+    """Make a range that figures over the same time share."""
+    low, high = (float(times[0]), float(times[-1])) if len(times) else (0.0, 1.0)
+    high = high if high > low else low + 1.0
+    return Range1d(low, high, bounds=(low, high))
+
+
+def thinned(y: Floats, most: int = MOST_POINTS) -> npt.NDArray[np.int64]:
+    """Choose samples of a signal that draw the same picture: least and largest of each stretch.
+
+    Parameters
+    ----------
+    y : ndarray
+        Shape (N,).
+    most : int
+        About how many to keep.
+
+    Returns
+    -------
+    ndarray of int64
+        Increasing indices; all N where there are no more than ``most``.
+    """
+    count = len(y)
+    if count <= most:
+        return np.arange(count)
+    stretches = max(1, most // 2)
+    length = -(-count // stretches)
+    whole = count // length * length
+    rows = np.nan_to_num(y[:whole]).reshape(-1, length)
+    starts = np.arange(0, whole, length)
+    rest = np.nan_to_num(y[whole:])
+    ends = [0, count - 1]
+    if whole < count:
+        ends += [whole + int(rest.argmin()), whole + int(rest.argmax())]
+    return np.unique(
+        np.concatenate([starts + rows.argmin(axis=1), starts + rows.argmax(axis=1), np.array(ends)])
+    )
+
+
+def _place_legend(panel: figure) -> None:
+    legend = panel.legend
+    if legend and legend[0] in panel.center:
+        panel.center.remove(legend[0])
+        panel.add_layout(legend[0], "above")
+    legend.orientation = "horizontal"
+    legend.border_line_color = None
+    legend.background_fill_alpha = 0.0
+    legend.label_text_color = TEXT
+    legend.label_text_font_size = "13px"
+    legend.padding = legend.margin = 0
+    legend.spacing = 14
+    legend.click_policy = "hide"

@@ -1,0 +1,136 @@
+"""Every number of a report, as ``seft report --json`` prints them."""
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.topics import RIG_STATE
+from seft_plant_sim.whole_structure import ReferenceResponse
+
+from seft_ros.analysis.reference import COMPARED, quantity, reference_of
+from seft_ros.analysis.spectrum import Spectrum, spectrum_of, vibration
+from seft_ros.analysis.summary import json_safe, summarise
+from seft_ros.analysis.timing import Timing, timing_of
+from seft_ros.preflight.instability_band import instability_band
+from seft_ros.preflight.plan import Plan
+from seft_ros.recording.record import Record
+from seft_ros.report.judgement import Judgement, judge
+
+Band = tuple[float, float]
+_SPECTRA = ("force", "acceleration")
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What a report is made of, besides the record itself.
+
+    Attributes
+    ----------
+    record : Record
+        The test.
+    reference : ReferenceResponse or None
+        Exact response, by step from 0.
+    spectra : dict
+        ``force`` and ``acceleration`` -> a pair of spectra for each axis: test and exact (or
+        None).
+    band : tuple of float or None
+        Where instability would start, Hz.
+    band_note : str
+        Why there is no band; empty if there is.
+    timing : Timing or None
+        None of a test that was not recorded message by message.
+    summary : dict
+        All numbers, JSON values.
+    judgement : Judgement
+        Verdict.
+    """
+
+    record: Record
+    reference: ReferenceResponse | None
+    spectra: dict[str, list[tuple[Spectrum, Spectrum | None]]]
+    band: Band | None
+    band_note: str
+    timing: Timing | None
+    summary: dict[str, Any]
+    judgement: Judgement
+
+
+def report_numbers(record: Record) -> Findings:
+    """Analyse a test.
+
+    Returns
+    -------
+    Findings
+        ``summary`` has what `summarise` gives and ``instability_band_hz`` (two numbers or null),
+        ``vibration`` (``ratio``, the largest of all axes, and ``axes``: see
+        `seft_ros.analysis.spectrum.vibration`), ``uncompensated_delay_s`` (how far the force lags
+        in a test that does nothing about it, else null), ``timing`` (null, or round trips and
+        gaps: see `seft_ros.analysis.timing`), ``events`` and ``verdict``.
+
+    Raises
+    ------
+    InputError
+        As `reference_of`.
+    """
+    reference = reference_of(record)
+    summary = summarise(record, reference)
+    spectra = {name: _spectra(record, reference, name) for name in _SPECTRA}
+    band, note = _band(record)
+    timing = timing_of(record)
+    summary |= {
+        "instability_band_hz": band and list(band),
+        "vibration": _vibration(record, spectra["acceleration"], band),
+        "uncompensated_delay_s": _uncompensated_delay(record, summary),
+        "timing": timing and timing.numbers(),
+        "events": [asdict(event) for event in record.events],
+    }
+    judgement = judge(summary)
+    summary |= {"verdict": judgement.numbers()}
+    return Findings(record, reference, spectra, band, note, timing, json_safe(summary), judgement)
+
+
+def _spectra(
+    record: Record, reference: ReferenceResponse | None, name: str
+) -> list[tuple[Spectrum, Spectrum | None]]:
+    states, dt = record.series[RIG_STATE.name], record.experiment.timebase.dt
+    row = dict(COMPARED)[name]
+    every = np.arange(states.steps[-1] + 1) if len(states.steps) else states.steps
+    found = []
+    for column in range(len(record.experiment.axes)):
+        y = states.values[:, row, column]
+        if len(every) != len(y):
+            y = np.interp(every, states.steps, y)
+        exact = None if reference is None else quantity(reference, name)[:, column]
+        found.append((spectrum_of(y, dt), None if exact is None else spectrum_of(exact, dt)))
+    return found
+
+
+def _band(record: Record) -> tuple[Band | None, str]:
+    try:
+        band = instability_band(Plan(record.experiment))
+    except (InputError, KeyError) as error:
+        return None, f"not known: {error}"
+    return band, "" if band else "none: the loop stays stable as far as was looked"
+
+
+def _vibration(
+    record: Record, spectra: list[tuple[Spectrum, Spectrum | None]], band: Band | None
+) -> dict[str, Any]:
+    ratios = [
+        vibration(test, exact, band) if band and exact else math.nan for test, exact in spectra
+    ]
+    known = [ratio for ratio in ratios if not math.isnan(ratio)]
+    by_axis = dict(zip(record.experiment.axes, json_safe(ratios), strict=True))
+    return {"ratio": max(known) if known else None, "axes": by_axis}
+
+
+def _uncompensated_delay(record: Record, summary: dict[str, Any]) -> float | None:
+    section = record.experiment.sections.get("reference_force", {})
+    fed_back = section.get("method") == "seft" and section.get("mass_ratio", 0.0) > 0
+    if not fed_back or section.get("compensation.method") != "none":
+        return None
+    delays = [row["J"]["J1"] for row in summary["tracking"].values()]
+    known = [abs(delay) for delay in delays if delay is not None]
+    return max(known) * 1e-3 if known else None

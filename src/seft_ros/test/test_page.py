@@ -1,0 +1,87 @@
+"""Pages: complete in one file, and figures thinned without a peak lost."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from seft_msgs_py.errors import InputError
+from seft_ros.page.content import Cell, Mark, Plot, Section, Table, Text, Verdict
+from seft_ros.page.plots import MOST_POINTS, line, plot, thinned
+from seft_ros.page.write import check_page, write_page
+
+
+def written(tmp_path: Path, *blocks: Text | Verdict | Table | Plot) -> str:
+    path = tmp_path / "page.html"
+    write_page(path, "A test", "of <the> page", [Section("All of it", blocks)])
+    return path.read_text()
+
+
+def a_plot(count: int = 10) -> Plot:
+    panel = plot("time / s", "force / N")
+    line(panel, np.arange(count) * 1.0, np.arange(count) * 2.0, "test")
+    return Plot(panel, "what to look for")
+
+
+def test_a_page_asks_nothing_of_the_network(tmp_path: Path) -> None:
+    text = written(tmp_path, a_plot())
+    assert not re.search(r"<(script|img|link|iframe)[^>]+(src|href)=[\"'](?!data:)", text)
+    assert "Bokeh" in text and "what to look for" in text
+
+
+def test_a_page_without_figures_carries_no_library(tmp_path: Path) -> None:
+    assert len(written(tmp_path, Text("nothing to see"))) < 10_000
+
+
+def test_text_is_not_taken_for_html(tmp_path: Path) -> None:
+    text = written(
+        tmp_path,
+        Text("<b>bold</b>"),
+        Verdict(Mark.BAD, "<i>worse</i>", [Cell("<u>found</u>", Mark.DOUBT)]),
+        Table(["<h>"], [["<td>", Cell("<em>", Mark.GOOD)]]),
+    )
+    for tag in ("<b>", "<i>", "<u>", "<h>", "<em>", "<the>"):
+        assert tag not in text
+
+
+def test_the_verdict_and_the_cells_have_their_marks(tmp_path: Path) -> None:
+    text = written(
+        tmp_path,
+        Verdict(Mark.BAD, "tripped", [Cell("force", Mark.GOOD)]),
+        Table(["a", "b"], [["x", Cell("no", Mark.BAD)]]),
+    )
+    assert '<div class="verdict bad">' in text
+    assert '<li class="good">force</li>' in text
+    assert '<td class="bad">no</td>' in text
+
+
+@given(st.integers(0, 40_000), st.integers(0, 2**32 - 1))
+def test_thinning_keeps_ends_and_extremes(count: int, seed: int) -> None:
+    y = np.random.default_rng(seed).standard_normal(count)
+    at = thinned(y)
+    assert len(at) <= max(MOST_POINTS + 4, 1)
+    assert np.all(np.diff(at) > 0)
+    if count:
+        assert {0, count - 1, int(y.argmax()), int(y.argmin())} <= set(at.tolist())
+
+
+def test_thinning_keeps_short_signals_whole() -> None:
+    assert np.array_equal(thinned(np.zeros(MOST_POINTS)), np.arange(MOST_POINTS))
+
+
+def test_thinning_survives_what_is_not_finite() -> None:
+    y = np.full(10 * MOST_POINTS, np.nan)
+    y[7] = np.inf
+    assert 7 in thinned(y)
+
+
+@pytest.mark.parametrize(("name", "what"), [("x.pdf", "pages end in"), ("no/x.html", "no folder")])
+def test_impossible_names_are_refused_before_the_work(tmp_path: Path, name: str, what: str) -> None:
+    with pytest.raises(InputError, match=what):
+        check_page(tmp_path / name)
+
+
+def test_a_name_is_completed(tmp_path: Path) -> None:
+    assert check_page(tmp_path / "x") == tmp_path / "x.html"

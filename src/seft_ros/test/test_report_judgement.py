@@ -1,0 +1,101 @@
+"""The verdict of a report: its worst finding, and each threshold from both sides."""
+
+import copy
+
+import pytest
+from seft_ros.page.content import Mark
+from seft_ros.report.judgement import judge
+
+GOOD = {
+    "steps": 1000,
+    "rate_hz": 500.0,
+    "duration_s": 2.0,
+    "trip": None,
+    "stable": True,
+    "complete": True,
+    "missed": 0,
+    "overruns": 0,
+    "lost": {"rig/state": 0, "valve_command": 0},
+    "saturated": {},
+    "displacement": {"nrmse": 0.01, "peak": 1.0, "reference_peak": 1.01},
+    "vibration": {"ratio": 0.01, "axes": {"x": 0.01}},
+    "instability_band_hz": [20.0, 60.0],
+    "uncompensated_delay_s": None,
+    "energy": {"closure": 0.001},
+}
+
+
+def changed(**changes):
+    summary = copy.deepcopy(GOOD)
+    for name, value in changes.items():
+        place, _, key = name.partition("__")
+        if key:
+            summary[place][key] = value
+        else:
+            summary[place] = value
+    return summary
+
+
+def test_a_test_without_fault_can_be_trusted():
+    judgement = judge(GOOD)
+    assert judgement.mark is Mark.GOOD
+    assert judgement.text == "This test can be trusted."
+    assert all(finding.mark is Mark.GOOD for finding in judgement.findings)
+
+
+@pytest.mark.parametrize(
+    ("changes", "mark", "name"),
+    [
+        ({"trip": {"reason": "force", "step": 7, "time_s": 0.014}}, Mark.BAD, "ending"),
+        ({"stable": False}, Mark.BAD, "ending"),
+        ({"complete": False}, Mark.BAD, "ending"),
+        ({"displacement__nrmse": 0.06}, Mark.DOUBT, "displacement_error"),
+        ({"displacement__nrmse": 0.16}, Mark.BAD, "displacement_error"),
+        ({"displacement__nrmse": None}, Mark.DOUBT, "displacement_error"),
+        ({"displacement__peak": 1.1}, Mark.DOUBT, "displacement_peak"),
+        ({"displacement__peak": 0.8}, Mark.BAD, "displacement_peak"),
+        ({"vibration__ratio": 0.2}, Mark.DOUBT, "vibration"),
+        ({"vibration__ratio": 0.4}, Mark.BAD, "vibration"),
+        ({"uncompensated_delay_s": 0.014}, Mark.DOUBT, "delay"),
+        ({"missed": 1}, Mark.DOUBT, "missed"),
+        ({"missed": 51}, Mark.BAD, "missed"),
+        ({"missed": None}, Mark.DOUBT, "missed"),
+        ({"overruns": 1}, Mark.DOUBT, "overruns"),
+        ({"lost__valve_command": 2}, Mark.DOUBT, "lost"),
+        ({"saturated": {"valve": {"samples": 3, "first_step": 5}}}, Mark.DOUBT, "saturated"),
+        ({"energy__closure": 0.2}, Mark.DOUBT, "energy_balance"),
+    ],
+)
+def test_each_fault_is_found_and_decides(changes, mark, name):
+    judgement = judge(changed(**changes))
+    worst = judgement.findings[0]
+    assert (judgement.mark, worst.mark, worst.name) == (mark, mark, name)
+    assert "trusted" in judgement.text
+    assert worst.text.split(" (")[0] in judgement.text
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"displacement__nrmse": 0.049},
+        {"displacement__peak": 1.05},
+        {"vibration__ratio": 0.09},
+        {"uncompensated_delay_s": 0.0039},
+        {"energy__closure": 0.04},
+    ],
+)
+def test_what_is_within_its_threshold_is_good(changes):
+    assert judge(changed(**changes)).mark is Mark.GOOD
+
+
+def test_what_is_not_known_is_left_out():
+    summary = changed(energy=None, vibration__ratio=None)
+    names = {finding.name for finding in judge(summary).findings}
+    assert not names & {"energy_balance", "vibration", "delay"}
+
+
+def test_programs_find_the_same_as_people():
+    numbers = judge(changed(missed=3)).numbers()
+    assert numbers["verdict"] == "doubt"
+    assert numbers["findings"][0]["name"] == "missed"
+    assert "3 of 1000" in numbers["findings"][0]["text"]

@@ -1,0 +1,70 @@
+"""Round trips and gaps, from when messages were received."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from seft_msgs_py.experiment import Experiment
+from seft_ros.analysis.timing import timing_of
+from seft_ros.recording.record import Record, Series
+
+DT_NS = 2_000_000
+
+
+def make_record(trip_ns, mode="run", pace="realtime", drop=()):
+    """States every period, and commands that answer them after a time."""
+    count = len(trip_ns)
+    steps = np.arange(count)
+    sent = steps * DT_NS
+    kept = np.setdiff1d(steps, drop)
+    one = np.zeros((count, 1, 1))
+    rig = {"rate": 500.0, "axes": ["x"], "pace": pace}
+    commands = Series(kept, one[kept], received_ns=(sent + trip_ns)[kept])
+    series = {
+        "ground_motion": Series(steps, one),
+        "rig/state": Series(steps, np.zeros((count, 4, 1)), received_ns=sent),
+        "reference_force": Series(steps, one, received_ns=sent + 1),
+        "valve_command": commands,
+    }
+    return Record(Experiment({"rig": rig}), series, environment={"mode": mode})
+
+
+def test_round_trips_are_from_a_state_to_its_own_command():
+    trips = np.array([300_000, 400_000, 2_500_000, 350_000])
+    timing = timing_of(make_record(trips))
+    assert timing.round_trip_s == pytest.approx(trips * 1e-9)
+    numbers = timing.numbers()["round_trip_s"]
+    assert numbers["over_a_period"] == 1
+    assert numbers["largest"] == pytest.approx(2.5e-3)
+    assert numbers["steps"] == 4
+
+
+def test_a_lost_command_has_no_round_trip_and_makes_a_gap():
+    timing = timing_of(make_record(np.full(20, 300_000), drop=[7, 8]))
+    assert len(timing.round_trip_s) == 18
+    gaps = timing.numbers()["gaps"]
+    assert gaps["valve_command"]["count"] == 1
+    assert gaps["valve_command"]["largest_step"] == 6
+    assert gaps["valve_command"]["largest_s"] == pytest.approx(3 * DT_NS * 1e-9)
+    assert gaps["rig/state"]["count"] == 0
+
+
+def test_the_offline_loop_has_no_timing():
+    assert timing_of(make_record(np.full(5, 1), mode="simulate")) is None
+
+
+def test_without_times_there_is_no_timing():
+    record = make_record(np.full(5, 1))
+    bare = {name: dataclasses.replace(s, received_ns=None) for name, s in record.series.items()}
+    assert timing_of(dataclasses.replace(record, series=bare)) is None
+
+
+def test_an_idealised_actuator_answers_to_the_reference_force():
+    record = make_record(np.full(5, 1))
+    none = Series(np.empty(0, np.int64), np.empty((0, 1, 1)), received_ns=np.empty(0, np.int64))
+    timing = timing_of(dataclasses.replace(record, series=record.series | {"valve_command": none}))
+    assert timing.round_trip_s == pytest.approx(1e-9)
+
+
+def test_lockstep_keeps_no_pace():
+    assert not timing_of(make_record(np.full(5, 1), pace="lockstep")).paced

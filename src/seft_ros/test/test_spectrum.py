@@ -1,0 +1,44 @@
+"""Spectra against closed forms, and the vibration that a test has beyond its reference."""
+
+import math
+
+import numpy as np
+import pytest
+from seft_ros.analysis.spectrum import spectrum_of, vibration
+
+DT = 0.002
+TIME = np.arange(20_000) * DT
+
+
+def test_the_rms_of_a_sine_is_found_where_it_is():
+    found = spectrum_of(3.0 * np.sin(2 * np.pi * 20.0 * TIME), DT)
+    assert found.rms(19, 21) == pytest.approx(3 / math.sqrt(2), rel=1e-3)
+    assert found.rms(25, 250) < 1e-3
+
+
+def test_the_density_of_white_noise_is_its_variance_over_the_bandwidth():
+    noise = np.random.default_rng(1).standard_normal(400_000)
+    found = spectrum_of(noise, DT)
+    assert np.median(found.power[2:-1]) == pytest.approx(2 * DT, rel=0.05)
+    assert found.rms() == pytest.approx(1.0, rel=0.02)
+
+
+def test_vibration_is_what_is_beyond_the_reference():
+    exact = np.sin(2 * np.pi * 5.0 * TIME)
+    shaking = exact + 0.3 * np.sin(2 * np.pi * 40.0 * TIME)
+    reference = spectrum_of(exact, DT)
+    assert vibration(spectrum_of(shaking, DT), reference, (30, 60)) == pytest.approx(0.3, rel=1e-2)
+    assert vibration(reference, reference, (30, 60)) == 0
+    assert vibration(spectrum_of(0.5 * exact, DT), reference, (1, 60)) == 0
+
+
+def test_without_a_reference_in_motion_vibration_is_undefined():
+    still = spectrum_of(np.zeros_like(TIME), DT)
+    assert math.isnan(vibration(still, still, (1, 60)))
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 7])
+def test_short_records_have_short_spectra(count):
+    found = spectrum_of(np.ones(count), DT)
+    assert len(found.frequency_hz) == (count // 2 + 1 if count > 1 else 0)
+    assert found.rms() == pytest.approx(0.0, abs=1e-12)

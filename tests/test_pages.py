@@ -1,0 +1,158 @@
+"""Pages in a real browser: drawn, without errors, without the network, on a phone and a screen."""
+
+import json
+import shutil
+import subprocess
+import sys
+
+import pytest
+from graph_tools import DEMO, JHU
+
+webdriver = pytest.importorskip("selenium.webdriver")
+BROWSER, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+pytestmark = pytest.mark.skipif(
+    not (BROWSER and DRIVER), reason="needs chromium and chromedriver (apt install chromium-driver)"
+)
+
+PHONE, SCREEN = 400, 1400
+DRAWN = """
+const found = [];
+const walk = (node) => {
+  for (const child of node.querySelectorAll("*")) {
+    if (child.tagName === "CANVAS" && child.width && child.height) found.push(child);
+    if (child.shadowRoot) walk(child.shadowRoot);
+  }
+};
+return [...document.querySelectorAll("figure")].map((figure) => {
+  found.length = 0;
+  walk(figure);
+  const colours = new Set();
+  for (const canvas of found) {
+    const {data} = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+    for (let at = 0; at < data.length; at += 4)
+      if (data[at + 3]) colours.add((data[at] << 16) | (data[at + 1] << 8) | data[at + 2]);
+  }
+  return [figure.getBoundingClientRect().width, found.length, colours.size];
+});
+"""
+"""Of each figure: its width, its canvases, and the colours that are on them."""
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    options = webdriver.ChromeOptions()
+    options.binary_location = BROWSER
+    for flag in (
+        "headless=new",
+        "no-sandbox",
+        "disable-gpu",
+        "disable-dev-shm-usage",
+        "disable-background-networking",
+        "disable-component-update",
+        "disable-sync",
+        "no-first-run",
+        f"user-data-dir={tmp_path_factory.mktemp('browser')}",
+    ):
+        options.add_argument(f"--{flag}")
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = webdriver.Chrome(options, webdriver.ChromeService(DRIVER))
+    yield driver
+    driver.quit()
+
+
+def look_at(browser, page, width):
+    """Open a page and wait until it is drawn; figures, console errors, and what was asked for."""
+    browser.set_window_size(width, 2000)
+    for kind in ("browser", "performance"):
+        browser.get_log(kind)  # what came before
+    browser.get(page.as_uri())
+    browser.set_script_timeout(60)
+    browser.execute_async_script(
+        "const done = arguments[0];"
+        "const wait = () => window.Bokeh && Bokeh.documents.length"
+        " && Bokeh.documents.every((d) => d.is_idle)"
+        " ? requestAnimationFrame(() => requestAnimationFrame(done)) : setTimeout(wait, 50);"
+        "wait();"
+    )
+    errors = [e["message"] for e in browser.get_log("browser") if e["level"] != "INFO"]
+    messages = [json.loads(e["message"])["message"] for e in browser.get_log("performance")]
+    asked = [
+        m["params"]["request"]["url"]
+        for m in messages
+        if m["method"] == "Network.requestWillBeSent"
+    ]
+    return browser.execute_script(DRAWN), errors, asked
+
+
+def check_page(browser, page, least_figures):
+    """Hold what every page must be."""
+    for width in (PHONE, SCREEN):
+        figures, errors, asked = look_at(browser, page, width)
+        assert not errors
+        assert all(url == page.as_uri() or url.startswith(("data:", "blob:")) for url in asked)
+        assert len(figures) >= least_figures
+        for number, (wide, canvases, colours) in enumerate(figures):
+            assert canvases and colours > 5, f"figure {number} is empty"
+            assert 250 < wide <= width
+        sideways = browser.execute_script(
+            "const e = document.documentElement; return e.scrollWidth - e.clientWidth"
+        )
+        assert sideways <= 0, "the page must be scrolled sideways"
+
+
+SHORT = ("-p", "ground_motion:synthetic.duration:=3.0", "-p", "ground_motion:tail:=1.0")
+
+
+def report_of(folder, config, *words):
+    """Simulate a short test and write its report."""
+    for call in (("simulate", config, *SHORT, *words, "--out", "bag"), ("report", "bag")):
+        subprocess.run(
+            [sys.executable, "-m", "seft_ros.commands.main", *map(str, call)], cwd=folder
+        )
+    return folder / "bag" / "report.html"
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory):
+    return report_of(tmp_path_factory.mktemp("demo"), DEMO)
+
+
+def test_a_report_is_drawn_on_a_phone_and_on_a_screen(browser, demo):
+    check_page(browser, demo, least_figures=18)
+    assert "can be trusted" in browser.find_element("css selector", ".verdict").text
+
+
+def test_a_report_of_an_unstable_test_says_so_and_is_drawn(browser, tmp_path):
+    unstable = ("reference_force:mass_ratio:=1.5", "reference_force:compensation.method:=none")
+    page = report_of(tmp_path, JHU, *(word for p in unstable for word in ("-p", p)))
+    check_page(browser, page, least_figures=15)
+    assert "can not be trusted: it tripped" in browser.find_element("css selector", ".verdict").text
+
+
+def test_figures_over_time_zoom_together(browser, demo):
+    look_at(browser, demo, SCREEN)
+    shared = browser.execute_script(
+        "const counts = new Map();"
+        "for (const model of Bokeh.documents.flatMap((d) => [...d._all_models.values()]))"
+        " if (model.type === 'Figure')"
+        "  counts.set(model.x_range.id, (counts.get(model.x_range.id) ?? 0) + 1);"
+        "return Math.max(...counts.values());"
+    )
+    assert shared == 3
+
+
+def test_a_finger_scrolls_and_does_not_zoom(browser, demo):
+    browser.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True})
+    features = [{"name": "pointer", "value": "coarse"}]
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+    try:
+        look_at(browser, demo, PHONE)
+        released = browser.execute_script(
+            "return Bokeh.documents.flatMap((d) => [...d._all_models.values()])"
+            ".filter((m) => m.type === 'Toolbar').map((t) => t.active_drag === null)"
+        )
+    finally:
+        browser.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": False})
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+    assert released
+    assert all(released)
