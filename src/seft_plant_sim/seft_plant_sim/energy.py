@@ -8,22 +8,19 @@ closes if samples, mass, damping and restoring force fit each other.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from seft_plant_sim.specimen import Specimen
 
-if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
-
 Floats = npt.NDArray[np.float64]
 
 PATH_POINTS = 4
 """Points of the springs' path in a sample: knees and turning points lie between samples."""
 
-_BLOCK = 1 << 16  # samples
+_PIECE = 1 << 16  # samples whose splines are in memory at a time
+_OVERLAP = 128  # samples beyond either end: each takes a quarter of what the end is wrong by
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)  # exact for the product of two splines
 
 
@@ -90,64 +87,61 @@ def energy_balance(
     """
     from scipy.interpolate import CubicSpline  # 20 MB that no node needs
 
-    time = dt * np.arange(len(displacement))
-    motion = CubicSpline(time, displacement)
-    if held is None:
-        work = _work(CubicSpline(time, force), motion, dt)
-    else:
-        change = motion(time[:-1] + held * dt)
-        before, after = change - displacement[:-1], displacement[1:] - change
-        work = _so_far((force[:-1] * before + force[1:] * after).sum(axis=1))
-    damped = _work(CubicSpline(time, velocity @ specimen.damping.T), motion, dt)
-    strain, hysteretic = _springs(specimen, motion, dt)
+    count = len(displacement)
+    time = dt * np.arange(count)
+    viscous = velocity @ specimen.damping.T
+    work, damped = np.empty((2, count - 1))
+    per_sample = PATH_POINTS if specimen.springs else 1
+    path = np.empty((per_sample * (count - 1) + 1, displacement.shape[1]))
+    for first, last in _pieces(count):
+        known = slice(max(0, first - _OVERLAP), last + 1 + _OVERLAP)
+        within = slice(first, last)
+        motion, damping = (CubicSpline(time[known], y[known]) for y in (displacement, viscous))
+        inside = (time[within, np.newaxis] + dt / 2 * (1 + _NODES)).ravel()
+        rate = motion(inside, 1)
+        damped[within] = _integral(damping(inside) * rate, dt)
+        if held is None:
+            work[within] = _integral(CubicSpline(time[known], force[known])(inside) * rate, dt)
+        else:
+            change, after = motion(time[within] + held * dt), slice(first + 1, last + 1)
+            parts = change - displacement[within], displacement[after] - change
+            work[within] = (force[within] * parts[0] + force[after] * parts[1]).sum(axis=1)
+        points = np.arange(per_sample * first, per_sample * last + 1)
+        path[points[0] : points[-1] + 1] = motion(dt / per_sample * points)
+    strain, hysteretic = _springs(specimen, path, per_sample)
     return EnergyBalance(
-        input=work,
+        input=_so_far(work),
         kinetic=_quadratic(specimen.mass, velocity),
         strain=strain,
-        damped=damped,
+        damped=_so_far(damped),
         hysteretic=hysteretic,
     )
 
 
-def _work(force: "CubicSpline", motion: "CubicSpline", dt: float) -> Floats:
-    """Work of a force over a motion so far, at each sample."""
-    increments = np.empty(len(motion.x) - 1)
-    for block in _blocks(len(increments)):
-        inside = (motion.x[block, np.newaxis] + dt / 2 * (1 + _NODES)).ravel()
-        power = (force(inside) * motion(inside, 1)).sum(axis=1)
-        increments[block] = (power.reshape(-1, len(_NODES)) * _WEIGHTS).sum(axis=1) * dt / 2
-    return _so_far(increments)
+def _pieces(count: int) -> Iterator[tuple[int, int]]:
+    """Cut a record into pieces, from sample to sample: splines are many times its size."""
+    for first in range(0, count - 1, _PIECE):
+        yield first, min(first + _PIECE, count - 1)
 
 
-def _springs(specimen: Specimen, motion: "CubicSpline", dt: float) -> tuple[Floats, Floats]:
-    """Strain energy and dissipation of the springs, at each sample."""
-    elastic = specimen.stiffness.copy()
-    strain, hysteretic = np.zeros((2, len(motion.x)))
+def _integral(power: Floats, dt: float) -> Floats:
+    """Integrate over each period what all axes have at its nodes."""
+    return (power.sum(axis=1).reshape(-1, len(_NODES)) * _WEIGHTS).sum(axis=1) * dt / 2
+
+
+def _springs(specimen: Specimen, path: Floats, per_sample: int) -> tuple[Floats, Floats]:
+    """Strain energy and dissipation of the springs at each sample of a path."""
+    elastic, samples = specimen.stiffness.copy(), path[::per_sample]
+    strain, hysteretic = np.zeros((2, len(samples)))
     for spring, row in zip(specimen.springs, specimen.deformation, strict=True):
-        e = _deformation(row, motion, dt)
+        e = path @ row
         z = spring.follow(e)
         elastic -= spring.stiffness * np.outer(row, row)
-        strain += spring.strain_energy(e[::PATH_POINTS], z[::PATH_POINTS])
+        strain += spring.strain_energy(e[::per_sample], z[::per_sample])
         # (1 - a) k z is the hysteretic part's force; e - z, what it does not give back
         middle = (1 - spring.hardening_ratio) * spring.stiffness * (z[1:] + z[:-1]) / 2
-        hysteretic += _so_far(middle * np.diff(e - z))[::PATH_POINTS]
-    for block in _blocks(len(strain)):
-        strain[block] += _quadratic(elastic, motion(motion.x[block]))
-    return strain, hysteretic
-
-
-def _deformation(row: Floats, motion: "CubicSpline", dt: float) -> Floats:
-    """Deformation of a spring along the path, at `PATH_POINTS` a sample."""
-    path = np.empty(PATH_POINTS * (len(motion.x) - 1) + 1)
-    for block in _blocks(len(path)):
-        path[block] = motion(dt / PATH_POINTS * np.arange(block.start, block.stop)) @ row
-    return path
-
-
-def _blocks(count: int) -> Iterator[slice]:
-    """Cut a record into pieces: what stands between two samples is many times the samples."""
-    for start in range(0, count, _BLOCK):
-        yield slice(start, min(start + _BLOCK, count))
+        hysteretic += _so_far(middle * np.diff(e - z))[::per_sample]
+    return strain + _quadratic(elastic, samples), hysteretic
 
 
 def _quadratic(matrix: Floats, vectors: Floats) -> Floats:
