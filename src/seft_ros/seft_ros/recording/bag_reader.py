@@ -69,7 +69,9 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         description = bag.description()
         known = described or bool(description.sections)
         experiment = bag.experiment(description) if known else bag.inferred_experiment()
-        loop = {topic: SeriesGatherer(topic, experiment, bag.count(topic)) for topic in LOOP_TOPICS}
+        loop: dict[Topic, SeriesGatherer] = {
+            topic: SeriesGatherer(topic, experiment, bag.count(topic)) for topic in LOOP_TOPICS
+        }
         estimates, ending = EstimatesGatherer(experiment), OutcomeGatherer(experiment.timebase)
         gatherers: dict[Topic, Gatherer] = {**loop, ESTIMATES: estimates, DIAGNOSTICS: ending}
         bag.gather(gatherers)
