@@ -6,6 +6,7 @@ of the actuators' force is kinetic energy, strain energy, and what dampers and s
 closes if samples, mass, damping and restoring force fit each other.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,8 @@ Floats = npt.NDArray[np.float64]
 PATH_POINTS = 4
 """Points of the springs' path in a sample: knees and turning points lie between samples."""
 
+_PIECE = 1 << 16  # samples whose splines are in memory at a time
+_OVERLAP = 128  # samples beyond either end: each takes a quarter of what the end is wrong by
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)  # exact for the product of two splines
 
 
@@ -86,46 +89,59 @@ def energy_balance(
 
     count = len(displacement)
     time = dt * np.arange(count)
-    motion = CubicSpline(time, displacement)
-    inside = (time[:-1, np.newaxis] + dt / 2 * (1 + _NODES)).ravel()
-    rate = motion(inside, 1)
-
-    def integral(power: Floats) -> Floats:
-        return _so_far((power.reshape(-1, len(_NODES)) * _WEIGHTS).sum(axis=1) * dt / 2)
-
-    if held is None:
-        work = integral((CubicSpline(time, force)(inside) * rate).sum(axis=1))
-    else:
-        change = motion(time[:-1] + held * dt)
-        before, after = change - displacement[:-1], displacement[1:] - change
-        work = _so_far((force[:-1] * before + force[1:] * after).sum(axis=1))
-    damping = CubicSpline(time, velocity @ specimen.damping.T)(inside)
-    strain, hysteretic = _springs(
-        specimen, motion(dt / PATH_POINTS * np.arange(PATH_POINTS * (count - 1) + 1))
-    )
+    viscous = velocity @ specimen.damping.T
+    work, damped = np.empty((2, count - 1))
+    per_sample = PATH_POINTS if specimen.springs else 1
+    path = np.empty((per_sample * (count - 1) + 1, displacement.shape[1]))
+    for first, last in _pieces(count):
+        known = slice(max(0, first - _OVERLAP), last + 1 + _OVERLAP)
+        within = slice(first, last)
+        motion, damping = (CubicSpline(time[known], y[known]) for y in (displacement, viscous))
+        inside = (time[within, np.newaxis] + dt / 2 * (1 + _NODES)).ravel()
+        rate = motion(inside, 1)
+        damped[within] = _integral(damping(inside) * rate, dt)
+        if held is None:
+            work[within] = _integral(CubicSpline(time[known], force[known])(inside) * rate, dt)
+        else:
+            change, after = motion(time[within] + held * dt), slice(first + 1, last + 1)
+            parts = change - displacement[within], displacement[after] - change
+            work[within] = (force[within] * parts[0] + force[after] * parts[1]).sum(axis=1)
+        points = np.arange(per_sample * first, per_sample * last + 1)
+        path[points[0] : points[-1] + 1] = motion(dt / per_sample * points)
+    strain, hysteretic = _springs(specimen, path, per_sample)
     return EnergyBalance(
-        input=work,
+        input=_so_far(work),
         kinetic=_quadratic(specimen.mass, velocity),
         strain=strain,
-        damped=integral((damping * rate).sum(axis=1)),
+        damped=_so_far(damped),
         hysteretic=hysteretic,
     )
 
 
-def _springs(specimen: Specimen, path: Floats) -> tuple[Floats, Floats]:
-    """Strain energy and dissipation of the springs, at every `PATH_POINTS`-th point of a path."""
-    elastic = specimen.stiffness.copy()
-    strain, hysteretic = np.zeros((2, len(path)))
+def _pieces(count: int) -> Iterator[tuple[int, int]]:
+    """Cut a record into pieces, from sample to sample: splines are many times its size."""
+    for first in range(0, count - 1, _PIECE):
+        yield first, min(first + _PIECE, count - 1)
+
+
+def _integral(power: Floats, dt: float) -> Floats:
+    """Integrate over each period what all axes have at its nodes."""
+    return (power.sum(axis=1).reshape(-1, len(_NODES)) * _WEIGHTS).sum(axis=1) * dt / 2
+
+
+def _springs(specimen: Specimen, path: Floats, per_sample: int) -> tuple[Floats, Floats]:
+    """Strain energy and dissipation of the springs at each sample of a path."""
+    elastic, samples = specimen.stiffness.copy(), path[::per_sample]
+    strain, hysteretic = np.zeros((2, len(samples)))
     for spring, row in zip(specimen.springs, specimen.deformation, strict=True):
         e = path @ row
         z = spring.follow(e)
         elastic -= spring.stiffness * np.outer(row, row)
-        strain += spring.strain_energy(e, z)
+        strain += spring.strain_energy(e[::per_sample], z[::per_sample])
         # (1 - a) k z is the hysteretic part's force; e - z, what it does not give back
         middle = (1 - spring.hardening_ratio) * spring.stiffness * (z[1:] + z[:-1]) / 2
-        hysteretic += _so_far(middle * np.diff(e - z))
-    strain += _quadratic(elastic, path)
-    return strain[::PATH_POINTS], hysteretic[::PATH_POINTS]
+        hysteretic += _so_far(middle * np.diff(e - z))[::per_sample]
+    return strain + _quadratic(elastic, samples), hysteretic
 
 
 def _quadratic(matrix: Floats, vectors: Floats) -> Floats:

@@ -95,7 +95,10 @@ def _linear_response(
     start, change = exponential[: 2 * n, 2 * n : 3 * n], exponential[: 2 * n, 3 * n :]
     drive = ground_motion[:-1] @ start.T + np.diff(ground_motion, axis=0) @ change.T
     states = np.zeros((len(ground_motion), 2 * n))
-    for step in range(len(drive)):
-        states[step + 1] = free.dot(states[step]) + drive[step]
+    state = states[0]
+    for following, push in zip(states[1:], drive, strict=True):
+        free.dot(state, following)
+        following += push
+        state = following
     displacement, velocity = states[:, :n], states[:, n:]
     return displacement, velocity, displacement @ structure.stiffness.T

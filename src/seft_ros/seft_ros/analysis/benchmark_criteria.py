@@ -100,6 +100,8 @@ def _delay(y: Floats, command: Floats, dt: float, steps: Steps) -> float:
     if not (len(steps) and np.isfinite(y).all() and np.isfinite(command).all()):
         return np.nan
     every = np.arange(steps[0], steps[-1] + 1)
+    if len(every) == len(steps):
+        return best_fit_delay(y, command, dt)
     return best_fit_delay(np.interp(every, steps, y), np.interp(every, steps, command), dt)
 
 

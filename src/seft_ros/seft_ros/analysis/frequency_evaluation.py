@@ -69,10 +69,10 @@ def frequency_evaluation_index(
     bins = (len(c) + 1) // 2
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         most_c, most_m = peaks(c), peaks(m)
-        c, m = c / most_c, m / np.where(most_m == 0, 1.0, most_m)
         if not len(c):
             return FrequencyEvaluation(*(np.full(shape, np.nan) for _ in range(4)))
-        command, answer = (rfft(signal, axis=0)[:bins] for signal in (c, m))
+        command = rfft(c / most_c, axis=0)[:bins]
+        answer = rfft(m / np.where(most_m == 0, 1.0, most_m), axis=0)[:bins]
         magnitude = np.abs(command)
         weight = magnitude**power
         weight = weight / weight.sum(axis=0)

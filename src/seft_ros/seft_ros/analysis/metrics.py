@@ -5,6 +5,7 @@ samples, against a reference that is zero throughout, of values that are not fin
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ Steps = npt.NDArray[np.int64]
 
 _ITERATIONS = 30
 _RESOLUTION = 1e-9  # of a sample
+_BLOCK = 1 << 16  # of a long record's elements that are worked on at a time
 
 
 @dataclass(frozen=True)
@@ -59,13 +61,14 @@ def agreement(y: Floats, reference: Floats, dt: float, steps: Steps | None = Non
     y, reference = _columns(y), _columns(reference)
     if steps is None:
         steps = np.arange(len(reference))
-    at_steps = reference[steps]
+    at_steps = reference if len(steps) == len(reference) else reference[steps]
     delay, aligned = math.nan, math.nan
     if len(steps) and np.isfinite(y).all() and np.isfinite(reference).all():
-        every = np.arange(len(reference))
-        filled = np.stack([np.interp(every, steps, column) for column in y.T], axis=1)
-        delay = best_fit_delay(filled, reference, dt)
-        aligned = nrmse_aligned(y, reference, dt, delay, steps)
+        if len(steps) == len(reference):  # no step lacks
+            delay, aligned = _best_fit(y, reference, dt)
+        else:
+            delay, _ = _best_fit(_filled(y, steps, len(reference)), reference, dt)
+            aligned = nrmse_aligned(y, reference, dt, delay, steps)
     return Agreement(nrmse(y, at_steps), aligned, peak(y), peak(at_steps), delay)
 
 
@@ -88,10 +91,14 @@ def nrmse_aligned(
         steps = np.arange(len(reference))
     if not math.isfinite(delay):
         return math.nan
-    known = steps <= len(reference) - 1 + math.floor(delay / dt + 1e-6)
-    shifted = delayed(reference, delay, dt)[steps[known]]
-    error = _rms(y[known] - shifted) * math.sqrt(np.mean(known)) if known.any() else 0.0
-    return _ratio(error, _rms(reference[steps]))
+    last = len(reference) - 1 + math.floor(delay / dt + 1e-6)
+    known = int(np.searchsorted(steps, last, side="right"))
+    if len(steps) == len(reference):
+        scale, shifted = _rms(reference), delayed(reference, delay, dt)[:known]
+    else:
+        scale, shifted = _rms(reference[steps]), delayed(reference, delay, dt)[steps[:known]]
+    error = _rms(y[:known] - shifted) * math.sqrt(known / len(steps)) if known else 0.0
+    return _ratio(error, scale)
 
 
 def peak(y: Floats) -> float:
@@ -114,19 +121,43 @@ def best_fit_delay(y: Floats, reference: Floats, dt: float) -> float:
     dt : float
         Sampling period, s.
     """
-    y, reference = _columns(y), _columns(reference)
+    return _best_fit(_columns(y), _columns(reference), dt)[0]
+
+
+def _best_fit(y: Floats, reference: Floats, dt: float) -> tuple[float, float]:
+    """Delay as `best_fit_delay` finds it, and the error that is left."""
     if not all(0 < _rms(signal) < math.inf for signal in (y, reference)):  # nor NaN
-        return math.nan
+        return math.nan, math.nan
     size = next_fast_len(2 * len(y), real=True)
-    spectra = [rfft(_scaled(signal), size, axis=0) for signal in (y, reference)]
-    cross = (spectra[0] * spectra[1].conj()).sum(axis=1)
-    correlation = irfft(cross, size)
+    cross = _cross_spectrum(y, reference, size)
     longest = len(y) // 2
-    lags = np.concatenate([np.arange(longest + 1), np.arange(-longest, 0)])
-    lag = lags[np.argmax(correlation[lags])]
-    delay = _refine(cross, 2 * np.pi / size * np.arange(len(cross)), float(lag)) * dt
-    errors = [nrmse_aligned(y, reference, dt, tau) for tau in (delay, 0.0)]
-    return delay if errors[0] < errors[1] else 0.0
+    delay = _refine(cross, 2 * np.pi / size, _lag(irfft(cross, size), longest)) * dt
+    del cross
+    error, unshifted = (nrmse_aligned(y, reference, dt, tau) for tau in (delay, 0.0))
+    return (delay, error) if error < unshifted else (0.0, unshifted)
+
+
+def _cross_spectrum(y: Floats, reference: Floats, size: int) -> npt.NDArray[np.complex128]:
+    """Sum over the axes of Y conj(Y_ref); a record is long, so as much as can be is in place."""
+    cross = rfft(_scaled(y), size, axis=0)
+    other = rfft(_scaled(reference), size, axis=0)
+    for block in _blocks(len(cross)):
+        cross[block] = cross[block] * other[block].conj()
+    return cross.sum(axis=1)
+
+
+def _lag(correlation: Floats, longest: int) -> float:
+    """Find the lag in samples, ``longest`` at most, at which the correlation is largest."""
+    later, earlier = correlation[: longest + 1], correlation[len(correlation) - longest :]
+    lag = int(np.argmax(later))
+    if longest and earlier.max() > later[lag]:
+        lag = int(np.argmax(earlier)) - longest
+    return float(lag)
+
+
+def _filled(y: Floats, steps: Steps, count: int) -> Floats:
+    every = np.arange(count)
+    return np.stack([np.interp(every, steps, column) for column in y.T], axis=1)
 
 
 def delayed(y: Floats, delay: float, dt: float) -> Floats:
@@ -149,20 +180,36 @@ def delayed(y: Floats, delay: float, dt: float) -> Floats:
     if shift == int(shift) and 0 <= shift < count:  # no interpolation, and exact
         return np.concatenate([np.zeros_like(y[: int(shift)]), y[: count - int(shift)]])
     columns = _columns(y)
-    fade = 0.5 + 0.5 * np.cos(np.pi * np.arange(1, count) / count)[:, np.newaxis]
-    beyond = (2 * columns[-1] - columns[-2::-1]) * fade
     size = next_fast_len(2 * count + math.ceil(abs(shift)), real=True)
-    turns = np.arange(size // 2 + 1)[:, np.newaxis] * (shift / size)
-    spectrum = rfft(np.concatenate([columns, beyond]), size, axis=0) * np.exp(-2j * np.pi * turns)
-    shifted: Floats = irfft(spectrum, size, axis=0)[:count]
+    spectrum = rfft(_faded(columns), size, axis=0)
+    for block in _blocks(len(spectrum)):
+        turns = np.arange(block.start, block.stop)[:, np.newaxis] * (shift / size)
+        spectrum[block] *= np.exp(-2j * np.pi * turns)
+    shifted: Floats = irfft(spectrum, size, axis=0, overwrite_x=True)[:count]
     return shifted.reshape(y.shape)
 
 
-def _refine(cross: npt.NDArray[np.complex128], omega: Floats, lag: float) -> float:
-    """Newton's method for the nearest maximum of sum Re(cross exp(i omega lag))."""
+def _faded(y: Floats) -> Floats:
+    """Go on beyond the end of a signal, as `delayed` says, shape (2 N - 1, n)."""
+    count = len(y)
+    fade = 0.5 + 0.5 * np.cos(np.pi * np.arange(1, count) / count)[:, np.newaxis]
+    beyond = 2 * y[-1] - y[-2::-1]
+    beyond *= fade
+    del fade
+    return np.concatenate([y, beyond])
+
+
+def _refine(cross: npt.NDArray[np.complex128], spacing: float, lag: float) -> float:
+    """Newton's method for the nearest maximum of sum Re(cross exp(i omega lag)).
+
+    The frequencies omega are ``spacing`` apart, rad a sample.
+    """
     best = lag
+    omega = spacing * np.arange(len(cross))
+    terms = np.empty_like(cross)
     for _ in range(_ITERATIONS):
-        terms = cross * np.exp(1j * omega * best)
+        for block in _blocks(len(cross)):
+            terms[block] = cross[block] * np.exp(1j * omega[block] * best)
         slope = -np.sum(omega * terms.imag)
         curvature = -np.sum(omega**2 * terms.real)
         if not curvature < 0:
@@ -172,6 +219,11 @@ def _refine(cross: npt.NDArray[np.complex128], omega: Floats, lag: float) -> flo
         if abs(change) < _RESOLUTION:
             break
     return float(best)
+
+
+def _blocks(count: int) -> Iterator[slice]:
+    for start in range(0, count, _BLOCK):
+        yield slice(start, min(start + _BLOCK, count))
 
 
 def _columns(y: Floats) -> Floats:
@@ -188,7 +240,8 @@ def _rms(y: Floats) -> float:
     most = peak(y)
     if not math.isfinite(most) or most == 0:
         return most
-    return most * float(np.sqrt(np.mean((y / most) ** 2)))
+    scaled = y / most
+    return most * float(np.sqrt(np.mean(np.square(scaled, out=scaled))))
 
 
 def _ratio(error: float, reference: float) -> float:

@@ -67,3 +67,8 @@ def quantity(reference: ReferenceResponse, name: str) -> Floats:
     """Pick the reference of a quantity in `COMPARED`, shape (N, n)."""
     values: Floats = getattr(reference, name)
     return values
+
+
+def at_steps(reference: Floats, steps: npt.NDArray[np.int64]) -> Floats:
+    """Pick from a reference, by step from 0, some steps; not copied where they are all."""
+    return reference if len(steps) == len(reference) else reference[steps]

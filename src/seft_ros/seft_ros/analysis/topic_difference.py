@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from seft_ros.analysis.common_steps import common_steps
 from seft_ros.analysis.metrics import nrmse, peak
 from seft_ros.recording.record import Series
 
@@ -38,9 +39,7 @@ def compare_topic(
     topic: str, quantities: Sequence[str], axes: Sequence[str], one: Series, other: Series
 ) -> TopicDifference:
     """Compare two series, bit for bit, of the same quantities and axes."""
-    common, in_a, in_b = np.intersect1d(
-        one.steps, other.steps, assume_unique=True, return_indices=True
-    )
+    common, in_a, in_b = common_steps(one.steps, other.steps)
     values_a, values_b = one.values[in_a], other.values[in_b]
     fields = {
         quantity: _errors(values_a[:, row], values_b[:, row])
@@ -73,10 +72,10 @@ def _first_value(
     a: Floats,
     b: Floats,
 ) -> dict[str, Any] | None:
-    differing = np.argwhere(_bits(a) != _bits(b))
-    if not len(differing):
+    differing = _bits(a) != _bits(b)
+    if not differing.any():
         return None
-    sample, row, column = differing[0]
+    sample, row, column = np.unravel_index(differing.argmax(), differing.shape)
     return {
         "topic": topic,
         "step": int(steps[sample]),
@@ -88,9 +87,9 @@ def _first_value(
 
 
 def _first_missing(topic: str, one: Series, other: Series) -> dict[str, Any] | None:
-    lacking = np.setxor1d(one.steps, other.steps, assume_unique=True)
-    if not len(lacking):
+    if np.array_equal(one.steps, other.steps):
         return None
+    lacking = np.setxor1d(one.steps, other.steps, assume_unique=True)
     present = bool(np.isin(lacking[0], one.steps))
     return {
         "topic": topic,

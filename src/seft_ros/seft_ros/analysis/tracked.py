@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.topics import REFERENCE_FORCE, RIG_STATE
 
+from seft_ros.analysis.common_steps import common_steps
 from seft_ros.recording.record import Record, Series
 
 Floats = npt.NDArray[np.float64]
@@ -40,7 +41,7 @@ def tracked_of(record: Record) -> Tracked:
     period late.
     """
     commands, states = record.series[REFERENCE_FORCE.name], record.series[RIG_STATE.name]
-    steps = np.intersect1d(commands.steps, states.steps, assume_unique=True)
+    steps, _, _ = common_steps(commands.steps, states.steps)
     every = np.arange(steps[0], steps[-1] + 1) if len(steps) else steps
     return Tracked(
         every,

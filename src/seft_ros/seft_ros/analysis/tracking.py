@@ -7,8 +7,10 @@ from seft_msgs_py.topics import REFERENCE_FORCE, RIG_STATE
 from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.benchmark_criteria import benchmark_criteria
+from seft_ros.analysis.common_steps import common_steps
 from seft_ros.analysis.energy_error import energy_error, relative_energy_error
 from seft_ros.analysis.frequency_evaluation import frequency_evaluation_index
+from seft_ros.analysis.reference import at_steps
 from seft_ros.analysis.tracked import FORCE, tracked_of
 from seft_ros.analysis.tracking_indicator import relative_tracking_indicator
 from seft_ros.recording.record import Record
@@ -41,9 +43,7 @@ def tracking_of(record: Record, reference: ReferenceResponse | None) -> dict[str
     """
     commands, states = record.series[REFERENCE_FORCE.name], record.series[RIG_STATE.name]
     dt = record.experiment.timebase.dt
-    steps, at_commands, at_states = np.intersect1d(
-        commands.steps, states.steps, assume_unique=True, return_indices=True
-    )
+    steps, at_commands, at_states = common_steps(commands.steps, states.steps)
     signals = tracked_of(record)
     command, force, velocity = signals.command, signals.force, signals.velocity
     displacement = states.values[:, _DISPLACEMENT]
@@ -52,7 +52,7 @@ def tracking_of(record: Record, reference: ReferenceResponse | None) -> dict[str
         states.values[at_states, FORCE],
         np.full_like(displacement, np.nan)
         if reference is None
-        else reference.displacement[states.steps],
+        else at_steps(reference.displacement, states.steps),
         displacement,
         dt,
         steps,
@@ -61,6 +61,8 @@ def tracking_of(record: Record, reference: ReferenceResponse | None) -> dict[str
     indicator = relative_tracking_indicator(command, force)
     with np.errstate(invalid="ignore", over="ignore"):
         work = energy_error(force - command, velocity, dt)
+        end_j = work[-1] if len(work) > 1 else np.full(work.shape[1:], np.nan)
+        del work
     relative = relative_energy_error(command, force, velocity, dt)
     return {
         axis: {
@@ -69,7 +71,7 @@ def tracking_of(record: Record, reference: ReferenceResponse | None) -> dict[str
             "fei_frequency_hz": float(fei.frequency_hz[column]),
             "tracking_indicator_end": float(indicator[column]),
             "energy_error": float(relative[column]),
-            "energy_error_j": float(work[-1, column]) if len(work) > 1 else np.nan,
+            "energy_error_j": float(end_j[column]),
             "J": criteria.of_axis(column),
         }
         for column, axis in enumerate(record.experiment.axes)

@@ -72,12 +72,14 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         description = bag.description()
         known = described or bool(description.sections)
         experiment = bag.experiment(description) if known else bag.inferred_experiment()
-        loop = {topic: SeriesGatherer(topic, experiment, bag.count(topic)) for topic in LOOP_TOPICS}
+        loop: dict[Topic, SeriesGatherer] = {
+            topic: SeriesGatherer(topic, experiment, bag.count(topic)) for topic in LOOP_TOPICS
+        }
         log = EventLog()
         estimates = EstimatesGatherer(experiment)
         statuses, test = StatusGatherer(experiment.timebase, log), StateGatherer(log)
         gatherers: dict[Topic, Gatherer] = {
-            **dict(loop.items()),
+            **loop,
             ESTIMATES: estimates,
             DIAGNOSTICS: statuses,
             EXPERIMENT_STATE: test,

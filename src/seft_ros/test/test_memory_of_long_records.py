@@ -1,0 +1,81 @@
+"""Memory by sample: what a bag of an hour takes is told by one of some minutes."""
+
+import tracemalloc
+from collections import Counter
+
+import numpy as np
+import pytest
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.topics import LOOP_TOPICS
+from seft_ros.analysis.compare import compare
+from seft_ros.analysis.summary import reference_of, summarise
+from seft_ros.recording import bag_reader
+from seft_ros.recording.bag_reader import read_bag
+from seft_ros.recording.record import Record, Series
+from seft_ros.recording.record_bag import write_record
+
+STEPS = 40_000
+BATCHES = 10e6  # bytes that reading takes whatever the length
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    node = {"rate": 1000.0, "axes": ["x"], "method": "seft", "mass_ratio": 0.5}
+    model = {"model.mass": 50.0, "model.damping": 800.0, "model.stiffness": 2e5}
+    experiment = Experiment({"reference_force": node | model})
+    rng, steps = np.random.default_rng(1), np.arange(STEPS)
+    series = {
+        topic.name: Series(steps, rng.normal(size=(STEPS, len(topic.quantities), 1)))
+        for topic in LOOP_TOPICS
+    }
+    path = tmp_path_factory.mktemp("bags") / "long"
+    write_record(Record(experiment, series), path)
+    return path
+
+
+def peak_per_step(call):
+    """Most bytes that a call has at a time, beyond what was there, by step."""
+    tracemalloc.start()
+    try:
+        found = call()
+        return found, tracemalloc.get_traced_memory()[1] / STEPS
+    finally:
+        tracemalloc.stop()
+
+
+def test_reading_takes_the_memory_of_the_samples(bag):
+    read_bag(bag)  # imports
+    record, peak = peak_per_step(lambda: read_bag(bag))
+    assert len(record.series["rig/state"].steps) == STEPS
+    samples = 8 * (1 + 4 + 3 * (1 + 1))  # steps, and values of the four topics
+    received = 8 * 4
+    assert peak < 2 * (samples + received) + BATCHES / STEPS
+
+
+def test_a_summary_takes_few_arrays_of_the_records_length(bag):
+    record = read_bag(bag)
+    reference = reference_of(record)
+    summarise(record, reference)  # imports
+    _, peak = peak_per_step(lambda: summarise(record, reference))
+    assert peak < 8 * 50
+
+
+def test_comparing_copies_no_samples(bag):
+    one, other = read_bag(bag), read_bag(bag)
+    _, peak = peak_per_step(lambda: compare(one, other))
+    assert peak < 8 * 4
+
+
+def test_every_message_of_a_test_goes_by_once(bag, monkeypatch):
+    seen = Counter()
+    read_messages = bag_reader.read_messages
+
+    def counted(*arguments):
+        for message in read_messages(*arguments):
+            seen[message[0].topic, message[1], message[2]] += 1
+            yield message
+
+    monkeypatch.setattr(bag_reader, "read_messages", counted)
+    read_bag(bag)
+    assert len(seen) > 3 * STEPS
+    assert set(seen.values()) == {1}
