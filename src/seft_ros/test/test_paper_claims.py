@@ -82,6 +82,8 @@ def test_short_signals_are_measured_too():
     few = SLOW[:3]
     assert np.isfinite(vibration(few, RATE).rms)
     assert len(without_vibration(few, RATE)) == 3
+    assert np.isnan(magnitude_and_phase(few, few, RATE, 7.0, 0.0)).all()
+    assert np.isnan(outcome(SLOW, 0.0 * SLOW).vibration_ratio("force"))
 
 
 def test_magnitude_and_phase_are_told_apart_from_delay():

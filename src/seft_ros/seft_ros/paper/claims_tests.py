@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from seft_ros.analysis.metrics import Agreement
 from seft_ros.paper.claim import Claim, at_least, at_most, growing, holds, near
 from seft_ros.paper.findings import COMPUTED, Findings
 from seft_ros.paper.measures import VIBRATION_HZ, magnitude_and_phase
@@ -96,7 +97,7 @@ def _discrepancies(found: Findings) -> Iterator[Claim]:
                 f"{FIGURE} ({_PANELS[name][index]})",
                 f"peak {name} smaller than the reference at alpha = {ratio:g}",
                 said,
-                f"{peaks.peak / peaks.reference_peak:.3f} of the reference's",
+                _share(peaks),
                 smaller,
                 f"at most {_SMALLER:g}: at alpha = 0 peaks differ by some percent too",
                 "" if smaller else _in_total(test, name),
@@ -152,7 +153,7 @@ def _vibration(found: Findings) -> Iterator[Claim]:
             TESTS,
             f"high-frequency {name} grows with alpha: 0, 0.5, 1.0",
             "increases with alpha",
-            [test.vibration(name).rms / test.exact_vibration(name).rms for test in tests],
+            [test.vibration_ratio(name) for test in tests],
             what=f"level above {VIBRATION_HZ:g} Hz over the reference's",
         )
     growth = found.growths["rig", 1.5]
@@ -185,9 +186,16 @@ def _instability(found: Findings) -> Iterator[Claim]:
         )
 
 
+def _share(found: Agreement) -> str:
+    if not found.reference_peak > 0:
+        return "no reference"
+    return f"{found.peak / found.reference_peak:.3f} of the reference's"
+
+
 def _in_total(test: Outcome, name: str) -> str:
     """Say what else there is to a peak that is not smaller."""
-    ratio = float(np.std(test.measured[name]) / np.std(test.exact[name]))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = float(np.std(test.measured[name]) / np.std(test.exact[name]))
     return f"the peak is one cycle of the record; the RMS is {ratio:.2f} of the reference's"
 
 

@@ -32,15 +32,15 @@ def histories_figure(found: Findings) -> Grid:
     shared = _shared(found)
     plots = []
     letters = iter("abcdefghi")
-    for name in _UNITS:
+    for name, (unit, factor) in _UNITS.items():
         for ratio in (0.0, *COMPUTED):
             test = found.tests["rig", ratio]
             curves = [(test, "exact", "reference", REFERENCE), (test, "", "experiment", FIRST)]
             title = f"({next(letters)}) {name}, alpha = {ratio:g}"
             error = test.agreement(name)
             caption = (
-                f"Error after the best-fit delay {error.nrmse_aligned:.1%}, peak "
-                f"{error.peak / error.reference_peak:.2f} of the reference's."
+                f"Error after the best-fit delay {error.nrmse_aligned:.1%}, largest "
+                f"{factor * error.peak:.3g}, reference {factor * error.reference_peak:.3g} {unit}."
             )
             plots.append(_history(name, title, curves, shared, caption))
     return Grid(plots)

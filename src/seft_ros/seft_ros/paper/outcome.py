@@ -63,14 +63,14 @@ class Outcome:
         measured = without_vibration(self.measured[name], rate)
         return agreement(measured, without_vibration(self.exact[name], rate), self.dt)
 
-    def peak_ratio(self, name: str) -> float:
-        """Peak over that of the exact response."""
-        found = self.agreement(name)
-        return found.peak / found.reference_peak
-
     def vibration(self, name: str) -> Vibration:
         """Vibration of a quantity as measured."""
         return vibration(self.measured[name], 1.0 / self.dt)
+
+    def vibration_ratio(self, name: str) -> float:
+        """Level of the vibration over that of the exact response; NaN where that has none."""
+        exact = self.exact_vibration(name).rms
+        return self.vibration(name).rms / exact if exact > 0 else float("nan")
 
     def exact_vibration(self, name: str) -> Vibration:
         """Vibration of the exact response: what it has at these frequencies."""

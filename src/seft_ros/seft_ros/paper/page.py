@@ -166,7 +166,7 @@ def _beyond(found: Findings) -> list[Block]:
         f"preview_inverse, {full:g} N",
     ]
     note = Text("Displacement errors, RMS over RMS, without any shift.")
-    return [Text(text), Table(headings, rows), note, beyond_figure(found)]
+    return [Text(text), Table(headings, rows, wide=True), note, beyond_figure(found)]
 
 
 def _error(found: Findings, kind: str, ratio: float) -> Cell:
