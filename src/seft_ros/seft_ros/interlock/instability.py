@@ -1,0 +1,162 @@
+"""Whether a test is going unstable: vibration that the ground motion does not explain.
+
+Acceleration feedback with delay turns unstable at frequencies above the specimen's own, where
+the ground motion moves it little. A limit on acceleration sees that late: by then the vibration
+is as strong as the test itself. Here what is measured above the natural frequency is held
+against what a model of the whole structure does under the same ground motion.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import block_diag, expm
+
+from seft_ros.force_controller.block import bilinear
+from seft_ros.reference_force.compensation.compensator import Knowledge
+
+Floats = npt.NDArray[np.float64]
+
+AVERAGE = 0.1
+"""Time constant of the mean square, s: some cycles of any vibration in question."""
+MEMORY = 2.0
+"""Time constant with which strong motion that was expected is forgotten, s."""
+SUSTAINED = 0.1
+"""Time for which vibration must be there, s: a knock is none."""
+HURRY = 10.0
+"""How many times faster the strongest vibration uses that time up."""
+ABOVE = 2.0
+"""The band begins at this multiple of the specimen's lowest natural frequency."""
+
+
+class InstabilityWatch:
+    """A guard: acceleration above a frequency must be what the ground motion explains.
+
+    Both accelerations, measured and of the model, go through the same high-pass filter
+    (Butterworth, fourth order). Their mean squares are taken over `AVERAGE`; the model's largest
+    fades over `MEMORY`, as vibration rings on. It is a fault if the measured RMS stays above
+    ``ratio`` times the model's (and the floor) for `SUSTAINED`. The model need not be exact: a
+    growing oscillation passes any ratio.
+
+    Parameters
+    ----------
+    known : Knowledge
+        Mass, computed mass, damping and stiffness of the model, and the sampling period.
+    axes : sequence of str
+        Names of the n axes.
+    ratio : float
+        Largest RMS over the expected one; 0: never a fault.
+    floor : float
+        RMS that counts as expected in any case, m/s^2: several times the sensors' noise.
+    lowest : float
+        Where the band begins, Hz; 0: at `ABOVE` times the specimen's lowest natural frequency,
+        at most at a quarter of the sampling rate.
+    """
+
+    def __init__(
+        self, known: Knowledge, axes: Sequence[str], ratio: float, floor: float, lowest: float
+    ) -> None:
+        n = len(axes)
+        self._axes, self._ratio, self._floor = tuple(axes), ratio, floor
+        dt = known.dt
+        self._lowest = lowest or min(ABOVE * _natural_hz(known), 0.25 / dt)
+        a, b, c, d = _filtered(known, self._lowest, dt, n)
+        self._product = np.block([[a, b], [c, d]])
+        self._states = len(a)
+        self._average, self._memory = math.exp(-dt / AVERAGE), math.exp(-2 * dt / MEMORY)
+        self._patience = SUSTAINED / dt
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin a new test, at rest."""
+        n = len(self._axes)
+        self._work = np.zeros(self._states + 2 * n)  # states of model and filters, then inputs
+        self._model, self._measured = [0.0] * n, [0.0] * n  # mean squares
+        self._expected = [self._floor**2] * n
+        self._above = 0.0
+
+    def step(self, ground_motion: Floats, state: Floats) -> str | None:
+        """See `Guard.step`."""
+        if self._ratio == 0.0:
+            return None
+        n, states, work = len(self._axes), self._states, self._work
+        work[states : states + n], work[states + n :] = ground_motion, state[2]
+        result = self._product.dot(work)
+        work[:states] = result[:states]
+        filtered = result[states:].tolist()
+        old, new, least = self._average, 1.0 - self._average, self._floor**2
+        excess = 0.0
+        for axis in range(n):  # plain floats: arrays of a few axes cost more
+            model = old * self._model[axis] + new * filtered[axis] ** 2
+            measured = old * self._measured[axis] + new * filtered[n + axis] ** 2
+            expected = max(model, self._expected[axis] * self._memory, least)
+            self._model[axis], self._measured[axis] = model, measured
+            self._expected[axis] = expected
+            excess = max(excess, measured / expected)
+        excess /= self._ratio**2
+        # what is far beyond needs less patience than what is a little
+        self._above = self._above + min(excess, HURRY) if excess > 1.0 else 0.0
+        return self._fault() if self._above >= self._patience else None
+
+    def _fault(self) -> str:
+        squares = [m / e for m, e in zip(self._measured, self._expected, strict=True)]
+        axis = squares.index(max(squares))
+        rms = math.sqrt(self._measured[axis])
+        return (
+            f"instability: acceleration above {self._lowest:.3g} Hz on axis {self._axes[axis]} is "
+            f"{rms:.3g} m/s^2 RMS, {math.sqrt(squares[axis]):.3g} times what the ground motion "
+            f"explains (limit {self._ratio:g})"
+        )
+
+
+def _natural_hz(known: Knowledge) -> float:
+    """Lowest natural frequency of the specimen alone, Hz."""
+    squares = np.linalg.eigvals(np.linalg.solve(known.mass, known.stiffness)).real
+    return math.sqrt(max(float(squares.min()), 0.0)) / math.tau
+
+
+def _filtered(
+    known: Knowledge, lowest: float, dt: float, n: int
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """State space from (a_g, a) to the high-passed accelerations of the model and as measured."""
+    whole = np.linalg.inv(known.mass + known.computed_mass)
+    restoring = -whole @ np.hstack([known.stiffness, known.damping])
+    motion = np.vstack([np.hstack([np.zeros((n, n)), np.eye(n)]), restoring])
+    push = np.vstack([np.zeros((n, n)), -np.eye(n)])
+    held = expm(dt * np.block([[motion, push], [np.zeros((n, 3 * n))]]))  # zero-order hold
+    fa, fb, fc, fd = _high_pass(lowest, dt)
+    one, none = np.eye(n), np.zeros((n, n))
+    filters = [np.kron(part, one) for part in (fa, fb, fc, fd)]
+    size, order = 2 * n, len(fa) * n
+    a = block_diag(held[:size, :size], filters[0], filters[0])
+    a[size : size + order, :size] = filters[1] @ restoring  # the model's acceleration, filtered
+    b = np.block(
+        [
+            [held[:size, size:], np.zeros((size, n))],
+            [-filters[1], np.zeros((order, n))],
+            [np.zeros((order, n)), filters[1]],
+        ]
+    )
+    c = np.block(
+        [
+            [filters[3] @ restoring, filters[2], np.zeros((n, order))],
+            [np.zeros((n, size + order)), filters[2]],
+        ]
+    )
+    d = np.block([[-filters[3], none], [none, filters[3]]])
+    return a, b, c, d
+
+
+def _high_pass(lowest: float, dt: float) -> tuple[Floats, Floats, Floats, Floats]:
+    """Butterworth's high pass of fourth order in state space, sampled (bilinear, prewarped)."""
+    w = 2.0 / dt * math.tan(math.pi * lowest * dt)
+    first, second = (2.0 * math.sin(math.pi * k / 8) for k in (1, 3))
+    middle = w * w * (2.0 + first * second)
+    outer = first + second
+    denominator = [1.0, outer * w, middle, outer * w**3, w**4]
+    num, den = bilinear([1.0, 0.0, 0.0, 0.0, 0.0], denominator, dt)
+    a = np.vstack([-den[1:], np.eye(3, 4)])
+    b = np.eye(4, 1)
+    c = (num[1:] - num[0] * den[1:])[np.newaxis]
+    return a, b, c, np.array([[num[0]]])
