@@ -8,13 +8,14 @@ from rosbags.rosbag2 import Reader
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.estimates import EstimatesCodec
 from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.messages import decode_diagnostics, decode_string
+from seft_msgs_py.messages import Status, decode_diagnostics, decode_status, decode_string
 from seft_msgs_py.outcome import Outcome, Saturation, read_outcome
 from seft_msgs_py.timebase import Timebase
 from seft_msgs_py.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
     ESTIMATES,
+    EXPERIMENT_STATE,
     GROUND_MOTION,
     LOOP_TOPICS,
     REFERENCE_FORCE,
@@ -25,8 +26,10 @@ from seft_msgs_py.topics import (
 )
 from seft_msgs_py.trajectory import TrajectoryCodec
 
+from seft_ros.experiment.state_machine import ENDED
 from seft_ros.recording.bag_files import open_bag, read_messages
 from seft_ros.recording.description import Description, read_description
+from seft_ros.recording.ending import trip_of
 from seft_ros.recording.inference import infer_experiment
 from seft_ros.recording.record import Estimates, Record, Series
 from seft_ros.recording.samples import EstimateBuffer, SampleBuffer, until
@@ -69,6 +72,7 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         series = {topic.name: bag.series(topic, experiment) for topic in LOOP_TOPICS}
         estimates = bag.estimates(experiment)
         outcome = bag.outcome(experiment.timebase)
+        trip = trip_of(outcome, bag.ending(), experiment.timebase)
     finally:
         reader.close()
     states = series[RIG_STATE.name].steps
@@ -79,7 +83,7 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         experiment=experiment,
         series=series,
         estimates=estimates,
-        trip=outcome.trip if outcome else None,
+        trip=trip,
         missed=outcome.missed if outcome else None,
         missed_steps=outcome.missed_steps if outcome else [],
         overruns=outcome.overruns if outcome else None,
@@ -183,6 +187,19 @@ class _Bag:
             except WireError:
                 self.undecodable += 1
         return outcome
+
+    def ending(self) -> Status | None:
+        """Give the last state in which the supervisor says how the test ended."""
+        ending = None
+        connections = self.connections_of(EXPERIMENT_STATE)
+        for _, _, raw in read_messages(self.reader, connections, self.path):
+            try:
+                status = decode_status(raw)
+            except WireError:
+                self.undecodable += 1
+                continue
+            ending = status if status.message in ENDED else ending
+        return ending
 
 
 def _is(topic: Topic, connection: Connection) -> bool:

@@ -158,5 +158,33 @@ TABLE = Table(
             "N/m",
         ),
         Parameter("tracking.damping", "floats", 0.0, "damping of that specimen", "N s/m"),
+        Parameter(
+            "limits.force",
+            "float",
+            22200.0,
+            "largest reference force on any axis; beyond it the test is ramped down",
+            "N",
+            positive=True,
+            default_from="supervisor:limits.force",
+        ),
+        Parameter(
+            "limits.force_rate",
+            "float",
+            3.0e6,
+            "fastest change of the reference force on any axis from step to step, likewise; far "
+            "above what a test near its limits asks for, so that it only catches what is no test",
+            "N/s",
+            positive=True,
+        ),
+        Parameter(
+            "ramp_down_time",
+            "float",
+            0.5,
+            "experiment time in which the reference force goes to zero, as half a cosine, where "
+            "a test is brought down softly",
+            "s",
+            positive=True,
+            maximum=60.0,
+        ),
     ],
 )

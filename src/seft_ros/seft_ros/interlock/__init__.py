@@ -1,0 +1,1 @@
+"""What brings a test down softly: ramp, plausibility, guards."""
