@@ -38,8 +38,8 @@ from seft_msgs_py.topics import DESCRIPTION, DIAGNOSTICS, LoopTopic, Topic
 from seft_msgs_py.wait_set import LoopCallbackGroup, WaitSet, sender, take
 
 IDLE_WAIT = 0.05  # s; a signal is noticed within this time
-STATUS_PERIOD = 1.0  # s
-STATUS_CHECK = 0.2  # s
+STATUS_PERIOD = 0.2  # s: a sign of life
+LOOP_PAUSE = 1.0  # s without a message of the loop: the node is idle
 WARN_PERIOD = 1.0  # s
 CLOSE_PATIENCE = 5.0  # s
 WARM_UP_STEPS = 200
@@ -270,11 +270,11 @@ class NodeShell:
         """
         now = time.monotonic()
         sent_at, sent = self._status_sent
-        if now - self._handled_at < STATUS_PERIOD:
+        if now - self._handled_at < LOOP_PAUSE:
             if now - sent_at >= STATUS_PERIOD:
                 self._publish_status()
             return
-        if now - self._looked_at < STATUS_CHECK:
+        if now - self._looked_at < STATUS_PERIOD:
             return
         self._looked_at = now
         values = {**self._status.values, **self.matched(), **self._own_values()}

@@ -11,6 +11,8 @@ from seft_msgs_py.timebase import Timebase
 RIG = "rig"
 FINISHED = "finished"
 TRIPPED = "tripped"
+STOPPED = "stopped"
+"""Reason of a rig that only did what the supervisor said: that one knows why."""
 LISTED_STEPS = 100
 """Missed steps that a status lists; all are counted."""
 

@@ -246,5 +246,13 @@ TABLE = Table(
             positive=True,
             default_from="supervisor:watchdog.command_timeout",
         ),
+        Parameter(
+            "watchdog.supervisor_timeout",
+            "float",
+            1.0,
+            "longest silence of the supervisor before the rig trips",
+            "s",
+            positive=True,
+        ),
     ],
 )

@@ -8,9 +8,10 @@ import sys
 import time
 
 import numpy as np
+from seft_msgs_py.awake_clock import AwakeClock
 from seft_msgs_py.messages import Status, decode_status, encode_clock
 from seft_msgs_py.node_shell import WARM_UP_STEPS, NodeShell, run_node
-from seft_msgs_py.outcome import FINISHED, LISTED_STEPS, TRIPPED, Trip, rig_status
+from seft_msgs_py.outcome import FINISHED, LISTED_STEPS, STOPPED, TRIPPED, Trip, rig_status
 from seft_msgs_py.topics import (
     CLOCK_TOPIC,
     EXPERIMENT_STATE,
@@ -25,6 +26,7 @@ from seft_plant_sim.parameters import TABLE
 from seft_plant_sim.rig import Rig
 
 CLOCK_PERIOD = 0.1  # s of wall time
+MOVING = ("running", "ramping_down")  # states of a test in which the rig obeys
 
 
 class Command:
@@ -72,6 +74,9 @@ class RigNode:
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16, wake=False)
         self._armed = False
         self._wanted: Status | None = None
+        self._told = ""
+        self._awake = AwakeClock()
+        self._heard_at = self._awake.time()
         self._clock_at = 0.0
         self._warm_up()
 
@@ -85,9 +90,9 @@ class RigNode:
         self._rest()
         while not self._shell.stopping:
             self._shell.spin_once()
-            if self._is_wanted():
+            if self._is_moving():
                 self._run_test(int(self._wanted.values["steps"]))  # type: ignore[union-attr]
-                if self._is_wanted():
+                if self._is_moving():
                     self._wanted = None  # a test runs once
             elif self._ended and self._wanted is not None and self._wanted.message == "idle":
                 self._rest()  # how the last test ended has been told
@@ -143,8 +148,8 @@ class RigNode:
             deadline = time.monotonic() + timeout
             while self._valve.step < step or self._drive.step < step:
                 self._shell.spin_once(0.05)
-                if not self._is_wanted():
-                    return rig.violation or "stopped"
+                if (why := self._unwanted()) is not None:
+                    return rig.violation or why
                 if time.monotonic() > deadline:
                     late = self._valve if self._valve.step < step else self._drive
                     return rig.violation or (
@@ -181,8 +186,8 @@ class RigNode:
                 start += periods_late * period
             while drive.step < step and shell.spin_once(0.0):
                 pass  # what came while we were late counts as in time
-            if not self._is_wanted():
-                return rig.violation or "stopped"
+            if (why := self._unwanted()) is not None:
+                return rig.violation or why
             if rig.violation is not None:
                 return rig.violation
             if step + 1 == steps:
@@ -208,21 +213,32 @@ class RigNode:
             self._clock_at = now
             self._publish_time(encode_clock(self._timebase.stamp_ns(step)))
 
-    def _is_wanted(self) -> bool:
-        return (
-            self._wanted is not None
-            and self._wanted.message == "running"
-            and not self._shell.stopping
-        )
+    def _unwanted(self) -> str | None:
+        """Say why the test must end here, if it must: no rig moves without a supervisor."""
+        if self._shell.stopping:
+            return "the rig node was told to end"
+        if not self._is_moving():
+            return STOPPED
+        patience = self._section["watchdog.supervisor_timeout"]
+        if self._awake.time() - self._heard_at > patience:
+            return f"node supervisor has been silent for {patience:g} s"
+        return None
 
     def _on_experiment_state(self, raw: bytes, _: int) -> None:
         """Follow the supervisor; a rig that comes up in the middle of a test stays at rest."""
         status = decode_status(raw)
-        if status.message == "running" and not self._armed:
+        self._heard_at = self._awake.time()
+        if status.message == self._told:
+            return  # a sign of life
+        self._told = status.message
+        if status.message in MOVING and not (self._armed or self._is_moving()):
             self._shell.refuse("a test that was running before this rig was ready for it")
             return
         self._armed = status.message == "ready"
         self._wanted = status
+
+    def _is_moving(self) -> bool:
+        return self._wanted is not None and self._wanted.message in MOVING
 
 
 def _serve(shell: NodeShell) -> None:

@@ -3,10 +3,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.messages import Status
 from seft_msgs_py.topics import NODES, TOPICS
-from seft_ros.experiment.peers import STALE, Heard, missing
+from seft_ros.experiment.peers import Heard, silence, silent
+from seft_ros.experiment.peers import missing as missing_after
 
 PEERS = tuple(node for node in NODES if node != "supervisor")
 NOW = 100.0
+TIMEOUT = 3.0  # s
+
+
+def missing(peers, heard, descriptions, now):
+    return missing_after(peers, heard, descriptions, now, TIMEOUT)
 
 
 def graph(peers=PEERS, drive="valve_command"):
@@ -43,7 +49,7 @@ def test_a_node_that_was_never_heard_is_named(node):
     assert missing(PEERS, heard, descriptions, NOW) == f"node {node}"
 
 
-@pytest.mark.parametrize(("age", "expected"), [(STALE, ""), (STALE + 0.01, "node rig")])
+@pytest.mark.parametrize(("age", "expected"), [(TIMEOUT, ""), (TIMEOUT + 0.01, "node rig")])
 def test_a_node_that_fell_silent_counts_as_absent(age, expected):
     heard, descriptions = graph()
     heard["rig"] = Heard(heard["rig"].status, NOW - age)
@@ -151,3 +157,21 @@ def test_a_rig_that_still_tells_of_the_last_test_is_waited_for(phase):
     assert missing(PEERS, heard, descriptions, NOW) == "the rig to leave the last test"
     heard["rig"].status.values["phase"] = "idle"
     assert missing(PEERS, heard, descriptions, NOW) == ""
+
+
+@pytest.mark.parametrize("phase", ["ramping_down", "at_rest", "ended"])
+def test_the_reference_force_must_have_left_the_last_test(phase):
+    heard, descriptions = graph()
+    heard["reference_force"].status.values["phase"] = phase
+    assert missing(PEERS, heard, descriptions, NOW) == (
+        "the reference force to leave the last test"
+    )
+
+
+def test_the_silent_are_named_with_the_time_of_their_last_sign_of_life():
+    heard, _ = graph()
+    heard["rig"] = Heard(heard["rig"].status, NOW - 1.01, 12.341)
+    heard["recorder"] = Heard(heard["recorder"].status, NOW - 1.0, 12.4)
+    del heard["ground_motion"]  # never heard: not silent, but absent
+    assert silent(PEERS, heard, NOW, 1.0) == ["rig"]
+    assert silence("rig", heard) == "node rig has been silent since 12.34 s"

@@ -3,32 +3,42 @@ import itertools
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_ros.experiment.state_machine import State, StateMachine
+from seft_ros.experiment.state_machine import ENDED, MOVING, State, StateMachine
 
+RUNNING = (("peers", ""), ("start",))
 WAYS = {
     State.IDLE: (),
     State.READY: (("peers", ""),),
-    State.RUNNING: (("peers", ""), ("start",)),
-    State.DONE: (("peers", ""), ("start",), ("finish", "9 steps done")),
-    State.TRIPPED: (("peers", ""), ("start",), ("trip", "force", 7)),
+    State.RUNNING: RUNNING,
+    State.RAMPING_DOWN: (*RUNNING, ("soft_trip", "node recorder is silent", 5)),
+    State.DONE: (*RUNNING, ("finish", "9 steps done")),
+    State.TRIPPED: (*RUNNING, ("hard_trip", "force", 7)),
 }
 EVENTS = {
     "complete": ("peers", ""),
     "incomplete": ("peers", "node rig"),
     "start": ("start",),
     "finish": ("finish", "9 steps done"),
-    "trip": ("trip", "force", 7),
+    "soft_trip": ("soft_trip", "reference force is nan", 6),
+    "hard_trip": ("hard_trip", "force", 7),
+    "at_rest": ("at_rest",),
+    "note": ("note", "node recorder is silent"),
     "stop": ("stop",),
     "estop": ("estop",),
     "reset": ("reset",),
+    "reset_while_moving": ("reset", True),
 }
 LEADS_TO = {
     (State.IDLE, "complete"): State.READY,
     (State.READY, "incomplete"): State.IDLE,
     (State.READY, "start"): State.RUNNING,
     (State.RUNNING, "finish"): State.DONE,
-    (State.RUNNING, "trip"): State.TRIPPED,
-    (State.RUNNING, "stop"): State.DONE,
+    (State.RUNNING, "soft_trip"): State.RAMPING_DOWN,
+    (State.RUNNING, "hard_trip"): State.TRIPPED,
+    (State.RUNNING, "stop"): State.RAMPING_DOWN,
+    (State.RAMPING_DOWN, "finish"): State.TRIPPED,  # it came down for a fault
+    (State.RAMPING_DOWN, "at_rest"): State.TRIPPED,
+    (State.RAMPING_DOWN, "hard_trip"): State.TRIPPED,
     **{(state, "estop"): State.TRIPPED for state in State},
     (State.DONE, "reset"): State.IDLE,
     (State.TRIPPED, "reset"): State.IDLE,
@@ -36,7 +46,7 @@ LEADS_TO = {
 """Every way there is; all else leaves the state as it is."""
 REQUESTS = {
     "start": {State.READY},
-    "stop": {State.RUNNING},
+    "stop": {State.RUNNING, State.RAMPING_DOWN},
     "estop": set(State),
     "reset": {State.DONE, State.TRIPPED},
 }
@@ -44,10 +54,14 @@ REQUESTS = {
 
 
 def machine_in(state):
+    return machine_after(*WAYS[state], state=state)
+
+
+def machine_after(*events, state=None):
     machine = StateMachine()
-    for name, *arguments in WAYS[state]:
+    for name, *arguments in events:
         getattr(machine, name)(*arguments)
-    assert machine.state is state
+    assert state is None or machine.state is state
     return machine
 
 
@@ -79,6 +93,15 @@ def test_every_request_is_done_or_refused_with_the_reason(state, request_):
         assert (machine.detail, machine.step) == (detail, step)
 
 
+@pytest.mark.parametrize("state", ENDED)
+def test_a_rig_that_moves_is_not_reset(state):
+    machine = machine_in(state)
+    answer = machine.reset(moving=True)
+    assert not answer.accepted
+    assert answer.text == f"can't reset: the rig is not at rest ({state})"
+    assert machine.state is state
+
+
 def test_an_idle_test_says_what_it_waits_for():
     machine = machine_in(State.READY)
     machine.peers("node rig")
@@ -86,30 +109,74 @@ def test_an_idle_test_says_what_it_waits_for():
     assert "waiting for node rig" in machine.start().text
 
 
-def test_the_end_of_a_test_keeps_its_reason_whatever_comes_after():
-    for state, detail, step in (
-        (State.DONE, "9 steps done", None),
-        (State.TRIPPED, "force", 7),
-    ):
-        machine = machine_in(state)
-        machine.peers("")
-        machine.finish("again")
-        machine.trip("later", 99)
-        machine.start()
-        machine.stop()
-        assert (machine.state, machine.detail, machine.step) == (state, detail, step)
-
-
-def test_stop_is_an_end_not_a_trip():
-    machine = machine_in(State.RUNNING)
+@pytest.mark.parametrize(
+    ("state", "detail", "step"), [(State.DONE, "9 steps done", None), (State.TRIPPED, "force", 7)]
+)
+def test_the_end_of_a_test_keeps_its_reason_whatever_comes_after(state, detail, step):
+    machine = machine_in(state)
+    machine.peers("")
+    machine.finish("again")
+    machine.soft_trip("later", 98)
+    machine.hard_trip("later", 99)
+    machine.at_rest()
+    machine.start()
     machine.stop()
+    assert (machine.state, machine.detail, machine.step) == (state, detail, step)
+
+
+@pytest.mark.parametrize("end", ["at_rest", "finish"])
+def test_a_stop_is_an_end_not_a_trip(end):
+    machine = machine_after(*RUNNING, ("stop",), state=State.RAMPING_DOWN)
+    send(machine, end)
+    assert machine.state is State.DONE
     assert (machine.detail, machine.step) == ("stopped by the operator", None)
 
 
-def test_an_emergency_stop_after_a_trip_forgets_the_step_of_that():
+def test_a_soft_trip_keeps_its_reason_and_step_through_the_ramp():
+    machine = machine_in(State.RAMPING_DOWN)
+    machine.at_rest()
+    assert (machine.state, machine.detail, machine.step) == (
+        *(State.TRIPPED, "node recorder is silent", 5),
+    )
+
+
+def test_a_second_soft_cause_is_added_once_and_does_not_begin_the_ramp_anew():
+    machine = machine_in(State.RAMPING_DOWN)
+    for _ in range(3):
+        machine.soft_trip("reference force is nan", 6)
+    assert machine.state is State.RAMPING_DOWN
+    assert machine.detail == "node recorder is silent; reference force is nan"
+    assert machine.step == 5
+
+
+def test_a_fault_makes_a_trip_of_a_stop():
+    machine = machine_after(*RUNNING, ("stop",), ("soft_trip", "force", 6), ("at_rest",))
+    assert machine.state is State.TRIPPED
+    assert (machine.detail, machine.step) == ("stopped by the operator; force", 6)
+
+
+@pytest.mark.parametrize("how", ["hard_trip", "estop"])
+def test_a_hard_end_of_the_ramp_names_both_causes(how):
+    machine = machine_in(State.RAMPING_DOWN)
+    send(machine, how)
+    reason = {"hard_trip": "force", "estop": "emergency stop"}[how]
+    assert machine.state is State.TRIPPED
+    assert machine.detail == f"{reason} (while ramping down: node recorder is silent)"
+
+
+def test_an_emergency_stop_after_a_trip_keeps_the_reason_of_that_and_names_it():
     machine = machine_in(State.TRIPPED)
-    machine.estop()
-    assert (machine.detail, machine.step) == ("emergency stop", None)
+    answer = machine.estop()
+    assert answer.accepted
+    assert "(force)" in answer.text
+    assert (machine.detail, machine.step) == ("force", 7)
+
+
+def test_what_is_found_out_after_a_trip_is_added_to_it_once():
+    machine = machine_in(State.TRIPPED)
+    machine.note("node rig has been silent since 1.00 s")
+    machine.note("node rig has been silent since 1.00 s")
+    assert machine.detail == "force; node rig has been silent since 1.00 s"
 
 
 def test_the_next_test_does_not_inherit_the_step_of_a_trip():
@@ -133,5 +200,21 @@ def test_no_test_runs_without_complete_peers_and_a_start(events):
         previous = machine.state
 
 
+@given(st.lists(st.sampled_from(sorted(EVENTS))))
+def test_what_has_begun_to_come_down_never_goes_up_again(events):
+    machine, previous = StateMachine(), State.IDLE
+    for event in events:
+        send(machine, event)
+        if previous is State.RAMPING_DOWN:
+            assert machine.state in (State.RAMPING_DOWN, *ENDED)
+        if previous in ENDED and machine.state not in ENDED:
+            assert (machine.state, event) == (State.IDLE, "reset")
+        if previous not in MOVING and machine.state in MOVING:
+            assert event == "start"
+        previous = machine.state
+
+
 def test_states_are_the_words_on_the_topic():
-    assert [str(state) for state in State] == ["idle", "ready", "running", "done", "tripped"]
+    assert [str(state) for state in State] == [
+        *("idle", "ready", "running", "ramping_down", "done", "tripped"),
+    ]

@@ -8,7 +8,7 @@ from seft_plant_sim.rig import Rig
 
 from seft_ros.force_controller.block import ForceController
 from seft_ros.ground_motion.block import GroundMotion
-from seft_ros.reference_force.block import ReferenceForce
+from seft_ros.interlock.protected_force import ProtectedForce
 
 
 @dataclass(frozen=True)
@@ -16,7 +16,7 @@ class Blocks:
     """Ground motion, reference force, force controller and rig of a test."""
 
     ground_motion: GroundMotion
-    reference_force: ReferenceForce
+    reference_force: ProtectedForce
     force_controller: ForceController
     rig: Rig
 
@@ -32,7 +32,7 @@ def build_blocks(experiment: Experiment) -> Blocks:
     axes, timebase = experiment.axes, experiment.timebase
     blocks = Blocks(
         GroundMotion.from_parameters(experiment["ground_motion"], axes, timebase),
-        ReferenceForce.from_parameters(experiment["reference_force"], axes, timebase),
+        ProtectedForce.from_parameters(experiment["reference_force"], axes, timebase),
         ForceController.from_parameters(experiment["force_controller"], axes, timebase),
         Rig.from_parameters(experiment["rig"], axes, timebase),
     )

@@ -8,6 +8,7 @@ from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 
 from seft_ros.experiment.blocks import Blocks
+from seft_ros.experiment.state_machine import while_ramping_down
 from seft_ros.recording.environment import describe_environment
 from seft_ros.recording.record import Record, Series, Trip
 from seft_ros.recording.samples import EstimateBuffer
@@ -43,11 +44,12 @@ def simulate(
     states = np.empty((total, 4, axes))
     forces = np.empty((total, axes))
     commands = np.empty((total, axes))
-    blocks.reference_force.reset()
+    reference_force = blocks.reference_force
+    reference_force.reset()
     blocks.force_controller.reset()
-    sampler = EstimateSampler(blocks.reference_force, experiment.timebase)
+    sampler = EstimateSampler(reference_force, experiment.timebase)
     estimates = EstimateBuffer()
-    force_step, valve_step = blocks.reference_force.step, blocks.force_controller.step
+    force_step, valve_step = reference_force.step, blocks.force_controller.step
 
     valve_driven = rig.drive == VALVE_COMMAND.name
     environment = describe_environment("simulate")
@@ -64,16 +66,13 @@ def simulate(
             if step >= sampler.due:
                 estimates.append(step, sampler.sample(step))
             step += 1
-            if step == total or rig.violation is not None:
+            if step == total or rig.violation is not None or reference_force.at_rest:
                 break
             if progress is not None and step % PROGRESS_STEPS == 0:
                 progress(step)
             state = rig.step(command if valve_driven else force)
     wall = time.perf_counter() - start
 
-    trip = None
-    if rig.violation is not None:
-        trip = Trip(rig.violation, step - 1, (step - 1) * experiment.timebase.dt)
     steps = np.arange(step, dtype=np.int64)
     return Record(
         experiment=experiment,
@@ -84,8 +83,20 @@ def simulate(
             VALVE_COMMAND.name: Series(steps, commands[:step, np.newaxis, :]),
         },
         estimates=estimates.series(),
-        trip=trip,
+        trip=_trip(blocks, step - 1, experiment.timebase.dt),
         saturation=rig.saturation,
         wall_s=wall,
         environment=environment,
     )
+
+
+def _trip(blocks: Blocks, last: int, dt: float) -> Trip | None:
+    """Tell what ended the test before the record did, as supervisor and rig would."""
+    violation, cause = blocks.rig.violation, blocks.reference_force.cause
+    if violation is not None:
+        reason = violation if cause is None else while_ramping_down(violation, cause)
+        return Trip(reason, last, last * dt)
+    if cause is None:
+        return None
+    step = last + 1 - blocks.reference_force.steps_ramped
+    return Trip(cause, step, step * dt)

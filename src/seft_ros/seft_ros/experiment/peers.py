@@ -8,7 +8,9 @@ from seft_msgs_py.messages import Status
 from seft_msgs_py.outcome import FINISHED, TRIPPED
 from seft_msgs_py.topics import RECORDED_TOPICS, TOPICS
 
-STALE = 3.0  # s without a status: a node counts as absent
+RAMPING_DOWN, AT_REST = "ramping_down", "at_rest"  # phases of the reference force
+SILENT = "silent"
+"""Key of a trip's values: the nodes that had fallen silent, once that is known; may be empty."""
 CONFLICT = "one "
 """Start of what is missing where nodes were started with parameters that contradict."""
 _IN_A_TEST = ("running", FINISHED, TRIPPED)  # phases of the rig
@@ -16,10 +18,21 @@ _IN_A_TEST = ("running", FINISHED, TRIPPED)  # phases of the rig
 
 @dataclass(frozen=True)
 class Heard:
-    """The last status of a node and when it came (s, monotonic)."""
+    """The last status of a node.
+
+    Attributes
+    ----------
+    status : Status
+        What it said.
+    at : float
+        When, s of an `AwakeClock`.
+    test_s : float
+        When, s of the test.
+    """
 
     status: Status
     at: float
+    test_s: float = 0.0
 
 
 def missing(
@@ -27,6 +40,7 @@ def missing(
     heard: Mapping[str, Heard],
     descriptions: Mapping[str, Mapping[str, Any]],
     now: float,
+    timeout: float,
 ) -> str:
     """Say what a test still lacks before it can start; empty if nothing.
 
@@ -39,14 +53,16 @@ def missing(
     descriptions : mapping
         Node name -> what it says of its parameters.
     now : float
-        Monotonic time, s.
+        Time on the clock of `Heard.at`, s.
+    timeout : float
+        Silence after which a node counts as absent, s.
     """
-    absent = [n for n in peers if n not in heard or now - heard[n].at > STALE]
+    absent = [n for n in peers if n not in heard] + silent(peers, heard, now, timeout)
     if absent:
-        return "node " + ", ".join(absent)
-    silent = [node for node in peers if node not in descriptions]
-    if silent:
-        return "the parameters of " + ", ".join(silent)
+        return "node " + ", ".join(sorted(absent, key=list(peers).index))
+    undescribed = [node for node in peers if node not in descriptions]
+    if undescribed:
+        return "the parameters of " + ", ".join(undescribed)
     conflict = _conflict(peers, descriptions)
     if conflict:
         return conflict
@@ -68,10 +84,25 @@ def missing(
                     return f"{node} to hear {publisher} on {topic.name}"
     if "rig" in peers and heard["rig"].status.values.get("phase") in _IN_A_TEST:
         return "the rig to leave the last test"  # else its end would count for the next
+    force = heard.get("reference_force")
+    if force is not None and force.status.values.get("phase") in (RAMPING_DOWN, AT_REST, "ended"):
+        return "the reference force to leave the last test"
     motion = heard.get("ground_motion")
     if motion is None or motion.status.values.get("phase") != "primed":
         return "the first of the ground motion"
     return ""
+
+
+def silent(
+    peers: Sequence[str], heard: Mapping[str, Heard], now: float, timeout: float
+) -> list[str]:
+    """Nodes that have been heard, but not for longer than ``timeout`` seconds."""
+    return [node for node in peers if node in heard and now - heard[node].at > timeout]
+
+
+def silence(node: str, heard: Mapping[str, Heard]) -> str:
+    """Say since when a node has been silent, by the time of the test."""
+    return f"node {node} has been silent since {heard[node].test_s:.2f} s"
 
 
 def _conflict(peers: Sequence[str], descriptions: Mapping[str, Mapping[str, Any]]) -> str:

@@ -1,4 +1,7 @@
-"""The states of a test and the ways between them, without ROS."""
+"""The states of a test and the ways between them, without ROS.
+
+docs/safety.md shows them as a picture.
+"""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -10,8 +13,15 @@ class State(StrEnum):
     IDLE = "idle"
     READY = "ready"
     RUNNING = "running"
+    RAMPING_DOWN = "ramping_down"
     DONE = "done"
     TRIPPED = "tripped"
+
+
+MOVING = (State.RUNNING, State.RAMPING_DOWN)
+"""States in which the rig obeys commands."""
+ENDED = (State.DONE, State.TRIPPED)
+"""States that only a reset leaves."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +37,10 @@ class StateMachine:
 
     ::
 
-        idle <-> ready -> running -> done | tripped -> (reset) -> idle
+        idle <-> ready -> running -> done                   the record's end
+                          running -> ramping_down -> done | tripped     stop | soft trip
+                          running | ramping_down -> tripped             hard trip
+        done | tripped -> (reset) -> idle
         estop: from every state to tripped
 
     Attributes
@@ -44,6 +57,7 @@ class StateMachine:
         self.state = State.IDLE
         self.detail = "starting"
         self.step: int | None = None
+        self._then = State.DONE  # what the ramp leads to
 
     def peers(self, waiting_for: str) -> None:
         """Take in what the graph still lacks; empty if it is complete."""
@@ -55,37 +69,86 @@ class StateMachine:
         """Start the test; only a ready one starts."""
         if self.state is not State.READY:
             return self._refusal("start")
-        self.state, self.detail, self.step = State.RUNNING, "running", None
+        self._go(State.RUNNING, "running")
         return Answer(True, "the test is running")
 
     def finish(self, detail: str) -> None:
-        """End a running test at the end of its record."""
+        """End a test at the end of its record; one that was being brought down keeps its cause."""
         if self.state is State.RUNNING:
-            self.state, self.detail = State.DONE, detail
+            self._go(State.DONE, detail)
+        else:
+            self.at_rest()
 
-    def trip(self, reason: str, step: int | None = None) -> None:
-        """End a running test because of a limit or a fault."""
+    def soft_trip(self, reason: str, step: int | None = None) -> None:
+        """Bring a running test down because of a fault that leaves the loop in command.
+
+        A test that is being brought down already goes on so; a second cause is added to the
+        first, and makes a trip of what was a stop.
+        """
         if self.state is State.RUNNING:
-            self.state, self.detail, self.step = State.TRIPPED, reason, step
+            self._go(State.RAMPING_DOWN, reason, step)
+            self._then = State.TRIPPED
+        elif self.state is State.RAMPING_DOWN and reason not in self.detail:
+            self._add(reason, step)
+            self._then = State.TRIPPED
+
+    def at_rest(self) -> None:
+        """Take in that the reference force has come down to zero."""
+        if self.state is State.RAMPING_DOWN:
+            self.state = self._then
+
+    def hard_trip(self, reason: str, step: int | None = None) -> None:
+        """End a test at once because of a limit or a fault; the first cause is kept beside it."""
+        if self.state is State.RUNNING:
+            self._go(State.TRIPPED, reason, step)
+        elif self.state is State.RAMPING_DOWN:
+            self._go(State.TRIPPED, while_ramping_down(reason, self.detail), step)
+
+    def note(self, finding: str) -> None:
+        """Add to a trip what was found out after it."""
+        if self.state is State.TRIPPED and finding not in self.detail:
+            self._add(finding)
 
     def stop(self) -> Answer:
-        """End a running test at the operator's wish."""
+        """Bring a running test down at the operator's wish."""
+        if self.state is State.RAMPING_DOWN:
+            return Answer(True, f"the test is being brought down already ({self.detail})")
         if self.state is not State.RUNNING:
             return self._refusal("stop")
-        self.state, self.detail = State.DONE, "stopped by the operator"
-        return Answer(True, "the test is stopped")
+        self._go(State.RAMPING_DOWN, "stopped by the operator")
+        self._then = State.DONE
+        return Answer(True, "the test is being brought down")
 
     def estop(self) -> Answer:
-        """Trip from any state."""
-        self.state, self.detail, self.step = State.TRIPPED, "emergency stop", None
+        """Trip from any state, at once; what tripped before stays the reason."""
+        if self.state is State.TRIPPED:
+            return Answer(True, f"the test has tripped already ({self.detail}); reset it")
+        if self.state is State.RAMPING_DOWN:
+            self.hard_trip("emergency stop")
+        else:
+            self._go(State.TRIPPED, "emergency stop")
         return Answer(True, "emergency stop; reset before the next test")
 
-    def reset(self) -> Answer:
-        """Make the next test possible after one has ended."""
-        if self.state not in (State.DONE, State.TRIPPED):
+    def reset(self, moving: bool = False) -> Answer:
+        """Make the next test possible after one has ended and the rig has come to rest."""
+        if self.state not in ENDED:
             return self._refusal("reset")
-        self.state, self.detail, self.step = State.IDLE, "reset", None
+        if moving:
+            return Answer(False, f"can't reset: the rig is not at rest ({self.state})")
+        self._go(State.IDLE, "reset")
         return Answer(True, "idle")
+
+    def _go(self, state: State, detail: str, step: int | None = None) -> None:
+        self.state, self.detail, self.step = state, detail, step
+
+    def _add(self, finding: str, step: int | None = None) -> None:
+        self.detail = f"{self.detail}; {finding}"
+        self.step = step if self.step is None else self.step
 
     def _refusal(self, request: str) -> Answer:
         return Answer(False, f"can't {request}: the test is {self.state} ({self.detail})")
+
+
+def while_ramping_down(reason: str, first: str) -> str:
+    """Reason of a trip that came while a test was being brought down for a first cause."""
+    return f"{reason} (while ramping down: {first})"

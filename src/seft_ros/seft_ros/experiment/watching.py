@@ -19,8 +19,19 @@ SUPERVISOR = Table(
         Parameter(
             "watchdog.peer_timeout",
             "float",
-            5.0,
-            "longest silence of a node before the test trips",
+            1.0,
+            "longest silence of a node, which sends a sign of life 5 times a second, before the "
+            "test trips",
+            "s",
+            positive=True,
+            minimum=0.5,
+        ),
+        Parameter(
+            "watchdog.ramp_margin",
+            "float",
+            2.0,
+            "longest time that the reference force may take beyond its ramp_down_time before the "
+            "test trips at once; ten times as long in lockstep, where the loop keeps no time",
             "s",
             positive=True,
         ),

@@ -8,12 +8,16 @@ against what a model of the whole structure does under the same ground motion.
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag, expm
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.timebase import Timebase
 
 from seft_ros.force_controller.block import bilinear
+from seft_ros.reference_force.block import knowledge
 from seft_ros.reference_force.compensation.compensator import Knowledge
 
 Floats = npt.NDArray[np.float64]
@@ -60,6 +64,11 @@ class InstabilityWatch:
         n = len(axes)
         self._axes, self._ratio, self._floor = tuple(axes), ratio, floor
         dt = known.dt
+        if lowest >= 0.45 / dt:
+            raise InputError(
+                f"reference_force: instability.lowest {lowest:g} Hz is beyond what is sampled at "
+                f"{1 / dt:g} Hz; take less than {0.45 / dt:g} Hz"
+            )
         self._lowest = lowest or min(ABOVE * _natural_hz(known), 0.25 / dt)
         a, b, c, d = _filtered(known, self._lowest, dt, n)
         self._product = np.block([[a, b], [c, d]])
@@ -67,6 +76,20 @@ class InstabilityWatch:
         self._average, self._memory = math.exp(-dt / AVERAGE), math.exp(-2 * dt / MEMORY)
         self._patience = SUSTAINED / dt
         self.reset()
+
+    @classmethod
+    def from_parameters(
+        cls, section: dict[str, Any], axes: Sequence[str], timebase: Timebase
+    ) -> "InstabilityWatch":
+        """Make it of the reference force's section of an experiment.
+
+        Raises
+        ------
+        InputError
+            As `knowledge`, or if the band would begin beyond half the sampling rate.
+        """
+        options = (section[f"instability.{name}"] for name in ("ratio", "floor", "lowest"))
+        return cls(knowledge(section, tuple(axes), timebase), axes, *options)
 
     def reset(self) -> None:
         """Begin a new test, at rest."""

@@ -7,6 +7,7 @@ from seft_msgs_py.node_shell import NodeShell, run_node
 from seft_msgs_py.topics import CLOCK_TOPIC, EXPERIMENT_STATE, GROUND_MOTION
 from seft_msgs_py.trajectory import TrajectoryCodec
 
+from seft_ros.experiment.state_machine import ENDED, MOVING
 from seft_ros.experiment.tables import TABLES
 from seft_ros.ground_motion.block import GroundMotion
 from seft_ros.ground_motion.parameters import TABLE
@@ -39,7 +40,7 @@ class GroundMotionNode:
 
     def tick(self) -> None:
         """Publish what the lead asks for; the first of it before the test starts."""
-        if self._phase in ("done", "tripped"):
+        if self._phase in ENDED:
             return
         while (
             self._next_chunk < self.motion.chunks
@@ -54,12 +55,12 @@ class GroundMotionNode:
 
     def _on_experiment_state(self, raw: bytes, _: int) -> None:
         phase = decode_status(raw).message
-        if self._phase in ("done", "tripped") and phase not in ("done", "tripped"):
+        if self._phase in ENDED and phase not in ENDED:
             self._next_chunk = self._published_until = self._rig_step = 0  # for the next test
         self._phase = phase
 
     def _on_clock(self, raw: bytes, _: int) -> None:
-        if self._phase == "running":
+        if self._phase in MOVING:
             self._rig_step = decode_clock(raw) // self._period_ns
 
     def _report(self, phase: str) -> None:

@@ -24,13 +24,15 @@ from seft_msgs_py.topics import (
 )
 from seft_msgs_py.trajectory import TrajectoryCodec
 
+from seft_ros.experiment.peers import SILENT
+from seft_ros.experiment.state_machine import ENDED, MOVING, State
 from seft_ros.experiment.tables import TABLES
 from seft_ros.experiment.watching import RECORDER
 from seft_ros.recording.bag_writer import BagWriter
 from seft_ros.recording.environment import describe_environment
 
 SILENCE = 0.3  # s without a message of a step: the test's last message has come
-LONG_SILENCE = 3.5  # s, where samples of the rig lack: DDS may send them again every 3 s only
+LONG_SILENCE = 3.5  # s, where something lacks: DDS may send it again every 3 s only
 LONGEST_DRAIN = 15.0  # s
 TICK = 0.02  # s
 READ_DEPTH = (
@@ -52,6 +54,7 @@ class RecorderNode:
         self._bag: BagWriter | None = None
         self._phase = "idle"
         self._ended_at: float | None = None
+        self._told_in_full = True  # how the test ended
         self._step_message_at = 0.0
         self._samples, self._expected = 0, 0  # of the rig
         describe_environment("run")  # asks git once, before a test is under way
@@ -66,7 +69,8 @@ class RecorderNode:
         self._bag.flush_if_due()
         if self._ended_at is not None:
             now = time.monotonic()
-            patience = SILENCE if self._samples >= self._expected else LONG_SILENCE
+            complete = self._samples >= self._expected and self._told_in_full
+            patience = SILENCE if complete else LONG_SILENCE
             silent = now - max(self._step_message_at, self._ended_at) > patience
             if silent or now - self._ended_at > LONGEST_DRAIN:
                 self._close()
@@ -104,9 +108,13 @@ class RecorderNode:
 
     def _follow(self, test: Status) -> None:
         phase = test.message
-        if phase == "running" and self._bag is None and self._phase != "running":
+        if phase in MOVING and self._bag is None and self._phase not in MOVING:
             self._open()
-        elif phase in ("done", "tripped") and self._bag is not None and self._ended_at is None:
+        elif phase in ENDED and self._bag is not None:
+            # a trip is only told in full when it is known who has fallen silent
+            self._told_in_full = phase != State.TRIPPED or SILENT in test.values
+            if self._ended_at is not None:
+                return
             self._ended_at = time.monotonic()
             last = test.values.get("step")  # where it tripped
             steps = test.values.get("steps", "0") if phase == "done" else "0"

@@ -1,17 +1,29 @@
-"""Node ``reference_force``: answers each rig/state with the reference force of its step."""
+"""Node ``reference_force``: answers each rig/state with the reference force of its step.
+
+It brings the force down softly where the supervisor says so, or something is wrong with it.
+Phases: ready, ramping_down, at_rest, ended.
+"""
 
 import sys
 
 import numpy as np
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.estimates import EstimatesCodec
-from seft_msgs_py.messages import Status
+from seft_msgs_py.messages import ERROR, OK, Status, decode_status
 from seft_msgs_py.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell, run_node
-from seft_msgs_py.topics import ESTIMATES, GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
+from seft_msgs_py.topics import (
+    ESTIMATES,
+    EXPERIMENT_STATE,
+    GROUND_MOTION,
+    REFERENCE_FORCE,
+    RIG_STATE,
+)
 from seft_msgs_py.trajectory import Floats, TrajectoryCodec
 
+from seft_ros.experiment.peers import AT_REST, RAMPING_DOWN
+from seft_ros.experiment.state_machine import ENDED, State
 from seft_ros.experiment.tables import TABLES
-from seft_ros.reference_force.block import ReferenceForce
+from seft_ros.interlock.protected_force import ProtectedForce
 from seft_ros.reference_force.estimate_sampler import EstimateSampler
 from seft_ros.reference_force.motion_buffer import MotionBuffer
 from seft_ros.reference_force.parameters import TABLE
@@ -20,12 +32,12 @@ MOTION_WAIT = 0.0005  # s between looks for a ground motion that is late for its
 
 
 class ReferenceForceNode:
-    """Matches states and ground motion by step and moves them through a `ReferenceForce`."""
+    """Matches states and ground motion by step and moves them through a `ProtectedForce`."""
 
     def __init__(self, shell: NodeShell) -> None:
         experiment = shell.experiment
         self._shell = shell
-        self._block = ReferenceForce.from_parameters(
+        self._block = ProtectedForce.from_parameters(
             experiment["reference_force"], experiment.axes, experiment.timebase
         )
         self._window = 1 + self._block.preview
@@ -40,12 +52,17 @@ class ReferenceForceNode:
         self._motion = MotionBuffer(len(experiment.axes))
         self._waiting: dict[int, Floats] = {}
         self._last = -1
+        self._test = ""  # state of the test, as the supervisor says
+        self._phase = ""
+        self._cause_step = -1
         self._warm_up()
         shell.subscribe(GROUND_MOTION, self._on_ground_motion, wake=False)
         shell.subscribe(RIG_STATE, self._on_rig_state, depth=64, reliable=False)
+        shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16, wake=False)
 
     def run(self) -> None:
         """Answer until told to stop."""
+        self._report("ready")
         while not self._shell.stopping:
             self._shell.spin_once(MOTION_WAIT if self._waiting else IDLE_WAIT)
 
@@ -60,10 +77,11 @@ class ReferenceForceNode:
         self._reset()
 
     def _reset(self) -> None:
-        self._last = -1
+        self._last = self._cause_step = -1
         self._waiting.clear()
         self._block.reset()
         self._sampler.reset()
+        self._follow_test()
 
     def _on_ground_motion(self, raw: bytes, _: int) -> None:
         first, values = self._motion_codec.decode(raw)
@@ -81,20 +99,64 @@ class ReferenceForceNode:
             self._reset()
         if step <= self._last:
             self._shell.refuse(f"rig/state of step {step} after that of step {self._last}")
+        elif self._test in ENDED:
+            self._shell.refuse(f"rig/state of step {step}: the test is {self._test}")
         else:
             self._answer(step, values[0])
+
+    def _on_experiment_state(self, raw: bytes, _: int) -> None:
+        test = decode_status(raw).message
+        if test != self._test:
+            self._test = test
+            self._follow_test()
+
+    def _follow_test(self) -> None:
+        """Do what the state of the test asks for, also when a test begins anew in it."""
+        if self._test == State.RAMPING_DOWN:
+            self._block.ramp_down()
+            for step in sorted(self._waiting):
+                self._answer(step, self._waiting[step])
+        elif self._test in ENDED:
+            self._waiting.clear()
+            self._report("ended")
+        elif self._test in (State.IDLE, State.READY) and self._phase != "ready":
+            self._block.reset()
+            self._report("ready")
 
     def _answer(self, step: int, state: Floats) -> None:
         """Answer a state, or let it wait for the ground motion it needs."""
         motion = self._motion.window(step, self._window)
-        if motion is None:
+        if motion is not None:
+            force = self._block.step(motion, state)
+        elif self._test == State.RAMPING_DOWN:  # it may never come
+            force = self._block.step_without_motion()
+        else:
             self._waiting[step] = state
             return
         self._waiting.pop(step, None)
-        self._publish(self._force_codec.encode(step, self._block.step(motion, state)))
+        self._publish(self._force_codec.encode(step, force))
         self._last = step
-        if step >= self._sampler.due:  # the answer is out: what comes now holds nobody up
+        # the answer is out: what comes now holds nobody up
+        if self._block.ramping:
+            self._tell_ramp(step)
+        if step >= self._sampler.due:
             self._tell_estimates(step)
+
+    def _tell_ramp(self, step: int) -> None:
+        """Tell the supervisor at once that the force comes down by itself, and that it is down."""
+        if self._block.cause is not None and self._cause_step < 0:
+            self._cause_step = step
+            self._report(RAMPING_DOWN)
+        if self._block.at_rest and self._phase != AT_REST:
+            self._report(AT_REST)
+
+    def _report(self, phase: str) -> None:
+        self._phase = phase
+        values, cause = {"phase": phase}, self._block.cause
+        if cause is not None and self._cause_step >= 0:
+            values |= {"reason": cause, "step": str(self._cause_step)}
+        level = OK if cause is None else ERROR
+        self._shell.report(Status("reference_force", level, cause or phase, values=values))
 
     def _tell_estimates(self, step: int) -> None:
         """Publish what the method has identified; if that can't be sent, the test goes on."""
@@ -109,7 +171,6 @@ class ReferenceForceNode:
 def _serve(shell: NodeShell) -> None:
     node = ReferenceForceNode(shell)
     shell.start()
-    shell.report(Status("reference_force", 0, "ready", values={"phase": "ready"}))
     node.run()
 
 

@@ -7,26 +7,45 @@ estop and reset.
 import json
 import sys
 import threading
-import time
 from collections.abc import Callable
 from typing import Any
 
+from seft_msgs_py.awake_clock import AwakeClock
 from seft_msgs_py.messages import (
+    ERROR,
+    OK,
+    WARN,
     Status,
+    decode_clock,
     decode_diagnostics,
     decode_string,
     encode_status,
 )
 from seft_msgs_py.node_shell import NodeShell, run_node
-from seft_msgs_py.topics import DESCRIPTION, DIAGNOSTICS, EXPERIMENT_STATE
+from seft_msgs_py.outcome import FINISHED, TRIPPED
+from seft_msgs_py.timebase import NANOSECONDS_PER_SECOND
+from seft_msgs_py.topics import CLOCK_TOPIC, DESCRIPTION, DIAGNOSTICS, EXPERIMENT_STATE
 from std_srvs.srv import Trigger
 
-from seft_ros.experiment.peers import Heard, missing
-from seft_ros.experiment.state_machine import Answer, State, StateMachine
+from seft_ros.experiment.peers import (
+    AT_REST,
+    RAMPING_DOWN,
+    SILENT,
+    Heard,
+    missing,
+    silence,
+    silent,
+)
+from seft_ros.experiment.state_machine import MOVING, Answer, State, StateMachine
 from seft_ros.experiment.tables import TABLES
 from seft_ros.experiment.watching import SUPERVISOR
 
-LEVELS = {State.TRIPPED: 2}
+HEARTBEAT = 0.2  # s between two publications of the state
+LOOK = 0.2  # s between two looks at the graph
+LEVELS = {State.RAMPING_DOWN: WARN, State.TRIPPED: ERROR}
+SOFT_PEERS = ("ground_motion", "recorder")
+"""Nodes without which the loop can still bring the force down."""
+LOCKSTEP_PATIENCE = 10.0  # times the margin of realtime
 
 
 class SupervisorNode:
@@ -35,93 +54,192 @@ class SupervisorNode:
     def __init__(self, shell: NodeShell) -> None:
         self._shell = shell
         self._section = shell.experiment["supervisor"]
+        self._peers: list[str] = self._section["peers"]
+        self._timeout: float = self._section["watchdog.peer_timeout"]
         self._machine = StateMachine()
         self._lock = threading.Lock()
+        self._awake = AwakeClock()
+        self._now = self._awake.time()
+        self._test_s = 0.0
         self._heard: dict[str, Heard] = {}
         self._descriptions: dict[str, dict[str, Any]] = {}
         self._publish = shell.publisher(EXPERIMENT_STATE)
+        self._state, self._since = State.IDLE, self._now  # as the last look found it
+        self._silent: list[str] | None = None  # who fell silent before a trip, once it is known
         self._published: Status | None = None
+        self._message = b""
+        self._published_at = self._looked_at = self._now - LOOK
         shell.subscribe(DIAGNOSTICS, self._on_diagnostics)
         shell.subscribe(DESCRIPTION, self._on_description, depth=64)
+        shell.subscribe(CLOCK_TOPIC, self._on_clock, wake=False)
         machine = self._machine
         for name, request in (
             ("start", machine.start),
             ("stop", machine.stop),
             ("estop", machine.estop),
-            ("reset", machine.reset),
+            ("reset", lambda: machine.reset(moving=self._phase("rig") == "running")),
         ):
             shell.node.create_service(Trigger, name, self._service(request))
 
     def tick(self) -> None:
-        """Look at the peers, and publish the state if it has changed."""
-        now = time.monotonic()
-        own = Status("supervisor", 0, "watching", values=self._shell.matched())
-        self._heard["supervisor"] = Heard(own, now)
+        """Look at the peers, and publish the state if it has changed or is due."""
+        while self._shell.spin_once(0.0):
+            pass  # nobody is called silent before all that came has been heard
         with self._lock:
-            if self._machine.state in (State.IDLE, State.READY):
-                self._machine.peers(
-                    missing(self._section["peers"], self._heard, self._descriptions, now)
-                )
-            elif self._machine.state is State.RUNNING:
-                timeout = self._section["watchdog.peer_timeout"]
-                for node in self._section["peers"]:
-                    if now - self._heard[node].at > timeout:
-                        self._machine.trip(f"node {node} has been silent for {timeout:g} s")
-            self._publish_if_changed()
+            self._now = self._awake.time()
+            self._follow_state()
+            if self._state in (State.IDLE, State.READY):
+                self._look_at_the_graph()
+            elif self._state in MOVING:
+                self._watch_peers()
+            elif self._state is State.TRIPPED and self._silent is None:
+                self._find_the_silent()
+            self._publish_if_due()
+
+    def _follow_state(self) -> None:
+        """Note when a state began, and leave out of it what can't be done."""
+        machine = self._machine
+        if machine.state is State.RAMPING_DOWN and "reference_force" not in self._peers:
+            machine.at_rest()  # nobody there to bring the force down
+        if machine.state is not self._state:
+            self._state, self._since, self._silent = machine.state, self._now, None
+            if self._state is State.RUNNING:
+                self._test_s = 0.0
+
+    def _look_at_the_graph(self) -> None:
+        if self._now - self._looked_at < LOOK:  # it takes a millisecond
+            return
+        self._looked_at = self._now
+        own = Status("supervisor", OK, "watching", values=self._shell.matched())
+        self._heard["supervisor"] = Heard(own, self._now)
+        self._machine.peers(
+            missing(self._peers, self._heard, self._descriptions, self._now, self._timeout)
+        )
+
+    def _watch_peers(self) -> None:
+        """Trip where a peer falls silent: softly, if the loop can go on without it."""
+        gone = silent(self._peers, self._heard, self._now, self._timeout)
+        for node in sorted(gone, key=SOFT_PEERS.__contains__):
+            soft = node in SOFT_PEERS
+            trip = self._machine.soft_trip if soft else self._machine.hard_trip
+            trip(silence(node, self._heard), self._step())
+        if self._machine.state is State.RAMPING_DOWN and self._ramped_for() > self._ramp_patience():
+            self._machine.hard_trip(
+                f"the reference force has not come to rest within {self._ramp_patience():g} s",
+                self._step(),
+            )
+
+    def _ramped_for(self) -> float:
+        return self._now - self._since if self._state is State.RAMPING_DOWN else 0.0
+
+    def _ramp_patience(self) -> float:
+        margin = self._section["watchdog.ramp_margin"]
+        if self._parameters("rig").get("pace") == "lockstep":
+            margin *= LOCKSTEP_PATIENCE
+        return float(self._parameters("reference_force").get("ramp_down_time", 0.0)) + margin
+
+    def _find_the_silent(self) -> None:
+        """Find out who had fallen silent when the test tripped: who sends nothing after it."""
+        unheard = [n for n in self._peers if n in self._heard and self._heard[n].at < self._since]
+        gone = silent(unheard, self._heard, self._now, self._timeout)
+        if unheard == gone:
+            self._silent = gone
+            for node in gone:
+                self._machine.note(silence(node, self._heard))
 
     def _service(self, request: Callable[[], Answer]) -> Callable[[Any, Any], Any]:
         def serve(_: Any, response: Any) -> Any:
             with self._lock:
                 answer = request()
-                self._publish_if_changed()
+                self._follow_state()
+                self._publish_if_due()
             response.success, response.message = answer.accepted, answer.text
             return response
 
         return serve
 
-    def _publish_if_changed(self) -> None:
+    def _publish_if_due(self) -> None:
+        """Publish the state when it has changed, and as a sign of life; a repeat is no news."""
+        self._follow_state()
         machine = self._machine
         values = {"detail": machine.detail}
         if machine.step is not None:
-            values["step"] = str(machine.step)
-        ground_motion = self._heard.get("ground_motion")
-        if ground_motion is not None:
-            values["steps"] = ground_motion.status.values.get("steps", "0")
-        level = LEVELS.get(machine.state, 0)
+            time_s = self._shell.experiment.timebase.stamp_ns(machine.step) / 1e9
+            values |= {"step": str(machine.step), "time_s": f"{time_s:.9g}"}
+        if self._silent is not None:
+            values[SILENT] = " ".join(self._silent)
+        if "ground_motion" in self._heard:
+            values["steps"] = self._heard["ground_motion"].status.values.get("steps", "0")
+        level = LEVELS.get(machine.state, OK)
         status = Status("experiment", level, str(machine.state), values=values)
         if status != self._published:
-            self._published = status
-            self._publish(encode_status(status))
+            self._published, self._message = status, encode_status(status)
+        elif self._now - self._published_at < HEARTBEAT:
+            return
+        self._published_at = self._now
+        self._publish(self._message)
 
     def _on_diagnostics(self, raw: bytes, _: int) -> None:
         for status in decode_diagnostics(raw)[1]:
-            self._heard[status.name] = Heard(status, time.monotonic())
+            self._heard[status.name] = Heard(status, self._awake.time(), self._test_s)
             if status.name == "rig":
                 self._follow_rig(status)
+            elif status.name == "reference_force":
+                self._follow_reference_force(status)
 
     def _follow_rig(self, status: Status) -> None:
         phase = status.values.get("phase")
-        if phase not in ("finished", "tripped"):
+        if phase not in (FINISHED, TRIPPED):
             return
         with self._lock:
-            if phase == "finished":
+            if phase == FINISHED:
                 self._machine.finish(f"{status.values.get('steps')} steps done")
             else:
-                step = status.values.get("step", "")
                 reason = status.values.get("reason") or status.message
-                self._machine.trip(reason, int(step) if step.isdecimal() else None)
-            self._publish_if_changed()
+                self._machine.hard_trip(reason, _step_of(status))
+            self._publish_if_due()
+
+    def _follow_reference_force(self, status: Status) -> None:
+        phase, reason = status.values.get("phase"), status.values.get("reason")
+        if phase not in (RAMPING_DOWN, AT_REST):
+            return
+        with self._lock:
+            if reason:
+                self._machine.soft_trip(reason, _step_of(status))
+            if phase == AT_REST:
+                self._machine.at_rest()
+            self._publish_if_due()
 
     def _on_description(self, raw: bytes, _: int) -> None:
         description = json.loads(decode_string(raw))
         if "node" in description:
             self._descriptions[description["node"]] = description
 
+    def _on_clock(self, raw: bytes, _: int) -> None:
+        self._test_s = decode_clock(raw) / NANOSECONDS_PER_SECOND
+
+    def _phase(self, node: str) -> str:
+        heard = self._heard.get(node)
+        return heard.status.values.get("phase", "") if heard else ""
+
+    def _parameters(self, node: str) -> dict[str, Any]:
+        parameters: dict[str, Any] = self._descriptions.get(node, {}).get("parameters", {})
+        return parameters
+
+    def _step(self) -> int:
+        """Step that the test has reached, as /clock tells it ten times a second."""
+        return round(self._test_s * self._shell.experiment.timebase.rate)
+
+
+def _step_of(status: Status) -> int | None:
+    step = status.values.get("step", "")
+    return int(step) if step.isdecimal() else None
+
 
 def _serve(shell: NodeShell) -> None:
     node = SupervisorNode(shell)
     shell.start()
-    shell.report(Status("supervisor", 0, "watching", values={"phase": "watching"}))
+    shell.report(Status("supervisor", OK, "watching", values={"phase": "watching"}))
     shell.spin(node.tick)
 
 

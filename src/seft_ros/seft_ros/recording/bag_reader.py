@@ -25,6 +25,7 @@ from seft_msgs_py.topics import (
 
 from seft_ros.recording.bag_files import open_bag, read_messages
 from seft_ros.recording.description import Description, read_description
+from seft_ros.recording.ending import trip_of
 from seft_ros.recording.gathering import (
     EstimatesGatherer,
     EventLog,
@@ -102,7 +103,7 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         experiment=experiment,
         series=series,
         estimates=estimates.series(),
-        trip=outcome.trip if outcome else None,
+        trip=trip_of(outcome, test.ending, experiment.timebase),
         missed=outcome.missed if outcome else None,
         missed_steps=outcome.missed_steps if outcome else [],
         overruns=outcome.overruns if outcome else None,

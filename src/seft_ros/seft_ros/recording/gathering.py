@@ -26,6 +26,7 @@ from seft_msgs_py.topics import LoopTopic
 from seft_msgs_py.trajectory import TrajectoryCodec
 from seft_msgs_py.trajectory_batch import decode_batch
 
+from seft_ros.experiment.state_machine import ENDED
 from seft_ros.recording.record import Estimates, Event, Series
 from seft_ros.recording.samples import EstimateBuffer, SampleBuffer
 
@@ -134,10 +135,17 @@ class StatusGatherer:
 
 
 class StateGatherer:
-    """What the supervisor told of the test's state."""
+    """What the supervisor told of the test's state.
+
+    Attributes
+    ----------
+    ending : Status or None
+        The last state in which it says how the test ended.
+    """
 
     def __init__(self, log: "EventLog") -> None:
         self.undecodable = 0
+        self.ending: Status | None = None
         self._log = log
 
     def take(self, raw: bytes, received_ns: int) -> None:
@@ -147,6 +155,8 @@ class StateGatherer:
         except WireError:
             self.undecodable += 1
             return
+        if status.message in ENDED:
+            self.ending = status
         detail = status.values.get("detail", "")
         same = detail in ("", status.message)
         self._log.add(

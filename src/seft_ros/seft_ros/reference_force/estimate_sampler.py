@@ -1,15 +1,22 @@
 """When to look at what a compensation method identifies on line."""
 
+from typing import Protocol
+
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.timebase import NANOSECONDS_PER_SECOND, Timebase
-
-from seft_ros.reference_force.block import ReferenceForce
 
 Floats = npt.NDArray[np.float64]
 
 PERIOD_NS = NANOSECONDS_PER_SECOND // 10
 """Experiment time between two samples."""
+
+
+class Estimating(Protocol):
+    """A reference force, protected or not."""
+
+    def estimates(self) -> dict[str, Floats]:
+        """Estimate of each quantity, shape (n,) each."""
 
 
 class EstimateSampler:
@@ -20,7 +27,7 @@ class EstimateSampler:
 
     Parameters
     ----------
-    reference_force : ReferenceForce
+    reference_force : Estimating
         Whose estimates.
     timebase : Timebase
         Sampling clock of the test.
@@ -31,7 +38,7 @@ class EstimateSampler:
         Step at which, or after which, to call `sample`.
     """
 
-    def __init__(self, reference_force: ReferenceForce, timebase: Timebase) -> None:
+    def __init__(self, reference_force: Estimating, timebase: Timebase) -> None:
         self.due = 0
         self._estimates = reference_force.estimates
         self._every = max(1, round(PERIOD_NS / timebase.period_ns))

@@ -158,5 +158,59 @@ TABLE = Table(
             "N/m",
         ),
         Parameter("tracking.damping", "floats", 0.0, "damping of that specimen", "N s/m"),
+        Parameter(
+            "limits.force",
+            "float",
+            22200.0,
+            "largest reference force on any axis; beyond it the test is ramped down",
+            "N",
+            positive=True,
+            default_from="supervisor:limits.force",
+        ),
+        Parameter(
+            "limits.force_rate",
+            "float",
+            3.0e6,
+            "fastest change of the reference force on any axis from step to step, likewise; far "
+            "above what a test near its limits asks for, so that it only catches what is no test",
+            "N/s",
+            positive=True,
+        ),
+        Parameter(
+            "instability.ratio",
+            "float",
+            5.0,
+            "vibration beyond this many times what the ground motion explains brings the test down "
+            "softly, before it grows to a limit; 0: never",
+            minimum=0.0,
+        ),
+        Parameter(
+            "instability.floor",
+            "float",
+            0.3,
+            "vibration (RMS) that counts as explained in any case: several times the noise of the "
+            "accelerometers",
+            "m/s^2",
+            positive=True,
+        ),
+        Parameter(
+            "instability.lowest",
+            "float",
+            0.0,
+            "frequency from which on vibration is watched; 0: twice the specimen's lowest natural "
+            "frequency, which the model gives",
+            "Hz",
+            minimum=0.0,
+        ),
+        Parameter(
+            "ramp_down_time",
+            "float",
+            0.5,
+            "experiment time in which the reference force goes to zero, as half a cosine, where "
+            "a test is brought down softly",
+            "s",
+            positive=True,
+            maximum=60.0,
+        ),
     ],
 )

@@ -7,6 +7,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from seft_msgs_py.awake_clock import AwakeClock
 from seft_msgs_py.claim import is_claimed
 from seft_msgs_py.errors import ExperimentError
 from seft_msgs_py.ros_types import message_class, qos_profile
@@ -29,6 +30,8 @@ class Observer:
         Experiment time, nanoseconds.
     recorder_phase : str
         ``idle``, ``recording``, ``saved``.
+    rig_phase : str
+        ``idle``, ``running``, ``finished``, ``tripped``.
     since : float
         When it came up, monotonic, s.
     """
@@ -37,7 +40,9 @@ class Observer:
         self.state = ""
         self.values: dict[str, str] = {}
         self.time_ns = 0
-        self.recorder_phase = ""
+        self.recorder_phase = self.rig_phase = ""
+        self._awake = AwakeClock()
+        self._heard_at = self._awake.time()
         self.since = time.monotonic()
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self._node = Node("seft", start_parameter_services=False)
@@ -57,17 +62,28 @@ class Observer:
         deadline = time.monotonic() + timeout
         while True:
             self._executor.spin_once(timeout_sec=max(0.0, deadline - time.monotonic()))
+            self._awake.time()
             if time.monotonic() >= deadline:
                 return
 
-    def call(self, service: str) -> tuple[bool, str]:
-        """Call a service of the supervisor; return whether it was accepted, and its answer."""
+    def silence(self) -> float:
+        """Time since the supervisor was last heard, s."""
+        return self._awake.time() - self._heard_at
+
+    def call(self, service: str, patience: float = SERVICE_TIMEOUT) -> tuple[bool, str]:
+        """Call a service of the supervisor; return whether it was accepted, and its answer.
+
+        Raises
+        ------
+        ExperimentError
+            If it does not answer within ``patience`` seconds.
+        """
         client = self._node.create_client(Trigger, service)
         try:
-            if not client.wait_for_service(SERVICE_TIMEOUT):
+            if not client.wait_for_service(patience):
                 raise ExperimentError(f"service {service} is not there; is supervisor running?")
             future = client.call_async(Trigger.Request())
-            self._executor.spin_until_future_complete(future, SERVICE_TIMEOUT)
+            self._executor.spin_until_future_complete(future, patience)
             response = future.result()
             if response is None:
                 raise ExperimentError(f"supervisor did not answer {service}")
@@ -93,6 +109,7 @@ class Observer:
         rclpy.try_shutdown()
 
     def _on_state(self, message: Any) -> None:
+        self._heard_at = self._awake.time()
         self.state = message.message
         self.values = {item.key: item.value for item in message.values}
 
@@ -101,6 +118,6 @@ class Observer:
 
     def _on_diagnostics(self, message: Any) -> None:
         for status in message.status:
-            if status.name == "recorder":
+            if status.name in ("recorder", "rig"):
                 values = {item.key: item.value for item in status.values}
-                self.recorder_phase = values.get("phase", "")
+                setattr(self, f"{status.name}_phase", values.get("phase", ""))

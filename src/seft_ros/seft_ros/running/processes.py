@@ -1,5 +1,6 @@
 """The node processes of a test: started, watched and ended together."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -70,6 +71,16 @@ class NodeProcesses:
                 found[node] = f"node {node} ended ({how}): {self._last_line(node)}"
         return found
 
+    def stopped(self) -> list[str]:
+        """Nodes whose process a signal has stopped."""
+        found = []
+        for node, process in self._processes.items():
+            with contextlib.suppress(OSError):
+                stat = Path(f"/proc/{process.pid}/stat").read_text(encoding="ascii")
+                if stat.rsplit(")", 1)[1].split()[0] == "T":
+                    found.append(node)
+        return found
+
     def exit_status(self, node: str) -> int | None:
         """Exit status of a node's process; None while it runs."""
         return self._processes[node].poll()
@@ -83,6 +94,7 @@ class NodeProcesses:
         for process in self._processes.values():
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)
+                process.send_signal(signal.SIGCONT)  # one that was stopped can end cleanly, too
         deadline = time.monotonic() + patience
         for process in self._processes.values():
             try:

@@ -4,7 +4,7 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
@@ -15,18 +15,17 @@ from seft_msgs_py.experiment import Experiment
 
 from seft_ros.experiment.peers import CONFLICT
 from seft_ros.experiment.state_machine import State
+from seft_ros.running.following import LOOK, Following, Progress
 from seft_ros.running.observer import Observer
 from seft_ros.running.processes import MODULES, NodeProcesses
+from seft_ros.running.shared_memory import SharedMemory
 
 READY_TIMEOUT = 60.0  # s
 SAVE_TIMEOUT = 20.0  # s
 DISCOVERY = 1.0  # s
 ANNOUNCEMENT = 3.2  # s; participants announce themselves every 3 s
 FASTDDS_PROFILES = Path(__file__).with_name("fastdds.xml")
-LOOK = 0.05  # s
-
-Progress = Callable[[str, int], None]
-"""Called with what is going on and the steps done."""
+MEMORY_LOOK = 0.5  # s
 
 
 @dataclass(frozen=True)
@@ -101,6 +100,7 @@ def run_experiment(
         parameters = folder / "parameters.yaml"
         parameters.write_text(experiment.to_yaml(), encoding="utf-8")
         progress("looking for other tests", 0)
+        memory = SharedMemory()
         observer = Observer()
         try:
             _refuse_company(observer, external)
@@ -113,17 +113,20 @@ def run_experiment(
                 lockstep=experiment.sections.get("rig", {}).get("pace") == "lockstep",
             )
             try:
-                _wait_until_ready(observer, processes, progress)
-                _refuse_twins(observer)
-                accepted, answer = observer.call("start")
-                if not accepted:
-                    raise ExperimentError(f"the supervisor refused to start: {answer}")
-                fault = _follow(observer, processes, progress, experiment)
-                _wait_until_saved(observer, processes)
+                _start(observer, processes, progress, memory)
+                following = Following(observer, processes, progress, experiment)
+                try:
+                    fault = following.to_the_end()
+                except KeyboardInterrupt:
+                    following.bring_down()
+                    raise
+                following.wait_until_saved(SAVE_TIMEOUT)
             finally:
+                memory.look(processes.pids().values())
                 processes.stop()
         finally:
             observer.close()
+            memory.clean()
     if not bag.exists():
         raise ExperimentError(fault or "the recorder made no bag")
     return Finished(bag, fault)
@@ -153,44 +156,51 @@ def _refuse(nodes: list[str]) -> None:
         )
 
 
-def _wait_until_ready(observer: Observer, processes: NodeProcesses, progress: Progress) -> None:
+def _start(
+    observer: Observer, processes: NodeProcesses, progress: Progress, memory: SharedMemory
+) -> None:
+    """Start the test when all nodes are ready and no other test is there."""
     deadline = time.monotonic() + READY_TIMEOUT
-    while observer.state != State.READY:
+    _wait_until_ready(observer, processes, progress, memory, deadline)
+    _refuse_twins(observer)
+    while True:
+        _wait_until_ready(observer, processes, progress, memory, deadline)
+        memory.look(processes.pids().values())
+        accepted, answer = observer.call("start")
+        if accepted:
+            return
+        if observer.state == State.TRIPPED:
+            raise ExperimentError(f"the supervisor refused to start: {answer}")
+        observer.spin(LOOK)  # a node was away for a moment: wait until all are there again
+
+
+def _wait_until_ready(
+    observer: Observer,
+    processes: NodeProcesses,
+    progress: Progress,
+    memory: SharedMemory,
+    deadline: float,
+) -> None:
+    looked_at = 0.0
+    while True:
         observer.spin(LOOK)
-        for node, how in processes.ended().items():
-            raise InputError(f"{how}" if processes.exit_status(node) else f"node {node} ended")
         detail = observer.values.get("detail", "waiting for supervisor")
         progress(detail, 0)
+        for node, how in processes.ended().items():
+            raise (InputError if processes.exit_status(node) == 2 else ExperimentError)(how)
+        for node in processes.stopped():
+            raise ExperimentError(f"node {node} stands still before the test (a signal stopped it)")
+        if observer.state == State.READY:
+            return
+        if observer.state == State.TRIPPED:
+            raise ExperimentError(f"the test tripped before its start: {detail}")
         if detail.startswith(f"waiting for {CONFLICT}"):  # waiting does not mend it
             raise InputError(f"the nodes must have {detail.removeprefix('waiting for ')}")
         if time.monotonic() > deadline:
             raise InputError(f"not ready after {READY_TIMEOUT:g} s: {detail}")
-
-
-def _follow(
-    observer: Observer, processes: NodeProcesses, progress: Progress, experiment: Experiment
-) -> str:
-    """Watch a running test to its end; return what broke it, if anything did."""
-    period = experiment.timebase.period_ns
-    while True:
-        observer.spin(LOOK)
-        progress("running", observer.time_ns // period)
-        if observer.state == State.DONE:
-            progress("done", observer.time_ns // period + 1)
-            return "" if "stopped" not in observer.values["detail"] else observer.values["detail"]
-        if observer.state == State.TRIPPED:
-            step = observer.values.get("step")
-            return "" if step is not None else observer.values["detail"]
-        for how in processes.ended().values():
-            return f"{how} (at step {observer.time_ns // period})"
-
-
-def _wait_until_saved(observer: Observer, processes: NodeProcesses) -> None:
-    deadline = time.monotonic() + SAVE_TIMEOUT
-    while observer.recorder_phase != "saved" and time.monotonic() < deadline:
-        if observer.state not in (State.DONE, State.TRIPPED) or "recorder" in processes.ended():
-            return  # the recorder closes its bag when it is told to end
-        observer.spin(LOOK)
+        if time.monotonic() - looked_at > MEMORY_LOOK:
+            looked_at = time.monotonic()
+            memory.look(processes.pids().values())
 
 
 @contextmanager

@@ -1,0 +1,56 @@
+"""The way of a reference force to zero."""
+
+import math
+
+
+class RampDown:
+    """Factor that falls from 1 to 0 as half a cosine, counted in steps of the test.
+
+    A step that is not taken does not count: a loop that stands still does not lose its ramp.
+
+    Parameters
+    ----------
+    steps : int
+        Steps from the first that is scaled to the one whose factor is 0, both included.
+
+    Attributes
+    ----------
+    begun : bool
+        Whether the ramp has been asked for.
+    taken : int
+        Factors given since then.
+    """
+
+    def __init__(self, steps: int) -> None:
+        if steps < 1:
+            raise ValueError(f"a ramp of {steps} steps")
+        self._steps = steps
+        self.reset()
+
+    @classmethod
+    def lasting(cls, duration: float, dt: float) -> "RampDown":
+        """Make one of a duration and a sampling period, both in s."""
+        return cls(max(1, round(duration / dt)))
+
+    @property
+    def finished(self) -> bool:
+        """Whether the factor 0 has been given."""
+        return self.taken >= self._steps
+
+    def reset(self) -> None:
+        """Begin a new test."""
+        self.begun = False
+        self.taken = 0
+
+    def begin(self) -> None:
+        """Ask for the ramp; asking again does not begin it anew."""
+        self.begun = True
+
+    def next(self) -> float:
+        """Factor of the next step: 1 before the ramp, 0 after it."""
+        if not self.begun:
+            return 1.0
+        self.taken += 1
+        if self.finished:
+            return 0.0
+        return 0.5 * (1.0 + math.cos(math.pi * self.taken / self._steps))

@@ -1,0 +1,80 @@
+"""A fault at the reference force brings the offline loop down softly, as it does over DDS."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.parameter_file import parse_override
+from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.offline import simulate
+from seft_ros.experiment.tables import TABLES
+from seft_ros.interlock.ramp_down import RampDown
+
+CONFIG = Path(__file__).parents[3] / "config"
+SHORT = ("ground_motion:synthetic.duration:=5.0", "ground_motion:tail:=0.5")
+
+
+def run(*words, config="jhu", blocks_hook=lambda blocks: None):
+    words = (*SHORT, *words)
+    experiment = Experiment.load(
+        TABLES, [CONFIG / f"{config}.yaml"], [parse_override(word) for word in words]
+    )
+    blocks = build_blocks(experiment)
+    blocks_hook(blocks)
+    return simulate(experiment, blocks)
+
+
+def force_of(record):
+    return record.series["reference_force"].values[:, 0, 0]
+
+
+def test_a_force_beyond_its_limit_is_ramped_from_the_last_below():
+    free = force_of(run())
+    first = int(np.argmax(np.abs(free) > 500.0))
+    record = run("reference_force:limits.force:=500.0")
+    assert record.trip.step == first
+    assert record.trip.time_s == pytest.approx(first * 0.002)
+    assert record.trip.reason == (
+        f"reference force {free[first]:.5g} N on axis x is beyond the limit of 500 N"
+    )
+    ramp = RampDown(250)
+    ramp.begin()
+    expected = [free[first - 1] * ramp.next() for _ in range(250)]
+    np.testing.assert_array_equal(force_of(record)[:first], free[:first])
+    np.testing.assert_array_equal(force_of(record)[first:], expected)
+
+
+def test_a_force_that_changes_too_fast_ends_the_test_softly():
+    free = force_of(run())
+    fastest = np.abs(np.diff(free)).max() / 0.002
+    assert run(f"reference_force:limits.force_rate:={1.001 * fastest}").trip is None
+    record = run(f"reference_force:limits.force_rate:={0.999 * fastest}")
+    assert record.trip.step == int(np.abs(np.diff(free)).argmax()) + 1
+    assert "N/s on axis x, beyond the limit of" in record.trip.reason
+
+
+def test_a_rig_that_trips_within_the_ramp_ends_it_at_once_and_both_causes_are_told():
+    """The supervisor's limit stands in for both: the rig's force comes after its reference."""
+    free = force_of(run())
+    first = int(np.argmax(np.abs(free) > 500.0))
+    record = run("supervisor:limits.force:=500.0")
+    last = int(record.series["rig/state"].steps[-1])
+    assert first < last < first + 249
+    assert record.trip.step == last
+    assert record.trip.reason.startswith("force ")
+    assert "(while ramping down: reference force" in record.trip.reason
+
+
+def test_a_record_that_ends_within_the_ramp_keeps_the_cause():
+    record = run("reference_force:limits.force:=500.0", "reference_force:ramp_down_time:=50.0")
+    assert len(record.series["rig/state"].steps) == 1501
+    assert "limit of 500 N" in record.trip.reason
+
+
+@pytest.mark.parametrize("config", ["jhu", "demo"])
+def test_good_tests_stay_far_below_the_fastest_change(config):
+    record = run(config=config)
+    limit = record.experiment["reference_force"]["limits.force_rate"]
+    assert record.trip is None
+    assert np.abs(np.diff(force_of(record))).max() / 0.002 < 0.1 * limit
