@@ -22,9 +22,11 @@ MOTIONS = {
 HERE = [name for name, motion in MOTIONS.items() if motion.get("file", ROOT).exists()]
 
 
-def uncompensated(name, mass_ratio):
+def uncompensated(name, mass_ratio, watched=0.0):
+    """Run a test as the paper did, with nobody who looks for instability, or with."""
     overrides = [("ground_motion", key, _plain(value)) for key, value in MOTIONS[name].items()]
     overrides.append(("reference_force", "mass_ratio", mass_ratio))
+    overrides.append(("reference_force", "instability.ratio", watched))
     experiment = Experiment.load(TABLES, [JHU], overrides)
     record = simulate(experiment, build_blocks(experiment))
     return record, summarise(record)
@@ -86,3 +88,23 @@ def test_it_goes_unstable_in_the_band_where_preflight_sees_it_start(name):
     spectrum = np.abs(np.fft.rfft(last * np.hanning(len(last))))
     hz = np.fft.rfftfreq(len(last), record.experiment.timebase.dt)[spectrum.argmax()]
     assert low < hz < high
+
+
+@pytest.mark.parametrize("name", HERE)
+def test_the_watch_brings_it_down_softly_long_before_any_limit(name):
+    record, summary = uncompensated(name, 1.5, watched=5.0)
+    assert summary["trip"]["reason"].startswith("instability: acceleration above 20.1 Hz on axis x")
+    assert not summary["saturated"]
+    states = record.series["rig/state"].values
+    limits = record.experiment["supervisor"]
+    for row, quantity in enumerate(("displacement", "velocity", "acceleration", "force")):
+        assert np.abs(states[:, row]).max() < 0.5 * limits[f"limits.{quantity}"]
+    whole = reference_of(uncompensated(name, 0.0)[0])
+    assert np.abs(states[:, 0]).max() < 1.5 * np.abs(whole.displacement).max()
+    assert np.abs(record.series["reference_force"].values[-1]).max() == 0.0
+
+
+@pytest.mark.parametrize("name", HERE)
+def test_the_watch_leaves_the_papers_tests_alone(name):
+    for mass_ratio in (0.0, 0.5, 1.0):
+        assert uncompensated(name, mass_ratio, watched=5.0)[1]["trip"] is None

@@ -58,8 +58,8 @@ def changed(experiment: Experiment, changes: Mapping[str, Mapping[str, Any]]) ->
 
 
 def uncompensated(experiment: Experiment, mass_ratio: float) -> Experiment:
-    """Test on the rig by Eq. 2.5 (paper, section 4)."""
-    force = {"mass_ratio": mass_ratio, "compensation.method": "none"}
+    """Test on the rig by Eq. 2.5 (paper, section 4); as there, nobody looks for instability."""
+    force = {"mass_ratio": mass_ratio, "compensation.method": "none", "instability.ratio": 0.0}
     return changed(experiment, {"reference_force": force})
 
 
@@ -95,7 +95,9 @@ def delayed(
     # all of it is linear: a low-pass on every measured signal is one on the actuator's force
     rig |= {"sensors.adc_bits": 0, "sensors.anti_alias": bandwidth_hz}
     rig |= {f"limits.{name}": value for name, value in _FAR.items()}  # calculated, nothing breaks
-    return changed(uncompensated(experiment, mass_ratio), {"rig": rig})
+    force = {"limits.force": math.inf, "limits.force_rate": math.inf}
+    simulated = uncompensated(experiment, mass_ratio)
+    return changed(simulated, {"rig": rig, "reference_force": force})
 
 
 def model_compensated(experiment: Experiment, mass_ratio: float, told: float) -> Experiment:
