@@ -1,13 +1,18 @@
 """Runs that break: one line says why, the bag is readable, no process is left."""
 
+import contextlib
+import os
 import signal
 import subprocess
 from pathlib import Path
 
 import pytest
-from graph_tools import JHU, PATIENCE, STALLS_ALLOWED, children, kill, wait_for
+from graph_tools import JHU, PATIENCE, children, kill, wait_for
 from seft_ros.recording.bag_reader import read_bag
+from seft_ros.running.shared_memory import FOLDER
 
+NO_COMMAND_ALLOWED = ("-p", "supervisor:watchdog.command_timeout:=60.0")
+"""In realtime, the rig waits until the supervisor has found out who is silent."""
 LONG = ("-p", "ground_motion:synthetic.duration:=400.0")
 
 
@@ -16,7 +21,7 @@ def running(start, tmp_path):
     """A `seft run` that has been under way for a while, and its node processes."""
 
     def launch(*words):
-        words = (*LONG, *STALLS_ALLOWED, *words)
+        words = (*LONG, *NO_COMMAND_ALLOWED, *words)
         process = start("seft_ros.commands.main", "run", JHU, *words, "--out", "bag")
         wait_for(lambda: (tmp_path / "bag").exists(), "the bag")
         wait_for(lambda: bag_size(tmp_path / "bag") > 200_000, "some data in it")
@@ -27,27 +32,99 @@ def running(start, tmp_path):
     return launch
 
 
+def contents(bag):
+    """Bytes of a bag that is being written; it is not compressed."""
+    return b"".join(file.read_bytes() for file in bag.glob("*.mcap"))
+
+
+def files_left():
+    return {file.name for file in FOLDER.iterdir()}
+
+
+def shared_memory(pids):
+    """Names of the files in /dev/shm that processes have mapped, or opened to lock them."""
+    found = set()
+    for pid in pids:
+        maps = Path(f"/proc/{pid}/maps").read_text()
+        found |= {line.split("/dev/shm/")[1] for line in maps.splitlines() if "/dev/shm/" in line}
+        for handle in Path(f"/proc/{pid}/fd").iterdir():
+            with contextlib.suppress(OSError):
+                file = handle.readlink()
+                found |= {file.name} if file.parent == FOLDER else set()
+    return {name for name in found if "fastrtps" in name}
+
+
 def bag_size(bag):
     return sum(file.stat().st_size for file in bag.glob("*.*"))
 
 
 def ending(process: subprocess.Popen, nodes: dict[str, int]) -> str:
-    """Wait for the end; return the last line on stderr."""
+    """Wait for the end; return what is said on stderr, which is one line."""
     _, errors = process.communicate(timeout=PATIENCE)
     assert "Traceback" not in errors
     assert not children(process.pid)
-    return errors.strip().splitlines()[-1]
+    lines = [line for line in errors.splitlines() if line.startswith("seft: ")]
+    assert len(lines) == 1, errors
+    return lines[0]
 
 
-@pytest.mark.parametrize("pace", ["lockstep", "realtime"])
-@pytest.mark.parametrize("node", ["force_controller", "rig", "ground_motion", "supervisor"])
+@pytest.mark.parametrize(
+    ("node", "pace"),
+    [
+        *(("rig", "realtime"), ("force_controller", "realtime"), ("reference_force", "lockstep")),
+        *(("ground_motion", "realtime"), ("supervisor", "lockstep"), ("supervisor", "realtime")),
+    ],
+)
 def test_a_node_that_dies_ends_the_run_with_a_readable_bag(running, tmp_path, node, pace):
     process, nodes = running("-p", f"rig:pace:={pace}")
+    memory = shared_memory(nodes.values())
+    assert len(memory) >= len(nodes)
     kill(nodes[node])
     line = ending(process, nodes)
     assert process.returncode == 1
     assert f"node {node} ended (killed by signal 9)" in line
-    assert len(read_bag(tmp_path / "bag").series["rig/state"].steps) > 100
+    assert "(at step " in line
+    record = read_bag(tmp_path / "bag")
+    assert len(record.series["rig/state"].steps) > 100
+    assert not memory & files_left()
+    if node == "supervisor":  # nobody but the rig itself can end its test
+        assert record.trip.reason == "node supervisor has been silent for 1 s"
+    if node == "ground_motion":  # the force came down while there was motion left
+        force = record.series["reference_force"].values[:, 0, 0]
+        assert force[-1] == 0.0
+        assert "node ground_motion has been silent since" in record.trip.reason
+
+
+@pytest.mark.parametrize(
+    ("node", "pace"),
+    [
+        *(("rig", "realtime"), ("reference_force", "realtime"), ("force_controller", "lockstep")),
+        *(("recorder", "lockstep"), ("supervisor", "realtime")),
+    ],
+)
+def test_a_node_that_stands_still_is_named_with_the_time(running, tmp_path, node, pace):
+    process, nodes = running("-p", f"rig:pace:={pace}")
+    memory = shared_memory(nodes.values())
+    os.kill(nodes[node], signal.SIGSTOP)
+    line = ending(process, nodes)
+    assert process.returncode == 1
+    assert f"node {node} has been silent " in line
+    assert "(at step " in line
+    record = read_bag(tmp_path / "bag")
+    assert len(record.series["rig/state"].steps) > 100
+    assert not memory & files_left()
+
+
+def test_a_rig_without_commands_trips_and_the_silent_node_is_found_out(running, tmp_path):
+    process, nodes = running("-p", "supervisor:watchdog.command_timeout:=0.5")
+    os.kill(nodes["reference_force"], signal.SIGSTOP)
+    line = ending(process, nodes)
+    assert process.returncode == 1
+    assert "no new valve_command for 0.5 s" in line
+    assert "; node reference_force has been silent since " in line
+    trip = read_bag(tmp_path / "bag").trip
+    assert "; node reference_force has been silent since " in trip.reason
+    assert f"(at step {trip.step})" in line
 
 
 def test_a_killed_recorder_loses_at_most_half_a_second(running, seft, tmp_path):
@@ -66,12 +143,30 @@ def test_a_killed_recorder_loses_at_most_half_a_second(running, seft, tmp_path):
     assert (steps == range(len(steps))).all()
 
 
-def test_an_interrupted_run_keeps_its_bag(running, tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_run_comes_down_softly_and_keeps_its_bag(running, tmp_path, number):
     process, nodes = running()
+    memory = shared_memory(nodes.values())
+    process.send_signal(number)
+    assert "interrupted" in ending(process, nodes)
+    assert process.returncode == 1
+    record = read_bag(tmp_path / "bag")
+    assert record.complete
+    assert record.trip.reason == "stopped by the operator"
+    assert record.series["reference_force"].values[-1, 0, 0] == 0.0
+    assert not memory & files_left()
+
+
+def test_a_second_interruption_is_an_emergency_stop(running, tmp_path):
+    process, nodes = running("-p", "reference_force:ramp_down_time:=60.0")
+    process.send_signal(signal.SIGINT)
+    wait_for(lambda: b"stopped by the operator" in contents(tmp_path / "bag"), "the ramp")
     process.send_signal(signal.SIGINT)
     ending(process, nodes)
     assert process.returncode == 1
-    assert len(read_bag(tmp_path / "bag").series["rig/state"].steps) > 100
+    assert read_bag(tmp_path / "bag").trip.reason == (
+        "emergency stop (while ramping down: stopped by the operator)"
+    )
 
 
 def test_nodes_do_not_outlive_a_killed_run(running):

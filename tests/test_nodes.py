@@ -5,8 +5,10 @@ import os
 import random
 import signal
 
+import numpy as np
 import pytest
-from graph_tools import PATIENCE, STALLS_ALLOWED, wait_for
+from graph_tools import JHU, PATIENCE, STALLS_ALLOWED, wait_for
+from seft_ros.interlock.ramp_down import RampDown
 from seft_ros.recording.bag_reader import read_bag
 from seft_ros.running.observer import Observer
 from seft_ros.running.processes import MODULES
@@ -85,15 +87,28 @@ def test_nodes_of_different_rates_do_not_start(start_node, observer):
 
 def test_a_test_is_stopped_by_the_operator(start_node, observer, tmp_path):
     for node in MODULES:
-        start_node(node, STALLS_ALLOWED[1])
+        start_node(node, *STALLS_ALLOWED[1::2])
     wait_for(is_in_state(observer, "ready"), "ready")
     assert observer.call("start")[0]
     wait_for(lambda: (observer.spin(0.05), observer.time_ns > 10**9)[1], "a second of the test")
-    assert observer.call("stop") == (True, "the test is stopped")
+    assert observer.call("stop") == (True, "the test is being brought down")
+    accepted, answer = observer.call("stop")
+    assert (accepted, "stopped by the operator" in answer) == (True, True)
+    wait_for(is_in_state(observer, "done"), "done")
     wait_for(lambda: (observer.spin(0.05), observer.recorder_phase == "saved")[1], "saved")
     (bag,) = (tmp_path / "bags").iterdir()
-    steps = read_bag(bag).series["rig/state"].steps
-    assert 500 <= len(steps) < 8000
+    record = read_bag(bag)
+    assert 750 <= len(record.series["rig/state"].steps) < 8000
+    assert record.trip.reason == "stopped by the operator"
+    force = record.series["reference_force"].values[:, 0, 0]
+    ramp = RampDown(250)
+    ramp.begin()
+    factors = [1.0, *(ramp.next() for _ in range(250))]
+    motion = record.series["ground_motion"].values[:, 0, 0]  # at mass ratio 0 the force is -m a_g
+    last = int(np.flatnonzero(force)[-1])
+    first = last - 249  # the last step whose factor is 1
+    np.testing.assert_allclose(force[first : last + 2], -52.7 * motion[first : last + 2] * factors)
+    assert not force[last + 1 :].any()
 
 
 @pytest.mark.parametrize("node", sorted(MODULES))
@@ -105,8 +120,34 @@ def test_a_node_tells_a_wrong_parameter_in_one_line(start_node, node):
     assert f"{node}: -p: {node}: there is no parameter noise" in errors
 
 
+def test_a_silent_node_makes_a_ready_graph_incomplete_until_it_is_heard_again(start_node, observer):
+    nodes = {node: start_node(node) for node in MODULES}
+    wait_for(is_in_state(observer, "ready"), "ready")
+    nodes["rig"].send_signal(signal.SIGSTOP)
+    wait_for(is_in_state(observer, "idle"), "idle")
+    assert observer.values["detail"] == "waiting for node rig"
+    assert observer.call("start")[0] is False
+    nodes["rig"].send_signal(signal.SIGCONT)
+    wait_for(is_in_state(observer, "ready"), "ready again")
+    nodes["supervisor"].kill()
+    wait_for(lambda: (observer.spin(0.05), observer.silence() > 1.0)[1], "its silence")
+
+
+def test_an_implausible_force_brings_the_test_down_as_offline(seft_json):
+    words = (JHU, "-p", "ground_motion:synthetic.duration:=5.0")
+    words = (*words, "-p", "reference_force:limits.force:=500.0")
+    simulated = seft_json("simulate", *words, "--out", "simulated", status=1)
+    lockstep = seft_json("run", *words, "-p", "rig:pace:=lockstep", "--out", "run", status=1)
+    assert simulated["trip"] == lockstep["trip"]
+    assert "is beyond the limit of 500 N" in lockstep["trip"]["reason"]
+    compared = seft_json("compare", "simulated", "run", status=None)
+    for topic in ("rig/state", "reference_force", "valve_command"):
+        # the rig goes on until it hears that it may end
+        assert compared["topics"][topic]["max_abs"] == 0.0
+
+
 def test_a_rig_that_comes_back_in_the_middle_of_a_test_stays_at_rest(start_node, observer):
-    overrides = ("supervisor:watchdog.peer_timeout:=60.0", STALLS_ALLOWED[1])
+    overrides = STALLS_ALLOWED[1::2]
     nodes = {node: start_node(node, *overrides) for node in MODULES}
     wait_for(is_in_state(observer, "ready"), "ready")
     assert observer.call("start")[0]

@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.timebase import Timebase
 from seft_msgs_py.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 
 from seft_ros.experiment.blocks import Blocks
@@ -83,20 +84,20 @@ def simulate(
             VALVE_COMMAND.name: Series(steps, commands[:step, np.newaxis, :]),
         },
         estimates=estimates.series(),
-        trip=_trip(blocks, step - 1, experiment.timebase.dt),
+        trip=_trip(blocks, step - 1, experiment.timebase),
         saturation=rig.saturation,
         wall_s=wall,
         environment=environment,
     )
 
 
-def _trip(blocks: Blocks, last: int, dt: float) -> Trip | None:
+def _trip(blocks: Blocks, last: int, timebase: Timebase) -> Trip | None:
     """Tell what ended the test before the record did, as supervisor and rig would."""
     violation, cause = blocks.rig.violation, blocks.reference_force.cause
     if violation is not None:
         reason = violation if cause is None else while_ramping_down(violation, cause)
-        return Trip(reason, last, last * dt)
+        return Trip(reason, last, timebase.stamp_ns(last) / 1e9)
     if cause is None:
         return None
     step = last + 1 - blocks.reference_force.steps_ramped
-    return Trip(cause, step, step * dt)
+    return Trip(cause, step, timebase.stamp_ns(step) / 1e9)

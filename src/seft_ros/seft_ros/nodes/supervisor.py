@@ -41,6 +41,7 @@ from seft_ros.experiment.tables import TABLES
 from seft_ros.experiment.watching import SUPERVISOR
 
 HEARTBEAT = 0.2  # s between two publications of the state
+AGES_PERIOD = 1.0  # s
 LOOK = 0.2  # s between two looks at the graph
 LEVELS = {State.RAMPING_DOWN: WARN, State.TRIPPED: ERROR}
 SOFT_PEERS = ("ground_motion", "recorder")
@@ -68,7 +69,7 @@ class SupervisorNode:
         self._silent: list[str] | None = None  # who fell silent before a trip, once it is known
         self._published: Status | None = None
         self._message = b""
-        self._published_at = self._looked_at = self._now - LOOK
+        self._published_at = self._looked_at = self._told_at = self._now - AGES_PERIOD
         shell.subscribe(DIAGNOSTICS, self._on_diagnostics)
         shell.subscribe(DESCRIPTION, self._on_description, depth=64)
         shell.subscribe(CLOCK_TOPIC, self._on_clock, wake=False)
@@ -95,6 +96,18 @@ class SupervisorNode:
             elif self._state is State.TRIPPED and self._silent is None:
                 self._find_the_silent()
             self._publish_if_due()
+        self._tell_ages()
+
+    def _tell_ages(self) -> None:
+        """Keep the age of each node's last sign of life in the supervisor's own status."""
+        if self._now - self._told_at < AGES_PERIOD:
+            return
+        self._told_at = self._now
+        ages = {n: self._now - self._heard[n].at for n in self._peers if n in self._heard}
+        oldest = max(ages.values(), default=0.0)
+        level = ERROR if oldest > self._timeout else WARN if oldest > self._timeout / 2 else OK
+        values = {"phase": "watching"} | {f"age {n} s": f"{age:.2f}" for n, age in ages.items()}
+        self._shell.report(Status("supervisor", level, "watching", values=values))
 
     def _follow_state(self) -> None:
         """Note when a state began, and leave out of it what can't be done."""
@@ -239,7 +252,6 @@ def _step_of(status: Status) -> int | None:
 def _serve(shell: NodeShell) -> None:
     node = SupervisorNode(shell)
     shell.start()
-    shell.report(Status("supervisor", OK, "watching", values={"phase": "watching"}))
     shell.spin(node.tick)
 
 

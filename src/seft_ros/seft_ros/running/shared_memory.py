@@ -38,11 +38,15 @@ class SharedMemory:
             self._names |= self._mapped_by(pid)
 
     def clean(self) -> list[str]:
-        """Remove what was noted and is nobody's now; give the names of the files."""
+        """Remove what was noted and is nobody's now; give the names of the files.
+
+        To be called when this process has left the graph: FastDDS keeps the segments of others
+        mapped that it has read from, so that this process does not count.
+        """
         in_use: set[str] = set()
         if self._names:
             for entry in self._proc.iterdir():
-                if entry.name.isdigit():
+                if entry.name.isdigit() and int(entry.name) != os.getpid():
                     in_use |= self._mapped_by(int(entry.name))
         removed = []
         for name in sorted(self._names - in_use):
