@@ -109,7 +109,7 @@ def _recur(free: Floats, states: Floats) -> None:
     """
     length = max(1, round(np.sqrt(len(states))))
     pieces = (len(states) - 1) // length
-    driven = states[1 : 1 + pieces * length].reshape(pieces, length, -1)
+    driven = states[1 : 1 + pieces * length].reshape(pieces, length, len(free))
     ends = np.zeros((pieces, len(free)))
     for step in range(length):
         ends = ends @ free.T + driven[:, step]
