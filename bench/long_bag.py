@@ -2,7 +2,8 @@
 
 The bag holds a test of a minute, with estimates, over and over: what is in it costs nothing to
 know, only how much. Each command runs in a process of its own. `--minutes N` for a quick look:
-then the memory, of which the libraries take a part, says less.
+then the memory, of which the libraries take a part, says less. `--keep FOLDER` leaves the bags
+there for the next time, as they take minutes to write.
 """
 
 import argparse
@@ -68,14 +69,19 @@ def measured(*words: str) -> tuple[float, float]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=int, default=60, help="length of the test")
-    minutes = parser.parse_args().minutes
-    met = True
+    parser.add_argument("--keep", metavar="FOLDER", help="where bags are, or will be left")
+    options = parser.parse_args()
+    minutes, met = options.minutes, True
     with tempfile.TemporaryDirectory() as folder:
-        bags = [str(Path(folder) / storage) for storage in STORAGES]
-        record = long_record(minutes)
-        for bag, storage in zip(bags, STORAGES, strict=True):
-            write_record(record, bag, storage)
-        del record
+        bags = [
+            str(Path(options.keep or folder) / f"{storage}_{minutes}_minutes")
+            for storage in STORAGES
+        ]
+        if not all(Path(bag).exists() for bag in bags):
+            record = long_record(minutes)
+            for bag, storage in zip(bags, STORAGES, strict=True):
+                write_record(record, bag, storage)
+            del record
         print(f"{minutes} minutes at 1 kHz; wanted: {WANTED_TIMES_REAL_TIME} times real time for")
         print(f"each bag that is read, and at most {WANTED_BYTES / 1e6:.0f} MB")
         for bag, storage in zip(bags, STORAGES, strict=True):

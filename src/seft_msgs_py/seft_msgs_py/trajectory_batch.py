@@ -5,8 +5,6 @@ stamp and doubles alone: that is checked, and these are read, for all of them by
 operations. Every other message goes through `TrajectoryCodec.decode`, one by one.
 """
 
-from collections.abc import Iterator, Sequence
-from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
@@ -15,11 +13,15 @@ import numpy.typing as npt
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.timebase import NANOSECONDS_PER_SECOND
 from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_msgs_py.trajectory_layout import Layout
 from seft_msgs_py.trajectory_message import ENCAPSULATION
 
 Floats = npt.NDArray[np.float64]
 Steps = npt.NDArray[np.int64]
+Bytes = npt.NDArray[np.uint8]
+Flags = npt.NDArray[np.bool_]
 Samples = tuple[Steps, Floats]
+Part = tuple[Steps, Floats, Steps]  # of a batch, as in `Batch`
 
 
 class Batch(NamedTuple):
@@ -43,69 +45,66 @@ class Batch(NamedTuple):
     refused: int
 
 
-def decode_batch(codec: TrajectoryCodec, raws: Sequence[bytes]) -> Batch:
-    """Read messages as `TrajectoryCodec.decode` does each of them.
+def decode_batch(codec: TrajectoryCodec, rows: Bytes) -> Batch:
+    """Read messages of equal length as `TrajectoryCodec.decode` does each of them.
 
     Parameters
     ----------
     codec : TrajectoryCodec
         Of their topic.
-    raws : sequence of bytes
-        The messages; memory is a small multiple of theirs.
+    rows : ndarray of uint8
+        Shape (M, length): the messages; memory is a small multiple of theirs.
     """
-    steps = [np.empty(0, np.int64)]
-    values = [np.empty((0, len(codec.topic.quantities), len(codec.axes)))]
-    messages = [np.empty(0, np.int64)]
-    done = refused = 0
-    for _, alike in groupby(raws, len):
-        for count, part in _decode_alike(codec, list(alike)):
-            if part is None:
+    count, length = rows.shape
+    layout = codec.layout_of(rows[0].tobytes() if count else b"")
+    points, *shape = layout.values.shape
+    values = np.empty((count, layout.values.size))
+    steps, fits = np.zeros(count, np.int64), np.zeros(count, bool)
+    if length >= layout.size and count:
+        steps, fits = _steps(codec, rows)
+        words = np.ndarray((count, layout.words), "<u8", rows, 4, (length, 8))
+        values = words[:, layout.values.ravel()].view(np.float64)
+        fits &= np.isfinite(values).all(axis=1) & _as_laid_out(rows, words, layout)
+    every = steps[:, np.newaxis] + np.arange(points)
+    parts, refused, start = [_none(codec)], 0, 0
+    for end in [*np.flatnonzero(~fits).tolist(), count]:
+        if start < end:
+            messages = np.repeat(np.arange(start, end), points)
+            parts.append(
+                (every[start:end].ravel(), values[start:end].reshape(-1, *shape), messages)
+            )
+        if end < count:
+            single = _decode_one(codec, rows[end].tobytes())
+            if single is None:
                 refused += 1
-            elif count:
-                steps.append(part[0])
-                values.append(part[1])
-                messages.append(np.repeat(np.arange(done, done + count), len(part[0]) // count))
-            done += count
-    return Batch(np.concatenate(steps), np.concatenate(values), np.concatenate(messages), refused)
-
-
-def _decode_alike(
-    codec: TrajectoryCodec, raws: list[bytes]
-) -> Iterator[tuple[int, Samples | None]]:
-    """Decode messages of equal length, in order, some at a time: their number, and what they hold.
-
-    None for each that is not understood.
-    """
-    layout = codec.layout_of(raws[0])
-    length, points = len(raws[0]), len(layout.values)
-    if length < layout.size:
-        yield from ((1, _decode_one(codec, raw)) for raw in raws)
-        return
-    joined = b"".join(raws)
-    rows = np.frombuffer(joined, np.uint8).reshape(len(raws), length)
-    words = np.ndarray((len(raws), layout.words), "<u8", joined, 4, (length, 8))
-    first, stamped = _steps(codec, rows)
-    values = words[:, layout.values.ravel()].view(np.float64)
-    fits = (
-        stamped
-        & ~((words & layout.mask) ^ layout.fixed).any(axis=1)
-        & np.isfinite(values).all(axis=1)
-        & (rows[:, :4] == np.frombuffer(ENCAPSULATION, np.uint8)).all(axis=1)
-        & (rows[:, layout.size - len(layout.tail) : layout.size] == list(layout.tail)).all(axis=1)
-    )
-    steps = first[:, np.newaxis] + np.arange(points)
-    start = 0
-    for end in [*np.flatnonzero(~fits).tolist(), len(raws)]:
-        part = values[start:end].reshape(-1, *layout.values.shape[1:])
-        yield end - start, (steps[start:end].ravel(), part)
-        if end < len(raws):
-            yield 1, _decode_one(codec, raws[end])
+            else:
+                parts.append((*single, np.full(len(single[0]), end)))
         start = end + 1
+    if len(parts) == 2:  # as mostly: nothing to be put together
+        return Batch(*parts[1], refused)
+    found, points_of, messages_of = zip(*parts, strict=True)
+    together = np.concatenate(found), np.concatenate(points_of), np.concatenate(messages_of)
+    return Batch(*together, refused)
 
 
-def _steps(
-    codec: TrajectoryCodec, rows: npt.NDArray[np.uint8]
-) -> tuple[Steps, npt.NDArray[np.bool_]]:
+def _as_laid_out(rows: Bytes, words: npt.NDArray[np.uint64], layout: Layout) -> Flags:
+    """Whether all that is fixed in a layout is so in each message."""
+    checked = np.flatnonzero(layout.mask)
+    differing = words[:, checked]
+    differing &= layout.mask[checked]
+    differing ^= layout.fixed[checked]
+    headed = rows[:, : len(ENCAPSULATION)] == np.frombuffer(ENCAPSULATION, np.uint8)
+    tail = rows[:, layout.size - len(layout.tail) : layout.size] == list(layout.tail)
+    found: Flags = np.bitwise_or.reduce(differing, axis=1) == 0
+    return found & headed.all(axis=1) & tail.all(axis=1)
+
+
+def _none(codec: TrajectoryCodec) -> Part:
+    shape = (0, len(codec.topic.quantities), len(codec.axes))
+    return np.empty(0, np.int64), np.empty(shape), np.empty(0, np.int64)
+
+
+def _steps(codec: TrajectoryCodec, rows: Bytes) -> tuple[Steps, Flags]:
     """Read the stamps of messages: the steps they name, and which of them are on the grid."""
     seconds = rows[:, 4:8].copy().view("<i4")[:, 0].astype(np.int64)
     nanoseconds = rows[:, 8:12].copy().view("<u4")[:, 0]

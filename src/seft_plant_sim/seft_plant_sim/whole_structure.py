@@ -93,12 +93,33 @@ def _linear_response(
     exponential = expm(augmented)
     free = np.ascontiguousarray(exponential[: 2 * n, : 2 * n])
     start, change = exponential[: 2 * n, 2 * n : 3 * n], exponential[: 2 * n, 3 * n :]
-    drive = ground_motion[:-1] @ start.T + np.diff(ground_motion, axis=0) @ change.T
     states = np.zeros((len(ground_motion), 2 * n))
-    state = states[0]
-    for following, push in zip(states[1:], drive, strict=True):
-        free.dot(state, following)
-        following += push
-        state = following
+    states[1:] = ground_motion[:-1] @ start.T
+    states[1:] += np.diff(ground_motion, axis=0) @ change.T
+    _recur(free, states)
     displacement, velocity = states[:, :n], states[:, n:]
     return displacement, velocity, displacement @ structure.stiffness.T
+
+
+def _recur(free: Floats, states: Floats) -> None:
+    """Solve s[k] = F s[k - 1] + d[k] for k from 1 on, in place of d; s[0] is given.
+
+    A step of all pieces of a record at a time, twice: first from rest, for the states in which
+    the pieces start, and then from these.
+    """
+    length = max(1, round(np.sqrt(len(states))))
+    pieces = (len(states) - 1) // length
+    driven = states[1 : 1 + pieces * length].reshape(pieces, length, len(free))
+    ends = np.zeros((pieces, len(free)))
+    for step in range(length):
+        ends = ends @ free.T + driven[:, step]
+    through = np.linalg.matrix_power(free, length)
+    state, starts = states[0], np.empty_like(ends)
+    for piece in range(pieces):
+        starts[piece] = state
+        state = through @ state + ends[piece]
+    for step in range(length):
+        starts = starts @ free.T + driven[:, step]
+        driven[:, step] = starts
+    for step in range(1 + pieces * length, len(states)):
+        states[step] += free @ states[step - 1]

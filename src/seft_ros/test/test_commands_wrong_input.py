@@ -169,7 +169,8 @@ def test_simulate_prints_one_json_object_and_nothing_else(seft, tmp_path):
 
 def test_a_test_that_trips_ends_with_status_1_and_says_so(seft):
     words = ("-p", "reference_force:mass_ratio:=1.5", "-p", "supervisor:limits.acceleration:=30")
-    status, out, err = seft("simulate", JHU, *words, "--json")
+    unwatched = ("-p", "reference_force:instability.ratio:=0.0")  # a limit is to trip it
+    status, out, err = seft("simulate", JHU, *words, *unwatched, "--json")
     summary = json.loads(out)
     assert status == 1
     assert summary["stable"] is False

@@ -68,14 +68,16 @@ def test_comparing_copies_no_samples(bag):
 
 def test_every_message_of_a_test_goes_by_once(bag, monkeypatch):
     seen = Counter()
-    read_messages = bag_reader.read_messages
+    read_blocks = bag_reader.read_blocks
 
-    def counted(*arguments):
-        for message in read_messages(*arguments):
-            seen[message[0].topic, message[1], message[2]] += 1
-            yield message
+    def counted(reader, connections, path):
+        for block in read_blocks(reader, connections, path):
+            seen.update(
+                (connections[message[0]].topic, *message[1:]) for message in block.messages()
+            )
+            yield block
 
-    monkeypatch.setattr(bag_reader, "read_messages", counted)
+    monkeypatch.setattr(bag_reader, "read_blocks", counted)
     read_bag(bag)
     assert len(seen) > 3 * STEPS
     assert set(seen.values()) == {1}

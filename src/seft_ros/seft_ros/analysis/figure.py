@@ -13,6 +13,7 @@ from seft_ros.analysis.metrics import nrmse
 from seft_ros.analysis.reference import COMPARED, quantity
 from seft_ros.analysis.title import title_of
 from seft_ros.drawing.style import FIRST, MARK, REFERENCE, SECOND, TEXT, tidy
+from seft_ros.drawing.thinning import thinned
 from seft_ros.recording.record import Estimates, Record
 
 MOST_AXES = 3
@@ -74,12 +75,13 @@ def _draw(
     y = states.values[:, row, column]
     if reference is not None:
         exact = quantity(reference, name)[:, column]
-        time = np.arange(len(exact)) * dt
-        panel.plot(time, exact * scale, color=REFERENCE, lw=2.2, label="exact response")
+        at = thinned(exact)
+        panel.plot(at * dt, exact[at] * scale, color=REFERENCE, lw=2.2, label="exact response")
         error = nrmse(y, exact[states.steps])
         text = f"NRMSE {error * 100:.3g} %" if np.isfinite(error) else "NRMSE undefined"
         panel.set_title(text, loc="right", fontsize=9, color=TEXT)
-    panel.plot(states.steps * dt, y * scale, color=FIRST, lw=0.9, label="test")
+    at = thinned(y)
+    panel.plot(states.steps[at] * dt, y[at] * scale, color=FIRST, lw=0.9, label="test")
     _finish(panel, record)
 
 

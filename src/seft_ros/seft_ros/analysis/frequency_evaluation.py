@@ -4,11 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.fft import rfft
+from scipy.fft import prev_fast_len, rfft
 
 from seft_ros.analysis.columns import paired_columns, peaks
 
 Floats = npt.NDArray[np.float64]
+
+LONG = 100_000
+"""Samples from which on a record is cut to a length whose Fourier transform is fast."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +48,10 @@ def frequency_evaluation_index(
     plane's four quadrants (atan2): the arctan of the quotient, as printed, is wrong from a
     quarter of the equivalent period on. Delays are told apart up to half of it.
 
-    The record is taken to be periodic: it should begin and end at rest. NaN where the command is
-    zero throughout, or anything is not finite; of a constant command the delay is NaN.
+    The record is taken to be periodic: it should begin and end at rest. Of one longer than
+    `LONG` samples the few at the end are left out that would make its transform slow. NaN where
+    the command is zero throughout, or anything is not finite; of a constant command the delay is
+    NaN.
 
     Parameters
     ----------
@@ -63,6 +68,9 @@ def frequency_evaluation_index(
         If the shapes differ, or power is not positive.
     """
     c, m = paired_columns(commanded, measured)
+    if len(c) > LONG:
+        kept = prev_fast_len(len(c), real=True)
+        c, m = c[:kept], m[:kept]
     if not power > 0:
         raise ValueError(f"the power is {power}, not positive")
     shape = np.shape(commanded)[1:]

@@ -142,8 +142,9 @@ def _cross_spectrum(y: Floats, reference: Floats, size: int) -> npt.NDArray[np.c
     cross = rfft(_scaled(y), size, axis=0)
     other = rfft(_scaled(reference), size, axis=0)
     for block in _blocks(len(cross)):
-        cross[block] = cross[block] * other[block].conj()
-    return cross.sum(axis=1)
+        cross[block] *= other[block].conj()
+    del other
+    return cross[:, 0] if cross.shape[1] == 1 else cross.sum(axis=1)
 
 
 def _lag(correlation: Floats, longest: int) -> float:
@@ -181,7 +182,7 @@ def delayed(y: Floats, delay: float, dt: float) -> Floats:
         return np.concatenate([np.zeros_like(y[: int(shift)]), y[: count - int(shift)]])
     columns = _columns(y)
     size = next_fast_len(2 * count + math.ceil(abs(shift)), real=True)
-    spectrum = rfft(_faded(columns), size, axis=0)
+    spectrum = rfft(_faded(columns, size), axis=0, overwrite_x=True)
     for block in _blocks(len(spectrum)):
         turns = np.arange(block.start, block.stop)[:, np.newaxis] * (shift / size)
         spectrum[block] *= np.exp(-2j * np.pi * turns)
@@ -189,14 +190,17 @@ def delayed(y: Floats, delay: float, dt: float) -> Floats:
     return shifted.reshape(y.shape)
 
 
-def _faded(y: Floats) -> Floats:
-    """Go on beyond the end of a signal, as `delayed` says, shape (2 N - 1, n)."""
+def _faded(y: Floats, size: int) -> Floats:
+    """Go on beyond the end of a signal, as `delayed` says, with zeros after; shape (size, n)."""
     count = len(y)
-    fade = 0.5 + 0.5 * np.cos(np.pi * np.arange(1, count) / count)[:, np.newaxis]
-    beyond = 2 * y[-1] - y[-2::-1]
-    beyond *= fade
-    del fade
-    return np.concatenate([y, beyond])
+    longer = np.zeros((size, y.shape[1]))
+    longer[:count] = y
+    beyond = longer[count : 2 * count - 1]
+    np.subtract(2 * y[-1], y[-2::-1], out=beyond)
+    for block in _blocks(len(beyond)):
+        angle = np.pi / count * np.arange(1 + block.start, 1 + block.stop)
+        beyond[block] *= (0.5 + 0.5 * np.cos(angle))[:, np.newaxis]
+    return longer
 
 
 def _refine(cross: npt.NDArray[np.complex128], spacing: float, lag: float) -> float:
@@ -205,13 +209,13 @@ def _refine(cross: npt.NDArray[np.complex128], spacing: float, lag: float) -> fl
     The frequencies omega are ``spacing`` apart, rad a sample.
     """
     best = lag
-    omega = spacing * np.arange(len(cross))
-    terms = np.empty_like(cross)
     for _ in range(_ITERATIONS):
+        slope = curvature = 0.0
         for block in _blocks(len(cross)):
-            terms[block] = cross[block] * np.exp(1j * omega[block] * best)
-        slope = -np.sum(omega * terms.imag)
-        curvature = -np.sum(omega**2 * terms.real)
+            omega = spacing * np.arange(block.start, block.stop)
+            terms = cross[block] * np.exp(1j * omega * best)
+            slope -= float(np.sum(omega * terms.imag))
+            curvature -= float(np.sum(omega**2 * terms.real))
         if not curvature < 0:
             return lag
         change = -slope / curvature

@@ -1,14 +1,15 @@
 """A bag on disk: open it, or say in one line why it can't be read."""
 
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 from seft_msgs_py.errors import InputError
 
-from seft_ros.recording.chunk_reader import BagReader
+from seft_ros.recording.bag_blocks import bag_blocks
+from seft_ros.recording.message_block import MessageBlock
 
 SUFFIXES = (".mcap", ".db3")
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
@@ -30,7 +31,7 @@ def open_bag(path: str | Path) -> Reader:
     path = Path(path)
     files = storage_files(path)
     try:
-        reader = BagReader(path)
+        reader = Reader(path)
         reader.open()
     except Exception as error:  # rosbags' parsers raise what garbage makes them raise
         reason = (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
@@ -42,26 +43,23 @@ def open_bag(path: str | Path) -> Reader:
             f"{path}: the bag can't be read: {reason}; get back what is in it with: "
             f"seft recover {path}"
         ) from None
-    _forget_unlike_qos(reader)
     return reader
 
 
-def read_messages(
-    reader: Reader, connections: Collection[Connection], path: str | Path
-) -> Iterator[tuple[Connection, int, bytes]]:
-    """Messages of some connections in the order of time: connection, log time in ns, bytes.
+def read_blocks(
+    reader: Reader, connections: Sequence[Connection], path: str | Path
+) -> Iterator[MessageBlock]:
+    """Messages of some connections in the order of time, many at a time.
 
     Raises
     ------
     InputError
         If the bag is damaged inside.
     """
-    if not connections:  # rosbags would take none for all
-        return
-    messages = reader.messages(connections)
+    blocks = bag_blocks(reader, connections)
     while True:
         try:
-            message = next(messages)
+            block = next(blocks)
         except StopIteration:
             return
         except Exception as error:  # as above
@@ -70,7 +68,7 @@ def read_messages(
                 f"{path}: the bag is damaged inside ({reason}); no message after that place "
                 "can be read"
             ) from None
-        yield message
+        yield block
 
 
 def storage_files(path: str | Path) -> list[Path]:
@@ -113,20 +111,6 @@ def is_cut_off(file: Path) -> bool:
             return False
         stream.seek(max(0, size - len(_MCAP_MAGIC)))
         return stream.read() != _MCAP_MAGIC or size == len(_MCAP_MAGIC)
-
-
-def _forget_unlike_qos(reader: Reader) -> None:
-    """Let a file's topics have the quality of service that the metadata claims.
-
-    rosbags leaves out, without a word, the messages of topics of which the two tell different
-    things.
-    """
-    claimed = {(item.topic, item.msgtype): item.ext for item in reader.connections}
-    for storage in getattr(reader.storage, "storages", ()):
-        storage.connections = [
-            item._replace(ext=claimed.get((item.topic, item.msgtype), item.ext))
-            for item in storage.connections
-        ]
 
 
 def _lacks_metadata(path: Path) -> bool:

@@ -1,9 +1,10 @@
 """Read a bag back as the record of a test."""
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+import numpy as np
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 from seft_msgs_py.errors import InputError, WireError
@@ -23,7 +24,7 @@ from seft_msgs_py.topics import (
     Topic,
 )
 
-from seft_ros.recording.bag_files import open_bag, read_messages
+from seft_ros.recording.bag_files import open_bag, read_blocks
 from seft_ros.recording.description import Description, read_description
 from seft_ros.recording.ending import trip_of
 from seft_ros.recording.gathering import (
@@ -79,13 +80,12 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         log = EventLog()
         estimates = EstimatesGatherer(experiment)
         statuses, test = StatusGatherer(experiment.timebase, log), StateGatherer(log)
-        gatherers: dict[Topic, Gatherer] = {
-            **loop,
+        others: dict[Topic, Gatherer] = {
             ESTIMATES: estimates,
             DIAGNOSTICS: statuses,
             EXPERIMENT_STATE: test,
         }
-        bag.gather(gatherers)
+        bag.gather(loop, others)
         start_ns = reader.start_time
     finally:
         reader.close()
@@ -98,7 +98,8 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         last_step = int(states[-1]) if len(states) else -1
         series[GROUND_MOTION.name] = until(series[GROUND_MOTION.name], last_step)
     series = {name: on_steps_of(series[RIG_STATE.name], one) for name, one in series.items()}
-    undecodable = bag.undecodable + sum(item.undecodable for item in gatherers.values())
+    undecodable = bag.undecodable + sum(gatherer.undecodable for gatherer in loop.values())
+    undecodable += sum(gatherer.undecodable for gatherer in others.values())
     return Record(
         experiment=experiment,
         series=series,
@@ -144,7 +145,7 @@ class _Bag:
 
     def description(self) -> Description:
         texts = []
-        for _, _, raw in read_messages(self.reader, self.connections_of(DESCRIPTION), self.path):
+        for raw in self._raws(self.connections_of(DESCRIPTION)):
             try:
                 texts.append(decode_string(raw))
             except WireError:
@@ -167,9 +168,8 @@ class _Bag:
             connections = self.connections_of(topic)
             if not sum(connection.msgcount for connection in connections):
                 continue
-            messages = read_messages(self.reader, connections, self.path)
             try:
-                return infer_experiment(raw for _, _, raw in messages)
+                return infer_experiment(self._raws(connections))
             except InputError as error:
                 raise InputError(
                     f"{self.path}: the bag holds no test that can be read: {error} on {topic.name}"
@@ -181,15 +181,27 @@ class _Bag:
         """Count the messages of a topic, as the bag claims."""
         return sum(connection.msgcount for connection in self.connections_of(topic))
 
-    def gather(self, gatherers: Mapping[Topic, Gatherer]) -> None:
-        """Let all messages of some topics go by, once, in the order of time."""
-        connections, take = [], {}
-        for topic, gatherer in gatherers.items():
-            for connection in self.connections_of(topic):
-                connections.append(connection)
-                take[connection.id] = gatherer.take
-        for connection, received_ns, raw in read_messages(self.reader, connections, self.path):
-            take[connection.id](raw, received_ns)
+    def gather(
+        self, loop: Mapping[Topic, SeriesGatherer], others: Mapping[Topic, Gatherer]
+    ) -> None:
+        """Let all messages of some topics go by, once, in the order of time.
+
+        Those of the loop are many and go block by block, the others one by one.
+        """
+        found = [(n, c) for n, t in enumerate([*loop, *others]) for c in self.connections_of(t)]
+        number = np.array([n for n, _ in found], np.int64)  # of the gatherer, by connection
+        singly = list(others.values())
+        for block in read_blocks(self.reader, [c for _, c in found], self.path):
+            taker = number[block.places["source"]]
+            for at, gatherer in enumerate(loop.values()):
+                gatherer.take(block.only(taker == at))
+            for source, received_ns, raw in block.only(taker >= len(loop)).messages():
+                singly[number[source] - len(loop)].take(raw, received_ns)
+
+    def _raws(self, connections: list[Connection]) -> Iterator[bytes]:
+        for block in read_blocks(self.reader, connections, self.path):
+            for _, _, raw in block.messages():
+                yield raw
 
 
 def _is(topic: Topic, connection: Connection) -> bool:

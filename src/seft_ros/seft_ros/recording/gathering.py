@@ -1,13 +1,11 @@
-"""What the topics of a test hold, gathered message by message while a bag goes by.
+"""What the topics of a test hold, gathered while a bag goes by.
 
 Each object takes the messages of one topic, and counts those that it can't understand.
 """
 
 from functools import lru_cache
-from sys import getsizeof
 from typing import Protocol
 
-import numpy as np
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.estimates import EstimatesCodec
 from seft_msgs_py.experiment import Experiment
@@ -22,21 +20,21 @@ from seft_msgs_py.messages import (
 )
 from seft_msgs_py.outcome import Outcome, read_outcome
 from seft_msgs_py.timebase import NANOSECONDS_PER_SECOND, Timebase
-from seft_msgs_py.topics import LoopTopic
+from seft_msgs_py.topics import GROUND_MOTION, LoopTopic
 from seft_msgs_py.trajectory import TrajectoryCodec
 from seft_msgs_py.trajectory_batch import decode_batch
 
 from seft_ros.experiment.state_machine import ENDED
+from seft_ros.recording.message_block import MessageBlock
 from seft_ros.recording.record import Estimates, Event, Series
 from seft_ros.recording.samples import EstimateBuffer, SampleBuffer
 
 _MOST_EVENTS = 1000
 _LEVELS = {OK: "ok", WARN: "warn", ERROR: "error", STALE: "stale"}
-_BATCH = 1 << 20  # bytes of messages: enough for arrays to pay, little enough for the cache
 
 
 class Gatherer(Protocol):
-    """What takes the messages of a topic."""
+    """What takes the messages of a topic one by one."""
 
     undecodable: int
 
@@ -61,29 +59,19 @@ class SeriesGatherer:
         self.undecodable = 0
         self._codec = TrajectoryCodec(topic, experiment.axes, experiment.timebase)
         self._samples = SampleBuffer(len(topic.quantities), len(experiment.axes), expected)
-        self._batch: list[bytes] = []
-        self._received: list[int] = []
-        self._size = 0
+        self._timed = topic is not GROUND_MOTION  # which goes ahead, sooner or later
 
-    def take(self, raw: bytes, received_ns: int) -> None:
-        """Take the next message; it is decoded later, with others."""
-        self._batch.append(raw)
-        self._received.append(received_ns)
-        self._size += getsizeof(raw)
-        if self._size >= _BATCH:
-            self._decode()
+    def take(self, block: MessageBlock) -> None:
+        """Take the next messages, all of the topic."""
+        for rows, received in block.alike():
+            batch = decode_batch(self._codec, rows)
+            times = received[batch.messages] if self._timed else None
+            self._samples.append(batch.steps, batch.values, times)
+            self.undecodable += batch.refused
 
     def series(self) -> Series:
         """Give what was gathered, once."""
-        self._decode()
         return self._samples.series()
-
-    def _decode(self) -> None:
-        batch = decode_batch(self._codec, self._batch)
-        received = np.array(self._received, np.int64)[batch.messages]
-        self._samples.append(batch.steps, batch.values, received)
-        self.undecodable += batch.refused
-        self._batch, self._received, self._size = [], [], 0
 
 
 class EstimatesGatherer:

@@ -25,7 +25,8 @@ class Series:
     values : ndarray
         Shape (N, q, n): samples, quantities as on the topic, axes; SI units.
     received_ns : ndarray of int64 or None
-        Shape (N,): when each was received, ns of the wall clock; None if no message was.
+        Shape (N,): when each was received, ns of the wall clock; None if no message was, and
+        of ground motion, which is sent ahead.
     """
 
     steps: npt.NDArray[np.int64]
