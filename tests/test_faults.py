@@ -1,9 +1,12 @@
 """Runs that break: one line says why, the bag is readable, no process is left."""
 
 import contextlib
+import json
 import os
+import shlex
 import signal
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -233,3 +236,26 @@ def test_a_missing_peer_in_lockstep_ends_the_run_with_its_name(seft, tmp_path):
     assert last.startswith("seft: the test tripped: no valve_command for step 0 within 1 s")
     assert "is force_controller running?" in last
     assert len(read_bag(tmp_path / "bag").series["rig/state"].steps) == 1
+
+
+def test_a_full_disk_brings_the_test_down_softly_and_the_bag_is_readable(domain, tmp_path):
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    run = [sys.executable, "-m", "seft_ros.commands.main", "run", str(JHU), *LONG]
+    run += ["-p", "rig:pace:=lockstep", "--out", "bag"]
+    report = [sys.executable, "-m", "seft_ros.commands.main", "report", "bag", "--out", "page.html"]
+    shell = (
+        f"mount -t tmpfs -o size=11m tmpfs {disk} && cd {disk} || exit 77\n"
+        f"{shlex.join(run)}; echo run $?\n{shlex.join([*report, '--json'])}"
+    )
+    done = subprocess.run(
+        ["unshare", "-m", "sh", "-c", shell], capture_output=True, text=True, timeout=PATIENCE
+    )
+    if done.returncode == 77 or "unshare" in done.stderr:
+        pytest.skip("may not mount a file system here")
+    status, summary = done.stdout.split("\n", 1)
+    (line,) = [line for line in done.stderr.splitlines() if "node recorder ended" in line]
+    assert status == "run 1"
+    assert "the bag ends here (No space left on device)" in line
+    assert "Traceback" not in done.stderr
+    assert json.loads(summary)["steps"] > 1000

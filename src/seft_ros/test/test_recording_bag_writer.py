@@ -265,9 +265,9 @@ from seft_msgs_py.messages import encode_string
 from seft_msgs_py.topics import DESCRIPTION
 from seft_ros.recording import bag_writer
 bag_writer.FLUSH_PERIOD = 0.0
-resource.setrlimit(resource.RLIMIT_FSIZE, (120_000, 120_000))
 try:
     with bag_writer.BagWriter({path!r}, {storage!r}) as bag:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (120_000, 120_000))
         for k in range(5000):
             bag.write(DESCRIPTION, encode_string(f"{{k:1000}}"), k)
             written = k
@@ -285,11 +285,68 @@ def test_a_disk_that_refuses_is_one_clear_error_and_the_bag_so_far_is_recovered(
     )
     (line,) = done.stdout.splitlines()
     written, _, message = line.partition(" ")
-    assert "seft recover" in message
-    recover(tmp_path / "bag")
+    if "can be read" not in message:
+        assert "seft recover" in message
+        recover(tmp_path / "bag")
     found = [raw for _, _, raw in contents(tmp_path / "bag")]
     assert len(found) >= int(written) + 1
     assert found == [encode_string(f"{k:1000}") for k in range(len(found))]
+
+
+LITTLE_ROOM = """
+import sys
+sys.path[:0] = {paths}
+from seft_msgs_py.errors import SeftError
+from seft_msgs_py.messages import encode_string
+from seft_msgs_py.topics import DESCRIPTION
+from seft_ros.recording import bag_writer
+bag_writer.FLUSH_PERIOD = {period}
+written = 0
+try:
+    with bag_writer.BagWriter("bag", {storage!r}) as bag:
+        for k in range(50_000):
+            bag.write(DESCRIPTION, encode_string(f"{{k:1000}}"), k)
+            written += 1
+except SeftError as error:
+    print(error.exit_status, written, error)
+from rosbags.rosbag2 import Reader
+with Reader("bag") as reader:
+    print(reader.message_count, len(list(reader.messages())))
+"""
+
+
+def on_a_disk_of(folder, size, script):
+    """Run a script on a file system of its own, which is gone afterwards."""
+    shell = 'mount -t tmpfs -o size="$1" tmpfs "$2" && cd "$2" && exec "$3" -c "$4"'
+    words = ["unshare", "-m", "sh", "-c", shell, "sh", size, folder, sys.executable, script]
+    done = subprocess.run(words, capture_output=True, text=True)
+    if "unshare" in done.stderr or "mount:" in done.stderr:
+        pytest.skip("may not mount a file system here")
+    return done
+
+
+@pytest.mark.parametrize("period", [0.0, 3600.0], ids=["seen in time", "seen too late"])
+def test_on_a_full_disk_the_bag_is_closed_and_readable(tmp_path, storage, period):
+    script = LITTLE_ROOM.format(paths=[p for p in sys.path if p], storage=storage, period=period)
+    done = on_a_disk_of(tmp_path, "16m", script)
+    error, counts = done.stdout.splitlines()
+    status, written, message = error.split(" ", 2)
+    assert status == "1"
+    assert "the bag ends here (" in message
+    assert "what was recorded can be read" in message
+    counted, read = map(int, counts.split())
+    assert counted == read
+    if period == 0.0 or storage == "mcap":  # sqlite3 takes back what was not committed
+        assert read == int(written) + 1  # the one that did not fit, too
+        assert read > 3000
+
+
+def test_without_room_for_the_end_there_is_no_beginning(tmp_path, storage):
+    script = LITTLE_ROOM.format(paths=[p for p in sys.path if p], storage=storage, period=0.0)
+    done = on_a_disk_of(tmp_path, "3m", script)
+    assert done.stdout.startswith("2 0 bag: no bag can be made there (No space left on device)")
+    assert "there is no bag" not in done.stdout
+    assert "FileNotFoundError" in done.stderr  # nothing is left of it
 
 
 class FullDisk:

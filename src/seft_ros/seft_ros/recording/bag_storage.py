@@ -83,15 +83,21 @@ class SqliteStorage:
 
     def __init__(self, writer: Writer) -> None:
         self._writer = writer
-        self._storage: Any = writer.storage
+        storage: Any = writer.storage
+        storage.conn.commit()
+        self._storage = storage
+        self._committed = self.mark()
 
     def mark(self) -> tuple[int, dict[int, int]]:
         """Where the file stands now, for `undo`."""
         return len(self._writer.connections), dict(self._writer.counts)
 
     def undo(self, mark: tuple[int, dict[int, int]]) -> None:
-        """Take back all that was written after the mark."""
-        connections, counts = mark
+        """Take back all that was written after the mark.
+
+        On a full disk sqlite has taken back by itself what was not committed.
+        """
+        connections, counts = mark if self._storage.conn.in_transaction else self._committed
         execute = self._storage.cursor.execute
         execute("DELETE FROM messages WHERE id > ?", (sum(counts.values()),))
         execute("DELETE FROM topics WHERE id > ?", (connections,))
@@ -101,6 +107,7 @@ class SqliteStorage:
     def flush(self) -> None:
         """Commit."""
         self._storage.conn.commit()
+        self._committed = self.mark()
 
 
 def _forget_connections(writer: Writer, kept: int, counts: dict[int, int]) -> None:

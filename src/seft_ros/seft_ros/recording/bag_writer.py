@@ -1,12 +1,15 @@
 """Write a bag that survives: a killed recorder loses a quarter of a second at most."""
 
+import errno
+import os
+import shutil
 import sqlite3
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
@@ -15,6 +18,7 @@ from seft_msgs_py.topics import Topic
 
 from seft_ros.recording.bag_storage import BagStorage, McapStorage, SqliteStorage
 from seft_ros.recording.bag_topics import add_topic
+from seft_ros.recording.reserve import Reserve
 
 FLUSH_PERIOD = 0.25  # s of wall time
 STORAGES = ("mcap", "sqlite3")
@@ -23,8 +27,9 @@ STORAGES = ("mcap", "sqlite3")
 class BagWriter:
     """A rosbag2 bag (version 9) under way; use it in a ``with`` statement.
 
-    Leaving the ``with`` closes the bag whatever the reason, so that it can be read. Only
-    SIGKILL, a second Ctrl-C during closing or a full disk leave a bag without an end;
+    Leaving the ``with`` closes the bag whatever the reason, so that it can be read. On a full
+    disk it is closed with what came until then, in room that was kept for that. Only SIGKILL, a
+    second Ctrl-C during closing or a disk that fails leave a bag without an end;
     `seft_ros.recording.recover` makes a whole one of it.
 
     Parameters
@@ -44,6 +49,7 @@ class BagWriter:
         self.path = Path(path)
         if storage not in STORAGES:
             raise InputError(f"storage is {storage}, but must be one of {', '.join(STORAGES)}")
+        there = self.path.exists()
         try:
             self._writer = Writer(
                 self.path, version=9, storage_plugin=StoragePlugin[storage.upper()]
@@ -51,9 +57,12 @@ class BagWriter:
             self._writer.open()
             make = McapStorage if storage == "mcap" else SqliteStorage
             self._storage: BagStorage = make(self._writer)
+            self._reserve = Reserve(self.path)
         except WriterError:
             raise InputError(f"{self.path} exists already; name another with --out") from None
         except (OSError, sqlite3.Error) as error:
+            if not there:
+                shutil.rmtree(self.path, ignore_errors=True)
             raise InputError(
                 f"{self.path}: no bag can be made there ({_reason(error)}); "
                 "name another folder with --out"
@@ -84,17 +93,11 @@ class BagWriter:
             raise self._error
         mark = self._storage.mark()
         try:
-            connection = self._connections.get(topic.name)
-            if connection is None:
-                connection = add_topic(self._writer, topic)
-            self._writer.write(connection, time_ns, raw)
-            self._connections[topic.name] = connection
+            self._append(topic, raw, time_ns)
         except (OSError, sqlite3.Error) as error:
-            raise self._broken(error) from None
+            raise self._ended_by(error, mark, lambda: self._append(topic, raw, time_ns)) from None
         except BaseException:
-            self._storage.undo(mark)
-            known = {item.id for item in self._writer.connections}
-            self._connections = {k: c for k, c in self._connections.items() if c.id in known}
+            self._undo(mark)
             raise
         self.flush_if_due()
 
@@ -121,11 +124,15 @@ class BagWriter:
             raise self._error
         if not self._open:
             return
+        mark = self._storage.mark()
         try:
             self._storage.flush()
         except (OSError, sqlite3.Error) as error:
-            raise self._broken(error) from None
+            raise self._ended_by(error, mark) from None
         self._flushed = time.monotonic()
+        if self._reserve.is_last():  # sooner than a write fails, which may take others with it
+            full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            raise self._ended_by(full, self._storage.mark())
 
     def close(self, custom_data: Mapping[str, str] | None = None) -> None:
         """Write index and metadata; does nothing if the bag is closed or broken.
@@ -146,6 +153,7 @@ class BagWriter:
         for key, value in (custom_data or {}).items():
             self._writer.set_custom_data(key, value)
         self._open = False
+        self._reserve.release()
         try:
             self._writer.close()
         except (OSError, sqlite3.Error) as error:
@@ -168,6 +176,37 @@ class BagWriter:
         except SeftError:
             if error is None:  # else the reason for leaving is what there is to tell
                 raise
+
+    def _append(self, topic: Topic, raw: bytes, time_ns: int) -> None:
+        connection = self._connections.get(topic.name)
+        if connection is None:
+            connection = add_topic(self._writer, topic)
+        self._writer.write(connection, time_ns, raw)
+        self._connections[topic.name] = connection
+
+    def _undo(self, mark: Any) -> None:
+        self._storage.undo(mark)
+        known = {item.id for item in self._writer.connections}
+        self._connections = {k: c for k, c in self._connections.items() if c.id in known}
+
+    def _ended_by(
+        self, error: Exception, mark: Any, again: Callable[[], None] = lambda: None
+    ) -> ExperimentError:
+        """Close the bag in the room that was kept, with the message that did not fit before."""
+        self._reserve.release()
+        try:
+            self._undo(mark)
+            again()
+            self._storage.flush()
+            self._writer.close()
+        except (OSError, sqlite3.Error):
+            return self._broken(error)
+        self._open = False
+        self._error = ExperimentError(
+            f"{self.path}: the bag ends here ({_reason(error)}); what was recorded can be read. "
+            "Make room before the next test"
+        )
+        return self._error
 
     def _broken(self, error: Exception) -> ExperimentError:
         with suppress(OSError, sqlite3.Error):
