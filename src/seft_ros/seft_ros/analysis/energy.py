@@ -9,6 +9,9 @@ from seft_plant_sim.whole_structure import tested_specimen
 
 from seft_ros.recording.record import Record
 
+PARTS = ("input", "kinetic", "strain", "damped", "hysteretic")
+"""Energies of a balance."""
+
 
 def balance_of(record: Record) -> EnergyBalance | None:
     """Energies of the specimen at each step, as measured; from step 0.
@@ -33,21 +36,19 @@ def balance_of(record: Record) -> EnergyBalance | None:
         return energy_balance(specimen, displacement, velocity, force, dt, held=held)
 
 
-def energy_of(record: Record) -> dict[str, float] | None:
-    """Energies of the specimen at the end of a test, as measured.
+def energy_numbers(balance: EnergyBalance | None) -> dict[str, float] | None:
+    """Give the energies of the specimen at the end of a test.
 
     Returns
     -------
     dict or None
         ``input_j``, ``kinetic_j``, ``strain_j``, ``damped_j``, ``hysteretic_j`` and
         ``closure``, the largest of the balance's error over the test, relative to the largest
-        input. None as `balance_of`.
+        input. None if there is no balance.
     """
-    balance = balance_of(record)
     if balance is None:
         return None
-    names = ("input", "kinetic", "strain", "damped", "hysteretic")
-    energies = {f"{name}_j": float(getattr(balance, name)[-1]) for name in names}
+    energies = {f"{name}_j": float(getattr(balance, name)[-1]) for name in PARTS}
     with np.errstate(over="ignore", invalid="ignore"):
         return {**energies, "closure": float(np.abs(balance.error).max())}
 

@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 from seft_msgs_py.topics import LOOP_TOPICS, RIG_STATE
+from seft_plant_sim.energy import EnergyBalance
 from seft_plant_sim.whole_structure import ReferenceResponse
 
-from seft_ros.analysis.energy import energy_of
+from seft_ros.analysis.energy import balance_of, energy_numbers
 from seft_ros.analysis.estimates import summarise_estimates
 from seft_ros.analysis.metrics import Floats, agreement, peak
 from seft_ros.analysis.reference import COMPARED, quantity, reference_of
@@ -19,7 +20,11 @@ __all__ = ["json_safe", "reference_of", "summarise"]
 _MEASURES = ("nrmse", "nrmse_aligned", "peak", "reference_peak", "delay_s")
 
 
-def summarise(record: Record, reference: ReferenceResponse | None = None) -> dict[str, Any]:
+def summarise(
+    record: Record,
+    reference: ReferenceResponse | None = None,
+    balance: EnergyBalance | None = None,
+) -> dict[str, Any]:
     """Summarise a test.
 
     Parameters
@@ -28,6 +33,8 @@ def summarise(record: Record, reference: ReferenceResponse | None = None) -> dic
         The test.
     reference : ReferenceResponse, optional
         As `reference_of` gives it; computed if not given.
+    balance : EnergyBalance, optional
+        As `balance_of` gives it; likewise.
 
     Returns
     -------
@@ -38,7 +45,7 @@ def summarise(record: Record, reference: ReferenceResponse | None = None) -> dic
         in time), ``overruns`` (times the rig's own clock was held up), ``saturated`` (what was at
         the end of its range: stroke, force_capacity, valve, a sensor's range; with samples and
         first_step), ``lost`` (samples that the record lacks, by topic), ``energy`` (of the
-        specimen at the end, and how the balance closes; see `energy_of`), ``estimates`` (what
+        specimen at the end, and how the balance closes; see `energy_numbers`), ``estimates`` (what
         the compensation identified on line: name -> axis -> first, last, least and largest, SI
         units), ``tracking`` (of the reference force by the measured force: axis -> frequency
         evaluation index, tracking indicator, energy error, J1-J9; see `tracking_of`), and for
@@ -71,7 +78,7 @@ def summarise(record: Record, reference: ReferenceResponse | None = None) -> dic
         "overruns": record.overruns,
         "saturated": _saturated(record),
         "lost": {topic.name: _lost(record, topic.name, steps) for topic in LOOP_TOPICS},
-        "energy": energy_of(record),
+        "energy": energy_numbers(balance or balance_of(record)),
         "estimates": summarise_estimates(record.estimates, axes),
         "tracking": tracking_of(record, reference),
         **(by_axis[axes[0]] if len(axes) == 1 else _three(record, reference, slice(None))),

@@ -5,19 +5,25 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.topics import RIG_STATE
+from seft_plant_sim.energy import EnergyBalance
 from seft_plant_sim.whole_structure import ReferenceResponse
 
+from seft_ros.analysis.energy import PARTS, balance_of
 from seft_ros.analysis.reference import COMPARED, quantity, reference_of
 from seft_ros.analysis.spectrum import Spectrum, spectrum_of, vibration
 from seft_ros.analysis.summary import json_safe, summarise
 from seft_ros.analysis.timing import Timing, timing_of
+from seft_ros.drawing.thinning import thinned
 from seft_ros.preflight.instability_band import instability_band
 from seft_ros.preflight.plan import Plan
 from seft_ros.recording.record import Record
 from seft_ros.report.judgement import Judgement, judge
 
+Floats = npt.NDArray[np.float64]
+Steps = npt.NDArray[np.int64]
 Band = tuple[float, float]
 _SPECTRA = ("force", "acceleration")
 
@@ -32,6 +38,9 @@ class Findings:
         The test.
     reference : ReferenceResponse or None
         Exact response, by step from 0.
+    energies : dict
+        Part of the energy balance -> steps and J, thinned to be drawn; of parts that are not
+        zero throughout. Empty if there is no balance.
     spectra : dict
         ``force`` and ``acceleration`` -> a pair of spectra for each axis: test and exact (or
         None).
@@ -49,6 +58,7 @@ class Findings:
 
     record: Record
     reference: ReferenceResponse | None
+    energies: dict[str, tuple[Steps, Floats]]
     spectra: dict[str, list[tuple[Spectrum, Spectrum | None]]]
     band: Band | None
     band_note: str
@@ -75,7 +85,10 @@ def report_numbers(record: Record) -> Findings:
         As `reference_of`.
     """
     reference = reference_of(record)
-    summary = summarise(record, reference)
+    balance = balance_of(record)
+    summary = summarise(record, reference, balance)
+    energies = _thinned(balance)
+    del balance  # as long as the record, and drawn from a few points
     spectra = {name: _spectra(record, reference, name) for name in _SPECTRA}
     band, note = _band(record)
     timing = timing_of(record)
@@ -88,7 +101,17 @@ def report_numbers(record: Record) -> Findings:
     }
     judgement = judge(summary)
     summary |= {"verdict": judgement.numbers()}
-    return Findings(record, reference, spectra, band, note, timing, json_safe(summary), judgement)
+    return Findings(
+        record, reference, energies, spectra, band, note, timing, json_safe(summary), judgement
+    )
+
+
+def _thinned(balance: EnergyBalance | None) -> dict[str, tuple[Steps, Floats]]:
+    if balance is None:
+        return {}
+    courses = {name: getattr(balance, name) for name in PARTS}
+    places = {name: thinned(course) for name, course in courses.items() if np.any(course)}
+    return {name: (at, courses[name][at]) for name, at in places.items()}
 
 
 def _spectra(

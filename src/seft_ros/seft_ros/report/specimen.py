@@ -5,15 +5,12 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.topics import RIG_STATE
 from seft_plant_sim.whole_structure import tested_specimen
 
-from seft_ros.analysis.energy import balance_of
 from seft_ros.analysis.energy_error import energy_error
 from seft_ros.analysis.tracked import tracked_of
 from seft_ros.drawing.style import FIRST, OTHERS, REFERENCE
 from seft_ros.page.content import Block, Plot, Section, Text
 from seft_ros.page.plots import level, line, path, plot
 from seft_ros.report.numbers import Findings
-
-_PARTS = ("input", "kinetic", "strain", "damped", "hysteretic")
 
 
 def hysteresis_section(findings: Findings, column: int, title: str) -> Section:
@@ -44,16 +41,12 @@ def energy_section(findings: Findings) -> Section:
 
 
 def _balance(findings: Findings) -> Block:
-    record = findings.record
-    balance = balance_of(record)
-    if balance is None:
+    if not findings.energies:
         return Text("No energy balance: the specimen is not known, or samples are missing.")
     panel = plot("time / s", "energy / J")
-    time = np.arange(len(balance.input)) * record.experiment.timebase.dt
-    for name, color in zip(_PARTS, OTHERS, strict=False):
-        values = getattr(balance, name)
-        if np.any(values):
-            line(panel, time, values, name, color=color)
+    dt = findings.record.experiment.timebase.dt
+    for (name, (steps, energy)), color in zip(findings.energies.items(), OTHERS, strict=False):
+        line(panel, steps * dt, energy, name, color=color)
     closure = findings.summary["energy"]["closure"]
     left = "" if closure is None else f" At most {closure:.2%} of the input is left unexplained."
     return Plot(panel, f"Work of the actuators' force, and where it went.{left}")
