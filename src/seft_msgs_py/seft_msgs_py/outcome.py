@@ -166,7 +166,7 @@ def rig_status(
     level = WARN if missed else OK
     if trip is not None:
         values.update(reason=trip.reason, step=str(int(trip.step)))
-        message = f"{phase} at step {trip.step}: {trip.reason}"
+        message = f"{phase} at step {trip.step} ({trip.time_s:g} s): {trip.reason}"
         level = ERROR
     return Status(name=RIG, level=level, message=message, values=values)
 
