@@ -8,6 +8,7 @@ from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 
 from seft_ros.experiment.blocks import Blocks
+from seft_ros.force_controller.interlock import Interlock
 from seft_ros.recording.environment import describe_environment
 from seft_ros.recording.record import Record, Series, Trip
 from seft_ros.recording.samples import EstimateBuffer
@@ -44,10 +45,15 @@ def simulate(
     forces = np.empty((total, axes))
     commands = np.empty((total, axes))
     blocks.reference_force.reset()
-    blocks.force_controller.reset()
+    interlock = Interlock.from_parameters(
+        blocks.force_controller,
+        experiment["force_controller"],
+        experiment.axes,
+        experiment.timebase,
+    )
     sampler = EstimateSampler(blocks.reference_force, experiment.timebase)
     estimates = EstimateBuffer()
-    force_step, valve_step = blocks.reference_force.step, blocks.force_controller.step
+    force_step, valve_step = blocks.reference_force.step, interlock.step
 
     valve_driven = rig.drive == VALVE_COMMAND.name
     environment = describe_environment("simulate")
@@ -57,14 +63,14 @@ def simulate(
     with np.errstate(over="ignore", invalid="ignore"):  # the limits see what is not finite
         while True:
             force = force_step(known[step : step + window], state)
-            command = valve_step(force, state)
+            command = valve_step(step, force, state)
             states[step] = state
             forces[step] = force
             commands[step] = command
             if step >= sampler.due:
                 estimates.append(step, sampler.sample(step))
             step += 1
-            if step == total or rig.violation is not None:
+            if step == total or rig.violation is not None or interlock.reason:
                 break
             if progress is not None and step % PROGRESS_STEPS == 0:
                 progress(step)
@@ -72,8 +78,9 @@ def simulate(
     wall = time.perf_counter() - start
 
     trip = None
-    if rig.violation is not None:
-        trip = Trip(rig.violation, step - 1, (step - 1) * experiment.timebase.dt)
+    reason = rig.violation or interlock.reason
+    if reason:
+        trip = Trip(reason, step - 1, (step - 1) * experiment.timebase.dt)
     steps = np.arange(step, dtype=np.int64)
     return Record(
         experiment=experiment,
