@@ -171,6 +171,12 @@ def rig_status(
     return Status(name=RIG, level=level, message=message, values=values)
 
 
+def tripped_status(node: str, reason: str, step: int) -> Status:
+    """Status with which any node but the rig ends a test, at once; the supervisor obeys it."""
+    values = {"phase": TRIPPED, "reason": reason, "step": str(step)}
+    return Status(node, ERROR, f"{TRIPPED} at step {step}: {reason}", values=values)
+
+
 def read_outcome(status: Status, timebase: Timebase) -> Outcome | None:
     """Read what `rig_status` wrote.
 

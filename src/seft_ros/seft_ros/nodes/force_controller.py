@@ -4,11 +4,10 @@ import math
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.messages import ERROR, OK, Status, decode_status
+from seft_msgs_py.messages import OK, Status, decode_status
 from seft_msgs_py.node_shell import (
     IDLE_WAIT,
     WARM_UP_STEPS,
@@ -16,7 +15,7 @@ from seft_msgs_py.node_shell import (
     NodeShell,
     run_node,
 )
-from seft_msgs_py.outcome import TRIPPED
+from seft_msgs_py.outcome import tripped_status
 from seft_msgs_py.topics import EXPERIMENT_STATE, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 from seft_msgs_py.trajectory import Floats, TrajectoryCodec
 
@@ -161,9 +160,7 @@ class ForceControllerNode:
         reason, step = self._controller.reason, self._controller.step_index
         status = Status("force_controller", OK, "ready", values={"phase": "ready"})
         if reason:
-            values = {"phase": TRIPPED, "reason": reason, "step": str(step)}
-            status = Status("force_controller", ERROR, f"{TRIPPED} at step {step}: {reason}")
-            status = replace(status, values=values)
+            status = tripped_status("force_controller", reason, step)
         self._shell.report(status)
 
 

@@ -4,17 +4,16 @@ It holds the state machine, publishes it latched on experiment/state, and serves
 estop and reset.
 """
 
-import json
 import sys
 import threading
 import time
 from collections.abc import Callable
 from typing import Any
 
+from seft_msgs_py.description import decode_description
 from seft_msgs_py.messages import (
     Status,
     decode_diagnostics,
-    decode_string,
     encode_status,
 )
 from seft_msgs_py.node_shell import NodeShell, run_node
@@ -113,9 +112,8 @@ class SupervisorNode:
             self._publish_if_changed()
 
     def _on_description(self, raw: bytes, _: int) -> None:
-        description = json.loads(decode_string(raw))
-        if "node" in description:
-            self._descriptions[description["node"]] = description
+        node, description = decode_description(raw)
+        self._descriptions[node] = description
 
 
 def _serve(shell: NodeShell) -> None:
