@@ -34,7 +34,7 @@ from seft_msgs_py.messages import Status, encode_diagnostics, encode_string, res
 from seft_msgs_py.parameter_file import split_ros_arguments
 from seft_msgs_py.parameters import Table
 from seft_msgs_py.ros_types import message_class, parameter_descriptor, qos_profile
-from seft_msgs_py.topics import DESCRIPTION, DIAGNOSTICS, LoopTopic, Topic
+from seft_msgs_py.topics import DESCRIPTION, DIAGNOSTICS, LOOP_TOPICS, LoopTopic, Topic
 from seft_msgs_py.wait_set import LoopCallbackGroup, WaitSet, sender, take
 
 IDLE_WAIT = 0.05  # s; a signal is noticed within this time
@@ -44,6 +44,7 @@ WARN_PERIOD = 1.0  # s
 CLOSE_PATIENCE = 5.0  # s
 WARM_UP_STEPS = 200
 """Steps a node of the loop tries on itself, so that its first real ones are not its slowest."""
+_LOOP_NAMES = {topic.name for topic in LOOP_TOPICS}
 
 Handler = Callable[[bytes, int], None]
 
@@ -262,6 +263,17 @@ class NodeShell:
                 listeners = set()  # some are known but not connected yet
             found[f"matched {name}"] = " ".join(sorted(listeners))
         return found
+
+    def several_senders(self) -> str:
+        """Say which topic of the loop more than one node publishes; empty if none.
+
+        One of them is not of this test, and whose messages count would be chance.
+        """
+        for name, subscription in self._subscriptions.items():
+            count = subscription.get_publisher_count()
+            if name in _LOOP_NAMES and count > 1:
+                return f"{count} nodes publish {name}"
+        return ""
 
     def _look_after_status(self) -> None:
         """Look who listens and what has changed; while the loop turns, only send what is due.

@@ -168,9 +168,15 @@ def rig_status(
     level = WARN if missed else OK
     if trip is not None:
         values.update(reason=trip.reason, step=str(int(trip.step)))
-        message = f"{phase} at step {trip.step}: {trip.reason}"
+        message = f"{phase} at step {trip.step} ({trip.time_s:g} s): {trip.reason}"
         level = ERROR
     return Status(name=RIG, level=level, message=message, values=values)
+
+
+def tripped_status(node: str, reason: str, step: int) -> Status:
+    """Status with which any node but the rig ends a test, at once; the supervisor obeys it."""
+    values = {"phase": TRIPPED, "reason": reason, "step": str(step)}
+    return Status(node, ERROR, f"{TRIPPED} at step {step}: {reason}", values=values)
 
 
 def read_outcome(status: Status, timebase: Timebase) -> Outcome | None:

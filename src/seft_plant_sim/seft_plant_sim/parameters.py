@@ -238,9 +238,19 @@ TABLE = Table(
         *SENSORS,
         *limit_rows(default_from="supervisor"),
         Parameter(
+            "limits.command",
+            "float",
+            10.0,
+            "largest valve command, either way, that the rig applies; one beyond it is refused. "
+            "Idealised actuators refuse a reference force beyond limits.force instead",
+            "V",
+            positive=True,
+            default_from="force_controller:voltage_limit",
+        ),
+        Parameter(
             "watchdog.command_timeout",
             "float",
-            0.1,
+            0.02,
             "in realtime: longest time without a new command before the rig trips",
             "s",
             positive=True,

@@ -11,8 +11,9 @@ from seft_msgs_py.timebase import Timebase
 from seft_plant_sim.actuator import delayed_force, servo_hydraulic
 from seft_plant_sim.continuous_model import ContinuousModel, Drive, with_low_pass
 from seft_plant_sim.hydraulics import Hydraulics
-from seft_plant_sim.limits import Limits, SaturatedTime
+from seft_plant_sim.limits import Limits
 from seft_plant_sim.plant import make_plant
+from seft_plant_sim.saturated_time import SaturatedTime
 from seft_plant_sim.sensors import Sensors
 from seft_plant_sim.specimen import Specimen
 
@@ -39,6 +40,8 @@ class Rig:
     ----------
     drive : str
         Topic that drives the actuator: ``valve_command`` or ``reference_force``.
+    limits : Limits
+        As given.
     step_index : int
         Step of the last sample.
     violation : str or None
@@ -59,7 +62,7 @@ class Rig:
         self.drive: Drive = model.drive
         self._plant = make_plant(model, dt)
         self._sensors = sensors
-        self._limits = limits
+        self.limits = limits
         self._saturated_time = saturated_time
         self.step_index = 0
         self.violation: str | None = None
@@ -81,7 +84,7 @@ class Rig:
             Sensors.from_parameters(
                 group(section, "sensors"), section["seed"], timebase.dt, axes, "rig: sensors"
             ),
-            Limits(group(section, "limits"), axes),
+            Limits(group(section, "limits"), axes, timebase.dt),
             SaturatedTime(section["limits.saturated_time"], timebase.dt),
             timebase.dt,
         )
@@ -91,6 +94,7 @@ class Rig:
         self.step_index = 0
         self.saturation = Saturation()
         self._sensors.reset()
+        self.limits.reset()
         self._saturated_time.reset()
         return self._measure(self._plant.reset())
 
@@ -114,7 +118,7 @@ class Rig:
 
     def _measure(self, state: Floats) -> Floats:
         measured = self._sensors.measure(self.step_index, state)
-        self.violation = self._limits.violation(measured)
+        self.violation = self.limits.violation(measured)
         step, blind, at_end = self.step_index, self._sensors.saturated, self._plant.saturated()
         if blind and self.violation is None:
             self.violation = self._saturated_time.violation(step, blind)

@@ -6,9 +6,10 @@ the sampling clock of the test; the supervisor's experiment/state starts and sto
 
 import sys
 import time
+from dataclasses import replace
 
-import numpy as np
 from seft_msgs_py.awake_clock import AwakeClock
+from seft_msgs_py.errors import WireError
 from seft_msgs_py.messages import Status, decode_status, encode_clock
 from seft_msgs_py.node_shell import WARM_UP_STEPS, NodeShell, run_node
 from seft_msgs_py.outcome import FINISHED, LISTED_STEPS, STOPPED, TRIPPED, Trip, rig_status
@@ -22,32 +23,15 @@ from seft_msgs_py.topics import (
 )
 from seft_msgs_py.trajectory import Floats, TrajectoryCodec
 
+from seft_plant_sim.command import Command
 from seft_plant_sim.parameters import TABLE
 from seft_plant_sim.rig import Rig
+from seft_plant_sim.rig_diagnostics import with_health
+from seft_plant_sim.round_trip import RoundTrip
 
 CLOCK_PERIOD = 0.1  # s of wall time
 MOVING = ("running", "ramping_down")  # states of a test in which the rig obeys
-
-
-class Command:
-    """The newest command on one topic."""
-
-    def __init__(self, topic: LoopTopic, shell: NodeShell) -> None:
-        experiment = shell.experiment
-        self.codec = TrajectoryCodec(topic, experiment.axes, experiment.timebase)
-        self.reset()
-        shell.subscribe(topic, self._receive, depth=64, reliable=False)
-
-    def reset(self) -> None:
-        """Back to no drive."""
-        self.step = -1
-        self.value: Floats = np.zeros(len(self.codec.axes))
-
-    def _receive(self, raw: bytes, _: int) -> None:
-        step, values = self.codec.decode(raw)
-        if step > self.step:
-            self.step = step
-            self.value = values[0, 0]
+TELL_PERIOD = 1.0  # s, of the diagnostics of a running test
 
 
 class RigNode:
@@ -68,16 +52,18 @@ class RigNode:
         self._state_codec = TrajectoryCodec(RIG_STATE, experiment.axes, self._timebase)
         self._publish_state = shell.publisher(RIG_STATE)
         self._publish_time = shell.publisher(CLOCK_TOPIC)
-        self._valve = self._drive = Command(VALVE_COMMAND, shell)
+        self._round_trip = RoundTrip()
+        self._valve = self._drive = self._command(VALVE_COMMAND, "limits.command")
         if self._rig.drive == REFERENCE_FORCE.name:
-            self._drive = Command(REFERENCE_FORCE, shell)
+            self._drive = self._command(REFERENCE_FORCE, "limits.force")
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16, wake=False)
         self._armed = False
+        self._latched = False  # tripped: no new test before the supervisor has said idle
         self._wanted: Status | None = None
         self._told = ""
         self._awake = AwakeClock()
         self._heard_at = self._awake.time()
-        self._clock_at = 0.0
+        self._clock_at = self._told_at = self._published_at = self._answered_at = 0.0
         self._warm_up()
 
     @property
@@ -91,11 +77,26 @@ class RigNode:
         while not self._shell.stopping:
             self._shell.spin_once()
             if self._is_moving():
-                self._run_test(int(self._wanted.values["steps"]))  # type: ignore[union-attr]
+                self._run_test(_steps(self._wanted))
                 if self._is_moving():
                     self._wanted = None  # a test runs once
             elif self._ended and self._wanted is not None and self._wanted.message == "idle":
                 self._rest()  # how the last test ended has been told
+
+    def _command(self, topic: LoopTopic, limit: str) -> Command:
+        experiment = self._shell.experiment
+        codec = TrajectoryCodec(topic, experiment.axes, experiment.timebase)
+        command = Command(codec, self._section[limit])
+
+        def receive(raw: bytes, _: int) -> None:
+            command.take(raw)
+            if command is self._drive:
+                self._answered_at = time.monotonic()
+                if command.step == command.current:
+                    self._round_trip.add(self._answered_at - self._published_at)
+
+        self._shell.subscribe(topic, receive, depth=64, reliable=False)
+        return command
 
     def _rest(self) -> None:
         self._ended = False
@@ -105,6 +106,7 @@ class RigNode:
         state = self._rig.reset()
         for step in range(WARM_UP_STEPS):
             self._state_codec.decode(self._state_codec.encode(step, state))
+            self._rig.limits.note_margins()
             state = self._rig.step(self._drive.value)
 
     def _run_test(self, steps: int) -> None:
@@ -113,30 +115,46 @@ class RigNode:
         self._missed: list[int] = []
         self._missed_count = 0
         self._overruns = 0
-        started = time.monotonic()
-        self._shell.report(Status("rig", 0, "running", values={"phase": "running"}))
+        self._round_trip.reset()
+        self._answered_at = 0.0
+        self._started = time.monotonic()
+        state = self._rig.reset()
+        self._tell("running")
+        conflict = self._shell.several_senders()
+        if conflict:
+            self._publish(0, state)
         pace = self._lockstep if self._section["pace"] == "lockstep" else self._realtime
-        reason = pace(steps)
-        done = self._rig.step_index + 1
-        wall = time.monotonic() - started
+        reason = conflict or pace(steps)
         self._publish_clock(self._rig.step_index, force=True)
         self._ended = True
-        phase, trip = FINISHED, None
-        if reason is not None:
+        if reason is None:
+            self._tell(FINISHED)
+        else:
+            self._latched = True
             step = self._rig.step_index
-            phase, trip = TRIPPED, Trip(reason, step, self._timebase.stamp_ns(step) / 1e9)
-        self._shell.report(
-            rig_status(
-                phase,
-                done,
-                self._missed_count,
-                self._missed,
-                wall,
-                trip,
-                overruns=self._overruns,
-                saturation=self._rig.saturation,
-            )
+            self._tell(TRIPPED, Trip(reason, step, self._timebase.stamp_ns(step) / 1e9))
+
+    def _tell(self, phase: str, trip: Trip | None = None) -> None:
+        self._told_at = time.monotonic()
+        status = rig_status(
+            phase,
+            self._rig.step_index + 1,
+            self._missed_count,
+            self._missed,
+            self._told_at - self._started,
+            trip,
+            overruns=self._overruns,
+            saturation=self._rig.saturation,
         )
+        if phase == "running":
+            status = replace(status, message="running")
+        margins = self._rig.limits.margins()
+        self._shell.report(with_health(status, margins, self._answered_at, self._round_trip))
+
+    def _tell_if_due(self) -> None:
+        """Tell how the test goes, when its commands are there and there is time for it."""
+        if time.monotonic() - self._told_at >= TELL_PERIOD:
+            self._tell("running")
 
     def _lockstep(self, steps: int) -> str | None:
         """Each step waits for its commands; return why the test ended early, if it did."""
@@ -144,7 +162,8 @@ class RigNode:
         state = rig.reset()
         while True:
             step = rig.step_index
-            self._publish(step, state)
+            if not self._publish(step, state):
+                return rig.violation
             deadline = time.monotonic() + timeout
             while self._valve.step < step or self._drive.step < step:
                 self._shell.spin_once(0.05)
@@ -160,6 +179,7 @@ class RigNode:
                 return rig.violation
             if step + 1 == steps:
                 return None
+            self._tell_if_due()
             state = rig.step(self._drive.value)
 
     def _realtime(self, steps: int) -> str | None:
@@ -176,10 +196,13 @@ class RigNode:
         state = rig.reset()
         while True:
             step = rig.step_index
-            self._publish(step, state)
+            if not self._publish(step, state):
+                return rig.violation
             deadline = start + (step + 1) * period
             while (left := deadline - time.monotonic()) > 0:
                 shell.spin_once(left)
+                if drive.step >= step:
+                    self._tell_if_due()
             periods_late = int(-left / period)
             if periods_late:
                 self._overruns += 1
@@ -203,9 +226,18 @@ class RigNode:
                     )
             state = rig.step(self._drive.value)
 
-    def _publish(self, step: int, state: Floats) -> None:
-        self._publish_state(self._state_codec.encode(step, state))
+    def _publish(self, step: int, state: Floats) -> bool:
+        """Publish a sample; False if it is no number, which no message may carry."""
+        self._valve.current = self._drive.current = step
+        self._rig.limits.note_margins()
+        try:
+            raw = self._state_codec.encode(step, state)
+        except WireError:
+            return False
+        self._published_at = time.monotonic()
+        self._publish_state(raw)
         self._publish_clock(step)
+        return True
 
     def _publish_clock(self, step: int, force: bool = False) -> None:
         now = time.monotonic()
@@ -232,13 +264,23 @@ class RigNode:
             return  # a sign of life
         self._told = status.message
         if status.message in MOVING and not (self._armed or self._is_moving()):
-            self._shell.refuse("a test that was running before this rig was ready for it")
-            return
-        self._armed = status.message == "ready"
+            why = "that was running before this rig was ready for it"
+            raise WireError("a test " + ("after a trip and no reset" if self._latched else why))
+        if status.message == "running" and not _steps(status):
+            raise WireError("a test that does not say how many steps it has")
+        if status.message == "idle":
+            self._latched = False
+        self._armed = status.message == "ready" and not self._latched
         self._wanted = status
 
     def _is_moving(self) -> bool:
         return self._wanted is not None and self._wanted.message in MOVING
+
+
+def _steps(status: Status | None) -> int:
+    """Read how many steps the test has; 0 if its state does not say."""
+    text = status.values.get("steps", "") if status is not None else ""
+    return int(text) if text.isdecimal() and len(text) < 19 else 0
 
 
 def _serve(shell: NodeShell) -> None:

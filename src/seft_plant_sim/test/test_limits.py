@@ -6,11 +6,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.parameters import Table
-from seft_plant_sim.limits import NAMES, Limits, SaturatedTime, limit_rows
+from seft_plant_sim.limits import NAMES, RATE_UNITS, ROWS, Limits, limit_rows
+from seft_plant_sim.saturated_time import SaturatedTime
 
 PAPER = {"displacement": 0.076, "velocity": 0.5, "acceleration": 98.1, "force": 22200.0}
+RATES = {
+    "displacement_rate": 3.0,
+    "velocity_rate": 300.0,
+    "acceleration_rate": 3e4,
+    "force_rate": 3e6,
+}
 UNITS = ("m", "m/s", "m/s^2", "N")
 AXES = ("east", "north")
+DT = 0.002
 
 
 def state_with(row, column, value):
@@ -23,7 +31,7 @@ def state_with(row, column, value):
 @pytest.mark.parametrize("column", range(2))
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_each_quantity_on_each_axis_has_its_limit(row, column, sign):
-    limits, limit = Limits(PAPER, AXES), PAPER[NAMES[row]]
+    limits, limit = Limits(PAPER, AXES, DT), PAPER[NAMES[row]]
     assert limits.violation(state_with(row, column, sign * limit)) is None
     beyond = sign * math.nextafter(limit, math.inf)
     assert limits.violation(state_with(row, column, beyond)) == (
@@ -36,19 +44,19 @@ def test_each_quantity_on_each_axis_has_its_limit(row, column, sign):
 @pytest.mark.parametrize("row", range(4))
 def test_what_is_no_number_breaks_every_limit(row, value):
     for column in range(2):
-        assert f"{NAMES[row]} {value}" in Limits(PAPER, AXES).violation(
+        assert f"{NAMES[row]} {value}" in Limits(PAPER, AXES, DT).violation(
             state_with(row, column, value)
         )
 
 
 def test_all_at_their_limits_at_once_is_within():
     state = np.array([[limit, -limit] for limit in PAPER.values()])
-    assert Limits(PAPER, AXES).violation(state) is None
+    assert Limits(PAPER, AXES, DT).violation(state) is None
 
 
 def test_the_first_that_is_broken_is_told():
     state = np.full((4, 2), 1e9)
-    assert Limits(PAPER, AXES).violation(state).startswith("displacement 1e+09 m on axis east")
+    assert Limits(PAPER, AXES, DT).violation(state).startswith("displacement 1e+09 m on axis east")
 
 
 @given(st.data(), st.integers(1, 4))
@@ -64,24 +72,64 @@ def test_there_is_a_violation_if_and_only_if_a_value_is_beyond_its_limit(data, a
     within = all(abs(v) <= limit for row, limit in zip(rows, limits, strict=True) for v in row)
     names = [f"axis {index}" for index in range(axes)]
     with np.errstate(over="ignore"):
-        verdict = Limits(dict(zip(NAMES, limits, strict=True)), names).violation(np.array(rows))
+        judge = Limits(dict(zip(NAMES, limits, strict=True)), names, DT)
+        verdict = judge.violation(np.array(rows))
     assert (verdict is None) == within
 
 
 @given(st.floats(1e-9, 1e9), st.sampled_from(range(4)))
 def test_the_least_excess_alone_is_a_violation(limit, row):
-    limits = Limits(dict.fromkeys(NAMES, limit), AXES)
+    limits = Limits(dict.fromkeys(NAMES, limit), AXES, DT)
     assert limits.violation(state_with(row, 1, limit)) is None
     assert limits.violation(state_with(row, 1, -math.nextafter(limit, math.inf))) is not None
 
 
+@pytest.mark.parametrize("row", range(4))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_each_quantity_has_a_largest_change_from_sample_to_sample(row, sign):
+    far = dict.fromkeys(NAMES, 1e9)
+    limits, rate = Limits(far | RATES, AXES, DT), RATES[f"{NAMES[row]}_rate"]
+    assert limits.violation(state_with(row, 1, 1e8)) is None  # of a first sample there is none
+    assert limits.violation(state_with(row, 1, 1e8 + 0.999 * sign * rate * DT)) is None
+    beyond = state_with(row, 1, 1e8 + 2.1 * sign * rate * DT)
+    told = limits.violation(beyond)
+    assert told.startswith(f"{NAMES[row]} rate {sign * 1.101 * rate:.5g}")
+    assert told.endswith(
+        f"{RATE_UNITS[row]} on axis north is beyond the limit of {rate:g} {RATE_UNITS[row]}"
+    )
+    assert limits.violation(beyond) is None
+    limits.reset()
+    assert limits.violation(state_with(row, 1, -1e8)) is None
+
+
+def test_a_sample_that_is_no_number_is_told_and_so_is_the_return_from_it():
+    limits = Limits(PAPER | RATES, AXES, DT)
+    limits.violation(np.zeros((4, 2)))
+    assert limits.violation(state_with(3, 0, math.nan)).startswith("force nan N on axis east")
+    assert limits.violation(np.zeros((4, 2))).startswith("force rate nan N/s on axis east")
+
+
+def test_margins_are_the_smallest_since_the_reset():
+    limits = Limits(PAPER | RATES, AXES, DT)
+    for force in (0.0, -0.2, 0.1):
+        limits.violation(state_with(3, 1, force * PAPER["force"]))
+        limits.note_margins()
+    margins = limits.margins()
+    assert margins["force"] == pytest.approx(0.8)
+    assert margins["force_rate"] == pytest.approx(1 - 0.3 * 22200 / (3e6 * DT))
+    assert margins["displacement"] == margins["velocity_rate"] == 1.0
+    assert list(margins) == list(ROWS)
+    limits.reset()
+    assert set(limits.margins().values()) == {1.0}
+
+
 def test_limits_of_another_node_stand_in():
     rows = limit_rows("supervisor")
-    names = [*NAMES, "saturated_time"]
+    names = [*ROWS, "saturated_time"]
     assert [row.default_from for row in rows] == [f"supervisor:limits.{name}" for name in names]
-    assert [row.default_from for row in limit_rows()] == [""] * 5
-    assert [row.default for row in rows] == [*PAPER.values(), 0.05]
-    assert [row.unit for row in rows] == [*UNITS, "s"]
+    assert [row.default_from for row in limit_rows()] == [""] * 9
+    assert [row.default for row in rows] == [*PAPER.values(), *RATES.values(), 0.05]
+    assert [row.unit for row in rows] == [*UNITS, *RATE_UNITS, "s"]
 
 
 def test_a_limit_must_be_positive():

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.parameter_file import parse_override
+from seft_plant_sim.limits import ROWS
 from seft_ros.analysis.energy import balance_of, energy_numbers
 from seft_ros.analysis.summary import summarise
 from seft_ros.experiment.blocks import build_blocks
@@ -92,8 +93,7 @@ def test_a_record_of_a_specimen_that_is_not_known_has_no_energy():
 def test_a_test_that_went_unstable_is_json_still():
     record = run(
         "reference_force:mass_ratio:=3.0",
-        *(f"supervisor:limits.{name}:=1e300" for name in ("displacement", "velocity", "force")),
-        "supervisor:limits.acceleration:=1e300",
+        *(f"supervisor:limits.{name}:=1e300" for name in ROWS),
         "supervisor:limits.saturated_time:=1e6",
         "rig:actuator.kind:=ideal",
     )

@@ -8,6 +8,7 @@ from scipy.optimize import brentq
 from scipy.signal import ss2tf
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.experiment import Experiment
+from seft_plant_sim.limits import ROWS
 from seft_plant_sim.rig import Rig, continuous_model
 from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.block import ForceController
@@ -32,7 +33,7 @@ COUPLED = {
     "specimen.mass": [52.7, 40.0],
     "specimen.stiffness": [2.0e5, -3.0e4, -3.0e4, 2.4e5],
 }
-WIDE = {f"limits.{name}": 1e9 for name in ("displacement", "velocity", "acceleration", "force")}
+WIDE = {f"limits.{name}": 1e9 for name in ROWS}
 
 
 def delayed(delay):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from seft_msgs_py.experiment import Experiment
+from seft_plant_sim.limits import ROWS
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES
@@ -14,7 +15,7 @@ from seft_ros.preflight.summary import summarise
 from seft_ros.reference_force.compensation.methods import METHODS
 
 M, C, K = 52.7, 800.3, 2.11e5
-WIDE = {f"limits.{name}": 1e12 for name in ("displacement", "velocity", "acceleration", "force")}
+WIDE = {f"limits.{name}": 1e12 for name in ROWS}
 BASE = {
     "/**": {"rate": 500.0, "axes": ["x"]},
     "ground_motion": {"synthetic.duration": 0.5, "synthetic.rise": 0.1, "tail": 7.5},

@@ -10,6 +10,7 @@ from seft_msgs_py.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, VALVE
 
 from seft_ros.experiment.blocks import Blocks
 from seft_ros.experiment.state_machine import while_ramping_down
+from seft_ros.force_controller.interlock import Interlock
 from seft_ros.recording.environment import describe_environment
 from seft_ros.recording.record import Record, Series, Trip
 from seft_ros.recording.samples import EstimateBuffer
@@ -47,10 +48,15 @@ def simulate(
     commands = np.empty((total, axes))
     reference_force = blocks.reference_force
     reference_force.reset()
-    blocks.force_controller.reset()
+    interlock = Interlock.from_parameters(
+        blocks.force_controller,
+        experiment["force_controller"],
+        experiment.axes,
+        experiment.timebase,
+    )
     sampler = EstimateSampler(reference_force, experiment.timebase)
     estimates = EstimateBuffer()
-    force_step, valve_step = reference_force.step, blocks.force_controller.step
+    force_step, valve_step = reference_force.step, interlock.step
 
     valve_driven = rig.drive == VALVE_COMMAND.name
     environment = describe_environment("simulate")
@@ -60,14 +66,15 @@ def simulate(
     with np.errstate(over="ignore", invalid="ignore"):  # the limits see what is not finite
         while True:
             force = force_step(known[step : step + window], state)
-            command = valve_step(force, state)
+            command = valve_step(step, force, state)
             states[step] = state
             forces[step] = force
             commands[step] = command
             if step >= sampler.due:
                 estimates.append(step, sampler.sample(step))
             step += 1
-            if step == total or rig.violation is not None or reference_force.at_rest:
+            ended = rig.violation is not None or interlock.reason or reference_force.at_rest
+            if step == total or ended:
                 break
             if progress is not None and step % PROGRESS_STEPS == 0:
                 progress(step)
@@ -84,17 +91,17 @@ def simulate(
             VALVE_COMMAND.name: Series(steps, commands[:step, np.newaxis, :]),
         },
         estimates=estimates.series(),
-        trip=_trip(blocks, step - 1, experiment.timebase),
+        trip=_trip(blocks, interlock, step - 1, experiment.timebase),
         saturation=rig.saturation,
         wall_s=wall,
         environment=environment,
     )
 
 
-def _trip(blocks: Blocks, last: int, timebase: Timebase) -> Trip | None:
+def _trip(blocks: Blocks, interlock: Interlock, last: int, timebase: Timebase) -> Trip | None:
     """Tell what ended the test before the record did, as supervisor and rig would."""
-    violation, cause = blocks.rig.violation, blocks.reference_force.cause
-    if violation is not None:
+    violation, cause = blocks.rig.violation or interlock.reason, blocks.reference_force.cause
+    if violation:
         reason = violation if cause is None else while_ramping_down(violation, cause)
         return Trip(reason, last, timebase.stamp_ns(last) / 1e9)
     if cause is None:

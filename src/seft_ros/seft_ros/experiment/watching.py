@@ -11,8 +11,9 @@ SUPERVISOR = Table(
         Parameter(
             "watchdog.command_timeout",
             "float",
-            0.1,
-            "longest time the rig goes without a new command in realtime",
+            0.02,
+            "longest time that rig and force controller go without each other in realtime: the "
+            "rig without a new command, the force controller without a new state",
             "s",
             positive=True,
         ),

@@ -34,6 +34,11 @@ class ForceController:
     feedback : bool
         Whether the measured force is fed back.
 
+    Attributes
+    ----------
+    limited : bool
+        Whether the last drive was at its limit on any axis.
+
     Raises
     ------
     InputError
@@ -64,6 +69,7 @@ class ForceController:
         self._axes = axes
         self._feedback = feedback
         self._limit = float(voltage_limit)
+        self.limited = False
         self._safe_square = 0.99 * self._limit * self._limit
 
     @classmethod
@@ -108,8 +114,10 @@ class ForceController:
             self._error[:] = reference_force
         result = self._step.dot(self._work)
         drive, delays = result[: self._axes], result[self._axes :]
+        self.limited = False
         if not drive.dot(drive) < self._safe_square:  # else no axis can be at its limit
             limited = np.clip(drive, -self._limit, self._limit)
+            self.limited = bool((np.abs(limited) >= self._limit).any())
             delays -= self._from_drive.dot(limited - drive)
             drive = limited
         self._delays[:] = delays

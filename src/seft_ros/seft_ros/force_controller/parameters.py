@@ -26,6 +26,42 @@ TABLE = Table(
             "valve through the controller (open loop, for identification)",
         ),
         Parameter(
+            "pace",
+            "string",
+            "realtime",
+            "pace of the rig; in lockstep states come when they come, and come one by one",
+            choices=("realtime", "lockstep"),
+            default_from="rig:pace",
+        ),
+        Parameter(
+            "limits.force",
+            "float",
+            22200.0,
+            "largest reference force on any axis; one beyond it is refused",
+            "N",
+            positive=True,
+            default_from="supervisor:limits.force",
+        ),
+        Parameter(
+            "watchdog.state_timeout",
+            "float",
+            0.02,
+            "in realtime: longest time without a new rig/state in a running test before the force "
+            "controller trips and answers 0 V until the next test",
+            "s",
+            positive=True,
+            default_from="supervisor:watchdog.command_timeout",
+        ),
+        Parameter(
+            "watchdog.saturation_time",
+            "float",
+            0.5,
+            "longest time within one second that the valve command may be at its limit before the "
+            "force controller trips",
+            "s",
+            minimum=0.0,
+        ),
+        Parameter(
             "plant.numerator",
             "floats",
             [0.0],

@@ -11,7 +11,8 @@ from collections import deque
 from datetime import datetime
 from pathlib import Path
 
-from seft_msgs_py.messages import Status, decode_status, decode_string, encode_string
+from seft_msgs_py.description import decode_description
+from seft_msgs_py.messages import Status, decode_status, encode_string
 from seft_msgs_py.node_shell import Handler, NodeShell, run_node
 from seft_msgs_py.topics import (
     DESCRIPTION,
@@ -88,7 +89,7 @@ class RecorderNode:
             if of_a_step:
                 self._step_message_at = time.monotonic()
             if topic is DESCRIPTION:
-                node = json.loads(decode_string(raw)).get("node", "")
+                node, _ = decode_description(raw)
                 self._descriptions[node] = (topic, raw, now)
             if topic is EXPERIMENT_STATE:
                 self._follow(decode_status(raw))
@@ -116,9 +117,10 @@ class RecorderNode:
             if self._ended_at is not None:
                 return
             self._ended_at = time.monotonic()
-            last = test.values.get("step")  # where it tripped
-            steps = test.values.get("steps", "0") if phase == "done" else "0"
-            self._expected = int(last) + 1 if last is not None else int(steps)
+            last = test.values.get("step", "")  # where it tripped
+            steps = test.values.get("steps", "") if phase == "done" else ""
+            steps = steps if steps.isdecimal() else "0"
+            self._expected = int(last) + 1 if last.isdecimal() else int(steps)
         self._phase = phase
 
     def _open(self) -> None:

@@ -11,6 +11,7 @@ from seft_msgs_py.errors import WireError
 from seft_msgs_py.estimates import EstimatesCodec
 from seft_msgs_py.messages import ERROR, OK, Status, decode_status
 from seft_msgs_py.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell, run_node
+from seft_msgs_py.outcome import tripped_status
 from seft_msgs_py.topics import (
     ESTIMATES,
     EXPERIMENT_STATE,
@@ -21,6 +22,7 @@ from seft_msgs_py.topics import (
 from seft_msgs_py.trajectory import Floats, TrajectoryCodec
 
 from seft_ros.experiment.peers import AT_REST, RAMPING_DOWN
+from seft_ros.experiment.sample_order import ABSURD, SampleOrder
 from seft_ros.experiment.state_machine import ENDED, State
 from seft_ros.experiment.tables import TABLES
 from seft_ros.interlock.protected_force import ProtectedForce
@@ -51,14 +53,15 @@ class ReferenceForceNode:
         self._publish_estimates = shell.publisher(ESTIMATES)
         self._motion = MotionBuffer(len(experiment.axes))
         self._waiting: dict[int, Floats] = {}
-        self._last = -1
+        self._order = SampleOrder(experiment["reference_force"]["pace"], experiment.timebase)
+        self._conflict = ""  # why this test is not answered
         self._test = ""  # state of the test, as the supervisor says
         self._phase = ""
         self._cause_step = -1
         self._warm_up()
+        shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16, wake=False)
         shell.subscribe(GROUND_MOTION, self._on_ground_motion, wake=False)
         shell.subscribe(RIG_STATE, self._on_rig_state, depth=64, reliable=False)
-        shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16, wake=False)
 
     def run(self) -> None:
         """Answer until told to stop."""
@@ -77,7 +80,7 @@ class ReferenceForceNode:
         self._reset()
 
     def _reset(self) -> None:
-        self._last = self._cause_step = -1
+        self._cause_step = -1
         self._waiting.clear()
         self._block.reset()
         self._sampler.reset()
@@ -85,9 +88,13 @@ class ReferenceForceNode:
 
     def _on_ground_motion(self, raw: bytes, _: int) -> None:
         first, values = self._motion_codec.decode(raw)
+        if np.abs(values).max() > ABSURD:
+            raise WireError(f"ground_motion from step {first} on has a value beyond {ABSURD:g}")
         if first == 0:  # a new motion, of which nothing has passed
-            self._last = -1
-        self._motion.drop_before(self._last)
+            if self._order.steps and not self._order.may_begin:
+                raise WireError("a new ground_motion in the middle of a test")
+            self._order.last = -1
+        self._motion.drop_before(self._order.last)
         if not self._motion.add(first, values[:, 0]):
             self._shell.refuse(f"ground_motion from step {first} on: steps before it are missing")
         for step in sorted(self._waiting):
@@ -95,20 +102,28 @@ class ReferenceForceNode:
 
     def _on_rig_state(self, raw: bytes, _: int) -> None:
         step, values = self._state_codec.decode(raw)
-        if step == 0 and self._last != 0:  # a new test
+        if np.abs(values).max() > ABSURD:
+            raise WireError(f"rig/state of step {step} has a value beyond {ABSURD:g}")
+        if self._test in ENDED:
+            raise WireError(f"rig/state of step {step}: the test is {self._test}")
+        if self._order.begins(step):
             self._reset()
-        if step <= self._last:
-            self._shell.refuse(f"rig/state of step {step} after that of step {self._last}")
-        elif self._test in ENDED:
-            self._shell.refuse(f"rig/state of step {step}: the test is {self._test}")
-        else:
+            self._conflict = self._shell.several_senders()
+            if self._conflict:
+                self._shell.report(tripped_status("reference_force", self._conflict, step))
+        self._order.check("rig/state", step)
+        if step in self._waiting:
+            raise WireError(f"rig/state of step {step} a second time")
+        if not self._conflict:
             self._answer(step, values[0])
 
     def _on_experiment_state(self, raw: bytes, _: int) -> None:
-        test = decode_status(raw).message
-        if test != self._test:
-            self._test = test
-            self._follow_test()
+        status = decode_status(raw)
+        if status.message == self._test:
+            return  # a sign of life
+        self._test = status.message
+        self._order.follow(status)
+        self._follow_test()
 
     def _follow_test(self) -> None:
         """Do what the state of the test asks for, also when a test begins anew in it."""
@@ -120,6 +135,7 @@ class ReferenceForceNode:
             self._waiting.clear()
             self._report("ended")
         elif self._test in (State.IDLE, State.READY) and self._phase != "ready":
+            self._conflict = ""
             self._block.reset()
             self._report("ready")
 
@@ -135,7 +151,7 @@ class ReferenceForceNode:
             return
         self._waiting.pop(step, None)
         self._publish(self._force_codec.encode(step, force))
-        self._last = step
+        self._order.last = step
         # the answer is out: what comes now holds nobody up
         if self._block.ramping:
             self._tell_ramp(step)

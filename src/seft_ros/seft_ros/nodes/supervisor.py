@@ -4,13 +4,13 @@ It holds the state machine, publishes it latched on experiment/state, and serves
 estop and reset.
 """
 
-import json
 import sys
 import threading
 from collections.abc import Callable
 from typing import Any
 
 from seft_msgs_py.awake_clock import AwakeClock
+from seft_msgs_py.description import decode_description
 from seft_msgs_py.messages import (
     ERROR,
     OK,
@@ -18,7 +18,6 @@ from seft_msgs_py.messages import (
     Status,
     decode_clock,
     decode_diagnostics,
-    decode_string,
     encode_status,
 )
 from seft_msgs_py.node_shell import NodeShell, run_node
@@ -199,6 +198,8 @@ class SupervisorNode:
                 self._follow_rig(status)
             elif status.name == "reference_force":
                 self._follow_reference_force(status)
+            if status.name != "rig" and status.values.get("phase") == TRIPPED:
+                self._follow_tripped(status)
 
     def _follow_rig(self, status: Status) -> None:
         phase = status.values.get("phase")
@@ -210,6 +211,12 @@ class SupervisorNode:
             else:
                 reason = status.values.get("reason") or status.message
                 self._machine.hard_trip(reason, _step_of(status))
+            self._publish_if_due()
+
+    def _follow_tripped(self, status: Status) -> None:
+        with self._lock:
+            reason = status.values.get("reason") or status.message
+            self._machine.hard_trip(f"{status.name}: {reason}", _step_of(status))
             self._publish_if_due()
 
     def _follow_reference_force(self, status: Status) -> None:
@@ -224,9 +231,8 @@ class SupervisorNode:
             self._publish_if_due()
 
     def _on_description(self, raw: bytes, _: int) -> None:
-        description = json.loads(decode_string(raw))
-        if "node" in description:
-            self._descriptions[description["node"]] = description
+        node, description = decode_description(raw)
+        self._descriptions[node] = description
 
     def _on_clock(self, raw: bytes, _: int) -> None:
         self._test_s = decode_clock(raw) / NANOSECONDS_PER_SECOND

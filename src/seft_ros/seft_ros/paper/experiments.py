@@ -21,6 +21,7 @@ LEAST_RATE = 200.0
 
 _QUANTITIES = ("position", "velocity", "acceleration", "force")
 _FAR = {"displacement": 1e3, "velocity": 1e3, "acceleration": 1e4, "force": 1e6}
+_FAR |= {f"{name}_rate": 1e6 * value for name, value in _FAR.items()}
 
 
 def check_rig(experiment: Experiment) -> None:

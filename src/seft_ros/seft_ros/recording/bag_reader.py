@@ -90,7 +90,10 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
     finally:
         reader.close()
     series = {topic.name: gatherer.series() for topic, gatherer in loop.items()}
-    states, outcome = series[RIG_STATE.name].steps, statuses.outcome
+    outcome = statuses.outcome
+    if outcome is not None and outcome.steps > 0:  # what is stamped later, the rig never sampled
+        series = {name: until(one, outcome.steps - 1) for name, one in series.items()}
+    states = series[RIG_STATE.name].steps
     received = series[RIG_STATE.name].received_ns
     if received is not None and len(received):
         start_ns = int(received[0])

@@ -97,9 +97,10 @@ def write_record(
                 raw = codecs[topic.name].encode(step, record.series[topic.name].values[index])
             bag.write(topic, raw, time_ns)
         if record.complete and record.missed is not None:
+            sampled = record.series[RIG_STATE.name].steps
             status = rig_status(
                 TRIPPED if record.trip else FINISHED,
-                len(record.series[RIG_STATE.name].steps),
+                int(sampled[-1]) + 1 if len(sampled) else 0,
                 record.missed,
                 record.missed_steps,
                 record.wall_s,

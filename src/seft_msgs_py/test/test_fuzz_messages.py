@@ -1,0 +1,138 @@
+"""Whatever bytes come on a topic, decoders give a value or the project's own error."""
+
+import contextlib
+import json
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from seft_msgs_py.description import decode_description
+from seft_msgs_py.errors import WireError
+from seft_msgs_py.estimates import EstimatesCodec
+from seft_msgs_py.messages import (
+    Status,
+    decode_clock,
+    decode_diagnostics,
+    decode_status,
+    decode_string,
+    encode_clock,
+    encode_diagnostics,
+    encode_status,
+    encode_string,
+)
+from seft_msgs_py.outcome import Saturation, Trip, read_outcome, rig_status
+from seft_msgs_py.timebase import Timebase
+from seft_msgs_py.topics import GROUND_MOTION, LOOP_TOPICS
+from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_msgs_py.trajectory_batch import decode_batch
+from seft_msgs_py.trajectory_message import parse_trajectory
+
+TIMEBASE = Timebase.from_rate(500.0)
+AXES = ("east", "north")
+CODECS = [TrajectoryCodec(topic, AXES, TIMEBASE) for topic in LOOP_TOPICS]
+ESTIMATES = EstimatesCodec(AXES, TIMEBASE)
+STATUS = Status("rig", 1, "a message", "hardware", {"phase": "running", "steps": "7"})
+DESCRIBED = json.dumps({"node": "rig", "parameters": {"rate": 500.0}})
+
+DECODERS = {
+    "status": (decode_status, encode_status(STATUS)),
+    "diagnostics": (decode_diagnostics, encode_diagnostics(5, [STATUS, STATUS])),
+    "string": (decode_string, encode_string("some text")),
+    "clock": (decode_clock, encode_clock(10**9)),
+    "description": (decode_description, encode_string(DESCRIBED)),
+    "estimates": (ESTIMATES.decode, ESTIMATES.encode(3, {"delay": np.array([0.1, 0.2])})),
+    "trajectory": (parse_trajectory, CODECS[1].encode(3, np.ones((4, 2)))),
+    **{
+        codec.topic.name: (codec.decode, codec.encode(3, np.ones((len(codec.topic.quantities), 2))))
+        for codec in CODECS
+    },
+    "motion ahead": (CODECS[0].decode, CODECS[0].encode_points(3, np.ones((5, 1, 2)))),
+}
+assert CODECS[0].topic is GROUND_MOTION
+
+few = settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+
+
+def damaged(data, good):
+    """Bytes of a good message, cut, longer, or with some of them changed."""
+    raw = bytearray(good)
+    for at in data.draw(st.lists(st.integers(0, len(raw) - 1), max_size=6), "changed"):
+        raw[at] = data.draw(st.integers(0, 255), "byte")
+    end = data.draw(st.integers(0, len(raw)) | st.just(len(raw)), "end")
+    return bytes(raw[:end]) + data.draw(st.binary(max_size=40), "more")
+
+
+@few
+@pytest.mark.parametrize("name", DECODERS)
+@given(data=st.data(), raw=st.binary(max_size=200))
+def test_decoders_raise_nothing_but_wire_errors(name, data, raw):
+    decode, good = DECODERS[name]
+    for one in (raw, good[:4] + raw, damaged(data, good)):
+        with contextlib.suppress(WireError):
+            decode(one)
+
+
+@few
+@given(data=st.data())
+def test_a_batch_counts_what_it_can_not_read(data):
+    for codec in CODECS:
+        good = codec.encode(3, np.ones((len(codec.topic.quantities), 2)))
+        messages = [good, damaged(data, good), data.draw(st.binary(max_size=60)), good]
+        batch = decode_batch(codec, messages)
+        assert batch.refused <= 2
+        assert np.isfinite(batch.values).all()
+
+
+TEXTS = st.text(max_size=20) | st.sampled_from(["1", "-1", "nan", "1e999", "9" * 5000, "[]", "{}"])
+
+
+@few
+@given(
+    changed=st.dictionaries(
+        st.sampled_from(["phase", "steps", "missed", "overruns", "missed_steps", "saturated"])
+        | st.sampled_from(["wall_s", "reason", "step"]),
+        TEXTS,
+    ),
+    dropped=st.sets(st.sampled_from(["steps", "missed", "step", "reason", "missed_steps"])),
+    tripped=st.booleans(),
+)
+def test_the_end_of_a_test_is_read_or_refused(changed, dropped, tripped):
+    trip = Trip("limit", 3, 0.006) if tripped else None
+    good = rig_status("tripped" if tripped else "finished", 9, 1, [3], 1.0, trip)
+    values = {key: value for key, value in good.values.items() if key not in dropped} | changed
+    with contextlib.suppress(WireError):
+        read_outcome(Status("rig", 0, "", values=values), TIMEBASE)
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=9), inner),
+    max_leaves=8,
+)
+
+
+@few
+@given(
+    text=TEXTS
+    | JSON.map(json.dumps)
+    | st.builds(
+        lambda *counts: json.dumps({"valve": dict(zip(("samples", "first_step"), counts, strict=False))}),
+        JSON | st.floats(),
+        JSON | st.floats(),
+    )
+    | st.sampled_from(["[" * 5000, '{"valve": 3}'])
+)
+def test_what_was_saturated_is_read_or_a_value_error(text):
+    with contextlib.suppress(ValueError):
+        Saturation.from_json(text)
+
+
+@few
+@given(described=JSON)
+def test_any_json_is_a_description_or_refused(described):
+    try:
+        node, _ = decode_description(encode_string(json.dumps(described)))
+    except WireError:
+        return
+    assert isinstance(node, str)

@@ -1,0 +1,43 @@
+"""Times from a state's publication to its command's arrival, in bounded memory."""
+
+import math
+
+SHORTEST = 1e-5  # s, lower edge of the first bin
+PER_DECADE = 20  # bins: a median is right within 6 %
+DECADES = 7
+
+
+class RoundTrip:
+    """Histogram of times with bins of equal ratio, and the last and the largest time.
+
+    Attributes
+    ----------
+    last, largest : float
+        s; nan where there was none.
+    """
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the test so far."""
+        self._bins = [0] * (PER_DECADE * DECADES)
+        self.count = 0
+        self.last = self.largest = math.nan
+
+    def add(self, time: float) -> None:
+        """Count a time in seconds."""
+        at = int(PER_DECADE * math.log10(max(time, SHORTEST) / SHORTEST))
+        self._bins[min(at, len(self._bins) - 1)] += 1
+        self.count += 1
+        self.last = time
+        self.largest = time if self.count == 1 else max(self.largest, time)
+
+    def median(self) -> float:
+        """Middle of the bin that holds the median, s; nan where there was no time."""
+        seen = 0
+        for at, count in enumerate(self._bins):
+            seen += count
+            if 2 * seen >= self.count and seen:
+                return float(SHORTEST * 10 ** ((at + 0.5) / PER_DECADE))
+        return math.nan

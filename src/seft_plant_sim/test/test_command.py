@@ -1,0 +1,69 @@
+import math
+import re
+
+import numpy as np
+import pytest
+from seft_msgs_py.errors import WireError
+from seft_msgs_py.timebase import Timebase
+from seft_msgs_py.topics import VALVE_COMMAND
+from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_plant_sim.command import Command
+
+AXES = ("east", "north")
+TIMEBASE = Timebase.from_rate(500.0)
+CODEC = TrajectoryCodec(VALVE_COMMAND, AXES, TIMEBASE)
+
+
+def command_at(step):
+    command = Command(CODEC, 10.0)
+    command.current = step
+    return command
+
+
+def message(step, *values):
+    return CODEC.encode(step, np.array(values))
+
+
+def test_the_newest_answer_is_held():
+    command = command_at(0)
+    np.testing.assert_array_equal(command.value, [0.0, 0.0])
+    command.take(message(0, 1.0, -10.0))
+    command.current = 7
+    command.take(message(5, 10.0, 10.0))
+    assert command.step == 5
+    np.testing.assert_array_equal(command.value, [10.0, 10.0])
+    command.reset()
+    assert (command.step, command.current) == (-1, -1)
+    np.testing.assert_array_equal(command.value, [0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("raw", "words"),
+    [
+        (message(6, 1.0, 1.0), "valve_command of step 6, but the rig is at step 5"),
+        (message(10**9, 1.0, 1.0), "but the rig is at step 5"),
+        (message(3, 1.0, 1.0), "step 3 after that of step 3: stale, duplicated or out of order"),
+        (message(0, 1.0, 1.0), "step 0 after that of step 3"),
+        (message(4, 1.0, math.nextafter(10, 11)), "on axis north, beyond the limit of 10 V"),
+        (message(4, -1e300, 0.0), "is -1e+300 V on axis east"),
+        (message(4, 1.0, 2.0).replace(np.float64(2.0).tobytes(), b"\xff" * 8), "nan"),
+        (message(4, 1.0, 2.0).replace(b"north", b"south"), "axes are"),
+        (TrajectoryCodec(VALVE_COMMAND, ("east",), TIMEBASE).encode(4, np.zeros(1)), "axes are"),
+        (b"\x00\x00" + message(4, 1.0, 1.0)[2:], "no little-endian CDR"),
+        (b"", "0 bytes"),
+        (b"\x00\x01\x00\x00garbage", "ends early"),
+    ],
+)
+def test_what_does_not_fit_is_refused_and_nothing_changes(raw, words):
+    command = command_at(5)
+    command.take(message(3, 2.0, 3.0))
+    with pytest.raises(WireError, match=re.escape(words)):
+        command.take(raw)
+    assert command.step == 3
+    np.testing.assert_array_equal(command.value, [2.0, 3.0])
+
+
+def test_nothing_is_taken_before_a_test():
+    command = Command(CODEC, 10.0)
+    with pytest.raises(WireError, match="at step -1"):
+        command.take(message(0, 1.0, 1.0))

@@ -1,0 +1,102 @@
+"""A node that is none of the test's, and publishes what it likes on the test's topics."""
+
+import struct
+
+import numpy as np
+import rclpy
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.signals import SignalHandlerOptions
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.messages import Status, encode_status, encode_string
+from seft_msgs_py.ros_types import message_class, qos_profile
+from seft_msgs_py.topics import (
+    DESCRIPTION,
+    DIAGNOSTICS,
+    GROUND_MOTION,
+    LOOP_TOPICS,
+    REFERENCE_FORCE,
+    RIG_STATE,
+    VALVE_COMMAND,
+    LoopTopic,
+    Topic,
+)
+from seft_msgs_py.trajectory import TrajectoryCodec
+
+FAR = 10**9  # a step that no test reaches
+
+
+class Hostile:
+    """Sends every bad kind of message, raw."""
+
+    def __init__(self, experiment: Experiment) -> None:
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        self._node = Node("hostile", start_parameter_services=False)
+        self._publishers: dict[Topic, Publisher] = {}
+        self._experiment = experiment
+
+    def join(self, *topics: Topic) -> None:
+        """Publish on topics from now on; default all that are read in a test."""
+        for topic in topics or (*LOOP_TOPICS, DIAGNOSTICS, DESCRIPTION):
+            self._publishers[topic] = self._node.create_publisher(
+                message_class(topic), topic.name, qos_profile(topic, depth=64)
+            )
+
+    def send(self, topic: Topic, raw: bytes) -> None:
+        """Publish bytes as they are."""
+        self._publishers[topic].publish(raw)
+
+    def is_heard(self) -> bool:
+        """Whether all of the loop listen."""
+        expected = {RIG_STATE: 3, VALVE_COMMAND: 2, REFERENCE_FORCE: 2, GROUND_MOTION: 2}
+        return all(
+            self._publishers[topic].get_subscription_count() >= count
+            for topic, count in expected.items()
+        )
+
+    def bad_messages(self, topic: LoopTopic) -> dict[str, bytes]:
+        """One of each bad kind; stale ones are of step 0, and no step is that of a real one."""
+        axes, timebase = self._experiment.axes, self._experiment.timebase
+        codec = TrajectoryCodec(topic, axes, timebase)
+        q = len(topic.quantities)
+
+        def of(step: int, value: float, codec: TrajectoryCodec = codec) -> bytes:
+            return codec.encode(step, np.full((q, len(codec.axes)), value))
+
+        mark = np.float64(1234.5).tobytes()
+        good = of(FAR, 1234.5)
+        assert good.count(mark) == q * len(axes)
+        return {
+            "nan": of(0, 1234.5).replace(mark, struct.pack("<d", float("nan"))),
+            "inf": of(0, 1234.5).replace(mark, struct.pack("<d", float("inf"))),
+            "absurd": of(FAR, 1e30),
+            "more axes": of(0, 1.0, TrajectoryCodec(topic, (*axes, "more"), timebase)),
+            "wrong axis": of(0, 1.0, TrajectoryCodec(topic, ("wrong",), timebase)),
+            "stale": of(0, 1.0),
+            "future": of(FAR, 1.0),
+            "between steps": good[:8] + struct.pack("<I", 1) + good[12:],
+            "negative stamp": struct.pack("<4si", good[:4], -5) + good[8:],
+            "big-endian": b"\x00\x00\x00\x00" + good[4:],
+            "truncated": good[: len(good) // 2],
+            "garbage": bytes(range(256)),
+            "short": b"\x00",
+        }
+
+    def slow_messages(self) -> list[tuple[Topic, bytes]]:
+        """Bad ones on the topics that supervisor and recorder read."""
+        garbage = bytes(range(256))
+        running = encode_status(Status("experiment", 0, "running", values={"steps": "x"}))
+        return [
+            (DIAGNOSTICS, garbage),
+            (DIAGNOSTICS, running),
+            (DIAGNOSTICS, b"\x00\x01\x00\x00"),
+            (DESCRIPTION, garbage),
+            (DESCRIPTION, encode_string("{")),
+            (DESCRIPTION, encode_string('{"node": ["rig"]}')),
+            (DESCRIPTION, encode_string("[" * 5000)),
+        ]
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._node.destroy_node()
+        rclpy.try_shutdown()
