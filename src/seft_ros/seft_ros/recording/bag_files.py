@@ -32,6 +32,12 @@ def open_bag(path: str | Path) -> Reader:
     try:
         reader = BagReader(path)
         reader.open()
+        try:
+            _check_metadata(reader)
+            _forget_unlike_qos(reader)
+        except Exception:
+            reader.close()
+            raise
     except Exception as error:  # rosbags' parsers raise what garbage makes them raise
         reason = (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
         if isinstance(error, PermissionError):
@@ -42,7 +48,6 @@ def open_bag(path: str | Path) -> Reader:
             f"{path}: the bag can't be read: {reason}; get back what is in it with: "
             f"seft recover {path}"
         ) from None
-    _forget_unlike_qos(reader)
     return reader
 
 
@@ -127,6 +132,15 @@ def _forget_unlike_qos(reader: Reader) -> None:
             item._replace(ext=claimed.get((item.topic, item.msgtype), item.ext))
             for item in storage.connections
         ]
+
+
+def _check_metadata(reader: Reader) -> None:
+    """Refuse what rosbags takes over from metadata.yaml without a look."""
+    for item in reader.connections:
+        if not (isinstance(item.topic, str) and isinstance(item.msgtype, str)):
+            raise TypeError(f"its metadata.yaml names a topic {item.topic!r} of {item.msgtype!r}")
+        if not isinstance(item.msgcount, int):
+            raise TypeError(f"its metadata.yaml counts {item.msgcount!r} messages")
 
 
 def _lacks_metadata(path: Path) -> bool:
