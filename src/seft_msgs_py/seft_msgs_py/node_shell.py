@@ -284,6 +284,9 @@ class NodeShell:
         sent_at, sent = self._status_sent
         if now - self._handled_at < LOOP_PAUSE:
             if now - sent_at >= STATUS_PERIOD:
+                if self._status.values.get("refused") != str(self.refused):
+                    values = {**self._status.values, "refused": str(self.refused)}
+                    self._status = replace(self._status, values=values)
                 self._publish_status()
             return
         if now - self._looked_at < STATUS_PERIOD:

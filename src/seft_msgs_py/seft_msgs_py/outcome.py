@@ -78,7 +78,7 @@ class Saturation:
             for name, counts in json.loads(text).items():
                 found.samples[str(name)] = int(counts["samples"])
                 found.first_step[str(name)] = int(counts["first_step"])
-        except (AttributeError, KeyError, TypeError) as error:
+        except (AttributeError, KeyError, TypeError, OverflowError, RecursionError) as error:
             raise ValueError(f"saturated: {error}") from None
         return found
 

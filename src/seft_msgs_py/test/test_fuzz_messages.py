@@ -117,7 +117,7 @@ JSON = st.recursive(
     text=TEXTS
     | JSON.map(json.dumps)
     | st.builds(
-        lambda *counts: json.dumps({"valve": dict(zip(("samples", "first_step"), counts, strict=False))}),
+        lambda *counts: json.dumps({"valve": {"samples": counts[0], "first_step": counts[1]}}),
         JSON | st.floats(),
         JSON | st.floats(),
     )

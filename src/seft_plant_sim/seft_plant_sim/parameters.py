@@ -248,6 +248,22 @@ TABLE = Table(
             default_from="force_controller:voltage_limit",
         ),
         Parameter(
+            "safe.valve_command",
+            "floats",
+            0.0,
+            "valve command when a test trips or is stopped; an idealised actuator lets go instead",
+            "V",
+        ),
+        Parameter(
+            "safe.settle_time",
+            "float",
+            0.2,
+            "longest time that the simulated rig is followed to rest after that; 0: not at all",
+            "s",
+            minimum=0.0,
+            maximum=60.0,
+        ),
+        Parameter(
             "watchdog.command_timeout",
             "float",
             0.02,

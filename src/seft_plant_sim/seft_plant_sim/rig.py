@@ -7,12 +7,14 @@ import numpy.typing as npt
 from seft_msgs_py.outcome import Saturation
 from seft_msgs_py.parameters import group
 from seft_msgs_py.timebase import Timebase
+from seft_msgs_py.topics import VALVE_COMMAND
 
 from seft_plant_sim.actuator import delayed_force, servo_hydraulic
 from seft_plant_sim.continuous_model import ContinuousModel, Drive, with_low_pass
 from seft_plant_sim.hydraulics import Hydraulics
 from seft_plant_sim.limits import Limits
 from seft_plant_sim.plant import make_plant
+from seft_plant_sim.safe_stop import AT_REST, RESTS, Safe, Stopped
 from seft_plant_sim.saturated_time import SaturatedTime
 from seft_plant_sim.sensors import Sensors
 from seft_plant_sim.specimen import Specimen
@@ -35,6 +37,8 @@ class Rig:
         What trips it when sensors are at the end of their range.
     dt : float
         Sampling period, s.
+    safe : Safe, optional
+        How it is stopped.
 
     Attributes
     ----------
@@ -46,6 +50,8 @@ class Rig:
         Step of the last sample.
     violation : str or None
         The limit that the last sample breaks; the test must end with that sample.
+    sample : ndarray
+        The true state at the last step, shape (4, n).
     saturation : Saturation
         What has been at the end of its range since the reset: stroke, force capacity, valve,
         and the sensors' ranges.
@@ -58,6 +64,7 @@ class Rig:
         limits: Limits,
         saturated_time: SaturatedTime,
         dt: float,
+        safe: Safe | None = None,
     ) -> None:
         self.drive: Drive = model.drive
         self._plant = make_plant(model, dt)
@@ -67,6 +74,8 @@ class Rig:
         self.step_index = 0
         self.violation: str | None = None
         self.saturation = Saturation()
+        self.sample: Floats = np.empty((4, 0))
+        self._safe = safe
 
     @classmethod
     def from_parameters(
@@ -87,6 +96,7 @@ class Rig:
             Limits(group(section, "limits"), axes, timebase.dt),
             SaturatedTime(section["limits.saturated_time"], timebase.dt),
             timebase.dt,
+            Safe.from_parameters(group(section, "safe"), axes, timebase.dt),
         )
 
     def reset(self) -> Floats:
@@ -116,7 +126,28 @@ class Rig:
         self.step_index += 1
         return self._measure(self._plant.step(command))
 
+    def stop(self) -> Stopped:
+        """Bring the valve to its safe position and follow the rig until it rests.
+
+        A closed valve locks the piston: the oil column rings, friction and leakage damp it, and
+        what force is left leaks away. `sample` then is the true state; nothing is measured, and
+        no limit trips any more.
+        """
+        if self._safe is None:
+            return Stopped(0, 0.0)
+        command = self._safe.command
+        if self.drive != VALVE_COMMAND.name:
+            command = np.zeros_like(command)
+        steps, resting, peak = 0, 0, 0.0
+        while steps < self._safe.longest and resting < RESTS:
+            self.sample = self._plant.step(command)
+            peak = max(peak, float(np.abs(self.sample[3]).max()))
+            steps += 1
+            resting = resting + 1 if np.abs(self.sample[1]).max() < AT_REST else 0
+        return Stopped(steps, peak)
+
     def _measure(self, state: Floats) -> Floats:
+        self.sample = state
         measured = self._sensors.measure(self.step_index, state)
         self.violation = self.limits.violation(measured)
         step, blind, at_end = self.step_index, self._sensors.saturated, self._plant.saturated()

@@ -28,6 +28,7 @@ from seft_plant_sim.parameters import TABLE
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_diagnostics import with_health
 from seft_plant_sim.round_trip import RoundTrip
+from seft_plant_sim.safe_stop import Stopped
 
 CLOCK_PERIOD = 0.1  # s of wall time
 MOVING = ("running", "ramping_down")  # states of a test in which the rig obeys
@@ -132,9 +133,11 @@ class RigNode:
         else:
             self._latched = True
             step = self._rig.step_index
-            self._tell(TRIPPED, Trip(reason, step, self._timebase.stamp_ns(step) / 1e9))
+            trip = Trip(reason, step, self._timebase.stamp_ns(step) / 1e9)
+            self._tell(TRIPPED, trip)  # before the rig comes to rest: others can stop at once
+            self._tell(TRIPPED, trip, self._rig.stop())
 
-    def _tell(self, phase: str, trip: Trip | None = None) -> None:
+    def _tell(self, phase: str, trip: Trip | None = None, stopped: Stopped | None = None) -> None:
         self._told_at = time.monotonic()
         status = rig_status(
             phase,
@@ -148,6 +151,12 @@ class RigNode:
         )
         if phase == "running":
             status = replace(status, message="running")
+        if stopped is not None:
+            rest = {
+                "stop peak force (N)": f"{stopped.peak_force:.1f}",
+                "stop time (s)": f"{stopped.steps * self._timebase.dt:g}",
+            }
+            status = replace(status, values={**status.values, **rest})
         margins = self._rig.limits.margins()
         self._shell.report(with_health(status, margins, self._answered_at, self._round_trip))
 

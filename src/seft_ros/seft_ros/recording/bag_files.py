@@ -33,6 +33,11 @@ def open_bag(path: str | Path) -> Reader:
     try:
         reader = Reader(path)
         reader.open()
+        try:
+            _check_metadata(reader)
+        except Exception:
+            reader.close()
+            raise
     except Exception as error:  # rosbags' parsers raise what garbage makes them raise
         reason = (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
         if isinstance(error, PermissionError):
@@ -111,6 +116,15 @@ def is_cut_off(file: Path) -> bool:
             return False
         stream.seek(max(0, size - len(_MCAP_MAGIC)))
         return stream.read() != _MCAP_MAGIC or size == len(_MCAP_MAGIC)
+
+
+def _check_metadata(reader: Reader) -> None:
+    """Refuse what rosbags takes over from metadata.yaml without a look."""
+    for item in reader.connections:
+        if not (isinstance(item.topic, str) and isinstance(item.msgtype, str)):
+            raise TypeError(f"its metadata.yaml names a topic {item.topic!r} of {item.msgtype!r}")
+        if not isinstance(item.msgcount, int):
+            raise TypeError(f"its metadata.yaml counts {item.msgcount!r} messages")
 
 
 def _lacks_metadata(path: Path) -> bool:
