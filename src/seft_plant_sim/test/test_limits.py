@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.parameters import Table
@@ -59,6 +59,7 @@ def test_the_first_that_is_broken_is_told():
     assert Limits(PAPER, AXES, DT).violation(state).startswith("displacement 1e+09 m on axis east")
 
 
+@settings(suppress_health_check=[HealthCheck.too_slow])  # of a busy machine
 @given(st.data(), st.integers(1, 4))
 def test_there_is_a_violation_if_and_only_if_a_value_is_beyond_its_limit(data, axes):
     limits = [data.draw(st.floats(1e-9, 1e9)) for _ in NAMES]

@@ -20,7 +20,12 @@ BASE = {
     "/**": {"rate": 500.0, "axes": ["x"]},
     "ground_motion": {"synthetic.duration": 0.5, "synthetic.rise": 0.1, "tail": 7.5},
     "rig": WIDE | {"specimen.mass": M, "specimen.damping": C, "specimen.stiffness": K},
-    "force_controller": {"voltage_limit": 1e15},
+    "reference_force": {
+        "instability.ratio": 0.0,  # it is to grow
+        "limits.force": 1e12,
+        "limits.force_rate": 1e15,
+    },
+    "force_controller": {"voltage_limit": 1e15, "limits.force": 1e12},
 }
 DELAY = {
     "rig": {"actuator.kind": "delay", "actuator.delay": 0.010},
