@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from graph_tools import JHU, STALLS_ALLOWED
+from graph_tools import JHU, MISSES_ALLOWED, STALLS_ALLOWED
 from seft_ros.recording.bag_reader import read_bag
 
 SHORT = ("-p", "ground_motion:synthetic.duration:=5.0", "-p", "ground_motion:tail:=0.5")
@@ -82,7 +82,7 @@ def test_estimates_over_dds_are_those_of_the_offline_loop(seft_json, tmp_path):
 
 @pytest.mark.parametrize("experiment", [EXPERIMENTS["servo_hydraulic"], ESTIMATED_DELAY])
 def test_realtime_differs_only_from_the_first_missed_command_on(seft_json, tmp_path, experiment):
-    words = (JHU, *SHORT, *STALLS_ALLOWED, *experiment)
+    words = (JHU, *SHORT, *STALLS_ALLOWED, *MISSES_ALLOWED, *experiment)
     seft_json("simulate", *words, "--out", "simulated")
     realtime = seft_json("run", *words, "--out", "realtime")
     compared = seft_json("compare", "simulated", "realtime", status=None)

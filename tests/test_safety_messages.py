@@ -11,7 +11,7 @@ from seft_msgs_py.messages import decode_diagnostics
 from seft_msgs_py.ros_types import message_class, qos_profile
 from seft_msgs_py.topics import DIAGNOSTICS, LOOP_TOPICS, VALVE_COMMAND
 from seft_ros.experiment.tables import TABLES
-from seft_ros.recording.bag_files import open_bag, read_messages
+from seft_ros.recording.bag_files import open_bag
 from seft_ros.running.observer import Observer
 from seft_ros.running.processes import MODULES
 
@@ -67,7 +67,7 @@ def refusals(bag):
     found = {}
     reader = open_bag(bag)
     connections = [c for c in reader.connections if c.topic == f"/{DIAGNOSTICS.name}"]
-    for _, _, raw in read_messages(reader, connections, bag):
+    for _, _, raw in reader.messages(connections):
         try:
             for status in decode_diagnostics(raw)[1]:
                 found[status.name] = int(status.values.get("refused", "0"))
