@@ -53,7 +53,7 @@ def abandoned(names):
     for maps in Path("/proc").glob("[0-9]*/maps"):
         with contextlib.suppress(OSError):
             text = maps.read_text()
-            left = {name for name in left if name not in text}
+            left = {name for name in left if name.removesuffix("_el") not in text}
     return left
 
 

@@ -136,6 +136,9 @@ class Shell:
         self.experiment = experiment
         self.sent, self.handlers, self.refusals = [], {}, []
 
+    def several_senders(self):
+        return ""
+
     def publisher(self, topic):
         return lambda raw: self.sent.append((topic, raw))
 
