@@ -10,9 +10,16 @@ from hypothesis import strategies as st
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.estimates import EstimatesCodec
 from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.messages import Status, encode_status
 from seft_msgs_py.parameter_file import parse_override
 from seft_msgs_py.timebase import Timebase
-from seft_msgs_py.topics import ESTIMATES, GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
+from seft_msgs_py.topics import (
+    ESTIMATES,
+    EXPERIMENT_STATE,
+    GROUND_MOTION,
+    REFERENCE_FORCE,
+    RIG_STATE,
+)
 from seft_msgs_py.trajectory import TrajectoryCodec
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
@@ -186,6 +193,21 @@ def test_the_node_publishes_the_estimates_of_the_offline_loop_after_the_force(wa
             assert before is REFERENCE_FORCE
             assert force_codec.decode(force)[0] == codec.decode(raw)[0]
     assert shell.refusals == []
+
+
+def test_a_state_that_is_faster_than_its_ground_motion_is_answered_when_that_has_come(watched):
+    axes, timebase = watched.axes, watched.timebase
+    shell = start_node(watched)
+    running = Status("experiment", 0, "running", values={"steps": "900"})
+    shell.handlers[EXPERIMENT_STATE.name](encode_status(running), 0)
+    state = TrajectoryCodec(RIG_STATE, axes, timebase).encode(0, np.zeros((4, 2)))
+    shell.handlers[RIG_STATE.name](state, 0)
+    assert shell.sent == []
+    motion = TrajectoryCodec(GROUND_MOTION, axes, timebase).encode_points(0, np.ones((100, 2)))
+    shell.handlers[GROUND_MOTION.name](motion, 0)
+    assert REFERENCE_FORCE in [topic for topic, _ in shell.sent]
+    with pytest.raises(WireError, match="in the middle of a test"):
+        shell.handlers[GROUND_MOTION.name](motion, 0)
 
 
 def test_the_node_begins_anew_with_a_second_test(watched):
