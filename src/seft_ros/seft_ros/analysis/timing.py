@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 
+from seft_ros.analysis.common_steps import common_steps
 from seft_ros.recording.record import Record
 
 Floats = npt.NDArray[np.floating[Any]]
@@ -105,9 +106,7 @@ def timing_of(record: Record) -> Timing | None:
         commands = record.series[REFERENCE_FORCE.name]
     if states.received_ns is None or commands.received_ns is None:
         return None
-    _, at_state, at_command = np.intersect1d(
-        states.steps, commands.steps, assume_unique=True, return_indices=True
-    )
+    _, at_state, at_command = common_steps(states.steps, commands.steps)
     trips = (commands.received_ns[at_command] - states.received_ns[at_state]) * 1e-9
     dt = record.experiment.timebase.dt
     pace = record.experiment.sections.get("rig", {}).get("pace")

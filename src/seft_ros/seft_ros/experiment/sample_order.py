@@ -4,8 +4,8 @@ from seft_msgs_py.errors import WireError
 from seft_msgs_py.messages import Status
 from seft_msgs_py.timebase import Timebase
 
-IN_A_TEST = ("running", "ramping_down")
-"""States of the experiment in which the rig samples."""
+from seft_ros.experiment.state_machine import MOVING
+
 FARTHEST = 10.0  # s: who was held up for longer has lost the test anyway
 ABSURD = 1e9
 """No rig has m, m/s, m/s^2 or N beyond this."""
@@ -41,7 +41,7 @@ class SampleOrder:
     def follow(self, experiment: Status) -> None:
         """Take in a state of the experiment."""
         self._is_supervised = True
-        if experiment.message in IN_A_TEST:
+        if experiment.message in MOVING:
             steps = experiment.values.get("steps", "")
             if steps.isdecimal() and len(steps) < 19:
                 self.steps = int(steps)

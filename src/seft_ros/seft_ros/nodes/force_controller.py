@@ -19,7 +19,8 @@ from seft_msgs_py.outcome import tripped_status
 from seft_msgs_py.topics import EXPERIMENT_STATE, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 from seft_msgs_py.trajectory import Floats, TrajectoryCodec
 
-from seft_ros.experiment.sample_order import ABSURD, IN_A_TEST, SampleOrder
+from seft_ros.experiment.sample_order import ABSURD, SampleOrder
+from seft_ros.experiment.state_machine import MOVING
 from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.block import ForceController
 from seft_ros.force_controller.interlock import Interlock
@@ -88,7 +89,7 @@ class ForceControllerNode:
     def _on_experiment_state(self, raw: bytes, _: int) -> None:
         status = decode_status(raw)
         self._order.follow(status)
-        if status.message not in IN_A_TEST:
+        if status.message not in MOVING:
             self._silence.end()
         if status.message == "idle" and self._controller.reason:  # the operator knows
             self._controller.reset()

@@ -75,16 +75,10 @@ def at_most(
 
     ``what`` names the measure in the criterion, ``noun`` in a word behind the value.
     """
-    known = ours is not None and math.isfinite(ours)
-    return Claim(
-        where,
-        claim,
-        paper,
-        _with(noun, _with(unit, f"{ours:{shown}}")) if known else "not finite",
-        known and ours <= limit,  # type: ignore[operator]
-        f"{what} at most {_with(unit, f'{limit:{shown}}')}".strip(),
-        note,
-    )
+    measure = _measure(ours, shown, unit, noun)
+    agrees = measure is not None and ours <= limit  # type: ignore[operator]
+    criterion = f"{what} at most {_with(unit, f'{limit:{shown}}')}".strip()
+    return Claim(where, claim, paper, measure or "not finite", agrees, criterion, note)
 
 
 def at_least(
@@ -104,16 +98,10 @@ def at_least(
 
     ``what`` names the measure in the criterion, ``noun`` in a word behind the value.
     """
-    known = ours is not None and math.isfinite(ours)
-    return Claim(
-        where,
-        claim,
-        paper,
-        _with(noun, _with(unit, f"{ours:{shown}}")) if known else "not finite",
-        known and ours >= limit,  # type: ignore[operator]
-        f"{what} at least {_with(unit, f'{limit:{shown}}')}".strip(),
-        note,
-    )
+    measure = _measure(ours, shown, unit, noun)
+    agrees = measure is not None and ours >= limit  # type: ignore[operator]
+    criterion = f"{what} at least {_with(unit, f'{limit:{shown}}')}".strip()
+    return Claim(where, claim, paper, measure or "not finite", agrees, criterion, note)
 
 
 def growing(
@@ -141,3 +129,10 @@ def holds(
 
 def _with(unit: str, text: str) -> str:
     return f"{text} {unit}" if unit else text
+
+
+def _measure(value: float | None, shown: str, unit: str, noun: str) -> str | None:
+    """Show a measure; None if there is none, or it is not finite."""
+    if value is None or not math.isfinite(value):
+        return None
+    return _with(noun, _with(unit, f"{value:{shown}}"))
