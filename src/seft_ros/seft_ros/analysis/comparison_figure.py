@@ -14,12 +14,12 @@ from seft_msgs_py.topics import RIG_STATE
 
 from seft_ros.analysis.alignment import Alignment
 from seft_ros.analysis.reference import COMPARED
+from seft_ros.analysis.shown import UNITS
 from seft_ros.drawing.style import MARK, OTHERS, REFERENCE, TEXT, tidy
 from seft_ros.recording.record import Record
 
 Floats = npt.NDArray[np.floating[Any]]
 
-_UNITS = {"displacement": ("mm", 1e3), "force": ("N", 1.0), "acceleration": ("m/s²", 1.0)}
 _HEIGHT, _LOW = 1.9, 1.1  # inches of a panel
 _MOST_BRIDGED = 5  # steps
 
@@ -47,11 +47,11 @@ def comparison_figure(
         If there is no axis that all have.
     """
     axis = _common_axis(records)
-    heights = [_HEIGHT, _LOW] * len(_UNITS)
+    heights = [_HEIGHT, _LOW] * len(UNITS)
     figure = Figure(figsize=(9.5, sum(heights) + 0.6), layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
-    for index, (name, (unit, _)) in enumerate(_UNITS.items()):
+    for index, (name, (unit, _)) in enumerate(UNITS.items()):
         overlay, difference = panels[2 * index : 2 * index + 2]
         _draw_overlay(overlay, records, names, name, axis)
         _draw_differences(difference, records, name, axis)
@@ -86,7 +86,7 @@ def _common_axis(records: Sequence[Record]) -> str:
 def _draw_overlay(
     panel: Axes, records: Sequence[Record], names: Sequence[str], name: str, axis: str
 ) -> None:
-    row, scale = dict(COMPARED)[name], _UNITS[name][1]
+    row, scale = dict(COMPARED)[name], UNITS[name][1]
     colours = cycle(OTHERS)
     for index, record in enumerate(records):
         states, column = record.series[RIG_STATE.name], record.experiment.axes.index(axis)
@@ -99,7 +99,7 @@ def _draw_overlay(
 
 
 def _draw_differences(panel: Axes, records: Sequence[Record], name: str, axis: str) -> None:
-    row, scale = dict(COMPARED)[name], _UNITS[name][1]
+    row, scale = dict(COMPARED)[name], UNITS[name][1]
     colours = cycle(OTHERS)
     a, differ, common = records[0], False, False
     for b in records[1:]:

@@ -11,6 +11,7 @@ from seft_plant_sim.whole_structure import ReferenceResponse
 from seft_ros.analysis.estimates import shown_unit
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.analysis.reference import COMPARED, quantity
+from seft_ros.analysis.shown import UNITS
 from seft_ros.analysis.title import title_of
 from seft_ros.drawing.style import FIRST, MARK, REFERENCE, SECOND, TEXT, tidy
 from seft_ros.drawing.thinning import thinned
@@ -18,7 +19,6 @@ from seft_ros.recording.record import Estimates, Record
 
 MOST_AXES = 3
 _HEIGHT, _LOW = 2.4, 1.3  # inches of a panel
-_ROWS = {"displacement": ("mm", 1e3), "force": ("N", 1.0), "acceleration": ("m/s²", 1.0)}
 
 
 def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
@@ -36,7 +36,7 @@ def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
     axes = record.experiment.axes[:MOST_AXES]
     width = 9.5 if len(axes) == 1 else 5.5 * len(axes)
     estimates = record.estimates
-    heights = [_HEIGHT] * len(_ROWS) + [_LOW] * (len(estimates.names) if estimates else 0)
+    heights = [_HEIGHT] * len(UNITS) + [_LOW] * (len(estimates.names) if estimates else 0)
     figure = Figure(figsize=(width, sum(heights)), layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(
@@ -47,13 +47,13 @@ def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
         squeeze=False,
         height_ratios=heights,
     )
-    for row, name in enumerate(_ROWS):
+    for row, name in enumerate(UNITS):
         for column in range(len(axes)):
             _draw(panels[row, column], record, reference, name, column)
-        unit = _ROWS[name][0]
+        unit = UNITS[name][0]
         panels[row, 0].set_ylabel(f"{name} / {unit}", color=TEXT)
     if estimates is not None:
-        _draw_estimates(panels[len(_ROWS) :], record, estimates)
+        _draw_estimates(panels[len(UNITS) :], record, estimates)
     for column, axis in enumerate(axes):
         if len(record.experiment.axes) > 1:
             text = f"axis {axis}"
@@ -70,7 +70,7 @@ def _draw(
     panel: Axes, record: Record, reference: ReferenceResponse | None, name: str, column: int
 ) -> None:
     states, dt = record.series[RIG_STATE.name], record.experiment.timebase.dt
-    scale = _ROWS[name][1]
+    scale = UNITS[name][1]
     row = dict(COMPARED)[name]
     y = states.values[:, row, column]
     if reference is not None:

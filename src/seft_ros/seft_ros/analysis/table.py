@@ -9,6 +9,7 @@ from seft_msgs_py.topics import LOOP_TOPICS
 
 from seft_ros.analysis.difference_text import difference_lines
 from seft_ros.analysis.estimates import estimate_lines
+from seft_ros.analysis.shown import UNITS, number
 from seft_ros.analysis.title import title_of
 from seft_ros.recording.record import Record
 
@@ -16,12 +17,6 @@ GOOD_ERROR = 0.05
 """Displacement error (nrmse) up to which a test is shown in green."""
 
 _LEAST = 0.001  # %
-
-_UNITS = {
-    "displacement": ("mm", 1e3),
-    "force": ("N", 1.0),
-    "acceleration": ("m/s²", 1.0),
-}
 
 
 def summary_table(record: Record, summary: dict[str, Any]) -> Table:
@@ -142,20 +137,16 @@ def _pace(summary: dict[str, Any]) -> str:
 
 
 def _add_rows(table: Table, part: dict[str, Any], prefix: str) -> None:
-    for name, (unit, scale) in _UNITS.items():
+    for name, (unit, scale) in UNITS.items():
         row = part[name]
         table.add_row(
             f"{prefix}{name}",
-            _number(row["peak"], scale, unit),
-            _number(row["reference_peak"], scale, unit),
+            number(row["peak"], scale, unit),
+            number(row["reference_peak"], scale, unit),
             percent(row["nrmse"]),
             percent(row["nrmse_aligned"]),
             "-" if row["delay_s"] is None else f"{row['delay_s'] * 1e3:.2f} ms",
         )
-
-
-def _number(value: float | None, scale: float, unit: str) -> str:
-    return "-" if value is None else f"{value * scale:.4g} {unit}"
 
 
 def small_percent(value: float | None) -> str:

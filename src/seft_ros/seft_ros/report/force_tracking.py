@@ -3,6 +3,7 @@
 import numpy as np
 
 from seft_ros.analysis.delay_by_frequency import delay_by_frequency
+from seft_ros.analysis.shown import number
 from seft_ros.analysis.table import percent
 from seft_ros.analysis.tracked import Tracked, tracked_of
 from seft_ros.drawing.style import FIRST, REFERENCE
@@ -40,17 +41,17 @@ def _table(findings: Findings, axis: str) -> Table:
     row = findings.summary["tracking"][axis]
     criteria = row["J"]
     rows = [
-        ("delay (J1)", _in(criteria["J1"], 1.0, "ms")),
-        ("normalised error (J2)", _in(criteria["J2"], 1.0, "%")),
-        ("peak error (J3)", _in(criteria["J3"], 1.0, "%")),
-        ("amplitude (FEI)", _in(row["fei_amplitude"], 1.0, "")),
-        ("delay (FEI)", _in(row["fei_delay_s"], 1e3, "ms")),
-        ("frequency it belongs to (FEI)", _in(row["fei_frequency_hz"], 1.0, "Hz")),
-        ("tracking indicator at the end", _in(row["tracking_indicator_end"], 1.0, "")),
+        ("delay (J1)", number(criteria["J1"], 1.0, "ms")),
+        ("normalised error (J2)", number(criteria["J2"], 1.0, "%")),
+        ("peak error (J3)", number(criteria["J3"], 1.0, "%")),
+        ("amplitude (FEI)", number(row["fei_amplitude"], 1.0, "")),
+        ("delay (FEI)", number(row["fei_delay_s"], 1e3, "ms")),
+        ("frequency it belongs to (FEI)", number(row["fei_frequency_hz"], 1.0, "Hz")),
+        ("tracking indicator at the end", number(row["tracking_indicator_end"], 1.0, "")),
         ("energy error over the input", percent(row["energy_error"])),
     ]
     rows += [
-        (f"{name}, of the structure", _in(value, 1.0, "%"))
+        (f"{name}, of the structure", number(value, 1.0, "%"))
         for name, value in criteria.items()
         if name not in ("J1", "J2", "J3")
     ]
@@ -95,7 +96,3 @@ def _by_frequency(signals: Tracked, column: int, dt: float) -> list[Block]:
         Plot(delay, f"Delay of the measured force by frequency, {note}"),
         Plot(amplitude, f"Measured over reference force by frequency, {note}"),
     ]
-
-
-def _in(value: float | None, scale: float, unit: str) -> str:
-    return "-" if value is None else f"{value * scale:.4g} {unit}".rstrip()

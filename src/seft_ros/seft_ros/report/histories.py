@@ -9,6 +9,7 @@ from bokeh.models import Range1d
 from seft_msgs_py.topics import RIG_STATE
 
 from seft_ros.analysis.reference import COMPARED, quantity
+from seft_ros.analysis.shown import UNITS, number
 from seft_ros.analysis.table import percent
 from seft_ros.drawing.style import FIRST, REFERENCE
 from seft_ros.page.content import Plot, Section, Table
@@ -17,7 +18,6 @@ from seft_ros.report.numbers import Findings
 
 Floats = npt.NDArray[np.floating[Any]]
 
-UNITS = {"displacement": ("mm", 1e3), "force": ("N", 1.0), "acceleration": ("m/s²", 1.0)}
 WINDOW = 1.0
 """Length of a zoom window, s."""
 
@@ -33,11 +33,11 @@ def agreement_section(findings: Findings) -> Section:
             rows.append(
                 (
                     f"{prefix}{name}",
-                    _number(row["peak"], scale, unit),
-                    _number(row["reference_peak"], scale, unit),
+                    number(row["peak"], scale, unit),
+                    number(row["reference_peak"], scale, unit),
                     percent(row["nrmse"]),
                     percent(row["nrmse_aligned"]),
-                    _number(row["delay_s"], 1e3, "ms"),
+                    number(row["delay_s"], 1e3, "ms"),
                 )
             )
     headings = ("", "peak", "exact peak", "NRMSE", "aligned", "delay")
@@ -107,7 +107,3 @@ def _draw(
         at = (first + np.arange(len(exact))) * dt
         line(panel, at, exact, "exact response", color=REFERENCE, width=3.0)
     line(panel, time, y, "test", color=FIRST)
-
-
-def _number(value: float | None, scale: float, unit: str) -> str:
-    return "-" if value is None else f"{value * scale:.4g} {unit}"

@@ -1,9 +1,9 @@
 """Spectra of force and acceleration, with the band where instability would start."""
 
+from seft_ros.analysis.shown import UNITS
 from seft_ros.drawing.style import FIRST, REFERENCE
 from seft_ros.page.content import Block, Plot, Section, Text
 from seft_ros.page.plots import band, line, plot
-from seft_ros.report.histories import UNITS
 from seft_ros.report.numbers import Findings
 
 
