@@ -38,7 +38,7 @@ class Station:
             message_class(outward), outward.name, qos_profile(outward)
         )
         self.send = sender(self.publisher)
-        self.wait_set = WaitSet(self.node, [self.subscription])
+        self.wait_set = WaitSet(self.node.context, [self.subscription])
 
     def receive(self, timeout: float) -> bytes | None:
         """Wait for a message and take it."""

@@ -9,6 +9,9 @@ from collections.abc import Callable, Iterator
 
 import pytest
 from graph_tools import JHU, PATIENCE
+from hostile import Hostile
+from seft_msgs_py.experiment import Experiment
+from seft_ros.experiment.tables import TABLES
 from seft_ros.running.processes import MODULES
 
 _WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
@@ -88,3 +91,11 @@ def start_node(start):
         return start(*words)
 
     return launch
+
+
+@pytest.fixture
+def hostile(domain):
+    """Someone else on the graph, who means no good."""
+    found = Hostile(Experiment.load(TABLES, [JHU], []))
+    yield found
+    found.close()

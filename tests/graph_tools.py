@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from seft_ros.running.processes import MODULES
+from seft_ros.running.processes import COMPOSED, MODULES
 
 ROOT = Path(__file__).parent.parent
 JHU = ROOT / "config" / "jhu.yaml"
@@ -44,7 +44,7 @@ def children(pid: int) -> dict[str, int]:
         except (OSError, ValueError):
             continue
         for node, module in MODULES.items():
-            if parent == pid and module in words:
+            if parent == pid and (module in words or (COMPOSED in words and node in words)):
                 found[node] = int(entry.name)
     return found
 

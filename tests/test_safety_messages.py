@@ -3,14 +3,10 @@
 import subprocess
 import time
 
-import pytest
 from graph_tools import JHU, PATIENCE, STALLS_ALLOWED, wait_for
-from hostile import Hostile
-from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.messages import decode_diagnostics
 from seft_msgs_py.ros_types import message_class, qos_profile
 from seft_msgs_py.topics import DIAGNOSTICS, LOOP_TOPICS, VALVE_COMMAND
-from seft_ros.experiment.tables import TABLES
 from seft_ros.recording.bag_files import open_bag
 from seft_ros.running.observer import Observer
 from seft_ros.running.processes import MODULES
@@ -18,13 +14,6 @@ from seft_ros.running.processes import MODULES
 LONG = ("-p", "ground_motion:synthetic.duration:=60.0")
 LOCKSTEP = ("-p", "rig:pace:=lockstep")
 ROUNDS = 5
-
-
-@pytest.fixture
-def hostile(domain):
-    found = Hostile(Experiment.load(TABLES, [JHU], []))
-    yield found
-    found.close()
 
 
 def attack(hostile, process):

@@ -5,7 +5,14 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 NAME = "seft_ros"
-NODES = ("ground_motion", "reference_force", "force_controller", "supervisor", "recorder")
+NODES = (
+    "ground_motion",
+    "reference_force",
+    "force_controller",
+    "loop",
+    "supervisor",
+    "recorder",
+)
 
 
 def experiments() -> list[tuple[str, list[str]]]:

@@ -1,52 +1,36 @@
-"""What every node of a test is made of: parameters, raw topics, status, a clean end.
+"""One node: its checked parameters, its raw topics, its status."""
 
-The main thread waits for the loop's messages and handles them, and in the pause after that
-tells the node's status. Services (of parameters, of the supervisor) are served by a second
-thread, which sleeps while nobody calls.
-"""
-
-import gc
 import json
-import signal
-import sys
-import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
-import numpy as np
-import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.publisher import Publisher
-from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
+from seft_msgs_py import realtime
 from seft_msgs_py.claim import claim
-from seft_msgs_py.ending import ending_within
-from seft_msgs_py.errors import InputError, SeftError, WireError
+from seft_msgs_py.errors import WireError
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.messages import Status, encode_diagnostics, encode_string, restamp
+from seft_msgs_py.node_process import Handler, NodeProcess
 from seft_msgs_py.parameter_file import split_ros_arguments
 from seft_msgs_py.parameters import Table
 from seft_msgs_py.ros_types import message_class, parameter_descriptor, qos_profile
 from seft_msgs_py.topics import DESCRIPTION, DIAGNOSTICS, LOOP_TOPICS, LoopTopic, Topic
-from seft_msgs_py.wait_set import LoopCallbackGroup, WaitSet, sender, take
+from seft_msgs_py.wait_set import LoopCallbackGroup, sender
 
 IDLE_WAIT = 0.05  # s; a signal is noticed within this time
 STATUS_PERIOD = 0.2  # s: a sign of life
 LOOP_PAUSE = 1.0  # s without a message of the loop: the node is idle
 WARN_PERIOD = 1.0  # s
-CLOSE_PATIENCE = 5.0  # s
 WARM_UP_STEPS = 200
 """Steps a node of the loop tries on itself, so that its first real ones are not its slowest."""
 _LOOP_NAMES = {topic.name for topic in LOOP_TOPICS}
-
-Handler = Callable[[bytes, int], None]
 
 
 class NodeShell:
@@ -54,6 +38,8 @@ class NodeShell:
 
     Parameters
     ----------
+    process : NodeProcess
+        Where it lives.
     table : Table
         The node's own parameters.
     tables : iterable of Table
@@ -67,40 +53,31 @@ class NodeShell:
         This node's section of what the command line and its parameter files say.
     node : rclpy.node.Node
         The node itself.
-    stopping : bool
-        Set by SIGINT and SIGTERM.
+    refused : int
+        Messages that were not acted upon.
     """
 
-    def __init__(self, table: Table, tables: Iterable[Table], argv: Sequence[str]) -> None:
+    def __init__(
+        self, process: NodeProcess, table: Table, tables: Iterable[Table], argv: Sequence[str]
+    ) -> None:
         files, overrides = split_ros_arguments(argv)
         self.name = table.node
         self.experiment = Experiment.load(tables, files, overrides, nodes=[self.name])
-        self.stopping = False
         self.refused = 0
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._on_signal)
-        try:
-            rclpy.init(
-                args=_without_parameters(argv), signal_handler_options=SignalHandlerOptions.NO
-            )
-        except Exception as error:  # rclpy has several kinds, most of them private
-            raise InputError(
-                f"ROS arguments not understood: {str(error).splitlines()[0]}"
-            ) from None
+        self._process = process
         section = self.experiment[self.name]
         self.node = Node(
             self.name,
             parameter_overrides=[RosParameter(name, value=v) for name, v in section.items()],
         )
+        process.add_node(self.node)
         self._claim = claim(self.node.context.get_domain_id(), self.node.get_fully_qualified_name())
         for row in table.rows.values():
             self.node.declare_parameter(row.name, section[row.name], parameter_descriptor(row))
         self._group = LoopCallbackGroup()
-        self._handlers: dict[Subscription, Handler] = {}
-        self._quiet: list[tuple[Subscription, Handler]] = []
         self._publishers: dict[str, Publisher] = {}
         self._subscriptions: dict[str, Subscription] = {}
-        self._wait_set: WaitSet | None = None
+        self._inside: list[str] = []  # topics that come from this process
         self._handled_at = 0.0  # s, monotonic: the last message of the loop
         self._looked_at = 0.0
         self._status = Status(self.name, 0, "starting", values={})
@@ -108,15 +85,19 @@ class NodeShell:
         self._status_message = bytearray()
         self._diagnostics = self.publisher(DIAGNOSTICS)
         self._description = self.publisher(DESCRIPTION)
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self.node)
-        self._thread = threading.Thread(target=self._spin_executor, daemon=True)
+
+    @property
+    def stopping(self) -> bool:
+        """Whether the process was told to end."""
+        return self._process.stopping
 
     def publisher(self, topic: Topic) -> Callable[[bytes], None]:
         """Make the publisher of a topic; give the function that publishes message bytes."""
         publisher = self.node.create_publisher(message_class(topic), topic.name, qos_profile(topic))
         self._publishers[topic.name] = publisher
-        return sender(publisher)
+        if not isinstance(topic, LoopTopic):
+            return sender(publisher)
+        return self._process.mailbox.sender(publisher.topic_name, sender(publisher))
 
     def subscribe(
         self,
@@ -125,7 +106,7 @@ class NodeShell:
         depth: int | None = None,
         wake: bool = True,
         reliable: bool = True,
-    ) -> None:
+    ) -> Callable[[], bool]:
         """Hand every message of a topic to ``handler`` as bytes, in the main thread.
 
         Parameters
@@ -138,11 +119,23 @@ class NodeShell:
         depth : int, optional
             Messages kept while the node is busy; default the topic's.
         wake : bool
-            Whether a message ends the waiting; else it is handled when the node is up.
+            Whether a message ends the waiting; else it is handled when no other has ended it,
+            or when it is asked for.
         reliable : bool
             Whether a lost message is sent again. To the loop it would come too late, and the
             acknowledging costs a tenth of a step.
+
+        Returns
+        -------
+        callable
+            Handles one message, if there is one, and tells whether there was.
         """
+        guarded = self._guarded(handler, wake and isinstance(topic, LoopTopic))
+        if self._process.mailbox.serves(topic):
+            full_name = self.node.resolve_topic_name(topic.name)
+            self._process.mailbox.subscribe(full_name, self.name, guarded)
+            self._inside.append(topic.name)
+            return lambda: False  # whatever was sent has been handed over
         subscription = self.node.create_subscription(
             message_class(topic),
             topic.name,
@@ -152,13 +145,7 @@ class NodeShell:
             raw=True,
         )
         self._subscriptions[topic.name] = subscription
-        if wake and isinstance(topic, LoopTopic):
-            handler = self._noting_the_time(handler)
-        if wake:
-            self._handlers[subscription] = handler
-            self._wait_set = WaitSet(self.node, list(self._handlers))
-        else:
-            self._quiet.append((subscription, handler))
+        return self._process.add_subscription(subscription, guarded, wake)
 
     def start(self, facts: dict[str, Any] | None = None) -> None:
         """Describe the node to the test and begin to serve parameters and status.
@@ -170,59 +157,26 @@ class NodeShell:
         """
         parameters = self.experiment[self.name]
         description = {"node": self.name, "parameters": parameters, **(facts or {})}
+        if "thread_priority" in parameters:
+            for denied in realtime.apply(parameters):
+                self.node.get_logger().warning(denied)
+            description["realtime"] = realtime.granted()
         self._description(encode_string(json.dumps(description)))
-        np.seterr(over="ignore", invalid="ignore")  # the limits see what is not finite
-        sys.setswitchinterval(2e-4)  # the second thread gives way to the loop at once
-        gc.collect()
-        gc.freeze()
-        self._thread.start()
+        self._process.every_turn(self._look_after_status)
+        self._process.start()
 
     def spin_once(self, timeout: float = IDLE_WAIT) -> bool:
-        """Wait for messages, at most ``timeout`` seconds, and handle those that have come.
+        """Let the process wait for messages and handle them, see `NodeProcess.spin_once`."""
+        return self._process.spin_once(timeout)
 
-        Of topics that end the waiting it takes one message; the next call finds the rest.
-
-        Returns
-        -------
-        bool
-            Whether such a message was handled.
-        """
-        handled = False
-        if self._wait_set is None:
-            time.sleep(timeout)
-        else:
-            for subscription in self._wait_set.wait(timeout):
-                self._handle_one(subscription, self._handlers[subscription])
-                handled = True
-        for subscription, handler in self._quiet:
-            while self._handle_one(subscription, handler):
-                pass
-        # what was due is answered: the best moment for what can wait
-        if handled or time.monotonic() - self._handled_at > STATUS_PERIOD:
-            self._look_after_status()
-        return handled
-
-    def _noting_the_time(self, handler: Handler) -> Handler:
-        def handle(raw: bytes, received_ns: int) -> None:
-            self._handled_at = time.monotonic()
-            handler(raw, received_ns)
-
-        return handle
-
-    def _handle_one(self, subscription: Subscription, handler: Handler) -> bool:
-        taken = take(subscription)
-        if taken is None:
-            return False
-        try:
-            handler(*taken)
-        except WireError as error:
-            self.refuse(str(error))
-        return True
-
-    def spin(self, poll: Callable[[], None] | None = None, period: float = IDLE_WAIT) -> None:
+    def spin(
+        self,
+        poll: Callable[[], None] | None = None,
+        period: Callable[[], float] | float = IDLE_WAIT,
+    ) -> None:
         """Handle messages until told to stop, calling ``poll`` at least every ``period`` s."""
         while not self.stopping:
-            self.spin_once(period)
+            self.spin_once(period() if callable(period) else period)
             if poll is not None:
                 poll()
 
@@ -239,28 +193,21 @@ class NodeShell:
         self._status = replace(status, values={**status.values, **self._own_values()})
         self._publish_status()
 
-    def close(self) -> None:
-        """Take the node off the graph."""
-        self.stopping = True
-        if self._thread.is_alive():  # it must not wait on what is being taken down
-            self._executor.wake()
-            self._thread.join(timeout=2.0)
-        self._executor.shutdown(timeout_sec=1.0)
-        self.node.destroy_node()
-        rclpy.try_shutdown()
-
     def matched(self) -> dict[str, str]:
         """Who is connected: names of the nodes that listen to each topic, number of its senders.
 
         Names are separated by blanks.
         """
         found = {}
+        for name in self._inside:
+            found[f"senders {name}"] = str(self.node.count_publishers(name))
         for name, subscription in self._subscriptions.items():
             found[f"senders {name}"] = str(subscription.get_publisher_count())
         for name, publisher in self._publishers.items():
             listeners = {info.node_name for info in self.node.get_subscriptions_info_by_topic(name)}
             if len(listeners) > publisher.get_subscription_count():
                 listeners = set()  # some are known but not connected yet
+            listeners.update(self._process.mailbox.listeners(publisher.topic_name))
             found[f"matched {name}"] = " ".join(sorted(listeners))
         return found
 
@@ -269,11 +216,25 @@ class NodeShell:
 
         One of them is not of this test, and whose messages count would be chance.
         """
-        for name, subscription in self._subscriptions.items():
-            count = subscription.get_publisher_count()
+        counts = {name: s.get_publisher_count() for name, s in self._subscriptions.items()}
+        counts |= {name: self.node.count_publishers(name) for name in self._inside}
+        for name, count in counts.items():
             if name in _LOOP_NAMES and count > 1:
                 return f"{count} nodes publish {name}"
         return ""
+
+    def _guarded(self, handler: Handler, is_of_the_loop: bool) -> Handler:
+        """Refuse what is no message of the test; note when the loop was last seen to turn."""
+
+        def handle(raw: bytes, received_ns: int) -> None:
+            if is_of_the_loop:
+                self._handled_at = time.monotonic()
+            try:
+                handler(raw, received_ns)
+            except WireError as error:
+                self.refuse(str(error))
+
+        return handle
 
     def _look_after_status(self) -> None:
         """Look who listens and what has changed; while the loop turns, only send what is due.
@@ -308,56 +269,6 @@ class NodeShell:
         restamp(self._status_message, now)
         self._diagnostics(bytes(self._status_message))
 
-    def _spin_executor(self) -> None:
-        try:
-            while not self.stopping and rclpy.ok():
-                self._executor.spin_once(timeout_sec=0.5)
-        except (ExternalShutdownException, rclpy.executors.ShutdownException):
-            return
-
-    def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
-        self.stopping = True
-
-
-def run_node(table: Table, tables: Iterable[Table], serve: Callable[[NodeShell], None]) -> int:
-    """Run a node in this process: the body of its executable.
-
-    Parameters
-    ----------
-    table, tables : Table, iterable of Table
-        As `NodeShell` takes them; the command line is the process's.
-    serve : callable
-        Makes the node's own object in the shell, starts it and returns when it stops.
-
-    Returns
-    -------
-    int
-        Exit status. A user's error is told in one line on stderr.
-    """
-    status = 1
-    try:
-        shell = NodeShell(table, tables, sys.argv)
-    except SeftError as error:
-        return _tell(table, error)
-    try:
-        serve(shell)
-        status = 0
-    except SeftError as error:
-        status = _tell(table, error)
-    finally:
-        with ending_within(CLOSE_PATIENCE, status):
-            shell.close()
-    return status
-
-
-def _tell(table: Table, error: SeftError) -> int:
-    """Say a user's error in one line; return its exit status."""
-    text = str(error)
-    told = text if text.startswith(f"{table.node}: ") else f"{table.node}: {text}"
-    print(told, file=sys.stderr, flush=True)
-    return error.exit_status
-
 
 def _peak_memory_mb() -> int:
     """Largest resident memory of this process so far; -1 where the system does not tell."""
@@ -367,15 +278,3 @@ def _peak_memory_mb() -> int:
         return -1
     kilobytes = [line.split()[1] for line in status.splitlines() if line.startswith("VmHWM")]
     return round(int(kilobytes[0]) / 1024) if kilobytes else -1
-
-
-def _without_parameters(argv: Sequence[str]) -> list[str]:
-    """Command line without what `Experiment.load` has read of it already."""
-    kept: list[str] = []
-    words = iter(argv)
-    for word in words:
-        if word in ("--params-file", "-p", "--param"):
-            next(words, None)
-        else:
-            kept.append(word)
-    return kept

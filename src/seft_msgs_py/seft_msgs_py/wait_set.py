@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
+from rclpy.context import Context
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
-from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
@@ -35,18 +35,18 @@ class WaitSet:
 
     Parameters
     ----------
-    node : Node
-        Whose context is waited in.
+    context : Context
+        Of the nodes.
     subscriptions : sequence of Subscription
         Created with ``raw=True``, in a `LoopCallbackGroup`.
     """
 
-    def __init__(self, node: Node, subscriptions: Sequence[Subscription]) -> None:
+    def __init__(self, context: Context, subscriptions: Sequence[Subscription]) -> None:
         self._subscriptions = {each.handle.pointer: each for each in subscriptions}
         self._handles = [each.handle for each in subscriptions]
         if not self._handles:
             raise ValueError("a wait set needs something to wait for")
-        self._wait_set = _rclpy.WaitSet(len(self._handles), 0, 0, 0, 0, 0, node.context.handle)
+        self._wait_set = _rclpy.WaitSet(len(self._handles), 0, 0, 0, 0, 0, context.handle)
 
     def wait(self, timeout: float) -> list[Subscription]:
         """Wait for a message, at most ``timeout`` seconds; return where there are some."""

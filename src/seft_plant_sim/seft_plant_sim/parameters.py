@@ -1,5 +1,6 @@
 """Parameter table of the rig."""
 
+from seft_msgs_py import realtime
 from seft_msgs_py.parameters import Parameter, Table
 
 from seft_plant_sim.limits import limit_rows
@@ -280,5 +281,6 @@ TABLE = Table(
             "s",
             positive=True,
         ),
+        *realtime.PARAMETERS,
     ],
 )

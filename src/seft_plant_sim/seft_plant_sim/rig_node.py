@@ -11,7 +11,8 @@ from dataclasses import replace
 from seft_msgs_py.awake_clock import AwakeClock
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.messages import Status, decode_status, encode_clock
-from seft_msgs_py.node_shell import WARM_UP_STEPS, NodeShell, run_node
+from seft_msgs_py.node_main import NodeKind, run_node
+from seft_msgs_py.node_shell import WARM_UP_STEPS, NodeShell
 from seft_msgs_py.outcome import FINISHED, LISTED_STEPS, STOPPED, TRIPPED, Trip, rig_status
 from seft_msgs_py.topics import (
     CLOCK_TOPIC,
@@ -57,7 +58,7 @@ class RigNode:
         self._valve = self._drive = self._command(VALVE_COMMAND, "limits.command")
         if self._rig.drive == REFERENCE_FORCE.name:
             self._drive = self._command(REFERENCE_FORCE, "limits.force")
-        shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16, wake=False)
+        shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
         self._armed = False
         self._latched = False  # tripped: no new test before the supervisor has said idle
         self._wanted: Status | None = None
@@ -83,6 +84,9 @@ class RigNode:
                     self._wanted = None  # a test runs once
             elif self._ended and self._wanted is not None and self._wanted.message == "idle":
                 self._rest()  # how the last test ended has been told
+
+    def look(self) -> None:
+        """Nothing of a rig falls due while another node spins: it does so itself."""
 
     def _command(self, topic: LoopTopic, limit: str) -> Command:
         experiment = self._shell.experiment
@@ -292,15 +296,18 @@ def _steps(status: Status | None) -> int:
     return int(text) if text.isdecimal() and len(text) < 19 else 0
 
 
-def _serve(shell: NodeShell) -> None:
+def _build(shell: NodeShell) -> RigNode:
     node = RigNode(shell)
     shell.start({"drive": node.drive_topic})
-    node.run()
+    return node
+
+
+KIND = NodeKind(TABLE, [TABLE], _build)
 
 
 def main() -> int:
     """Entry point of ``ros2 run seft_plant_sim rig``."""
-    return run_node(TABLE, [TABLE], _serve)
+    return run_node(KIND)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from seft_msgs_py.errors import ExperimentError
 from seft_msgs_py.experiment import Experiment
@@ -9,6 +10,9 @@ from seft_msgs_py.experiment import Experiment
 from seft_ros.commands.progress import step_progress
 from seft_ros.commands.results import save
 from seft_ros.recording.record import Record
+
+if TYPE_CHECKING:
+    from seft_ros.running.arrangement import Arrangement
 
 
 def offline_test(experiment: Experiment, bag: Path) -> Record:
@@ -36,7 +40,7 @@ def dds_test(
     steps: int,
     external: Collection[str] = (),
     *,
-    pin: bool = True,
+    arrangement: "Arrangement | None" = None,
     label: str = "",
 ) -> Record:
     """Run a test as separate nodes over DDS, with a progress bar, and read its bag.
@@ -61,7 +65,7 @@ def dds_test(
             show(f"{label}{what}", done)
 
         try:
-            finished = run_experiment(experiment, bag, tell, pin=pin, external=external)
+            finished = run_experiment(experiment, bag, tell, arrangement, external)
         except KeyboardInterrupt:
             kept = f"; what was recorded is in {bag}" if bag.exists() else ""
             raise ExperimentError(f"{label}interrupted{kept}") from None

@@ -41,6 +41,24 @@ def run(
             help="Keep the loop's nodes on one processor core and the others off it.",
         ),
     ] = True,
+    composed: Annotated[
+        bool,
+        typer.Option(
+            "--composed",
+            help="Put rig, reference_force and force_controller into one process, for rates that "
+            "separate processes can't hold; topics and bits stay as they are.",
+        ),
+    ] = False,
+    priority: Annotated[
+        int,
+        typer.Option(
+            "--priority",
+            min=0,
+            max=98,
+            metavar="N",
+            help="Real-time priority of the loop's nodes, their memory locked; 0: none.",
+        ),
+    ] = 0,
     accept_unstable: Annotated[
         bool,
         typer.Option(
@@ -65,17 +83,26 @@ def run(
 
         ROS_DOMAIN_ID=7 seft run config/jhu.yaml --json
 
+        seft run config/jhu.yaml --composed --priority 50 -p rate:=2000.0
+
         seft run config/jhu.yaml --external rig
 
         seft run config/jhu.yaml -p reference_force:mass_ratio:=2.0 --accept-unstable
     """
+    from seft_ros.running.arrangement import Arrangement
     from seft_ros.running.run import bag_path
 
     experiment = load_experiment(config, param, params_file, external)
     bag = bag_path(experiment, out)
     steps = _steps(experiment)
     _check_stable(experiment, accept_unstable)
-    record = dds_test(experiment, bag, steps, external or (), pin=pin)
+    record = dds_test(
+        experiment,
+        bag,
+        steps,
+        external or (),
+        arrangement=Arrangement(pin=pin, composed=composed, priority=priority),
+    )
     summary = present(record, bag, as_json=json)
     if not summary["stable"]:
         complain(f"the test tripped: {record.trip.reason}" if record.trip else "unstable")

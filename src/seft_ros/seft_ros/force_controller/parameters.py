@@ -1,5 +1,6 @@
 """Parameter table of the force controller."""
 
+from seft_msgs_py import realtime
 from seft_msgs_py.parameters import Parameter, Table
 
 TABLE = Table(
@@ -78,5 +79,6 @@ TABLE = Table(
             minimum=0.0,
             maximum=1.0,
         ),
+        *realtime.PARAMETERS,
     ],
 )

@@ -8,13 +8,9 @@ from collections.abc import Callable
 import numpy as np
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.messages import OK, Status, decode_status
-from seft_msgs_py.node_shell import (
-    IDLE_WAIT,
-    WARM_UP_STEPS,
-    Handler,
-    NodeShell,
-    run_node,
-)
+from seft_msgs_py.node_main import NodeKind, run_node
+from seft_msgs_py.node_process import Handler
+from seft_msgs_py.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell
 from seft_msgs_py.outcome import tripped_status
 from seft_msgs_py.topics import EXPERIMENT_STATE, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 from seft_msgs_py.trajectory import Floats, TrajectoryCodec
@@ -56,15 +52,18 @@ class ForceControllerNode:
         is_timed = section["pace"] == "realtime"
         self._silence = Silence(section["watchdog.state_timeout"] if is_timed else math.inf)
         self._warm_up()
-        shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16, wake=False)
+        shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
         # the state of a step is nearly always there before the force that answers it: only the
         # force is worth waking up for
-        for topic, receive, wake in (
-            (REFERENCE_FORCE, self._on_force, True),
-            (RIG_STATE, self._on_state, False),
-        ):
-            codec = TrajectoryCodec(topic, experiment.axes, experiment.timebase)
-            shell.subscribe(topic, _decoded(codec, receive), depth=64, wake=wake, reliable=False)
+        forces, states = (
+            TrajectoryCodec(topic, experiment.axes, experiment.timebase)
+            for topic in (REFERENCE_FORCE, RIG_STATE)
+        )
+        on_force, on_state = _decoded(forces, self._on_force), _decoded(states, self._on_state)
+        shell.subscribe(REFERENCE_FORCE, on_force, depth=64, reliable=False)
+        self._read_state = shell.subscribe(
+            RIG_STATE, on_state, depth=64, wake=False, reliable=False
+        )
 
     def _warm_up(self) -> None:
         axes = len(self._shell.experiment.axes)
@@ -74,17 +73,26 @@ class ForceControllerNode:
             self._command_codec.decode(raw)
         self._controller.reset()
 
+    def begin(self) -> None:
+        """Say that the node is ready."""
+        self._tell()
+
     def run(self) -> None:
         """Answer until told to stop."""
-        self._tell()
-        while not self._shell.stopping:
-            wait = min(IDLE_WAIT, self._silence.pause) if self._silence.is_watching else IDLE_WAIT
-            self._shell.spin_once(STATE_WAIT if self._forces else wait)
-            if self._silence.is_too_long(time.monotonic()):
-                self._trip(
-                    f"no rig/state for {self._silence.longest:g} s (the last is of step "
-                    f"{self._order.last}); is rig running?"
-                )
+        self._shell.spin(self.look, self._pause)
+
+    def look(self) -> None:
+        """See whether states have failed to come."""
+        if self._silence.is_too_long(time.monotonic()):
+            self._trip(
+                f"no rig/state for {self._silence.longest:g} s (the last is of step "
+                f"{self._order.last}); is rig running?"
+            )
+
+    def _pause(self) -> float:
+        if self._forces:
+            return STATE_WAIT
+        return min(IDLE_WAIT, self._silence.pause) if self._silence.is_watching else IDLE_WAIT
 
     def _on_experiment_state(self, raw: bytes, _: int) -> None:
         status = decode_status(raw)
@@ -117,7 +125,10 @@ class ForceControllerNode:
             raise WireError(f"{REFERENCE_FORCE.name} of step {step}: {nonsense}")
         self._admit(REFERENCE_FORCE.name, step, self._forces)
         self._forces[step] = values[0]
-        self._answer_if_complete(step, self._forces)
+        while step > self._order.last and step not in self._states and self._read_state():
+            pass  # the state of this step answers it
+        if step > self._order.last:
+            self._answer_if_complete(step, self._forces)
 
     def _admit(self, name: str, step: int, pending: dict[int, Floats]) -> None:
         """See that a sample may be taken in; the first of a test begins it."""
@@ -173,15 +184,19 @@ def _decoded(codec: TrajectoryCodec, receive: Callable[[int, Floats], None]) -> 
     return handle
 
 
-def _serve(shell: NodeShell) -> None:
+def _build(shell: NodeShell) -> ForceControllerNode:
     node = ForceControllerNode(shell)
     shell.start()
-    node.run()
+    node.begin()
+    return node
+
+
+KIND = NodeKind(TABLE, TABLES, _build)
 
 
 def main() -> int:
     """Entry point of ``ros2 run seft_ros force_controller``."""
-    return run_node(TABLE, TABLES, _serve)
+    return run_node(KIND)
 
 
 if __name__ == "__main__":

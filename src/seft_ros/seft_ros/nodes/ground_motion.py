@@ -3,7 +3,8 @@
 import sys
 
 from seft_msgs_py.messages import Status, decode_clock, decode_status
-from seft_msgs_py.node_shell import NodeShell, run_node
+from seft_msgs_py.node_main import NodeKind, run_node
+from seft_msgs_py.node_shell import NodeShell
 from seft_msgs_py.topics import CLOCK_TOPIC, EXPERIMENT_STATE, GROUND_MOTION
 from seft_msgs_py.trajectory import TrajectoryCodec
 
@@ -38,7 +39,11 @@ class GroundMotionNode:
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
         shell.subscribe(CLOCK_TOPIC, self._on_clock)
 
-    def tick(self) -> None:
+    def run(self) -> None:
+        """Publish until told to stop."""
+        self._shell.spin(self.look, TIMER_PERIOD)
+
+    def look(self) -> None:
         """Publish what the lead asks for; the first of it before the test starts."""
         if self._phase in ENDED:
             return
@@ -68,15 +73,18 @@ class GroundMotionNode:
         self._shell.report(Status("ground_motion", 0, phase, values=values))
 
 
-def _serve(shell: NodeShell) -> None:
+def _build(shell: NodeShell) -> GroundMotionNode:
     node = GroundMotionNode(shell)
     shell.start({"steps": node.motion.steps})
-    shell.spin(node.tick, TIMER_PERIOD)
+    return node
+
+
+KIND = NodeKind(TABLE, TABLES, _build)
 
 
 def main() -> int:
     """Entry point of ``ros2 run seft_ros ground_motion``."""
-    return run_node(TABLE, TABLES, _serve)
+    return run_node(KIND)
 
 
 if __name__ == "__main__":

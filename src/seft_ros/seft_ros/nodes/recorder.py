@@ -13,7 +13,9 @@ from pathlib import Path
 
 from seft_msgs_py.description import decode_description
 from seft_msgs_py.messages import Status, decode_status, encode_string
-from seft_msgs_py.node_shell import Handler, NodeShell, run_node
+from seft_msgs_py.node_main import NodeKind, run_node
+from seft_msgs_py.node_process import Handler
+from seft_msgs_py.node_shell import NodeShell
 from seft_msgs_py.topics import (
     DESCRIPTION,
     EXPERIMENT_STATE,
@@ -63,7 +65,15 @@ class RecorderNode:
             depth = 64 if topic.latched and topic is not GROUND_MOTION else READ_DEPTH
             shell.subscribe(topic, self._receiver(topic), depth=depth, wake=False)
 
-    def tick(self) -> None:
+    def run(self) -> None:
+        """Record until told to stop; a bag that is open then is closed."""
+        try:
+            self._shell.spin(self.look, TICK)
+        finally:
+            self._shell.spin_once(0.0)  # what has come
+            self._close()
+
+    def look(self) -> None:
         """Keep the bag flushed, and close it when the test has ended."""
         if self._bag is None:
             return
@@ -75,12 +85,6 @@ class RecorderNode:
             silent = now - max(self._step_message_at, self._ended_at) > patience
             if silent or now - self._ended_at > LONGEST_DRAIN:
                 self._close()
-
-    def close(self) -> None:
-        """Write what has come and close the bag, if one is open."""
-        self._shell.spin_once(0.0)
-        if self._bag is not None:
-            self._close()
 
     def _receiver(self, topic: Topic) -> Handler:
         of_a_step = topic in STEP_TOPICS
@@ -149,19 +153,19 @@ class RecorderNode:
         self._shell.report(Status("recorder", 0, phase, values=values))
 
 
-def _serve(shell: NodeShell) -> None:
+def _build(shell: NodeShell) -> RecorderNode:
     node = RecorderNode(shell)
-    try:
-        shell.start()
-        shell.report(Status("recorder", 0, "idle", values={"phase": "idle"}))
-        shell.spin(node.tick, TICK)
-    finally:
-        node.close()
+    shell.start()
+    shell.report(Status("recorder", 0, "idle", values={"phase": "idle"}))
+    return node
+
+
+KIND = NodeKind(RECORDER, TABLES, _build)
 
 
 def main() -> int:
     """Entry point of ``ros2 run seft_ros recorder``."""
-    return run_node(RECORDER, TABLES, _serve)
+    return run_node(KIND)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,8 @@ import numpy as np
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.estimates import EstimatesCodec
 from seft_msgs_py.messages import ERROR, OK, Status, decode_status
-from seft_msgs_py.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell, run_node
+from seft_msgs_py.node_main import NodeKind, run_node
+from seft_msgs_py.node_shell import WARM_UP_STEPS, NodeShell
 from seft_msgs_py.outcome import tripped_status
 from seft_msgs_py.topics import (
     ESTIMATES,
@@ -29,8 +30,6 @@ from seft_ros.interlock.protected_force import ProtectedForce
 from seft_ros.reference_force.estimate_sampler import EstimateSampler
 from seft_ros.reference_force.motion_buffer import MotionBuffer
 from seft_ros.reference_force.parameters import TABLE
-
-MOTION_WAIT = 0.0005  # s between looks for a ground motion that is late for its state
 
 
 class ReferenceForceNode:
@@ -59,15 +58,20 @@ class ReferenceForceNode:
         self._phase = ""
         self._cause_step = -1
         self._warm_up()
-        shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16, wake=False)
-        shell.subscribe(GROUND_MOTION, self._on_ground_motion, wake=False)
+        shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
+        shell.subscribe(GROUND_MOTION, self._on_ground_motion)
         shell.subscribe(RIG_STATE, self._on_rig_state, depth=64, reliable=False)
+
+    def begin(self) -> None:
+        """Say that the node is ready."""
+        self._report("ready")
 
     def run(self) -> None:
         """Answer until told to stop."""
-        self._report("ready")
-        while not self._shell.stopping:
-            self._shell.spin_once(MOTION_WAIT if self._waiting else IDLE_WAIT)
+        self._shell.spin()
+
+    def look(self) -> None:
+        """Nothing here falls due by time alone."""
 
     def _warm_up(self) -> None:
         axes = len(self._shell.experiment.axes)
@@ -185,15 +189,19 @@ class ReferenceForceNode:
             self._shell.refuse(str(error))
 
 
-def _serve(shell: NodeShell) -> None:
+def _build(shell: NodeShell) -> ReferenceForceNode:
     node = ReferenceForceNode(shell)
     shell.start()
-    node.run()
+    node.begin()
+    return node
+
+
+KIND = NodeKind(TABLE, TABLES, _build)
 
 
 def main() -> int:
     """Entry point of ``ros2 run seft_ros reference_force``."""
-    return run_node(TABLE, TABLES, _serve)
+    return run_node(KIND)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,8 @@ from seft_msgs_py.messages import (
     decode_diagnostics,
     encode_status,
 )
-from seft_msgs_py.node_shell import NodeShell, run_node
+from seft_msgs_py.node_main import NodeKind, run_node
+from seft_msgs_py.node_shell import NodeShell
 from seft_msgs_py.outcome import FINISHED, TRIPPED
 from seft_msgs_py.timebase import NANOSECONDS_PER_SECOND
 from seft_msgs_py.topics import CLOCK_TOPIC, DESCRIPTION, DIAGNOSTICS, EXPERIMENT_STATE
@@ -81,10 +82,12 @@ class SupervisorNode:
         ):
             shell.node.create_service(Trigger, name, self._service(request))
 
-    def tick(self) -> None:
+    def run(self) -> None:
+        """Supervise until told to stop."""
+        self._shell.spin(self._hear_all_and_look)
+
+    def look(self) -> None:
         """Look at the peers, and publish the state if it has changed or is due."""
-        while self._shell.spin_once(0.0):
-            pass  # nobody is called silent before all that came has been heard
         with self._lock:
             self._now = self._awake.time()
             self._follow_state()
@@ -96,6 +99,11 @@ class SupervisorNode:
                 self._find_the_silent()
             self._publish_if_due()
         self._tell_ages()
+
+    def _hear_all_and_look(self) -> None:
+        while self._shell.spin_once(0.0):
+            pass  # nobody is called silent before all that came has been heard
+        self.look()
 
     def _tell_ages(self) -> None:
         """Keep the age of each node's last sign of life in the supervisor's own status."""
@@ -255,15 +263,18 @@ def _step_of(status: Status) -> int | None:
     return int(step) if step.isdecimal() else None
 
 
-def _serve(shell: NodeShell) -> None:
+def _build(shell: NodeShell) -> SupervisorNode:
     node = SupervisorNode(shell)
     shell.start()
-    shell.spin(node.tick)
+    return node
+
+
+KIND = NodeKind(SUPERVISOR, TABLES, _build)
 
 
 def main() -> int:
     """Entry point of ``ros2 run seft_ros supervisor``."""
-    return run_node(SUPERVISOR, TABLES, _serve)
+    return run_node(KIND)
 
 
 if __name__ == "__main__":

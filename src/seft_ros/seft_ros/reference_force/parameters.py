@@ -1,5 +1,6 @@
 """Parameter table of the reference force."""
 
+from seft_msgs_py import realtime
 from seft_msgs_py.parameters import Parameter, Table
 
 from seft_ros.reference_force.compensation.methods import METHODS
@@ -220,5 +221,6 @@ TABLE = Table(
             positive=True,
             maximum=60.0,
         ),
+        *realtime.PARAMETERS,
     ],
 )

@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
+from seft_ros.running.arrangement import LOOP_NODES, Arrangement
 from seft_ros.running.scheduling import end_with_parent, prefer_latency, prefer_throughput
 
 MODULES = {
@@ -20,9 +21,7 @@ MODULES = {
     "recorder": "seft_ros.nodes.recorder",
 }
 """Module of each node, for ``python -m``: it works with and without a ROS installation."""
-
-LOOP_NODES = ("rig", "reference_force", "force_controller")
-"""Nodes that work one after the other within a step."""
+COMPOSED = "seft_ros.nodes.loop"
 
 
 class NodeProcesses:
@@ -36,27 +35,34 @@ class NodeProcesses:
         Parameter file that all of them read.
     logs : Path
         Folder for the logs.
-    pin : bool
-        Keep the loop's nodes on one core and the others off it. They work in turn, so that a
-        second core gives them nothing but wake-ups across cores.
+    arrangement : Arrangement
+        Where they run.
     lockstep : bool
         Schedule the loop's nodes for throughput rather than for latency.
     """
 
     def __init__(
-        self, nodes: Iterable[str], parameters: Path, logs: Path, *, pin: bool, lockstep: bool
+        self,
+        nodes: Iterable[str],
+        parameters: Path,
+        logs: Path,
+        arrangement: Arrangement,
+        *,
+        lockstep: bool,
     ) -> None:
         self._logs = logs
         cores = sorted(os.sched_getaffinity(0))
-        self._pin = pin and len(cores) > 1
+        self._pin = arrangement.pin and len(cores) > 1
         self._lockstep = lockstep
         self._cores, self._loop_core, self._other_cores = set(cores), {cores[0]}, set(cores[1:])
         if self._pin:
             os.sched_setaffinity(0, self._other_cores)  # this process keeps off it, too
+        self._logs_of: dict[str, Path] = {}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         try:
-            for node in nodes:
-                self._processes[node] = self._start(node, parameters)
+            for group in arrangement.groups(list(nodes)):
+                process = self._start(group, parameters)
+                self._processes.update(dict.fromkeys(group, process))
         except BaseException:
             self.stop(0.0)
             raise
@@ -91,7 +97,7 @@ class NodeProcesses:
 
     def stop(self, patience: float = 10.0) -> None:
         """Ask all processes to end, and kill what has not after ``patience`` seconds."""
-        for process in self._processes.values():
+        for process in set(self._processes.values()):
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)
                 process.send_signal(signal.SIGCONT)  # one that was stopped can end cleanly, too
@@ -104,10 +110,13 @@ class NodeProcesses:
                 process.wait()
         os.sched_setaffinity(0, self._cores)  # as found, for whatever this process does next
 
-    def _start(self, node: str, parameters: Path) -> "subprocess.Popen[bytes]":
-        command = [sys.executable, "-m", MODULES[node]]
-        command += ["--ros-args", "--params-file", str(parameters)]
-        with (self._logs / f"{node}.log").open("wb") as log:
+    def _start(self, group: tuple[str, ...], parameters: Path) -> "subprocess.Popen[bytes]":
+        alone = len(group) == 1
+        what = [MODULES[group[0]]] if alone else [COMPOSED, "--nodes", *group]
+        command = [sys.executable, "-m", *what, "--ros-args", "--params-file", str(parameters)]
+        path = self._logs / ("_".join(group) + ".log")
+        self._logs_of.update(dict.fromkeys(group, path))
+        with path.open("wb") as log:
             process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
@@ -117,7 +126,7 @@ class NodeProcesses:
                 preexec_fn=end_with_parent,
                 env=os.environ | {"ROS_LOG_DIR": str(self._logs)},
             )
-        if self._pin and node in LOOP_NODES:
+        if self._pin and group[0] in LOOP_NODES:
             os.sched_setaffinity(process.pid, self._loop_core)
             if self._lockstep:
                 prefer_throughput(process.pid)
@@ -128,5 +137,5 @@ class NodeProcesses:
         return process
 
     def _last_line(self, node: str) -> str:
-        text = (self._logs / f"{node}.log").read_text(errors="replace").strip()
+        text = self._logs_of[node].read_text(errors="replace").strip()
         return text.splitlines()[-1] if text else "it wrote nothing"

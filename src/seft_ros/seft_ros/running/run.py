@@ -15,6 +15,7 @@ from seft_msgs_py.experiment import Experiment
 
 from seft_ros.experiment.peers import CONFLICT
 from seft_ros.experiment.state_machine import State
+from seft_ros.running.arrangement import LOOP_NODES, Arrangement
 from seft_ros.running.following import LOOK, Following, Progress
 from seft_ros.running.observer import Observer
 from seft_ros.running.processes import MODULES, NodeProcesses
@@ -64,8 +65,7 @@ def run_experiment(
     experiment: Experiment,
     bag: Path,
     progress: Progress,
-    *,
-    pin: bool = True,
+    arrangement: Arrangement | None = None,
     external: Collection[str] = (),
 ) -> Finished:
     """Run a test over DDS and record it.
@@ -78,8 +78,8 @@ def run_experiment(
         Folder that the recorder makes.
     progress : callable
         Told of each stage and of the steps done.
-    pin : bool
-        Keep the loop's nodes on one core and the others off it.
+    arrangement : Arrangement, optional
+        Where the nodes run; default pinned, each in a process of its own.
     external : collection of str
         Nodes that someone else starts and ends; they are waited for. The experiment needs no
         section of them.
@@ -94,6 +94,12 @@ def run_experiment(
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(FASTDDS_PROFILES))
     experiment["recorder"].update(directory=str(bag.parent.resolve()), name=bag.name)
+    arrangement = arrangement or Arrangement()
+    if arrangement.priority:
+        for node in LOOP_NODES:
+            if node in experiment.sections:
+                wishes = {"thread_priority": arrangement.priority, "lock_memory": True}
+                experiment[node].update(wishes)
     wanted = {*experiment["supervisor"]["peers"], "supervisor"} - set(external)
     nodes = [node for node in MODULES if node in wanted]
     with _working_folder(bag) as folder:
@@ -109,7 +115,7 @@ def run_experiment(
                 nodes,
                 parameters,
                 folder,
-                pin=pin,
+                arrangement,
                 lockstep=experiment.sections.get("rig", {}).get("pace") == "lockstep",
             )
             try:

@@ -1,0 +1,248 @@
+"""What the nodes of one process share: rclpy's context, signals, and the waiting for messages.
+
+The main thread waits for the loop's messages and handles them. Services (of parameters, of the
+supervisor) are served by a second thread, which sleeps while nobody calls. As a rule a process
+holds one node; several in one hand each other their messages directly (`Mailbox`).
+"""
+
+import gc
+import signal
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Collection, Sequence
+from types import FrameType
+
+import numpy as np
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
+
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.topics import LoopTopic, Topic
+from seft_msgs_py.wait_set import WaitSet, take
+
+Handler = Callable[[bytes, int], None]
+
+OUTSIDE_LOOK = 0.002  # s between looks for messages from outside while those inside keep coming
+
+
+class Mailbox:
+    """Messages of the loop between nodes of one process, delivered in the order they were sent.
+
+    Parameters
+    ----------
+    nodes : collection of str
+        Names of the process's nodes.
+    """
+
+    def __init__(self, nodes: Collection[str]) -> None:
+        self._nodes = frozenset(nodes)
+        self._handlers: dict[str, list[tuple[str, Handler]]] = {}
+        self._posted: deque[tuple[str, bytes]] = deque()
+
+    def serves(self, topic: Topic) -> bool:
+        """Whether the topic's messages come from a node of this process."""
+        return isinstance(topic, LoopTopic) and topic.publisher in self._nodes
+
+    def subscribe(self, name: str, node: str, handler: Handler) -> None:
+        """Let ``handler`` have every message of the topic of this full name."""
+        self._handlers.setdefault(name, []).append((node, handler))
+
+    def listeners(self, name: str) -> list[str]:
+        """Nodes of this process that listen to a topic, by its full name."""
+        return [node for node, _ in self._handlers.get(name, [])]
+
+    def sender(self, name: str, send: Callable[[bytes], None]) -> Callable[[bytes], None]:
+        """Give what sends a message to the listeners in this process, and outside by ``send``."""
+        post = self._posted.append
+
+        def send_to_all(raw: bytes) -> None:
+            if name in self._handlers:
+                post((name, raw))
+            send(raw)
+
+        return send_to_all
+
+    def deliver(self) -> bool:
+        """Hand out all messages, also those that are sent meanwhile; tell whether any was there."""
+        posted = self._posted
+        if not posted:
+            return False
+        while posted:
+            name, raw = posted.popleft()
+            for _, handler in self._handlers[name]:
+                handler(raw, time.time_ns())
+        return True
+
+
+class NodeProcess:
+    """Waits for the messages of the nodes in this process.
+
+    Parameters
+    ----------
+    argv : sequence of str
+        Command line, with ``--ros-args``.
+    nodes : collection of str
+        Names of the nodes that it will hold.
+
+    Attributes
+    ----------
+    mailbox : Mailbox
+        Messages between its nodes.
+    stopping : bool
+        Set by SIGINT and SIGTERM.
+
+    Raises
+    ------
+    InputError
+        If ROS arguments are not understood.
+    """
+
+    def __init__(self, argv: Sequence[str], nodes: Collection[str]) -> None:
+        self.stopping = False
+        self.mailbox = Mailbox(nodes)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._on_signal)
+        try:
+            rclpy.init(
+                args=_without_parameters(argv), signal_handler_options=SignalHandlerOptions.NO
+            )
+        except Exception as error:  # rclpy has several kinds, most of them private
+            raise InputError(
+                f"ROS arguments not understood: {str(error).splitlines()[0]}"
+            ) from None
+        self._waking: dict[Subscription, Handler] = {}
+        self._quiet: dict[Subscription, Handler] = {}
+        self._looks: list[Callable[[], None]] = []
+        self._wait_set: WaitSet | None = None
+        self._looked_outside_at = 0.0
+        self._executor = SingleThreadedExecutor()
+        self._thread = threading.Thread(target=self._spin_executor, daemon=True)
+
+    def add_node(self, node: Node) -> None:
+        """Serve a node's services."""
+        self._executor.add_node(node)
+
+    def add_subscription(
+        self, subscription: Subscription, handler: Handler, wake: bool
+    ) -> Callable[[], bool]:
+        """Hand a subscription's messages to ``handler``.
+
+        Parameters
+        ----------
+        subscription : Subscription
+            Made for a `WaitSet`.
+        handler : callable
+            Takes bytes and time of receipt.
+        wake : bool
+            Whether a message ends the waiting; else it is handled when nothing has ended it.
+
+        Returns
+        -------
+        callable
+            Takes one message, if there is one, and tells whether there was.
+        """
+        (self._waking if wake else self._quiet)[subscription] = handler
+        if wake:
+            self._wait_set = WaitSet(rclpy.get_default_context(), list(self._waking))
+
+        def read_one() -> bool:
+            taken = take(subscription)
+            if taken is None:
+                return False
+            handler(*taken)
+            return True
+
+        return read_one
+
+    def every_turn(self, look: Callable[[], None]) -> None:
+        """Have ``look`` called after each turn, when what was due has been answered."""
+        self._looks.append(look)
+
+    def start(self) -> None:
+        """Begin to serve: all that is slow has been done."""
+        np.seterr(over="ignore", invalid="ignore")  # the limits see what is not finite
+        sys.setswitchinterval(2e-4)  # the second thread gives way to the loop at once
+        gc.collect()
+        gc.freeze()
+        if not self._thread.is_alive():
+            self._thread.start()
+
+    def spin_once(self, timeout: float) -> bool:
+        """Wait for messages, at most ``timeout`` seconds, and handle those that have come.
+
+        Of topics that end the waiting it takes one message; the next call finds the rest.
+
+        Returns
+        -------
+        bool
+            Whether such a message was handled.
+        """
+        handled = self.mailbox.deliver()
+        if not handled or time.monotonic() - self._looked_outside_at > OUTSIDE_LOOK:
+            handled |= self._look_outside(0.0 if handled else timeout)
+        if not handled:
+            self._read_quiet()
+        for look in self._looks:
+            look()
+        return handled
+
+    def close(self) -> None:
+        """Take the nodes off the graph, and end rclpy."""
+        self.stopping = True
+        nodes = self._executor.get_nodes()
+        if self._thread.is_alive():  # it must not wait on what is being taken down
+            self._executor.wake()
+            self._thread.join(timeout=2.0)
+        self._executor.shutdown(timeout_sec=1.0)
+        for node in nodes:
+            node.destroy_node()
+        rclpy.try_shutdown()
+
+    def _look_outside(self, timeout: float) -> bool:
+        if self._wait_set is None:
+            time.sleep(timeout)
+            return False
+        handled = False
+        for subscription in self._wait_set.wait(timeout):
+            taken = take(subscription)
+            if taken is not None:
+                self._waking[subscription](*taken)
+                handled = True
+        if self.mailbox.deliver():
+            handled = True
+        self._looked_outside_at = time.monotonic()
+        return handled
+
+    def _read_quiet(self) -> None:
+        for subscription, handler in self._quiet.items():
+            while (taken := take(subscription)) is not None:
+                handler(*taken)
+        self.mailbox.deliver()
+
+    def _spin_executor(self) -> None:
+        try:
+            while not self.stopping and rclpy.ok():
+                self._executor.spin_once(timeout_sec=0.5)
+        except (ExternalShutdownException, rclpy.executors.ShutdownException):
+            return
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        self.stopping = True
+
+
+def _without_parameters(argv: Sequence[str]) -> list[str]:
+    """Command line without what `Experiment.load` has read of it already."""
+    kept: list[str] = []
+    words = iter(argv)
+    for word in words:
+        if word in ("--params-file", "-p", "--param"):
+            next(words, None)
+        else:
+            kept.append(word)
+    return kept

@@ -1,0 +1,41 @@
+"""Nodes of the loop in one process, for rates that separate processes can't hold.
+
+    ros2 run seft_ros loop --nodes rig reference_force --ros-args --params-file FILE
+
+They are the nodes that have executables of their own, with the same names, topics, parameters
+and bits. What they send each other they hand over directly; everyone else hears it on the topics.
+"""
+
+import argparse
+import sys
+
+from seft_msgs_py.node_main import NodeKind, run_nodes
+from seft_plant_sim.rig_node import KIND as RIG
+
+from seft_ros.nodes.force_controller import KIND as FORCE_CONTROLLER
+from seft_ros.nodes.reference_force import KIND as REFERENCE_FORCE
+
+KINDS: dict[str, NodeKind] = {
+    kind.table.node: kind for kind in (RIG, REFERENCE_FORCE, FORCE_CONTROLLER)
+}
+"""The rig comes first: it is the clock, and spins for all."""
+
+
+def main() -> int:
+    """Entry point of ``ros2 run seft_ros loop``."""
+    parser = argparse.ArgumentParser(
+        prog="loop",
+        description="Nodes of the loop in one process, with topics and bits as in several.",
+        epilog="ROS arguments follow --ros-args, as for every node.",
+    )
+    parser.add_argument(
+        "--nodes", nargs="+", choices=KINDS, default=list(KINDS), help="default: all of them"
+    )
+    words = sys.argv[1:]
+    ros = words.index("--ros-args") if "--ros-args" in words else len(words)
+    wanted = parser.parse_args(words[:ros]).nodes
+    return run_nodes([kind for node, kind in KINDS.items() if node in wanted])
+
+
+if __name__ == "__main__":
+    sys.exit(main())
