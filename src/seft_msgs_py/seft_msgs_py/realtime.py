@@ -64,14 +64,27 @@ def apply(section: Mapping[str, Any]) -> list[str]:
 
 
 def granted() -> dict[str, Any]:
-    """Tell what this process has: real-time priority (0: none), locked memory in kB, its cores."""
+    """Tell what this process has.
+
+    Returns
+    -------
+    dict
+        ``priority`` (real-time; 0: none), ``locked_kb``, ``cores``, and ``boot``, which is the
+        same for all processes of a machine.
+    """
     policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     is_realtime = policy in (os.SCHED_FIFO, os.SCHED_RR)
     return {
         "priority": os.sched_getparam(0).sched_priority if is_realtime else 0,
         "locked_kb": _locked_kb(),
         "cores": sorted(os.sched_getaffinity(0)),
+        "boot": boot(),
     }
+
+
+def boot() -> str:
+    """Tell one machine, from its start to its end, from all others; names no host."""
+    return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
 
 
 def _keep_to_core(core: int) -> str:

@@ -1,12 +1,17 @@
 """Round trips and gaps, from when messages were received."""
 
 import dataclasses
+import os
+import signal
+import time
 
 import numpy as np
 import pytest
 from seft_msgs_py.experiment import Experiment
+from seft_ros.analysis.stalls import stalls_of
 from seft_ros.analysis.timing import timing_of
 from seft_ros.recording.record import Record, Series
+from seft_ros.recording.stall_watch import StallWatch
 
 DT_NS = 2_000_000
 
@@ -68,3 +73,37 @@ def test_an_idealised_actuator_answers_to_the_reference_force():
 
 def test_lockstep_keeps_no_pace():
     assert not timing_of(make_record(np.full(5, 1), pace="lockstep")).paced
+
+
+def test_a_missed_step_is_the_machines_where_a_bare_process_was_late_too():
+    record = make_record(np.full(20, 300_000), drop=[7, 8, 15])
+    stall = [7 * DT_NS + 500_000, 8 * DT_NS + 100_000]
+    seen = {"beats": 20, "count": 1, "late_s": 1e-3, "longest_s": 1.6e-3, "intervals_ns": [stall]}
+    environment = {"mode": "run", "stalls": seen}
+    record = dataclasses.replace(record, missed=3, missed_steps=[7, 8, 15], environment=environment)
+    stalls = stalls_of(record)
+    assert (stalls.listed, stalls.attributed) == (3, 2)
+    assert stalls.numbers()["count"] == 1
+
+
+def test_where_nobody_watched_the_machine_nothing_is_said_of_it():
+    assert stalls_of(make_record(np.full(5, 1))) is None
+
+
+def test_a_stall_watch_sees_its_own_process_stopped():
+    watch = StallWatch()
+    watch.begin(sorted(os.sched_getaffinity(0)), 0.002, 0)
+    time.sleep(0.3)
+    os.kill(watch.pid, signal.SIGSTOP)
+    time.sleep(0.2)
+    os.kill(watch.pid, signal.SIGCONT)
+    time.sleep(0.1)
+    seen = watch.end()
+    assert seen["longest_s"] > 0.15
+    assert seen["count"] >= 1
+    begin, end = max(seen["intervals_ns"], key=lambda each: each[1] - each[0])
+    assert (end - begin) * 1e-9 == pytest.approx(seen["longest_s"], abs=1e-6)
+
+
+def test_a_stall_watch_that_was_not_begun_tells_nothing():
+    assert StallWatch().end() is None

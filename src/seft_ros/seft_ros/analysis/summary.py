@@ -12,6 +12,7 @@ from seft_ros.analysis.energy import balance_of, energy_numbers
 from seft_ros.analysis.estimates import summarise_estimates
 from seft_ros.analysis.metrics import Floats, agreement, peak
 from seft_ros.analysis.reference import COMPARED, quantity, reference_of
+from seft_ros.analysis.timing import timing_of
 from seft_ros.analysis.tracking import tracking_of
 from seft_ros.recording.record import Record
 
@@ -42,9 +43,10 @@ def summarise(
         ``steps`` (from 0 to the last that was recorded), ``rate_hz``, ``duration_s``,
         ``wall_s``, ``realtime_factor``, ``complete``, ``stable`` (no trip, and all samples
         finite), ``trip`` (null or reason, step, time_s), ``missed`` (steps without a command
-        in time), ``overruns`` (times the rig's own clock was held up), ``saturated`` (what was at
-        the end of its range: stroke, force_capacity, valve, a sensor's range; with samples and
-        first_step), ``lost`` (samples that the record lacks, by topic), ``energy`` (of the
+        in time), ``overruns`` (times the rig's own clock was held up), ``timing`` (round trips,
+        gaps and the machine's own stalls, see `timing_of`; null offline), ``saturated`` (what
+        was at the end of its range: stroke, force_capacity, valve, a sensor's range; with samples
+        and first_step), ``lost`` (samples that the record lacks, by topic), ``energy`` (of the
         specimen at the end, and how the balance closes; see `energy_numbers`), ``estimates`` (what
         the compensation identified on line: name -> axis -> first, last, least and largest, SI
         units), ``tracking`` (of the reference force by the measured force: axis -> frequency
@@ -59,6 +61,7 @@ def summarise(
     steps = int(states.steps[-1]) + 1 if len(states.steps) else 0
     duration = steps * record.experiment.timebase.dt
     trip = record.trip
+    timing = timing_of(record)
     finite = all(np.isfinite(series.values).all() for series in record.series.values())
     axes = record.experiment.axes
     by_axis = {
@@ -76,6 +79,7 @@ def summarise(
         "trip": trip and {"reason": trip.reason, "step": trip.step, "time_s": trip.time_s},
         "missed": record.missed,
         "overruns": record.overruns,
+        "timing": timing and timing.numbers(),
         "saturated": _saturated(record),
         "lost": {topic.name: _lost(record, topic.name, steps) for topic in LOOP_TOPICS},
         "energy": energy_numbers(balance or balance_of(record)),

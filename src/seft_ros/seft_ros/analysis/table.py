@@ -82,6 +82,7 @@ def verdict(summary: dict[str, Any]) -> str:
         text = "done, with nothing to hold it against"
     if missed:
         text += f"; {missed} of {summary['steps']} steps had no command in time"
+        text += _in_a_stall(summary["timing"], missed)
     if summary["overruns"]:
         text += f"; the rig's own clock was held up {summary['overruns']} times"
     if summary["saturated"]:
@@ -89,6 +90,17 @@ def verdict(summary: dict[str, Any]) -> str:
     lost = {topic: count for topic, count in summary["lost"].items() if count}
     if lost:
         text += f"; samples lost: {', '.join(f'{n} of {topic}' for topic, n in lost.items())}"
+    return text
+
+
+def _in_a_stall(timing: dict[str, Any] | None, missed: int) -> str:
+    """Say how many of the missed steps were the machine's doing, if somebody watched it."""
+    stalls = timing and timing["stalls"]
+    if not stalls or not stalls["missed_listed"]:
+        return ""
+    text = f", {stalls['missed_in_a_stall']} of them while the machine itself stood still"
+    if stalls["missed_listed"] < missed:
+        text += f" (of the first {stalls['missed_listed']})"
     return text
 
 

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from seft_msgs_py.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 
 from seft_ros.analysis.common_steps import common_steps
+from seft_ros.analysis.stalls import Stalls, stalls_of
 from seft_ros.recording.record import Record
 
 Floats = npt.NDArray[np.floating[Any]]
@@ -59,12 +60,15 @@ class Timing:
         have both.
     gaps : list of Gaps
         By topic.
+    stalls : Stalls or None
+        Of the machine, meanwhile; None where nobody watched.
     """
 
     paced: bool
     period_s: float
     round_trip_s: Floats
     gaps: list[Gaps]
+    stalls: Stalls | None
 
     def numbers(self) -> dict[str, Any]:
         """Give JSON values: percentiles of the round trip, the share over a period, gaps."""
@@ -88,6 +92,7 @@ class Timing:
                 }
                 for row in self.gaps
             },
+            "stalls": self.stalls and self.stalls.numbers(),
         }
 
 
@@ -110,7 +115,7 @@ def timing_of(record: Record) -> Timing | None:
     trips = (commands.received_ns[at_command] - states.received_ns[at_state]) * 1e-9
     dt = record.experiment.timebase.dt
     pace = record.experiment.sections.get("rig", {}).get("pace")
-    return Timing(pace != "lockstep", dt, trips, _gaps(record, dt))
+    return Timing(pace != "lockstep", dt, trips, _gaps(record, dt), stalls_of(record))
 
 
 def _gaps(record: Record, dt: float) -> list[Gaps]:

@@ -16,6 +16,7 @@ from seft_msgs_py.messages import Status, decode_status, encode_string
 from seft_msgs_py.node_main import NodeKind, run_node
 from seft_msgs_py.node_process import Handler
 from seft_msgs_py.node_shell import NodeShell
+from seft_msgs_py.realtime import boot
 from seft_msgs_py.topics import (
     DESCRIPTION,
     EXPERIMENT_STATE,
@@ -33,6 +34,7 @@ from seft_ros.experiment.tables import TABLES
 from seft_ros.experiment.watching import RECORDER
 from seft_ros.recording.bag_writer import BagWriter
 from seft_ros.recording.environment import describe_environment
+from seft_ros.recording.stall_watch import StallWatch
 
 SILENCE = 0.3  # s without a message of a step: the test's last message has come
 LONG_SILENCE = 3.5  # s, where something lacks: DDS may send it again every 3 s only
@@ -60,7 +62,8 @@ class RecorderNode:
         self._told_in_full = True  # how the test ended
         self._step_message_at = 0.0
         self._samples, self._expected = 0, 0  # of the rig
-        describe_environment("run")  # asks git once, before a test is under way
+        self._environment = describe_environment("run")  # asks git once, before a test runs
+        self._watch: StallWatch | None = None
         for topic in RECORDED_TOPICS:
             depth = 64 if topic.latched and topic is not GROUND_MOTION else READ_DEPTH
             shell.subscribe(topic, self._receiver(topic), depth=depth, wake=False)
@@ -113,6 +116,8 @@ class RecorderNode:
 
     def _follow(self, test: Status) -> None:
         phase = test.message
+        if phase == State.READY and self._watch is None:
+            self._watch = StallWatch()
         if phase in MOVING and self._bag is None and self._phase not in MOVING:
             self._open()
         elif phase in ENDED and self._bag is not None:
@@ -133,10 +138,11 @@ class RecorderNode:
         self._bag = BagWriter(directory / name, self._section["storage"])
         self._ended_at = None
         now = time.time_ns()
-        environment = {"environment": describe_environment("run")}
-        self._bag.write(DESCRIPTION, encode_string(json.dumps(environment)), now)
+        self._environment = describe_environment("run")
+        self._write_environment(self._bag)
         for topic, raw, _ in self._descriptions.values():
             self._bag.write(topic, raw, now)
+        self._watch_the_machine()
         self._samples = sum(topic is RIG_STATE for topic, _, _ in self._before)
         while self._before:
             self._bag.write(*self._before.popleft())
@@ -145,8 +151,26 @@ class RecorderNode:
     def _close(self) -> None:
         bag, self._bag = self._bag, None
         if bag is not None:
+            if self._watch is not None:
+                self._environment["stalls"] = self._watch.end()
+                self._watch = None
+                self._write_environment(bag)
             bag.close({})
             self._report("saved", bag.path)
+
+    def _write_environment(self, bag: BagWriter) -> None:
+        text = json.dumps({"environment": self._environment})
+        bag.write(DESCRIPTION, encode_string(text), time.time_ns())
+
+    def _watch_the_machine(self) -> None:
+        """Have stalls of the loop's core noted, where the rig keeps a pace and is on this host."""
+        if self._watch is None or "rig" not in self._descriptions:
+            return
+        _, rig = decode_description(self._descriptions["rig"][1])
+        there = rig.get("realtime", {})
+        if rig["parameters"].get("pace") == "realtime" and there.get("boot") == boot():
+            period = self._shell.experiment.timebase.dt
+            self._watch.begin(there["cores"], period, there["priority"])
 
     def _report(self, phase: str, path: Path | None = None) -> None:
         values = {"phase": phase, **({"bag": str(path)} if path else {})}

@@ -76,8 +76,7 @@ def report_numbers(record: Record) -> Findings:
         ``summary`` has what `summarise` gives and ``instability_band_hz`` (two numbers or null),
         ``vibration`` (``ratio``, the largest of all axes, and ``axes``: see
         `seft_ros.analysis.spectrum.vibration`), ``uncompensated_delay_s`` (how far the force lags
-        in a test that does nothing about it, else null), ``timing`` (null, or round trips and
-        gaps: see `seft_ros.analysis.timing`), ``events`` and ``verdict``.
+        in a test that does nothing about it, else null), ``events`` and ``verdict``.
 
     Raises
     ------
@@ -96,7 +95,6 @@ def report_numbers(record: Record) -> Findings:
         "instability_band_hz": band and list(band),
         "vibration": _vibration(record, spectra["acceleration"], band),
         "uncompensated_delay_s": _uncompensated_delay(record, summary),
-        "timing": timing and timing.numbers(),
         "events": [asdict(event) for event in record.events],
     }
     judgement = judge(summary)

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from seft_ros.analysis.estimates import shown_unit
+from seft_ros.analysis.stalls import Stalls
 from seft_ros.analysis.table import percent
 from seft_ros.analysis.timing import GAP
 from seft_ros.drawing.style import OTHERS, SECOND
@@ -35,6 +36,8 @@ def timing_section(findings: Findings) -> Section:
             why = "The record does not say when its messages were received."
         return Section("Timing", [Table((), rows), Text(why)])
     numbers = summary["timing"]["round_trip_s"]
+    if timing.stalls is not None:
+        rows += _stall_rows(timing.stalls, bool(missed))
     rows += [
         (f"round trip, {key}", _milliseconds(value))
         for key, value in numbers.items()
@@ -105,6 +108,18 @@ def events_section(findings: Findings) -> Section:
     if not blocks:
         blocks.append(Text("No trip, and the record holds no states or warnings of nodes."))
     return Section("Interlock and events", blocks)
+
+
+def _stall_rows(stalls: Stalls, is_missed: bool) -> list[tuple[str, str]]:
+    """Rows on the machine itself, as a bare process saw it that slept on the loop's core."""
+    share = percent(stalls.count / max(stalls.beats, 1))
+    text = f"{stalls.count} of {stalls.beats} wake-ups ({share}) more than "
+    text += f"{_milliseconds(stalls.late_s)} late, the worst by {_milliseconds(stalls.longest_s)}"
+    rows = [("the machine itself: a process that only slept", text)]
+    if is_missed:
+        text = f"{stalls.attributed} of the {stalls.listed} listed"
+        rows.append(("missed while the machine stood still", text))
+    return rows
 
 
 def _milliseconds(value: float | None) -> str:

@@ -1,0 +1,55 @@
+"""What the machine itself does to timing: a bare process that only sleeps to deadlines.
+
+Run as a program, with nothing but the standard library. On stdin it takes one line of JSON,
+``{"cores": [0], "period": 0.002, "priority": 0}``, and sleeps to absolute deadlines of that
+period until the next line comes or stdin ends; then it prints what it saw as one line of JSON.
+"""
+
+import json
+import os
+import select
+import sys
+import time
+
+LATE = 0.5  # periods; a deadline met later than that is a stall
+KEPT = 10_000  # stalls
+
+
+def watch(period: float) -> dict[str, object]:
+    """Sleep to deadlines until there is something on stdin; tell of those that were met late."""
+    stalls: list[tuple[int, int]] = []
+    beats = count = 0
+    longest = 0.0
+    deadline = time.monotonic() + period
+    while not select.select([sys.stdin], [], [], 0.0)[0]:
+        time.sleep(max(0.0, deadline - time.monotonic()))
+        late = time.monotonic() - deadline
+        beats += 1
+        if late > LATE * period:
+            count += 1
+            longest = max(longest, late)
+            if len(stalls) < KEPT:
+                now = time.time_ns()
+                stalls.append((now - round(late * 1e9), now))
+        deadline += period * (1 + int(max(0.0, late) / period))
+    return {"beats": beats, "count": count, "longest_s": longest, "intervals_ns": stalls}
+
+
+def main() -> int:
+    """Watch as told on stdin, and tell what was seen."""
+    wanted = json.loads(sys.stdin.readline().strip() or "null")
+    if wanted is None:
+        return 0
+    os.sched_setaffinity(0, wanted["cores"])
+    if wanted["priority"]:
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(wanted["priority"]))
+        except OSError:
+            wanted["priority"] = 0
+    seen = watch(wanted["period"])
+    print(json.dumps({**wanted, "late_s": LATE * wanted["period"], **seen}), flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
