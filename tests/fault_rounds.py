@@ -26,7 +26,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from graph_tools import JHU, MISSES_ALLOWED, PATIENCE, STALLS_ALLOWED, children
+from graph_tools import (
+    JHU,
+    MISSES_ALLOWED,
+    PATIENCE,
+    STALLS_ALLOWED,
+    SharedFile,
+    abandoned,
+    children,
+    shared_files,
+)
 from seft_ros.recording.bag_reader import read_bag
 from seft_ros.recording.record import Record
 from seft_ros.recording.recover import recover
@@ -42,7 +51,6 @@ ACTIONS = (
 MARK = "SEFT_FAULT_ROUND"
 """Environment variable by which a round knows all its processes."""
 LOOK = 0.02  # s
-SHARED = Path("/dev/shm")
 STEPS = {"lockstep": 8000, "realtime": 1100}
 """Steps of a test, about: a few seconds of wall time."""
 
@@ -111,7 +119,7 @@ class Run:
         It.
     pids : dict of str to int
         Its nodes, as far as they have been seen.
-    shared : set of str
+    shared : set of SharedFile
         Files in /dev/shm that its processes have had.
     """
 
@@ -128,7 +136,7 @@ class Run:
         )
         os.close(behind)
         self.pids: dict[str, int] = {}
-        self.shared: set[str] = set()
+        self.shared: set[SharedFile] = set()
         self._text = bytearray()
         self._reader = threading.Thread(target=self._read, args=(terminal,))
         self._reader.start()
@@ -143,8 +151,7 @@ class Run:
         """See which nodes there are, and what is theirs in /dev/shm."""
         self.pids |= children(self.process.pid)
         for pid in (self.process.pid, *self.pids.values()):
-            with contextlib.suppress(OSError):
-                self.shared |= shared_files(pid)
+            self.shared |= shared_files(pid)
 
     @property
     def text(self) -> str:
@@ -198,26 +205,6 @@ class Run:
                 os.kill(pid, signal.SIGKILL)
         self.process.wait()
         self._reader.join()
-
-
-def shared_files(pid: int) -> set[str]:
-    """Files in /dev/shm that a process has mapped or open."""
-    maps = Path(f"/proc/{pid}/maps").read_text()
-    found = {line.split(f"{SHARED}/")[1] for line in maps.splitlines() if f"{SHARED}/" in line}
-    for handle in Path(f"/proc/{pid}/fd").iterdir():
-        with contextlib.suppress(OSError):
-            file = handle.readlink()
-            found |= {file.name} if file.parent == SHARED else set()
-    return {name for name in found if "fastrtps" in name}
-
-
-def abandoned(names: set[str]) -> set[str]:
-    """Those of some files in /dev/shm that are still there, and no living process has."""
-    left = {name for name in names if (SHARED / name).exists()}
-    for entry in Path("/proc").glob("[0-9]*"):
-        with contextlib.suppress(OSError):
-            left -= shared_files(int(entry.name))
-    return left
 
 
 def come_to(plan: Plan, run: Run) -> bool:
@@ -332,7 +319,7 @@ def check_nothing_left(plan: Plan, run: Run) -> None:
         names = [Path(f"/proc/{pid}/cmdline").read_bytes().decode() for pid in living]
         raise RoundError(f"processes left: {names}")
     if left := abandoned(run.shared):
-        raise RoundError(f"left in {SHARED}: {sorted(left)}")
+        raise RoundError(f"left in /dev/shm: {sorted(file.name for file in left)}")
 
 
 def check_bag(plan: Plan, bag: Path) -> str:

@@ -1,6 +1,5 @@
 """Runs that break: one line says why, the bag is readable, no process is left."""
 
-import contextlib
 import json
 import os
 import shlex
@@ -10,9 +9,17 @@ import sys
 from pathlib import Path
 
 import pytest
-from graph_tools import JHU, MISSES_ALLOWED, PATIENCE, children, kill, wait_for
+from graph_tools import (
+    JHU,
+    MISSES_ALLOWED,
+    PATIENCE,
+    abandoned,
+    children,
+    kill,
+    shared_files,
+    wait_for,
+)
 from seft_ros.recording.bag_reader import read_bag
-from seft_ros.running.shared_memory import FOLDER
 
 NO_COMMAND_ALLOWED = ("-p", "supervisor:watchdog.command_timeout:=60.0")
 """In realtime, the rig waits until the supervisor has found out who is silent."""
@@ -40,36 +47,6 @@ def contents(bag):
     return b"".join(file.read_bytes() for file in bag.glob("*.mcap"))
 
 
-def files_left():
-    return {file.name for file in FOLDER.iterdir()}
-
-
-def abandoned(names):
-    """Those of some files in /dev/shm that are still there, and no living process has.
-
-    Tests that run beside this one map what they hear of, and take it away with them.
-    """
-    left = names & files_left()
-    for maps in Path("/proc").glob("[0-9]*/maps"):
-        with contextlib.suppress(OSError):
-            text = maps.read_text()
-            left = {name for name in left if name.removesuffix("_el") not in text}
-    return left
-
-
-def shared_memory(pids):
-    """Names of the files in /dev/shm that processes have mapped, or opened to lock them."""
-    found = set()
-    for pid in pids:
-        maps = Path(f"/proc/{pid}/maps").read_text()
-        found |= {line.split("/dev/shm/")[1] for line in maps.splitlines() if "/dev/shm/" in line}
-        for handle in Path(f"/proc/{pid}/fd").iterdir():
-            with contextlib.suppress(OSError):
-                file = handle.readlink()
-                found |= {file.name} if file.parent == FOLDER else set()
-    return {name for name in found if "fastrtps" in name}
-
-
 def bag_size(bag):
     return sum(file.stat().st_size for file in bag.glob("*.*"))
 
@@ -93,7 +70,7 @@ def ending(process: subprocess.Popen, nodes: dict[str, int]) -> str:
 )
 def test_a_node_that_dies_ends_the_run_with_a_readable_bag(running, tmp_path, node, pace):
     process, nodes = running("-p", f"rig:pace:={pace}")
-    memory = shared_memory(nodes.values())
+    memory = set().union(*map(shared_files, nodes.values()))
     assert len(memory) >= len(nodes)
     kill(nodes[node])
     line = ending(process, nodes)
@@ -120,7 +97,7 @@ def test_a_node_that_dies_ends_the_run_with_a_readable_bag(running, tmp_path, no
 )
 def test_a_node_that_stands_still_is_named_with_the_time(running, tmp_path, node, pace):
     process, nodes = running("-p", f"rig:pace:={pace}")
-    memory = shared_memory(nodes.values())
+    memory = set().union(*map(shared_files, nodes.values()))
     os.kill(nodes[node], signal.SIGSTOP)
     line = ending(process, nodes)
     assert process.returncode == 1
@@ -162,7 +139,7 @@ def test_a_killed_recorder_loses_at_most_half_a_second(running, seft, tmp_path):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_run_comes_down_softly_and_keeps_its_bag(running, tmp_path, number):
     process, nodes = running()
-    memory = shared_memory(nodes.values())
+    memory = set().union(*map(shared_files, nodes.values()))
     process.send_signal(number)
     assert "interrupted" in ending(process, nodes)
     assert process.returncode == 1
