@@ -66,11 +66,15 @@ class SharedFile(NamedTuple):
 
 def shared_files(pid: int) -> set[SharedFile]:
     """Files of FastDDS in /dev/shm that a process has mapped, or open to hold their lock."""
-    found = set()
+    found: set[SharedFile] = set()
     with contextlib.suppress(OSError):  # it has ended
-        for line in Path(f"/proc/{pid}/maps").read_text().splitlines():
-            *_, inode, path = line.split(maxsplit=5) if f"{FOLDER}/" in line else ("0", "")
-            found.add(SharedFile(path.removeprefix(f"{FOLDER}/"), int(inode)))
+        text = Path(f"/proc/{pid}/maps").read_text()
+        if f"{FOLDER}/" not in text:
+            return found
+        for line in text.splitlines():
+            if f"{FOLDER}/" in line:
+                *_, inode, path = line.split(maxsplit=5)
+                found.add(SharedFile(path.removeprefix(f"{FOLDER}/"), int(inode)))
         for handle in Path(f"/proc/{pid}/fd").iterdir():
             with contextlib.suppress(OSError):
                 file = handle.readlink()

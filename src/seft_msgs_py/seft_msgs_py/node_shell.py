@@ -42,6 +42,8 @@ STATUS_PERIOD = 0.2  # s: a sign of life
 LOOP_PAUSE = 1.0  # s without a message of the loop: the node is idle
 WARN_PERIOD = 1.0  # s
 CLOSE_PATIENCE = 5.0  # s
+MOST_AT_ONCE = 4096  # messages of a topic, as many as the longest queue holds
+MOST_REFUSED = 200  # a few ms of nonsense
 WARM_UP_STEPS = 200
 """Steps a node of the loop tries on itself, so that its first real ones are not its slowest."""
 _LOOP_NAMES = {topic.name for topic in LOOP_TOPICS}
@@ -77,6 +79,8 @@ class NodeShell:
         self.experiment = Experiment.load(tables, files, overrides, nodes=[self.name])
         self.stopping = False
         self.refused = 0
+        self._warning = ""  # the first reason since the last warning
+        self._warned_at = -WARN_PERIOD
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._on_signal)
         try:
@@ -180,7 +184,8 @@ class NodeShell:
     def spin_once(self, timeout: float = IDLE_WAIT) -> bool:
         """Wait for messages, at most ``timeout`` seconds, and handle those that have come.
 
-        Of topics that end the waiting it takes one message; the next call finds the rest.
+        Of topics that end the waiting it takes one message, and what is refused before it; the
+        next call finds the rest.
 
         Returns
         -------
@@ -192,11 +197,15 @@ class NodeShell:
             time.sleep(timeout)
         else:
             for subscription in self._wait_set.wait(timeout):
-                self._handle_one(subscription, self._handlers[subscription])
+                handler = self._handlers[subscription]
+                for _ in range(MOST_REFUSED):  # a flood must not hold up what is true
+                    if self._handle_one(subscription, handler) is not False:
+                        break
                 handled = True
         for subscription, handler in self._quiet:
-            while self._handle_one(subscription, handler):
-                pass
+            for _ in range(MOST_AT_ONCE):
+                if self._handle_one(subscription, handler) is None:
+                    break
         # what was due is answered: the best moment for what can wait
         if handled or time.monotonic() - self._handled_at > STATUS_PERIOD:
             self._look_after_status()
@@ -209,14 +218,16 @@ class NodeShell:
 
         return handle
 
-    def _handle_one(self, subscription: Subscription, handler: Handler) -> bool:
+    def _handle_one(self, subscription: Subscription, handler: Handler) -> bool | None:
+        """Take a message, if there is one; say whether it was not refused."""
         taken = take(subscription)
         if taken is None:
-            return False
+            return None
         try:
             handler(*taken)
         except WireError as error:
             self.refuse(str(error))
+            return False
         return True
 
     def spin(self, poll: Callable[[], None] | None = None, period: float = IDLE_WAIT) -> None:
@@ -227,12 +238,12 @@ class NodeShell:
                 poll()
 
     def refuse(self, reason: str) -> None:
-        """Count a message that was not acted upon, and warn, at most once a second."""
+        """Count a message that was not acted upon; a warning follows, at most once a second.
+
+        The logger takes a millisecond, also where its own throttle lets nothing pass.
+        """
         self.refused += 1
-        self.node.get_logger().warning(
-            f"refused ({self.refused} so far): {reason}",
-            throttle_duration_sec=WARN_PERIOD,
-        )
+        self._warning = self._warning or reason
 
     def report(self, status: Status) -> None:
         """Make this the node's status, and publish it at once."""
@@ -281,6 +292,9 @@ class NodeShell:
         Asking for the graph takes a millisecond, which only an idle node has.
         """
         now = time.monotonic()
+        if self._warning and now - self._warned_at >= WARN_PERIOD:
+            self.node.get_logger().warning(f"refused ({self.refused} so far): {self._warning}")
+            self._warning, self._warned_at = "", now
         sent_at, sent = self._status_sent
         if now - self._handled_at < LOOP_PAUSE:
             if now - sent_at >= STATUS_PERIOD:

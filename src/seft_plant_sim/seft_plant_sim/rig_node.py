@@ -65,6 +65,7 @@ class RigNode:
         self._awake = AwakeClock()
         self._heard_at = self._awake.time()
         self._clock_at = self._told_at = self._published_at = self._answered_at = 0.0
+        self._refused_before = 0  # messages, until the newest command came
         self._warm_up()
 
     @property
@@ -93,10 +94,11 @@ class RigNode:
             command.take(raw)
             if command is self._drive:
                 self._answered_at = time.monotonic()
+                self._refused_before = self._shell.refused
                 if command.step == command.current:
                     self._round_trip.add(self._answered_at - self._published_at)
 
-        self._shell.subscribe(topic, receive, depth=64, reliable=False)
+        self._shell.subscribe(topic, receive, reliable=False)
         return command
 
     def _rest(self) -> None:
@@ -118,6 +120,7 @@ class RigNode:
         self._overruns = 0
         self._round_trip.reset()
         self._answered_at = 0.0
+        self._refused_before = self._shell.refused
         self._started = time.monotonic()
         state = self._rig.reset()
         self._tell("running")
@@ -182,7 +185,7 @@ class RigNode:
                     late = self._valve if self._valve.step < step else self._drive
                     return rig.violation or (
                         f"no {late.codec.topic.name} for step {step} within {timeout:g} s in "
-                        f"lockstep; is {late.codec.topic.publisher} running?"
+                        f"lockstep; is {late.codec.topic.publisher} running?{self._company()}"
                     )
             if rig.violation is not None:
                 return rig.violation
@@ -216,8 +219,9 @@ class RigNode:
             if periods_late:
                 self._overruns += 1
                 start += periods_late * period
-            while drive.step < step and shell.spin_once(0.0):
-                pass  # what came while we were late counts as in time
+            late = time.monotonic() + period
+            while drive.step < step and time.monotonic() < late and shell.spin_once(0.0):
+                pass  # what came while we were late counts as in time; a flood does not stop us
             if (why := self._unwanted()) is not None:
                 return rig.violation or why
             if rig.violation is not None:
@@ -229,9 +233,10 @@ class RigNode:
                 if len(self._missed) < LISTED_STEPS:
                     self._missed.append(step)
                 if step - drive.step > patience:
+                    topic = drive.codec.topic
                     return (
-                        f"no new {drive.codec.topic.name} for {timeout:g} s (the last is of step "
-                        f"{drive.step}); is {drive.codec.topic.publisher} running?"
+                        f"no new {topic.name} for {timeout:g} s (the last is of step "
+                        f"{drive.step}); is {topic.publisher} running?{self._company()}"
                     )
             state = rig.step(self._drive.value)
 
@@ -253,6 +258,13 @@ class RigNode:
         if force or now - self._clock_at >= CLOCK_PERIOD:
             self._clock_at = now
             self._publish_time(encode_clock(self._timebase.stamp_ns(step)))
+
+    def _company(self) -> str:
+        """Say what others sent while a command was waited for; empty if nothing."""
+        refused = self._shell.refused - self._refused_before
+        told = f"; {refused} messages were refused meanwhile" if refused else ""
+        conflict = self._shell.several_senders()
+        return f"{told}; {conflict}" if conflict else told
 
     def _unwanted(self) -> str | None:
         """Say why the test must end here, if it must: no rig moves without a supervisor."""

@@ -7,8 +7,8 @@ from seft_ros.experiment.sample_order import SampleOrder
 TIMEBASE = Timebase.from_rate(500.0)
 
 
-def order(pace="realtime", last=-1):
-    found = SampleOrder(pace, TIMEBASE)
+def order(last=-1):
+    found = SampleOrder(TIMEBASE)
     found.last = last
     return found
 
@@ -36,9 +36,13 @@ def test_a_stamp_from_far_in_the_future_is_refused():
 
 
 def test_in_lockstep_steps_come_one_by_one():
-    order("lockstep", last=7).check("rig/state", 8)
+    found = order(last=7)
+    found.follow(told("running", pace="lockstep"))
+    found.check("rig/state", 8)
     with pytest.raises(WireError, match="far in the future"):
-        order("lockstep", last=7).check("rig/state", 9)
+        found.check("rig/state", 9)
+    found.follow(told("running", pace="realtime"))
+    found.check("rig/state", 9)
 
 
 def test_a_test_begins_once_each_time_that_one_has_ended():

@@ -1,6 +1,5 @@
 """Node ``force_controller``: answers state and reference force with the valve command."""
 
-import math
 import sys
 import time
 from collections.abc import Callable
@@ -52,9 +51,8 @@ class ForceControllerNode:
         self._publish = shell.publisher(VALVE_COMMAND)
         self._states: dict[int, Floats] = {}
         self._forces: dict[int, Floats] = {}
-        self._order = SampleOrder(section["pace"], experiment.timebase)
-        is_timed = section["pace"] == "realtime"
-        self._silence = Silence(section["watchdog.state_timeout"] if is_timed else math.inf)
+        self._order = SampleOrder(experiment.timebase)
+        self._silence = Silence(section["watchdog.state_timeout"])
         self._warm_up()
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16, wake=False)
         # the state of a step is nearly always there before the force that answers it: only the
@@ -64,7 +62,7 @@ class ForceControllerNode:
             (RIG_STATE, self._on_state, False),
         ):
             codec = TrajectoryCodec(topic, experiment.axes, experiment.timebase)
-            shell.subscribe(topic, _decoded(codec, receive), depth=64, wake=wake, reliable=False)
+            shell.subscribe(topic, _decoded(codec, receive), wake=wake, reliable=False)
 
     def _warm_up(self) -> None:
         axes = len(self._shell.experiment.axes)
@@ -99,10 +97,10 @@ class ForceControllerNode:
         if np.abs(state).max() > ABSURD:
             raise WireError(f"{RIG_STATE.name} of step {step} has a value beyond {ABSURD:g}")
         self._admit(RIG_STATE.name, step, self._states)
-        if step + 1 < self._order.steps:
+        if step + 1 < self._order.steps and not self._order.in_lockstep:
             self._silence.heard(time.monotonic())
         else:
-            self._silence.end()  # of a test that is over, or is not known to run
+            self._silence.end()  # of a test that is over, not known to run, or keeps no time
         if self._controller.reason:  # reference forces are not waited for any more
             self._answer(step, np.zeros(state.shape[1]), state)
             return

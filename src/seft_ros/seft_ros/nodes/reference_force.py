@@ -53,7 +53,7 @@ class ReferenceForceNode:
         self._publish_estimates = shell.publisher(ESTIMATES)
         self._motion = MotionBuffer(len(experiment.axes))
         self._waiting: dict[int, Floats] = {}
-        self._order = SampleOrder(experiment["reference_force"]["pace"], experiment.timebase)
+        self._order = SampleOrder(experiment.timebase)
         self._conflict = ""  # why this test is not answered
         self._test = ""  # state of the test, as the supervisor says
         self._phase = ""
@@ -61,7 +61,7 @@ class ReferenceForceNode:
         self._warm_up()
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16, wake=False)
         shell.subscribe(GROUND_MOTION, self._on_ground_motion, wake=False)
-        shell.subscribe(RIG_STATE, self._on_rig_state, depth=64, reliable=False)
+        shell.subscribe(RIG_STATE, self._on_rig_state, reliable=False)
 
     def run(self) -> None:
         """Answer until told to stop."""

@@ -35,7 +35,7 @@ from seft_ros.experiment.peers import (
     silence,
     silent,
 )
-from seft_ros.experiment.state_machine import MOVING, Answer, State, StateMachine
+from seft_ros.experiment.state_machine import MOVING, PACE, Answer, State, StateMachine
 from seft_ros.experiment.tables import TABLES
 from seft_ros.experiment.watching import SUPERVISOR
 
@@ -46,6 +46,7 @@ LEVELS = {State.RAMPING_DOWN: WARN, State.TRIPPED: ERROR}
 SOFT_PEERS = ("ground_motion", "recorder")
 """Nodes without which the loop can still bring the force down."""
 LOCKSTEP_PATIENCE = 10.0  # times the margin of realtime
+MOST_AT_ONCE = 1000  # messages that are heard between two looks, in a flood
 
 
 class SupervisorNode:
@@ -83,8 +84,9 @@ class SupervisorNode:
 
     def tick(self) -> None:
         """Look at the peers, and publish the state if it has changed or is due."""
-        while self._shell.spin_once(0.0):
-            pass  # nobody is called silent before all that came has been heard
+        for _ in range(MOST_AT_ONCE):
+            if not self._shell.spin_once(0.0):
+                break  # nobody is called silent before all that came has been heard
         with self._lock:
             self._now = self._awake.time()
             self._follow_state()
@@ -146,7 +148,7 @@ class SupervisorNode:
 
     def _ramp_patience(self) -> float:
         margin = self._section["watchdog.ramp_margin"]
-        if self._parameters("rig").get("pace") == "lockstep":
+        if self._parameters("rig").get(PACE) == "lockstep":
             margin *= LOCKSTEP_PATIENCE
         return float(self._parameters("reference_force").get("ramp_down_time", 0.0)) + margin
 
@@ -182,6 +184,8 @@ class SupervisorNode:
             values[SILENT] = " ".join(self._silent)
         if "ground_motion" in self._heard:
             values["steps"] = self._heard["ground_motion"].status.values.get("steps", "0")
+        if PACE in self._parameters("rig"):
+            values[PACE] = str(self._parameters("rig")[PACE])
         level = LEVELS.get(machine.state, OK)
         status = Status("experiment", level, str(machine.state), values=values)
         if status != self._published:

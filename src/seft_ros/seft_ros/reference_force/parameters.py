@@ -8,14 +8,6 @@ TABLE = Table(
     "reference_force",
     [
         Parameter(
-            "pace",
-            "string",
-            "realtime",
-            "pace of the rig; in lockstep its states come one by one",
-            choices=("realtime", "lockstep"),
-            default_from="rig:pace",
-        ),
-        Parameter(
             "method",
             "string",
             "seft",
