@@ -101,9 +101,12 @@ class NodeShell:
             self.node.declare_parameter(row.name, section[row.name], parameter_descriptor(row))
         self._group = LoopCallbackGroup()
         self._handlers: dict[Subscription, Handler] = {}
-        self._quiet: list[tuple[Subscription, Handler]] = []
+        self._quiet: dict[Subscription, Handler] = {}
         self._publishers: dict[str, Publisher] = {}
         self._subscriptions: dict[str, Subscription] = {}
+        self._numbers: dict[Subscription, int] = {}
+        """How many messages the publisher of a topic of the loop had sent with the last that was
+        acted upon. One that joins later has sent fewer."""
         self._wait_set: WaitSet | None = None
         self._handled_at = 0.0  # s, monotonic: the last message of the loop
         self._looked_at = 0.0
@@ -156,13 +159,15 @@ class NodeShell:
             raw=True,
         )
         self._subscriptions[topic.name] = subscription
+        if isinstance(topic, LoopTopic):
+            self._numbers[subscription] = 0
         if wake and isinstance(topic, LoopTopic):
             handler = self._noting_the_time(handler)
         if wake:
             self._handlers[subscription] = handler
             self._wait_set = WaitSet(self.node, list(self._handlers))
         else:
-            self._quiet.append((subscription, handler))
+            self._quiet[subscription] = handler
 
     def start(self, facts: dict[str, Any] | None = None) -> None:
         """Describe the node to the test and begin to serve parameters and status.
@@ -202,14 +207,22 @@ class NodeShell:
                     if self._handle_one(subscription, handler) is not False:
                         break
                 handled = True
-        for subscription, handler in self._quiet:
-            for _ in range(MOST_AT_ONCE):
-                if self._handle_one(subscription, handler) is None:
-                    break
+        for subscription in self._quiet:
+            self._drain(subscription)
         # what was due is answered: the best moment for what can wait
         if handled or time.monotonic() - self._handled_at > STATUS_PERIOD:
             self._look_after_status()
         return handled
+
+    def catch_up(self, topic: Topic) -> None:
+        """Handle what has come on a topic that does not end the waiting."""
+        self._drain(self._subscriptions[topic.name])
+
+    def _drain(self, subscription: Subscription) -> None:
+        handler = self._quiet[subscription]
+        for _ in range(MOST_AT_ONCE):
+            if self._handle_one(subscription, handler) is None:
+                return
 
     def _noting_the_time(self, handler: Handler) -> Handler:
         def handle(raw: bytes, received_ns: int) -> None:
@@ -223,8 +236,14 @@ class NodeShell:
         taken = take(subscription)
         if taken is None:
             return None
+        raw, received_ns, number = taken
+        last = self._numbers.get(subscription, -1)
         try:
-            handler(*taken)
+            if 0 < number <= last and subscription.get_publisher_count() > 1:
+                raise WireError(f"{subscription.topic_name} of a second publisher")
+            handler(raw, received_ns)
+            if last >= 0:
+                self._numbers[subscription] = number
         except WireError as error:
             self.refuse(str(error))
             return False
@@ -285,6 +304,19 @@ class NodeShell:
             if name in _LOOP_NAMES and count > 1:
                 return f"{count} nodes publish {name}"
         return ""
+
+    def company(self, refused_before: int) -> str:
+        """Say what foreign nodes may have to do with what failed to come, to be put after it.
+
+        Parameters
+        ----------
+        refused_before : int
+            `refused` when the last message came that was waited for.
+        """
+        refused = self.refused - refused_before
+        told = f"; {refused} messages were refused meanwhile" if refused else ""
+        conflict = self.several_senders()
+        return f"{told}; {conflict}" if conflict else told
 
     def _look_after_status(self) -> None:
         """Look who listens and what has changed; while the loop turns, only send what is due.

@@ -183,9 +183,10 @@ class RigNode:
                     return rig.violation or why
                 if time.monotonic() > deadline:
                     late = self._valve if self._valve.step < step else self._drive
+                    company = self._shell.company(self._refused_before)
                     return rig.violation or (
                         f"no {late.codec.topic.name} for step {step} within {timeout:g} s in "
-                        f"lockstep; is {late.codec.topic.publisher} running?{self._company()}"
+                        f"lockstep; is {late.codec.topic.publisher} running?{company}"
                     )
             if rig.violation is not None:
                 return rig.violation
@@ -233,10 +234,10 @@ class RigNode:
                 if len(self._missed) < LISTED_STEPS:
                     self._missed.append(step)
                 if step - drive.step > patience:
-                    topic = drive.codec.topic
+                    topic, company = drive.codec.topic, shell.company(self._refused_before)
                     return (
                         f"no new {topic.name} for {timeout:g} s (the last is of step "
-                        f"{drive.step}); is {topic.publisher} running?{self._company()}"
+                        f"{drive.step}); is {topic.publisher} running?{company}"
                     )
             state = rig.step(self._drive.value)
 
@@ -258,13 +259,6 @@ class RigNode:
         if force or now - self._clock_at >= CLOCK_PERIOD:
             self._clock_at = now
             self._publish_time(encode_clock(self._timebase.stamp_ns(step)))
-
-    def _company(self) -> str:
-        """Say what others sent while a command was waited for; empty if nothing."""
-        refused = self._shell.refused - self._refused_before
-        told = f"; {refused} messages were refused meanwhile" if refused else ""
-        conflict = self._shell.several_senders()
-        return f"{told}; {conflict}" if conflict else told
 
     def _unwanted(self) -> str | None:
         """Say why the test must end here, if it must: no rig moves without a supervisor."""

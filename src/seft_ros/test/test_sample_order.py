@@ -41,6 +41,7 @@ def test_in_lockstep_steps_come_one_by_one():
     found.check("rig/state", 8)
     with pytest.raises(WireError, match="far in the future"):
         found.check("rig/state", 9)
+    found.follow(told("done"))
     found.follow(told("running", pace="realtime"))
     found.check("rig/state", 9)
 
@@ -61,6 +62,15 @@ def test_a_test_begins_once_each_time_that_one_has_ended():
     assert not found.begins(1)
     assert found.begins(0)
     assert found.last == -1
+
+
+def test_a_sign_of_life_that_comes_late_does_not_begin_a_test_anew():
+    found = order()
+    found.follow(told("ready"))
+    assert found.begins(0)
+    found.follow(told("ready"))
+    found.follow(told("running", steps="100"))
+    assert not found.begins(0)
 
 
 def test_without_a_supervisor_each_first_sample_begins_a_test():

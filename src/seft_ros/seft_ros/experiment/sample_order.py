@@ -35,15 +35,17 @@ class SampleOrder:
 
     def __init__(self, timebase: Timebase) -> None:
         self._farthest = round(FARTHEST * timebase.rate)
-        self._is_supervised = False
+        self._state = ""  # of the experiment, as a supervisor tells
         self.last = -1
         self.steps = 0
         self.in_lockstep = False
         self.may_begin = True
 
     def follow(self, experiment: Status) -> None:
-        """Take in a state of the experiment."""
-        self._is_supervised = True
+        """Take in a state of the experiment; a repeat is a sign of life and no news."""
+        if experiment.message == self._state:
+            return
+        self._state = experiment.message
         if experiment.message in MOVING:
             self.in_lockstep = experiment.values.get(PACE) == LOCKSTEP
             steps = experiment.values.get("steps", "")
@@ -55,7 +57,7 @@ class SampleOrder:
 
     def begins(self, step: int) -> bool:
         """Say whether a sample of this step begins a test; if so, it has begun."""
-        if step != 0 or not (self.may_begin if self._is_supervised else self.last != 0):
+        if step != 0 or not (self.may_begin if self._state else self.last != 0):
             return False
         self.may_begin = False
         self.last = -1

@@ -53,6 +53,7 @@ class ForceControllerNode:
         self._forces: dict[int, Floats] = {}
         self._order = SampleOrder(experiment.timebase)
         self._silence = Silence(section["watchdog.state_timeout"])
+        self._refused_before = 0  # messages, until the last state came
         self._warm_up()
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16, wake=False)
         # the state of a step is nearly always there before the force that answers it: only the
@@ -82,6 +83,7 @@ class ForceControllerNode:
                 self._trip(
                     f"no rig/state for {self._silence.longest:g} s (the last is of step "
                     f"{self._order.last}); is rig running?"
+                    f"{self._shell.company(self._refused_before)}"
                 )
 
     def _on_experiment_state(self, raw: bytes, _: int) -> None:
@@ -99,6 +101,7 @@ class ForceControllerNode:
         self._admit(RIG_STATE.name, step, self._states)
         if step + 1 < self._order.steps and not self._order.in_lockstep:
             self._silence.heard(time.monotonic())
+            self._refused_before = self._shell.refused
         else:
             self._silence.end()  # of a test that is over, not known to run, or keeps no time
         if self._controller.reason:  # reference forces are not waited for any more
@@ -119,6 +122,8 @@ class ForceControllerNode:
 
     def _admit(self, name: str, step: int, pending: dict[int, Floats]) -> None:
         """See that a sample may be taken in; the first of a test begins it."""
+        if step == 0:
+            self._shell.catch_up(EXPERIMENT_STATE)  # what was told before does not end this test
         if self._order.begins(step):
             self._states.clear()
             self._forces.clear()
