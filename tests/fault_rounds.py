@@ -6,6 +6,11 @@ Each round is one `seft run`, of which a seeded generator chooses pace, storage,
 and when. It ends at the first thing that is wrong, and says how to do that round again. What a
 round sees of its run is what an operator sees: the progress bar, on a terminal of its own. Another
 ROS node would have its own share in /dev/shm.
+
+Tests on one host use the same names of ports there one after the other. Where others run at the
+same time, give the rounds a /dev/shm of their own (as root):
+
+    unshare -m sh -c 'mount -t tmpfs none /dev/shm && python tests/fault_rounds.py'
 """
 
 import argparse
@@ -166,8 +171,12 @@ class Run:
     @property
     def text(self) -> str:
         """What it has written, without the colours; each redrawing of a line is a line."""
-        plain = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "\n", self._text.decode(errors="replace"))
-        return plain.replace("\r", "\n")
+        return plain(self._text)
+
+    @property
+    def bar(self) -> str:
+        """What it shows now."""
+        return plain(self._text[-4000:])
 
     @property
     def complaints(self) -> list[str]:
@@ -178,18 +187,18 @@ class Run:
     @property
     def step(self) -> int:
         """Last step on the bar."""
-        found = re.findall(r"(\d+)/\d+", self.text[-2000:])
+        found = re.findall(r"(\d+)/\d+", self.bar)
         return int(found[-1]) if found else 0
 
     @property
     def total(self) -> int:
         """Steps of its test, as the bar says."""
-        found = re.findall(r"\d+/(\d+)", self.text[-2000:])
+        found = re.findall(r"\d+/(\d+)", self.bar)
         return int(found[-1]) if found else 0
 
     def shows(self, words: str) -> bool:
-        """Whether it has said so."""
-        return words in self.text
+        """Whether it says so now."""
+        return words in self.bar
 
     def wait_for(self, condition: Callable[[], bool], what: str) -> bool:
         """Wait; whether it came so before the run's end."""
@@ -221,6 +230,12 @@ class Run:
                 os.kill(pid, signal.SIGKILL)
         self.process.wait()
         self._reader.join()
+
+
+def plain(text: bytes) -> str:
+    """Text from a terminal, without what moves the cursor and chooses colours."""
+    found = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "\n", text.decode(errors="replace"))
+    return found.replace("\r", "\n")
 
 
 def come_to(plan: Plan, run: Run) -> bool:

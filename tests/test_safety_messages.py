@@ -134,7 +134,7 @@ def test_true_messages_come_through_a_flood(seft_json, start, hostile, tmp_path)
     assert process.poll() is None, "the test was over before the flood was"
     assert "Traceback" not in ending(process)
     assert process.returncode == 0
-    compared = seft_json("compare", "simulated", "bag")
+    compared = seft_json("compare", "simulated", "bag", status=None)
     assert compared["topics"]["rig/state"]["max_abs"] == 0.0
     refused = refusals(tmp_path / "bag")
     for node in ("rig", "force_controller", "reference_force"):

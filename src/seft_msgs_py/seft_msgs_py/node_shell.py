@@ -105,8 +105,8 @@ class NodeShell:
         self._publishers: dict[str, Publisher] = {}
         self._subscriptions: dict[str, Subscription] = {}
         self._numbers: dict[Subscription, int] = {}
-        """How many messages the publisher of a topic of the loop had sent with the last that was
-        acted upon. One that joins later has sent fewer."""
+        """How many messages the publisher of a topic that has one in each step had sent with the
+        last that was acted upon. One that joins later has sent fewer."""
         self._wait_set: WaitSet | None = None
         self._handled_at = 0.0  # s, monotonic: the last message of the loop
         self._looked_at = 0.0
@@ -159,7 +159,7 @@ class NodeShell:
             raw=True,
         )
         self._subscriptions[topic.name] = subscription
-        if isinstance(topic, LoopTopic):
+        if isinstance(topic, LoopTopic) and not topic.latched:
             self._numbers[subscription] = 0
         if wake and isinstance(topic, LoopTopic):
             handler = self._noting_the_time(handler)

@@ -97,7 +97,7 @@ class ReferenceForceNode:
             self._order.last = -1
         self._motion.drop_before(self._order.last)
         if not self._motion.add(first, values[:, 0]):
-            self._shell.refuse(f"ground_motion from step {first} on: steps before it are missing")
+            raise WireError(f"ground_motion from step {first} on: steps before it are missing")
         for step in sorted(self._waiting):
             self._answer(step, self._waiting[step])
 

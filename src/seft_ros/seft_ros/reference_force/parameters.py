@@ -2,7 +2,7 @@
 
 from seft_msgs_py.parameters import Parameter, Table
 
-from seft_ros.reference_force.compensation.methods import METHODS
+from seft_ros.reference_force.compensation.names import NAMES
 
 TABLE = Table(
     "reference_force",
@@ -46,7 +46,7 @@ TABLE = Table(
             "string",
             "none",
             "how the measured acceleration is freed of the actuator's delay",
-            choices=tuple(METHODS),
+            choices=NAMES,
         ),
         Parameter(
             "compensation.delay",
