@@ -11,17 +11,9 @@ from graph_tools import JHU, PATIENCE, STALLS_ALLOWED, wait_for
 from seft_msgs_py.topics import NODES
 from seft_ros.interlock.ramp_down import RampDown
 from seft_ros.recording.bag_reader import read_bag
-from seft_ros.running.observer import Observer
 from seft_ros.running.processes import MODULES
 
 SHORT = ("ground_motion:synthetic.duration:=3.0", "ground_motion:tail:=0.2")
-
-
-@pytest.fixture
-def observer(domain):
-    watching = Observer()
-    yield watching
-    watching.close()
 
 
 def is_in_state(observer, state):

@@ -122,8 +122,10 @@ def run_experiment(
                     raise
                 following.wait_until_saved(SAVE_TIMEOUT)
             finally:
-                tidying.look(processes.pids().values())
-                processes.stop()
+                try:
+                    tidying.look(processes.pids().values())
+                finally:  # also where an operator who is in a hurry interrupts this
+                    processes.stop()
         finally:
             observer.close()
             tidying.finish()

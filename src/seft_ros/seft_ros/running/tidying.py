@@ -5,6 +5,7 @@ however that came about.
 """
 
 import contextlib
+import itertools
 import os
 import signal
 import subprocess
@@ -63,11 +64,11 @@ def main() -> int:
 
 
 def _end(started: dict[int, str]) -> None:
-    """Wait for processes that were told to end, a halted one too; kill who does not."""
-    for number in (signal.SIGCONT, signal.SIGKILL):
+    """Tell processes to end, wake those that a signal has stopped, and kill who does not."""
+    for numbers in ((signal.SIGTERM, signal.SIGCONT), (signal.SIGKILL,)):
         deadline = time.monotonic() + PATIENCE
         while left := [pid for pid, start in started.items() if _start(pid) == start]:
-            for pid in left:
+            for pid, number in itertools.product(left, numbers):
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(pid, number)
             if time.monotonic() > deadline:
@@ -76,12 +77,16 @@ def _end(started: dict[int, str]) -> None:
 
 
 def _start(pid: int) -> str:
-    """Time at which a process started, in ticks of the kernel; empty where it has ended."""
+    """Time at which a process started, in ticks of the kernel; empty where it has ended.
+
+    Of one that was killed the first thread may be gone while others still hold its files.
+    """
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
     except OSError:
         return ""
-    return "" if fields[0] == "Z" else fields[19]
+    has_ended = fields[0] == "Z" and int(fields[17]) <= 1  # threads
+    return "" if has_ended else fields[19]
 
 
 if __name__ == "__main__":
