@@ -57,6 +57,7 @@ MARK = "SEFT_FAULT_ROUND"
 """Environment variable by which a round knows all its processes."""
 LOOK = 0.02  # s
 FOREIGN_LOOK = 1.0  # s
+PEERS_MAY_STALL = ("-p", "supervisor:watchdog.peer_timeout:=4.0")
 STEPS = {"lockstep": 8000, "realtime": 1100}
 """Steps of a test, about: a few seconds of wall time."""
 
@@ -110,7 +111,7 @@ class Plan:
         # the motion is compressed in time by half, and has 0.2 s of tail
         duration = 2.0 * (STEPS[self.pace] / 500.0 - 0.2)
         ramp = 1.0 if self.pace == "realtime" else 6.0
-        words = [*STALLS_ALLOWED[:2], *MISSES_ALLOWED, "-p", f"rig:pace:={self.pace}"]
+        words = [*STALLS_ALLOWED[:2], *PEERS_MAY_STALL, *MISSES_ALLOWED, "-p", f"rig:pace:={self.pace}"]
         words += ["-p", "ground_motion:tail:=0.2", "-p", f"recorder:storage:={self.storage}"]
         words += ["-p", f"ground_motion:synthetic.duration:={duration}"]
         return [*words, "-p", f"reference_force:ramp_down_time:={ramp}"]
