@@ -111,7 +111,8 @@ class Plan:
         # the motion is compressed in time by half, and has 0.2 s of tail
         duration = 2.0 * (STEPS[self.pace] / 500.0 - 0.2)
         ramp = 1.0 if self.pace == "realtime" else 6.0
-        words = [*STALLS_ALLOWED[:2], *PEERS_MAY_STALL, *MISSES_ALLOWED, "-p", f"rig:pace:={self.pace}"]
+        words = [*STALLS_ALLOWED[:2], *PEERS_MAY_STALL, *MISSES_ALLOWED]
+        words += ["-p", f"rig:pace:={self.pace}"]
         words += ["-p", "ground_motion:tail:=0.2", "-p", f"recorder:storage:={self.storage}"]
         words += ["-p", f"ground_motion:synthetic.duration:={duration}"]
         return [*words, "-p", f"reference_force:ramp_down_time:={ramp}"]
