@@ -12,6 +12,7 @@ from graph_tools import JHU, PATIENCE
 from hostile import Hostile
 from seft_msgs_py.experiment import Experiment
 from seft_ros.experiment.tables import TABLES
+from seft_ros.running.observer import Observer
 from seft_ros.running.processes import MODULES
 
 _WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
@@ -54,6 +55,14 @@ def seft_json(seft):
         return json.loads(seft(*words, "--json", status=status).stdout)
 
     return run
+
+
+@pytest.fixture
+def observer(domain) -> Iterator[Observer]:
+    """See what goes on on the graph, and call services."""
+    watching = Observer()
+    yield watching
+    watching.close()
 
 
 @pytest.fixture

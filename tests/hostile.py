@@ -1,9 +1,11 @@
 """A node that is none of the test's, and publishes what it likes on the test's topics."""
 
 import struct
+from collections.abc import Callable
 
 import numpy as np
 import rclpy
+from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
@@ -22,6 +24,7 @@ from seft_msgs_py.topics import (
     Topic,
 )
 from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_msgs_py.wait_set import LoopCallbackGroup, WaitSet, take
 
 FAR = 10**9  # a step that no test reaches
 
@@ -30,8 +33,9 @@ class Hostile:
     """Sends every bad kind of message, raw."""
 
     def __init__(self, experiment: Experiment) -> None:
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self._node = Node("hostile", start_parameter_services=False)
+        self._context = Context()  # an `Observer` beside it has the default one
+        rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self._node = Node("hostile", context=self._context, start_parameter_services=False)
         self._publishers: dict[Topic, Publisher] = {}
         self._experiment = experiment
 
@@ -42,17 +46,54 @@ class Hostile:
                 message_class(topic), topic.name, qos_profile(topic, depth=64)
             )
 
+    def leave(self, topic: Topic) -> None:
+        """Publish on a topic no more."""
+        self._node.destroy_publisher(self._publishers.pop(topic))
+
+    def answer(self, value: float, until: Callable[[], bool]) -> int:
+        """Answer each rig/state with a valve command of its step; return how many.
+
+        The messages are as good as the force controller's; only the value is not.
+        """
+        axes, timebase = self._experiment.axes, self._experiment.timebase
+        states, commands = (TrajectoryCodec(t, axes, timebase) for t in (RIG_STATE, VALVE_COMMAND))
+        subscription = self._node.create_subscription(
+            message_class(RIG_STATE),
+            RIG_STATE.name,
+            lambda _: None,
+            qos_profile(RIG_STATE, reliable=False),
+            callback_group=LoopCallbackGroup(),
+            raw=True,
+        )
+        waiting = WaitSet(self._node, [subscription])
+        count = 0
+        while not until():
+            waiting.wait(0.1)
+            while (taken := take(subscription)) is not None:
+                step, _ = states.decode(taken[0])
+                self.send(VALVE_COMMAND, commands.encode(step, np.full(len(axes), value)))
+                count += 1
+        self._node.destroy_subscription(subscription)
+        return count
+
+    def flood(self, topic: LoopTopic, count: int) -> None:
+        """Send many bad messages as fast as they go."""
+        bad = list(self.bad_messages(topic).values())
+        for index in range(count):
+            self.send(topic, bad[index % len(bad)])
+
     def send(self, topic: Topic, raw: bytes) -> None:
         """Publish bytes as they are."""
         self._publishers[topic].publish(raw)
 
+    def listeners(self, topic: Topic) -> int:
+        """How many nodes listen to what is published here on a topic."""
+        return self._publishers[topic].get_subscription_count()
+
     def is_heard(self) -> bool:
         """Whether all of the loop listen."""
         expected = {RIG_STATE: 3, VALVE_COMMAND: 2, REFERENCE_FORCE: 2, GROUND_MOTION: 2}
-        return all(
-            self._publishers[topic].get_subscription_count() >= count
-            for topic, count in expected.items()
-        )
+        return all(self.listeners(topic) >= count for topic, count in expected.items())
 
     def bad_messages(self, topic: LoopTopic) -> dict[str, bytes]:
         """One of each bad kind; stale ones are of step 0, and no step is that of a real one."""
@@ -99,4 +140,4 @@ class Hostile:
     def close(self) -> None:
         """Leave the graph."""
         self._node.destroy_node()
-        rclpy.try_shutdown()
+        rclpy.try_shutdown(context=self._context)

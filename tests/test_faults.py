@@ -1,6 +1,5 @@
 """Runs that break: one line says why, the bag is readable, no process is left."""
 
-import contextlib
 import json
 import os
 import shlex
@@ -10,78 +9,119 @@ import sys
 from pathlib import Path
 
 import pytest
-from graph_tools import JHU, MISSES_ALLOWED, PATIENCE, children, kill, wait_for
+from graph_tools import (
+    JHU,
+    MISSES_ALLOWED,
+    PATIENCE,
+    abandoned,
+    children,
+    kill,
+    shared_files,
+    wait_for,
+)
+from seft_ros.commands.main import main
 from seft_ros.recording.bag_reader import read_bag
-from seft_ros.running.shared_memory import FOLDER
+from seft_ros.running.processes import MODULES
 
 NO_COMMAND_ALLOWED = ("-p", "supervisor:watchdog.command_timeout:=60.0")
 """In realtime, the rig waits until the supervisor has found out who is silent."""
 LONG = ("-p", "ground_motion:synthetic.duration:=400.0")
+LONG_RAMP = ("-p", "reference_force:ramp_down_time:=60.0")
+STOPPED = b"stopped by the operator"
+
+
+class Run:
+    """A `seft run` under way.
+
+    Attributes
+    ----------
+    process : subprocess.Popen
+        It.
+    nodes : dict of str to int
+        Its node processes.
+    memory : set of SharedFile
+        What these have in /dev/shm.
+    """
+
+    def __init__(self, start, folder, *words):
+        self._bag = folder / "bag"
+        words = (*LONG, *NO_COMMAND_ALLOWED, *MISSES_ALLOWED, *words)
+        self.process = start("seft_ros.commands.main", "run", JHU, *words, "--out", "bag")
+        self.nodes = {}
+        self.memory = set()
+
+    def wait_for_nodes(self):
+        """Wait until all its processes are there, and on the graph."""
+
+        def all_there():
+            self.nodes = children(self.process.pid)
+            self.look()
+            return len(self.nodes) == 6 and len(self.memory) > 6
+
+        wait_for(all_there, "the nodes")
+
+    def wait_for_data(self):
+        """Wait until it has been recording for a while."""
+        wait_for(self._bag.exists, "the bag")
+        size = lambda: sum(file.stat().st_size for file in self._bag.glob("*.*"))  # noqa: E731
+        wait_for(lambda: size() > 60_000, "some data in it")
+        self.wait_for_nodes()
+
+    def wait_for_ramp(self):
+        """Interrupt it, and wait until the bag tells that the force comes down."""
+        self.process.send_signal(signal.SIGINT)
+        files = lambda: (file.read_bytes() for file in self._bag.glob("*.mcap"))  # noqa: E731
+        wait_for(lambda: STOPPED in b"".join(files()), "the ramp")
+
+    def look(self):
+        """Note what its nodes have in /dev/shm."""
+        self.memory |= set().union(*map(shared_files, self.nodes.values()))
+
+    def ending(self):
+        """Wait for its end, which leaves nothing; give what it says on stderr, one line."""
+        _, errors = self.process.communicate(timeout=PATIENCE)
+        assert "Traceback" not in errors
+        assert not [pid for pid in self.nodes.values() if is_alive(pid)]
+        assert not abandoned(self.memory)
+        lines = [line for line in errors.splitlines() if line.startswith("seft: ")]
+        assert len(lines) == 1, errors
+        return lines[0]
 
 
 @pytest.fixture
-def running(start, tmp_path):
-    """A `seft run` that has been under way for a while, and its node processes."""
-
-    def launch(*words):
-        words = (*LONG, *NO_COMMAND_ALLOWED, *MISSES_ALLOWED, *words)
-        process = start("seft_ros.commands.main", "run", JHU, *words, "--out", "bag")
-        wait_for(lambda: (tmp_path / "bag").exists(), "the bag")
-        wait_for(lambda: bag_size(tmp_path / "bag") > 200_000, "some data in it")
-        nodes = wait_for(lambda: children(process.pid), "the nodes")
-        assert len(nodes) == 6
-        return process, nodes
-
-    return launch
+def run(start, tmp_path):
+    """Start a `seft run`."""
+    return lambda *words: Run(start, tmp_path, *words)
 
 
-def contents(bag):
-    """Bytes of a bag that is being written; it is not compressed."""
-    return b"".join(file.read_bytes() for file in bag.glob("*.mcap"))
+def is_alive(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
 
 
-def files_left():
-    return {file.name for file in FOLDER.iterdir()}
+def recorded(folder):
+    """Read the bag of a test that broke under way; its states are all there."""
+    record = read_bag(folder / "bag")
+    steps = record.series["rig/state"].steps
+    assert len(steps) > 100
+    assert (steps == range(len(steps))).all()
+    return record
 
 
-def abandoned(names):
-    """Those of some files in /dev/shm that are still there, and no living process has.
-
-    Tests that run beside this one map what they hear of, and take it away with them.
-    """
-    left = names & files_left()
-    for maps in Path("/proc").glob("[0-9]*/maps"):
-        with contextlib.suppress(OSError):
-            text = maps.read_text()
-            left = {name for name in left if name.removesuffix("_el") not in text}
-    return left
-
-
-def shared_memory(pids):
-    """Names of the files in /dev/shm that processes have mapped, or opened to lock them."""
-    found = set()
-    for pid in pids:
-        maps = Path(f"/proc/{pid}/maps").read_text()
-        found |= {line.split("/dev/shm/")[1] for line in maps.splitlines() if "/dev/shm/" in line}
-        for handle in Path(f"/proc/{pid}/fd").iterdir():
-            with contextlib.suppress(OSError):
-                file = handle.readlink()
-                found |= {file.name} if file.parent == FOLDER else set()
-    return {name for name in found if "fastrtps" in name}
-
-
-def bag_size(bag):
-    return sum(file.stat().st_size for file in bag.glob("*.*"))
-
-
-def ending(process: subprocess.Popen, nodes: dict[str, int]) -> str:
-    """Wait for the end; return what is said on stderr, which is one line."""
-    _, errors = process.communicate(timeout=PATIENCE)
-    assert "Traceback" not in errors
-    assert not children(process.pid)
-    lines = [line for line in errors.splitlines() if line.startswith("seft: ")]
-    assert len(lines) == 1, errors
-    return lines[0]
+@pytest.mark.parametrize("node", sorted(MODULES))
+def test_a_node_that_dies_or_stands_still_before_the_test_is_named(run, tmp_path, node):
+    """Half of them die, when they have just been started; half stand still."""
+    dies = sorted(MODULES).index(node) % 2 == 0
+    found = run()
+    found.wait_for_nodes()
+    os.kill(found.nodes[node], signal.SIGKILL if dies else signal.SIGSTOP)
+    line = found.ending()
+    assert found.process.returncode == 1
+    how = "ended (killed by signal 9)" if dies else "stands still before the test"
+    assert f"node {node} {how}" in line
+    assert not (tmp_path / "bag").exists()
 
 
 @pytest.mark.parametrize(
@@ -91,18 +131,15 @@ def ending(process: subprocess.Popen, nodes: dict[str, int]) -> str:
         *(("ground_motion", "realtime"), ("supervisor", "lockstep"), ("supervisor", "realtime")),
     ],
 )
-def test_a_node_that_dies_ends_the_run_with_a_readable_bag(running, tmp_path, node, pace):
-    process, nodes = running("-p", f"rig:pace:={pace}")
-    memory = shared_memory(nodes.values())
-    assert len(memory) >= len(nodes)
-    kill(nodes[node])
-    line = ending(process, nodes)
-    assert process.returncode == 1
+def test_a_node_that_dies_ends_the_run_with_a_readable_bag(run, tmp_path, node, pace):
+    found = run("-p", f"rig:pace:={pace}")
+    found.wait_for_data()
+    kill(found.nodes[node])
+    line = found.ending()
+    assert found.process.returncode == 1
     assert f"node {node} ended (killed by signal 9)" in line
     assert "(at step " in line
-    record = read_bag(tmp_path / "bag")
-    assert len(record.series["rig/state"].steps) > 100
-    assert not abandoned(memory)
+    record = recorded(tmp_path)
     if node == "supervisor":  # nobody but the rig itself can end its test
         assert record.trip.reason == "node supervisor has been silent for 1 s"
     if node == "ground_motion":  # the force came down while there was motion left
@@ -114,93 +151,122 @@ def test_a_node_that_dies_ends_the_run_with_a_readable_bag(running, tmp_path, no
 @pytest.mark.parametrize(
     ("node", "pace"),
     [
-        *(("rig", "realtime"), ("reference_force", "realtime"), ("force_controller", "lockstep")),
-        *(("recorder", "lockstep"), ("supervisor", "realtime")),
+        *(("rig", "realtime"), ("force_controller", "lockstep"), ("recorder", "lockstep")),
+        ("supervisor", "realtime"),
     ],
 )
-def test_a_node_that_stands_still_is_named_with_the_time(running, tmp_path, node, pace):
-    process, nodes = running("-p", f"rig:pace:={pace}")
-    memory = shared_memory(nodes.values())
-    os.kill(nodes[node], signal.SIGSTOP)
-    line = ending(process, nodes)
-    assert process.returncode == 1
+def test_a_node_that_stands_still_is_named_with_the_time(run, tmp_path, node, pace):
+    found = run("-p", f"rig:pace:={pace}")
+    found.wait_for_data()
+    os.kill(found.nodes[node], signal.SIGSTOP)
+    line = found.ending()
+    assert found.process.returncode == 1
     assert f"node {node} has been silent " in line
     assert "(at step " in line
-    record = read_bag(tmp_path / "bag")
-    assert len(record.series["rig/state"].steps) > 100
-    assert not abandoned(memory)
+    recorded(tmp_path)
 
 
-def test_a_rig_without_commands_trips_and_the_silent_node_is_found_out(running, tmp_path):
-    process, nodes = running("-p", "supervisor:watchdog.command_timeout:=0.5")
-    os.kill(nodes["reference_force"], signal.SIGSTOP)
-    line = ending(process, nodes)
-    assert process.returncode == 1
+@pytest.mark.parametrize("node", sorted(MODULES))
+def test_a_node_that_fails_while_the_force_comes_down_ends_the_run(run, seft, tmp_path, node):
+    """Those that stood still in the test before die here, and the other way round."""
+    dies = node in ("rig", "force_controller", "recorder")
+    found = run(*LONG_RAMP, "-p", "rig:pace:=lockstep")
+    found.wait_for_data()
+    found.wait_for_ramp()
+    os.kill(found.nodes[node], signal.SIGKILL if dies else signal.SIGSTOP)
+    # without one of these there is no ramp any more; else the operator asks once more
+    if node in ("ground_motion", "recorder"):
+        found.process.send_signal(signal.SIGINT)
+    assert "interrupted" in found.ending()
+    assert found.process.returncode == 1
+    if (dies, node) == (True, "recorder"):
+        assert "seft recover bag" in seft("report", "bag", status=2).stderr
+        seft("recover", "bag", status=0)
+        recorded(tmp_path)
+        return
+    record = recorded(tmp_path)
+    if node != "supervisor":
+        assert "stopped by the operator" in record.trip.reason
+    if node in ("rig", "force_controller", "reference_force"):
+        assert f"node {node} has been silent since" in record.trip.reason
+
+
+def test_a_rig_without_commands_trips_and_the_silent_node_is_found_out(run, tmp_path):
+    found = run("-p", "supervisor:watchdog.command_timeout:=0.5")
+    found.wait_for_data()
+    os.kill(found.nodes["reference_force"], signal.SIGSTOP)
+    line = found.ending()
+    assert found.process.returncode == 1
     assert "no new valve_command for 0.5 s" in line
     assert "; node reference_force has been silent since " in line
-    trip = read_bag(tmp_path / "bag").trip
+    trip = recorded(tmp_path).trip
     assert "; node reference_force has been silent since " in trip.reason
     assert f"(at step {trip.step})" in line
 
 
-def test_a_killed_recorder_loses_at_most_half_a_second(running, seft, tmp_path):
-    process, nodes = running()
-    kill(nodes["recorder"])
-    line = ending(process, nodes)
-    assert process.returncode == 1
+def test_a_killed_recorder_loses_at_most_half_a_second(run, seft, tmp_path):
+    found = run()
+    found.wait_for_data()
+    kill(found.nodes["recorder"])
+    line = found.ending()
+    assert found.process.returncode == 1
     assert "node recorder ended (killed by signal 9)" in line
     last_step = int(line.split("at step ")[1].split(")")[0])
     refused = seft("report", "bag", status=2)
     assert "seft recover bag" in refused.stderr
     seft("recover", "bag", status=0)
-    steps = read_bag(tmp_path / "bag").series["rig/state"].steps
     # the clock that dates the death is published 10 times a second
-    assert steps[-1] >= last_step - 250 - 75
-    assert (steps == range(len(steps))).all()
+    assert recorded(tmp_path).series["rig/state"].steps[-1] >= last_step - 250 - 75
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_run_comes_down_softly_and_keeps_its_bag(running, tmp_path, number):
-    process, nodes = running()
-    memory = shared_memory(nodes.values())
-    process.send_signal(number)
-    assert "interrupted" in ending(process, nodes)
-    assert process.returncode == 1
-    record = read_bag(tmp_path / "bag")
+def test_an_interrupted_run_comes_down_softly_and_keeps_its_bag(run, seft, tmp_path):
+    """Before that, a second test on the same domain is refused."""
+    found = run("-p", "rig:pace:=lockstep")
+    found.wait_for_data()
+    refused = seft("run", JHU, "--out", "second", status=2)
+    assert "already has a node" in refused.stderr
+    assert "ROS_DOMAIN_ID" in refused.stderr
+    assert found.process.poll() is None
+    found.process.send_signal(signal.SIGINT)
+    assert "interrupted" in found.ending()
+    assert found.process.returncode == 1
+    record = recorded(tmp_path)
     assert record.complete
     assert record.trip.reason == "stopped by the operator"
     assert record.series["reference_force"].values[-1, 0, 0] == 0.0
-    assert not abandoned(memory)
 
 
-def test_a_second_interruption_is_an_emergency_stop(running, tmp_path):
-    process, nodes = running("-p", "reference_force:ramp_down_time:=60.0")
-    process.send_signal(signal.SIGINT)
-    wait_for(lambda: b"stopped by the operator" in contents(tmp_path / "bag"), "the ramp")
-    process.send_signal(signal.SIGINT)
-    ending(process, nodes)
-    assert process.returncode == 1
-    assert read_bag(tmp_path / "bag").trip.reason == (
+def test_a_second_interruption_is_an_emergency_stop(run, tmp_path):
+    """SIGTERM is one as Ctrl-C is."""
+    found = run(*LONG_RAMP)
+    found.wait_for_data()
+    found.wait_for_ramp()
+    found.process.send_signal(signal.SIGTERM)
+    assert "interrupted" in found.ending()
+    assert found.process.returncode == 1
+    assert recorded(tmp_path).trip.reason == (
         "emergency stop (while ramping down: stopped by the operator)"
     )
 
 
-def test_nodes_do_not_outlive_a_killed_run(running):
-    process, nodes = running()
-    kill(process.pid)
-    process.wait()
-
-    def gone():
-        return not any(is_alive(pid) for pid in nodes.values())
-
-    wait_for(gone, "the nodes to end")
+def test_a_run_that_is_terminated_comes_down_softly(run, tmp_path):
+    found = run()
+    found.wait_for_data()
+    found.process.terminate()
+    assert "interrupted" in found.ending()
+    assert recorded(tmp_path).trip.reason == "stopped by the operator"
 
 
-def is_alive(pid):
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except OSError:
-        return False
+def test_a_killed_run_leaves_nothing_though_one_node_is_stopped(run, tmp_path):
+    found = run()
+    found.wait_for_data()
+    os.kill(found.nodes["ground_motion"], signal.SIGSTOP)
+    found.memory |= shared_files(found.process.pid)
+    kill(found.process.pid)
+    found.process.wait()
+    wait_for(lambda: not any(map(is_alive, found.nodes.values())), "the nodes to end")
+    wait_for(lambda: not abandoned(found.memory), "/dev/shm to be tidied up")
+    assert recorded(tmp_path).complete
 
 
 @pytest.mark.parametrize(
@@ -214,28 +280,34 @@ def is_alive(pid):
         ("ground_motion:file:=nowhere.AT2", "nowhere.AT2"),
     ],
 )
-def test_wrong_input_is_told_before_any_node_starts(seft, tmp_path, override, words):
-    done = seft("run", JHU, "-p", override, status=2)
-    assert done.stdout == ""
-    assert len(done.stderr.strip().splitlines()) == 1
-    assert words in done.stderr
+def test_wrong_input_is_told_before_any_node_starts(told_at_once, tmp_path, override, words):
+    assert words in told_at_once("-p", override)
     assert not (tmp_path / "bags").exists()
 
 
-def test_a_bag_is_not_overwritten(seft, tmp_path):
+def test_a_bag_is_not_overwritten(told_at_once, tmp_path):
     (tmp_path / "bag").mkdir()
-    done = seft("run", JHU, "--out", "bag", status=2)
-    assert "exists already" in done.stderr
+    assert "exists already" in told_at_once("--out", "bag")
 
 
-def test_a_second_test_on_the_same_domain_is_refused(running, seft, tmp_path):
-    process, nodes = running("-p", "rig:pace:=lockstep")
-    refused = seft("run", JHU, "--out", "second", status=2)
-    assert "already has a node" in refused.stderr
-    assert "ROS_DOMAIN_ID" in refused.stderr
-    assert process.poll() is None
-    process.send_signal(signal.SIGINT)
-    ending(process, nodes)
+@pytest.fixture
+def told_at_once(monkeypatch, capfd, tmp_path):
+    """Give the one line with which `seft run` refuses before it looks for other tests."""
+
+    def refuse(*words):
+        def never(*_, **__):
+            raise AssertionError("the run went on")
+
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr("seft_ros.running.run.Observer", never)
+        monkeypatch.setattr(sys, "argv", ["seft", "run", str(JHU), *words])
+        assert main() == 2
+        out, errors = capfd.readouterr()
+        assert out == ""
+        (line,) = errors.strip().splitlines()
+        return line
+
+    return refuse
 
 
 def test_a_missing_peer_in_lockstep_ends_the_run_with_its_name(seft, tmp_path):

@@ -18,7 +18,7 @@ def test_two_tests_in_a_row_on_an_external_rig_give_the_numbers_of_the_offline_l
     """Its parameters are its own: what the experiment says of a rig does not count."""
     rig = start_node("rig", "rig:pace:=lockstep")
     words = ("identify", JHU, *SHORT)
-    elsewhere = ("-p", "rig:specimen.mass:=20.0", "-p", "force_controller:pace:=lockstep")
+    elsewhere = ("-p", "rig:specimen.mass:=20.0", "-p", "rig:pace:=realtime")
     external = seft_json(*words, *elsewhere, "--external", "rig", "--out", "external")
     assert numbers(external) == numbers(seft_json(*words, "--out", "offline"))
     for name in ("open_loop", "closed_loop"):
@@ -32,7 +32,7 @@ def test_two_tests_in_a_row_on_an_external_rig_give_the_numbers_of_the_offline_l
     refused = seft("run", JHU, "--out", "bag", status=2)
     assert "already has a node rig" in refused.stderr
 
-    short = ("-p", "ground_motion:synthetic.duration:=3.0", "-p", "force_controller:pace:=lockstep")
+    short = ("-p", "ground_motion:synthetic.duration:=3.0")
     done = seft("run", JHU, *short, "--external", "rig", "--out", "bag", "--json", status=0)
     assert json.loads(done.stdout)["stable"] is True
     rig.send_signal(signal.SIGINT)

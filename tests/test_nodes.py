@@ -8,19 +8,12 @@ import signal
 import numpy as np
 import pytest
 from graph_tools import JHU, PATIENCE, STALLS_ALLOWED, wait_for
+from seft_msgs_py.topics import NODES
 from seft_ros.interlock.ramp_down import RampDown
 from seft_ros.recording.bag_reader import read_bag
-from seft_ros.running.observer import Observer
 from seft_ros.running.processes import MODULES
 
 SHORT = ("ground_motion:synthetic.duration:=3.0", "ground_motion:tail:=0.2")
-
-
-@pytest.fixture
-def observer(domain):
-    watching = Observer()
-    yield watching
-    watching.close()
 
 
 def is_in_state(observer, state):
@@ -130,6 +123,35 @@ def test_a_silent_node_makes_a_ready_graph_incomplete_until_it_is_heard_again(st
     nodes["rig"].send_signal(signal.SIGCONT)
     wait_for(is_in_state(observer, "ready"), "ready again")
     nodes["supervisor"].kill()
+    wait_for(lambda: (observer.spin(0.05), observer.silence() > 1.0)[1], "its silence")
+
+
+def test_a_node_that_is_terminated_ends_cleanly_and_the_others_miss_it(start_node, observer):
+    long = ("rig:pace:=lockstep", "ground_motion:synthetic.duration:=400.0")
+    nodes = {node: start_node(node, *long) for node in MODULES}
+    wait_for(is_in_state(observer, "ready"), "ready")
+    assert observer.call("start")[0]
+    wait_for(lambda: (observer.spin(0.05), observer.time_ns > 10**9)[1], "a second of the test")
+
+    def terminate(node):
+        nodes[node].terminate()
+        _, errors = nodes[node].communicate(timeout=PATIENCE)
+        assert (nodes[node].returncode, "Traceback" in errors) == (0, False), (node, errors)
+
+    terminate("force_controller")
+    wait_for(is_in_state(observer, "tripped"), "the trip")
+    assert "node force_controller has been silent since" in observer.values["detail"]
+    wait_for(lambda: observer.call("reset")[0], "the rig at rest")
+    gone = ["force_controller"]
+    for node in ("rig", "recorder", "ground_motion", "reference_force"):
+        terminate(node)
+        gone.append(node)
+        missed = "waiting for node " + ", ".join(sorted(gone, key=NODES.index))
+        wait_for(
+            lambda missed=missed: (observer.spin(0.05), observer.values["detail"] == missed)[1],
+            missed,
+        )
+    terminate("supervisor")
     wait_for(lambda: (observer.spin(0.05), observer.silence() > 1.0)[1], "its silence")
 
 

@@ -1,17 +1,26 @@
 """What a foreign node sends into a running test is refused, counted, and never acted upon."""
 
+import os
+import signal
 import subprocess
 import time
 
-from graph_tools import JHU, PATIENCE, STALLS_ALLOWED, wait_for
+from graph_tools import JHU, MISSES_ALLOWED, PATIENCE, STALLS_ALLOWED, children, wait_for
 from seft_msgs_py.messages import decode_diagnostics
 from seft_msgs_py.ros_types import message_class, qos_profile
-from seft_msgs_py.topics import DIAGNOSTICS, LOOP_TOPICS, VALVE_COMMAND
+from seft_msgs_py.topics import (
+    DIAGNOSTICS,
+    LOOP_TOPICS,
+    REFERENCE_FORCE,
+    RIG_STATE,
+    VALVE_COMMAND,
+)
 from seft_ros.recording.bag_files import open_bag
-from seft_ros.running.observer import Observer
+from seft_ros.recording.bag_reader import read_bag
 from seft_ros.running.processes import MODULES
 
 LONG = ("-p", "ground_motion:synthetic.duration:=60.0")
+SHORT = "ground_motion:synthetic.duration:=3.0"
 LOCKSTEP = ("-p", "rig:pace:=lockstep")
 ROUNDS = 5
 
@@ -84,45 +93,133 @@ def test_a_hostile_node_changes_no_bit_of_a_test_in_lockstep(seft_json, start, h
         assert refused[node] > ROUNDS, refused
 
 
-def test_a_command_that_two_nodes_publish_ends_the_test_before_anything_moves(seft, hostile):
+def test_a_hostile_node_is_not_acted_upon_in_realtime(seft_json, start, hostile, tmp_path):
+    words = (*STALLS_ALLOWED, *MISSES_ALLOWED)
+    seft_json("simulate", JHU, *LONG, "--out", "simulated")
+    process = start_run(start, tmp_path, *words)
+    attack(hostile, process)
+    assert ending(process).count("refused") == 0  # the nodes' logs tell
+    assert process.returncode == 0
+    compared = seft_json("compare", "simulated", "bag", status=None)
+    record = read_bag(tmp_path / "bag")
+    assert len(record.series["rig/state"].steps) == record.series["rig/state"].steps[-1] + 1
+    if compared["first_difference"] is not None:
+        assert compared["first_difference"]["step"] > record.missed_steps[0]
+    refused = refusals(tmp_path / "bag")
+    for node in ("rig", "force_controller", "reference_force"):
+        assert refused[node] > ROUNDS, refused
+    for log in (tmp_path / "bag" / "logs").iterdir():
+        assert "Traceback" not in log.read_text()
+
+
+def test_true_messages_come_through_a_flood(seft_json, start, hostile, tmp_path):
+    seft_json("simulate", JHU, *LONG, "--out", "simulated")
+    process = start_run(start, tmp_path, *LOCKSTEP)
+    hostile.join()
+    wait_for(lambda: hostile.is_heard() or process.poll() is not None, "listeners")
+    for topic in (VALVE_COMMAND, RIG_STATE, REFERENCE_FORCE):
+        hostile.flood(topic, 2000)
+    assert process.poll() is None, "the test was over before the flood was"
+    assert "Traceback" not in ending(process)
+    assert process.returncode == 0
+    compared = seft_json("compare", "simulated", "bag", status=None)
+    assert compared["topics"]["rig/state"]["max_abs"] == 0.0
+    refused = refusals(tmp_path / "bag")
+    for node in ("rig", "force_controller", "reference_force"):
+        assert refused[node] > 500, refused
+
+
+def test_a_trip_for_want_of_commands_tells_what_was_refused_meanwhile(start, hostile, tmp_path):
+    words = ("-p", "rig:lockstep_timeout:=2.0", "-p", "supervisor:watchdog.peer_timeout:=6.0")
+    process = start_run(start, tmp_path, *LOCKSTEP, *words)
     hostile.join(VALVE_COMMAND)
-    done = seft("run", JHU, *LOCKSTEP, *LONG, "--out", "bag", status=None)
-    assert done.returncode != 0
-    assert "Traceback" not in done.stderr
-    assert "2 nodes publish valve_command" in done.stderr
+    wait_for(lambda: hostile.listeners(VALVE_COMMAND) == 2, "rig and recorder")
+    os.kill(children(process.pid)["force_controller"], signal.SIGSTOP)
+    hostile.flood(VALVE_COMMAND, 800)
+    ending(process)
+    assert process.returncode == 1
+    reason = read_bag(tmp_path / "bag").trip.reason
+    assert reason.startswith("no valve_command for step ")
+    assert " messages were refused meanwhile; 2 nodes publish valve_command" in reason
 
 
-def test_the_force_controller_trips_by_itself_when_the_rig_dies(start_node, domain):
+def test_who_joins_a_test_with_commands_that_are_valid_is_not_obeyed(
+    seft_json, start, hostile, tmp_path
+):
+    seft_json("simulate", JHU, *LONG, "--out", "simulated")
+    process = start_run(start, tmp_path, *LOCKSTEP)
+    hostile.join(VALVE_COMMAND)
+    wait_for(lambda: hostile.listeners(VALVE_COMMAND) == 2, "rig and recorder")
+    assert hostile.answer(5.0, lambda: process.poll() is not None) > 100
+    errors = ending(process)
+    assert process.returncode == 0, errors
+    compared = seft_json("compare", "simulated", "bag", status=None)
+    for topic in ("rig/state", "reference_force"):
+        assert compared["topics"][topic]["max_abs"] == 0.0
+    assert refusals(tmp_path / "bag")["rig"] > 100
+
+
+def test_two_publishers_of_a_topic_of_the_loop_end_the_test_before_anything_moves(
+    start_node, hostile, observer, tmp_path
+):
+    nodes = {node: start_node(node, "rig:pace:=lockstep", SHORT) for node in MODULES}
+
+    def is_in(state):
+        return lambda: (observer.spin(0.05), observer.state == state)[1]
+
+    def start():
+        wait_for(is_in("ready"), "ready")
+        assert observer.call("start")[0]
+
+    for topic in LOOP_TOPICS:
+        wait_for(is_in("ready"), "ready")
+        hostile.join(topic)
+        wait_for(lambda topic=topic: hostile.listeners(topic) > len(topic.subscribers), "listeners")
+        start()
+        wait_for(is_in("tripped"), "the trip")
+        assert f"2 nodes publish {topic.name}" in observer.values["detail"]
+        hostile.leave(topic)
+        wait_for(lambda: (observer.spin(0.05), observer.recorder_phase == "saved")[1], "saved")
+        wait_for(lambda: observer.call("reset")[0], "the rig at rest")
+    for bag in (tmp_path / "bags").iterdir():
+        states = read_bag(bag).series["rig/state"]
+        assert len(states.steps) == 1
+    start()
+    wait_for(is_in("done"), "a test when all have left")
+    for node in nodes.values():
+        node.send_signal(signal.SIGINT)
+    for name, node in nodes.items():
+        _, errors = node.communicate(timeout=PATIENCE)
+        assert (node.returncode, "Traceback" in errors) == (0, False), (name, errors)
+
+
+def test_the_force_controller_trips_by_itself_when_the_rig_dies(start_node, observer):
     overrides = ("supervisor:watchdog.peer_timeout:=60.0", STALLS_ALLOWED[1])
     # this alone stays sharp; the machine may stand still before the rig is killed
     sharp = ("force_controller:watchdog.state_timeout:=3.0",)
-    observer = Observer()
     told = {}
 
     def listen(message):
         told.update({status.name: status for status in message.status})
 
-    try:
-        observer._node.create_subscription(
-            message_class(DIAGNOSTICS), DIAGNOSTICS.name, listen, qos_profile(DIAGNOSTICS)
-        )
-        nodes = {node: start_node(node, *overrides, *sharp) for node in MODULES}
+    observer._node.create_subscription(
+        message_class(DIAGNOSTICS), DIAGNOSTICS.name, listen, qos_profile(DIAGNOSTICS)
+    )
+    nodes = {node: start_node(node, *overrides, *sharp) for node in MODULES}
 
-        def is_in(state):
-            return lambda: (observer.spin(0.05), observer.state == state)[1]
+    def is_in(state):
+        return lambda: (observer.spin(0.05), observer.state == state)[1]
 
-        wait_for(is_in("ready"), "ready")
-        assert observer.call("start")[0]
-        wait_for(lambda: (observer.spin(0.05), observer.time_ns > 5 * 10**8)[1], "half a second")
-        nodes["rig"].kill()
+    wait_for(is_in("ready"), "ready")
+    assert observer.call("start")[0]
+    wait_for(lambda: (observer.spin(0.05), observer.time_ns > 5 * 10**8)[1], "half a second")
+    nodes["rig"].kill()
 
-        def has_tripped():
-            observer.spin(0.05)
-            values = {item.key: item.value for item in told["force_controller"].values}
-            return values if values.get("phase") == "tripped" else None
+    def has_tripped():
+        observer.spin(0.05)
+        values = {item.key: item.value for item in told["force_controller"].values}
+        return values if values.get("phase") == "tripped" else None
 
-        values = wait_for(has_tripped, "the force controller's trip")
-        assert values["reason"].startswith("no rig/state for 3 s (the last is of step ")
-        assert int(values["step"]) > 0
-    finally:
-        observer.close()
+    values = wait_for(has_tripped, "the force controller's trip")
+    assert values["reason"].startswith("no rig/state for 3 s (the last is of step ")
+    assert int(values["step"]) > 0

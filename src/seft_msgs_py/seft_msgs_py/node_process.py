@@ -25,9 +25,13 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.topics import LoopTopic, Topic
 from seft_msgs_py.wait_set import WaitSet, take
 
-Handler = Callable[[bytes, int], None]
+Receive = Callable[[bytes, int, int], bool]
+"""Takes a message's bytes, the wall-clock time in ns at which it came in, and how many its
+publisher has sent with it (0: unknown); tells whether it was acted upon."""
 
 OUTSIDE_LOOK = 0.002  # s between looks for messages from outside while those inside keep coming
+MOST_AT_ONCE = 4096  # messages of a topic, as many as the longest queue holds
+MOST_REFUSED = 200  # a few ms of nonsense
 
 
 class Mailbox:
@@ -41,27 +45,27 @@ class Mailbox:
 
     def __init__(self, nodes: Collection[str]) -> None:
         self._nodes = frozenset(nodes)
-        self._handlers: dict[str, list[tuple[str, Handler]]] = {}
+        self._listeners: dict[str, list[tuple[str, Receive]]] = {}
         self._posted: deque[tuple[str, bytes]] = deque()
 
     def serves(self, topic: Topic) -> bool:
         """Whether the topic's messages come from a node of this process."""
         return isinstance(topic, LoopTopic) and topic.publisher in self._nodes
 
-    def subscribe(self, name: str, node: str, handler: Handler) -> None:
-        """Let ``handler`` have every message of the topic of this full name."""
-        self._handlers.setdefault(name, []).append((node, handler))
+    def subscribe(self, name: str, node: str, receive: Receive) -> None:
+        """Let ``receive`` have every message of the topic of this full name."""
+        self._listeners.setdefault(name, []).append((node, receive))
 
     def listeners(self, name: str) -> list[str]:
         """Nodes of this process that listen to a topic, by its full name."""
-        return [node for node, _ in self._handlers.get(name, [])]
+        return [node for node, _ in self._listeners.get(name, [])]
 
     def sender(self, name: str, send: Callable[[bytes], None]) -> Callable[[bytes], None]:
         """Give what sends a message to the listeners in this process, and outside by ``send``."""
         post = self._posted.append
 
         def send_to_all(raw: bytes) -> None:
-            if name in self._handlers:
+            if name in self._listeners:
                 post((name, raw))
             send(raw)
 
@@ -74,8 +78,8 @@ class Mailbox:
             return False
         while posted:
             name, raw = posted.popleft()
-            for _, handler in self._handlers[name]:
-                handler(raw, time.time_ns())
+            for _, receive in self._listeners[name]:
+                receive(raw, time.time_ns(), 0)
         return True
 
 
@@ -115,8 +119,8 @@ class NodeProcess:
             raise InputError(
                 f"ROS arguments not understood: {str(error).splitlines()[0]}"
             ) from None
-        self._waking: dict[Subscription, Handler] = {}
-        self._quiet: dict[Subscription, Handler] = {}
+        self._waking: dict[Subscription, Callable[[], bool | None]] = {}
+        self._quiet: list[Callable[[], bool | None]] = []
         self._looks: list[Callable[[], None]] = []
         self._wait_set: WaitSet | None = None
         self._looked_outside_at = 0.0
@@ -128,35 +132,34 @@ class NodeProcess:
         self._executor.add_node(node)
 
     def add_subscription(
-        self, subscription: Subscription, handler: Handler, wake: bool
-    ) -> Callable[[], bool]:
-        """Hand a subscription's messages to ``handler``.
+        self, subscription: Subscription, receive: Receive, wake: bool
+    ) -> Callable[[], bool | None]:
+        """Hand a subscription's messages to ``receive``.
 
         Parameters
         ----------
         subscription : Subscription
             Made for a `WaitSet`.
-        handler : callable
-            Takes bytes and time of receipt.
+        receive : callable
+            Takes a message.
         wake : bool
             Whether a message ends the waiting; else it is handled when nothing has ended it.
 
         Returns
         -------
         callable
-            Takes one message, if there is one, and tells whether there was.
+            Hands over one message and tells whether it was acted upon; None if there is none.
         """
-        (self._waking if wake else self._quiet)[subscription] = handler
-        if wake:
-            self._wait_set = WaitSet(rclpy.get_default_context(), list(self._waking))
 
-        def read_one() -> bool:
+        def read_one() -> bool | None:
             taken = take(subscription)
-            if taken is None:
-                return False
-            handler(*taken)
-            return True
+            return None if taken is None else receive(*taken)
 
+        if wake:
+            self._waking[subscription] = read_one
+            self._wait_set = WaitSet(rclpy.get_default_context(), list(self._waking))
+        else:
+            self._quiet.append(read_one)
         return read_one
 
     def every_turn(self, look: Callable[[], None]) -> None:
@@ -175,7 +178,8 @@ class NodeProcess:
     def spin_once(self, timeout: float) -> bool:
         """Wait for messages, at most ``timeout`` seconds, and handle those that have come.
 
-        Of topics that end the waiting it takes one message; the next call finds the rest.
+        Of topics that end the waiting it takes one message, and what is refused before it; the
+        next call finds the rest.
 
         Returns
         -------
@@ -186,7 +190,9 @@ class NodeProcess:
         if not handled or time.monotonic() - self._looked_outside_at > OUTSIDE_LOOK:
             handled |= self._look_outside(0.0 if handled else timeout)
         if not handled:
-            self._read_quiet()
+            for read_one in self._quiet:
+                drain(read_one)
+            self.mailbox.deliver()
         for look in self._looks:
             look()
         return handled
@@ -209,20 +215,15 @@ class NodeProcess:
             return False
         handled = False
         for subscription in self._wait_set.wait(timeout):
-            taken = take(subscription)
-            if taken is not None:
-                self._waking[subscription](*taken)
-                handled = True
+            read_one = self._waking[subscription]
+            for _ in range(MOST_REFUSED):  # a flood must not hold up what is true
+                if read_one() is not False:
+                    break
+            handled = True
         if self.mailbox.deliver():
             handled = True
         self._looked_outside_at = time.monotonic()
         return handled
-
-    def _read_quiet(self) -> None:
-        for subscription, handler in self._quiet.items():
-            while (taken := take(subscription)) is not None:
-                handler(*taken)
-        self.mailbox.deliver()
 
     def _spin_executor(self) -> None:
         try:
@@ -234,6 +235,13 @@ class NodeProcess:
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         del number, frame
         self.stopping = True
+
+
+def drain(read_one: Callable[[], bool | None]) -> None:
+    """Hand over what has come, as much as the longest queue holds."""
+    for _ in range(MOST_AT_ONCE):
+        if read_one() is None:
+            return
 
 
 def _without_parameters(argv: Sequence[str]) -> list[str]:

@@ -17,7 +17,7 @@ from seft_msgs_py.claim import claim
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.messages import Status, encode_diagnostics, encode_string, restamp
-from seft_msgs_py.node_process import Handler, NodeProcess
+from seft_msgs_py.node_process import NodeProcess, Receive, drain
 from seft_msgs_py.parameter_file import split_ros_arguments
 from seft_msgs_py.parameters import Table
 from seft_msgs_py.ros_types import message_class, parameter_descriptor, qos_profile
@@ -30,6 +30,8 @@ LOOP_PAUSE = 1.0  # s without a message of the loop: the node is idle
 WARN_PERIOD = 1.0  # s
 WARM_UP_STEPS = 200
 """Steps a node of the loop tries on itself, so that its first real ones are not its slowest."""
+Handler = Callable[[bytes, int], None]
+"""Takes a message's bytes and the wall-clock time in ns at which it came in."""
 _LOOP_NAMES = {topic.name for topic in LOOP_TOPICS}
 
 
@@ -64,6 +66,8 @@ class NodeShell:
         self.name = table.node
         self.experiment = Experiment.load(tables, files, overrides, nodes=[self.name])
         self.refused = 0
+        self._warning = ""  # the first reason since the last warning
+        self._warned_at = -WARN_PERIOD
         self._process = process
         section = self.experiment[self.name]
         self.node = Node(
@@ -77,6 +81,7 @@ class NodeShell:
         self._group = LoopCallbackGroup()
         self._publishers: dict[str, Publisher] = {}
         self._subscriptions: dict[str, Subscription] = {}
+        self._readers: dict[str, Callable[[], bool | None]] = {}
         self._inside: list[str] = []  # topics that come from this process
         self._handled_at = 0.0  # s, monotonic: the last message of the loop
         self._looked_at = 0.0
@@ -106,7 +111,7 @@ class NodeShell:
         depth: int | None = None,
         wake: bool = True,
         reliable: bool = True,
-    ) -> Callable[[], bool]:
+    ) -> Callable[[], bool | None]:
         """Hand every message of a topic to ``handler`` as bytes, in the main thread.
 
         Parameters
@@ -114,8 +119,7 @@ class NodeShell:
         topic : Topic
             What to listen to.
         handler : callable
-            Takes the message's bytes and the wall-clock time in ns at which it came in. A
-            `WireError` it raises is counted and warned of.
+            A `WireError` it raises is counted and warned of.
         depth : int, optional
             Messages kept while the node is busy; default the topic's.
         wake : bool
@@ -128,14 +132,14 @@ class NodeShell:
         Returns
         -------
         callable
-            Handles one message, if there is one, and tells whether there was.
+            Handles one message and tells whether it was acted upon; None if there is none.
         """
-        guarded = self._guarded(handler, wake and isinstance(topic, LoopTopic))
         if self._process.mailbox.serves(topic):
             full_name = self.node.resolve_topic_name(topic.name)
-            self._process.mailbox.subscribe(full_name, self.name, guarded)
+            receive = self._guarded(handler, topic, None)
+            self._process.mailbox.subscribe(full_name, self.name, receive)
             self._inside.append(topic.name)
-            return lambda: False  # whatever was sent has been handed over
+            return lambda: None  # whatever was sent has been handed over
         subscription = self.node.create_subscription(
             message_class(topic),
             topic.name,
@@ -145,7 +149,14 @@ class NodeShell:
             raw=True,
         )
         self._subscriptions[topic.name] = subscription
-        return self._process.add_subscription(subscription, guarded, wake)
+        receive = self._guarded(handler, topic, subscription)
+        read_one = self._process.add_subscription(subscription, receive, wake)
+        self._readers[topic.name] = read_one
+        return read_one
+
+    def catch_up(self, topic: Topic) -> None:
+        """Handle what has come on a topic."""
+        drain(self._readers[topic.name])
 
     def start(self, facts: dict[str, Any] | None = None) -> None:
         """Describe the node to the test and begin to serve parameters and status.
@@ -181,12 +192,12 @@ class NodeShell:
                 poll()
 
     def refuse(self, reason: str) -> None:
-        """Count a message that was not acted upon, and warn, at most once a second."""
+        """Count a message that was not acted upon; a warning follows, at most once a second.
+
+        The logger takes a millisecond, also where its own throttle lets nothing pass.
+        """
         self.refused += 1
-        self.node.get_logger().warning(
-            f"refused ({self.refused} so far): {reason}",
-            throttle_duration_sec=WARN_PERIOD,
-        )
+        self._warning = self._warning or reason
 
     def report(self, status: Status) -> None:
         """Make this the node's status, and publish it at once."""
@@ -223,18 +234,46 @@ class NodeShell:
                 return f"{count} nodes publish {name}"
         return ""
 
-    def _guarded(self, handler: Handler, is_of_the_loop: bool) -> Handler:
-        """Refuse what is no message of the test; note when the loop was last seen to turn."""
+    def company(self, refused_before: int) -> str:
+        """Say what foreign nodes may have to do with what failed to come, to be put after it.
 
-        def handle(raw: bytes, received_ns: int) -> None:
+        Parameters
+        ----------
+        refused_before : int
+            `refused` when the last message came that was waited for.
+        """
+        refused = self.refused - refused_before
+        told = f"; {refused} messages were refused meanwhile" if refused else ""
+        conflict = self.several_senders()
+        return f"{told}; {conflict}" if conflict else told
+
+    def _guarded(
+        self, handler: Handler, topic: Topic, subscription: Subscription | None
+    ) -> Receive:
+        """Refuse what is no message of the test; note when the loop was last seen to turn.
+
+        The publisher of a topic that has a message in each step numbers them. One that joins
+        later has sent fewer than were acted upon.
+        """
+        is_of_the_loop = isinstance(topic, LoopTopic)
+        is_numbered = is_of_the_loop and not topic.latched and subscription is not None
+        last = 0
+
+        def receive(raw: bytes, received_ns: int, number: int) -> bool:
+            nonlocal last
             if is_of_the_loop:
                 self._handled_at = time.monotonic()
             try:
+                if is_numbered and 0 < number <= last and _several_publish(subscription):
+                    raise WireError(f"{topic.name} of a second publisher")
                 handler(raw, received_ns)
             except WireError as error:
                 self.refuse(str(error))
+                return False
+            last = number
+            return True
 
-        return handle
+        return receive
 
     def _look_after_status(self) -> None:
         """Look who listens and what has changed; while the loop turns, only send what is due.
@@ -242,6 +281,9 @@ class NodeShell:
         Asking for the graph takes a millisecond, which only an idle node has.
         """
         now = time.monotonic()
+        if self._warning and now - self._warned_at >= WARN_PERIOD:
+            self.node.get_logger().warning(f"refused ({self.refused} so far): {self._warning}")
+            self._warning, self._warned_at = "", now
         sent_at, sent = self._status_sent
         if now - self._handled_at < LOOP_PAUSE:
             if now - sent_at >= STATUS_PERIOD:
@@ -268,6 +310,10 @@ class NodeShell:
         self._status_sent = (time.monotonic(), self._status)
         restamp(self._status_message, now)
         self._diagnostics(bytes(self._status_message))
+
+
+def _several_publish(subscription: Subscription | None) -> bool:
+    return subscription is not None and subscription.get_publisher_count() > 1
 
 
 def _peak_memory_mb() -> int:

@@ -59,16 +59,20 @@ class WaitSet:
         return [known[pointer] for pointer in wait_set.get_ready_entities("subscription")]
 
 
-def take(subscription: Subscription) -> tuple[bytes, int] | None:
+def take(subscription: Subscription) -> tuple[bytes, int, int] | None:
     """Take the oldest message that has arrived on a raw subscription.
 
     Returns
     -------
-    (bytes, int) or None
-        The message, and the wall-clock time in ns at which it came in; None if there is none.
+    (bytes, int, int) or None
+        The message, the wall-clock time in ns at which it came in, and how many its publisher
+        has sent with it, 0 where the middleware does not tell; None if there is none.
     """
     taken = subscription.handle.take_message(subscription.msg_type, True)
-    return None if taken is None else (taken[0], taken[1]["received_timestamp"])
+    if taken is None:
+        return None
+    raw, info = taken
+    return raw, info["received_timestamp"], info["publication_sequence_number"] or 0
 
 
 def sender(publisher: Publisher) -> Callable[[bytes], None]:

@@ -66,6 +66,7 @@ class RigNode:
         self._awake = AwakeClock()
         self._heard_at = self._awake.time()
         self._clock_at = self._told_at = self._published_at = self._answered_at = 0.0
+        self._refused_before = 0  # messages, until the newest command came
         self._warm_up()
 
     @property
@@ -97,10 +98,11 @@ class RigNode:
             command.take(raw)
             if command is self._drive:
                 self._answered_at = time.monotonic()
+                self._refused_before = self._shell.refused
                 if command.step == command.current:
                     self._round_trip.add(self._answered_at - self._published_at)
 
-        self._shell.subscribe(topic, receive, depth=64, reliable=False)
+        self._shell.subscribe(topic, receive, reliable=False)
         return command
 
     def _rest(self) -> None:
@@ -122,6 +124,7 @@ class RigNode:
         self._overruns = 0
         self._round_trip.reset()
         self._answered_at = 0.0
+        self._refused_before = self._shell.refused
         self._started = time.monotonic()
         state = self._rig.reset()
         self._tell("running")
@@ -184,9 +187,10 @@ class RigNode:
                     return rig.violation or why
                 if time.monotonic() > deadline:
                     late = self._valve if self._valve.step < step else self._drive
+                    company = self._shell.company(self._refused_before)
                     return rig.violation or (
                         f"no {late.codec.topic.name} for step {step} within {timeout:g} s in "
-                        f"lockstep; is {late.codec.topic.publisher} running?"
+                        f"lockstep; is {late.codec.topic.publisher} running?{company}"
                     )
             if rig.violation is not None:
                 return rig.violation
@@ -220,8 +224,9 @@ class RigNode:
             if periods_late:
                 self._overruns += 1
                 start += periods_late * period
-            while drive.step < step and shell.spin_once(0.0):
-                pass  # what came while we were late counts as in time
+            late = time.monotonic() + period
+            while drive.step < step and time.monotonic() < late and shell.spin_once(0.0):
+                pass  # what came while we were late counts as in time; a flood does not stop us
             if (why := self._unwanted()) is not None:
                 return rig.violation or why
             if rig.violation is not None:
@@ -233,9 +238,10 @@ class RigNode:
                 if len(self._missed) < LISTED_STEPS:
                     self._missed.append(step)
                 if step - drive.step > patience:
+                    topic, company = drive.codec.topic, shell.company(self._refused_before)
                     return (
-                        f"no new {drive.codec.topic.name} for {timeout:g} s (the last is of step "
-                        f"{drive.step}); is {drive.codec.topic.publisher} running?"
+                        f"no new {topic.name} for {timeout:g} s (the last is of step "
+                        f"{drive.step}); is {topic.publisher} running?{company}"
                     )
             state = rig.step(self._drive.value)
 

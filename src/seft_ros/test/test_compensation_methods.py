@@ -294,3 +294,7 @@ def test_smith_answers_a_steady_offset_of_the_sensors_by_a_steady_force():
     assert forces[-1] == pytest.approx(3.0 * offset, rel=1e-6)
     assert forces[-5000] == pytest.approx(3.0 * offset, rel=1e-6)
     assert np.abs(forces).max() < 6.0 * offset
+
+
+def test_each_name_is_that_of_its_method():
+    assert {name: method.__name__ for name, method in METHODS.items()} == {n: n for n in METHODS}

@@ -1,4 +1,5 @@
 import fcntl
+from contextlib import contextmanager
 
 import pytest
 from seft_ros.running.shared_memory import SharedMemory
@@ -10,7 +11,7 @@ OF_PORT = {PORT, f"{PORT}_el", f"sem.{PORT}_mutex"}
 
 @pytest.fixture
 def host(tmp_path):
-    """A /proc and a /dev/shm: process 10 has a segment and a port, 11 the port."""
+    """A /proc and a /dev/shm: process 10 has a segment and a port, 11 writes to the port."""
     proc, folder = tmp_path / "proc", tmp_path / "shm"
     folder.mkdir()
     for name in OF_SEGMENT | OF_PORT:
@@ -27,47 +28,49 @@ def left(folder):
     return {file.name for file in folder.iterdir()}
 
 
-def die(proc, pid):
-    (proc / str(pid) / "maps").unlink()
+@contextmanager
+def living_reader(folder, name, how=fcntl.LOCK_EX):
+    """Hold the lock that FastDDS holds while a reader lives."""
+    with (folder / name).open() as held:
+        fcntl.flock(held, how)
+        yield
 
 
-def test_what_a_dead_process_had_alone_is_removed_and_what_others_use_stays(host):
+def test_what_a_dead_process_had_is_removed_though_others_still_write_to_it(host):
     proc, folder = host
     memory = SharedMemory(proc, folder)
     memory.look([10])
-    die(proc, 10)
-    assert set(memory.clean()) == OF_SEGMENT
-    assert left(folder) == OF_PORT
-    die(proc, 11)
-    assert memory.clean() == []  # of another process; noted no more
+    (proc / "10" / "maps").unlink()
+    assert set(memory.clean()) == OF_SEGMENT | OF_PORT
+    assert left(folder) == set()
+    assert memory.clean() == []  # noted no more
 
 
-def test_the_last_one_takes_the_port_away(host):
+def test_what_a_living_process_reads_stays(host):
     proc, folder = host
     memory = SharedMemory(proc, folder)
     memory.look([10, 11])
-    die(proc, 10)
-    die(proc, 11)
+    with living_reader(folder, f"{PORT}_el"):
+        assert set(memory.clean()) == OF_SEGMENT
+    assert left(folder) == OF_PORT
+
+
+def test_what_several_read_stays_until_the_last_has_ended(host):
+    proc, folder = host
+    (folder / f"{PORT}_sl").touch()
+    memory = SharedMemory(proc, folder)
+    memory.look([10])
+    with living_reader(folder, f"{PORT}_sl", fcntl.LOCK_SH):
+        assert set(memory.clean()) == OF_SEGMENT
+    memory.look([11])
     memory.clean()
     assert left(folder) == set()
 
 
-def test_nothing_of_a_living_or_an_unknown_process_is_touched(host):
+def test_nothing_of_an_unknown_process_is_touched(host):
     proc, folder = host
-    (folder / "fastrtps_fedcba9876543210").touch()
     memory = SharedMemory(proc, folder)
-    memory.look([10, 99])
+    memory.look([99])
     before = left(folder)
     assert memory.clean() == []
     assert left(folder) == before
-
-
-def test_what_somebody_holds_a_lock_of_stays(host):
-    proc, folder = host
-    memory = SharedMemory(proc, folder)
-    memory.look([10])
-    die(proc, 10)
-    with (folder / f"{SEGMENT}_el").open() as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
-        assert memory.clean() == []
-    assert left(folder) >= OF_SEGMENT

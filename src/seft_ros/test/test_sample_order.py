@@ -7,8 +7,8 @@ from seft_ros.experiment.sample_order import SampleOrder
 TIMEBASE = Timebase.from_rate(500.0)
 
 
-def order(pace="realtime", last=-1):
-    found = SampleOrder(pace, TIMEBASE)
+def order(last=-1):
+    found = SampleOrder(TIMEBASE)
     found.last = last
     return found
 
@@ -36,9 +36,14 @@ def test_a_stamp_from_far_in_the_future_is_refused():
 
 
 def test_in_lockstep_steps_come_one_by_one():
-    order("lockstep", last=7).check("rig/state", 8)
+    found = order(last=7)
+    found.follow(told("running", pace="lockstep"))
+    found.check("rig/state", 8)
     with pytest.raises(WireError, match="far in the future"):
-        order("lockstep", last=7).check("rig/state", 9)
+        found.check("rig/state", 9)
+    found.follow(told("done"))
+    found.follow(told("running", pace="realtime"))
+    found.check("rig/state", 9)
 
 
 def test_a_test_begins_once_each_time_that_one_has_ended():
@@ -57,6 +62,15 @@ def test_a_test_begins_once_each_time_that_one_has_ended():
     assert not found.begins(1)
     assert found.begins(0)
     assert found.last == -1
+
+
+def test_a_sign_of_life_that_comes_late_does_not_begin_a_test_anew():
+    found = order()
+    found.follow(told("ready"))
+    assert found.begins(0)
+    found.follow(told("ready"))
+    found.follow(told("running", steps="100"))
+    assert not found.begins(0)
 
 
 def test_without_a_supervisor_each_first_sample_begins_a_test():

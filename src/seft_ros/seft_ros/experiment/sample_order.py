@@ -4,8 +4,9 @@ from seft_msgs_py.errors import WireError
 from seft_msgs_py.messages import Status
 from seft_msgs_py.timebase import Timebase
 
-from seft_ros.experiment.state_machine import MOVING
+from seft_ros.experiment.state_machine import MOVING, PACE
 
+LOCKSTEP = "lockstep"
 FARTHEST = 10.0  # s: who was held up for longer has lost the test anyway
 ABSURD = 1e9
 """No rig has m, m/s, m/s^2 or N beyond this."""
@@ -16,8 +17,6 @@ class SampleOrder:
 
     Parameters
     ----------
-    pace : str
-        Of the rig; in ``lockstep`` no step comes before the last one is answered.
     timebase : Timebase
         Sampling clock.
 
@@ -27,21 +26,28 @@ class SampleOrder:
         Last step that was answered; -1 where none was.
     steps : int
         Steps of the running test, 0 while none is known to run.
+    in_lockstep : bool
+        Whether the rig of the running test waits for each answer, so that no step comes before
+        the last one is answered.
     may_begin : bool
         Whether the next sample of step 0 begins a test: once for each time that one has ended.
     """
 
-    def __init__(self, pace: str, timebase: Timebase) -> None:
-        self._ahead = 1 if pace == "lockstep" else round(FARTHEST * timebase.rate)
-        self._is_supervised = False
+    def __init__(self, timebase: Timebase) -> None:
+        self._farthest = round(FARTHEST * timebase.rate)
+        self._state = ""  # of the experiment, as a supervisor tells
         self.last = -1
         self.steps = 0
+        self.in_lockstep = False
         self.may_begin = True
 
     def follow(self, experiment: Status) -> None:
-        """Take in a state of the experiment."""
-        self._is_supervised = True
+        """Take in a state of the experiment; a repeat is a sign of life and no news."""
+        if experiment.message == self._state:
+            return
+        self._state = experiment.message
         if experiment.message in MOVING:
+            self.in_lockstep = experiment.values.get(PACE) == LOCKSTEP
             steps = experiment.values.get("steps", "")
             if steps.isdecimal() and len(steps) < 19:
                 self.steps = int(steps)
@@ -51,7 +57,7 @@ class SampleOrder:
 
     def begins(self, step: int) -> bool:
         """Say whether a sample of this step begins a test; if so, it has begun."""
-        if step != 0 or not (self.may_begin if self._is_supervised else self.last != 0):
+        if step != 0 or not (self.may_begin if self._state else self.last != 0):
             return False
         self.may_begin = False
         self.last = -1
@@ -67,5 +73,5 @@ class SampleOrder:
         """
         if step <= self.last:
             raise WireError(f"{name} of step {step} after step {self.last} was answered")
-        if step > self.last + self._ahead:
+        if step > self.last + (1 if self.in_lockstep else self._farthest):
             raise WireError(f"{name} of step {step} after step {self.last}: far in the future")

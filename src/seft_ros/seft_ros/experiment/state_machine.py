@@ -22,6 +22,8 @@ MOVING = (State.RUNNING, State.RAMPING_DOWN)
 """States in which the rig obeys commands."""
 ENDED = (State.DONE, State.TRIPPED)
 """States that only a reset leaves."""
+PACE = "pace"
+"""Key of what a state comes with: the pace of the rig, as the rig has told it."""
 
 
 @dataclass(frozen=True)

@@ -27,14 +27,6 @@ TABLE = Table(
             "valve through the controller (open loop, for identification)",
         ),
         Parameter(
-            "pace",
-            "string",
-            "realtime",
-            "pace of the rig; in lockstep states come when they come, and come one by one",
-            choices=("realtime", "lockstep"),
-            default_from="rig:pace",
-        ),
-        Parameter(
             "limits.force",
             "float",
             22200.0,

@@ -1,6 +1,5 @@
 """Node ``force_controller``: answers state and reference force with the valve command."""
 
-import math
 import sys
 import time
 from collections.abc import Callable
@@ -9,8 +8,8 @@ import numpy as np
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.messages import OK, Status, decode_status
 from seft_msgs_py.node_main import NodeKind, run_node
-from seft_msgs_py.node_process import Handler
-from seft_msgs_py.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell
+from seft_msgs_py.node_process import MOST_AT_ONCE
+from seft_msgs_py.node_shell import IDLE_WAIT, WARM_UP_STEPS, Handler, NodeShell
 from seft_msgs_py.outcome import tripped_status
 from seft_msgs_py.topics import EXPERIMENT_STATE, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 from seft_msgs_py.trajectory import Floats, TrajectoryCodec
@@ -48,9 +47,9 @@ class ForceControllerNode:
         self._publish = shell.publisher(VALVE_COMMAND)
         self._states: dict[int, Floats] = {}
         self._forces: dict[int, Floats] = {}
-        self._order = SampleOrder(section["pace"], experiment.timebase)
-        is_timed = section["pace"] == "realtime"
-        self._silence = Silence(section["watchdog.state_timeout"] if is_timed else math.inf)
+        self._order = SampleOrder(experiment.timebase)
+        self._silence = Silence(section["watchdog.state_timeout"])
+        self._refused_before = 0  # messages, until the last state came
         self._warm_up()
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
         # the state of a step is nearly always there before the force that answers it: only the
@@ -60,10 +59,8 @@ class ForceControllerNode:
             for topic in (REFERENCE_FORCE, RIG_STATE)
         )
         on_force, on_state = _decoded(forces, self._on_force), _decoded(states, self._on_state)
-        shell.subscribe(REFERENCE_FORCE, on_force, depth=64, reliable=False)
-        self._read_state = shell.subscribe(
-            RIG_STATE, on_state, depth=64, wake=False, reliable=False
-        )
+        shell.subscribe(REFERENCE_FORCE, on_force, reliable=False)
+        self._read_state = shell.subscribe(RIG_STATE, on_state, wake=False, reliable=False)
 
     def _warm_up(self) -> None:
         axes = len(self._shell.experiment.axes)
@@ -86,7 +83,7 @@ class ForceControllerNode:
         if self._silence.is_too_long(time.monotonic()):
             self._trip(
                 f"no rig/state for {self._silence.longest:g} s (the last is of step "
-                f"{self._order.last}); is rig running?"
+                f"{self._order.last}); is rig running?{self._shell.company(self._refused_before)}"
             )
 
     def _pause(self) -> float:
@@ -107,10 +104,11 @@ class ForceControllerNode:
         if np.abs(state).max() > ABSURD:
             raise WireError(f"{RIG_STATE.name} of step {step} has a value beyond {ABSURD:g}")
         self._admit(RIG_STATE.name, step, self._states)
-        if step + 1 < self._order.steps:
+        if step + 1 < self._order.steps and not self._order.in_lockstep:
             self._silence.heard(time.monotonic())
+            self._refused_before = self._shell.refused
         else:
-            self._silence.end()  # of a test that is over, or is not known to run
+            self._silence.end()  # of a test that is over, not known to run, or keeps no time
         if self._controller.reason:  # reference forces are not waited for any more
             self._answer(step, np.zeros(state.shape[1]), state)
             return
@@ -125,13 +123,16 @@ class ForceControllerNode:
             raise WireError(f"{REFERENCE_FORCE.name} of step {step}: {nonsense}")
         self._admit(REFERENCE_FORCE.name, step, self._forces)
         self._forces[step] = values[0]
-        while step > self._order.last and step not in self._states and self._read_state():
-            pass  # the state of this step answers it
+        for _ in range(MOST_AT_ONCE):  # the state of this step answers it
+            if step <= self._order.last or step in self._states or self._read_state() is None:
+                break
         if step > self._order.last:
             self._answer_if_complete(step, self._forces)
 
     def _admit(self, name: str, step: int, pending: dict[int, Floats]) -> None:
         """See that a sample may be taken in; the first of a test begins it."""
+        if step == 0:
+            self._shell.catch_up(EXPERIMENT_STATE)  # what was told before does not end this test
         if self._order.begins(step):
             self._states.clear()
             self._forces.clear()

@@ -14,8 +14,7 @@ from pathlib import Path
 from seft_msgs_py.description import decode_description
 from seft_msgs_py.messages import Status, decode_status, encode_string
 from seft_msgs_py.node_main import NodeKind, run_node
-from seft_msgs_py.node_process import Handler
-from seft_msgs_py.node_shell import NodeShell
+from seft_msgs_py.node_shell import Handler, NodeShell
 from seft_msgs_py.realtime import boot
 from seft_msgs_py.topics import (
     DESCRIPTION,

@@ -52,7 +52,7 @@ class ReferenceForceNode:
         self._publish_estimates = shell.publisher(ESTIMATES)
         self._motion = MotionBuffer(len(experiment.axes))
         self._waiting: dict[int, Floats] = {}
-        self._order = SampleOrder(experiment["reference_force"]["pace"], experiment.timebase)
+        self._order = SampleOrder(experiment.timebase)
         self._conflict = ""  # why this test is not answered
         self._test = ""  # state of the test, as the supervisor says
         self._phase = ""
@@ -60,7 +60,7 @@ class ReferenceForceNode:
         self._warm_up()
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
         shell.subscribe(GROUND_MOTION, self._on_ground_motion)
-        shell.subscribe(RIG_STATE, self._on_rig_state, depth=64, reliable=False)
+        shell.subscribe(RIG_STATE, self._on_rig_state, reliable=False)
 
     def begin(self) -> None:
         """Say that the node is ready."""
@@ -101,7 +101,7 @@ class ReferenceForceNode:
             self._order.last = -1
         self._motion.drop_before(self._order.last)
         if not self._motion.add(first, values[:, 0]):
-            self._shell.refuse(f"ground_motion from step {first} on: steps before it are missing")
+            raise WireError(f"ground_motion from step {first} on: steps before it are missing")
         for step in sorted(self._waiting):
             self._answer(step, self._waiting[step])
 
@@ -109,6 +109,8 @@ class ReferenceForceNode:
         step, values = self._state_codec.decode(raw)
         if np.abs(values).max() > ABSURD:
             raise WireError(f"rig/state of step {step} has a value beyond {ABSURD:g}")
+        if step == 0:
+            self._shell.catch_up(EXPERIMENT_STATE)  # what was told before does not end this test
         if self._test in ENDED:
             raise WireError(f"rig/state of step {step}: the test is {self._test}")
         if self._order.begins(step):

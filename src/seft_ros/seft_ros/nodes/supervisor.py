@@ -36,13 +36,14 @@ from seft_ros.experiment.peers import (
     silence,
     silent,
 )
-from seft_ros.experiment.state_machine import MOVING, Answer, State, StateMachine
+from seft_ros.experiment.state_machine import MOVING, PACE, Answer, State, StateMachine
 from seft_ros.experiment.tables import TABLES
 from seft_ros.experiment.watching import SUPERVISOR
 
 HEARTBEAT = 0.2  # s between two publications of the state
 AGES_PERIOD = 1.0  # s
 LOOK = 0.2  # s between two looks at the graph
+MOST_AT_ONCE = 1000  # messages that are heard between two looks, in a flood
 LEVELS = {State.RAMPING_DOWN: WARN, State.TRIPPED: ERROR}
 SOFT_PEERS = ("ground_motion", "recorder")
 """Nodes without which the loop can still bring the force down."""
@@ -101,8 +102,9 @@ class SupervisorNode:
         self._tell_ages()
 
     def _hear_all_and_look(self) -> None:
-        while self._shell.spin_once(0.0):
-            pass  # nobody is called silent before all that came has been heard
+        for _ in range(MOST_AT_ONCE):
+            if not self._shell.spin_once(0.0):
+                break  # nobody is called silent before all that came has been heard
         self.look()
 
     def _tell_ages(self) -> None:
@@ -154,7 +156,7 @@ class SupervisorNode:
 
     def _ramp_patience(self) -> float:
         margin = self._section["watchdog.ramp_margin"]
-        if self._parameters("rig").get("pace") == "lockstep":
+        if self._parameters("rig").get(PACE) == "lockstep":
             margin *= LOCKSTEP_PATIENCE
         return float(self._parameters("reference_force").get("ramp_down_time", 0.0)) + margin
 
@@ -190,6 +192,8 @@ class SupervisorNode:
             values[SILENT] = " ".join(self._silent)
         if "ground_motion" in self._heard:
             values["steps"] = self._heard["ground_motion"].status.values.get("steps", "0")
+        if PACE in self._parameters("rig"):
+            values[PACE] = str(self._parameters("rig")[PACE])
         level = LEVELS.get(machine.state, OK)
         status = Status("experiment", level, str(machine.state), values=values)
         if status != self._published:

@@ -3,19 +3,11 @@
 from seft_msgs_py import realtime
 from seft_msgs_py.parameters import Parameter, Table
 
-from seft_ros.reference_force.compensation.methods import METHODS
+from seft_ros.reference_force.compensation.names import NAMES
 
 TABLE = Table(
     "reference_force",
     [
-        Parameter(
-            "pace",
-            "string",
-            "realtime",
-            "pace of the rig; in lockstep its states come one by one",
-            choices=("realtime", "lockstep"),
-            default_from="rig:pace",
-        ),
         Parameter(
             "method",
             "string",
@@ -55,7 +47,7 @@ TABLE = Table(
             "string",
             "none",
             "how the measured acceleration is freed of the actuator's delay",
-            choices=tuple(METHODS),
+            choices=NAMES,
         ),
         Parameter(
             "compensation.delay",

@@ -19,7 +19,7 @@ from seft_ros.running.arrangement import LOOP_NODES, Arrangement
 from seft_ros.running.following import LOOK, Following, Progress
 from seft_ros.running.observer import Observer
 from seft_ros.running.processes import MODULES, NodeProcesses
-from seft_ros.running.shared_memory import SharedMemory
+from seft_ros.running.tidying import Tidying
 
 READY_TIMEOUT = 60.0  # s
 SAVE_TIMEOUT = 20.0  # s
@@ -106,7 +106,7 @@ def run_experiment(
         parameters = folder / "parameters.yaml"
         parameters.write_text(experiment.to_yaml(), encoding="utf-8")
         progress("looking for other tests", 0)
-        memory = SharedMemory()
+        tidying = Tidying()
         observer = Observer()
         try:
             _refuse_company(observer, external)
@@ -119,7 +119,7 @@ def run_experiment(
                 lockstep=experiment.sections.get("rig", {}).get("pace") == "lockstep",
             )
             try:
-                _start(observer, processes, progress, memory)
+                _start(observer, processes, progress, tidying)
                 following = Following(observer, processes, progress, experiment)
                 try:
                     fault = following.to_the_end()
@@ -128,11 +128,13 @@ def run_experiment(
                     raise
                 following.wait_until_saved(SAVE_TIMEOUT)
             finally:
-                memory.look(processes.pids().values())
-                processes.stop()
+                try:
+                    tidying.look(processes.pids().values())
+                finally:  # also where an operator who is in a hurry interrupts this
+                    processes.stop()
         finally:
             observer.close()
-            memory.clean()
+            tidying.finish()
     if not bag.exists():
         raise ExperimentError(fault or "the recorder made no bag")
     return Finished(bag, fault)
@@ -163,15 +165,15 @@ def _refuse(nodes: list[str]) -> None:
 
 
 def _start(
-    observer: Observer, processes: NodeProcesses, progress: Progress, memory: SharedMemory
+    observer: Observer, processes: NodeProcesses, progress: Progress, tidying: Tidying
 ) -> None:
     """Start the test when all nodes are ready and no other test is there."""
     deadline = time.monotonic() + READY_TIMEOUT
-    _wait_until_ready(observer, processes, progress, memory, deadline)
+    _wait_until_ready(observer, processes, progress, tidying, deadline)
     _refuse_twins(observer)
     while True:
-        _wait_until_ready(observer, processes, progress, memory, deadline)
-        memory.look(processes.pids().values())
+        _wait_until_ready(observer, processes, progress, tidying, deadline)
+        tidying.look(processes.pids().values())
         accepted, answer = observer.call("start")
         if accepted:
             return
@@ -184,7 +186,7 @@ def _wait_until_ready(
     observer: Observer,
     processes: NodeProcesses,
     progress: Progress,
-    memory: SharedMemory,
+    tidying: Tidying,
     deadline: float,
 ) -> None:
     looked_at = 0.0
@@ -206,7 +208,7 @@ def _wait_until_ready(
             raise InputError(f"not ready after {READY_TIMEOUT:g} s: {detail}")
         if time.monotonic() - looked_at > MEMORY_LOOK:
             looked_at = time.monotonic()
-            memory.look(processes.pids().values())
+            tidying.look(processes.pids().values())
 
 
 @contextmanager

@@ -1,20 +1,21 @@
 """What killed nodes leave in /dev/shm.
 
-FastDDS takes a node's files away when the node ends, not when it is killed. They are of the
-process that mapped them; other tests on this host have files there too, so that only those are
-removed that a process of this run had, and that no living process has.
+FastDDS takes a process's files away when it ends, not when it is killed; then its peers can't take
+away theirs altogether either. Other tests on this host have files there too, so that only those
+are removed that a process of this run had mapped, and whose reader is dead: it holds a lock of
+them as long as it lives, which is also how FastDDS itself tells.
 """
 
 import contextlib
 import fcntl
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 FOLDER = Path("/dev/shm")
 _PREFIX, _MUTEX = "fastrtps_", "sem."
-_COMPANIONS = ("{}", "{}_el", "{}_sl", "sem.{}_mutex")
-"""A segment or port, its exclusive and its shared lock, its mutex."""
+_LOCKS = ("{}_el", "{}_sl")  # of one reader, of several
+_OTHERS = ("{}", "sem.{}_mutex")  # a segment or port, its mutex
 
 
 class SharedMemory:
@@ -38,25 +39,18 @@ class SharedMemory:
             self._names |= self._mapped_by(pid)
 
     def clean(self) -> list[str]:
-        """Remove what was noted and is nobody's now; give the names of the files.
-
-        To be called when this process has left the graph: FastDDS keeps the segments of others
-        mapped that it has read from, so that this process does not count.
-        """
-        in_use: set[str] = set()
-        if self._names:
-            for entry in self._proc.iterdir():
-                if entry.name.isdigit() and int(entry.name) != os.getpid():
-                    in_use |= self._mapped_by(int(entry.name))
+        """Remove what was noted and has no living reader; give the names of the files."""
         removed = []
-        for name in sorted(self._names - in_use):
-            files = [self._folder / companion.format(name) for companion in _COMPANIONS]
-            if any(_is_locked(file) for file in files):
-                continue  # by a process that we may not look into
-            for file in files:
-                with contextlib.suppress(OSError):
-                    file.unlink()
-                    removed.append(file.name)
+        for name in sorted(self._names):
+            locks = [self._folder / lock.format(name) for lock in _LOCKS]
+            with contextlib.ExitStack() as held:
+                # held until all is gone, so that nobody takes the name meanwhile
+                if not all(held.enter_context(_taken(lock)) for lock in locks):
+                    continue
+                for file in (*(self._folder / other.format(name) for other in _OTHERS), *locks):
+                    with contextlib.suppress(OSError):
+                        file.unlink()
+                        removed.append(file.name)
         self._names.clear()
         return removed
 
@@ -73,16 +67,22 @@ class SharedMemory:
         return {name for name in names if name.startswith(_PREFIX)}
 
 
-def _is_locked(file: Path) -> bool:
-    """Tell whether a living process holds the lock of a file, as FastDDS does with its own."""
+@contextlib.contextmanager
+def _taken(lock: Path) -> Iterator[bool]:
+    """Hold the lock of a file, if there is one; tell whether no living process has it."""
     try:
-        handle = os.open(file, os.O_RDONLY)
-    except OSError:
-        return False
+        handle = os.open(lock, os.O_RDONLY)
+    except FileNotFoundError:
+        yield True
+        return
+    except OSError:  # of somebody else
+        yield False
+        return
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
-        return True
+        yield False
+    else:
+        yield True
     finally:
         os.close(handle)
-    return False

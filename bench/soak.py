@@ -1,0 +1,125 @@
+"""Memory of each node process in a long test in lockstep; it must be flat after warm-up.
+
+python bench/soak.py --minutes 30
+"""
+
+import argparse
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from _runs import CONFIG, use_own_domain
+from seft_msgs_py.experiment import Experiment
+from seft_ros.experiment.tables import TABLES
+from seft_ros.recording.bag_reader import read_bag
+from seft_ros.running.processes import MODULES
+from seft_ros.running.run import run_experiment
+
+PERIOD = 1.0  # s between samples
+WARM_UP = 0.2  # of the time
+MOST_GROWTH = 2.0  # MB after warm-up; the allocator's own steps are about one
+FASTEST = 6000  # steps/s, faster than any machine so far: the motion must not end before the time
+MEGABYTE = 1024  # kB
+
+
+class Samples:
+    """Memory of the node processes, as the progress of a run comes by; ends it when it is time.
+
+    Parameters
+    ----------
+    minutes : float
+        Time from the test's first step on.
+    """
+
+    def __init__(self, minutes: float) -> None:
+        self.times: list[float] = []
+        self.memory: dict[str, list[float]] = {}
+        self.steps = 0
+        self._seconds = 60.0 * minutes
+        self._started = 0.0
+        self._pids: dict[str, int] = {}
+
+    def take(self, what: str, done: int) -> None:
+        """Be told of a run's progress."""
+        if what != "running" or not done:
+            return
+        now = time.monotonic()
+        if not self._pids:
+            self._pids = {"seft": os.getpid(), **node_processes()}
+            self.memory = {name: [] for name in self._pids}
+            self._started = now
+        self.steps = done
+        if now - self._started > self._seconds:
+            raise KeyboardInterrupt  # as an operator ends a test
+        if not self.times or now - self._started - self.times[-1] >= PERIOD:
+            self.times.append(now - self._started)
+            for name, pid in self._pids.items():
+                self.memory[name].append(anonymous_memory(pid))
+
+
+def node_processes() -> dict[str, int]:
+    """Process numbers of the nodes that this process has started."""
+    found = {}
+    me = os.getpid()
+    for pid in map(int, Path(f"/proc/{me}/task/{me}/children").read_text().split()):
+        words = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
+        found |= {node: pid for node, module in MODULES.items() if module in words}
+    return found
+
+
+def anonymous_memory(pid: int) -> float:
+    """Resident memory of a process that is its own, MB: what a leak makes grow."""
+    status = Path(f"/proc/{pid}/status").read_text()
+    return int(status.split("RssAnon:")[1].split()[0]) / MEGABYTE
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--minutes", type=float, default=1.0)
+    minutes = parser.parse_args().minutes
+    use_own_domain()
+    samples = Samples(minutes)
+    overrides = [
+        ("rig", "pace", "lockstep"),
+        ("ground_motion", "time_scale", 1.0),
+        ("ground_motion", "synthetic.duration", 60.0 * minutes * FASTEST / 500.0),
+    ]
+    experiment = Experiment.load(TABLES, [CONFIG], overrides)
+    with tempfile.TemporaryDirectory() as folder:
+        bag = Path(folder) / "bag"
+        try:
+            fault = run_experiment(experiment, bag, samples.take).fault
+        except KeyboardInterrupt:
+            fault = ""
+        states = len(read_bag(bag).series["rig/state"].steps)
+    print(f"{samples.steps:,} steps in {minutes:g} min, {states:,} states in the bag")
+    if fault or states < samples.steps:
+        print(f"the test did not come to its end: {fault or 'states are missing'}", file=sys.stderr)
+        return 1
+    return 0 if is_flat(samples, minutes) else 1
+
+
+def is_flat(samples: Samples, minutes: float) -> bool:
+    """Print how memory went; say whether it is flat in all processes."""
+    times = np.array(samples.times)
+    late = times >= WARM_UP * 60.0 * minutes
+    flat = True
+    print("private memory, MB  at first  after warm-up  largest  at last   slope, MB/h")
+    for name, values in samples.memory.items():
+        memory = np.array(values)
+        after = memory[late]
+        slope = np.polyfit(times[late], after, 1)[0] * 3600.0
+        growth = after[-1] - after[0]
+        flat &= growth <= MOST_GROWTH
+        print(
+            f"{name:18} {memory[0]:9.1f} {after[0]:14.1f} {after.max():8.1f} {after[-1]:8.1f} "
+            f"{slope:13.2f}{'' if growth <= MOST_GROWTH else '   NOT FLAT'}"
+        )
+    return flat
+
+
+if __name__ == "__main__":
+    sys.exit(main())

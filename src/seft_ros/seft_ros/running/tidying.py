@@ -1,0 +1,93 @@
+"""Tidying up after a run, also after one that is killed: by a process of its own.
+
+It learns from a pipe which processes the run has, and that the run has ended from the pipe's end,
+however that came about.
+"""
+
+import contextlib
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterable
+from pathlib import Path
+
+from seft_ros.running.shared_memory import SharedMemory
+
+PATIENCE = 10.0  # s for nodes that the run did not end
+LOOK = 0.05  # s
+_SEEN = b"seen\n"
+
+
+class Tidying:
+    """Ends what processes a run leaves, and removes what dead ones leave in /dev/shm."""
+
+    def __init__(self) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "seft_ros.running.tidying"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            start_new_session=True,  # Ctrl-C is none of its business
+        )
+
+    def look(self, pids: Iterable[int]) -> None:
+        """Have it note what this process and others have now."""
+        pipe, answer = self._process.stdin, self._process.stdout
+        assert pipe is not None and answer is not None
+        with contextlib.suppress(BrokenPipeError):  # a test goes on without it
+            pipe.write((" ".join(map(str, (os.getpid(), *pids))) + "\n").encode())
+            pipe.flush()
+            answer.readline()
+
+    def finish(self) -> None:
+        """Let it tidy up; to be called when all has ended that ends by itself."""
+        self._process.communicate()
+
+
+def main() -> int:
+    """Serve one run: lines of process numbers, until its end."""
+    run = os.getppid()
+    memory = SharedMemory()
+    started: dict[int, str] = {}  # a number may be given anew
+    for line in sys.stdin.buffer:
+        pids = [int(word) for word in line.split()]
+        memory.look(pids)
+        started |= {pid: _start(pid) for pid in pids if pid not in started}
+        sys.stdout.buffer.write(_SEEN)
+        sys.stdout.buffer.flush()
+    started.pop(run, None)
+    _end({pid: start for pid, start in started.items() if start})
+    memory.clean()
+    return 0
+
+
+def _end(started: dict[int, str]) -> None:
+    """Tell processes to end, wake those that a signal has stopped, and kill who does not."""
+    for numbers in ((signal.SIGTERM, signal.SIGCONT), (signal.SIGKILL,)):
+        deadline = time.monotonic() + PATIENCE
+        while left := [pid for pid, start in started.items() if _start(pid) == start]:
+            for pid, number in itertools.product(left, numbers):
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, number)
+            if time.monotonic() > deadline:
+                break
+            time.sleep(LOOK)
+
+
+def _start(pid: int) -> str:
+    """Time at which a process started, in ticks of the kernel; empty where it has ended.
+
+    Of one that was killed the first thread may be gone while others still hold its files.
+    """
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+    except OSError:
+        return ""
+    has_ended = fields[0] == "Z" and int(fields[17]) <= 1  # threads
+    return "" if has_ended else fields[19]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
