@@ -38,6 +38,7 @@ setup(
         "lz4",
         "matplotlib",
         "mcap",
+        "numba",
         "numpy",
         "rich",
         "rosbags",
