@@ -79,7 +79,8 @@ def filters_over(plan: Plan, mass_ratios: Floats, factors: Floats) -> Matrices:
 
 
 def _polynomials(places: Floats, sizes: list[int]) -> Floats:
-    return chebvander2d(places[:, 0], places[:, 1], [size - 1 for size in sizes])
+    degrees = [size - 1 for size in sizes]
+    return np.asarray(chebvander2d(places[:, 0], places[:, 1], degrees), dtype=np.float64)
 
 
 def _elements(plan: Plan, pair: list[float]) -> Floats:

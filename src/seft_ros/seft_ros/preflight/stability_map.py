@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import batched, groupby
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +23,8 @@ Floats = npt.NDArray[np.float64]
 PATIENCE = 60.0
 """Time of a processor that the maps may take, s; they get coarser where a loop is large."""
 FINEST, COARSEST = 100, 15
+ROWS = 20
+"""Of a map that are calculated together: more of them take more memory."""
 
 
 @dataclass(frozen=True)
@@ -104,12 +107,14 @@ def over_dead_time(
     ``told`` is called with the number of rows that are done.
     """
     filters = filters_over(plan, mass_ratios, np.ones(1))
-    rows = []
-    for dead_time in dead_times:
-        matrices = plan.loop_matrices(filters, float(dead_time))
-        rows.append(growth_rates(matrices[0], plan.dt))
-        if told is not None:
-            told(len(rows))
+    rows: list[Floats] = []
+    # every sampling period more of dead time adds a state: rows of one size go together
+    loops = (plan.loop_matrices(filters, float(dead_time))[0] for dead_time in dead_times)
+    for _, alike in groupby(loops, lambda matrices: matrices.shape):
+        for together in batched(alike, ROWS):
+            rows.extend(growth_rates(np.array(together), plan.dt))
+            if told is not None:
+                told(len(rows))
     return np.array(rows)
 
 
