@@ -9,7 +9,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-
 from _plain_loop import steps_per_second as plain_steps_per_second
 from scipy.signal import dlsim
 from seft_msgs_py.experiment import Experiment
