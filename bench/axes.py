@@ -18,7 +18,7 @@ from seft_ros.experiment.tables import TABLES
 
 CONFIG = Path(__file__).parent.parent / "config" / "jhu.yaml"
 AXES = (1, 2, 5, 10, 50)
-ROUNDS, MESSAGES = 3, 3000
+ROUNDS, MESSAGES = 9, 1000
 JUDGED, WANTED = 10, 3.0  # axes, and how many times as long as one a step may take
 KINDS = ("servo_hydraulic_linear", "servo_hydraulic")
 
@@ -28,7 +28,8 @@ def load(axes: int, kind: str) -> Experiment:
         ("/**", "axes", [f"x{axis}" for axis in range(axes)]),
         ("rig", "actuator.kind", kind),
         ("reference_force", "mass_ratio", 0.5),
-        ("ground_motion", "synthetic.duration", 6.0),
+        ("ground_motion", "synthetic.duration", 2.0),
+        ("ground_motion", "tail", 0.5),
     ]
     return Experiment.load(TABLES, [CONFIG], overrides)
 

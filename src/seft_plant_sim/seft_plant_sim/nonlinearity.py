@@ -127,9 +127,9 @@ class PistonAndValve:
         """Residuals at a state."""
         n = self._n
         flows, forces = [], []
-        for i, limit, capacity, *holding in self._axes:
+        for i, limit, capacity, stroke, friction, over, stop in self._axes:
             flows.append(lost_opening(z[3 * n + i], z[2 * n + i], limit, capacity))
-            forces.append(holding_force(z[i], z[n + i], *holding))
+            forces.append(holding_force(z[i], z[n + i], stroke, friction, over, stop))
         return flows + forces
 
     def settle(self, z: list[float]) -> None:
