@@ -24,10 +24,11 @@ except (ImportError, RuntimeError):
     ops = None
 
 CONFIG = Path(__file__).parent.parent / "config" / "jhu.yaml"
-ROUNDS = 3
+ROUNDS = 5
 RIGS = 96
-WANTED = 1e6  # steps/s
-WANTED_RATIO = 0.55  # of the bare loop's, on one core: 1 of 1.8 million where that was measured
+PIECE = 4  # tests on one thread at a time: short enough to be left alone by others
+WANTED = 1e6  # steps/s on two cores
+WANTED_RATIO = 0.28  # of the bare loop's, on one thread: 1e6 on two where that does 1.8 million
 COMMON = [("reference_force", "mass_ratio", 0.5)]
 LINEAR = [("rig", "actuator.kind", "servo_hydraulic_linear")]
 PREVIEW = [
@@ -72,7 +73,7 @@ def opensees_steps_per_second(motion: list[float], dt: float = 0.002) -> float:
 
 def main() -> int:
     workers = len(os.sched_getaffinity(0))
-    ensembles, speeds = {}, {case: [] for case in CASES}
+    ensembles, speeds, single = {}, {case: [] for case in CASES}, {case: [] for case in CASES}
     for case, overrides in CASES.items():
         experiment = Experiment.load(TABLES, [CONFIG], [*COMMON, *overrides])
         method = experiment["reference_force"]["compensation.method"]
@@ -91,22 +92,27 @@ def main() -> int:
             start = time.perf_counter()
             found = list(run_ensemble(experiments, reduced, workers))
             speeds[case].append(sum(n for n, _ in found) / (time.perf_counter() - start))
+            for first in range(0, RIGS // 4, PIECE):
+                start = time.perf_counter()
+                found = list(run_ensemble(experiments[first : first + PIECE], reduced))
+                single[case].append(sum(n for n, _ in found) / (time.perf_counter() - start))
         bare.append(plain_steps_per_second(motion * 4))
         if ops is not None:
             peer.append(opensees_steps_per_second(motion * 4))
     floor, met = max(bare), True  # of all rounds the least disturbed one
-    print(f"{RIGS} tests of {len(motion):,} steps each on {workers} cores, steps/s in all")
+    print(f"{RIGS} tests of {len(motion):,} steps each, steps/s in all")
+    print(f"{'':32s} {f'{workers} threads':>12s} {'one thread':>12s}   over the bare loop")
     for case, found in speeds.items():
-        speed = max(found)
-        met &= speed >= WANTED or speed >= WANTED_RATIO * floor
-        print(f"{case:32s} {speed:12,.0f}   {speed / floor:5.2f} times the bare loop")
-    print(f"{'bare linear loop, plain floats':32s} {floor:12,.0f}")
-    print(f"wanted: {WANTED:,.0f}, or on a slow machine {WANTED_RATIO:g} times the bare loop")
+        speed, one = max(found), max(single[case])
+        met &= speed >= WANTED or one >= WANTED_RATIO * floor
+        print(f"{case:32s} {speed:12,.0f} {one:12,.0f}   {one / floor:5.2f}")
+    print(f"{'bare linear loop, plain floats':32s} {'':12s} {floor:12,.0f}")
+    print(f"wanted: {WANTED:,.0f}, or one thread {WANTED_RATIO:g} times that (slow, busy machines)")
     if ops is None:
         print("OpenSees is not installed (openseespy): not compared")
     else:
-        print(f"{'OpenSees, per-step loop':32s} {max(peer):12,.0f}")
-        met &= max(speeds["linear servo-hydraulic rig"]) > max(peer)
+        print(f"{'OpenSees, per-step loop':32s} {'':12s} {max(peer):12,.0f}")
+        met &= max(single["nonlinear servo-hydraulic rig"]) > max(peer)
     return 0 if met else 1
 
 

@@ -18,7 +18,7 @@ from seft_ros.preflight.stability_map import over_dead_time, over_stiffness
 FOLDER = Path(__file__).parent.parent / "config"
 SIDE, ROUNDS = 100, 3
 WANTED = 2.0  # s for a map
-WANTED_RATIO = 1.5  # on a slow machine: of the bare eigenvalues' time
+WANTED_RATIO = 2.3  # of the bare eigenvalues' time: 2 s where those of 30 states take 0.85 s
 METHOD = ("reference_force", "compensation.method")
 CASES = {
     "jhu.yaml, none": ("jhu.yaml", []),
@@ -54,7 +54,7 @@ def main() -> int:
                 f"{name:28s} against {other:10s} {len(matrix):3d} states {taken:6.2f} s, "
                 f"{taken / bare:5.2f} times the bare eigenvalues' {bare:.2f} s"
             )
-    print(f"wanted: {WANTED:g} s, or on a slow machine {WANTED_RATIO:g} times the bare eigenvalues")
+    print(f"wanted: {WANTED:g} s, or {WANTED_RATIO:g} times the bare ones' (slow, busy machines)")
     return 0 if met else 1
 
 
