@@ -45,6 +45,7 @@ setup(
         "lz4",
         "matplotlib",
         "mcap",
+        "numba",
         "numpy",
         "rich",
         "rosbags",

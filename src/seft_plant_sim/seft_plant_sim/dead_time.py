@@ -29,6 +29,8 @@ class DeadTime:
     ----------
     part : float
         Time into the period at which the drive changes, s; 0: at the sample itself.
+    whole : int
+        Whole sampling periods of the delay.
 
     Raises
     ------
@@ -40,6 +42,7 @@ class DeadTime:
         steps = int(delay / dt + 1e-9)
         if steps > MAX_STEPS:
             raise InputError(f"actuator: a delay of {delay:g} s is {steps} samples long")
+        self.whole = steps
         rest = delay - steps * dt
         self.part = rest if rest > 1e-9 * dt else 0.0
         self._line: deque[Floats] = deque(maxlen=steps + 2)

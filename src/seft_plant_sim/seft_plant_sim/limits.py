@@ -69,6 +69,11 @@ class Limits:
         Names of the n axes.
     dt : float
         Sampling period, s.
+
+    Attributes
+    ----------
+    limits : ndarray
+        Shape (8, 1): of the state, and of its change in a step.
     """
 
     def __init__(self, limits: Mapping[str, Any], axes: Sequence[str], dt: float) -> None:
@@ -76,8 +81,8 @@ class Limits:
         self._dt = dt
         values = [limits[name] for name in NAMES]
         values += [limits.get(f"{name}_rate", np.inf) * dt for name in NAMES]
-        self._limits = np.array(values, dtype=np.float64)[:, np.newaxis]
-        self._scale = np.repeat(1.0 / self._limits, len(self._axes), axis=1)
+        self.limits = np.array(values, dtype=np.float64)[:, np.newaxis]
+        self._scale = np.repeat(1.0 / self.limits, len(self._axes), axis=1)
         self._work = np.zeros_like(self._scale)
         self._state, self._change = self._work[:4], self._work[4:]  # views
         self._scaled = np.zeros_like(self._scale)
@@ -112,7 +117,7 @@ class Limits:
         np.multiply(self._work, self._scale, self._scaled)
         if self._flat.dot(self._flat) < 0.99:  # well inside the ellipsoid, and so inside the box
             return None
-        within = np.abs(self._work) <= self._limits
+        within = np.abs(self._work) <= self.limits
         if within.all():
             return None
         row, column = np.argwhere(~within)[0]
@@ -120,7 +125,7 @@ class Limits:
         name, unit = ROWS[row].replace("_", " "), _ALL_UNITS[row]
         return (
             f"{name} {self._work[row, column] / per:.5g} {unit} on axis {self._axes[column]} "
-            f"is beyond the limit of {self._limits[row, 0] / per:g} {unit}"
+            f"is beyond the limit of {self.limits[row, 0] / per:g} {unit}"
         )
 
     def note_margins(self) -> None:

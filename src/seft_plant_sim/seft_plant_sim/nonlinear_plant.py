@@ -10,7 +10,7 @@ from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.continuous_model import ContinuousModel
 from seft_plant_sim.dead_time import DeadTime
-from seft_plant_sim.nonlinearity import Nonlinearity
+from seft_plant_sim.nonlinearity import Nonlinearity, Part
 
 Floats = npt.NDArray[np.float64]
 
@@ -33,6 +33,19 @@ class NonlinearPlant:
     dt : float
         Sampling period, s.
 
+    Attributes
+    ----------
+    dead_time : DeadTime
+        Of the drive.
+    before, after : Stretch
+        From the last sample to the drive's change, and from there to the new sample.
+    output : ndarray
+        Shape (4n, s + n + r): takes (z, drive, residuals) to the outputs.
+    parts : tuple of Part
+        What makes the residuals, in order.
+    drive_limit : float or ndarray
+        Drive beyond which the actuator takes no notice.
+
     Raises
     ------
     InputError
@@ -43,16 +56,16 @@ class NonlinearPlant:
         assert model.nonlinearity is not None
         nonlinearity = model.nonlinearity
         parts = nonlinearity.parts
-        self._parts = parts
+        self.parts: tuple[Part, ...] = parts
         self._residuals = parts[0].residuals if len(parts) == 1 else self._all_residuals
         self._axes = model.b.shape[1]
-        self._limit = nonlinearity.drive_limit
+        self.drive_limit = nonlinearity.drive_limit
         size, residuals = len(model.a), nonlinearity.inputs.shape[1]
-        self._dead_time = DeadTime(model.delay, dt, self._axes)
-        part = self._dead_time.part
-        self._before = _Stretch.of(model, nonlinearity, part)
-        self._after = _Stretch.of(model, nonlinearity, dt - part)
-        self._output = np.hstack([model.c, model.d, nonlinearity.outputs])
+        self.dead_time = DeadTime(model.delay, dt, self._axes)
+        part = self.dead_time.part
+        self.before = Stretch.of(model, nonlinearity, part)
+        self.after = Stretch.of(model, nonlinearity, dt - part)
+        self.output = np.hstack([model.c, model.d, nonlinearity.outputs])
         self._work = np.zeros(size + self._axes + residuals)  # z, drive, residuals
         self._state = self._work[:size]
         self._drive = self._work[size : size + self._axes]
@@ -62,24 +75,24 @@ class NonlinearPlant:
     def reset(self) -> Floats:
         """Bring it to rest with no drive; return the sample there, shape (4, n)."""
         self._work[:] = 0.0
-        self._dead_time.reset()
+        self.dead_time.reset()
         return np.zeros((4, self._axes))
 
     def step(self, command: Floats) -> Floats:
         """Advance by one sample, see `Plant.step`."""
-        command = np.minimum(np.maximum(command, -self._limit), self._limit)
-        before, after, now = self._dead_time.step(command)
-        self._integrate(self._before, before)
-        self._integrate(self._after, after)
+        command = np.minimum(np.maximum(command, -self.drive_limit), self.drive_limit)
+        before, after, now = self.dead_time.step(command)
+        self._integrate(self.before, before)
+        self._integrate(self.after, after)
         self._drive[:] = now
-        return self._output.dot(self._work).reshape(4, self._axes)
+        return self.output.dot(self._work).reshape(4, self._axes)
 
     def saturated(self) -> list[str]:
         """Name what is at the end of its range at the last sample."""
         z = self._state.tolist()
-        return [name for part in self._parts for name in part.saturated(z)]
+        return [name for part in self.parts for name in part.saturated(z)]
 
-    def _integrate(self, stretch: "_Stretch", drive: Floats) -> None:
+    def _integrate(self, stretch: "Stretch", drive: Floats) -> None:
         work, state, residual = self._work, self._state, self._residual
         residuals, settled = self._residuals, self._settled
         predict, correct = stretch.predict, stretch.correct
@@ -94,16 +107,16 @@ class NonlinearPlant:
             residual[:] = residuals(z)
 
     def _all_residuals(self, z: list[float]) -> list[float]:
-        return [value for part in self._parts for value in part.residuals(z)]
+        return [value for part in self.parts for value in part.residuals(z)]
 
     def _settled(self, z: list[float]) -> list[float]:
-        for part in self._parts:
+        for part in self.parts:
             part.settle(z)
         return z
 
 
 @dataclass(frozen=True)
-class _Stretch:
+class Stretch:
     """A time over which the drive does not change, in equal steps.
 
     Attributes
@@ -122,7 +135,8 @@ class _Stretch:
     correct: Floats
 
     @classmethod
-    def of(cls, model: ContinuousModel, nonlinearity: Nonlinearity, time: float) -> "_Stretch":
+    def of(cls, model: ContinuousModel, nonlinearity: Nonlinearity, time: float) -> "Stretch":
+        """Make it of a model, for a time in s; InputError if a residual is too fast."""
         fastest = max(part.fastest for part in nonlinearity.parts)
         longest = min(LONGEST_STEP, STEP_TIMES_RATE / fastest) if fastest else LONGEST_STEP
         steps = math.ceil(time / longest * (1 - 1e-9))

@@ -1,6 +1,7 @@
 """What is not linear in a rig: residuals r(z) that are added to its linear model.
 
 They work on plain floats: over the few axes of a test that is several times as fast as arrays.
+The laws themselves are functions of floats, which the ensembles of seft_ros compile as they are.
 """
 
 import math
@@ -71,6 +72,27 @@ class Nonlinearity:
         )
 
 
+def lost_opening(w: float, p: float, limit: float, capacity: float) -> float:
+    """Valve's effective opening less its opening ``w`` (V), at a force ``p`` of the oil (N)."""
+    opening = limit if w > limit else -limit if w < -limit else w
+    left = 1.0 - p / capacity if w >= 0.0 else 1.0 + p / capacity
+    # the root of what is left of the supply pressure; back through the valve below zero
+    root = left / math.sqrt(math.sqrt(left * left + STALL * STALL))
+    return opening * root - w
+
+
+def holding_force(
+    x: float, v: float, stroke: float, friction: float, over: float, stop: float
+) -> float:
+    """Force of friction and end stops on a piston at ``x`` (m) with velocity ``v`` (m/s), N."""
+    force = friction * math.tanh(v / over) if friction else 0.0
+    if x > stroke:
+        force += stop * (x - stroke) * max(0.0, 1.0 + STOP_DAMPING * v)
+    elif x < -stroke:
+        force += stop * (x + stroke) * max(0.0, 1.0 - STOP_DAMPING * v)
+    return force
+
+
 class PistonAndValve:
     """Flow through the valve, friction of the piston and end stops.
 
@@ -83,6 +105,12 @@ class PistonAndValve:
         Of n actuators.
     mass : ndarray
         Mass that each piston moves, shape (n,), kg.
+
+    Attributes
+    ----------
+    rows : ndarray
+        Shape (n, 6), of each actuator: opening limit, force capacity, stroke, friction, friction
+        velocity, stiffness of the stops; as `lost_opening` and `holding_force` take them.
     """
 
     def __init__(self, hydraulics: Hydraulics, mass: Floats) -> None:
@@ -91,8 +119,8 @@ class PistonAndValve:
         slope = np.where(h.friction > 0, h.friction / h.friction_velocity, 0.0)
         self.fastest = float(max(np.sqrt(stop / mass).max(), (slope / mass).max()))
         ends = (h.opening_limit, h.force_capacity, h.stroke)
-        rows = np.transpose((*ends, h.friction, h.friction_velocity, stop)).tolist()
-        self._axes = [(index, *row) for index, row in enumerate(rows)]
+        self.rows = np.transpose((*ends, h.friction, h.friction_velocity, stop))
+        self._axes = [(index, *row) for index, row in enumerate(self.rows.tolist())]
         self._n = len(self._axes)
 
     def residuals(self, z: list[float]) -> list[float]:
@@ -100,18 +128,8 @@ class PistonAndValve:
         n = self._n
         flows, forces = [], []
         for i, limit, capacity, stroke, friction, over, stop in self._axes:
-            x, v, p, w = z[i], z[n + i], z[2 * n + i], z[3 * n + i]
-            opening = limit if w > limit else -limit if w < -limit else w
-            left = 1.0 - p / capacity if w >= 0.0 else 1.0 + p / capacity
-            # the root of what is left of the supply pressure; back through the valve below zero
-            root = left / math.sqrt(math.sqrt(left * left + STALL * STALL))
-            flows.append(opening * root - w)
-            force = friction * math.tanh(v / over) if friction else 0.0
-            if x > stroke:
-                force += stop * (x - stroke) * max(0.0, 1.0 + STOP_DAMPING * v)
-            elif x < -stroke:
-                force += stop * (x + stroke) * max(0.0, 1.0 - STOP_DAMPING * v)
-            forces.append(force)
+            flows.append(lost_opening(z[3 * n + i], z[2 * n + i], limit, capacity))
+            forces.append(holding_force(z[i], z[n + i], stroke, friction, over, stop))
         return flows + forces
 
     def settle(self, z: list[float]) -> None:
@@ -142,6 +160,7 @@ class Springs:
     def __init__(self, specimen: Specimen, first_state: int) -> None:
         n, p = specimen.axes, len(specimen.springs)
         self.fastest = 0.0  # no faster than the elastic specimen, which the linear model holds
+        self.specimen, self.first_state = specimen, first_state
         self._springs = []
         for j, spring in enumerate(specimen.springs):
             row = enumerate(specimen.deformation[j].tolist())

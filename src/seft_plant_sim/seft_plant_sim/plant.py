@@ -57,14 +57,22 @@ class LinearPlant:
         n axes; a nonlinearity is left out.
     dt : float
         Sampling period, s.
+
+    Attributes
+    ----------
+    dead_time : DeadTime
+        Of the drive.
+    matrix : ndarray
+        Shape (s + 4n, s + 3n): takes (z, drive before and after its change between the samples,
+        drive at the new sample) to (z, outputs) at the new sample.
     """
 
     def __init__(self, model: ContinuousModel, dt: float) -> None:
         self._axes = model.b.shape[1]
         self._size = len(model.a)
-        self._dead_time = DeadTime(model.delay, dt, self._axes)
-        self._matrix = self._transition(model, dt)
-        self._work = np.zeros(self._matrix.shape[1])
+        self.dead_time = DeadTime(model.delay, dt, self._axes)
+        self.matrix = self._transition(model, dt)
+        self._work = np.zeros(self.matrix.shape[1])
         self._state = self._work[: self._size]
         self._before, self._after, self._now = self._work[self._size :].reshape(3, self._axes)
         self._answers_at_once = bool(model.d.any())
@@ -73,17 +81,17 @@ class LinearPlant:
     def reset(self) -> Floats:
         """Bring it to rest with no drive; return the sample there, shape (4, n)."""
         self._work[:] = 0.0
-        self._dead_time.reset()
+        self.dead_time.reset()
         return np.zeros((4, self._axes))
 
     def step(self, command: Floats) -> Floats:
         """Advance by one sample, see `Plant.step`."""
-        before, after, now = self._dead_time.step(command)
+        before, after, now = self.dead_time.step(command)
         self._before[:] = before
         self._after[:] = after
         if self._answers_at_once:
             self._now[:] = now
-        result = self._matrix.dot(self._work)
+        result = self.matrix.dot(self._work)
         self._state[:] = result[: self._size]
         return result[self._size :].reshape(4, self._axes)
 
@@ -97,7 +105,7 @@ class LinearPlant:
         It takes (z, drive before and after its change between the samples, drive at the new
         sample) to (z, outputs) at the new sample.
         """
-        part = self._dead_time.part
+        part = self.dead_time.part
         free_held, forced_held = _zero_order_hold(model, dt - part)
         free_part, forced_part = _zero_order_hold(model, part)
         state = np.hstack([free_held @ free_part, free_held @ forced_part, forced_held])

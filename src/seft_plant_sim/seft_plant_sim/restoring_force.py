@@ -23,6 +23,43 @@ PATH_STEP = 0.02  # of the yield displacement: longest step of a law along a giv
 MOST_STEPS = 20_000  # from one point of a path to the next: a jump beyond is followed roughly
 
 
+def bounded(z: float, limit: float) -> float:
+    """Bring ``z`` back between -limit and limit."""
+    return limit if z > limit else -limit if z < -limit else z
+
+
+def spring_force(e: float, z: float, stiffness: float, hardening_ratio: float) -> float:
+    """Force s of a spring, N, at a deformation e and a hysteretic displacement z, both in m."""
+    return stiffness * (hardening_ratio * e + (1.0 - hardening_ratio) * z)
+
+
+def hysteretic_work_rate(z: float, velocity: float, hardening_ratio: float, z_y: float) -> float:
+    """Rate of the work on the hysteretic part in units of k z_y^2, see `HystereticSpring`."""
+    return (1.0 - hardening_ratio) * z * velocity / z_y**2
+
+
+def bouc_wen_rate(
+    z: float,
+    velocity: float,
+    work: float,
+    z_y: float,
+    limit: float,
+    exponent: float,
+    beta: float,
+    gamma: float,
+    amplitude_loss: float,
+    strength_loss: float,
+    stiffness_loss: float,
+) -> float:
+    """Rate of the hysteretic displacement, m/s, by the law of `BoucWenSpring`."""
+    amplitude = max(0.0, 1.0 - amplitude_loss * work)
+    strength = 1.0 + strength_loss * work
+    stiffness = 1.0 + stiffness_loss * work
+    power = abs(bounded(z, limit) / z_y) ** exponent
+    shape = gamma + (beta if z * velocity >= 0.0 else -beta)
+    return velocity * (amplitude - strength * power * shape) / stiffness
+
+
 @dataclass(frozen=True)
 class HystereticSpring(ABC):
     """One spring with hysteresis.
@@ -65,12 +102,11 @@ class HystereticSpring(ABC):
 
     def force(self, deformation: float, z: float) -> float:
         """Force, N, at a deformation and a hysteretic displacement, both in m."""
-        a = self.hardening_ratio
-        return self.stiffness * (a * deformation + (1.0 - a) * self.settle(z))
+        return spring_force(deformation, self.settle(z), self.stiffness, self.hardening_ratio)
 
     def work_rate(self, z: float, velocity: float) -> float:
         """Rate of the work on the hysteretic part, 1/s: (1 - a) z v / z_y^2 (Baber & Wen 1981)."""
-        return (1.0 - self.hardening_ratio) * z * velocity / self.yield_displacement**2
+        return hysteretic_work_rate(z, velocity, self.hardening_ratio, self.yield_displacement)
 
     def strain_energy(self, deformation: Floats, z: Floats) -> Floats:
         """Energy that can be had back, J; arrays of m."""
@@ -136,8 +172,7 @@ class BilinearSpring(HystereticSpring):
 
     def settle(self, z: float) -> float:
         """Bring z back between the yield displacements."""
-        limit = self.yield_displacement
-        return limit if z > limit else -limit if z < -limit else z
+        return bounded(z, self.yield_displacement)
 
     def _advance(self, z: float, work: float, change: float) -> tuple[float, float]:
         """Exactly: the law is elastic, then perfectly plastic."""
@@ -173,21 +208,27 @@ class BoucWenSpring(HystereticSpring):
     stiffness_loss: float = 0.0
 
     @cached_property
-    def _limit(self) -> float:
+    def limit(self) -> float:
         """Largest hysteretic displacement that the law leads to, m."""
         shape = self.beta + self.gamma
         return self.yield_displacement * shape ** (-1.0 / self.exponent) if shape > 0 else math.inf
 
     def settle(self, z: float) -> float:
         """Bring z back to the law's limit, where a step of an integrator was too long for it."""
-        limit = self._limit
-        return limit if z > limit else -limit if z < -limit else z
+        return bounded(z, self.limit)
 
     def rate(self, z: float, velocity: float, work: float) -> float:
         """Rate of the hysteretic displacement, m/s; see `HystereticSpring.rate`."""
-        amplitude = max(0.0, 1.0 - self.amplitude_loss * work)
-        strength = 1.0 + self.strength_loss * work
-        stiffness = 1.0 + self.stiffness_loss * work
-        power = abs(self.settle(z) / self.yield_displacement) ** self.exponent
-        shape = self.gamma + (self.beta if z * velocity >= 0.0 else -self.beta)
-        return velocity * (amplitude - strength * power * shape) / stiffness
+        return bouc_wen_rate(
+            z,
+            velocity,
+            work,
+            self.yield_displacement,
+            self.limit,
+            self.exponent,
+            self.beta,
+            self.gamma,
+            self.amplitude_loss,
+            self.strength_loss,
+            self.stiffness_loss,
+        )

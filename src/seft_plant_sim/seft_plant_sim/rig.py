@@ -52,6 +52,8 @@ class Rig:
         The limit that the last sample breaks; the test must end with that sample.
     sample : ndarray
         The true state at the last step, shape (4, n).
+    plant, sensors, saturated_time : Plant, Sensors, SaturatedTime
+        As given, the plant sampled.
     saturation : Saturation
         What has been at the end of its range since the reset: stroke, force capacity, valve,
         and the sensors' ranges.
@@ -67,10 +69,10 @@ class Rig:
         safe: Safe | None = None,
     ) -> None:
         self.drive: Drive = model.drive
-        self._plant = make_plant(model, dt)
-        self._sensors = sensors
+        self.plant = make_plant(model, dt)
+        self.sensors = sensors
         self.limits = limits
-        self._saturated_time = saturated_time
+        self.saturated_time = saturated_time
         self.step_index = 0
         self.violation: str | None = None
         self.saturation = Saturation()
@@ -103,10 +105,10 @@ class Rig:
         """Bring the rig to rest and take the sample of step 0, shape (4, n)."""
         self.step_index = 0
         self.saturation = Saturation()
-        self._sensors.reset()
+        self.sensors.reset()
         self.limits.reset()
-        self._saturated_time.reset()
-        return self._measure(self._plant.reset())
+        self.saturated_time.reset()
+        return self._measure(self.plant.reset())
 
     def step(self, command: Floats) -> Floats:
         """Apply a command and take the next sample.
@@ -124,7 +126,7 @@ class Rig:
             (4, n).
         """
         self.step_index += 1
-        return self._measure(self._plant.step(command))
+        return self._measure(self.plant.step(command))
 
     def stop(self) -> Stopped:
         """Bring the valve to its safe position and follow the rig until it rests.
@@ -140,7 +142,7 @@ class Rig:
             command = np.zeros_like(command)
         steps, resting, peak = 0, 0, 0.0
         while steps < self._safe.longest and resting < RESTS:
-            self.sample = self._plant.step(command)
+            self.sample = self.plant.step(command)
             peak = max(peak, float(np.abs(self.sample[3]).max()))
             steps += 1
             resting = resting + 1 if np.abs(self.sample[1]).max() < AT_REST else 0
@@ -148,11 +150,11 @@ class Rig:
 
     def _measure(self, state: Floats) -> Floats:
         self.sample = state
-        measured = self._sensors.measure(self.step_index, state)
+        measured = self.sensors.measure(self.step_index, state)
         self.violation = self.limits.violation(measured)
-        step, blind, at_end = self.step_index, self._sensors.saturated, self._plant.saturated()
+        step, blind, at_end = self.step_index, self.sensors.saturated, self.plant.saturated()
         if blind and self.violation is None:
-            self.violation = self._saturated_time.violation(step, blind)
+            self.violation = self.saturated_time.violation(step, blind)
         if blind or at_end:
             self.saturation.add(step, blind + at_end)
         return measured

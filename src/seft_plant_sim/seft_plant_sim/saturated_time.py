@@ -13,11 +13,16 @@ class TimeWithinSecond:
         Time that is still allowed, s.
     dt : float
         Sampling period, s.
+
+    Attributes
+    ----------
+    allowed, window : int
+        Steps that are still allowed, and steps of a second.
     """
 
     def __init__(self, longest: float, dt: float) -> None:
-        self._allowed = int(longest / dt * (1 + 1e-9))
-        self._window = round(1.0 / dt)
+        self.allowed = int(longest / dt * (1 + 1e-9))
+        self.window = round(1.0 / dt)
         self._steps: deque[int] = deque()
 
     def reset(self) -> None:
@@ -28,9 +33,9 @@ class TimeWithinSecond:
         """Count a step at which it is so; say whether that is more than is allowed."""
         steps = self._steps
         steps.append(step)
-        while steps[0] <= step - self._window:
+        while steps[0] <= step - self.window:
             steps.popleft()
-        return len(steps) > self._allowed
+        return len(steps) > self.allowed
 
 
 class SaturatedTime:
@@ -42,15 +47,20 @@ class SaturatedTime:
         Time beyond which it is a violation, s.
     dt : float
         Sampling period, s.
+
+    Attributes
+    ----------
+    time : TimeWithinSecond
+        Counts it.
     """
 
     def __init__(self, longest: float, dt: float) -> None:
         self._longest = longest
-        self._time = TimeWithinSecond(longest, dt)
+        self.time = TimeWithinSecond(longest, dt)
 
     def reset(self) -> None:
         """Forget the test so far."""
-        self._time.reset()
+        self.time.reset()
 
     def violation(self, step: int, sensors: Sequence[str]) -> str | None:
         """Say whether sensors have been blind for too long.
@@ -67,8 +77,10 @@ class SaturatedTime:
         str or None
             One line with the sensors and the time.
         """
-        if not self._time.is_exceeded(step):
-            return None
+        return self.describe(sensors) if self.time.is_exceeded(step) else None
+
+    def describe(self, sensors: Sequence[str]) -> str:
+        """Say that sensors, one at least, have been blind for too long."""
         names = " and ".join(sorted(set(sensors))).replace("_range", "")
         return (
             f"{names} at the end of the sensor's range for more than {self._longest:g} s within "

@@ -50,14 +50,19 @@ class Sensors:
         Seed of the noise.
     differentiator : Differentiator, optional
         Derives the velocity from the measured displacement; else it is measured.
+
+    Attributes
+    ----------
+    channels, differentiator
+        As given.
     """
 
     def __init__(
         self, channels: Channels, seed: int, differentiator: "Differentiator | None" = None
     ) -> None:
-        self._channels = channels
+        self.channels = channels
         self._seed = seed
-        self._differentiator = differentiator
+        self.differentiator = differentiator
         self._block_index = -1
         self._block: Floats = np.empty((0, *channels.noise.shape))
         self._has_bias = bool(channels.bias.any())
@@ -107,8 +112,8 @@ class Sensors:
 
     def reset(self) -> None:
         """Forget the test so far."""
-        if self._differentiator is not None:
-            self._differentiator.reset()
+        if self.differentiator is not None:
+            self.differentiator.reset()
 
     def measure(self, step: int, state: Floats) -> Floats:
         """Measure the state at a step; `saturated` then names the sensors at their range.
@@ -126,7 +131,7 @@ class Sensors:
             As measured, shape (4, n).
         """
         measured = state + self._noise(step)
-        channels = self._channels
+        channels = self.channels
         if self._has_bias:
             measured += channels.bias
         self.saturated = []
@@ -139,8 +144,8 @@ class Sensors:
             measured *= channels.resolution
         elif self._has_range:
             self._saturate(measured, channels.range)
-        if self._differentiator is not None:
-            measured[1] = self._differentiator.step(measured[0])
+        if self.differentiator is not None:
+            measured[1] = self.differentiator.step(measured[0])
         return measured
 
     def _saturate(self, measured: Floats, limit: Floats) -> None:
@@ -148,18 +153,25 @@ class Sensors:
         self.saturated = [f"{CHANNELS[row]}_range" for row, _ in np.argwhere(beyond)]
         np.clip(measured, -limit, limit, out=measured)
 
+    def noise(self, steps: int) -> Floats:
+        """Noise of the first steps of a test, shape (steps, 4, n)."""
+        blocks = [self._noise_block(index) for index in range(-(-steps // BLOCK))]
+        return np.concatenate(blocks)[:steps]
+
     def _noise(self, step: int) -> Floats:
         index, row = divmod(step, BLOCK)
         if index != self._block_index:
             self._block_index = index
-            noise = self._channels.noise
-            axes = range(noise.shape[1])
-            drawn = [
-                np.random.default_rng([self._seed, index, axis]).standard_normal((BLOCK, 4))
-                for axis in axes
-            ]
-            self._block = np.stack(drawn, axis=2) * noise
+            self._block = self._noise_block(index)
         return self._block[row]
+
+    def _noise_block(self, index: int) -> Floats:
+        noise = self.channels.noise
+        drawn = [
+            np.random.default_rng([self._seed, index, axis]).standard_normal((BLOCK, 4))
+            for axis in range(noise.shape[1])
+        ]
+        return np.stack(drawn, axis=2) * noise
 
 
 class Differentiator:
@@ -176,12 +188,17 @@ class Differentiator:
         Sampling period, s.
     axes : int
         Number of axes n.
+
+    Attributes
+    ----------
+    pole, gain : float
+        v[k] = pole v[k-1] + gain (x[k] - x[k-1]).
     """
 
     def __init__(self, cutoff: float, dt: float, axes: int) -> None:
         half = np.pi * cutoff * dt
-        self._gain = 2 * np.pi * cutoff / (1 + half)
-        self._pole = (1 - half) / (1 + half)
+        self.gain = 2 * np.pi * cutoff / (1 + half)
+        self.pole = (1 - half) / (1 + half)
         self._last = np.zeros((2, axes))
         self._running = False
 
@@ -195,6 +212,6 @@ class Differentiator:
         if not self._running:
             x[:], v[:] = displacement, 0.0
             self._running = True
-        v[:] = self._pole * v + self._gain * (displacement - x)
+        v[:] = self.pole * v + self.gain * (displacement - x)
         x[:] = displacement
         return v

@@ -143,7 +143,7 @@ def test_both_accelerations_pass_butterworths_high_pass():
     for k in range(600):
         work = guard._work.copy()
         work[-2:] = ground[k, 0], measured[k, 0]
-        filtered[k] = (guard._product @ work)[-2:]
+        filtered[k] = (guard.product @ work)[-2:]
         guard.step(ground[k], np.array([[0.0], [0.0], measured[k], [0.0]]))
     sections = butter(4, 30.0, "high", fs=500, output="sos")
     np.testing.assert_allclose(filtered[:, 1], sosfilt(sections, measured[:, 0]), atol=1e-9)

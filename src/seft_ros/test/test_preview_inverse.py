@@ -198,7 +198,7 @@ def test_a_linear_specimen_is_not_taken_to_yield(words):
     experiment = load(*words, "reference_force:mass_ratio:=3.0", "ground_motion:peak_force:=150.0")
     blocks = build_blocks(experiment)
     summary = summarise(simulate(experiment, blocks))
-    assert blocks.reference_force._reference_force._compensator._plastic is None
+    assert blocks.reference_force.reference_force.compensator._plastic is None
     assert summary["displacement"]["nrmse"] < 0.04
 
 

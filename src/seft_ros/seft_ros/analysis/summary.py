@@ -16,7 +16,7 @@ from seft_ros.analysis.timing import timing_of
 from seft_ros.analysis.tracking import tracking_of
 from seft_ros.recording.record import Record
 
-__all__ = ["json_safe", "reference_of", "summarise"]
+__all__ = ["json_safe", "reference_of", "summarise", "summarise_briefly"]
 
 _MEASURES = ("nrmse", "nrmse_aligned", "peak", "reference_peak", "delay_s")
 
@@ -57,30 +57,24 @@ def summarise(
     """
     if reference is None:
         reference = reference_of(record)
-    states = record.series[RIG_STATE.name]
-    steps = int(states.steps[-1]) + 1 if len(states.steps) else 0
+    steps = _steps(record)
     duration = steps * record.experiment.timebase.dt
-    trip = record.trip
     timing = timing_of(record)
-    finite = all(np.isfinite(series.values).all() for series in record.series.values())
     axes = record.experiment.axes
     by_axis = {
         axis: _three(record, reference, slice(column, column + 1))
         for column, axis in enumerate(axes)
     }
     summary = {
-        "steps": steps,
+        **_course(record),
         "rate_hz": record.experiment.timebase.rate,
         "duration_s": duration,
         "wall_s": record.wall_s,
         "realtime_factor": duration / record.wall_s if record.wall_s else None,
         "complete": record.complete,
-        "stable": trip is None and finite,
-        "trip": trip and {"reason": trip.reason, "step": trip.step, "time_s": trip.time_s},
         "missed": record.missed,
         "overruns": record.overruns,
         "timing": timing and timing.numbers(),
-        "saturated": _saturated(record),
         "lost": {topic.name: _lost(record, topic.name, steps) for topic in LOOP_TOPICS},
         "energy": energy_numbers(balance or balance_of(record)),
         "estimates": summarise_estimates(record.estimates, axes),
@@ -89,6 +83,32 @@ def summarise(
         "axes": by_axis,
     }
     return {key: json_safe(value) for key, value in summary.items()}
+
+
+def summarise_briefly(record: Record, reference: ReferenceResponse) -> dict[str, Any]:
+    """Of what `summarise` gives: steps, stable, trip, saturated, displacement, acceleration, force.
+
+    For many tests of which no more is wanted: the rest takes most of the time.
+    """
+    summary = {**_course(record), **_three(record, reference, slice(None))}
+    return {key: json_safe(value) for key, value in summary.items()}
+
+
+def _course(record: Record) -> dict[str, Any]:
+    """How far a test came, and how it ended."""
+    trip = record.trip
+    finite = all(np.isfinite(series.values).all() for series in record.series.values())
+    return {
+        "steps": _steps(record),
+        "stable": trip is None and finite,
+        "trip": trip and {"reason": trip.reason, "step": trip.step, "time_s": trip.time_s},
+        "saturated": _saturated(record),
+    }
+
+
+def _steps(record: Record) -> int:
+    steps = record.series[RIG_STATE.name].steps
+    return int(steps[-1]) + 1 if len(steps) else 0
 
 
 def json_safe(value: Any) -> Any:

@@ -19,6 +19,7 @@ from seft_ros.commands.options import (
 from seft_ros.commands.progress import step_progress
 
 if TYPE_CHECKING:  # scipy and all: other commands start without
+    from seft_ros.tournament.runs import Run
     from seft_ros.tournament.standings import Standing
 
 
@@ -57,7 +58,9 @@ def tournament(
     workers: Annotated[
         int | None,
         typer.Option(
-            "--workers", min=1, help="Processes that calculate; default one for each core."
+            "--workers",
+            min=1,
+            help="Threads, and processes, that calculate; default one for each core.",
         ),
     ] = None,
     figure: Annotated[
@@ -74,6 +77,10 @@ def tournament(
     sensors. The methods see the same rigs and go on believing CONFIG's model, tracking and delay.
     Errors are those of the displacement against the exact response of each rig's own structure,
     without any shift, as in seft simulate. Results do not depend on the number of workers.
+
+    Tests run on a compiled loop that agrees with seft simulate within 1e-9; those of methods
+    that adapt while they run, on the blocks of seft simulate themselves, many times slower. --json
+    has the engine of each, and a note under the tables says which they are.
 
     Methods that need a delay or a model of the force loop find it in what seft identify writes;
     those that lack something are named, and the others go on.
@@ -120,7 +127,7 @@ def tournament(
     if json:
         print_json(summary)
     else:
-        _show(ranked, title)
+        _show(ranked, runs, title)
     if path is not None:
         save_figure(tournament_figure(ranked, runs, title), path)
         if not json:
@@ -134,14 +141,14 @@ def _motion(experiment: Experiment) -> str:
     return f"{name} at {section['peak_force']:g} N" if section["peak_force"] else name
 
 
-def _show(standings: list["Standing"], title: str) -> None:
+def _show(standings: list["Standing"], runs: list["Run"], title: str) -> None:
     from rich.console import Console
 
-    from seft_ros.tournament.table import reasons, standings_table
+    from seft_ros.tournament.table import plain_runs, reasons, standings_table
 
     console = Console()
     for ratio in dict.fromkeys(row.mass_ratio for row in standings):
         own = [row for row in standings if row.mass_ratio == ratio]
         console.print(standings_table(own, f"{title}, mass ratio {ratio:g}"))
-    for reason in reasons(standings):
+    for reason in [*reasons(standings), *plain_runs(runs)]:
         console.print(reason, soft_wrap=True, highlight=False, markup=False)

@@ -36,11 +36,21 @@ def build_blocks(experiment: Experiment) -> Blocks:
         ForceController.from_parameters(experiment["force_controller"], axes, timebase),
         Rig.from_parameters(experiment["rig"], axes, timebase),
     )
-    known_ahead = len(blocks.ground_motion.known) - blocks.ground_motion.steps
-    if blocks.reference_force.preview > known_ahead:
+    check_lead(experiment, blocks.ground_motion, blocks.reference_force)
+    return blocks
+
+
+def check_lead(experiment: Experiment, motion: GroundMotion, force: ProtectedForce) -> None:
+    """See that the ground motion is known as far ahead as the compensation looks.
+
+    Raises
+    ------
+    InputError
+        If it is not.
+    """
+    if force.preview > len(motion.known) - motion.steps:
         raise InputError(
             f"ground_motion: lead is {experiment['ground_motion']['lead']:g} s, but the "
-            f"compensation looks {blocks.reference_force.preview * timebase.dt:g} s ahead; make "
+            f"compensation looks {force.preview * experiment.timebase.dt:g} s ahead; make "
             "the lead longer"
         )
-    return blocks

@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+import numpy.typing as npt
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.timebase import Timebase
 from seft_msgs_py.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
@@ -15,6 +16,8 @@ from seft_ros.recording.environment import describe_environment
 from seft_ros.recording.record import Record, Series, Trip
 from seft_ros.recording.samples import EstimateBuffer
 from seft_ros.reference_force.estimate_sampler import EstimateSampler
+
+Floats = npt.NDArray[np.float64]
 
 PROGRESS_STEPS = 5000
 
@@ -81,30 +84,61 @@ def simulate(
             state = rig.step(command if valve_driven else force)
     wall = time.perf_counter() - start
 
-    steps = np.arange(step, dtype=np.int64)
     return Record(
         experiment=experiment,
-        series={
-            GROUND_MOTION.name: Series(steps, motion[:step, np.newaxis, :]),
-            RIG_STATE.name: Series(steps, states[:step]),
-            REFERENCE_FORCE.name: Series(steps, forces[:step, np.newaxis, :]),
-            VALVE_COMMAND.name: Series(steps, commands[:step, np.newaxis, :]),
-        },
+        series=loop_series(motion[:step], states[:step], forces[:step], commands[:step]),
         estimates=estimates.series(),
-        trip=_trip(blocks, interlock, step - 1, experiment.timebase),
+        trip=trip_of(
+            rig.violation or interlock.reason,
+            reference_force.cause,
+            step - 1,
+            step - reference_force.steps_ramped,
+            experiment.timebase,
+        ),
         saturation=rig.saturation,
         wall_s=wall,
         environment=environment,
     )
 
 
-def _trip(blocks: Blocks, interlock: Interlock, last: int, timebase: Timebase) -> Trip | None:
-    """Tell what ended the test before the record did, as supervisor and rig would."""
-    violation, cause = blocks.rig.violation or interlock.reason, blocks.reference_force.cause
+def loop_series(
+    motion: Floats, states: Floats, forces: Floats, commands: Floats
+) -> dict[str, Series]:
+    """Order the samples of a test by topic, from step 0 on.
+
+    Parameters
+    ----------
+    motion, forces, commands : ndarray
+        Shape (N, n).
+    states : ndarray
+        Shape (N, 4, n).
+    """
+    steps = np.arange(len(states), dtype=np.int64)
+    return {
+        GROUND_MOTION.name: Series(steps, motion[:, np.newaxis, :]),
+        RIG_STATE.name: Series(steps, states),
+        REFERENCE_FORCE.name: Series(steps, forces[:, np.newaxis, :]),
+        VALVE_COMMAND.name: Series(steps, commands[:, np.newaxis, :]),
+    }
+
+
+def trip_of(
+    violation: str | None, cause: str | None, last: int, begun: int, timebase: Timebase
+) -> Trip | None:
+    """Tell what ended a test before the record did, as supervisor and rig would.
+
+    Parameters
+    ----------
+    violation : str or None
+        Why rig or force controller ended it at once; empty or None: they did not.
+    cause : str or None
+        Why the reference force was brought down.
+    last, begun : int
+        The last step, and the one at which the ramp began.
+    timebase : Timebase
+        Sampling clock.
+    """
     if violation:
         reason = violation if cause is None else while_ramping_down(violation, cause)
         return Trip(reason, last, timebase.stamp_ns(last) / 1e9)
-    if cause is None:
-        return None
-    step = last + 1 - blocks.reference_force.steps_ramped
-    return Trip(cause, step, timebase.stamp_ns(step) / 1e9)
+    return None if cause is None else Trip(cause, begun, timebase.stamp_ns(begun) / 1e9)

@@ -38,6 +38,13 @@ class ForceController:
     ----------
     limited : bool
         Whether the last drive was at its limit on any axis.
+    matrix : ndarray
+        Shape ((1 + order) n, (order + 1) n): takes (delays, error) to (drive, delays) without
+        a limit.
+    from_drive : ndarray
+        Shape (order n, n): what the delays lose with a change of the drive.
+    feedback, limit
+        As given; the limit is ``voltage_limit``.
 
     Raises
     ------
@@ -64,13 +71,13 @@ class ForceController:
         output = np.eye(1, order + 1)
         output[0, order] = b[0]
         update = np.column_stack([np.eye(order, k=1), b[1:]]) - np.outer(a[1:], output)
-        self._step = np.kron(np.vstack([output, update]), one)
-        self._from_drive = np.kron(a[1:, np.newaxis], one)
+        self.matrix = np.kron(np.vstack([output, update]), one)
+        self.from_drive = np.kron(a[1:, np.newaxis], one)
         self._axes = axes
-        self._feedback = feedback
-        self._limit = float(voltage_limit)
+        self.feedback = feedback
+        self.limit = float(voltage_limit)
         self.limited = False
-        self._safe_square = 0.99 * self._limit * self._limit
+        self._safe_square = 0.99 * self.limit * self.limit
 
     @classmethod
     def from_parameters(
@@ -108,17 +115,17 @@ class ForceController:
         ndarray
             Valve drive within the limit, shape (n,), V.
         """
-        if self._feedback:
+        if self.feedback:
             np.subtract(reference_force, state[3], self._error)
         else:
             self._error[:] = reference_force
-        result = self._step.dot(self._work)
+        result = self.matrix.dot(self._work)
         drive, delays = result[: self._axes], result[self._axes :]
         self.limited = False
         if not drive.dot(drive) < self._safe_square:  # else no axis can be at its limit
-            limited = np.clip(drive, -self._limit, self._limit)
-            self.limited = bool((np.abs(limited) >= self._limit).any())
-            delays -= self._from_drive.dot(limited - drive)
+            limited = np.clip(drive, -self.limit, self.limit)
+            self.limited = bool((np.abs(limited) >= self.limit).any())
+            delays -= self.from_drive.dot(limited - drive)
             drive = limited
         self._delays[:] = delays
         return drive

@@ -38,6 +38,10 @@ class Interlock:
         Why it has tripped, one line; empty while it has not.
     step_index : int
         Step at which it tripped; -1 while it has not.
+    controller, largest
+        As given; the force is ``largest_force``.
+    saturated : TimeWithinSecond
+        Time at the limit.
     """
 
     def __init__(
@@ -48,12 +52,12 @@ class Interlock:
         longest_saturation: float,
         dt: float,
     ) -> None:
-        self._controller = controller
+        self.controller = controller
         self._axes = tuple(axes)
-        self._largest = largest_force
+        self.largest = largest_force
         self._safe_square = 0.99 * largest_force * largest_force
         self._longest = longest_saturation
-        self._saturated = TimeWithinSecond(longest_saturation, dt)
+        self.saturated = TimeWithinSecond(longest_saturation, dt)
         self._safe = np.zeros(len(self._axes))
         self.reset()
 
@@ -71,8 +75,8 @@ class Interlock:
 
     def reset(self) -> None:
         """Forget the test so far, a trip too: before a new test."""
-        self._controller.reset()
-        self._saturated.reset()
+        self.controller.reset()
+        self.saturated.reset()
         self.reason = ""
         self.step_index = -1
 
@@ -99,17 +103,13 @@ class Interlock:
         # a product with what is no number is none
         fits = reference_force.dot(reference_force) < self._safe_square
         if not (fits and math.isfinite(force.dot(reference_force))):
-            nonsense = self.nonsense(reference_force) or self._not_a_number("measured", force)
+            nonsense = self.nonsense_in(reference_force, state)
             if nonsense:
                 self.trip(index, nonsense)
                 return self._safe
-        drive = self._controller.step(reference_force, state)
-        if self._controller.limited and self._saturated.is_exceeded(index):
-            self.trip(
-                index,
-                f"the valve command is at its limit for more than {self._longest:g} s within one "
-                "second: the force is out of control",
-            )
+        drive = self.controller.step(reference_force, state)
+        if self.controller.limited and self.saturated.is_exceeded(index):
+            self.trip(index, self.saturation())
             return self._safe
         return drive
 
@@ -118,13 +118,24 @@ class Interlock:
         if not self.reason:
             self.reason, self.step_index = reason, index
 
+    def saturation(self) -> str:
+        """Say that the valve has been at its limit for too long."""
+        return (
+            f"the valve command is at its limit for more than {self._longest:g} s within one "
+            "second: the force is out of control"
+        )
+
+    def nonsense_in(self, reference_force: Floats, state: Floats) -> str:
+        """Say what is wrong with a reference force, or with the measured; else empty."""
+        return self.nonsense(reference_force) or self._not_a_number("measured", state[3])
+
     def nonsense(self, reference_force: Floats) -> str:
         """Say what is wrong with a reference force, shape (n,), if anything; else empty."""
         for axis, value in zip(self._axes, reference_force.tolist(), strict=True):
-            if abs(value) > self._largest:
+            if abs(value) > self.largest:
                 return (
                     f"reference force {value:.5g} N on axis {axis} is beyond the limit of "
-                    f"{self._largest:g} N"
+                    f"{self.largest:g} N"
                 )
         return self._not_a_number("reference", reference_force)
 

@@ -56,13 +56,27 @@ class InstabilityWatch:
     lowest : float
         Where the band begins, Hz; 0: at `ABOVE` times the specimen's lowest natural frequency,
         at most at a quarter of the sampling rate.
+
+    Attributes
+    ----------
+    product : ndarray
+        Shape (s + 2n, s + 2n): takes (states, a_g, a) to (states, filtered accelerations of the
+        model and as measured).
+    states : int
+        s.
+    average, memory : float
+        Factors per step with which mean squares and what was expected fade.
+    patience : float
+        Steps for which vibration must be there.
+    ratio, floor : float
+        As given.
     """
 
     def __init__(
         self, known: Knowledge, axes: Sequence[str], ratio: float, floor: float, lowest: float
     ) -> None:
         n = len(axes)
-        self._axes, self._ratio, self._floor = tuple(axes), ratio, floor
+        self._axes, self.ratio, self.floor = tuple(axes), ratio, floor
         dt = known.dt
         if lowest >= 0.45 / dt:
             raise InputError(
@@ -71,10 +85,10 @@ class InstabilityWatch:
             )
         self._lowest = lowest or min(ABOVE * _natural_hz(known), 0.25 / dt)
         a, b, c, d = _filtered(known, self._lowest, dt, n)
-        self._product = np.block([[a, b], [c, d]])
-        self._states = len(a)
-        self._average, self._memory = math.exp(-dt / AVERAGE), math.exp(-2 * dt / MEMORY)
-        self._patience = SUSTAINED / dt
+        self.product = np.block([[a, b], [c, d]])
+        self.states = len(a)
+        self.average, self.memory = math.exp(-dt / AVERAGE), math.exp(-2 * dt / MEMORY)
+        self.patience = SUSTAINED / dt
         self.reset()
 
     @classmethod
@@ -94,43 +108,64 @@ class InstabilityWatch:
     def reset(self) -> None:
         """Begin a new test, at rest."""
         n = len(self._axes)
-        self._work = np.zeros(self._states + 2 * n)  # states of model and filters, then inputs
+        self._work = np.zeros(self.states + 2 * n)  # states of model and filters, then inputs
         self._model, self._measured = [0.0] * n, [0.0] * n  # mean squares
-        self._expected = [self._floor**2] * n
+        self._expected = [self.floor**2] * n
         self._above = 0.0
 
     def step(self, ground_motion: Floats, state: Floats) -> str | None:
         """See `Guard.step`."""
-        if self._ratio == 0.0:
+        if self.ratio == 0.0:
             return None
-        n, states, work = len(self._axes), self._states, self._work
+        n, states, work = len(self._axes), self.states, self._work
         work[states : states + n], work[states + n :] = ground_motion, state[2]
-        result = self._product.dot(work)
+        result = self.product.dot(work)
         work[:states] = result[:states]
         filtered = result[states:].tolist()
-        old, new, least = self._average, 1.0 - self._average, self._floor**2
+        old, new, least = self.average, 1.0 - self.average, self.floor**2
         excess = 0.0
         for axis in range(n):  # plain floats: arrays of a few axes cost more
-            model = old * self._model[axis] + new * filtered[axis] ** 2
+            model = self._model[axis] = old * self._model[axis] + new * filtered[axis] ** 2
             measured = old * self._measured[axis] + new * filtered[n + axis] ** 2
-            expected = max(model, self._expected[axis] * self._memory, least)
-            self._model[axis], self._measured[axis] = model, measured
-            self._expected[axis] = expected
+            self._measured[axis] = measured
+            expected = self._expected[axis] = max(model, self._expected[axis] * self.memory, least)
             excess = max(excess, measured / expected)
-        excess /= self._ratio**2
-        # what is far beyond needs less patience than what is a little
-        self._above = self._above + min(excess, HURRY) if excess > 1.0 else 0.0
-        return self._fault() if self._above >= self._patience else None
+        self._above = time_above(self._above, excess / self.ratio**2)
+        if self._above < self.patience:
+            return None
+        return self.fault(self._measured, self._expected)
 
-    def _fault(self) -> str:
-        squares = [m / e for m, e in zip(self._measured, self._expected, strict=True)]
+    def fault(self, measured: Sequence[float], expected: Sequence[float]) -> str:
+        """Say what vibrates.
+
+        Parameters
+        ----------
+        measured, expected : sequence of float
+            Mean squares of each axis, m^2/s^4.
+        """
+        squares = [m / e for m, e in zip(measured, expected, strict=True)]
         axis = squares.index(max(squares))
-        rms = math.sqrt(self._measured[axis])
+        rms = math.sqrt(measured[axis])
         return (
             f"instability: acceleration above {self._lowest:.3g} Hz on axis {self._axes[axis]} is "
             f"{rms:.3g} m/s^2 RMS, {math.sqrt(squares[axis]):.3g} times what the ground motion "
-            f"explains (limit {self._ratio:g})"
+            f"explains (limit {self.ratio:g})"
         )
+
+
+def time_above(above: float, excess: float) -> float:
+    """Count the steps for which vibration has been there, after one more.
+
+    What is far beyond needs less patience than what is a little.
+
+    Parameters
+    ----------
+    above : float
+        Steps so far.
+    excess : float
+        Mean square over the largest allowed one.
+    """
+    return above + min(excess, HURRY) if excess > 1.0 else 0.0
 
 
 def _natural_hz(known: Knowledge) -> float:

@@ -57,11 +57,13 @@ class PlausibleForce:
     ----------
     last : list of float
         The last force that was plausible; zero before the first.
+    largest, most : float
+        Largest magnitude, and largest change in a step, N.
     """
 
     def __init__(self, largest: float, fastest: float, axes: Sequence[str], dt: float) -> None:
-        self._largest, self._fastest, self._dt = largest, fastest, dt
-        self._most = fastest * dt * (1 + 1e-12)
+        self.largest, self._fastest, self._dt = largest, fastest, dt
+        self.most = fastest * dt * (1 + 1e-12)
         self._axes = tuple(axes)
         self.reset()
 
@@ -83,7 +85,7 @@ class PlausibleForce:
             One line with limit, value and axis.
         """
         values = force.tolist()
-        largest, most = self._largest, self._most
+        largest, most = self.largest, self.most
         for value, last in zip(values, self.last, strict=True):
             if not (abs(value) <= largest and abs(value - last) <= most):
                 return self._describe(values)
@@ -94,12 +96,12 @@ class PlausibleForce:
         for axis, value, last in zip(self._axes, values, self.last, strict=True):
             if not math.isfinite(value):
                 return f"reference force is {value} N on axis {axis}"
-            if abs(value) > self._largest:
+            if abs(value) > self.largest:
                 return (
                     f"reference force {value:.5g} N on axis {axis} is beyond the limit of "
-                    f"{self._largest:g} N"
+                    f"{self.largest:g} N"
                 )
-            if abs(value - last) > self._most:
+            if abs(value - last) > self.most:
                 return (
                     f"reference force changes by {(value - last) / self._dt:.5g} N/s on axis "
                     f"{axis}, beyond the limit of {self._fastest:g} N/s"

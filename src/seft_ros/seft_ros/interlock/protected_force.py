@@ -40,6 +40,8 @@ class ProtectedForce:
         Steps of coming ground motion that `step` wants to see.
     cause : str or None
         The first fault of this test; latched until `reset`.
+    reference_force, plausible, guards, ramp
+        As given.
     """
 
     def __init__(
@@ -52,8 +54,8 @@ class ProtectedForce:
         self.preview = reference_force.preview
         self.estimates = reference_force.estimates
         self.cause: str | None = None
-        self._reference_force = reference_force
-        self._plausible, self._guards, self._ramp = plausible, tuple(guards), ramp
+        self.reference_force = reference_force
+        self.plausible, self.guards, self.ramp = plausible, tuple(guards), ramp
         self._holding = False
 
     @classmethod
@@ -79,43 +81,43 @@ class ProtectedForce:
     @property
     def ramping(self) -> bool:
         """Whether the ramp has begun."""
-        return self._ramp.begun
+        return self.ramp.begun
 
     @property
     def steps_ramped(self) -> int:
         """Steps since the ramp began, the one in which it did included."""
-        return self._ramp.taken
+        return self.ramp.taken
 
     @property
     def at_rest(self) -> bool:
         """Whether the force has come down to zero, and stays there."""
-        return self._ramp.finished
+        return self.ramp.finished
 
     def reset(self) -> None:
         """Begin a new test."""
         self.cause = None
         self._holding = False
-        self._reference_force.reset()
-        self._plausible.reset()
-        self._ramp.reset()
-        for guard in self._guards:
+        self.reference_force.reset()
+        self.plausible.reset()
+        self.ramp.reset()
+        for guard in self.guards:
             guard.reset()
 
     def ramp_down(self) -> None:
         """Bring the force down from the next step on."""
-        self._ramp.begin()
+        self.ramp.begin()
 
     def step(self, ground_motion: Floats, state: Floats) -> Floats:
         """Compute the reference force of one step, as `ReferenceForce.step` does."""
-        force = self._reference_force.step(ground_motion, state)
-        fault = None if self._holding else self._plausible.fault(force)
+        force = self.reference_force.step(ground_motion, state)
+        fault = None if self._holding else self.plausible.fault(force)
         if fault is not None:
             self._holding = True
         if self.cause is None:
             self.cause = fault or self._asked_for(ground_motion[0], state)
             if self.cause is not None:
-                self._ramp.begin()
-        return self._scaled() if self._ramp.begun else force
+                self.ramp.begin()
+        return self._scaled() if self.ramp.begun else force
 
     def step_without_motion(self) -> Floats:
         """Force of a step of the ramp whose ground motion is missing: the last, scaled down."""
@@ -123,10 +125,10 @@ class ProtectedForce:
         return self._scaled()
 
     def _asked_for(self, ground_motion: Floats, state: Floats) -> str | None:
-        for guard in self._guards:
+        for guard in self.guards:
             if (cause := guard.step(ground_motion, state)) is not None:
                 return cause
         return None
 
     def _scaled(self) -> Floats:
-        return np.array(self._plausible.last) * self._ramp.next()
+        return np.array(self.plausible.last) * self.ramp.next()

@@ -3,6 +3,11 @@
 import math
 
 
+def ramp_factor(taken: int, steps: int) -> float:
+    """Factor of the ``taken``-th of some steps down: half a cosine."""
+    return 0.5 * (1.0 + math.cos(math.pi * taken / steps))
+
+
 class RampDown:
     """Factor that falls from 1 to 0 as half a cosine, counted in steps of the test.
 
@@ -19,12 +24,14 @@ class RampDown:
         Whether the ramp has been asked for.
     taken : int
         Factors given since then.
+    steps : int
+        As given.
     """
 
     def __init__(self, steps: int) -> None:
         if steps < 1:
             raise ValueError(f"a ramp of {steps} steps")
-        self._steps = steps
+        self.steps = steps
         self.reset()
 
     @classmethod
@@ -35,7 +42,7 @@ class RampDown:
     @property
     def finished(self) -> bool:
         """Whether the factor 0 has been given."""
-        return self.taken >= self._steps
+        return self.taken >= self.steps
 
     def reset(self) -> None:
         """Begin a new test."""
@@ -53,4 +60,4 @@ class RampDown:
         self.taken += 1
         if self.finished:
             return 0.0
-        return 0.5 * (1.0 + math.cos(math.pi * self.taken / self._steps))
+        return ramp_factor(self.taken, self.steps)

@@ -113,22 +113,65 @@ def closed_loop(
     feedback : bool
         Whether the controller sees the measured force.
     """
-    a, b, c = rig
+    _, b, c = rig
     n = compensation.axes
-    if control is None:
-        control = np.zeros((0, 0)), np.zeros((0, n)), np.zeros((n, 0)), np.eye(n)
-        feedback = False
-    own, gain, shown, direct = control
-    force = c[3 * n :] if feedback else np.zeros_like(c[3 * n :])
-    by_rig = compensation.d @ c - force
-    by_filter, by_ground = compensation.c, compensation.e
-    matrix = np.block(
-        [
-            [a + b @ direct @ by_rig, b @ direct @ by_filter, b @ shown],
-            [compensation.b @ c, compensation.a, np.zeros((len(compensation.a), len(own)))],
-            [gain @ by_rig, gain @ by_filter, own],
-        ]
+    matrix = loop_matrix(
+        rig, (compensation.a, compensation.b, compensation.c, compensation.d), control, feedback
     )
+    _, gain, _, direct = control or no_control(n)
+    by_ground = compensation.e
     ground = np.vstack([b @ direct @ by_ground, compensation.h, gain @ by_ground])
-    displacement = np.pad(c[:n], ((0, 0), (0, len(matrix) - len(a))))
+    displacement = np.pad(c[:n], ((0, 0), (0, len(matrix) - len(b))))
     return ClosedLoop(matrix, ground, displacement, dt)
+
+
+def no_control(axes: int) -> Matrices:
+    """Give the matrices of a controller that hands f_r itself on to the rig."""
+    return np.zeros((0, 0)), np.zeros((0, axes)), np.zeros((axes, 0)), np.eye(axes)
+
+
+def loop_matrix(
+    rig: tuple[Floats, Floats, Floats],
+    compensation: Matrices,
+    control: Matrices | None,
+    feedback: bool,
+) -> Floats:
+    """Matrix of `closed_loop`; stacks of rigs and of compensations give a stack of matrices.
+
+    Parameters
+    ----------
+    rig : tuple of ndarray
+        a, b, c, see `closed_loop`; shapes (..., r, r) and so on.
+    compensation : tuple of ndarray
+        a, b, c, d of a `LinearFilter`; shapes (..., s, s) and so on.
+    control : tuple of ndarray or None
+        See `closed_loop`.
+    feedback : bool
+        Likewise.
+
+    Returns
+    -------
+    ndarray
+        Shape (..., N, N).
+    """
+    a, b, c = rig
+    filter_a, filter_b, filter_c, filter_d = compensation
+    n = filter_d.shape[-2]
+    if control is None:
+        control, feedback = no_control(n), False
+    own, gain, shown, direct = control
+    by_rig = filter_d @ c
+    if feedback:
+        by_rig = by_rig - c[..., 3 * n :, :]
+    first, second = a.shape[-1], a.shape[-1] + filter_a.shape[-1]
+    matrix = np.zeros((*by_rig.shape[:-2], second + len(own), second + len(own)))
+    driven = b @ direct
+    matrix[..., :first, :first] = a + driven @ by_rig
+    matrix[..., :first, first:second] = driven @ filter_c
+    matrix[..., :first, second:] = b @ shown
+    matrix[..., first:second, :first] = filter_b @ c
+    matrix[..., first:second, first:second] = filter_a
+    matrix[..., second:, :first] = gain @ by_rig
+    matrix[..., second:, first:second] = gain @ filter_c
+    matrix[..., second:, second:] = own
+    return matrix

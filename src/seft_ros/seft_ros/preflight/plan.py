@@ -3,18 +3,21 @@
 from functools import lru_cache
 
 import numpy as np
+import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.experiment import Experiment
 
 from seft_ros.loop_shaping.controller import Controller
 from seft_ros.loop_shaping.plant import Source
 from seft_ros.loop_shaping.sampling import controller_states
-from seft_ros.preflight.closed_loop import ClosedLoop, closed_loop
+from seft_ros.preflight.closed_loop import ClosedLoop, Matrices, closed_loop, loop_matrix
 from seft_ros.preflight.loop_rig import choose_rig
 from seft_ros.reference_force.block import knowledge
 from seft_ros.reference_force.compensation.compensator import Compensator
 from seft_ros.reference_force.compensation.linear_filter import LinearFilter
 from seft_ros.reference_force.compensation.methods import METHODS
+
+Floats = npt.NDArray[np.float64]
 
 
 class Plan:
@@ -126,3 +129,8 @@ class Plan:
         rig = self._rig(self.dt, self.dead_time if dead_time is None else dead_time, gain)
         compensation = self._filter(mass_ratio, stiffness, told_delay)
         return closed_loop(rig, compensation, self._control, self.dt, self._feedback)
+
+    def loop_matrices(self, filters: Matrices, dead_time: float | None = None) -> Floats:
+        """Close the loop with a stack of compensations, see `loop_matrix`; shape (..., N, N)."""
+        rig = self._rig(self.dt, self.dead_time if dead_time is None else dead_time, 1.0)
+        return loop_matrix(rig, filters, self._control, self._feedback)

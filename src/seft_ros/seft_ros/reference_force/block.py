@@ -32,11 +32,13 @@ class ReferenceForce:
     ----------
     preview : int
         Steps of coming ground motion that `step` wants to see.
+    compensator : Compensator
+        As given.
     """
 
     def __init__(self, compensator: Compensator) -> None:
         self.preview = compensator.preview
-        self._compensator = compensator
+        self.compensator = compensator
 
     @classmethod
     def from_parameters(
@@ -55,7 +57,7 @@ class ReferenceForce:
 
     def reset(self) -> None:
         """Forget the test so far."""
-        self._compensator.reset()
+        self.compensator.reset()
 
     def step(self, ground_motion: Floats, state: Floats) -> Floats:
         """Compute the reference force of one step.
@@ -73,11 +75,11 @@ class ReferenceForce:
         ndarray
             Shape (n,), N.
         """
-        return self._compensator.step(ground_motion, state)
+        return self.compensator.step(ground_motion, state)
 
     def estimates(self) -> dict[str, Floats]:
         """Estimate of each quantity that the method identifies on line, shape (n,) each."""
-        return self._compensator.estimates()
+        return self.compensator.estimates()
 
 
 def knowledge(section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase) -> Knowledge:

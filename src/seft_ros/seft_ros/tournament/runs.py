@@ -3,23 +3,28 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import Any
 
 from seft_msgs_py.errors import ExperimentError, SeftError
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.topics import RIG_STATE
-from seft_plant_sim.whole_structure import ReferenceResponse, reference_response
+from seft_plant_sim.whole_structure import (
+    ReferenceResponse,
+    reference_response,
+    tested_specimen,
+)
 
-from seft_ros.analysis.summary import summarise
+from seft_ros.analysis.summary import summarise_briefly
+from seft_ros.ensemble.run import Workshop, thread_map
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.ground_motion.block import GroundMotion
+from seft_ros.recording.record import Record
 from seft_ros.tournament.entries import Entry, Tournament
 from seft_ros.tournament.workers import parallel_map
 
 Progress = Callable[[str, int], None]
-
-_KEPT = ("steps", "stable", "trip", "saturated", "displacement", "acceleration", "force")
 
 
 @dataclass(frozen=True)
@@ -31,12 +36,19 @@ class Run:
     entry : Entry
         Which test.
     summary : dict
-        Of what `seft_ros.analysis.summary.summarise` says: steps, stable, trip, saturated,
-        displacement, acceleration, force.
+        As `seft_ros.analysis.summary.summarise_briefly` gives it.
+    obstacle : str
+        Why it ran on the blocks of `seft simulate` themselves; empty: on the compiled loop.
     """
 
     entry: Entry
     summary: dict[str, Any]
+    obstacle: str = ""
+
+    @property
+    def engine(self) -> str:
+        """``compiled`` or ``plain``."""
+        return "plain" if self.obstacle else "compiled"
 
     @property
     def stable(self) -> bool:
@@ -61,12 +73,15 @@ def run_all(
 ) -> list[Run]:
     """Run all tests offline; the results do not depend on the number of workers.
 
+    Tests that the compiled loop can't run (see `obstacles`) are run by the plain blocks, which
+    takes many times as long, and named so.
+
     Parameters
     ----------
     tournament : Tournament
-        Its entries are run in their order.
+        Its entries are run in their order, the compiled ones first.
     workers : int
-        Number of processes.
+        Number of threads for those, and of processes for the others.
     progress : callable, optional
         Called with a few words on what was calculated, and how much was so far.
 
@@ -87,20 +102,51 @@ def run_all(
         if progress is not None:
             progress(what, done)
 
-    references, runs = {}, []
+    references: dict[tuple[float, int], ReferenceResponse] = {}
+    runs: dict[Entry, Run] = {}
+    shop = Workshop()
+    reasons = obstacles(tournament, shop)
     with parallel_map(min(workers, len(entries))) as map_:
         titles = [f"mass ratio {ratio:g}, rig {rig}, exact" for ratio, rig in structures]
-        responses = map_(_exact_response, titles, structures.values())
+        yields = bool(tested_specimen(experiments[0]).springs)  # then it takes seconds each
+        solve = map_ if yields else partial(thread_map, workers)
+        responses = solve(_exact_response, titles, structures.values())
         for key, title, response in zip(structures, titles, responses, strict=True):
             references[key] = response
             told(title)
-        exact = [references[entry[:2]] for entry in entries]
-        for entry, name, summary in zip(
-            entries, names, map_(_outcome, names, experiments, exact), strict=True
-        ):
-            runs.append(Run(entry, summary))
-            told(name)
-    return runs
+
+        def compiled(index: int) -> dict[str, Any]:
+            with _named(names[index]):
+                record = shop.run(experiments[index])
+                return _brief(record, references[entries[index][:2]])
+
+        plain = [index for index, entry in enumerate(entries) if reasons[entry[::2]]]
+        quick = [index for index in range(len(entries)) if index not in set(plain)]
+        # the processes begin at once, and go on beside the threads
+        outcomes = map_(
+            _outcome,
+            [names[index] for index in plain],
+            [experiments[index] for index in plain],
+            [references[entries[index][:2]] for index in plain],
+        )
+        for index, summary in zip(quick, thread_map(workers, compiled, quick), strict=True):
+            runs[entries[index]] = Run(entries[index], summary)
+            told(names[index])
+        for index, summary in zip(plain, outcomes, strict=True):
+            runs[entries[index]] = Run(entries[index], summary, reasons[entries[index][::2]])
+            told(f"{names[index]} (plain blocks)")
+    return [runs[entry] for entry in entries]
+
+
+def obstacles(tournament: Tournament, shop: Workshop) -> dict[tuple[float, str], str]:
+    """Say why tests can't run on the compiled loop; (mass ratio, method) -> reason, or empty.
+
+    The rigs of a tournament differ in numbers alone, so that one speaks for all.
+    """
+    return {
+        (ratio, method): shop.obstacle(tournament.experiment_of(Entry(ratio, 0, method)))
+        for ratio, method in tournament.pairs()
+    }
 
 
 def _exact_response(name: str, experiment: Experiment) -> ReferenceResponse:
@@ -114,9 +160,11 @@ def _exact_response(name: str, experiment: Experiment) -> ReferenceResponse:
 def _outcome(name: str, experiment: Experiment, reference: ReferenceResponse) -> dict[str, Any]:
     with _named(name):
         record = simulate(experiment, build_blocks(experiment))
-        steps = len(record.series[RIG_STATE.name].steps)
-        summary = summarise(record, _first(reference, steps))
-        return {key: summary[key] for key in _KEPT}
+        return _brief(record, reference)
+
+
+def _brief(record: Record, reference: ReferenceResponse) -> dict[str, Any]:
+    return summarise_briefly(record, _first(reference, len(record.series[RIG_STATE.name].steps)))
 
 
 def _first(reference: ReferenceResponse, steps: int) -> ReferenceResponse:

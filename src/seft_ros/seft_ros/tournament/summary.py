@@ -21,7 +21,7 @@ def summarise_tournament(
     dict
         ``rigs`` (by number: seed of the noise, and each parameter that is uncertain),
         ``standings`` (as `Standing`, best first within a mass ratio) and ``runs`` (mass_ratio,
-        rig, method, and what `Run` keeps of the test's summary).
+        rig, method, engine, obstacle, and what `Run` keeps of the test's summary).
     """
     rigs = [
         {"rig": number, "seed": rig["seed"], **{name: rig[name] for name in UNCERTAINTY}}
@@ -30,6 +30,9 @@ def summarise_tournament(
     found = {
         "rigs": rigs,
         "standings": [asdict(standing) for standing in standings],
-        "runs": [run.entry._asdict() | run.summary for run in runs],
+        "runs": [
+            run.entry._asdict() | {"engine": run.engine, "obstacle": run.obstacle} | run.summary
+            for run in runs
+        ],
     }
     return {key: json_safe(value) for key, value in found.items()}

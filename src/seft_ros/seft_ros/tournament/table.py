@@ -7,6 +7,7 @@ from rich.table import Table
 from rich.text import Text
 
 from seft_ros.analysis.table import GOOD_ERROR
+from seft_ros.tournament.runs import Run
 from seft_ros.tournament.standings import Standing
 
 RANKING = "ranked by share unstable, then worst NRMSE of the displacement"
@@ -59,6 +60,15 @@ def reasons(standings: Sequence[Standing]) -> list[str]:
         if row.not_possible is not None
     }
     return list(told)
+
+
+def plain_runs(runs: Sequence[Run]) -> list[str]:
+    """Say once which methods ran on the plain blocks, and why."""
+    methods: dict[str, list[str]] = {}
+    for run in runs:
+        if run.obstacle and run.entry.method not in methods.setdefault(run.obstacle, []):
+            methods[run.obstacle].append(run.entry.method)
+    return [f"{', '.join(names)}: on the plain blocks: {why}" for why, names in methods.items()]
 
 
 def percent(value: float | None, sign: str = "") -> str:

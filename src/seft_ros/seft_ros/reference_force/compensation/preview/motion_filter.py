@@ -1,5 +1,7 @@
 """Displacement and velocity, freed of sensor noise by the measured acceleration."""
 
+from functools import lru_cache
+
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_discrete_are
@@ -7,6 +9,7 @@ from scipy.linalg import solve_discrete_are
 Floats = npt.NDArray[np.float64]
 
 
+@lru_cache(maxsize=8)
 def motion_filter(dt: float, position: float, velocity: float, acceleration: float) -> Floats:
     """Stationary Kalman filter of (x, v) that integrates the measured acceleration.
 
@@ -34,4 +37,6 @@ def motion_filter(dt: float, position: float, velocity: float, acceleration: flo
     before = np.array([[dt * dt / 3], [dt / 2]])
     now = np.array([[dt * dt / 6], [dt / 2]])
     kept = np.eye(2) - gain
-    return np.hstack([kept @ free, kept @ before, gain, kept @ now])
+    found = np.hstack([kept @ free, kept @ before, gain, kept @ now])
+    found.flags.writeable = False  # it is shared
+    return found

@@ -224,18 +224,17 @@ class PreviewFilter:
 
     def linear(self, gain: Floats, advance: Floats) -> LinearFilter:
         """Filter that this is, with a tracking gain and an advance (s) found on line."""
-        n, states = self._axes, self._states.copy()
-        size = len(states)
-        columns = len(self._work)
-        matrix = np.empty((n + size, columns))
-        for column in range(columns):
-            unit = np.eye(1, columns, column)[0]
-            self._states[:] = unit[:size]
-            inputs = unit[size:].reshape(-1, n)
-            self.observe(inputs[4:], inputs[:4])
-            force = self.command(gain * self.target - advance * self.rate)
-            matrix[:, column] = np.concatenate([force, self._states])
-        self._states[:] = states
+        n, size = self._axes, len(self._states)
+        # a step of `observe` and `command` from every unit of (states, inputs) at once
+        tracking, known = np.split(np.eye(len(self._work)), [self._tracking.size])
+        result = self._gain @ known
+        loop = np.tensordot(self._loop, tracking.reshape(*self._tracking.shape, -1), axes=1)
+        target, rate, direct = result[9 * n :].reshape(3, n, -1)
+        each = (n, 1)
+        drive = loop[0] + np.reshape(gain, each) * target - np.reshape(advance, each) * rate
+        going_on = self._drive[..., np.newaxis] * drive + loop[2:]
+        kept = result[: len(self._kept)]
+        matrix = np.vstack([drive + direct, going_on.reshape(len(tracking), -1), kept])
         places = [size, size + 4 * n]
         c, d, e = np.split(matrix[:n], places, axis=1)
         a, b, h = np.split(matrix[n:], places, axis=1)

@@ -1,6 +1,7 @@
 """Preview tracking: the force to ask for so that the measured force meets its coming target."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import comb
 
 import numpy as np
@@ -36,10 +37,11 @@ class PreviewTracking:
     target: Floats
 
     @classmethod
+    @lru_cache(maxsize=8)
     def design(
         cls, model: TrackingModel, horizon: int, corner: float, order: int = 4
     ) -> "PreviewTracking":
-        """Solve for the gains.
+        """Solve for the gains; those of the same model are at hand.
 
         Parameters
         ----------

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ _LONGEST = 250  # samples of dead time
 _SETTLING = 1000  # samples of an impulse response by which the states are scaled
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TrackingModel:
     """One axis of the force loop: z[k+1] = a z[k] + b u[k], f[k] = c z[k].
 
@@ -57,7 +58,7 @@ class TrackingModel:
                     "identified response of the force loop (or compensation.delay, a pure "
                     "delay); seft identify writes it into model.yaml, to be read by --params-file"
                 )
-        return cls.sampled(numerator, denominator, dead_time, dt)
+        return _sampled(tuple(numerator.tolist()), tuple(denominator.tolist()), dead_time, dt)
 
     @classmethod
     def sampled(
@@ -121,6 +122,14 @@ class TrackingModel:
         z = np.exp(2j * np.pi * hz * dt)
         response = self.c @ np.linalg.solve(z * np.eye(len(self.a)) - self.a, self.b)
         return float(-np.angle(response) / (2 * np.pi * hz))
+
+
+@lru_cache(maxsize=8)
+def _sampled(
+    numerator: tuple[float, ...], denominator: tuple[float, ...], dead_time: float, dt: float
+) -> TrackingModel:
+    """One model to a response, as whoever varies mass ratio or specimen asks for it often."""
+    return TrackingModel.sampled(np.array(numerator), np.array(denominator), dead_time, dt)
 
 
 def _sizes(system: Floats, drive: Floats) -> Floats:

@@ -1,0 +1,120 @@
+"""Steps per second of an ensemble (tournament, Monte Carlo), beside a bare loop of plain floats.
+
+Whole tests: 96 perturbed rigs with their noise and trips, on all cores; what is made of each is
+its peak displacement. OpenSees is the peer: where openseespy can be imported (it is no dependency),
+its loop of one axis, a step and its response at a time, runs in the same rounds.
+"""
+
+import os
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from _plain_loop import steps_per_second as plain_steps_per_second
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.topics import RIG_STATE
+from seft_ros.ensemble.run import Workshop, run_ensemble
+from seft_ros.experiment.tables import TABLES
+from seft_ros.tournament.entries import make_tournament
+
+try:
+    import openseespy.opensees as ops
+except (ImportError, RuntimeError):
+    ops = None
+
+CONFIG = Path(__file__).parent.parent / "config" / "jhu.yaml"
+ROUNDS = 5
+RIGS = 96
+PIECE = 4  # tests on one thread at a time: short enough to be left alone by others
+WANTED = 1e6  # steps/s on two cores
+WANTED_RATIO = 0.28  # of the bare loop's, on one thread: 1e6 on two where that does 1.8 million
+COMMON = [("reference_force", "mass_ratio", 0.5)]
+LINEAR = [("rig", "actuator.kind", "servo_hydraulic_linear")]
+PREVIEW = [
+    ("reference_force", "compensation.method", "preview_inverse"),
+    ("reference_force", "compensation.adaptive", False),
+    ("ground_motion", "peak_force", 400.0),
+]
+YIELDS = [("rig", "specimen.kind", "bouc_wen"), ("rig", "specimen.yield_displacement", 0.003)]
+CASES = {
+    "linear servo-hydraulic rig": LINEAR,
+    "nonlinear servo-hydraulic rig": [],
+    "the same, preview_inverse": PREVIEW,
+    "the same, Bouc-Wen specimen": YIELDS,
+}
+
+
+def opensees_steps_per_second(motion: list[float], dt: float = 0.002) -> float:
+    """Run the whole structure of one axis, its displacement, velocity, acceleration read."""
+    ops.wipe()
+    ops.model("basic", "-ndm", 1, "-ndf", 1)
+    ops.node(1, 0.0)
+    ops.node(2, 0.0)
+    ops.fix(1, 1)
+    ops.mass(2, 1.5 * 52.7)
+    ops.uniaxialMaterial("Elastic", 1, 2.11e5, 800.3)
+    ops.element("zeroLength", 1, 1, 2, "-mat", 1, "-dir", 1, "-doRayleigh", 0)
+    ops.timeSeries("Path", 1, "-dt", dt, "-values", *motion)
+    ops.pattern("UniformExcitation", 1, 1, "-accel", 1)
+    ops.constraints("Plain")
+    ops.numberer("Plain")
+    ops.system("ProfileSPD")
+    ops.algorithm("Linear")
+    ops.integrator("Newmark", 0.5, 0.25)
+    ops.analysis("Transient")
+    analyze, x, v, a = ops.analyze, ops.nodeDisp, ops.nodeVel, ops.nodeAccel
+    start = time.perf_counter()
+    for _ in motion:
+        analyze(1, dt)
+        x(2, 1), v(2, 1), a(2, 1)
+    return len(motion) / (time.perf_counter() - start)
+
+
+def main() -> int:
+    workers = len(os.sched_getaffinity(0))
+    ensembles, speeds, single = {}, {case: [] for case in CASES}, {case: [] for case in CASES}
+    for case, overrides in CASES.items():
+        experiment = Experiment.load(TABLES, [CONFIG], [*COMMON, *overrides])
+        method = experiment["reference_force"]["compensation.method"]
+        tournament = make_tournament(experiment, [method], rigs=RIGS)
+        ensembles[case] = [tournament.experiment_of(entry) for entry in tournament.entries()]
+    motion = Workshop().loop(experiment).motion.samples[:, 0].tolist()
+
+    def reduced(_: int, record) -> tuple[int, float]:
+        values = record.series[RIG_STATE.name].values
+        return len(values), float(np.abs(values[:, 0]).max())
+
+    list(run_ensemble(ensembles[case][:2], reduced))  # compiled, or read from the disk
+    bare, peer = [], []
+    for _ in range(ROUNDS):  # interleaved: the machine's speed drifts
+        for case, experiments in ensembles.items():
+            start = time.perf_counter()
+            found = list(run_ensemble(experiments, reduced, workers))
+            speeds[case].append(sum(n for n, _ in found) / (time.perf_counter() - start))
+            for first in range(0, RIGS // 4, PIECE):
+                start = time.perf_counter()
+                found = list(run_ensemble(experiments[first : first + PIECE], reduced))
+                single[case].append(sum(n for n, _ in found) / (time.perf_counter() - start))
+        bare.append(plain_steps_per_second(motion * 4))
+        if ops is not None:
+            peer.append(opensees_steps_per_second(motion * 4))
+    floor, met = max(bare), True  # of all rounds the least disturbed one
+    print(f"{RIGS} tests of {len(motion):,} steps each, steps/s in all")
+    print(f"{'':32s} {f'{workers} threads':>12s} {'one thread':>12s}   over the bare loop")
+    for case, found in speeds.items():
+        speed, one = max(found), max(single[case])
+        met &= speed >= WANTED or one >= WANTED_RATIO * floor
+        print(f"{case:32s} {speed:12,.0f} {one:12,.0f}   {one / floor:5.2f}")
+    print(f"{'bare linear loop, plain floats':32s} {'':12s} {floor:12,.0f}")
+    print(f"wanted: {WANTED:,.0f}, or one thread {WANTED_RATIO:g} times that (slow, busy machines)")
+    if ops is None:
+        print("OpenSees is not installed (openseespy): not compared")
+    else:
+        print(f"{'OpenSees, per-step loop':32s} {'':12s} {max(peer):12,.0f}")
+        met &= max(single["nonlinear servo-hydraulic rig"]) > max(peer)
+    return 0 if met else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
