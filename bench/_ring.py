@@ -1,22 +1,19 @@
 """A bare ring of three processes that hand on raw messages: the floor of the loop over DDS.
 
-Run as a program it is one of the two that only hand on; `laps_per_second` is the third.
+Run as a program it is one of the two that only hand on; `lap_times` is the third.
 """
 
 import os
-import signal
-import statistics
 import subprocess
 import sys
 import time
 
 import rclpy
+from _udp_ring import MESSAGE_SIZE
 from rclpy.node import Node
 from seft_msgs_py.ros_types import message_class, qos_profile
 from seft_msgs_py.topics import JOINT_TRAJECTORY, Topic
 from seft_msgs_py.wait_set import LoopCallbackGroup, WaitSet, sender, take
-
-MESSAGE_SIZE = 140  # bytes, as rig/state with one axis
 
 
 class Station:
@@ -60,8 +57,8 @@ def hand_on(listens: str, speaks: str) -> None:
             station.send(raw)
 
 
-def laps_per_second(laps: int) -> float:
-    """Send a message round the ring ``laps`` times; return 1 over the median lap."""
+def lap_times(laps: int) -> list[float]:
+    """Send a message round the ring ``laps`` times; return the times of the laps, s."""
     others = [
         subprocess.Popen([sys.executable, __file__, listens, speaks])
         for listens, speaks in (("ring_a", "ring_b"), ("ring_b", "ring_c"))
@@ -81,10 +78,10 @@ def laps_per_second(laps: int) -> float:
             times.append(time.perf_counter() - start)
         station.node.destroy_node()
         rclpy.try_shutdown()
-        return 1.0 / statistics.median(times)
+        return times
     finally:
         for other in others:
-            other.send_signal(signal.SIGKILL)
+            other.kill()
             other.wait()
 
 

@@ -2,12 +2,13 @@
 
 A message with known axis names has a fixed layout, in which every double stands on a whole
 64-bit word counted from the end of the 4-byte encapsulation header, and the stamp is word 0.
-Encoding writes what varies between prepared pieces; decoding checks that all else is as
-prepared and reads the doubles. A message whose padding is not zero (its bytes are arbitrary on
-the wire) or that has more points is checked word by word, padding aside. Anything else is taken
-apart field by field, to be understood or refused with a reason.
+Encoding adds what varies to what is fixed; decoding checks what is fixed, padding aside (its
+bytes are arbitrary on the wire), and reads the doubles: of one point as whole numbers as long as
+the message, of more points word by word. Anything else is taken apart field by field, to be
+understood or refused with a reason.
 """
 
+import math
 import struct
 from collections.abc import Sequence
 
@@ -48,19 +49,14 @@ class TrajectoryCodec:
         self._single = single = self._layout(1)
         shape = single.values.shape
         self._single_shapes = (shape, shape[1:], *(((shape[2],),) if shape[1] == 1 else ()))
-        # one point: prepared bytes around each row of doubles, which are a stride apart
-        self._row_bytes = 8 * len(self.axes)
+        # one point, as whole numbers of so many bytes: what is fixed, and where that stands
+        fixed = b"\xff" * 4 + single.mask.tobytes() + b"\xff" * len(single.tail)
+        self._mask = int.from_bytes(fixed, "little")
+        self._fixed = int.from_bytes(single.template, "little") & self._mask
+        self._numbers = _struct_of_numbers(single)  # and the stamp before them
         rows = (4 + 8 * single.values[0, :, 0]).tolist()
-        starts = [12, *(row + self._row_bytes for row in rows)]
-        self._fixed = [
-            (start, stop, single.template[start:stop])
-            for start, stop in zip(starts, [*rows, single.size], strict=True)
-        ]
-        self._pieces = [ENCAPSULATION, b"", self._fixed[0][2]]
-        for _, _, fixed in self._fixed[1:]:
-            self._pieces += [b"", fixed]
         self._first_row = rows[0]
-        stride = rows[1] - rows[0] if len(rows) > 1 else self._row_bytes
+        stride = rows[1] - rows[0] if len(rows) > 1 else 8 * len(self.axes)
         self._single_strides = (stride * len(rows), stride, 8)
 
     def encode(self, step: int, values: Floats) -> bytes:
@@ -82,14 +78,12 @@ class TrajectoryCodec:
             values.__class__ is not np.ndarray
             or values.dtype is not _FLOAT64
             or values.shape not in self._single_shapes
-            or np.count_nonzero(np.isfinite(values)) != values.size
+            or not math.hypot(*(numbers := values.ravel().tolist())) < math.inf
         ):
             return self._encode(self._single, step, values, 1)
-        data, width = values.tobytes(), self._row_bytes
-        pieces = self._pieces.copy()
-        pieces[1] = STAMP.pack(*divmod(step * self._period_ns, NANOSECONDS_PER_SECOND))
-        pieces[3::2] = [data[at : at + width] for at in range(0, len(data), width)]
-        return b"".join(pieces)
+        stamp = divmod(step * self._period_ns, NANOSECONDS_PER_SECOND)
+        varying = int.from_bytes(self._numbers.pack(*stamp, *numbers), "little")
+        return (varying | self._fixed).to_bytes(self._single.size, "little")
 
     def encode_points(self, step: int, values: Floats) -> bytes:
         """Make the message of a sample and its known future, one point a step.
@@ -126,17 +120,14 @@ class TrajectoryCodec:
         WireError
             If the bytes are no such message, or not of these axes, quantities and steps.
         """
-        if len(raw) == self._single.size and raw[:4] == ENCAPSULATION:
-            for start, stop, fixed in self._fixed:
-                if raw[start:stop] != fixed:
-                    break
-            else:
+        single = self._single
+        if len(raw) == single.size and int.from_bytes(raw, "little") & self._mask == self._fixed:
+            seconds, nanoseconds, *numbers = self._numbers.unpack(raw)
+            if math.hypot(*numbers) < math.inf:
                 shape, strides = self._single_shapes[0], self._single_strides
                 values = np.ndarray(shape, _FLOAT64, raw, self._first_row, strides)
-                if np.count_nonzero(np.isfinite(values)) == values.size:
-                    seconds, nanoseconds = STAMP.unpack_from(raw, 4)
-                    stamp = seconds * NANOSECONDS_PER_SECOND + nanoseconds
-                    return self.timebase.step(stamp), values
+                stamp = seconds * NANOSECONDS_PER_SECOND + nanoseconds
+                return self.timebase.step(stamp), values
         return self._decode_any(raw)
 
     def _decode_any(self, raw: bytes) -> tuple[int, Floats]:
@@ -220,6 +211,16 @@ class TrajectoryCodec:
         if not np.isfinite(values).all():
             raise WireError(f"{name}: {_describe_non_finite(values, self)}")
         return self.timebase.step(message.stamp_ns), values
+
+
+def _struct_of_numbers(layout: Layout) -> struct.Struct:
+    """Make what reads and writes the stamp and the doubles of a message, in their order."""
+    form, end = f"<{len(ENCAPSULATION)}x{STAMP.format.lstrip('<')}", len(ENCAPSULATION) + STAMP.size
+    for word in layout.values.ravel().tolist():
+        at = 4 + 8 * word
+        form += f"{at - end}xd"
+        end = at + 8
+    return struct.Struct(f"{form}{layout.size - end}x")
 
 
 def _describe_non_finite(values: Floats, codec: TrajectoryCodec) -> str:

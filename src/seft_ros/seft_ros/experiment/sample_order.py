@@ -1,5 +1,9 @@
 """Which step of a test a node may take in next."""
 
+import math
+
+import numpy as np
+import numpy.typing as npt
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.messages import Status
 from seft_msgs_py.timebase import Timebase
@@ -10,6 +14,18 @@ LOCKSTEP = "lockstep"
 FARTHEST = 10.0  # s: who was held up for longer has lost the test anyway
 ABSURD = 1e9
 """No rig has m, m/s, m/s^2 or N beyond this."""
+
+
+def check_magnitude(what: str, step: int, values: npt.NDArray[np.float64]) -> None:
+    """See that finite values are such as a rig can have.
+
+    Raises
+    ------
+    WireError
+        If one is beyond `ABSURD`.
+    """
+    if math.hypot(*values.ravel().tolist()) > ABSURD and np.abs(values).max() > ABSURD:
+        raise WireError(f"{what} {step} has a value beyond {ABSURD:g}")
 
 
 class SampleOrder:

@@ -14,7 +14,7 @@ from seft_msgs_py.outcome import tripped_status
 from seft_msgs_py.topics import EXPERIMENT_STATE, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 from seft_msgs_py.trajectory import Floats, TrajectoryCodec
 
-from seft_ros.experiment.sample_order import ABSURD, SampleOrder
+from seft_ros.experiment.sample_order import SampleOrder, check_magnitude
 from seft_ros.experiment.state_machine import MOVING
 from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.block import ForceController
@@ -101,8 +101,7 @@ class ForceControllerNode:
             self._tell()
 
     def _on_state(self, step: int, state: Floats) -> None:
-        if np.abs(state).max() > ABSURD:
-            raise WireError(f"{RIG_STATE.name} of step {step} has a value beyond {ABSURD:g}")
+        check_magnitude("rig/state of step", step, state)
         self._admit(RIG_STATE.name, step, self._states)
         if step + 1 < self._order.steps and not self._order.in_lockstep:
             self._silence.heard(time.monotonic())

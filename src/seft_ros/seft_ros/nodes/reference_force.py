@@ -23,7 +23,7 @@ from seft_msgs_py.topics import (
 from seft_msgs_py.trajectory import Floats, TrajectoryCodec
 
 from seft_ros.experiment.peers import AT_REST, RAMPING_DOWN
-from seft_ros.experiment.sample_order import ABSURD, SampleOrder
+from seft_ros.experiment.sample_order import SampleOrder, check_magnitude
 from seft_ros.experiment.state_machine import ENDED, State
 from seft_ros.experiment.tables import TABLES
 from seft_ros.interlock.protected_force import ProtectedForce
@@ -92,8 +92,7 @@ class ReferenceForceNode:
 
     def _on_ground_motion(self, raw: bytes, _: int) -> None:
         first, values = self._motion_codec.decode(raw)
-        if np.abs(values).max() > ABSURD:
-            raise WireError(f"ground_motion from step {first} on has a value beyond {ABSURD:g}")
+        check_magnitude("ground_motion from step", first, values)
         if first == 0:  # a new motion, of which nothing has passed
             under_way = self._order.steps and not self._order.may_begin
             if under_way and self._order.last >= 0:  # before, a state was faster than its motion
@@ -107,8 +106,7 @@ class ReferenceForceNode:
 
     def _on_rig_state(self, raw: bytes, _: int) -> None:
         step, values = self._state_codec.decode(raw)
-        if np.abs(values).max() > ABSURD:
-            raise WireError(f"rig/state of step {step} has a value beyond {ABSURD:g}")
+        check_magnitude("rig/state of step", step, values)
         if step == 0:
             self._shell.catch_up(EXPERIMENT_STATE)  # what was told before does not end this test
         if self._test in ENDED:
