@@ -65,7 +65,7 @@ class Hostile:
             callback_group=LoopCallbackGroup(),
             raw=True,
         )
-        waiting = WaitSet(self._node, [subscription])
+        waiting = WaitSet(self._node.context, [subscription])
         count = 0
         while not until():
             waiting.wait(0.1)

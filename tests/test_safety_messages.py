@@ -147,7 +147,7 @@ def test_who_joins_a_test_with_commands_that_are_valid_is_not_obeyed(
     seft_json, start, hostile, tmp_path
 ):
     seft_json("simulate", JHU, *LONG, "--out", "simulated")
-    process = start_run(start, tmp_path, *LOCKSTEP)
+    process = start_run(start, tmp_path, *LOCKSTEP, *STALLS_ALLOWED)
     hostile.join(VALVE_COMMAND)
     wait_for(lambda: hostile.listeners(VALVE_COMMAND) == 2, "rig and recorder")
     assert hostile.answer(5.0, lambda: process.poll() is not None) > 100
