@@ -6,12 +6,14 @@ holds one node; several in one hand each other their messages directly (`Mailbox
 """
 
 import gc
+import os
 import signal
 import sys
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Sequence
+from pathlib import Path
 from types import FrameType
 
 import numpy as np
@@ -29,6 +31,7 @@ Receive = Callable[[bytes, int, int], bool]
 """Takes a message's bytes, the wall-clock time in ns at which it came in, and how many its
 publisher has sent with it (0: unknown); tells whether it was acted upon."""
 
+FASTDDS_PROFILES = Path(__file__).with_name("fastdds.xml")
 OUTSIDE_LOOK = 0.002  # s between looks for messages from outside while those inside keep coming
 MOST_AT_ONCE = 4096  # messages of a topic, as many as the longest queue holds
 MOST_REFUSED = 200  # a few ms of nonsense
@@ -109,6 +112,7 @@ class NodeProcess:
     def __init__(self, argv: Sequence[str], nodes: Collection[str]) -> None:
         self.stopping = False
         self.mailbox = Mailbox(nodes)
+        prepare_middleware()
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._on_signal)
         try:
@@ -235,6 +239,11 @@ class NodeProcess:
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         del number, frame
         self.stopping = True
+
+
+def prepare_middleware() -> None:
+    """Have FastDDS read `FASTDDS_PROFILES`, unless the environment names another file."""
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(FASTDDS_PROFILES))
 
 
 def drain(read_one: Callable[[], bool | None]) -> None:

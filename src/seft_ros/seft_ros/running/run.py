@@ -12,6 +12,7 @@ from pathlib import Path
 
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.node_process import prepare_middleware
 
 from seft_ros.experiment.peers import CONFLICT
 from seft_ros.experiment.state_machine import State
@@ -25,7 +26,6 @@ READY_TIMEOUT = 60.0  # s
 SAVE_TIMEOUT = 20.0  # s
 DISCOVERY = 1.0  # s
 ANNOUNCEMENT = 3.2  # s; participants announce themselves every 3 s
-FASTDDS_PROFILES = Path(__file__).with_name("fastdds.xml")
 MEMORY_LOOK = 0.5  # s
 
 
@@ -92,7 +92,7 @@ def run_experiment(
         If the run broke before anything was recorded.
     """
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(FASTDDS_PROFILES))
+    prepare_middleware()
     experiment["recorder"].update(directory=str(bag.parent.resolve()), name=bag.name)
     arrangement = arrangement or Arrangement()
     if arrangement.priority:
