@@ -9,6 +9,7 @@ from seft_plant_sim.rig import Rig
 from seft_ros.force_controller.block import ForceController
 from seft_ros.ground_motion.block import GroundMotion
 from seft_ros.interlock.protected_force import ProtectedForce
+from seft_ros.reference_force.continuation import Continuation
 
 
 @dataclass(frozen=True)
@@ -37,10 +38,13 @@ def build_blocks(experiment: Experiment) -> Blocks:
         Rig.from_parameters(experiment["rig"], axes, timebase),
     )
     known_ahead = len(blocks.ground_motion.known) - blocks.ground_motion.steps
-    if blocks.reference_force.preview > known_ahead:
+    section, preview = experiment["reference_force"], blocks.reference_force.preview
+    if section["loop_delay"]:
+        preview = max(preview, Continuation(section, axes, timebase).preview)
+    if preview > known_ahead:
         raise InputError(
             f"ground_motion: lead is {experiment['ground_motion']['lead']:g} s, but the "
-            f"compensation looks {blocks.reference_force.preview * timebase.dt:g} s ahead; make "
+            f"compensation looks {preview * timebase.dt:g} s ahead; make "
             "the lead longer"
         )
     return blocks

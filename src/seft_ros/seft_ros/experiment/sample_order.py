@@ -20,6 +20,8 @@ class SampleOrder:
         Of the rig; in ``lockstep`` no step comes before the last one is answered.
     timebase : Timebase
         Sampling clock.
+    loop_delay : int
+        Steps that a rig in lockstep may go ahead of the answer.
 
     Attributes
     ----------
@@ -31,8 +33,8 @@ class SampleOrder:
         Whether the next sample of step 0 begins a test: once for each time that one has ended.
     """
 
-    def __init__(self, pace: str, timebase: Timebase) -> None:
-        self._ahead = 1 if pace == "lockstep" else round(FARTHEST * timebase.rate)
+    def __init__(self, pace: str, timebase: Timebase, loop_delay: int = 0) -> None:
+        self._ahead = 1 + loop_delay if pace == "lockstep" else round(FARTHEST * timebase.rate)
         self._is_supervised = False
         self.last = -1
         self.steps = 0

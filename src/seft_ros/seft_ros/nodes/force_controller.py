@@ -3,7 +3,7 @@
 import math
 import sys
 import time
-from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from seft_msgs_py.errors import WireError
@@ -11,7 +11,6 @@ from seft_msgs_py.messages import OK, Status, decode_status
 from seft_msgs_py.node_shell import (
     IDLE_WAIT,
     WARM_UP_STEPS,
-    Handler,
     NodeShell,
     run_node,
 )
@@ -24,15 +23,21 @@ from seft_ros.experiment.state_machine import MOVING
 from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.block import ForceController
 from seft_ros.force_controller.interlock import Interlock
+from seft_ros.force_controller.matched_forces import PENDING, MatchedForces
+from seft_ros.force_controller.newest_preview import NewestPreview
 from seft_ros.force_controller.parameters import TABLE
 from seft_ros.force_controller.silence import Silence
 
-PENDING = 256  # steps kept while their other half has not come
+DEPTH = 64  # messages that wait while this process is held up
+TELL_PERIOD = 1.0  # s, of what is told of the link while a test runs
 STATE_WAIT = 0.0005  # s between looks for a state that comes after its reference force
 
 
 class ForceControllerNode:
     """Matches states and reference forces by step and moves them through an `Interlock`.
+
+    Where a link lies between it and the reference force, it answers each state at once with the
+    force that the newest message has for its step.
 
     Once tripped it answers every state that still comes with 0 V, and is silent else: to a rig
     whose states have failed to come, 0 V of its last step would be stale.
@@ -51,20 +56,27 @@ class ForceControllerNode:
         self._command_codec = TrajectoryCodec(VALVE_COMMAND, experiment.axes, experiment.timebase)
         self._publish = shell.publisher(VALVE_COMMAND)
         self._states: dict[int, Floats] = {}
-        self._forces: dict[int, Floats] = {}
+        self._previews: NewestPreview | None = None
+        if section["loop_delay"]:
+            self._previews = NewestPreview.from_parameters(
+                section, experiment.axes, experiment.timebase
+            )
+        self._forces = self._previews or MatchedForces()
+        self._told_at = 0.0
         self._order = SampleOrder(section["pace"], experiment.timebase)
         is_timed = section["pace"] == "realtime"
         self._silence = Silence(section["watchdog.state_timeout"] if is_timed else math.inf)
         self._warm_up()
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16, wake=False)
-        # the state of a step is nearly always there before the force that answers it: only the
-        # force is worth waking up for
-        for topic, receive, wake in (
-            (REFERENCE_FORCE, self._on_force, True),
-            (RIG_STATE, self._on_state, False),
-        ):
-            codec = TrajectoryCodec(topic, experiment.axes, experiment.timebase)
-            shell.subscribe(topic, _decoded(codec, receive), depth=64, wake=wake, reliable=False)
+        self._force_codec, self._state_codec = (
+            TrajectoryCodec(topic, experiment.axes, experiment.timebase)
+            for topic in (REFERENCE_FORCE, RIG_STATE)
+        )
+        # without a link the state of a step is nearly always there before the force that answers
+        # it: only the force is worth waking up for
+        shell.subscribe(REFERENCE_FORCE, self._on_force, depth=DEPTH, reliable=False)
+        wake = self._previews is not None
+        shell.subscribe(RIG_STATE, self._on_state, depth=DEPTH, wake=wake, reliable=False)
 
     def _warm_up(self) -> None:
         axes = len(self._shell.experiment.axes)
@@ -79,7 +91,8 @@ class ForceControllerNode:
         self._tell()
         while not self._shell.stopping:
             wait = min(IDLE_WAIT, self._silence.pause) if self._silence.is_watching else IDLE_WAIT
-            self._shell.spin_once(STATE_WAIT if self._forces else wait)
+            matching = isinstance(self._forces, MatchedForces) and self._forces.pending
+            self._shell.spin_once(STATE_WAIT if matching else wait)
             if self._silence.is_too_long(time.monotonic()):
                 self._trip(
                     f"no rig/state for {self._silence.longest:g} s (the last is of step "
@@ -89,16 +102,22 @@ class ForceControllerNode:
     def _on_experiment_state(self, raw: bytes, _: int) -> None:
         status = decode_status(raw)
         self._order.follow(status)
-        if status.message not in MOVING:
+        if status.message not in MOVING and self._silence.is_watching:
             self._silence.end()
         if status.message == "idle" and self._controller.reason:  # the operator knows
             self._controller.reset()
             self._tell()
 
-    def _on_state(self, step: int, state: Floats) -> None:
+    def _on_state(self, raw: bytes, _: int) -> None:
+        step, values = self._state_codec.decode(raw)
+        state = values[0]
         if np.abs(state).max() > ABSURD:
             raise WireError(f"{RIG_STATE.name} of step {step} has a value beyond {ABSURD:g}")
-        self._admit(RIG_STATE.name, step, self._states)
+        if self._order.begins(step):
+            self._begin()
+        self._order.check(RIG_STATE.name, step)
+        if step in self._states:
+            raise WireError(f"{RIG_STATE.name} of step {step} a second time")
         if step + 1 < self._order.steps:
             self._silence.heard(time.monotonic())
         else:
@@ -107,49 +126,67 @@ class ForceControllerNode:
             self._answer(step, np.zeros(state.shape[1]), state)
             return
         self._states[step] = state
-        self._answer_if_complete(step, self._states)
+        self._answer_if_complete(step)
+        if len(self._states) > PENDING:
+            self._states.pop(min(self._states))
 
-    def _on_force(self, step: int, values: Floats) -> None:
+    def _on_force(self, raw: bytes, _: int) -> None:
+        step, values = self._force_codec.decode(raw)
+        points, name = values[:, 0], REFERENCE_FORCE.name
         if self._controller.reason and step <= self._order.last:
             return
-        nonsense = self._controller.nonsense(values[0])
-        if nonsense:
-            raise WireError(f"{REFERENCE_FORCE.name} of step {step}: {nonsense}")
-        self._admit(REFERENCE_FORCE.name, step, self._forces)
-        self._forces[step] = values[0]
-        self._answer_if_complete(step, self._forces)
+        for force in points:
+            if nonsense := self._controller.nonsense(force):
+                raise WireError(f"{name} of step {step}: {nonsense}")
+        if self._previews is None:
+            if self._order.begins(step):
+                self._begin()
+            self._order.check(name, step)
+        elif step > self._order.last + 1:  # the state it answers would be here first
+            raise WireError(f"{name} of step {step} after step {self._order.last}: in the future")
+        self._forces.take(step, points)
+        for waiting in sorted(self._states):
+            self._answer_if_complete(waiting)
 
-    def _admit(self, name: str, step: int, pending: dict[int, Floats]) -> None:
-        """See that a sample may be taken in; the first of a test begins it."""
-        if self._order.begins(step):
-            self._states.clear()
-            self._forces.clear()
-            was_tripped = bool(self._controller.reason)
-            self._controller.reset()
-            conflict = self._shell.several_senders()
-            if conflict:
-                self._trip(conflict)
-            elif was_tripped:
-                self._tell()
-        self._order.check(name, step)
-        if step in pending:
-            raise WireError(f"{name} of step {step} a second time")
+    def _begin(self) -> None:
+        """Begin a test, with what came first of it."""
+        self._states.clear()
+        self._forces.reset()
+        was_tripped = bool(self._controller.reason)
+        self._controller.reset()
+        conflict = self._shell.several_senders()
+        if conflict:
+            self._trip(conflict)
+        elif was_tripped:
+            self._tell()
 
-    def _answer_if_complete(self, step: int, pending: dict[int, Floats]) -> None:
-        if step in self._states and step in self._forces:
-            self._answer(step, self._forces[step], self._states[step])
-        elif len(pending) > PENDING:
-            pending.pop(min(pending))
+    def _answer_if_complete(self, step: int) -> None:
+        if step not in self._states:
+            return
+        force = self._forces.force(step)
+        if force is not None:
+            self._answer(step, force, self._states[step])
 
     def _answer(self, step: int, force: Floats, state: Floats) -> None:
         was_tripped = bool(self._controller.reason)
         command = self._controller.step(step, force, state)
         self._publish(self._command_codec.encode(step, command))
         self._order.last = step
-        for pending in (self._states, self._forces):
-            for passed in [other for other in pending if other <= step]:
-                del pending[passed]
+        for passed in [other for other in self._states if other <= step]:
+            del self._states[passed]
         if self._controller.reason and not was_tripped:
+            self._tell()
+        if self._previews is not None:
+            self._look_after_link(self._previews, step)
+
+    def _look_after_link(self, previews: NewestPreview, step: int) -> None:
+        """Trip when the reference force is lost; tell how the link does, when there is time."""
+        if previews.is_lost and not self._controller.reason:
+            self._trip(
+                f"no {REFERENCE_FORCE.name} for {step - previews.newest} steps (the last is of "
+                f"step {previews.newest}); is the link to the reference_force node cut?"
+            )
+        elif time.monotonic() - self._told_at >= TELL_PERIOD:
             self._tell()
 
     def _trip(self, reason: str) -> None:
@@ -158,19 +195,15 @@ class ForceControllerNode:
         self._tell()
 
     def _tell(self) -> None:
+        self._told_at = time.monotonic()
         reason, step = self._controller.reason, self._controller.step_index
         status = Status("force_controller", OK, "ready", values={"phase": "ready"})
         if reason:
             status = tripped_status("force_controller", reason, step)
+        if self._previews is not None:
+            told = {"link": self._previews.record().to_json()}
+            status = replace(status, values={**status.values, **told})
         self._shell.report(status)
-
-
-def _decoded(codec: TrajectoryCodec, receive: Callable[[int, Floats], None]) -> Handler:
-    def handle(raw: bytes, _: int) -> None:
-        step, values = codec.decode(raw)
-        receive(step, values[0])
-
-    return handle
 
 
 def _serve(shell: NodeShell) -> None:

@@ -99,7 +99,8 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         start_ns = int(received[0])
     if known or len(states):
         last_step = int(states[-1]) if len(states) else -1
-        series[GROUND_MOTION.name] = until(series[GROUND_MOTION.name], last_step)
+        for topic in (GROUND_MOTION, REFERENCE_FORCE):  # which go ahead
+            series[topic.name] = until(series[topic.name], last_step)
     series = {name: on_steps_of(series[RIG_STATE.name], one) for name, one in series.items()}
     undecodable = bag.undecodable + sum(gatherer.undecodable for gatherer in loop.values())
     undecodable += sum(gatherer.undecodable for gatherer in others.values())

@@ -4,6 +4,7 @@ Each object takes the messages of one topic, and counts those that it can't unde
 """
 
 from functools import lru_cache
+from math import inf
 from typing import Protocol
 
 from seft_msgs_py.errors import WireError
@@ -20,7 +21,7 @@ from seft_msgs_py.messages import (
 )
 from seft_msgs_py.outcome import Outcome, read_outcome
 from seft_msgs_py.timebase import NANOSECONDS_PER_SECOND, Timebase
-from seft_msgs_py.topics import GROUND_MOTION, LoopTopic
+from seft_msgs_py.topics import GROUND_MOTION, REFERENCE_FORCE, LoopTopic
 from seft_msgs_py.trajectory import TrajectoryCodec
 from seft_msgs_py.trajectory_batch import decode_batch
 
@@ -45,6 +46,9 @@ class Gatherer(Protocol):
 class SeriesGatherer:
     """Samples of a topic of the loop.
 
+    Of a reference force with previews, the forces that a message has settled count, not those
+    that it only expects.
+
     Parameters
     ----------
     topic : LoopTopic
@@ -60,11 +64,15 @@ class SeriesGatherer:
         self._codec = TrajectoryCodec(topic, experiment.axes, experiment.timebase)
         self._samples = SampleBuffer(len(topic.quantities), len(experiment.axes), expected)
         self._timed = topic is not GROUND_MOTION  # which goes ahead, sooner or later
+        self._ahead = inf
+        if topic is REFERENCE_FORCE:
+            section = experiment.sections.get("reference_force", {})
+            self._ahead = max(section.get("loop_delay", 0), 0)
 
     def take(self, block: MessageBlock) -> None:
         """Take the next messages, all of the topic."""
         for rows, received in block.alike():
-            batch = decode_batch(self._codec, rows)
+            batch = decode_batch(self._codec, rows).up_to(self._ahead)
             times = received[batch.messages] if self._timed else None
             self._samples.append(batch.steps, batch.values, times)
             self.undecodable += batch.refused
