@@ -139,3 +139,17 @@ def test_the_ground_motion_must_be_known_as_far_ahead_as_the_previews_reach():
                 "ground_motion:lead:=0.1",
             )
         )
+
+
+def test_a_specimen_that_yields_is_followed_at_the_pace_the_delay_allows():
+    from seft_ros.analysis.summary import summarise
+
+    experiment = experiment_of(
+        "reference_force:loop_delay:=9",
+        "reference_force:mass_ratio:=1.0",
+        "rig:specimen.kind:=bilinear",
+        "rig:specimen.yield_displacement:=0.001",
+    )
+    record = simulate(experiment, build_blocks(experiment))
+    assert record.trip is None
+    assert summarise(record)["displacement"]["nrmse"] < 0.2

@@ -63,6 +63,7 @@ class ForceControllerNode:
             )
         self._forces = self._previews or MatchedForces()
         self._told_at = 0.0
+        self._moving = False  # as the supervisor says
         self._order = SampleOrder(section["pace"], experiment.timebase)
         is_timed = section["pace"] == "realtime"
         self._silence = Silence(section["watchdog.state_timeout"] if is_timed else math.inf)
@@ -102,8 +103,11 @@ class ForceControllerNode:
     def _on_experiment_state(self, raw: bytes, _: int) -> None:
         status = decode_status(raw)
         self._order.follow(status)
-        if status.message not in MOVING and self._silence.is_watching:
+        moving, self._moving = self._moving, status.message in MOVING
+        if not self._moving:
             self._silence.end()
+            if moving and self._previews is not None:
+                self._tell()  # how the link did, in full
         if status.message == "idle" and self._controller.reason:  # the operator knows
             self._controller.reset()
             self._tell()
@@ -175,7 +179,7 @@ class ForceControllerNode:
         for passed in [other for other in self._states if other <= step]:
             del self._states[passed]
         if self._controller.reason and not was_tripped:
-            self._tell()
+            self._tell_trip()
         if self._previews is not None:
             self._look_after_link(self._previews, step)
 
@@ -192,6 +196,10 @@ class ForceControllerNode:
     def _trip(self, reason: str) -> None:
         self._silence.end()
         self._controller.trip(max(self._order.last, 0), reason)
+        self._tell_trip()
+
+    def _tell_trip(self) -> None:
+        self._shell.node.get_logger().error(self._controller.reason)  # for who is at this host
         self._tell()
 
     def _tell(self) -> None:

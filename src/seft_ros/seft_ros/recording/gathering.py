@@ -26,6 +26,7 @@ from seft_msgs_py.trajectory import TrajectoryCodec
 from seft_msgs_py.trajectory_batch import decode_batch
 
 from seft_ros.experiment.state_machine import ENDED
+from seft_ros.force_controller.link_record import LinkRecord
 from seft_ros.recording.message_block import MessageBlock
 from seft_ros.recording.record import Estimates, Event, Series
 from seft_ros.recording.samples import EstimateBuffer, SampleBuffer
@@ -110,11 +111,14 @@ class StatusGatherer:
     ----------
     outcome : Outcome or None
         None as long as the rig said nothing of an end.
+    link : LinkRecord or None
+        None as long as the force controller said nothing of one.
     """
 
     def __init__(self, timebase: Timebase, log: "EventLog") -> None:
         self.undecodable = 0
         self.outcome: Outcome | None = None
+        self.link: LinkRecord | None = None
         self._timebase, self._log = timebase, log
         self._decode = lru_cache(64)(decode_diagnostics)  # nodes repeat themselves
 
@@ -127,7 +131,15 @@ class StatusGatherer:
             return
         for status in statuses:
             self.outcome = read_outcome(status, self._timebase) or self.outcome
+            if status.name == "force_controller" and "link" in status.values:
+                self._take_link(status.values["link"])
             self._log.add(received_ns, status, status.message)
+
+    def _take_link(self, text: str) -> None:
+        try:
+            self.link = LinkRecord.from_json(text)
+        except ValueError:
+            self.undecodable += 1
 
 
 class StateGatherer:
