@@ -129,3 +129,54 @@ def test_a_cut_link_ends_the_test_safely_and_both_hosts_say_why(two_hosts, rig_h
     assert max(abs(forces[step]) for step in range(cut - 500, cut)) > 100
     assert abs(forces[moving]) < 40  # it came down before the valve was closed
     assert abs(forces[max(forces)]) < 40
+
+
+def test_the_link_is_measured_and_a_test_takes_the_delay_that_it_needs(two_hosts, rig_host):
+    two_hosts.link(**DELAYED)
+    _, controller = rig_host(*STALLS_ALLOWED, "-p", "reference_force:loop_delay:=-1")
+    link = two_hosts.start(
+        *("a", "seft_ros.commands.main", "link", DEMO, *PLAN[:2], "--duration", "4"),
+        *("--out", "link.yaml", "--json"),
+        preexec_fn=promptly,
+    )
+    out, told = link.communicate()
+    assert link.returncode == 0, told
+    found = json.loads(out)
+    assert 0.008 < found["round_trip_s"]["p50"] < found["round_trip_s"]["p99"]
+    assert found["loop_delay"] >= 6
+    assert found["sent"] == 2000
+    assert found["rate_within_a_step_hz"] < 125
+    assert found["test"]["stable"] is True
+    assert "loop_delay: " in (two_hosts.folder / "link.yaml").read_text()
+    run = seft_run(
+        two_hosts,
+        *STALLS_ALLOWED,
+        *MISSES_ALLOWED,
+        *("-p", "reference_force:loop_delay:=-1", "--out", "hosts", "--json"),
+        *("-p", "ground_motion:synthetic.duration:=6.0"),
+    )
+    out, told = run.communicate()
+    assert run.returncode == 0, told
+    over = json.loads(out)
+    assert f"a delay of the loop of {over['link']['loop_delay']} steps" in told
+    assert over["link"]["loop_delay"] >= 6
+    assert controller.poll() is None
+
+
+def test_a_link_is_measured_against_an_echo_too(two_hosts):
+    two_hosts.link(delay=0.002, loss=0.05)
+    echo = two_hosts.start("b", "seft_ros.commands.main", "link", "--echo", preexec_fn=promptly)
+    words = ("a", "seft_ros.commands.main", "link", "--duration", "4", "--json")
+    link = two_hosts.start(*words, preexec_fn=promptly)
+    out, told = link.communicate()
+    assert link.returncode == 0, told
+    found = json.loads(out)
+    assert found["verdict"] == "marginal"
+    assert 0.05 < found["lost"] / found["sent"] < 0.2
+    assert found["test"] is None
+    assert echo.poll() is None
+    two_hosts.link(cut=True)
+    link = two_hosts.start(*words)
+    out, told = link.communicate()
+    assert link.returncode == 2
+    assert "nobody echoes" in told

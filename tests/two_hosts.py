@@ -53,7 +53,7 @@ class TwoHosts:
     """Hosts ``a`` and ``b``, each with its own network and shared memory, and the link."""
 
     def __init__(self, folder, seed=1):
-        self._folder = folder
+        self.folder = folder
         number = next(_counter)
         self._tag = f"{os.getpid() % 1_000_000}{chr(97 + number % 26)}"
         self._cleanup = contextlib.ExitStack()
@@ -85,7 +85,7 @@ class TwoHosts:
     def start(self, host, *words, **options):
         """Start a Python module on a host."""
         command = ["nsenter", "--target", str(self._holders[host].pid), "--net", "--mount"]
-        command += [f"--wd={self._folder}", sys.executable, "-m"]
+        command += [f"--wd={self.folder}", sys.executable, "-m"]
         here = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
         environment = os.environ | {
             "PYTHONPATH": here,

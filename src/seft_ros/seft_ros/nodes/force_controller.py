@@ -15,7 +15,14 @@ from seft_msgs_py.node_shell import (
     run_node,
 )
 from seft_msgs_py.outcome import tripped_status
-from seft_msgs_py.topics import EXPERIMENT_STATE, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
+from seft_msgs_py.topics import (
+    EXPERIMENT_STATE,
+    LINK_PING,
+    LINK_PONG,
+    REFERENCE_FORCE,
+    RIG_STATE,
+    VALVE_COMMAND,
+)
 from seft_msgs_py.trajectory import Floats, TrajectoryCodec
 
 from seft_ros.experiment.sample_order import ABSURD, SampleOrder
@@ -69,6 +76,9 @@ class ForceControllerNode:
         self._silence = Silence(section["watchdog.state_timeout"] if is_timed else math.inf)
         self._warm_up()
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16, wake=False)
+        if self._previews is not None:
+            send_back = shell.publisher(LINK_PONG)
+            shell.subscribe(LINK_PING, lambda raw, _: send_back(raw), reliable=False)
         self._force_codec, self._state_codec = (
             TrajectoryCodec(topic, experiment.axes, experiment.timebase)
             for topic in (REFERENCE_FORCE, RIG_STATE)
