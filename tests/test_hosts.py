@@ -16,8 +16,13 @@ PLAN = (
     *("-p", "reference_force:mass_ratio:=1.0"),
     *("-p", f"reference_force:loop_delay:={LOOP_DELAY}"),
 )
+PATIENT = (
+    *STALLS_ALLOWED,
+    *MISSES_ALLOWED,
+    *("-p", "rig:watchdog.supervisor_timeout:=60.0"),
+)
 CUT = 1.0  # s without a reference force, after which it is brought down
-RAMP = 0.1  # s in which it is
+RAMP = 0.5  # s in which it is
 SILENCE = (  # what a machine that stands still may take, without it being a cut
     *("-p", f"force_controller:watchdog.reference_timeout:={CUT}"),
     *("-p", "rig:watchdog.supervisor_timeout:=5.0"),
@@ -43,12 +48,12 @@ def rig_host(two_hosts):
 
 
 def seft_run(two_hosts, *words):
-    """Start `seft run` on a; of what it starts, the loop's node is to run promptly."""
+    """Start `seft run` on a; what it starts is to run promptly."""
     run = two_hosts.start("a", "seft_ros.commands.main", "run", DEMO, *ELSEWHERE, *PLAN, *words)
 
     def hurry():
         while run.poll() is None:
-            if (pid := children(run.pid).get("reference_force")) is not None:
+            for pid in children(run.pid).values():
                 promptly(pid)
             time.sleep(0.2)
 
@@ -58,8 +63,8 @@ def seft_run(two_hosts, *words):
 
 def run_over(two_hosts, rig_host, **link):
     two_hosts.link(**link)
-    rig_host(*STALLS_ALLOWED)
-    run = seft_run(two_hosts, *STALLS_ALLOWED, *MISSES_ALLOWED, "--out", "hosts", "--json")
+    rig_host(*PATIENT)
+    run = seft_run(two_hosts, *PATIENT, "--out", "hosts", "--json")
     out, told = run.communicate()
     assert run.returncode == 0, told
     over = json.loads(out)
@@ -71,13 +76,13 @@ def run_over(two_hosts, rig_host, **link):
 def assert_accurate(over, most):
     """Hold the displacement to a bound, unless this machine itself stood still too often."""
     if over["missed"] < 0.02 * over["steps"]:
+        assert over["lost"] == dict.fromkeys(over["lost"], 0)
         assert over["displacement"]["nrmse"] < most
 
 
 def test_a_link_with_delay_and_jitter_costs_little(two_hosts, rig_host, seft_json):
     over = run_over(two_hosts, rig_host, **DELAYED)
     assert_accurate(over, 0.03)
-    assert over["lost"] == dict.fromkeys(over["lost"], 0)
     assert over["link"]["loop_delay"] == LOOP_DELAY
     assert over["link"]["age"]["p50"] >= 5  # 10 ms: it went over the link
     assert over["link"]["forces"] == over["steps"]
@@ -126,14 +131,15 @@ def test_a_cut_link_ends_the_test_safely_and_both_hosts_say_why(two_hosts, rig_h
     moving = max(step for step, volts in commands.items() if volts != 0.0)
     patience = round((CUT + RAMP) * 500) + LOOP_DELAY
     assert cut < moving < cut + patience
-    assert max(abs(forces[step]) for step in range(cut - 500, cut)) > 100
-    assert abs(forces[moving]) < 40  # it came down before the valve was closed
-    assert abs(forces[max(forces)]) < 40
+    peak = max(abs(forces[step]) for step in range(cut - 500, cut))
+    assert peak > 100
+    assert abs(forces[moving]) < 0.2 * peak  # it came down before the valve was closed
+    assert abs(forces[max(forces)]) < 0.2 * peak
 
 
 def test_the_link_is_measured_and_a_test_takes_the_delay_that_it_needs(two_hosts, rig_host):
     two_hosts.link(**DELAYED)
-    _, controller = rig_host(*STALLS_ALLOWED, "-p", "reference_force:loop_delay:=-1")
+    _, controller = rig_host(*PATIENT, "-p", "reference_force:loop_delay:=-1")
     link = two_hosts.start(
         *("a", "seft_ros.commands.main", "link", DEMO, *PLAN[:2], "--duration", "4"),
         *("--out", "link.yaml", "--json"),
@@ -150,8 +156,7 @@ def test_the_link_is_measured_and_a_test_takes_the_delay_that_it_needs(two_hosts
     assert "loop_delay: " in (two_hosts.folder / "link.yaml").read_text()
     run = seft_run(
         two_hosts,
-        *STALLS_ALLOWED,
-        *MISSES_ALLOWED,
+        *PATIENT,
         *("-p", "reference_force:loop_delay:=-1", "--out", "hosts", "--json"),
         *("-p", "ground_motion:synthetic.duration:=6.0"),
     )

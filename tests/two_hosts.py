@@ -43,9 +43,9 @@ def why_not():
 
 def promptly(pid=0):
     """Have a process, all its threads, run before what else this machine does, where allowed."""
-    threads = [0] if pid == 0 else [int(task.name) for task in Path(f"/proc/{pid}/task").iterdir()]
-    with contextlib.suppress(OSError):
-        for thread in threads:
+    with contextlib.suppress(OSError):  # not allowed, or ended meanwhile
+        tasks = Path(f"/proc/{pid}/task").iterdir() if pid else ()
+        for thread in [int(task.name) for task in tasks] or [0]:
             os.sched_setscheduler(thread, os.SCHED_RR, os.sched_param(10))
 
 

@@ -75,11 +75,13 @@ TABLE = Table(
         Parameter(
             "watchdog.ramp_down_time",
             "float",
-            0.1,
-            "time in which it then does so; after it, 0 V until the next test",
+            0.5,
+            "time in which it then does so; after it, 0 V until the next test. A valve that closes "
+            "on a specimen that still vibrates makes it ring",
             "s",
             positive=True,
             maximum=60.0,
+            default_from="reference_force:ramp_down_time",
         ),
         Parameter(
             "watchdog.saturation_time",
