@@ -18,6 +18,7 @@ PATIENCE = 120.0  # s; far beyond what anything here takes
 STALLS_ALLOWED = (
     *("-p", "supervisor:watchdog.command_timeout:=60.0"),
     *("-p", "supervisor:watchdog.peer_timeout:=60.0"),
+    *("-p", "force_controller:watchdog.reference_timeout:=60.0"),
 )
 """Lets a test in realtime outlive a machine that stands still for a while."""
 

@@ -29,6 +29,21 @@ EXPERIMENTS = {
         *("-p", "reference_force:mass_ratio:=1.0"),
         *("-p", "ground_motion:peak_force:=300.0"),
     ),
+    "loop_delay": (
+        *("-p", "axes:=[north, east]"),
+        *("-p", "ground_motion:influence:=[1.0, 0.5]"),
+        *("-p", "reference_force:loop_delay:=7"),
+        *("-p", "reference_force:compensation.method:=preview_inverse"),
+        *("-p", "reference_force:mass_ratio:=1.0"),
+        *("-p", "ground_motion:peak_force:=300.0"),
+    ),
+    "loop_delay_of_an_idealised_actuator": (
+        *("-p", "rig:actuator.kind:=delay", "-p", "rig:actuator.delay:=0.0113"),
+        *("-p", "reference_force:loop_delay:=5"),
+        *("-p", "reference_force:compensation.method:=linear_acceleration"),
+        *("-p", "reference_force:compensation.delay:=0.0143"),
+        *("-p", "reference_force:mass_ratio:=0.3"),
+    ),
     "preview_inverse_yielding": (
         *("-p", "rig:specimen.kind:=bilinear", "-p", "rig:specimen.yield_displacement:=0.001"),
         *("-p", "reference_force:compensation.method:=preview_inverse"),
@@ -80,7 +95,10 @@ def test_estimates_over_dds_are_those_of_the_offline_loop(seft_json, tmp_path):
         assert len(set(one.values[:, 0, axis].tolist())) > 5  # something was identified
 
 
-@pytest.mark.parametrize("experiment", [EXPERIMENTS["servo_hydraulic"], ESTIMATED_DELAY])
+@pytest.mark.parametrize(
+    "experiment",
+    [EXPERIMENTS["servo_hydraulic"], ESTIMATED_DELAY, EXPERIMENTS["loop_delay"]],
+)
 def test_realtime_differs_only_from_the_first_missed_command_on(seft_json, tmp_path, experiment):
     words = (JHU, *SHORT, *STALLS_ALLOWED, *MISSES_ALLOWED, *experiment)
     seft_json("simulate", *words, "--out", "simulated")

@@ -129,5 +129,9 @@ CLOCK_TOPIC = Topic(
     "/clock", CLOCK, publisher="rig", subscribers=("ground_motion",), depth=1, recorded=False
 )
 
+LINK_PING = Topic("link/ping", STRING, depth=256, recorded=False)
+LINK_PONG = Topic("link/pong", STRING, depth=256, recorded=False)
+"""Messages over a link and back, sent by `seft link` while no test runs."""
+
 TOPICS = (*STEP_TOPICS, EXPERIMENT_STATE, DESCRIPTION, DIAGNOSTICS, CLOCK_TOPIC)
 RECORDED_TOPICS = tuple(topic for topic in TOPICS if topic.recorded)

@@ -44,6 +44,14 @@ class Batch(NamedTuple):
     messages: Steps
     refused: int
 
+    def up_to(self, ahead: float) -> "Batch":
+        """Leave out the points that are more steps than this after the first of their message."""
+        first = np.searchsorted(self.messages, self.messages)
+        near = np.arange(len(self.steps)) - first <= ahead
+        if near.all():
+            return self
+        return Batch(self.steps[near], self.values[near], self.messages[near], self.refused)
+
 
 def decode_batch(codec: TrajectoryCodec, rows: Bytes) -> Batch:
     """Read messages of equal length as `TrajectoryCodec.decode` does each of them.

@@ -16,26 +16,37 @@ class Command:
         Of the topic.
     limit : float
         Largest magnitude on any axis, in the topic's unit.
+    loop_delay : int
+        Steps beyond that of a message for which its points settle the command.
 
     Attributes
     ----------
     step : int
-        Step of the command; -1 where none has come.
-    value : ndarray
-        The command, shape (n,); zero where none has come.
+        Last step whose command is settled; -1 where none is.
     current : int
         Step of the rig's last sample: no later one can have been answered.
     """
 
-    def __init__(self, codec: TrajectoryCodec, limit: float) -> None:
+    def __init__(self, codec: TrajectoryCodec, limit: float, loop_delay: int = 0) -> None:
         self.codec = codec
         self._limit = limit
+        self._loop_delay = loop_delay
         self.reset()
 
     def reset(self) -> None:
         """Back to no drive, before the first sample of a test."""
-        self.step = self.current = -1
-        self.value: Floats = np.zeros(len(self.codec.axes))
+        self._message = self.current = -1
+        self.step = self._loop_delay - 1
+        self._points: Floats = np.zeros((1 + self._loop_delay, len(self.codec.axes)))
+
+    @property
+    def value(self) -> Floats:
+        """Command to be applied after the last sample, shape (n,); zero where none has come.
+
+        Of a message that tells of coming steps it is the point of that sample's step, or the last.
+        """
+        value: Floats = self._points[min(self.current - self._message, len(self._points) - 1)]
+        return value
 
     def take(self, raw: bytes) -> None:
         """Take a message.
@@ -50,18 +61,19 @@ class Command:
         name = self.codec.topic.name
         if step > self.current:
             raise WireError(f"{name} of step {step}, but the rig is at step {self.current}")
-        if step <= self.step:
+        if step <= self._message:
             raise WireError(
-                f"{name} of step {step} after that of step {self.step}: stale, duplicated or out "
-                "of order"
+                f"{name} of step {step} after that of step {self._message}: stale, duplicated or "
+                "out of order"
             )
-        value = values[0, 0]
-        for axis, number in zip(self.codec.axes, value.tolist(), strict=True):
+        points = values[:, 0]
+        worst = points[0] if len(points) == 1 else points[np.abs(points).max(axis=1).argmax()]
+        for axis, number in zip(self.codec.axes, worst.tolist(), strict=True):
             if not abs(number) <= self._limit:
                 unit = self.codec.topic.units[0]
                 raise WireError(
                     f"{name} of step {step} is {number:g} {unit} on axis {axis}, beyond the "
                     f"limit of {self._limit:g} {unit}"
                 )
-        self.step = step
-        self.value = value
+        self._message, self._points = step, points
+        self.step = step + self._loop_delay

@@ -22,6 +22,16 @@ PACE = (
         "s",
         positive=True,
     ),
+    Parameter(
+        "loop_delay",
+        "int",
+        0,
+        "of an idealised actuator, which obeys reference_force: steps from a state to the first "
+        "use of the force that is computed from it",
+        minimum=-1,
+        maximum=100,
+        default_from="reference_force:loop_delay",
+    ),
     Parameter("seed", "int", 0, "seed of the sensor noise", minimum=0),
 )
 

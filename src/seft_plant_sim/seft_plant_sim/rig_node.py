@@ -57,7 +57,8 @@ class RigNode:
         self._round_trip = RoundTrip()
         self._valve = self._drive = self._command(VALVE_COMMAND, "limits.command")
         if self._rig.drive == REFERENCE_FORCE.name:
-            self._drive = self._command(REFERENCE_FORCE, "limits.force")
+            delay = max(self._section["loop_delay"], 0)
+            self._drive = self._command(REFERENCE_FORCE, "limits.force", delay)
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
         self._armed = False
         self._latched = False  # tripped: no new test before the supervisor has said idle
@@ -89,10 +90,10 @@ class RigNode:
     def look(self) -> None:
         """Nothing of a rig falls due while another node spins: it does so itself."""
 
-    def _command(self, topic: LoopTopic, limit: str) -> Command:
+    def _command(self, topic: LoopTopic, limit: str, loop_delay: int = 0) -> Command:
         experiment = self._shell.experiment
         codec = TrajectoryCodec(topic, experiment.axes, experiment.timebase)
-        command = Command(codec, self._section[limit])
+        command = Command(codec, self._section[limit], loop_delay)
 
         def receive(raw: bytes, _: int) -> None:
             command.take(raw)

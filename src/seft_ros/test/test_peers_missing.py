@@ -175,3 +175,16 @@ def test_the_silent_are_named_with_the_time_of_their_last_sign_of_life():
     del heard["ground_motion"]  # never heard: not silent, but absent
     assert silent(PEERS, heard, NOW, 1.0) == ["rig"]
     assert silence("rig", heard) == "node rig has been silent since 12.34 s"
+
+
+@pytest.mark.parametrize(
+    ("sent", "taken", "fits"),
+    [(0, 0, True), (7, 7, True), (7, -1, True), (7, 0, False), (0, 7, False), (0, -1, False)],
+)
+def test_both_ends_of_a_link_must_agree_on_its_delay(sent, taken, fits):
+    heard, descriptions = graph()
+    for node, steps in (("reference_force", sent), ("force_controller", taken)):
+        parameters = {**descriptions[node]["parameters"], "loop_delay": steps}
+        descriptions[node] = {**descriptions[node], "parameters": parameters}
+    told = f"one loop_delay: reference_force has {sent}, force_controller has {taken}"
+    assert missing(PEERS, heard, descriptions, NOW) == ("" if fits else told)

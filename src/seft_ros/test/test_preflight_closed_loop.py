@@ -1,5 +1,7 @@
 """The closed loop's matrices against the blocks themselves, and against closed forms."""
 
+from collections import deque
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -70,9 +72,11 @@ def blocks_displacements(test, motion, steps):
     )
     ground = np.vstack([motion, np.zeros((steps + reference.preview + 1, len(axes)))])
     state, found = rig.reset(), []
+    coming = deque([np.zeros(len(axes))] * test["reference_force"]["loop_delay"])
     for k in range(steps):
         found.append(state[0].copy())
-        force = reference.step(ground[k : k + 1 + reference.preview], state)
+        coming.append(reference.step(ground[k : k + 1 + reference.preview], state))
+        force = coming.popleft()
         drive = control.step(force, state)
         state = rig.step(drive if rig.drive == "valve_command" else force)
     return np.array(found)
@@ -102,6 +106,20 @@ def assert_same(test, steps=120):
 @pytest.mark.parametrize("rig", [delayed(0.0101), SERVO], ids=["delay", "servo"])
 def test_powers_of_the_matrix_are_what_the_blocks_do(method, rig):
     test = experiment(rig, mass_ratio=0.7, compensation__method=method)
+    assert_same(test, 120 if not Plan(test).compensator().estimates() else 20)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_so_they_are_with_a_delay_of_the_loop(method):
+    test = experiment(
+        {"rig": COUPLED},
+        SERVO,
+        axes=("x", "y"),
+        mass_ratio=0.7,
+        loop_delay=3,
+        compensation__method=method,
+        tracking__stiffness=[2.1e5, -1.0e4, -1.0e4, 2.1e5],
+    )
     assert_same(test, 120 if not Plan(test).compensator().estimates() else 20)
 
 

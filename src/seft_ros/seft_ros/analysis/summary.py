@@ -10,6 +10,7 @@ from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.energy import balance_of, energy_numbers
 from seft_ros.analysis.estimates import summarise_estimates
+from seft_ros.analysis.link import link_numbers
 from seft_ros.analysis.metrics import Floats, agreement, peak
 from seft_ros.analysis.reference import COMPARED, quantity, reference_of
 from seft_ros.analysis.timing import timing_of
@@ -46,7 +47,9 @@ def summarise(
         in time), ``overruns`` (times the rig's own clock was held up), ``timing`` (round trips,
         gaps and the machine's own stalls, see `timing_of`; null offline), ``saturated`` (what
         was at the end of its range: stroke, force_capacity, valve, a sensor's range; with samples
-        and first_step), ``lost`` (samples that the record lacks, by topic), ``energy`` (of the
+        and first_step), ``link`` (how the reference force came over the link of a test on
+        several hosts; null without one; see `link_numbers`), ``lost`` (samples that the record
+        lacks, by topic), ``energy`` (of the
         specimen at the end, and how the balance closes; see `energy_numbers`), ``estimates`` (what
         the compensation identified on line: name -> axis -> first, last, least and largest, SI
         units), ``tracking`` (of the reference force by the measured force: axis -> frequency
@@ -75,6 +78,7 @@ def summarise(
         "missed": record.missed,
         "overruns": record.overruns,
         "timing": timing and timing.numbers(),
+        "link": link_numbers(record),
         "lost": {topic.name: _lost(record, topic.name, steps) for topic in LOOP_TOPICS},
         "energy": energy_numbers(balance or balance_of(record)),
         "estimates": summarise_estimates(record.estimates, axes),

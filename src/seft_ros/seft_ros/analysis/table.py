@@ -87,6 +87,9 @@ def verdict(summary: dict[str, Any]) -> str:
         text += f"; the rig's own clock was held up {summary['overruns']} times"
     if summary["saturated"]:
         text += f"; at the end of its range: {_saturated(summary)}"
+    link = summary["link"]
+    if link and link["late"]:
+        text += f"; {link['late']} forces came after the loop's delay and were predicted"
     lost = {topic: count for topic, count in summary["lost"].items() if count}
     if lost:
         text += f"; samples lost: {', '.join(f'{n} of {topic}' for topic, n in lost.items())}"

@@ -8,6 +8,7 @@ from seft_msgs_py.errors import SeftError
 from seft_ros.commands.compare import compare
 from seft_ros.commands.design import design
 from seft_ros.commands.identify import identify
+from seft_ros.commands.link import link
 from seft_ros.commands.motion import motion
 from seft_ros.commands.options import complain
 from seft_ros.commands.paper import paper
@@ -32,7 +33,7 @@ APP = typer.Typer(
 )
 for command in (
     *(run, simulate, report, compare, motion, recover, identify, design, tournament),
-    *(preflight, paper, parameters),
+    *(preflight, link, paper, parameters),
 ):
     APP.command()(command)
 

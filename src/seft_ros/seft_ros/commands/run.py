@@ -17,8 +17,11 @@ from seft_ros.commands.options import (
     complain,
     load_experiment,
 )
+from seft_ros.commands.progress import step_progress
 from seft_ros.commands.results import present
 from seft_ros.experiment.tables import TABLES
+
+LINK_TIME = 5.0  # s for which a link is measured before a test
 
 
 def run(
@@ -94,6 +97,7 @@ def run(
 
     experiment = load_experiment(config, param, params_file, external)
     bag = bag_path(experiment, out)
+    experiment = _with_measured_delay(experiment)
     steps = _steps(experiment)
     _check_stable(experiment, accept_unstable)
     record = dds_test(
@@ -108,6 +112,32 @@ def run(
         complain(f"the test tripped: {record.trip.reason}" if record.trip else "unstable")
         return 1
     return 0
+
+
+def _with_measured_delay(experiment: Experiment) -> Experiment:
+    """Measure the delay of the loop over its link, where the experiment asks for that.
+
+    Raises
+    ------
+    InputError
+        If the other side is not there.
+    """
+    section = experiment.sections.get("reference_force")
+    if section is None or section["loop_delay"] >= 0:
+        return experiment
+    if "force_controller" in experiment.sections:
+        raise InputError(
+            "reference_force: loop_delay is to be measured, but there is no link: force_controller "
+            "is to run here; give a number of steps, or --external force_controller"
+        )
+    from seft_ros.link.ping import measure
+    from seft_ros.link.verdict import message_size, with_loop_delay
+
+    rate = experiment.timebase.rate
+    with step_progress(round(LINK_TIME * rate)) as show:
+        trips = measure(rate, LINK_TIME, message_size(experiment), show)
+    complain(f"the link needs a delay of the loop of {trips.loop_delay} steps")
+    return with_loop_delay(experiment, trips.loop_delay)
 
 
 def _check_stable(experiment: Experiment, accept_unstable: bool) -> None:

@@ -162,6 +162,8 @@ class Workshop:
             )
             force = ProtectedForce.from_parameters(experiment["reference_force"], axes, timebase)
             check_lead(experiment, motion, force)
+            if experiment["reference_force"]["loop_delay"]:
+                raise NotLinearError("a link with loop_delay")
             section = experiment["force_controller"]
             controller = ForceController.from_parameters(section, axes, timebase)
             interlock = Interlock.from_parameters(controller, section, axes, timebase)

@@ -9,6 +9,7 @@ from seft_plant_sim.rig import Rig
 from seft_ros.force_controller.block import ForceController
 from seft_ros.ground_motion.block import GroundMotion
 from seft_ros.interlock.protected_force import ProtectedForce
+from seft_ros.reference_force.continuation import Continuation
 
 
 @dataclass(frozen=True)
@@ -48,9 +49,13 @@ def check_lead(experiment: Experiment, motion: GroundMotion, force: ProtectedFor
     InputError
         If it is not.
     """
-    if force.preview > len(motion.known) - motion.steps:
+    section, preview = experiment["reference_force"], force.preview
+    if section["loop_delay"]:
+        continuation = Continuation(section, experiment.axes, experiment.timebase)
+        preview = max(preview, continuation.preview)
+    if preview > len(motion.known) - motion.steps:
         raise InputError(
             f"ground_motion: lead is {experiment['ground_motion']['lead']:g} s, but the "
-            f"compensation looks {force.preview * experiment.timebase.dt:g} s ahead; make "
+            f"compensation looks {preview * experiment.timebase.dt:g} s ahead; make "
             "the lead longer"
         )

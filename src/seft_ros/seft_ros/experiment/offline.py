@@ -1,6 +1,7 @@
 """The experiment in one process, without ROS: the same blocks, called in a row."""
 
 import time
+from collections import deque
 from collections.abc import Callable
 
 import numpy as np
@@ -60,6 +61,8 @@ def simulate(
     sampler = EstimateSampler(reference_force, experiment.timebase)
     estimates = EstimateBuffer()
     force_step, valve_step = reference_force.step, interlock.step
+    loop_delay = experiment["reference_force"]["loop_delay"]
+    coming = deque([np.zeros(axes)] * loop_delay)  # forces that were computed before their step
 
     valve_driven = rig.drive == VALVE_COMMAND.name
     environment = describe_environment("simulate")
@@ -68,7 +71,8 @@ def simulate(
     step = 0
     with np.errstate(over="ignore", invalid="ignore"):  # the limits see what is not finite
         while True:
-            force = force_step(known[step : step + window], state)
+            coming.append(force_step(known[step : step + window], state))
+            force = coming.popleft()
             command = valve_step(step, force, state)
             states[step] = state
             forces[step] = force

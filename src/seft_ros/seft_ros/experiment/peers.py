@@ -114,4 +114,17 @@ def _conflict(peers: Sequence[str], descriptions: Mapping[str, Mapping[str, Any]
             other = descriptions[node]["parameters"].get(name)
             if other != value:
                 return f"{CONFLICT}{name}: {first} has {value}, {node} has {other}"
-    return ""
+    return _other_delay(descriptions)
+
+
+def _other_delay(descriptions: Mapping[str, Mapping[str, Any]]) -> str:
+    """Delays of the loop that contradict; below zero is whatever the other side has measured."""
+    told = {
+        node: descriptions[node]["parameters"].get("loop_delay", 0)
+        for node in ("reference_force", "force_controller")
+        if node in descriptions
+    }
+    sent, taken = told.get("reference_force"), told.get("force_controller")
+    if sent is None or taken is None or sent == taken or (taken < 0 and sent > 0):
+        return ""
+    return f"{CONFLICT}loop_delay: reference_force has {sent}, force_controller has {taken}"

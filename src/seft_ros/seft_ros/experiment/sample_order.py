@@ -35,6 +35,8 @@ class SampleOrder:
     ----------
     timebase : Timebase
         Sampling clock.
+    loop_delay : int
+        Steps that a rig in lockstep may go ahead of the answer.
 
     Attributes
     ----------
@@ -49,8 +51,9 @@ class SampleOrder:
         Whether the next sample of step 0 begins a test: once for each time that one has ended.
     """
 
-    def __init__(self, timebase: Timebase) -> None:
+    def __init__(self, timebase: Timebase, loop_delay: int = 0) -> None:
         self._farthest = round(FARTHEST * timebase.rate)
+        self._ahead_in_lockstep = 1 + loop_delay
         self._state = ""  # of the experiment, as a supervisor tells
         self.last = -1
         self.steps = 0
@@ -89,5 +92,5 @@ class SampleOrder:
         """
         if step <= self.last:
             raise WireError(f"{name} of step {step} after step {self.last} was answered")
-        if step > self.last + (1 if self.in_lockstep else self._farthest):
+        if step > self.last + (self._ahead_in_lockstep if self.in_lockstep else self._farthest):
             raise WireError(f"{name} of step {step} after step {self.last}: far in the future")

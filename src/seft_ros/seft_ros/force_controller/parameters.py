@@ -27,6 +27,17 @@ TABLE = Table(
             "valve through the controller (open loop, for identification)",
         ),
         Parameter(
+            "loop_delay",
+            "int",
+            0,
+            "steps from a state to the first use of the reference force that is computed from it; "
+            "0: each state is answered when its reference force has come; -1: other than 0, and "
+            "measured before the test",
+            minimum=-1,
+            maximum=100,
+            default_from="reference_force:loop_delay",
+        ),
+        Parameter(
             "limits.force",
             "float",
             22200.0,
@@ -44,6 +55,26 @@ TABLE = Table(
             "s",
             positive=True,
             default_from="supervisor:watchdog.command_timeout",
+        ),
+        Parameter(
+            "watchdog.reference_timeout",
+            "float",
+            0.1,
+            "with a loop_delay, in realtime: age of the newest reference_force in steps of the "
+            "rig, in s, at which the force controller brings the force down by itself",
+            "s",
+            positive=True,
+        ),
+        Parameter(
+            "watchdog.ramp_down_time",
+            "float",
+            0.5,
+            "time in which it then does so; after it, 0 V until the next test. A valve that closes "
+            "on a specimen that still vibrates makes it ring",
+            "s",
+            positive=True,
+            maximum=60.0,
+            default_from="reference_force:ramp_down_time",
         ),
         Parameter(
             "watchdog.saturation_time",

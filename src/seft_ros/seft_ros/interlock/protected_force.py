@@ -75,7 +75,7 @@ class ProtectedForce:
                 section["limits.force"], section["limits.force_rate"], axes, timebase.dt
             ),
             [PlausibleState(axes), InstabilityWatch.from_parameters(section, axes, timebase)],
-            RampDown.lasting(section["ramp_down_time"], timebase.dt),
+            RampDown.lasting(section["ramp_down_time"], timebase.dt, section["loop_delay"]),
         )
 
     @property
@@ -90,7 +90,7 @@ class ProtectedForce:
 
     @property
     def at_rest(self) -> bool:
-        """Whether the force has come down to zero, and stays there."""
+        """Whether the force that is applied has come down to zero, and stays there."""
         return self.ramp.finished
 
     def reset(self) -> None:
@@ -123,6 +123,25 @@ class ProtectedForce:
         """Force of a step of the ramp whose ground motion is missing: the last, scaled down."""
         self._holding = True
         return self._scaled()
+
+    def coming(self, changes: Floats) -> Floats:
+        """Tell the forces to be expected after the last one: within its limits, and in its ramp.
+
+        Parameters
+        ----------
+        changes : ndarray
+            What is expected of coming steps beside the last force, shape (p, n), N.
+
+        Returns
+        -------
+        ndarray
+            Shape (p, n), N.
+        """
+        last = np.array(self.plausible.last)
+        if self._holding:
+            changes = np.zeros_like(changes)
+        factors = np.array(self.ramp.coming(len(changes)))
+        return self.plausible.held(last + changes) * factors[:, np.newaxis]
 
     def _asked_for(self, ground_motion: Floats, state: Floats) -> str | None:
         for guard in self.guards:

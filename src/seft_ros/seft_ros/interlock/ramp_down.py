@@ -17,6 +17,8 @@ class RampDown:
     ----------
     steps : int
         Steps from the first that is scaled to the one whose factor is 0, both included.
+    rest : int
+        Steps of factor 0 beyond that until the ramp counts as finished.
 
     Attributes
     ----------
@@ -28,21 +30,21 @@ class RampDown:
         As given.
     """
 
-    def __init__(self, steps: int) -> None:
+    def __init__(self, steps: int, rest: int = 0) -> None:
         if steps < 1:
             raise ValueError(f"a ramp of {steps} steps")
-        self.steps = steps
+        self.steps, self._rest = steps, rest
         self.reset()
 
     @classmethod
-    def lasting(cls, duration: float, dt: float) -> "RampDown":
+    def lasting(cls, duration: float, dt: float, rest: int = 0) -> "RampDown":
         """Make one of a duration and a sampling period, both in s."""
-        return cls(max(1, round(duration / dt)))
+        return cls(max(1, round(duration / dt)), rest)
 
     @property
     def finished(self) -> bool:
-        """Whether the factor 0 has been given."""
-        return self.taken >= self.steps
+        """Whether the factor 0 has been given, and as often again as it must rest."""
+        return self.taken >= self.steps + self._rest
 
     def reset(self) -> None:
         """Begin a new test."""
@@ -58,6 +60,15 @@ class RampDown:
         if not self.begun:
             return 1.0
         self.taken += 1
-        if self.finished:
+        return self._factor(self.taken)
+
+    def coming(self, count: int) -> list[float]:
+        """Factors that the next steps will be given, without taking them."""
+        if not self.begun:
+            return [1.0] * count
+        return [self._factor(self.taken + ahead) for ahead in range(1, count + 1)]
+
+    def _factor(self, taken: int) -> float:
+        if taken >= self.steps:
             return 0.0
-        return ramp_factor(self.taken, self.steps)
+        return ramp_factor(taken, self.steps)

@@ -2,16 +2,23 @@
 
 import sys
 import time
-from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.messages import OK, Status, decode_status
 from seft_msgs_py.node_main import NodeKind, run_node
 from seft_msgs_py.node_process import MOST_AT_ONCE
-from seft_msgs_py.node_shell import IDLE_WAIT, WARM_UP_STEPS, Handler, NodeShell
+from seft_msgs_py.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell
 from seft_msgs_py.outcome import tripped_status
-from seft_msgs_py.topics import EXPERIMENT_STATE, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
+from seft_msgs_py.topics import (
+    EXPERIMENT_STATE,
+    LINK_PING,
+    LINK_PONG,
+    REFERENCE_FORCE,
+    RIG_STATE,
+    VALVE_COMMAND,
+)
 from seft_msgs_py.trajectory import Floats, TrajectoryCodec
 
 from seft_ros.experiment.sample_order import SampleOrder, check_magnitude
@@ -19,15 +26,20 @@ from seft_ros.experiment.state_machine import MOVING
 from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.block import ForceController
 from seft_ros.force_controller.interlock import Interlock
+from seft_ros.force_controller.matched_forces import PENDING, MatchedForces
+from seft_ros.force_controller.newest_preview import NewestPreview
 from seft_ros.force_controller.parameters import TABLE
 from seft_ros.force_controller.silence import Silence
 
-PENDING = 256  # steps kept while their other half has not come
+TELL_PERIOD = 1.0  # s, of what is told of the link while a test runs
 STATE_WAIT = 0.0005  # s between looks for a state that comes after its reference force
 
 
 class ForceControllerNode:
     """Matches states and reference forces by step and moves them through an `Interlock`.
+
+    Where a link lies between it and the reference force, it answers each state at once with the
+    force that the newest message has for its step.
 
     Once tripped it answers every state that still comes with 0 V, and is silent else: to a rig
     whose states have failed to come, 0 V of its last step would be stale.
@@ -46,21 +58,31 @@ class ForceControllerNode:
         self._command_codec = TrajectoryCodec(VALVE_COMMAND, experiment.axes, experiment.timebase)
         self._publish = shell.publisher(VALVE_COMMAND)
         self._states: dict[int, Floats] = {}
-        self._forces: dict[int, Floats] = {}
+        self._previews: NewestPreview | None = None
+        if section["loop_delay"]:
+            self._previews = NewestPreview.from_parameters(
+                section, experiment.axes, experiment.timebase
+            )
+        self._forces = self._previews or MatchedForces()
+        self._told_at = 0.0
+        self._moving = False  # as the supervisor says
         self._order = SampleOrder(experiment.timebase)
         self._silence = Silence(section["watchdog.state_timeout"])
         self._refused_before = 0  # messages, until the last state came
         self._warm_up()
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
-        # the state of a step is nearly always there before the force that answers it: only the
-        # force is worth waking up for
-        forces, states = (
+        if self._previews is not None:
+            send_back = shell.publisher(LINK_PONG)
+            shell.subscribe(LINK_PING, lambda raw, _: send_back(raw), reliable=False)
+        self._force_codec, self._state_codec = (
             TrajectoryCodec(topic, experiment.axes, experiment.timebase)
             for topic in (REFERENCE_FORCE, RIG_STATE)
         )
-        on_force, on_state = _decoded(forces, self._on_force), _decoded(states, self._on_state)
-        shell.subscribe(REFERENCE_FORCE, on_force, reliable=False)
-        self._read_state = shell.subscribe(RIG_STATE, on_state, wake=False, reliable=False)
+        # without a link the state of a step is nearly always there before the force that answers
+        # it: only the force is worth waking up for
+        shell.subscribe(REFERENCE_FORCE, self._on_force, reliable=False)
+        wake = self._previews is not None
+        self._read_state = shell.subscribe(RIG_STATE, self._on_state, wake=wake, reliable=False)
 
     def _warm_up(self) -> None:
         axes = len(self._shell.experiment.axes)
@@ -87,22 +109,30 @@ class ForceControllerNode:
             )
 
     def _pause(self) -> float:
-        if self._forces:
+        if isinstance(self._forces, MatchedForces) and self._forces.pending:
             return STATE_WAIT
         return min(IDLE_WAIT, self._silence.pause) if self._silence.is_watching else IDLE_WAIT
 
     def _on_experiment_state(self, raw: bytes, _: int) -> None:
         status = decode_status(raw)
         self._order.follow(status)
-        if status.message not in MOVING:
+        moving, self._moving = self._moving, status.message in MOVING
+        if not self._moving:
             self._silence.end()
+            if moving and self._previews is not None:
+                self._tell()  # how the link did, in full
         if status.message == "idle" and self._controller.reason:  # the operator knows
             self._controller.reset()
             self._tell()
 
-    def _on_state(self, step: int, state: Floats) -> None:
+    def _on_state(self, raw: bytes, _: int) -> None:
+        step, values = self._state_codec.decode(raw)
+        state = values[0]
         check_magnitude("rig/state of step", step, state)
-        self._admit(RIG_STATE.name, step, self._states)
+        self._begin_with(step)
+        self._order.check(RIG_STATE.name, step)
+        if step in self._states:
+            raise WireError(f"{RIG_STATE.name} of step {step} a second time")
         if step + 1 < self._order.steps and not self._order.in_lockstep:
             self._silence.heard(time.monotonic())
             self._refused_before = self._shell.refused
@@ -112,76 +142,99 @@ class ForceControllerNode:
             self._answer(step, np.zeros(state.shape[1]), state)
             return
         self._states[step] = state
-        self._answer_if_complete(step, self._states)
+        self._answer_if_complete(step)
+        if len(self._states) > PENDING:
+            self._states.pop(min(self._states))
 
-    def _on_force(self, step: int, values: Floats) -> None:
+    def _on_force(self, raw: bytes, _: int) -> None:
+        step, values = self._force_codec.decode(raw)
+        points, name = values[:, 0], REFERENCE_FORCE.name
         if self._controller.reason and step <= self._order.last:
             return
-        nonsense = self._controller.nonsense(values[0])
-        if nonsense:
-            raise WireError(f"{REFERENCE_FORCE.name} of step {step}: {nonsense}")
-        self._admit(REFERENCE_FORCE.name, step, self._forces)
-        self._forces[step] = values[0]
-        for _ in range(MOST_AT_ONCE):  # the state of this step answers it
-            if step <= self._order.last or step in self._states or self._read_state() is None:
-                break
-        if step > self._order.last:
-            self._answer_if_complete(step, self._forces)
+        for force in points:
+            if nonsense := self._controller.nonsense(force):
+                raise WireError(f"{name} of step {step}: {nonsense}")
+        if self._previews is None:
+            self._begin_with(step)
+            self._order.check(name, step)
+        elif step > self._order.last + 1:  # the state it answers would be here first
+            raise WireError(f"{name} of step {step} after step {self._order.last}: in the future")
+        self._forces.take(step, points)
+        if self._previews is None:
+            self._fetch_state(step)
+        for waiting in sorted(self._states):
+            self._answer_if_complete(waiting)
 
-    def _admit(self, name: str, step: int, pending: dict[int, Floats]) -> None:
-        """See that a sample may be taken in; the first of a test begins it."""
+    def _fetch_state(self, step: int) -> None:
+        """Read the states that have come until that of a step; it is answered as it comes."""
+        for _ in range(MOST_AT_ONCE):
+            if step <= self._order.last or step in self._states or self._read_state() is None:
+                return
+
+    def _begin_with(self, step: int) -> None:
+        """Begin a test, if a sample of this step is the first of one."""
         if step == 0:
             self._shell.catch_up(EXPERIMENT_STATE)  # what was told before does not end this test
-        if self._order.begins(step):
-            self._states.clear()
-            self._forces.clear()
-            was_tripped = bool(self._controller.reason)
-            self._controller.reset()
-            conflict = self._shell.several_senders()
-            if conflict:
-                self._trip(conflict)
-            elif was_tripped:
-                self._tell()
-        self._order.check(name, step)
-        if step in pending:
-            raise WireError(f"{name} of step {step} a second time")
+        if not self._order.begins(step):
+            return
+        self._states.clear()
+        self._forces.reset()
+        was_tripped = bool(self._controller.reason)
+        self._controller.reset()
+        conflict = self._shell.several_senders()
+        if conflict:
+            self._trip(conflict)
+        elif was_tripped:
+            self._tell()
 
-    def _answer_if_complete(self, step: int, pending: dict[int, Floats]) -> None:
-        if step in self._states and step in self._forces:
-            self._answer(step, self._forces[step], self._states[step])
-        elif len(pending) > PENDING:
-            pending.pop(min(pending))
+    def _answer_if_complete(self, step: int) -> None:
+        if step not in self._states:
+            return
+        force = self._forces.force(step)
+        if force is not None:
+            self._answer(step, force, self._states[step])
 
     def _answer(self, step: int, force: Floats, state: Floats) -> None:
         was_tripped = bool(self._controller.reason)
         command = self._controller.step(step, force, state)
         self._publish(self._command_codec.encode(step, command))
         self._order.last = step
-        for pending in (self._states, self._forces):
-            for passed in [other for other in pending if other <= step]:
-                del pending[passed]
+        for passed in [other for other in self._states if other <= step]:
+            del self._states[passed]
         if self._controller.reason and not was_tripped:
+            self._tell_trip()
+        if self._previews is not None:
+            self._look_after_link(self._previews, step)
+
+    def _look_after_link(self, previews: NewestPreview, step: int) -> None:
+        """Trip when the reference force is lost; tell how the link does, when there is time."""
+        if previews.is_lost and not self._controller.reason:
+            self._trip(
+                f"no {REFERENCE_FORCE.name} for {step - previews.newest} steps (the last is of "
+                f"step {previews.newest}); is the link to the reference_force node cut?"
+            )
+        elif time.monotonic() - self._told_at >= TELL_PERIOD:
             self._tell()
 
     def _trip(self, reason: str) -> None:
         self._silence.end()
         self._controller.trip(max(self._order.last, 0), reason)
+        self._tell_trip()
+
+    def _tell_trip(self) -> None:
+        self._shell.node.get_logger().error(self._controller.reason)  # for who is at this host
         self._tell()
 
     def _tell(self) -> None:
+        self._told_at = time.monotonic()
         reason, step = self._controller.reason, self._controller.step_index
         status = Status("force_controller", OK, "ready", values={"phase": "ready"})
         if reason:
             status = tripped_status("force_controller", reason, step)
+        if self._previews is not None:
+            told = {"link": self._previews.record().to_json()}
+            status = replace(status, values={**status.values, **told})
         self._shell.report(status)
-
-
-def _decoded(codec: TrajectoryCodec, receive: Callable[[int, Floats], None]) -> Handler:
-    def handle(raw: bytes, _: int) -> None:
-        step, values = codec.decode(raw)
-        receive(step, values[0])
-
-    return handle
 
 
 def _build(shell: NodeShell) -> ForceControllerNode:

@@ -30,6 +30,7 @@ from seft_ros.interlock.protected_force import ProtectedForce
 from seft_ros.reference_force.estimate_sampler import EstimateSampler
 from seft_ros.reference_force.motion_buffer import MotionBuffer
 from seft_ros.reference_force.parameters import TABLE
+from seft_ros.reference_force.previewed_force import PreviewedForce
 
 
 class ReferenceForceNode:
@@ -41,7 +42,13 @@ class ReferenceForceNode:
         self._block = ProtectedForce.from_parameters(
             experiment["reference_force"], experiment.axes, experiment.timebase
         )
-        self._window = 1 + self._block.preview
+        section = experiment["reference_force"]
+        self._previewed: PreviewedForce | None = None
+        if section["loop_delay"]:
+            self._previewed = PreviewedForce.from_parameters(
+                self._block, section, experiment.axes, experiment.timebase
+            )
+        self._window = 1 + (self._previewed or self._block).preview
         self._motion_codec, self._state_codec, self._force_codec = (
             TrajectoryCodec(topic, experiment.axes, experiment.timebase)
             for topic in (GROUND_MOTION, RIG_STATE, REFERENCE_FORCE)
@@ -52,7 +59,7 @@ class ReferenceForceNode:
         self._publish_estimates = shell.publisher(ESTIMATES)
         self._motion = MotionBuffer(len(experiment.axes))
         self._waiting: dict[int, Floats] = {}
-        self._order = SampleOrder(experiment.timebase)
+        self._order = SampleOrder(experiment.timebase, max(section["loop_delay"], 0))
         self._conflict = ""  # why this test is not answered
         self._test = ""  # state of the test, as the supervisor says
         self._phase = ""
@@ -78,15 +85,19 @@ class ReferenceForceNode:
         motion, state = np.zeros((self._window, axes)), np.zeros((4, axes))
         for step in range(WARM_UP_STEPS):
             self._state_codec.decode(self._state_codec.encode(step, state))
-            self._force_codec.encode(step, self._block.step(motion, state))
+            self._message(step, motion, state)
+            self._order.last = step
             if step >= self._sampler.due and (estimates := self._sampler.sample(step)):
                 self._estimates_codec.decode(self._estimates_codec.encode(step, estimates))
+        self._order.last = -1
         self._reset()
 
     def _reset(self) -> None:
         self._cause_step = -1
         self._waiting.clear()
         self._block.reset()
+        if self._previewed is not None:
+            self._previewed.reset()
         self._sampler.reset()
         self._follow_test()
 
@@ -142,26 +153,35 @@ class ReferenceForceNode:
         elif self._test in (State.IDLE, State.READY) and self._phase != "ready":
             self._conflict = ""
             self._block.reset()
+            if self._previewed is not None:
+                self._previewed.reset()
             self._report("ready")
 
     def _answer(self, step: int, state: Floats) -> None:
         """Answer a state, or let it wait for the ground motion it needs."""
         motion = self._motion.window(step, self._window)
-        if motion is not None:
-            force = self._block.step(motion, state)
-        elif self._test == State.RAMPING_DOWN:  # it may never come
-            force = self._block.step_without_motion()
-        else:
+        if motion is None and self._test != State.RAMPING_DOWN:  # in which it may never come
             self._waiting[step] = state
             return
         self._waiting.pop(step, None)
-        self._publish(self._force_codec.encode(step, force))
+        self._publish(self._message(step, motion, state))
         self._order.last = step
         # the answer is out: what comes now holds nobody up
         if self._block.ramping:
             self._tell_ramp(step)
         if step >= self._sampler.due:
             self._tell_estimates(step)
+
+    def _message(self, step: int, motion: Floats | None, state: Floats) -> bytes:
+        """Message that answers a state; of the states before it, lost ones are bridged."""
+        force = self._block if self._previewed is None else self._previewed
+        if self._previewed is not None and step > self._order.last + 1:
+            lost = range(self._order.last + 1, step)
+            self._previewed.bridge([self._motion.window(s, self._window) for s in lost], state)
+        values = force.step_without_motion() if motion is None else force.step(motion, state)
+        if self._previewed is None:
+            return self._force_codec.encode(step, values)
+        return self._force_codec.encode_points(step, values)
 
     def _tell_ramp(self, step: int) -> None:
         """Tell the supervisor at once that the force comes down by itself, and that it is down."""

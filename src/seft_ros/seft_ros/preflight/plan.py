@@ -128,6 +128,7 @@ class Plan:
         """
         rig = self._rig(self.dt, self.dead_time if dead_time is None else dead_time, gain)
         compensation = self._filter(mass_ratio, stiffness, told_delay)
+        compensation = compensation.delayed(self.section["loop_delay"])
         return closed_loop(rig, compensation, self._control, self.dt, self._feedback)
 
     def loop_matrices(self, filters: Matrices, dead_time: float | None = None) -> Floats:

@@ -99,7 +99,8 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         start_ns = int(received[0])
     if known or len(states):
         last_step = int(states[-1]) if len(states) else -1
-        series[GROUND_MOTION.name] = until(series[GROUND_MOTION.name], last_step)
+        for topic in (GROUND_MOTION, REFERENCE_FORCE):  # which go ahead
+            series[topic.name] = until(series[topic.name], last_step)
     series = {name: on_steps_of(series[RIG_STATE.name], one) for name, one in series.items()}
     undecodable = bag.undecodable + sum(gatherer.undecodable for gatherer in loop.values())
     undecodable += sum(gatherer.undecodable for gatherer in others.values())
@@ -112,6 +113,7 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         missed_steps=outcome.missed_steps if outcome else [],
         overruns=outcome.overruns if outcome else None,
         saturation=outcome.saturation if outcome else Saturation(),
+        link=statuses.link,
         events=log.events(start_ns),
         wall_s=outcome.wall_s if outcome else None,
         complete=outcome is not None,

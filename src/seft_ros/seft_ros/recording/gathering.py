@@ -4,6 +4,7 @@ Each object takes the messages of one topic, and counts those that it can't unde
 """
 
 from functools import lru_cache
+from math import inf
 from typing import Protocol
 
 from seft_msgs_py.errors import WireError
@@ -20,11 +21,12 @@ from seft_msgs_py.messages import (
 )
 from seft_msgs_py.outcome import Outcome, read_outcome
 from seft_msgs_py.timebase import NANOSECONDS_PER_SECOND, Timebase
-from seft_msgs_py.topics import GROUND_MOTION, LoopTopic
+from seft_msgs_py.topics import GROUND_MOTION, REFERENCE_FORCE, LoopTopic
 from seft_msgs_py.trajectory import TrajectoryCodec
 from seft_msgs_py.trajectory_batch import decode_batch
 
 from seft_ros.experiment.state_machine import ENDED
+from seft_ros.force_controller.link_record import LinkRecord
 from seft_ros.recording.message_block import MessageBlock
 from seft_ros.recording.record import Estimates, Event, Series
 from seft_ros.recording.samples import EstimateBuffer, SampleBuffer
@@ -45,6 +47,9 @@ class Gatherer(Protocol):
 class SeriesGatherer:
     """Samples of a topic of the loop.
 
+    Of a reference force with previews, the forces that a message has settled count, not those
+    that it only expects.
+
     Parameters
     ----------
     topic : LoopTopic
@@ -60,11 +65,15 @@ class SeriesGatherer:
         self._codec = TrajectoryCodec(topic, experiment.axes, experiment.timebase)
         self._samples = SampleBuffer(len(topic.quantities), len(experiment.axes), expected)
         self._timed = topic is not GROUND_MOTION  # which goes ahead, sooner or later
+        self._ahead = inf
+        if topic is REFERENCE_FORCE:
+            section = experiment.sections.get("reference_force", {})
+            self._ahead = max(section.get("loop_delay", 0), 0)
 
     def take(self, block: MessageBlock) -> None:
         """Take the next messages, all of the topic."""
         for rows, received in block.alike():
-            batch = decode_batch(self._codec, rows)
+            batch = decode_batch(self._codec, rows).up_to(self._ahead)
             times = received[batch.messages] if self._timed else None
             self._samples.append(batch.steps, batch.values, times)
             self.undecodable += batch.refused
@@ -102,11 +111,14 @@ class StatusGatherer:
     ----------
     outcome : Outcome or None
         None as long as the rig said nothing of an end.
+    link : LinkRecord or None
+        None as long as the force controller said nothing of one.
     """
 
     def __init__(self, timebase: Timebase, log: "EventLog") -> None:
         self.undecodable = 0
         self.outcome: Outcome | None = None
+        self.link: LinkRecord | None = None
         self._timebase, self._log = timebase, log
         self._decode = lru_cache(64)(decode_diagnostics)  # nodes repeat themselves
 
@@ -119,7 +131,15 @@ class StatusGatherer:
             return
         for status in statuses:
             self.outcome = read_outcome(status, self._timebase) or self.outcome
+            if status.name == "force_controller" and "link" in status.values:
+                self._take_link(status.values["link"])
             self._log.add(received_ns, status, status.message)
+
+    def _take_link(self, text: str) -> None:
+        try:
+            self.link = LinkRecord.from_json(text)
+        except ValueError:
+            self.undecodable += 1
 
 
 class StateGatherer:

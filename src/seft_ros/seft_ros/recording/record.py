@@ -9,6 +9,8 @@ from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.outcome import Saturation, Trip
 from seft_msgs_py.topics import LOOP_TOPICS
 
+from seft_ros.force_controller.link_record import LinkRecord
+
 __all__ = ["Estimates", "Event", "Record", "Series", "Trip"]
 
 Floats = npt.NDArray[np.float64]
@@ -95,6 +97,9 @@ class Record:
         None if unknown.
     saturation : Saturation
         What the rig says was at the end of its range.
+    link : LinkRecord or None
+        How reference forces came over a link, as the force controller told; None if it told
+        nothing.
     events : list of Event
         What the nodes told, in the order of time; each once until it changes.
     wall_s : float or None
@@ -115,6 +120,7 @@ class Record:
     missed_steps: list[int] = field(default_factory=list)
     overruns: int | None = 0
     saturation: Saturation = field(default_factory=Saturation)
+    link: LinkRecord | None = None
     events: list[Event] = field(default_factory=list)
     wall_s: float | None = None
     complete: bool = True

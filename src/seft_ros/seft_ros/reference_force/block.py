@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.arrays import mass_matrix, symmetric_matrix
+from seft_msgs_py.errors import InputError
 from seft_msgs_py.timebase import Timebase
 
 from seft_ros.reference_force.compensation.compensator import Compensator, Knowledge
@@ -88,7 +89,8 @@ def knowledge(section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
     Raises
     ------
     InputError
-        If the model's sizes do not fit the axes, or its mass is not positive.
+        If the model's sizes do not fit the axes, its mass is not positive, or the loop's delay
+        is not known.
     """
     where = "reference_force: model"
     mass = mass_matrix(section["model.mass"], axes, f"{where}.mass")
@@ -104,4 +106,21 @@ def knowledge(section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
         for name, value in section.items()
         if name.startswith(("compensation.", "tracking."))
     }
-    return Knowledge(mass, computed, damping, stiffness, timebase.dt, options)
+    loop_delay: int = section["loop_delay"]
+    if loop_delay < 0:
+        raise InputError(
+            "reference_force: loop_delay is to be measured, which only seft run does; seft link "
+            "tells it: give it with -p reference_force:loop_delay:=STEPS"
+        )
+    _add_delay(options, loop_delay * timebase.dt)
+    return Knowledge(mass, computed, damping, stiffness, timebase.dt, options, loop_delay)
+
+
+def _add_delay(options: dict[str, Any], delay: float) -> None:
+    """Lengthen the delays that are known by one that stands before them, s."""
+    for name in ("compensation.delay", "tracking.dead_time"):
+        if options[name] > 0:
+            options[name] += delay
+    options["compensation.delay_range"] = [
+        bound + delay for bound in np.atleast_1d(options["compensation.delay_range"]).tolist()
+    ]

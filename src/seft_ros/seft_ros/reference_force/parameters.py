@@ -19,6 +19,16 @@ TABLE = Table(
             "mass_ratio", "float", 0.0, "computed mass over specimen mass, alpha", minimum=0.0
         ),
         Parameter(
+            "loop_delay",
+            "int",
+            0,
+            "steps from a state to the first use of the force that is computed from it, where a "
+            "link lies between this node and the force controller (docs/hosts.md); 0: none does, "
+            "and the force controller waits for it; -1: seft run measures it before the test",
+            minimum=-1,
+            maximum=100,
+        ),
+        Parameter(
             "model.mass",
             "floats",
             None,

@@ -13,6 +13,8 @@ GOOD_VIBRATION, BAD_VIBRATION = 0.1, 0.3
 """Acceleration in the instability band beyond the exact one's, over all of that."""
 BAD_MISSED = 0.05
 """Share of steps without a command in time."""
+BAD_LATE = 0.2
+"""Share of reference forces that came over the link after the loop's delay."""
 GOOD_CLOSURE = 0.05
 """Error of the energy balance: do the samples fit the specimen they are said to be of?"""
 GOOD_DELAY = 2.0
@@ -105,6 +107,8 @@ def _findings(summary: dict[str, Any]) -> Iterator[Finding]:
     if summary["uncompensated_delay_s"] is not None:
         yield _delay(summary)
     yield _missed(summary)
+    if summary["link"]:
+        yield _link(summary["link"])
     yield _lost(summary)
     if summary["overruns"]:
         text = f"the rig's own clock was held up {summary['overruns']} times"
@@ -176,6 +180,19 @@ def _missed(summary: dict[str, Any]) -> Finding:
     text = f"{missed} of {steps} steps ({percent(missed / steps)}) had no command in time"
     mark = Mark.BAD if missed > BAD_MISSED * steps else Mark.DOUBT
     return Finding(mark, "missed", text)
+
+
+def _link(link: dict[str, Any]) -> Finding:
+    delay, late, forces = link["loop_delay"], link["late"], link["forces"]
+    if not late:
+        text = f"every reference force came within the loop's delay of {delay} steps"
+        return Finding(Mark.GOOD, "link", text)
+    text = (
+        f"{late} of {forces} reference forces ({percent(late / forces)}) came after the loop's "
+        f"delay of {delay} steps and were predicted, {link['held']} of them held"
+    )
+    mark = Mark.BAD if late > BAD_LATE * forces else Mark.DOUBT
+    return Finding(mark, "link", text)
 
 
 def _lost(summary: dict[str, Any]) -> Finding:

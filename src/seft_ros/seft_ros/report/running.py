@@ -30,6 +30,7 @@ def timing_section(findings: Findings) -> Section:
         more = ", ..." if missed > len(listed) else ""
         rows.append(("these steps", ", ".join(map(str, listed)) + more))
     rows.append(("times the rig's own clock was held up", _or_unknown(summary["overruns"])))
+    rows += _link_rows(summary["link"])
     if timing is None:
         why = "The offline loop has no messages that could be late."
         if findings.record.environment.get("mode") != "simulate":
@@ -71,6 +72,19 @@ def timing_section(findings: Findings) -> Section:
     ]
     blocks.append(Table(headings, gaps))
     return Section("Timing", blocks)
+
+
+def _link_rows(link: dict[str, Any] | None) -> list[tuple[str, str]]:
+    """Rows on the link of a test on several hosts."""
+    if link is None:
+        return []
+    ages = ", ".join(f"{name} {steps}" for name, steps in link["age"].items())
+    return [
+        ("delay of the loop over the link", f"{link['loop_delay']} steps"),
+        ("age of the reference forces over it, steps", ages),
+        ("forces that came later, and were predicted", f"{link['late']} of {link['forces']}"),
+        ("of these, forces that no prediction reached", str(link["held"])),
+    ]
 
 
 def estimates_section(findings: Findings) -> Section:

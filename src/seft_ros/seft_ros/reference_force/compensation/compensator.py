@@ -25,7 +25,10 @@ class Knowledge:
     dt : float
         Sampling period, s.
     options : mapping
-        Parameters ``compensation.*`` and ``tracking.*`` of the reference force, by name.
+        Parameters ``compensation.*`` and ``tracking.*`` of the reference force, by name; the
+        delays and dead times among them hold the loop's delay.
+    loop_delay : int
+        Steps from a state to the first use of the force that is computed from it.
     """
 
     mass: Floats
@@ -34,6 +37,7 @@ class Knowledge:
     stiffness: Floats
     dt: float
     options: Mapping[str, Any]
+    loop_delay: int = 0
 
     @property
     def axes(self) -> int:

@@ -59,6 +59,22 @@ class LinearFilter:
         """Steps of coming ground motion that it looks at."""
         return self.e.shape[1] // self.axes - 1
 
+    def delayed(self, steps: int) -> "LinearFilter":
+        """Filter whose reference force comes so many steps later."""
+        if not steps:
+            return self
+        n, size, late = self.axes, len(self.a), self.axes * steps
+        shift = np.eye(late, k=-n)  # the newest force first
+        first = np.eye(late, n)
+        return LinearFilter(
+            a=np.block([[self.a, np.zeros((size, late))], [first @ self.c, shift]]),
+            b=np.vstack([self.b, first @ self.d]),
+            h=np.vstack([self.h, first @ self.e]),
+            c=np.hstack([np.zeros((n, size)), np.eye(n, late, k=late - n)]),
+            d=np.zeros_like(self.d),
+            e=np.zeros_like(self.e),
+        )
+
     def matrix(self) -> Floats:
         """Matrix from (s, y, g) to (f_r, s of the next step)."""
         return np.block([[self.c, self.d, self.e], [self.a, self.b, self.h]])

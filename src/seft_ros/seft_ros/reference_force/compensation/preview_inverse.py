@@ -165,7 +165,9 @@ class AdaptivePreviewInverse:
         known.set_restoring(self._specimen.bounded(), elastic=False)
         known.rest[:] = known.residual
         self._tracking.reset()
-        self._correction = ForceErrorCorrection(self._knowledge, known.restoring)
+        late = self._knowledge.loop_delay * self._knowledge.dt
+        pace = 1.0 - late / known.delay
+        self._correction = ForceErrorCorrection(self._knowledge, known.restoring, pace)
         self._plastic = PlasticForce(
             known.restoring.diagonal(),
             self._noise,

@@ -31,9 +31,12 @@ class ForceErrorCorrection:
         Masses and sampling period.
     restoring : ndarray
         (K, C) of the specimen while it is elastic, shape (n, 2n).
+    pace : float
+        Factor on the frequencies at which it corrects: below 1 where the loop's delay makes them
+        too fast.
     """
 
-    def __init__(self, knowledge: Knowledge, restoring: Floats) -> None:
+    def __init__(self, knowledge: Knowledge, restoring: Floats, pace: float = 1.0) -> None:
         n, dt = knowledge.axes, knowledge.dt
         mass = knowledge.mass
         inverse = np.linalg.inv(knowledge.total_mass)
@@ -48,10 +51,10 @@ class ForceErrorCorrection:
         slowing = inverse @ (restoring @ np.vstack([d, rate]) + yielded)
         rate = rate + dt * (np.linalg.inv(mass) @ error - slowing)
         d = d + dt * rate
-        integral = integral + 2 * np.pi * _INTEGRAL * dt * error
-        lasting = 1.0 - np.exp(-2 * np.pi * _DISTURBANCE * dt)
+        integral = integral + 2 * np.pi * pace * _INTEGRAL * dt * error
+        lasting = 1.0 - np.exp(-2 * np.pi * pace * _DISTURBANCE * dt)
         disturbance = disturbance + lasting * (deviation - disturbance)
-        w = 2 * np.pi * WAY_BACK
+        w = 2 * np.pi * pace * WAY_BACK
         lowering = mass @ (w * w * d + 2 * w * rate) + disturbance
         self._gain = np.vstack([d, rate, integral, disturbance, restoring_force, lowering])
         self._known, self._result = np.zeros(11 * n), np.zeros(6 * n)

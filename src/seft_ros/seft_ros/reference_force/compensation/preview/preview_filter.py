@@ -81,6 +81,7 @@ class PreviewFilter:
     def __init__(self, knowledge: Knowledge, bias_corner: float, mends: bool = False) -> None:
         options, dt, n = knowledge.options, knowledge.dt, knowledge.axes
         self._axes, self._mass, self._mends = n, knowledge.mass, mends
+        self._loop_delay = knowledge.loop_delay
         self.noise = Noise.from_options(options)
         model = TrackingModel.from_options(options, dt)
         self.delay = model.delay(dt)
@@ -102,6 +103,8 @@ class PreviewFilter:
         self.restoring_noise = self.noise.force**2 + inertia
         self._trust = _TRUST * self.noise.force**2 / self.restoring_noise
         self._direct_by_rest = float(self._nominal is not None) - self._trust
+        if self._loop_delay:  # nothing passes the inverse by but what arrives
+            self._trust = self._direct_by_rest = np.zeros(n)
         # the loop's states z and the last forces: one product gives u less the target's part
         size, past = len(model.a), len(tracking.past)
         self._loop = np.zeros((2 + size + past, size + past))
@@ -187,6 +190,13 @@ class PreviewFilter:
             gain[8 * n : 9 * n] = (self._nominal - self.restoring) @ motion - known_rest
         gain[9 * n : 11 * n] = targets
         gain[11 * n :] = np.diag(self._trust) @ (residual - known_rest) - gain[8 * n : 9 * n]
+        if self._loop_delay and self._nominal is not None:
+            arriving = self.prediction.departure(self._loop_delay)
+            gain[11 * n :] = -arriving[0] @ motion
+            gain[11 * n :, ground] -= arriving[1]
+            if elastic:
+                gain[11 * n :] -= arriving[2].reshape(n, -1, n).sum(axis=1) @ rest
+            self._arriving = arriving[2]
         self._gain = gain
 
     def observe(self, ground_motion: Floats, state: Floats) -> None:
@@ -207,6 +217,8 @@ class PreviewFilter:
         if self._nominal is not None:
             self.departure -= self.rest
         self._direct += self._direct_by_rest * self.rest
+        if self._loop_delay and self._nominal is not None:
+            self._direct -= self._arriving.dot(coming)
         self.target += self._rest_gains.dot(coming)
 
     def begin_course(self) -> None:

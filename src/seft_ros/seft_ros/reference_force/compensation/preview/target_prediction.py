@@ -113,6 +113,36 @@ class TargetPrediction:
         gain: Floats = _ahead(self._weights[:1], target, expm(system * self._dt))[0]
         return gain
 
+    def departure(self, ahead: int) -> tuple[Floats, Floats, Floats]:
+        """Gains of the force K_0 x + C_0 v - r some steps ahead, as `gains` has them.
+
+        Parameters
+        ----------
+        ahead : int
+            Steps, within the horizon.
+
+        Returns
+        -------
+        motion, ground_motion, rest : ndarray
+            Shapes (n, 2n) and (n, (1 + horizon) n), twice.
+        """
+        n, steps = len(self._mass), self._weights.shape[1]
+        ground = np.zeros((steps, 2 * n, n))
+        power = np.eye(2 * n)
+        for step in range(ahead, 0, -1):  # what enters in the step to `step`
+            ground[step] += power @ self._end
+            ground[step - 1] += power @ self._start
+            power = power @ self._free
+        departure = self.nominal - self._restoring
+        rest = departure @ ground @ self._inverse_mass
+        rest[ahead] -= np.eye(n)
+        flat = (n, steps * n)
+        return (
+            departure @ power,
+            (departure @ ground).transpose(1, 0, 2).reshape(flat),
+            rest.transpose(1, 0, 2).reshape(flat),
+        )
+
     def displacements(self) -> tuple[Floats, Floats, Floats]:
         """Gains from which the coming displacements follow, as `gains` has them.
 

@@ -1,0 +1,125 @@
+"""The newest reference force with previews, of which the controller takes the point of its step."""
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from seft_msgs_py.errors import InputError, WireError
+from seft_msgs_py.timebase import Timebase
+from seft_msgs_py.topics import REFERENCE_FORCE
+
+from seft_ros.force_controller.link_record import LinkRecord
+from seft_ros.interlock.ramp_down import RampDown
+
+Floats = npt.NDArray[np.float64]
+
+
+class NewestPreview:
+    """The newest message of a reference force whose loop has a delay of d steps.
+
+    The message of step k tells what was settled for the steps to k + d, and what is expected
+    beyond. A step that none tells of goes on with the last force. Where messages fail to come
+    for too long, the force comes down to zero by itself.
+
+    Parameters
+    ----------
+    axes : int
+        n.
+    loop_delay : int
+        d; negative: not known here.
+    patience : float
+        Steps that a message may be old before the force comes down; infinite: any.
+    ramp : RampDown
+        How it comes down.
+    settled_only : bool
+        Whether a step waits for a message that has settled its force (in lockstep).
+
+    Attributes
+    ----------
+    newest : int
+        Step of the newest message; -1 where none has come.
+    """
+
+    def __init__(
+        self, axes: int, loop_delay: int, patience: float, ramp: RampDown, settled_only: bool
+    ) -> None:
+        self._axes, self._loop_delay = axes, max(loop_delay, 0)
+        self._patience, self._ramp, self._settled_only = patience, ramp, settled_only
+        self.reset()
+
+    @classmethod
+    def from_parameters(
+        cls, section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
+    ) -> "NewestPreview":
+        """Make it of the force controller's section of an experiment.
+
+        Raises
+        ------
+        InputError
+            If the watchdog would trip on the loop's own delay, or a delay must be known.
+        """
+        loop_delay, timeout = section["loop_delay"], section["watchdog.reference_timeout"]
+        lockstep = section["pace"] == "lockstep"
+        if lockstep and loop_delay < 0:
+            raise InputError(
+                "force_controller: loop_delay is to be measured, but a rig in lockstep has no "
+                "time of its own; give a number of steps"
+            )
+        if round(timeout * timebase.rate) <= loop_delay:
+            raise InputError(
+                f"force_controller: watchdog.reference_timeout is {timeout:g} s, but the loop's "
+                f"own delay is {loop_delay * timebase.dt:g} s (loop_delay); make it longer"
+            )
+        patience = math.inf if lockstep else round(timeout * timebase.rate)
+        ramp = RampDown.lasting(section["watchdog.ramp_down_time"], timebase.dt)
+        return cls(len(axes), loop_delay, patience, ramp, lockstep)
+
+    def reset(self) -> None:
+        """Begin a new test: no force before the first that is told."""
+        self.newest = -1
+        self._ages: dict[int, int] = {}
+        self._held = 0
+        self._points = np.zeros((1 + self._loop_delay, self._axes))
+        self._force = self._points[0]
+        self._ramp.reset()
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the force has come down because messages failed to come."""
+        return self._ramp.finished
+
+    def record(self) -> LinkRecord:
+        """Tell how the messages of this test have come."""
+        return LinkRecord(dict(sorted(self._ages.items())), self._held)
+
+    def take(self, step: int, points: Floats) -> None:
+        """Take a message: forces of its step and the coming ones, shape (p, n), N.
+
+        Raises
+        ------
+        WireError
+            If a newer one has come before.
+        """
+        if step <= self.newest:
+            raise WireError(
+                f"{REFERENCE_FORCE.name} of step {step} after that of step {self.newest}: repeated "
+                "or out of order"
+            )
+        self.newest, self._points = step, points
+
+    def force(self, step: int) -> Floats | None:
+        """Force of a step, shape (n,), N; None if it is to be waited for."""
+        age = step - self.newest
+        if self._settled_only and age > self._loop_delay:
+            return None
+        self._ages[age] = self._ages.get(age, 0) + 1
+        if age > self._patience:
+            self._ramp.begin()
+        if self._ramp.begun:
+            return self._force * self._ramp.next()
+        if age < len(self._points):
+            self._force = self._points[age]
+        else:
+            self._held += 1
+        return self._force

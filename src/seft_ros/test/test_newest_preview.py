@@ -1,0 +1,102 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from seft_msgs_py.errors import InputError, WireError
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.parameter_file import parse_override
+from seft_ros.experiment.tables import TABLES
+from seft_ros.force_controller.newest_preview import NewestPreview
+from seft_ros.interlock.ramp_down import RampDown
+
+D, EXPECTED = 4, 3
+
+
+def preview(patience=20, settled_only=False):
+    return NewestPreview(1, D, patience, RampDown(5), settled_only)
+
+
+def message(step):
+    """Force of each step is its number: settled to step + D, and half of it more beyond."""
+    points = step + np.arange(1.0 + D + EXPECTED)
+    points[1 + D :] += 0.5
+    return step, points[:, np.newaxis]
+
+
+@given(st.lists(st.booleans(), min_size=30, max_size=60), st.integers(0, D))
+def test_whatever_is_late_or_lost_within_the_delay_changes_nothing(arrives, late):
+    arriving = [all_lost or step % (1 + D - late) == 0 for step, all_lost in enumerate(arrives)]
+    newest = preview()
+    for step in range(len(arriving)):
+        if step >= late and arriving[step - late]:
+            newest.take(*message(step - late))
+        force = newest.force(step)
+        assert force is not None
+        assert force.item() == (step if newest.newest >= 0 else 0.0)
+
+
+def test_before_the_first_message_the_force_is_zero():
+    newest = preview()
+    assert [newest.force(step).item() for step in range(D)] == [0.0] * D
+    assert newest.record().held == 0
+
+
+def test_beyond_the_delay_goes_on_as_expected_and_then_holds():
+    newest = preview()
+    newest.take(*message(0))
+    found = [newest.force(step).item() for step in range(10)]
+    assert found == [0, 1, 2, 3, 4, 5.5, 6.5, 7.5, 7.5, 7.5]
+    record = newest.record()
+    assert record.held == 2
+    assert record.older_than(D) == 5
+    assert record.ages == dict.fromkeys(range(10), 1)
+    assert not newest.is_lost
+
+
+def test_a_link_that_stays_silent_brings_the_force_down_softly():
+    newest = preview(patience=9)
+    newest.take(*message(0))
+    forces = [newest.force(step).item() for step in range(15)]
+    assert forces[9] == 7.5
+    assert forces[9] > forces[10] > forces[11] > forces[12] > forces[13] > forces[14] == 0.0
+    assert newest.is_lost
+    newest.take(*message(12))  # too late: the ramp is not taken back
+    assert newest.force(15).item() == 0.0
+    newest.reset()
+    newest.take(*message(0))
+    assert newest.force(1).item() == 1.0
+
+
+def test_in_lockstep_a_step_waits_until_its_force_is_settled():
+    newest = preview(math.inf, settled_only=True)
+    assert [newest.force(step).item() for step in range(D)] == [0.0] * D
+    assert newest.force(D) is None
+    newest.take(*message(0))
+    assert newest.force(D).item() == D
+    assert newest.force(D + 1) is None
+    assert newest.record().ages == {1: 1, 2: 1, 3: 1, 4: 2}  # what waited counts once
+
+
+def test_a_message_that_is_repeated_or_out_of_order_is_refused():
+    newest = preview()
+    newest.take(*message(3))
+    for step in (3, 2):
+        with pytest.raises(WireError, match=f"step {step} after that of step 3"):
+            newest.take(*message(step))
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (("loop_delay:=60",), "reference_timeout is 0.1 s, but the loop's own delay is 0.12 s"),
+        (("loop_delay:=-1", "pace:=lockstep"), "give a number of steps"),
+    ],
+)
+def test_parameters_that_contradict_are_refused(overrides, words):
+    given = [parse_override(f"force_controller:{text}") for text in overrides]
+    experiment = Experiment.load(TABLES, ["config/jhu.yaml"], given)
+    section = experiment["force_controller"]
+    with pytest.raises(InputError, match=words):
+        NewestPreview.from_parameters(section, experiment.axes, experiment.timebase)

@@ -1,0 +1,187 @@
+"""A test on two hosts: the computed structure on a, the rig with its force controller on b."""
+
+import json
+import threading
+import time
+
+import pytest
+from graph_tools import DEMO, MISSES_ALLOWED, STALLS_ALLOWED, children, wait_for
+from two_hosts import promptly, two_hosts
+
+__all__ = ["two_hosts"]
+
+LOOP_DELAY = 9
+DELAYED = {"delay": 0.005, "jitter": 0.001}
+PLAN = (
+    *("-p", "reference_force:mass_ratio:=1.0"),
+    *("-p", f"reference_force:loop_delay:={LOOP_DELAY}"),
+)
+PATIENT = (
+    *STALLS_ALLOWED,
+    *MISSES_ALLOWED,
+    *("-p", "rig:watchdog.supervisor_timeout:=60.0"),
+)
+CUT = 1.0  # s without a reference force, after which it is brought down
+RAMP = 0.5  # s in which it is
+SILENCE = (  # what a machine that stands still may take, without it being a cut
+    *("-p", f"force_controller:watchdog.reference_timeout:={CUT}"),
+    *("-p", "rig:watchdog.supervisor_timeout:=5.0"),
+    *("-p", "supervisor:watchdog.peer_timeout:=10.0"),
+    *("-p", "supervisor:watchdog.command_timeout:=5.0"),
+    *MISSES_ALLOWED,
+)
+ELSEWHERE = ("--external", "rig", "--external", "force_controller")
+
+
+@pytest.fixture
+def rig_host(two_hosts):
+    """Start rig and force controller on b; gives the processes."""
+
+    def start(*words):
+        arguments = ("--ros-args", "--params-file", DEMO, *PLAN, *words)
+        return [
+            two_hosts.start("b", module, *arguments, preexec_fn=promptly)
+            for module in ("seft_plant_sim.rig_node", "seft_ros.nodes.force_controller")
+        ]
+
+    return start
+
+
+def seft_run(two_hosts, *words):
+    """Start `seft run` on a; what it starts is to run promptly."""
+    run = two_hosts.start("a", "seft_ros.commands.main", "run", DEMO, *ELSEWHERE, *PLAN, *words)
+
+    def hurry():
+        while run.poll() is None:
+            for pid in children(run.pid).values():
+                promptly(pid)
+            time.sleep(0.2)
+
+    threading.Thread(target=hurry, daemon=True).start()
+    return run
+
+
+def run_over(two_hosts, rig_host, **link):
+    two_hosts.link(**link)
+    rig_host(*PATIENT)
+    run = seft_run(two_hosts, *PATIENT, "--out", "hosts", "--json")
+    out, told = run.communicate()
+    assert run.returncode == 0, told
+    over = json.loads(out)
+    assert over["trip"] is None
+    assert over["steps"] == 7001
+    return over
+
+
+def assert_accurate(over, most):
+    """Hold the displacement to a bound, unless this machine itself stood still too often."""
+    if over["missed"] < 0.02 * over["steps"]:
+        assert over["lost"] == dict.fromkeys(over["lost"], 0)
+        assert over["displacement"]["nrmse"] < most
+
+
+def test_a_link_with_delay_and_jitter_costs_little(two_hosts, rig_host, seft_json):
+    over = run_over(two_hosts, rig_host, **DELAYED)
+    assert_accurate(over, 0.03)
+    assert over["link"]["loop_delay"] == LOOP_DELAY
+    assert over["link"]["age"]["p50"] >= 5  # 10 ms: it went over the link
+    assert over["link"]["forces"] == over["steps"]
+    simulated = seft_json("simulate", DEMO, *PLAN, "--out", "simulated")
+    compared = seft_json("compare", "simulated", "hosts", status=None)
+    if not (over["missed"] or over["overruns"] or over["link"]["late"]):
+        assert compared["identical"] is True
+    assert simulated["steps"] == over["steps"]
+
+
+def test_what_is_lost_on_the_link_is_bridged(two_hosts, rig_host):
+    five_messages = 0.0101  # s
+    loss = {"loss": 0.02, "burst": five_messages, "burst_period": 0.7}
+    over = run_over(two_hosts, rig_host, **DELAYED, **loss)
+    assert_accurate(over, 0.05)
+    assert min(way["lost"] for way in two_hosts.link()) > 100
+
+
+def test_a_cut_link_ends_the_test_safely_and_both_hosts_say_why(two_hosts, rig_host):
+    two_hosts.link(**DELAYED)
+    _, controller = rig_host(*SILENCE)
+    probe = two_hosts.start("b", "host_probe", DEMO, preexec_fn=promptly)
+    seen = []
+
+    def listen():
+        for line in probe.stdout:
+            seen.append(json.loads(line))
+
+    threading.Thread(target=listen, daemon=True).start()
+    run = seft_run(two_hosts, *SILENCE, "--out", "hosts", "--json")
+    wait_for(lambda: seen and seen[-1].get("step", 0) > 1500, "the strong motion")
+    two_hosts.link(cut=True)
+    cut_at = time.monotonic()
+    _, told = run.communicate()
+    assert run.returncode == 1
+    assert "has been silent since" in told.splitlines()[-1]
+    trip = wait_for(lambda: [row for row in seen if "tripped" in row], "the rig's trip")[0]
+    assert "supervisor has been silent" in trip["tripped"]
+    controller.terminate()
+    assert "(the last is of step" in controller.communicate()[1]
+
+    commands = {r["step"]: r["value"] for r in seen if r.get("topic") == "valve_command"}
+    forces = {r["step"]: r["value"] for r in seen if r.get("topic") == "rig/state"}
+    times = {r["step"]: r["at"] for r in seen if r.get("topic") == "rig/state"}
+    cut = max(step for step, at in times.items() if at <= cut_at)
+    moving = max(step for step, volts in commands.items() if volts != 0.0)
+    patience = round((CUT + RAMP) * 500) + LOOP_DELAY
+    assert cut < moving < cut + patience
+    peak = max(abs(forces[step]) for step in range(cut - 500, cut))
+    assert peak > 100
+    assert abs(forces[moving]) < 0.2 * peak  # it came down before the valve was closed
+    assert abs(forces[max(forces)]) < 0.2 * peak
+
+
+def test_the_link_is_measured_and_a_test_takes_the_delay_that_it_needs(two_hosts, rig_host):
+    two_hosts.link(**DELAYED)
+    _, controller = rig_host(*PATIENT, "-p", "reference_force:loop_delay:=-1")
+    link = two_hosts.start(
+        *("a", "seft_ros.commands.main", "link", DEMO, *PLAN[:2], "--duration", "4"),
+        *("--out", "link.yaml", "--json"),
+        preexec_fn=promptly,
+    )
+    out, told = link.communicate()
+    assert link.returncode == 0, told
+    found = json.loads(out)
+    assert 0.008 < found["round_trip_s"]["p50"] < found["round_trip_s"]["p99"]
+    assert found["loop_delay"] >= 6
+    assert found["sent"] == 2000
+    assert found["rate_within_a_step_hz"] < 125
+    assert found["test"]["stable"] is True
+    assert "loop_delay: " in (two_hosts.folder / "link.yaml").read_text()
+    run = seft_run(
+        two_hosts,
+        *PATIENT,
+        *("-p", "reference_force:loop_delay:=-1", "--out", "hosts", "--json"),
+        *("-p", "ground_motion:synthetic.duration:=6.0"),
+    )
+    out, told = run.communicate()
+    assert run.returncode == 0, told
+    over = json.loads(out)
+    assert f"a delay of the loop of {over['link']['loop_delay']} steps" in told
+    assert over["link"]["loop_delay"] >= 6
+    assert controller.poll() is None
+
+
+def test_a_link_is_measured_against_an_echo_too(two_hosts):
+    two_hosts.link(delay=0.002, loss=0.05)
+    echo = two_hosts.start("b", "seft_ros.commands.main", "link", "--echo", preexec_fn=promptly)
+    words = ("a", "seft_ros.commands.main", "link", "--duration", "4", "--json")
+    link = two_hosts.start(*words, preexec_fn=promptly)
+    out, told = link.communicate()
+    assert link.returncode == 0, told
+    found = json.loads(out)
+    assert found["verdict"] == "marginal"
+    assert 0.05 < found["lost"] / found["sent"] < 0.2
+    assert found["test"] is None
+    assert echo.poll() is None
+    two_hosts.link(cut=True)
+    link = two_hosts.start(*words)
+    out, told = link.communicate()
+    assert link.returncode == 2
+    assert "nobody echoes" in told
