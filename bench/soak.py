@@ -22,6 +22,7 @@ PERIOD = 1.0  # s between samples
 WARM_UP = 0.2  # of the time
 MOST_GROWTH = 2.0  # MB after warm-up; the allocator's own steps are about one
 FASTEST = 6000  # steps/s, faster than any machine so far: the motion must not end before the time
+STOPPED = "stopped by the operator"
 MEGABYTE = 1024  # kB
 
 
@@ -84,6 +85,8 @@ def main() -> int:
     samples = Samples(minutes)
     overrides = [
         ("rig", "pace", "lockstep"),
+        *(("supervisor", "watchdog.peer_timeout", 60.0), ("rig", "lockstep_timeout", 60.0)),
+        ("rig", "watchdog.supervisor_timeout", 60.0),  # who waits for a processor breaks nothing
         ("ground_motion", "time_scale", 1.0),
         ("ground_motion", "synthetic.duration", 60.0 * minutes * FASTEST / 500.0),
     ]
@@ -94,10 +97,12 @@ def main() -> int:
             fault = run_experiment(experiment, bag, samples.take).fault
         except KeyboardInterrupt:
             fault = ""
-        states = len(read_bag(bag).series["rig/state"].steps)
+        record = read_bag(bag)
+    states, trip = len(record.series["rig/state"].steps), record.trip
     print(f"{samples.steps:,} steps in {minutes:g} min, {states:,} states in the bag")
-    if fault or states < samples.steps:
-        print(f"the test did not come to its end: {fault or 'states are missing'}", file=sys.stderr)
+    broken = fault or ("" if trip and trip.reason == STOPPED else f"it ended early: {trip}")
+    if broken or states < samples.steps:
+        print(f"the test broke: {broken or 'states are missing in the bag'}", file=sys.stderr)
         return 1
     return 0 if is_flat(samples, minutes) else 1
 

@@ -57,7 +57,11 @@ MARK = "SEFT_FAULT_ROUND"
 """Environment variable by which a round knows all its processes."""
 LOOK = 0.02  # s
 FOREIGN_LOOK = 1.0  # s
-PEERS_MAY_STALL = ("-p", "supervisor:watchdog.peer_timeout:=4.0")
+PEERS_MAY_STALL = (
+    *("-p", "supervisor:watchdog.peer_timeout:=4.0"),
+    *("-p", "rig:watchdog.supervisor_timeout:=4.0"),
+)
+"""Lets a node go on that has waited for a processor for seconds."""
 STEPS = {"lockstep": 8000, "realtime": 1100}
 """Steps of a test, about: a few seconds of wall time."""
 

@@ -21,6 +21,8 @@ from seft_ros.running.processes import MODULES
 
 LONG = ("-p", "ground_motion:synthetic.duration:=60.0")
 SHORT = "ground_motion:synthetic.duration:=3.0"
+GENTLE = ("-p", "ground_motion:peak_force:=20.0")
+"""Lets a rig stay far from its limits though it holds old commands for long."""
 LOCKSTEP = ("-p", "rig:pace:=lockstep")
 ROUNDS = 5
 
@@ -94,8 +96,8 @@ def test_a_hostile_node_changes_no_bit_of_a_test_in_lockstep(seft_json, start, h
 
 
 def test_a_hostile_node_is_not_acted_upon_in_realtime(seft_json, start, hostile, tmp_path):
-    words = (*STALLS_ALLOWED, *MISSES_ALLOWED)
-    seft_json("simulate", JHU, *LONG, "--out", "simulated")
+    words = (*STALLS_ALLOWED, *MISSES_ALLOWED, *GENTLE)
+    seft_json("simulate", JHU, *LONG, *GENTLE, "--out", "simulated")
     process = start_run(start, tmp_path, *words)
     attack(hostile, process)
     assert ending(process).count("refused") == 0  # the nodes' logs tell
@@ -194,7 +196,7 @@ def test_two_publishers_of_a_topic_of_the_loop_end_the_test_before_anything_move
 
 
 def test_the_force_controller_trips_by_itself_when_the_rig_dies(start_node, observer):
-    overrides = ("supervisor:watchdog.peer_timeout:=60.0", STALLS_ALLOWED[1])
+    overrides = (*STALLS_ALLOWED[1::2], MISSES_ALLOWED[1], GENTLE[1])
     # this alone stays sharp; the machine may stand still before the rig is killed
     sharp = ("force_controller:watchdog.state_timeout:=3.0",)
     told = {}
