@@ -21,8 +21,9 @@ class MatchedForces:
         """Number of forces whose states have not come."""
         return len(self._forces)
 
-    def reset(self) -> None:
-        """Begin a new test."""
+    def reset(self, in_lockstep: bool = False) -> None:
+        """Begin a new test; in lockstep, too, each force is waited for."""
+        del in_lockstep
         self._forces.clear()
 
     def take(self, step: int, points: Floats) -> None:

@@ -1,6 +1,5 @@
 """The newest reference force with previews, of which the controller takes the point of its step."""
 
-import math
 from typing import Any
 
 import numpy as np
@@ -29,11 +28,9 @@ class NewestPreview:
     loop_delay : int
         d; negative: not known here.
     patience : float
-        Steps that a message may be old before the force comes down; infinite: any.
+        Steps that a message may be old before the force comes down; in lockstep any number.
     ramp : RampDown
         How it comes down.
-    settled_only : bool
-        Whether a step waits for a message that has settled its force (in lockstep).
 
     Attributes
     ----------
@@ -41,11 +38,9 @@ class NewestPreview:
         Step of the newest message; -1 where none has come.
     """
 
-    def __init__(
-        self, axes: int, loop_delay: int, patience: float, ramp: RampDown, settled_only: bool
-    ) -> None:
+    def __init__(self, axes: int, loop_delay: int, patience: int, ramp: RampDown) -> None:
         self._axes, self._loop_delay = axes, max(loop_delay, 0)
-        self._patience, self._ramp, self._settled_only = patience, ramp, settled_only
+        self._patience, self._ramp = patience, ramp
         self.reset()
 
     @classmethod
@@ -57,26 +52,27 @@ class NewestPreview:
         Raises
         ------
         InputError
-            If the watchdog would trip on the loop's own delay, or a delay must be known.
+            If the watchdog would trip on the loop's own delay.
         """
         loop_delay, timeout = section["loop_delay"], section["watchdog.reference_timeout"]
-        lockstep = section["pace"] == "lockstep"
-        if lockstep and loop_delay < 0:
-            raise InputError(
-                "force_controller: loop_delay is to be measured, but a rig in lockstep has no "
-                "time of its own; give a number of steps"
-            )
         if round(timeout * timebase.rate) <= loop_delay:
             raise InputError(
                 f"force_controller: watchdog.reference_timeout is {timeout:g} s, but the loop's "
                 f"own delay is {loop_delay * timebase.dt:g} s (loop_delay); make it longer"
             )
-        patience = math.inf if lockstep else round(timeout * timebase.rate)
+        patience = round(timeout * timebase.rate)
         ramp = RampDown.lasting(section["watchdog.ramp_down_time"], timebase.dt)
-        return cls(len(axes), loop_delay, patience, ramp, lockstep)
+        return cls(len(axes), loop_delay, patience, ramp)
 
-    def reset(self) -> None:
-        """Begin a new test: no force before the first that is told."""
+    def reset(self, in_lockstep: bool = False) -> None:
+        """Begin a new test: no force before the first that is told.
+
+        Parameters
+        ----------
+        in_lockstep : bool
+            Whether a step waits for a message that has settled its force.
+        """
+        self._in_lockstep = in_lockstep
         self.newest = -1
         self._ages: dict[int, int] = {}
         self._held = 0
@@ -111,7 +107,7 @@ class NewestPreview:
     def force(self, step: int) -> Floats | None:
         """Force of a step, shape (n,), N; None if it is to be waited for."""
         age = step - self.newest
-        if self._settled_only and age > self._loop_delay:
+        if self._in_lockstep and age > self._loop_delay:
             return None
         self._ages[age] = self._ages.get(age, 0) + 1
         if age > self._patience:

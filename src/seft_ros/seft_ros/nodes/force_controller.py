@@ -178,7 +178,7 @@ class ForceControllerNode:
         if not self._order.begins(step):
             return
         self._states.clear()
-        self._forces.reset()
+        self._forces.reset(self._order.in_lockstep)
         was_tripped = bool(self._controller.reason)
         self._controller.reset()
         conflict = self._shell.several_senders()
