@@ -13,7 +13,7 @@ from _udp_ring import MESSAGE_SIZE
 from rclpy.node import Node
 from seft_msgs_py.ros_types import message_class, qos_profile
 from seft_msgs_py.topics import JOINT_TRAJECTORY, Topic
-from seft_msgs_py.wait_set import LoopCallbackGroup, WaitSet, sender, take
+from seft_msgs_py.wait_set import WaitSet, raw_subscription, sender, take
 
 
 class Station:
@@ -23,14 +23,7 @@ class Station:
         rclpy.init(args=[])
         self.node = Node(f"ring_{speaks}")
         inward, outward = (Topic(name, JOINT_TRAJECTORY) for name in (listens, speaks))
-        self.subscription = self.node.create_subscription(
-            message_class(inward),
-            inward.name,
-            lambda _: None,
-            qos_profile(inward, 64),
-            callback_group=LoopCallbackGroup(),
-            raw=True,
-        )
+        self.subscription = raw_subscription(self.node, inward, 64)
         self.publisher = self.node.create_publisher(
             message_class(outward), outward.name, qos_profile(outward)
         )

@@ -24,7 +24,7 @@ from seft_msgs_py.topics import (
     Topic,
 )
 from seft_msgs_py.trajectory import TrajectoryCodec
-from seft_msgs_py.wait_set import LoopCallbackGroup, WaitSet, take
+from seft_msgs_py.wait_set import WaitSet, raw_subscription, take
 
 FAR = 10**9  # a step that no test reaches
 
@@ -57,14 +57,7 @@ class Hostile:
         """
         axes, timebase = self._experiment.axes, self._experiment.timebase
         states, commands = (TrajectoryCodec(t, axes, timebase) for t in (RIG_STATE, VALVE_COMMAND))
-        subscription = self._node.create_subscription(
-            message_class(RIG_STATE),
-            RIG_STATE.name,
-            lambda _: None,
-            qos_profile(RIG_STATE, reliable=False),
-            callback_group=LoopCallbackGroup(),
-            raw=True,
-        )
+        subscription = raw_subscription(self._node, RIG_STATE, reliable=False)
         waiting = WaitSet(self._node.context, [subscription])
         count = 0
         while not until():

@@ -11,7 +11,6 @@ import signal
 import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from types import FrameType
@@ -24,66 +23,13 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.topics import LoopTopic, Topic
+from seft_msgs_py.mailbox import Mailbox, Receive
 from seft_msgs_py.wait_set import WaitSet, take
-
-Receive = Callable[[bytes, int, int], bool]
-"""Takes a message's bytes, the wall-clock time in ns at which it came in, and how many its
-publisher has sent with it (0: unknown); tells whether it was acted upon."""
 
 FASTDDS_PROFILES = Path(__file__).with_name("fastdds.xml")
 OUTSIDE_LOOK = 0.002  # s between looks for messages from outside while those inside keep coming
 MOST_AT_ONCE = 4096  # messages of a topic, as many as the longest queue holds
 MOST_REFUSED = 200  # a few ms of nonsense
-
-
-class Mailbox:
-    """Messages of the loop between nodes of one process, delivered in the order they were sent.
-
-    Parameters
-    ----------
-    nodes : collection of str
-        Names of the process's nodes.
-    """
-
-    def __init__(self, nodes: Collection[str]) -> None:
-        self._nodes = frozenset(nodes)
-        self._listeners: dict[str, list[tuple[str, Receive]]] = {}
-        self._posted: deque[tuple[str, bytes]] = deque()
-
-    def serves(self, topic: Topic) -> bool:
-        """Whether the topic's messages come from a node of this process."""
-        return isinstance(topic, LoopTopic) and topic.publisher in self._nodes
-
-    def subscribe(self, name: str, node: str, receive: Receive) -> None:
-        """Let ``receive`` have every message of the topic of this full name."""
-        self._listeners.setdefault(name, []).append((node, receive))
-
-    def listeners(self, name: str) -> list[str]:
-        """Nodes of this process that listen to a topic, by its full name."""
-        return [node for node, _ in self._listeners.get(name, [])]
-
-    def sender(self, name: str, send: Callable[[bytes], None]) -> Callable[[bytes], None]:
-        """Give what sends a message to the listeners in this process, and outside by ``send``."""
-        post = self._posted.append
-
-        def send_to_all(raw: bytes) -> None:
-            if name in self._listeners:
-                post((name, raw))
-            send(raw)
-
-        return send_to_all
-
-    def deliver(self) -> bool:
-        """Hand out all messages, also those that are sent meanwhile; tell whether any was there."""
-        posted = self._posted
-        if not posted:
-            return False
-        while posted:
-            name, raw = posted.popleft()
-            for _, receive in self._listeners[name]:
-                receive(raw, time.time_ns(), 0)
-        return True
 
 
 class NodeProcess:

@@ -16,13 +16,14 @@ from seft_msgs_py import realtime
 from seft_msgs_py.claim import claim
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.mailbox import Receive
 from seft_msgs_py.messages import Status, encode_diagnostics, encode_string, restamp
-from seft_msgs_py.node_process import NodeProcess, Receive, drain
+from seft_msgs_py.node_process import NodeProcess, drain
 from seft_msgs_py.parameter_file import split_ros_arguments
 from seft_msgs_py.parameters import Table
 from seft_msgs_py.ros_types import message_class, parameter_descriptor, qos_profile
 from seft_msgs_py.topics import DESCRIPTION, DIAGNOSTICS, LOOP_TOPICS, LoopTopic, Topic
-from seft_msgs_py.wait_set import LoopCallbackGroup, sender
+from seft_msgs_py.wait_set import raw_subscription, sender
 
 IDLE_WAIT = 0.05  # s; a signal is noticed within this time
 STATUS_PERIOD = 0.2  # s: a sign of life
@@ -78,7 +79,6 @@ class NodeShell:
         self._claim = claim(self.node.context.get_domain_id(), self.node.get_fully_qualified_name())
         for row in table.rows.values():
             self.node.declare_parameter(row.name, section[row.name], parameter_descriptor(row))
-        self._group = LoopCallbackGroup()
         self._publishers: dict[str, Publisher] = {}
         self._subscriptions: dict[str, Subscription] = {}
         self._readers: dict[str, Callable[[], bool | None]] = {}
@@ -140,14 +140,7 @@ class NodeShell:
             self._process.mailbox.subscribe(full_name, self.name, receive)
             self._inside.append(topic.name)
             return lambda: None  # whatever was sent has been handed over
-        subscription = self.node.create_subscription(
-            message_class(topic),
-            topic.name,
-            lambda _: None,
-            qos_profile(topic, depth, reliable),
-            callback_group=self._group,
-            raw=True,
-        )
+        subscription = raw_subscription(self.node, topic, depth, reliable)
         self._subscriptions[topic.name] = subscription
         receive = self._guarded(handler, topic, subscription)
         read_one = self._process.add_subscription(subscription, receive, wake)

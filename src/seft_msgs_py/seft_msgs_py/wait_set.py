@@ -11,8 +11,12 @@ from typing import Any
 from rclpy.callback_groups import CallbackGroup
 from rclpy.context import Context
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
+
+from seft_msgs_py.ros_types import message_class, qos_profile
+from seft_msgs_py.topics import Topic
 
 
 class LoopCallbackGroup(CallbackGroup):
@@ -30,6 +34,20 @@ class LoopCallbackGroup(CallbackGroup):
         """Nothing was begun."""
 
 
+def raw_subscription(
+    node: Node, topic: Topic, depth: int | None = None, reliable: bool = True
+) -> Subscription:
+    """Subscribe to a topic for a `WaitSet`; see `qos_profile` for depth and reliability."""
+    return node.create_subscription(
+        message_class(topic),
+        topic.name,
+        lambda _: None,
+        qos_profile(topic, depth, reliable),
+        callback_group=LoopCallbackGroup(),
+        raw=True,
+    )
+
+
 class WaitSet:
     """Waits until one of some subscriptions has a message.
 
@@ -38,7 +56,7 @@ class WaitSet:
     context : Context
         Of the nodes.
     subscriptions : sequence of Subscription
-        Created with ``raw=True``, in a `LoopCallbackGroup`.
+        As `raw_subscription` makes them.
     """
 
     def __init__(self, context: Context, subscriptions: Sequence[Subscription]) -> None:

@@ -7,7 +7,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from seft_msgs_py.ros_types import message_class, qos_profile
 from seft_msgs_py.topics import LINK_PING, LINK_PONG
-from seft_msgs_py.wait_set import LoopCallbackGroup, WaitSet, sender, take
+from seft_msgs_py.wait_set import WaitSet, raw_subscription, sender, take
 
 LOOK = 0.2  # s
 
@@ -26,14 +26,7 @@ def echo(progress: Callable[[int], None]) -> None:
         send = sender(
             node.create_publisher(message_class(LINK_PONG), LINK_PONG.name, qos_profile(LINK_PONG))
         )
-        subscription = node.create_subscription(
-            message_class(LINK_PING),
-            LINK_PING.name,
-            lambda _: None,
-            qos_profile(LINK_PING, reliable=False),
-            callback_group=LoopCallbackGroup(),
-            raw=True,
-        )
+        subscription = raw_subscription(node, LINK_PING, reliable=False)
         wait_set, count = WaitSet(node.context, [subscription]), 0
         while True:
             wait_set.wait(LOOK)

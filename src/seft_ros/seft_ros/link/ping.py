@@ -13,7 +13,7 @@ from seft_msgs_py.errors import ExperimentError, InputError, WireError
 from seft_msgs_py.messages import decode_string, encode_string
 from seft_msgs_py.ros_types import message_class, qos_profile
 from seft_msgs_py.topics import LINK_PING, LINK_PONG
-from seft_msgs_py.wait_set import LoopCallbackGroup, WaitSet, sender, take
+from seft_msgs_py.wait_set import WaitSet, raw_subscription, sender, take
 
 from seft_ros.link.round_trips import RoundTrips
 
@@ -61,14 +61,7 @@ class _Pinger:
         self._publisher = node.create_publisher(
             message_class(LINK_PING), LINK_PING.name, qos_profile(LINK_PING)
         )
-        self._subscription = node.create_subscription(
-            message_class(LINK_PONG),
-            LINK_PONG.name,
-            lambda _: None,
-            qos_profile(LINK_PONG, reliable=False),
-            callback_group=LoopCallbackGroup(),
-            raw=True,
-        )
+        self._subscription = raw_subscription(node, LINK_PONG, reliable=False)
         self._wait_set = WaitSet(node.context, [self._subscription])
         self._name = uuid.uuid4().hex
         self._sent: dict[int, float] = {}
