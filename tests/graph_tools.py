@@ -14,7 +14,7 @@ from seft_ros.running.shared_memory import FOLDER
 ROOT = Path(__file__).parent.parent
 JHU = ROOT / "config" / "jhu.yaml"
 DEMO = ROOT / "config" / "demo.yaml"
-PATIENCE = 120.0  # s; far beyond what anything here takes
+PATIENCE = 400.0  # s; far beyond what anything here takes, also where eight others run
 STALLS_ALLOWED = (
     *("-p", "supervisor:watchdog.command_timeout:=60.0"),
     *("-p", "supervisor:watchdog.peer_timeout:=60.0"),
