@@ -21,7 +21,7 @@ from seft_ros.running.run import run_experiment
 PERIOD = 1.0  # s between samples
 WARM_UP = 0.2  # of the time
 MOST_GROWTH = 2.0  # MB after warm-up; the allocator's own steps are about one
-INDEX = 6.0  # MB/h: the recorder keeps some 350 bytes of its bag's index for each flush, 4 a second
+INDEX = 8.0  # MB/h: the recorder keeps some 400 bytes of its bag's index for each flush, 4 a second
 FASTEST = 6000  # steps/s, faster than any machine so far: the motion must not end before the time
 STOPPED = "stopped by the operator"
 MEGABYTE = 1024  # kB
