@@ -16,7 +16,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from seft_ros.running.run import FASTDDS_PROFILES
+from seft_msgs_py.node_process import FASTDDS_PROFILES
 
 RELAY = Path(__file__).with_name("link_relay.py")
 _SIOCETHTOOL = 0x8946
