@@ -152,6 +152,9 @@ class Shell:
     def subscribe(self, topic, handler, **_):
         self.handlers[topic.name] = handler
 
+    def catch_up(self, topic):
+        """All that has come has been handed over."""
+
     def refuse(self, reason):
         self.refusals.append(reason)
 
