@@ -73,6 +73,7 @@ def run_nodes(kinds: Sequence[NodeKind]) -> int:
             nodes.append(kind.build(shell))
         for node in nodes[1:]:
             process.every_turn(node.look)
+        process.start()
         name = kinds[0].table.node
         nodes[0].run()
         status = 0

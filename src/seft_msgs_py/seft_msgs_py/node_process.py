@@ -122,8 +122,7 @@ class NodeProcess:
         sys.setswitchinterval(2e-4)  # the second thread gives way to the loop at once
         gc.collect()
         gc.freeze()
-        if not self._thread.is_alive():
-            self._thread.start()
+        self._thread.start()
 
     def spin_once(self, timeout: float) -> bool:
         """Wait for messages, at most ``timeout`` seconds, and handle those that have come.

@@ -152,7 +152,7 @@ class NodeShell:
         drain(self._readers[topic.name])
 
     def start(self, facts: dict[str, Any] | None = None) -> None:
-        """Describe the node to the test and begin to serve parameters and status.
+        """Describe the node to the test and begin to tell its status.
 
         Parameters
         ----------
@@ -167,7 +167,6 @@ class NodeShell:
             description["realtime"] = realtime.granted()
         self._description(encode_string(json.dumps(description)))
         self._process.every_turn(self._look_after_status)
-        self._process.start()
 
     def spin_once(self, timeout: float = IDLE_WAIT) -> bool:
         """Let the process wait for messages and handle them, see `NodeProcess.spin_once`."""
