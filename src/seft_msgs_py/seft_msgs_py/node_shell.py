@@ -139,7 +139,8 @@ class NodeShell:
             receive = self._guarded(handler, topic, None)
             self._process.mailbox.subscribe(full_name, self.name, receive)
             self._inside.append(topic.name)
-            return lambda: None  # whatever was sent has been handed over
+            self._readers[topic.name] = lambda: None  # whatever was sent has been handed over
+            return self._readers[topic.name]
         subscription = raw_subscription(self.node, topic, depth, reliable)
         self._subscriptions[topic.name] = subscription
         receive = self._guarded(handler, topic, subscription)

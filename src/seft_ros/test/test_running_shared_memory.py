@@ -1,4 +1,7 @@
+import ctypes
 import fcntl
+import os
+import threading
 from contextlib import contextmanager
 
 import pytest
@@ -74,3 +77,37 @@ def test_nothing_of_an_unknown_process_is_touched(host):
     before = left(folder)
     assert memory.clean() == []
     assert left(folder) == before
+
+
+def test_what_came_up_since_and_nobody_has_any_more_is_removed_though_nobody_saw_who_had_it(host):
+    proc, folder = host
+    memory = SharedMemory(proc, folder)
+    unseen, living, locked = "fastrtps_dead", "fastrtps_living", "fastrtps_locked"
+    for name in (unseen, living, locked):
+        (folder / name).touch()
+        (folder / f"{name}_el").touch()
+    (proc / "12").mkdir()
+    (proc / "12" / "maps").write_text(f"7f00-7f01 rw-s 00000000 00:19 5    {folder}/{living}\n")
+    with living_reader(folder, f"{locked}_el"):  # by a process that can't be seen from here
+        assert set(memory.clean()) == {unseen, f"{unseen}_el"}
+    assert left(folder) >= OF_SEGMENT | OF_PORT
+
+
+def test_a_port_is_left_alone_while_somebody_opens_or_closes_it(tmp_path):
+    name = f"fastrtps_port{os.getpid()}_of_a_test"
+    memory = SharedMemory(folder=tmp_path)
+    (tmp_path / name).touch()
+    libc = ctypes.CDLL(None)
+    libc.sem_open.restype = ctypes.c_void_p
+    mutex = ctypes.c_void_p(libc.sem_open(f"/{name}_mutex".encode(), os.O_CREAT, 0o600, 0))
+    cleaning = threading.Thread(target=memory.clean)
+    try:
+        cleaning.start()
+        cleaning.join(0.2)
+        assert (cleaning.is_alive(), (tmp_path / name).exists()) == (True, True)
+        libc.sem_post(mutex)
+        cleaning.join()
+        assert not (tmp_path / name).exists()
+    finally:
+        libc.sem_close(mutex)
+        libc.sem_unlink(f"/{name}_mutex".encode())

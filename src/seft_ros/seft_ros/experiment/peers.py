@@ -9,6 +9,8 @@ from seft_msgs_py.outcome import FINISHED, TRIPPED
 from seft_msgs_py.topics import RECORDED_TOPICS, TOPICS
 
 RAMPING_DOWN, AT_REST = "ramping_down", "at_rest"  # phases of the reference force
+ALL_ANSWERED = "ended"
+"""Its phase when the test has ended and it has answered the last state."""
 SILENT = "silent"
 """Key of a trip's values: the nodes that had fallen silent, once that is known; may be empty."""
 CONFLICT = "one "
@@ -85,7 +87,8 @@ def missing(
     if "rig" in peers and heard["rig"].status.values.get("phase") in _IN_A_TEST:
         return "the rig to leave the last test"  # else its end would count for the next
     force = heard.get("reference_force")
-    if force is not None and force.status.values.get("phase") in (RAMPING_DOWN, AT_REST, "ended"):
+    phase = force.status.values.get("phase") if force is not None else ""
+    if phase in (RAMPING_DOWN, AT_REST, ALL_ANSWERED):
         return "the reference force to leave the last test"
     motion = heard.get("ground_motion")
     if motion is None or motion.status.values.get("phase") != "primed":

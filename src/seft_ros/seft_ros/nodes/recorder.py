@@ -12,12 +12,13 @@ from datetime import datetime
 from pathlib import Path
 
 from seft_msgs_py.description import decode_description
-from seft_msgs_py.messages import Status, decode_status, encode_string
+from seft_msgs_py.messages import Status, decode_diagnostics, decode_status, encode_string
 from seft_msgs_py.node_main import NodeKind, run_node
 from seft_msgs_py.node_shell import Handler, NodeShell
 from seft_msgs_py.realtime import boot
 from seft_msgs_py.topics import (
     DESCRIPTION,
+    DIAGNOSTICS,
     EXPERIMENT_STATE,
     GROUND_MOTION,
     RECORDED_TOPICS,
@@ -27,7 +28,7 @@ from seft_msgs_py.topics import (
 )
 from seft_msgs_py.trajectory import TrajectoryCodec
 
-from seft_ros.experiment.peers import SILENT
+from seft_ros.experiment.peers import ALL_ANSWERED, SILENT
 from seft_ros.experiment.state_machine import ENDED, MOVING, State
 from seft_ros.experiment.tables import TABLES
 from seft_ros.experiment.watching import RECORDER
@@ -59,6 +60,7 @@ class RecorderNode:
         self._phase = "idle"
         self._ended_at: float | None = None
         self._told_in_full = True  # how the test ended
+        self._force_phase = ""  # of the reference force
         self._step_message_at = 0.0
         self._samples, self._expected = 0, 0  # of the rig
         self._environment = describe_environment("run")  # asks git once, before a test runs
@@ -83,6 +85,8 @@ class RecorderNode:
         if self._ended_at is not None:
             now = time.monotonic()
             complete = self._samples >= self._expected and self._told_in_full
+            if self._phase == State.DONE and "reference_force" in self._descriptions:
+                complete &= self._force_phase == ALL_ANSWERED
             patience = SILENCE if complete else LONG_SILENCE
             silent = now - max(self._step_message_at, self._ended_at) > patience
             if silent or now - self._ended_at > LONGEST_DRAIN:
@@ -104,6 +108,10 @@ class RecorderNode:
                 self._samples += topic is RIG_STATE
             elif of_a_step:
                 self._keep(topic, raw, now)
+            if topic is DIAGNOSTICS:
+                for status in decode_diagnostics(raw)[1]:
+                    if status.name == "reference_force":
+                        self._force_phase = status.values.get("phase", "")
 
         return receive
 

@@ -22,7 +22,7 @@ from seft_msgs_py.topics import (
 )
 from seft_msgs_py.trajectory import Floats, TrajectoryCodec
 
-from seft_ros.experiment.peers import AT_REST, RAMPING_DOWN
+from seft_ros.experiment.peers import ALL_ANSWERED, AT_REST, RAMPING_DOWN
 from seft_ros.experiment.sample_order import SampleOrder, check_magnitude
 from seft_ros.experiment.state_machine import ENDED, State
 from seft_ros.experiment.tables import TABLES
@@ -137,6 +137,8 @@ class ReferenceForceNode:
         status = decode_status(raw)
         if status.message == self._test:
             return  # a sign of life
+        if status.message == State.DONE:  # a link's rig does not wait for the last answers
+            self._shell.catch_up(RIG_STATE)
         self._test = status.message
         self._order.follow(status)
         self._follow_test()
@@ -149,7 +151,7 @@ class ReferenceForceNode:
                 self._answer(step, self._waiting[step])
         elif self._test in ENDED:
             self._waiting.clear()
-            self._report("ended")
+            self._report(ALL_ANSWERED)
         elif self._test in (State.IDLE, State.READY) and self._phase != "ready":
             self._conflict = ""
             self._block.reset()
