@@ -12,7 +12,7 @@ from pathlib import Path
 
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.node_process import prepare_middleware
+from seft_msgs_py.middleware import prepare_middleware
 
 from seft_ros.experiment.peers import CONFLICT
 from seft_ros.experiment.state_machine import State
@@ -26,7 +26,6 @@ READY_TIMEOUT = 60.0  # s
 SAVE_TIMEOUT = 20.0  # s
 DISCOVERY = 1.0  # s
 ANNOUNCEMENT = 3.2  # s; participants announce themselves every 3 s
-MEMORY_LOOK = 0.5  # s
 
 
 @dataclass(frozen=True)
@@ -118,8 +117,9 @@ def run_experiment(
                 arrangement,
                 lockstep=experiment.sections.get("rig", {}).get("pace") == "lockstep",
             )
+            tidying.watch(processes.pids().values())
             try:
-                _start(observer, processes, progress, tidying)
+                _start(observer, processes, progress)
                 following = Following(observer, processes, progress, experiment)
                 try:
                     fault = following.to_the_end()
@@ -128,10 +128,7 @@ def run_experiment(
                     raise
                 following.wait_until_saved(SAVE_TIMEOUT)
             finally:
-                try:
-                    tidying.look(processes.pids().values())
-                finally:  # also where an operator who is in a hurry interrupts this
-                    processes.stop()
+                processes.stop()
         finally:
             observer.close()
             tidying.finish()
@@ -164,16 +161,13 @@ def _refuse(nodes: list[str]) -> None:
         )
 
 
-def _start(
-    observer: Observer, processes: NodeProcesses, progress: Progress, tidying: Tidying
-) -> None:
+def _start(observer: Observer, processes: NodeProcesses, progress: Progress) -> None:
     """Start the test when all nodes are ready and no other test is there."""
     deadline = time.monotonic() + READY_TIMEOUT
-    _wait_until_ready(observer, processes, progress, tidying, deadline)
+    _wait_until_ready(observer, processes, progress, deadline)
     _refuse_twins(observer)
     while True:
-        _wait_until_ready(observer, processes, progress, tidying, deadline)
-        tidying.look(processes.pids().values())
+        _wait_until_ready(observer, processes, progress, deadline)
         accepted, answer = observer.call("start")
         if accepted:
             return
@@ -186,10 +180,8 @@ def _wait_until_ready(
     observer: Observer,
     processes: NodeProcesses,
     progress: Progress,
-    tidying: Tidying,
     deadline: float,
 ) -> None:
-    looked_at = 0.0
     while True:
         observer.spin(LOOK)
         detail = observer.values.get("detail", "waiting for supervisor")
@@ -206,9 +198,6 @@ def _wait_until_ready(
             raise InputError(f"the nodes must have {detail.removeprefix('waiting for ')}")
         if time.monotonic() > deadline:
             raise InputError(f"not ready after {READY_TIMEOUT:g} s: {detail}")
-        if time.monotonic() - looked_at > MEMORY_LOOK:
-            looked_at = time.monotonic()
-            tidying.look(processes.pids().values())
 
 
 @contextmanager
