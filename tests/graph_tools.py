@@ -57,8 +57,8 @@ def kill(pid: int) -> None:
 
 
 def shared_memory(pid: int) -> list[str]:
-    """Files in /dev/shm that a process has mapped."""
+    """Files of the middleware in /dev/shm that a process has mapped."""
     with contextlib.suppress(OSError):  # it has ended
         lines = Path(f"/proc/{pid}/maps").read_text().splitlines()
-        return sorted({line.split()[-1] for line in lines if "/dev/shm/" in line})
+        return sorted({line.split()[-1] for line in lines if "/dev/shm/fastrtps" in line})
     return []

@@ -25,10 +25,12 @@ def prepare_middleware() -> None:
 
     To be called before rclpy starts; processes that are started later inherit it.
     """
-    if PROFILES in os.environ:
+    named = os.environ.get(PROFILES)
+    if named not in (None, str(NETWORK), str(ONE_HOST)):
         return
-    if os.environ.get(RANGE) != "LOCALHOST":
+    if os.environ.get(RANGE) == "LOCALHOST":
+        if not os.environ.get("ROS_STATIC_PEERS"):  # which only rmw's own settings heed
+            os.environ[PROFILES] = str(ONE_HOST)
+            os.environ[RANGE] = "SYSTEM_DEFAULT"  # at LOCALHOST rmw adds shared memory
+    elif named is None:
         os.environ[PROFILES] = str(NETWORK)
-    elif not os.environ.get("ROS_STATIC_PEERS"):  # which only rmw's own settings heed
-        os.environ[PROFILES] = str(ONE_HOST)
-        os.environ[RANGE] = "SYSTEM_DEFAULT"  # at LOCALHOST rmw adds shared memory
