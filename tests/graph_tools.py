@@ -4,14 +4,17 @@ import contextlib
 import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Container, Iterable
 from pathlib import Path
 
+import pytest
 from seft_ros.running.processes import COMPOSED, MODULES
 
 ROOT = Path(__file__).parent.parent
 JHU = ROOT / "config" / "jhu.yaml"
 DEMO = ROOT / "config" / "demo.yaml"
+THOROUGH = pytest.mark.thorough
+"""Takes its time for what another test looks at in short; only `make thorough` runs these."""
 PATIENCE = 400.0  # s; far beyond what anything here takes, also where eight others run
 STALLS_ALLOWED = (
     *("-p", "supervisor:watchdog.command_timeout:=60.0"),
@@ -23,6 +26,11 @@ STALLS_ALLOWED = (
 
 MISSES_ALLOWED = ("-p", "reference_force:instability.ratio:=0.0")
 """Lets it outlive the vibration that many missed commands make."""
+
+
+def thorough_but(values: Iterable[str], short: Container[str]) -> list[object]:
+    """Parameters of a test, of which only some are looked at in short."""
+    return [value if value in short else pytest.param(value, marks=THOROUGH) for value in values]
 
 
 def wait_for(condition: Callable[[], object], what: str) -> object:

@@ -13,9 +13,11 @@ from graph_tools import (
     JHU,
     MISSES_ALLOWED,
     PATIENCE,
+    THOROUGH,
     children,
     kill,
     shared_memory,
+    thorough_but,
     wait_for,
 )
 from seft_ros.commands.main import main
@@ -100,7 +102,9 @@ def recorded(folder):
     return record
 
 
-@pytest.mark.parametrize("node", sorted(MODULES))
+@pytest.mark.parametrize(
+    "node", thorough_but(sorted(MODULES), ["force_controller", "ground_motion"])
+)
 def test_a_node_that_dies_or_stands_still_before_the_test_is_named(run, tmp_path, node):
     """Half of them die, when they have just been started; half stand still."""
     dies = sorted(MODULES).index(node) % 2 == 0
@@ -117,8 +121,12 @@ def test_a_node_that_dies_or_stands_still_before_the_test_is_named(run, tmp_path
 @pytest.mark.parametrize(
     ("node", "pace"),
     [
-        *(("rig", "realtime"), ("force_controller", "realtime"), ("reference_force", "lockstep")),
-        *(("ground_motion", "realtime"), ("supervisor", "lockstep"), ("supervisor", "realtime")),
+        ("force_controller", "realtime"),
+        ("supervisor", "lockstep"),
+        ("ground_motion", "realtime"),
+        pytest.param("rig", "realtime", marks=THOROUGH),
+        pytest.param("reference_force", "lockstep", marks=THOROUGH),
+        pytest.param("supervisor", "realtime", marks=THOROUGH),
     ],
 )
 def test_a_node_that_dies_ends_the_run_with_a_readable_bag(run, tmp_path, node, pace):
@@ -141,8 +149,10 @@ def test_a_node_that_dies_ends_the_run_with_a_readable_bag(run, tmp_path, node, 
 @pytest.mark.parametrize(
     ("node", "pace"),
     [
-        *(("rig", "realtime"), ("force_controller", "lockstep"), ("recorder", "lockstep")),
-        ("supervisor", "realtime"),
+        ("rig", "realtime"),
+        ("recorder", "lockstep"),
+        pytest.param("force_controller", "lockstep", marks=THOROUGH),
+        pytest.param("supervisor", "realtime", marks=THOROUGH),
     ],
 )
 def test_a_node_that_stands_still_is_named_with_the_time(run, tmp_path, node, pace):
@@ -156,7 +166,7 @@ def test_a_node_that_stands_still_is_named_with_the_time(run, tmp_path, node, pa
     recorded(tmp_path)
 
 
-@pytest.mark.parametrize("node", sorted(MODULES))
+@pytest.mark.parametrize("node", thorough_but(sorted(MODULES), ["rig", "recorder"]))
 def test_a_node_that_fails_while_the_force_comes_down_ends_the_run(run, seft, tmp_path, node):
     """Those that stood still in the test before die here, and the other way round."""
     dies = node in ("rig", "force_controller", "recorder")
@@ -239,6 +249,7 @@ def test_a_second_interruption_is_an_emergency_stop(run, tmp_path):
     )
 
 
+@THOROUGH
 def test_a_run_that_is_terminated_comes_down_softly(run, tmp_path):
     found = run()
     found.wait_for_data()

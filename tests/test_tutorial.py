@@ -7,8 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-from graph_tools import PATIENCE, ROOT
+from graph_tools import PATIENCE, ROOT, THOROUGH
 
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
@@ -25,7 +24,7 @@ def typed(block):
     return [part.rstrip("\n").split("\n") for part in parts]
 
 
-@pytest.mark.thorough
+@THOROUGH
 def test_each_command_answers_as_the_tutorial_says(domain, tmp_path):
     shutil.copytree(ROOT / "config", tmp_path / "config")
     here = os.environ | {
