@@ -46,7 +46,9 @@ def attack(hostile, process):
 
 def start_run(start, tmp_path, *words):
     """Start a `seft run`; return it when its test is under way."""
-    process = start("seft_ros.commands.main", "run", JHU, *LONG, *words, "--out", "bag")
+    process = start(
+        "seft_ros.commands.main", "run", JHU, *LONG, *words, "--out", "bag", "--no-figure"
+    )
 
     def is_under_way():
         assert process.poll() is None, process.communicate()
