@@ -15,6 +15,7 @@ from seft_ros.commands.paper import paper
 from seft_ros.commands.parameters import parameters
 from seft_ros.commands.preflight import preflight
 from seft_ros.commands.recover import recover
+from seft_ros.commands.replay import replay
 from seft_ros.commands.report import report
 from seft_ros.commands.run import run
 from seft_ros.commands.simulate import simulate
@@ -32,7 +33,7 @@ APP = typer.Typer(
     rich_markup_mode=None,
 )
 for command in (
-    *(run, simulate, report, compare, motion, recover, identify, design, tournament),
+    *(run, simulate, report, compare, replay, motion, recover, identify, design, tournament),
     *(preflight, link, paper, parameters),
 ):
     APP.command()(command)

@@ -102,14 +102,14 @@ def run_experiment(
                 experiment[node].update(wishes)
     wanted = {*experiment["supervisor"]["peers"], "supervisor"} - set(external)
     nodes = [node for node in MODULES if node in wanted]
-    with _working_folder(bag) as folder:
+    with working_folder(bag) as folder:
         parameters = folder / "parameters.yaml"
         parameters.write_text(experiment.to_yaml(), encoding="utf-8")
         progress("looking for other tests", 0)
         tidying = Tidying()
         observer = Observer()
         try:
-            _refuse_company(observer, external)
+            refuse_company(observer, external)
             progress("starting the nodes", 0)
             processes = NodeProcesses(
                 nodes,
@@ -140,8 +140,14 @@ def run_experiment(
     return Finished(bag, fault)
 
 
-def _refuse_company(observer: Observer, external: Collection[str]) -> None:
-    """See that no other test is on the graph: two would command each other's rig."""
+def refuse_company(observer: Observer, external: Collection[str] = ()) -> None:
+    """See that no other test is on the graph: two would command each other's rig.
+
+    Raises
+    ------
+    InputError
+        If there is one.
+    """
     observer.spin(DISCOVERY)
     _refuse([node for node in observer.present() if node not in external])
 
@@ -212,12 +218,12 @@ def _wait_until_ready(
 
 
 @contextmanager
-def _working_folder(bag: Path) -> Iterator[Path]:
-    """Folder for parameters and logs while the test runs; kept in the bag's folder."""
+def working_folder(bag: Path | None = None) -> Iterator[Path]:
+    """Folder for parameters and logs while nodes run; kept in the folder of a bag."""
     folder = Path(tempfile.mkdtemp(prefix="seft-"))
     try:
         yield folder
     finally:
-        if bag.is_dir():
+        if bag is not None and bag.is_dir():
             shutil.copytree(folder, bag / "logs", dirs_exist_ok=True)
         shutil.rmtree(folder, ignore_errors=True)
