@@ -67,7 +67,7 @@ class RigPart:
             )
         if record.missed is None:
             self.notes.append("the bag does not say which commands the rig missed")
-        held = HeldCommands(recorded, rig)
+        held = HeldCommands(recorded, rig, self._states)
         if held.unsure:
             self.notes.append(listed("which command was held, the states do not tell", held.unsure))
         self.steps: int | None = int(self._states.steps[-1]) + 1
