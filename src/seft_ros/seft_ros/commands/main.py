@@ -6,6 +6,7 @@ import typer
 from seft_msgs_py.errors import SeftError
 
 from seft_ros.commands.compare import compare
+from seft_ros.commands.conform import conform
 from seft_ros.commands.design import design
 from seft_ros.commands.identify import identify
 from seft_ros.commands.link import link
@@ -34,7 +35,7 @@ APP = typer.Typer(
 )
 for command in (
     *(run, simulate, report, compare, replay, motion, recover, identify, design, tournament),
-    *(preflight, link, paper, parameters),
+    *(preflight, link, conform, paper, parameters),
 ):
     APP.command()(command)
 

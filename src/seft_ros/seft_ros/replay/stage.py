@@ -64,8 +64,8 @@ class _Heard:
 
     raws: list[bytes] = field(default_factory=list)
 
-    def take(self, raw: bytes, at: float) -> None:
-        del at
+    def take(self, raw: bytes, at: float, sent: float) -> None:
+        del at, sent
         self.raws.append(raw)
 
 
@@ -145,8 +145,8 @@ class _Stage:
             if time.monotonic() > deadline:
                 raise ExperimentError(f"{part.node} was not found within {READY_TIMEOUT:g} s")
 
-    def _on_answer(self, raw: bytes, at: float) -> None:
-        self._answers.take(raw, at)
+    def _on_answer(self, raw: bytes, at: float, sent: float) -> None:
+        self._answers.take(raw, at, sent)
         try:
             self._answered = max(self._answered, self._codec.decode(raw)[0])
         except WireError:

@@ -13,12 +13,12 @@ from seft_msgs_py.errors import ExperimentError, WireError
 from seft_msgs_py.messages import Status, decode_diagnostics, encode_status
 from seft_msgs_py.ros_types import message_class, qos_profile
 from seft_msgs_py.topics import DIAGNOSTICS, EXPERIMENT_STATE, Topic
-from seft_msgs_py.wait_set import WaitSet, raw_subscription, sender, take
+from seft_msgs_py.wait_set import WaitSet, raw_subscription, sender, take_timed
 
 HEARTBEAT = 0.2  # s between two repeats of the test's state
 HEARD = 2.0  # s for a reader to acknowledge the test's state
-Receive = Callable[[bytes, float], None]
-"""Takes a message, and when it was found, s, monotonic."""
+Receive = Callable[[bytes, float, float], None]
+"""Takes a message, when it was found and when it was sent, s, monotonic."""
 
 
 class Player:
@@ -37,10 +37,13 @@ class Player:
     ----------
     status : dict of str to Status
         Node -> the last status of its diagnostics.
+    on_status : callable
+        Called with each status that comes, and when.
     """
 
     def __init__(self, name: str, sends: Sequence[Topic], hears: Mapping[Topic, Receive]) -> None:
         self.status: dict[str, Status] = {}
+        self.on_status: Callable[[Status, float], None] = lambda status, at: None
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self.node = Node(name, start_parameter_services=False)
         self._publishers: dict[Topic, Publisher] = {}
@@ -98,10 +101,11 @@ class Player:
         if self._state is not None and time.monotonic() - self._said_at >= HEARTBEAT:
             self._repeat()
         ready = self._wait_set.wait(timeout)
-        now = time.monotonic()
+        now, offset = time.monotonic(), time.monotonic() - time.time()
         for subscription in ready:
-            while (taken := take(subscription)) is not None:
-                self._takers[subscription](taken[0], now)
+            while (taken := take_timed(subscription)) is not None:
+                raw, sent_ns = taken
+                self._takers[subscription](raw, now, sent_ns / 1e9 + offset)
         return bool(ready)
 
     def listen_for(self, duration: float) -> None:
@@ -142,10 +146,12 @@ class Player:
         if self._state is not None:
             self.send(EXPERIMENT_STATE, self._state)
 
-    def _on_diagnostics(self, raw: bytes, at: float) -> None:
-        del at
+    def _on_diagnostics(self, raw: bytes, at: float, sent: float) -> None:
+        del sent
         try:
             statuses = decode_diagnostics(raw)[1]
         except WireError:
             return
-        self.status.update({status.name: status for status in statuses})
+        for status in statuses:
+            self.status[status.name] = status
+            self.on_status(status, at)
