@@ -79,11 +79,10 @@ class DriverNode:
             while not self._shell.stopping:
                 while (left := deadline - time.monotonic()) > 0:
                     self._shell.spin_once(left)
-                deadline += period
-                late = time.monotonic() - deadline
-                if late > 0:  # held up for more than a period: go on from here
-                    deadline += late
+                late = int((time.monotonic() - deadline) / period)
+                if late:  # held up for more than a period: go on from here, without hurry
                     self._overruns += self._phase == "running"
+                deadline += (1 + late) * period
                 self._tick()
             if self._phase == "running":
                 self._end("the rig node was told to end")
@@ -205,7 +204,7 @@ class DriverNode:
             return  # a sign of life
         self._told = status.message
         if status.message == "idle" and self._phase != "running":
-            self._phase = "idle"  # how the last test ended has been told
+            self._phase, self._resting = "idle", None  # how the last test ended has been told
             self._status = Status("rig", OK, "idle", values={"phase": "idle"})
             self._shell.report(self._status)
         if status.message == "ready" and self._phase == "idle":

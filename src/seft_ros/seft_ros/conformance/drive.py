@@ -1,4 +1,4 @@
-"""The small motion that a rig is asked for: rest, two frequencies under a bell, rest, a doublet."""
+"""The small motion that a rig is asked for: rest, two frequencies under a bell, doublets."""
 
 import math
 from dataclasses import dataclass
@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from seft_msgs_py.trajectory import Floats
 
-REST, BELL, PAUSE, PULSE, END = 0.4, 2.0, 0.3, 0.05, 0.3  # s
+REST, BELL, PAUSE, PULSE = 0.4, 2.0, 0.3, 0.05  # s
+DOUBLETS, APART = 5, 0.25  # s from one to the next
 FREQUENCIES = (3.0, 6.0)  # Hz
 SPARED = 0.1  # s at the start, in which a rig may settle
 
@@ -29,7 +30,7 @@ class Drive:
     @property
     def steps(self) -> int:
         """Steps of all."""
-        return self.step_at(REST + BELL + PAUSE + 2 * PULSE + END)
+        return self.doublets[-1] + self.step_at(APART)
 
     def step_at(self, time: float) -> int:
         """Step of a time, s."""
@@ -46,9 +47,10 @@ class Drive:
         return slice(self.step_at(REST), self.step_at(REST + BELL + PAUSE / 2))
 
     @property
-    def doublet(self) -> int:
-        """Step whose answer begins the doublet."""
-        return self.step_at(REST + BELL + PAUSE)
+    def doublets(self) -> list[int]:
+        """Steps whose answers begin the doublets."""
+        first, apart = self.step_at(REST + BELL + PAUSE), self.step_at(APART)
+        return [first + number * apart for number in range(DOUBLETS)]
 
     def command(self, step: int) -> float:
         """Command that answers a step."""
@@ -56,8 +58,8 @@ class Drive:
         if 0 <= time < BELL:
             waves = sum(math.sin(2 * math.pi * f * time) for f in FREQUENCIES)
             return self.amplitude * waves / len(FREQUENCIES) * math.sin(math.pi * time / BELL) ** 2
-        since = step - self.doublet
-        half = max(1, self.step_at(PULSE))
+        since, half = step - self.doublets[0], max(1, self.step_at(PULSE))
+        since = since % self.step_at(APART) if since >= 0 else since
         if 0 <= since < half:
             return self.amplitude
         return -self.amplitude if half <= since < 2 * half else 0.0

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.outcome import FINISHED, read_outcome
+from seft_msgs_py.outcome import FINISHED, TRIPPED, read_outcome
 from seft_msgs_py.topics import QUANTITIES, RIG_STATE
 from seft_msgs_py.trajectory_message import Trajectory, parse_trajectory
 
@@ -117,9 +117,9 @@ def check_end(trial: Trial, steps: int, experiment: Experiment) -> Finding:
     mend += "seft_msgs_py's rig_status, and idle again when the supervisor says idle"
     ended = trial.status_of(FINISHED)
     if ended is None:
-        told = f"{len(trial.states)} of {steps} states, phase {trial.phase or 'none'}"
-        last = trial.statuses[-1][1].message if trial.statuses else ""
-        return found(name, False, f"{told}: {last}", mend)
+        tripped = trial.status_of(TRIPPED)
+        last = tripped[1].message if tripped is not None else f"phase {trial.phase or 'none'}"
+        return found(name, False, f"{len(trial.states)} of {steps} states, {last}", mend)
     try:
         outcome = read_outcome(ended[1], experiment.timebase)
     except WireError as error:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from seft_msgs_py.trajectory import Floats
 
-from seft_ros.conformance.drive import Drive
+from seft_ros.conformance.drive import APART, Drive
 from seft_ros.conformance.facts import Facts
 from seft_ros.conformance.finding import Finding, found, not_run
 from seft_ros.conformance.projection import project, project_derivative, ratio
@@ -133,15 +133,17 @@ def check_answer_delay(samples: Samples, drive: Drive, facts: Facts) -> Finding:
     name = "answer applied"
     force = samples.values[:, 3]
     rest = force[drive.rest]
-    start = drive.doublet
-    before = force[max(0, start - drive.step_at(0.05)) : start + 1].mean(axis=0)
     noise = np.maximum(rest.std(axis=0), 1e-9)
-    change: Floats = (np.abs(force[start:] - before) / noise).max(axis=1)
-    (seen,) = np.nonzero(change > ONSET_NOISE)
+    delays = []
+    for start in drive.doublets:  # one that this host sent too late for its step is a later one
+        before = force[start - drive.step_at(0.03) : start + 1].mean(axis=0)
+        after = force[start : start + drive.step_at(APART)]
+        change: Floats = (np.abs(after - before) / noise).max(axis=1)
+        delays += np.flatnonzero(change > ONSET_NOISE)[:1].tolist()
     mend = "apply the command that answers sample k from sample k+1 on, without a queue"
-    if not len(seen):
-        return found(name, False, "the doublet is not seen in the force", mend)
-    first, latest = int(seen[0]), 2 + math.floor(VALVE / facts.dt)
+    if not delays:
+        return found(name, False, "the doublets are not seen in the force", mend)
+    first, latest = min(delays), 2 + math.floor(VALVE / facts.dt)
     told = f"the answer to a sample is first seen {first} samples later"
     told += f" (2 to {latest} with up to {1e3 * VALVE:g} ms of valve and oil)"
     return found(name, 1 <= first <= latest, told, mend, samples=float(first))

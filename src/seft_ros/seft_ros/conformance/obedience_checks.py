@@ -13,6 +13,8 @@ PART = 0.3  # of what the same command does when it is obeyed
 PATIENCE = 0.5  # s beyond a watchdog's time: for this host, and the message that tells
 STOP = 0.3  # s from a word of the supervisor to the last state
 SETTLE = 3.0  # s in which a rig rests after a trip
+STOP_TIME, STOP_FORCE = "stop time (s)", "stop peak force (N)"
+"""Names in the status of a trip, told when the rig rests."""
 BACK = 3e-4  # m that it may have gone on from where it was stopped
 
 
@@ -31,7 +33,7 @@ def check_refusals(
         The test in which the rig was moved.
     """
     noise = moved.values[drive.rest, 3].std(axis=0)
-    pulse = moved.values[drive.doublet :, 3] - moved.values[drive.doublet, 3]
+    pulse = moved.values[drive.doublets[0] :, 3] - moved.values[drive.doublets[0], 3]
     least = np.maximum(SEEN * noise, PART * np.abs(pulse).max(axis=0))
     mend = "refuse it: seft_plant_sim.command.Command shows how; to the rig it is missing"
     findings = []
@@ -118,23 +120,18 @@ def check_safe_position(trial: Trial, last: Samples, next_one: Samples) -> Findi
         The test after it.
     """
     name = "safe position"
-    mend = "bring the valve to its safe position in every trip, follow the rig to rest, and tell "
-    mend += "'stop time (s)' and 'stop peak force (N)' in the status of the trip"
+    mend = (
+        "bring the valve to its safe position in every trip, follow the rig to rest, and tell "
+        f"'{STOP_TIME}' and '{STOP_FORCE}' in the status of the trip"
+    )
     if trial.status_of(TRIPPED) is None:
         return found(name, False, "the rig did not trip, and goes on with the last command", mend)
-    told_at = next(
-        (
-            (at, status)
-            for at, status in trial.statuses
-            if status.values.get("phase") == TRIPPED and "stop time (s)" in status.values
-        ),
-        None,
-    )
-    if told_at is None:
+    values = rested(trial)
+    if values is None:
         words = trial.statuses[-1][1].message
         told = f"the rig does not tell that it rests within {SETTLE:g} s: {words}"
         return found(name, False, told, mend)
-    took = float(told_at[1].values["stop time (s)"])
+    took = float(values[STOP_TIME])
     if len(last.times) < 10 or len(next_one.times) < 10:
         return found(name, False, "too few states to see where it came to rest", mend)
     start = last.values[:10, 0].mean(axis=0)
@@ -142,12 +139,18 @@ def check_safe_position(trial: Trial, last: Samples, next_one: Samples) -> Findi
     noise = last.values[:10, 0].std(axis=0)
     further = np.abs(again - start) - np.abs(stopped - start) - SEEN * noise
     told = f"at rest after {took:.3g} s"
-    if "stop peak force (N)" in told_at[1].values:
-        told += f", peak force {told_at[1].values['stop peak force (N)']} N"
+    if STOP_FORCE in values:
+        told += f", peak force {values[STOP_FORCE]} N"
     if further.max() > BACK:
         away = f"{told} as it tells, but {1e3 * further.max():.2f} mm farther away in the next test"
         return found(name, False, away, mend, further_m=float(further.max()))
     return found(name, took <= SETTLE, told, mend, stop_s=took)
+
+
+def rested(trial: Trial) -> dict[str, str] | None:
+    """Give the values of the status in which a rig that tripped tells that it rests."""
+    told = [s.values for _, s in trial.statuses if s.values.get("phase") == TRIPPED]
+    return next((values for values in told if STOP_TIME in values), None)
 
 
 def check_latched(trial: Trial) -> Finding:

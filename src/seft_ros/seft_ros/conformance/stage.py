@@ -17,6 +17,7 @@ from seft_ros.running.observer import Observer
 from seft_ros.running.one_node import one_node
 from seft_ros.running.processes import NodeProcesses
 from seft_ros.running.run import refuse_company
+from seft_ros.running.scheduling import prefer_latency
 
 Tell = Callable[[Finding], None]
 
@@ -63,6 +64,7 @@ def conform(
     rig = one_node("rig", experiment, lockstep=False) if start_rig else nullcontext(None)
     facts = Facts.of(experiment)
     with rig as processes:
+        prefer_latency(os.getpid())
         guard = Guard(facts, travel, force)
         conductor = Conductor(facts, guard, lambda: _see_alive(processes))
         findings = []

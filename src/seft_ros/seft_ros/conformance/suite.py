@@ -19,12 +19,12 @@ from seft_ros.conformance.trial import Samples, Trial
 from seft_ros.experiment.state_machine import State
 from seft_ros.recording.stall_watch import StallWatch
 
-MEETING = 1.5  # s
+MEETING = 1.2  # s
 AMPLITUDES = {"V": 0.2, "N": 50.0}
 """Largest command where none is given: 2 % of a valve of 10 V."""
 LONG = 60.0  # s that a test is said to have, which ends before
 LEAD, GOING = 0.3, 0.2  # s of rest at the start of a test, and of motion before a watchdog's
-BRIEF = 0.6  # s
+BRIEF = 0.5  # s
 ATTEMPTS = 3
 TIMING = ("period", "late states")
 """Checks whose failure is no reason not to move the rig."""
@@ -220,7 +220,7 @@ class Suite:
     def _wait_for_rest(self, trial: Trial) -> None:
         deadline = time.monotonic() + obedience_checks.SETTLE
         while time.monotonic() < deadline:
-            if any("stop time (s)" in status.values for _, status in trial.statuses):
+            if obedience_checks.rested(trial) is not None:
                 return
             self._conductor.listen(0.05)
 

@@ -88,14 +88,17 @@ def check_timing(samples: Samples, dt: float, stalls: Stalls) -> list[Finding]:
 
 
 def _lateness(name: str, late: Floats, dt: float, left_out: str) -> Finding:
-    p50, p95, p99, largest = (float(np.percentile(late, p)) for p in (50, PERCENTILE, 99, 100))
+    """Judge what was measured of windows; of a host that stood still the typical window counts."""
+    typical = float(np.median(np.percentile(late, PERCENTILE, axis=1)))
+    p50, p99, largest = (float(np.percentile(late, p)) for p in (50, 99, 100))
     told = (
-        f"{PERCENTILE:g} of 100 within {1e3 * p95:.3f} ms of their deadline "
+        f"{PERCENTILE:g} of 100 within {1e3 * typical:.3f} ms of their deadline "
         f"(median {1e3 * p50:.3f}, p99 {1e3 * p99:.3f}, largest {1e3 * largest:.3f} ms){left_out}"
     )
     mend = (
         f"at most {1e3 * LATEST * dt:g} ms, half a period, is allowed: publish before anything "
         "else in a period, and take a real-time priority (docs/realtime.md)"
     )
-    numbers = {"p50_s": p50, "p95_s": p95, "p99_s": p99, "largest_s": largest}
-    return found(name, p95 <= LATEST * dt, told, mend, **numbers)
+    numbers = {"p50_s": p50, "p95_s": typical, "p99_s": p99, "largest_s": largest}
+    judged = typical if left_out else max(typical, p99)
+    return found(name, judged <= LATEST * dt, told, mend, **numbers)

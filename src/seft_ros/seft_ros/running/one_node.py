@@ -54,7 +54,7 @@ def one_node(node: str, experiment: Experiment, *, lockstep: bool) -> Iterator[N
         parameters.write_text(experiment.to_yaml(), encoding="utf-8")
         tidying = Tidying()
         try:
-            arrangement = Arrangement(pin=False)
+            arrangement = Arrangement(pin=not lockstep)
             processes = NodeProcesses([node], parameters, folder, arrangement, lockstep=lockstep)
             try:
                 tidying.look(processes.pids().values())
