@@ -5,6 +5,7 @@ import os
 
 import pytest
 from graph_tools import JHU, ROOT, wait_for
+from seft_msgs_py.claim import is_claimed
 
 TEMPLATE = ROOT / "templates" / "rig_driver"
 PATIENT = (
@@ -15,7 +16,7 @@ PATIENT = (
 
 
 @pytest.fixture
-def start_driver(start, observer, tmp_path):
+def start_driver(start, domain, tmp_path):
     """Start a driver of the template's, good or bad, and wait until it is there."""
     text = (TEMPLATE / "config" / "rig.yaml").read_text().replace("500.0  ", "250.0  ", 1)
     config = tmp_path / "rig.yaml"
@@ -25,12 +26,8 @@ def start_driver(start, observer, tmp_path):
         paths = (ROOT / "tests", TEMPLATE, os.environ.get("PYTHONPATH", ""))
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, paths))}
         process = start(*words, "--ros-args", "--params-file", config, env=environment)
-        wait_for(
-            lambda: process.poll() is not None or (observer.spin(0.05), observer.present())[1],
-            "the driver",
-        )
+        wait_for(lambda: process.poll() is not None or is_claimed(domain, "/rig"), "the driver")
         assert process.poll() is None, process.communicate()
-        observer.close()
         return process
 
     return launch

@@ -37,7 +37,7 @@ def check_rest(samples: Samples, drive: Drive) -> Finding:
     if len(rest) < 3:
         return found("at rest", False, f"{len(rest)} samples before the motion, too few to tell")
     drift = np.abs(rest[-len(rest) // 3 :, 0].mean(0) - rest[: len(rest) // 3, 0].mean(0)).max()
-    noise = rest[:, 0].std(axis=0).max()
+    noise = np.diff(rest[:, 0], axis=0).std(axis=0).max() / math.sqrt(2)  # a drift is none
     least = max(ONSET_NOISE * noise, 1e-6)
     told = f"displacement changes by {1e3 * drift:.4f} mm under a command of 0, noise "
     told += f"{1e3 * noise:.4f} mm"
