@@ -10,26 +10,32 @@ from rig_driver.driver_node import DriverNode, stand_in
 from rig_driver.parameters import TABLE
 from seft_msgs_py.node_main import NodeKind, run_node
 from seft_msgs_py.node_shell import NodeShell
-
-UNITS = {  # row of the sample, factor
-    "displacement_in_mm": (0, 1e3),
-    "force_in_kn": (3, 1e-3),
-}
+from seft_msgs_py.topics import RIG_STATE
+from seft_msgs_py.trajectory import TrajectoryCodec
 
 
-class Scaled:
-    """Hardware one of whose channels has another unit or sign than the calibration has."""
+class WrongUnit(DriverNode):
+    """Sends one of the four quantities in a unit of its own."""
 
-    def __init__(self, hardware, row, factor):
-        self._hardware, self._row, self._factor = hardware, row, factor
+    row, factor = 0, 1.0
 
-    def read_sample(self):
-        volts = self._hardware.read_sample()
-        volts[self._row] *= self._factor
-        return volts
+    def __init__(self, shell, hardware):
+        super().__init__(shell, hardware)
+        self._states = self
+        self._right = TrajectoryCodec(RIG_STATE, shell.experiment.axes, self._timebase)
 
-    def __getattr__(self, name):
-        return getattr(self._hardware, name)
+    def encode(self, step, sample):
+        sample = sample.copy()
+        sample[self.row] *= self.factor
+        return self._right.encode(step, sample)
+
+
+class DisplacementInMm(WrongUnit):
+    factor = 1e3
+
+
+class ForceInKn(WrongUnit):
+    row, factor = 3, 1e-3
 
 
 class NoSafePosition:
@@ -95,6 +101,8 @@ class Careless(DriverNode):
 
 
 NODES = {
+    "displacement_in_mm": DisplacementInMm,
+    "force_in_kn": ForceInKn,
     "wrong_stamp": WrongStamp,
     "late_state": LateState,
     "no_watchdog": NoWatchdog,
@@ -107,9 +115,7 @@ def main() -> int:
 
     def build(shell: NodeShell) -> DriverNode:
         hardware = stand_in(shell)
-        if fault in UNITS:
-            hardware = Scaled(hardware, *UNITS[fault])
-        elif fault == "no_safe_position":
+        if fault == "no_safe_position":
             hardware = NoSafePosition(hardware)
         node = NODES.get(fault, DriverNode)(shell, hardware)
         shell.start({"drive": "valve_command"})

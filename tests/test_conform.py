@@ -13,6 +13,7 @@ PATIENT = (
     *("-p", "supervisor:watchdog.command_timeout:=1.0"),
 )
 """What a machine that does much else holds, as a rule."""
+LONE = ("-p", "rig:watchdog.supervisor_timeout:=2.0")
 
 
 @pytest.fixture
@@ -20,7 +21,8 @@ def start_driver(start, domain, tmp_path):
     """Start a driver of the template's, good or bad, and wait until it is there."""
     text = (TEMPLATE / "config" / "rig.yaml").read_text().replace("500.0  ", "250.0  ", 1)
     config = tmp_path / "rig.yaml"
-    config.write_text(text.replace("command_timeout: 0.02", "command_timeout: 1.0"))
+    text = text.replace("command_timeout: 0.02", "command_timeout: 1.0")
+    config.write_text(text.replace("supervisor_timeout: 1.0", "supervisor_timeout: 2.0"))
 
     def launch(*words):
         paths = (ROOT / "tests", TEMPLATE, os.environ.get("PYTHONPATH", ""))
@@ -42,7 +44,7 @@ def told(result):
 
 
 def test_the_simulated_rig_conforms(seft):
-    done = seft("conform", JHU, "--start-rig", *PATIENT, "--json")
+    done = seft("conform", JHU, "--start-rig", *PATIENT, *LONE, "--json")
     result = json.loads(done.stdout)
     assert (done.returncode, failed(result)) == (0, set()), told(result)
     assert result["conforms"] is True

@@ -119,6 +119,8 @@ def check_end(trial: Trial, steps: int, experiment: Experiment) -> Finding:
     if ended is None:
         tripped = trial.status_of(TRIPPED)
         last = tripped[1].message if tripped is not None else f"phase {trial.phase or 'none'}"
+        if "limit" in last:
+            mend = "if the rig did not move so, a sensor's unit, sign or factor is wrong"
         return found(name, False, f"{len(trial.states)} of {steps} states, {last}", mend)
     try:
         outcome = read_outcome(ended[1], experiment.timebase)

@@ -26,6 +26,8 @@ LONG = 60.0  # s that a test is said to have, which ends before
 LEAD, GOING = 0.3, 0.2  # s of rest at the start of a test, and of motion before a watchdog's
 BRIEF = 0.5  # s
 ATTEMPTS = 3
+HELD_UP = ("no new", "silent")
+"""Words of a trip that this host may have brought about, as it stood still itself."""
 TIMING = ("period", "late states")
 """Checks whose failure is no reason not to move the rig."""
 SLOW = 10.0  # times as long as planned a test may take
@@ -112,7 +114,7 @@ class Suite:
             trial.stalls = _stalls(watch)
             self._conductor.end(State.TRIPPED if trial.fault else State.DONE)
             tripped = trial.status_of(TRIPPED)
-            if tripped is None or "no new" not in tripped[1].message:
+            if tripped is None or not any(word in tripped[1].message for word in HELD_UP):
                 break
         return trial
 
