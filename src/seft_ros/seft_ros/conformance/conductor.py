@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
 from seft_msgs_py.description import decode_description
 from seft_msgs_py.errors import ExperimentError, WireError
 from seft_msgs_py.messages import Status, decode_clock
@@ -27,6 +28,9 @@ from seft_ros.running.player import Player
 FOUND = 20.0  # s until the rig is found
 LOOK = 0.02  # s
 NOTED = 0.15  # s for the rig to take in a state
+ATTEMPTS = 3
+"""Tests that are run until one goes as planned: this host may stand still meanwhile."""
+SLOW = 10.0  # s more than planned that a test may take
 ENDED = 2.0  # s for it to say that it has ended, and that it is idle again
 Answer = Callable[[int], list[bytes]]
 """Gives the messages that answer a step."""
@@ -86,6 +90,8 @@ class Conductor:
     def connect(self, drive: str) -> None:
         """Be the one whose commands drive the rig; wait until it hears them."""
         self._topic = next(topic for topic in LOOP_TOPICS if topic.name == drive)
+        axes, timebase = self._facts.experiment.axes, self._facts.experiment.timebase
+        self._commands = TrajectoryCodec(self._topic, axes, timebase)
         self.player.publish_on(self._topic)
         deadline = time.monotonic() + FOUND
         while not self.player.is_matched("rig", [EXPERIMENT_STATE, self._topic], [RIG_STATE]):
@@ -93,6 +99,10 @@ class Conductor:
             self._alive()
             if time.monotonic() > deadline:
                 raise ExperimentError(f"the rig does not listen to {drive} within {FOUND:g} s")
+
+    def command(self, step: int, value: float) -> bytes:
+        """Make the message that answers a step with the same command for each axis."""
+        return self._commands.encode(step, np.full(len(self._commands.axes), value))
 
     def run(
         self,
