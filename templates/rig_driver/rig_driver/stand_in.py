@@ -43,7 +43,7 @@ class StandIn:
 
     def __init__(self, rate: float, axes: tuple[str, ...], safe: Floats) -> None:
         given = [("/**", "rate", rate), ("/**", "axes", list(axes))]
-        given += [("rig", name, value) for name, value in _RIG.items()]  # type: ignore[misc]
+        given += [("rig", name, value) for name, value in _RIG.items()]
         experiment = Experiment.load([SIMULATED], [], given)
         self._rig = Rig.from_parameters(experiment["rig"], experiment.axes, experiment.timebase)
         self._rig.reset()

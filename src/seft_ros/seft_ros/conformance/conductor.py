@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from seft_msgs_py.description import decode_description
-from seft_msgs_py.errors import ExperimentError, WireError
+from seft_msgs_py.errors import ExperimentError, InputError, WireError
 from seft_msgs_py.messages import Status, decode_clock
 from seft_msgs_py.outcome import FINISHED, TRIPPED
 from seft_msgs_py.topics import (
@@ -70,7 +70,7 @@ class Conductor:
 
         Raises
         ------
-        ExperimentError
+        InputError
             If no node rig publishes rig/state.
         """
         deadline = time.monotonic() + FOUND
@@ -79,7 +79,7 @@ class Conductor:
             self.player.listen_for(LOOK)
             self._alive()
             if time.monotonic() > deadline:
-                raise ExperimentError(
+                raise InputError(
                     f"no node rig with rig/state and experiment/state within {FOUND:g} s; start "
                     "it on this ROS domain, or use --start-rig for the simulated one"
                 )

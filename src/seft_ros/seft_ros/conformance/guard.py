@@ -43,7 +43,9 @@ class Guard:
             NAMES, UNITS, worst.tolist(), self._facts.limits.tolist(), strict=True
         ):
             if not value <= limit:
-                return f"{name} reads {value:.4g} {unit}, beyond the limit of {limit:g} {unit}"
+                told = f"{name} reads {value:.4g} {unit}, beyond the limit of {limit:g} {unit}"
+                way = float(np.abs(self._way).max())
+                return f"{told}; by its velocity the rig has moved {way:.2g} m"
         if len(self._samples) < BASELINE:
             self._samples.append(np.array(sample))
             return ""

@@ -50,9 +50,9 @@ def conform(
     Raises
     ------
     InputError
-        If other nodes of a test are on the graph.
+        If other nodes of a test are on the graph, or there is no rig.
     ExperimentError
-        If there is no rig, or the one that was started ends.
+        If the rig that was started ends, or does not listen to commands.
     """
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     prepare_middleware()

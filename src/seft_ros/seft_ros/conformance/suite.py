@@ -3,6 +3,7 @@
 import os
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 from seft_msgs_py.outcome import FINISHED, TRIPPED
 from seft_msgs_py.topics import LOOP_TOPICS, RIG_STATE
@@ -141,10 +142,13 @@ class Suite:
         yield motion_checks.check_answer_delay(samples, drive, self._facts)
 
     def _of_part(self, samples: Samples) -> Iterator[Finding]:
-        """Look at the units of a motion that was broken off: they may be why."""
+        """Look at the displacement of a motion that was broken off: its unit may be why."""
         part = self._drive.bell
-        if len(samples.steps) > part.start + self._drive.step_at(PART):
-            yield from motion_checks.check_units(samples, self._drive, self._facts)
+        if len(samples.steps) <= part.start + self._drive.step_at(PART):
+            return
+        finding = motion_checks.check_units(samples, self._drive, self._facts)[0]
+        if finding.verdict == "failed":
+            yield replace(finding, mend=f"{finding.mend}; roughly, for the motion was broken off")
 
 
 def _stalls(watch: StallWatch) -> list[tuple[float, float]]:
