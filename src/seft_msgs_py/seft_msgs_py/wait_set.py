@@ -93,6 +93,12 @@ def take(subscription: Subscription) -> tuple[bytes, int, int] | None:
     return raw, info["received_timestamp"], info["publication_sequence_number"] or 0
 
 
+def take_timed(subscription: Subscription) -> tuple[bytes, int] | None:
+    """Take the oldest message, and when its sender sent it, wall clock of its host, ns."""
+    taken = subscription.handle.take_message(subscription.msg_type, True)
+    return None if taken is None else (taken[0], taken[1]["source_timestamp"])
+
+
 def sender(publisher: Publisher) -> Callable[[bytes], None]:
     """Give what publishes message bytes, without the checks that rclpy makes on the way."""
     return publisher.handle.publish_raw

@@ -34,3 +34,9 @@ def prepare_middleware() -> None:
             os.environ[RANGE] = "SYSTEM_DEFAULT"  # at LOCALHOST rmw adds shared memory
     elif named is None:
         os.environ[PROFILES] = str(NETWORK)
+
+
+def prepare_on_this_host() -> None:
+    """Do so after keeping to this host, unless the environment says how far to reach."""
+    os.environ.setdefault(RANGE, "LOCALHOST")
+    prepare_middleware()

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.middleware import prepare_middleware
+from seft_msgs_py.middleware import prepare_on_this_host
 
 from seft_ros.experiment.peers import CONFLICT
 from seft_ros.experiment.state_machine import State
@@ -90,8 +90,7 @@ def run_experiment(
     ExperimentError
         If the run broke before anything was recorded.
     """
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    prepare_middleware()
+    prepare_on_this_host()
     experiment["recorder"].update(directory=str(bag.parent.resolve()), name=bag.name)
     arrangement = arrangement or Arrangement()
     if arrangement.priority:
@@ -101,14 +100,14 @@ def run_experiment(
                 experiment[node].update(wishes)
     wanted = {*experiment["supervisor"]["peers"], "supervisor"} - set(external)
     nodes = [node for node in MODULES if node in wanted]
-    with _working_folder(bag) as folder:
+    with working_folder(bag) as folder:
         parameters = folder / "parameters.yaml"
         parameters.write_text(experiment.to_yaml(), encoding="utf-8")
         progress("looking for other tests", 0)
         tidying = Tidying()
         observer = Observer()
         try:
-            _refuse_company(observer, external)
+            refuse_company(observer, external)
             progress("starting the nodes", 0)
             processes = NodeProcesses(
                 nodes,
@@ -137,8 +136,14 @@ def run_experiment(
     return Finished(bag, fault)
 
 
-def _refuse_company(observer: Observer, external: Collection[str]) -> None:
-    """See that no other test is on the graph: two would command each other's rig."""
+def refuse_company(observer: Observer, external: Collection[str] = ()) -> None:
+    """See that no other test is on the graph: two would command each other's rig.
+
+    Raises
+    ------
+    InputError
+        If there is one.
+    """
     observer.spin(DISCOVERY)
     _refuse([node for node in observer.present() if node not in external])
 
@@ -201,12 +206,12 @@ def _wait_until_ready(
 
 
 @contextmanager
-def _working_folder(bag: Path) -> Iterator[Path]:
-    """Folder for parameters and logs while the test runs; kept in the bag's folder."""
+def working_folder(bag: Path | None = None) -> Iterator[Path]:
+    """Folder for parameters and logs while nodes run; kept in the folder of a bag."""
     folder = Path(tempfile.mkdtemp(prefix="seft-"))
     try:
         yield folder
     finally:
-        if bag.is_dir():
+        if bag is not None and bag.is_dir():
             shutil.copytree(folder, bag / "logs", dirs_exist_ok=True)
         shutil.rmtree(folder, ignore_errors=True)
