@@ -93,6 +93,21 @@ def take(subscription: Subscription) -> tuple[bytes, int, int] | None:
     return raw, info["received_timestamp"], info["publication_sequence_number"] or 0
 
 
+def take_all(subscription: Subscription, most: int) -> list[tuple[bytes, int]]:
+    """Take what has arrived on a raw subscription, at most so many messages.
+
+    Returns
+    -------
+    list of (bytes, int)
+        The messages, oldest first, and the wall-clock time in ns at which each was sent.
+    """
+    handle, kind, found = subscription.handle, subscription.msg_type, []
+    while len(found) < most and (taken := handle.take_message(kind, True)) is not None:
+        raw, info = taken
+        found.append((raw, info["source_timestamp"]))
+    return found
+
+
 def sender(publisher: Publisher) -> Callable[[bytes], None]:
     """Give what publishes message bytes, without the checks that rclpy makes on the way."""
     return publisher.handle.publish_raw

@@ -9,6 +9,7 @@ from seft_ros.commands.compare import compare
 from seft_ros.commands.design import design
 from seft_ros.commands.identify import identify
 from seft_ros.commands.link import link
+from seft_ros.commands.monitor import monitor
 from seft_ros.commands.motion import motion
 from seft_ros.commands.options import complain
 from seft_ros.commands.paper import paper
@@ -33,7 +34,7 @@ APP = typer.Typer(
 )
 for command in (
     *(run, simulate, report, compare, motion, recover, identify, design, tournament),
-    *(preflight, link, paper, parameters),
+    *(preflight, link, monitor, paper, parameters),
 ):
     APP.command()(command)
 

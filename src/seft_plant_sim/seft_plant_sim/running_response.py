@@ -1,0 +1,59 @@
+"""The response of `whole_structure`, piece by piece while a test runs."""
+
+import numpy as np
+import numpy.typing as npt
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.experiment import Experiment
+
+from seft_plant_sim.whole_structure import sampled_motion, whole_structure
+
+Floats = npt.NDArray[np.float64]
+
+
+class RunningResponse:
+    """Exact response of a linear whole structure as its ground motion becomes known.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Resolved parameters, as for `reference_response`.
+
+    Raises
+    ------
+    InputError
+        If the specimen yields: its response takes longer to solve than the test lasts.
+    """
+
+    def __init__(self, experiment: Experiment) -> None:
+        whole = whole_structure(experiment)
+        if whole.springs:
+            raise InputError("the response of a specimen that yields is known after the test")
+        self._whole = whole
+        self._free, self._start, self._change = sampled_motion(whole, experiment.timebase.dt)
+        self._state = np.zeros(2 * whole.axes)
+        self._last: Floats | None = None
+
+    def advance(self, ground_motion: Floats) -> tuple[Floats, Floats]:
+        """Go on over the next N steps; the first of all is step 0, at rest.
+
+        Parameters
+        ----------
+        ground_motion : ndarray
+            Shape (N, n), m/s^2.
+
+        Returns
+        -------
+        displacement, acceleration : ndarray
+            Relative to the ground, shape (N, n), m and m/s^2.
+        """
+        n, whole = self._whole.axes, self._whole
+        states = np.empty((len(ground_motion), 2 * n))
+        for step, motion in enumerate(ground_motion):
+            if self._last is not None:
+                change = motion - self._last
+                driven = self._start @ self._last + self._change @ change
+                self._state = self._free @ self._state + driven
+            states[step], self._last = self._state, motion
+        restoring = states[:, :n] @ whole.stiffness.T + states[:, n:] @ whole.damping.T
+        acceleration = -ground_motion - np.linalg.solve(whole.mass, restoring.T).T
+        return states[:, :n], acceleration

@@ -1,0 +1,111 @@
+// Connection, and when what is drawn.
+
+import { Buttons } from "./buttons.js";
+import { History, readFrame } from "./history.js";
+import { Plots } from "./plots.js";
+import * as show from "./status.js";
+
+const AGAIN = 1000; // ms until the next attempt to connect
+const LEAST = 80, MOST = 1000; // ms between two pictures
+const SHARE = 0.15; // of the time may go into drawing: the test may need this machine
+
+const element = (id) => document.getElementById(id);
+const buttons = new Buttons();
+const known = { test: { domain: "" }, status: null, trips: [] };
+let history = null, plots = null, stale = true, held = null, interval = LEAST, drawnAt = 0;
+
+function connect() {
+  const socket = new WebSocket(`${location.protocol.replace("http", "ws")}//${location.host}/live`);
+  socket.binaryType = "arraybuffer";
+  socket.onmessage = ({ data }) => (typeof data === "string" ? tell(JSON.parse(data)) : take(data));
+  socket.onclose = () => {
+    element("state").dataset.state = "lost";
+    element("state-name").textContent = "not connected";
+    element("state-detail").textContent = "to seft monitor; what is below is old";
+    setTimeout(connect, AGAIN);
+  };
+}
+
+function tell({ kind, ...content }) {
+  if (kind === "test") {
+    known.test = content;
+    offerAxes(content.signals?.axes ?? []);
+    element("domain").textContent = `domain ${content.domain}`;
+    element("reference-note").textContent =
+      content.reference_note ? `No exact response: ${content.reference_note}.` : "";
+  } else if (kind === "status") {
+    known.status = content;
+    show.showState(content, known.test.domain);
+    show.showMargins(content.margins);
+    show.showNodes(content.nodes, content.refused);
+    show.showParameters(content.parameters);
+    buttons.follow(content);
+  } else if (kind === "events") show.showEvents(content.events);
+  else if (kind === "round_trips") known.trips = content.round_trips;
+  stale = true;
+}
+
+function take(buffer) {
+  const frame = readFrame(buffer);
+  if (history?.test !== frame.test || history.columns !== frame.columns) {
+    history = new History(frame.test, frame.columns);
+    release();
+  }
+  history.take(frame);
+  stale = true;
+}
+
+function offerAxes(axes) {
+  const select = element("axis");
+  if ([...select.options].map((option) => option.text).join() === axes.join()) return;
+  select.replaceChildren(...axes.map((axis, at) => new Option(axis, at)));
+  element("axis-label").hidden = axes.length < 2;
+}
+
+function times() {
+  if (plots.zoomed) return plots.zoomed;
+  const { dt } = known.test, width = Number(element("window").value);
+  const begin = history.begin * dt, now = Math.max(history.head, 1) * dt;
+  const to = held ?? now;
+  return width ? [Math.max(begin, to - width), Math.max(to, begin + width)] : [begin, to];
+}
+
+function draw() {
+  requestAnimationFrame(draw);
+  const now = performance.now();
+  if (!stale || now - drawnAt < interval || !known.status || !history || !known.test.dt) return;
+  stale = false;
+  drawnAt = now;
+  show.showNumbers(known.status, known.test, history.head);
+  const [from, to] = times();
+  plots.draw(history, known.test, Number(element("axis").value) || 0, from, to, known.trips);
+  setTimeout(() => { // when it has been painted
+    interval = Math.min(MOST, Math.max(LEAST, (performance.now() - now) / SHARE));
+  });
+}
+
+function release() {
+  held = null;
+  if (plots) plots.zoomed = null;
+  follow();
+}
+
+function follow() {
+  const holds = held !== null || Boolean(plots?.zoomed);
+  element("hold").setAttribute("aria-pressed", String(holds));
+  element("hold").textContent = holds ? "Go on" : "Hold";
+  stale = true;
+}
+
+element("hold").addEventListener("click", () => {
+  if (held !== null || plots.zoomed) release();
+  else {
+    held = history ? history.head * known.test.dt : null;
+    follow();
+  }
+});
+for (const id of ["window", "axis"]) element(id).addEventListener("change", release);
+
+plots = await Plots.make(follow);
+connect();
+requestAnimationFrame(draw);

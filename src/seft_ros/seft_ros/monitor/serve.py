@@ -1,0 +1,100 @@
+"""The monitor's process: looks at the graph ten times a second, and serves the page."""
+
+import asyncio
+import contextlib
+import os
+import signal
+import socket
+from collections.abc import Callable
+
+from seft_msgs_py.errors import InputError
+from tornado.httpserver import HTTPServer
+from tornado.netutil import bind_sockets
+
+from seft_ros.monitor.access import Access, is_loopback
+
+LOOK = 0.1  # s
+NICE = 5
+
+
+def listen(host: str, port: int) -> list[socket.socket]:
+    """Take the port.
+
+    Raises
+    ------
+    InputError
+        If it can't be had.
+    """
+    try:
+        if port:
+            return bind_sockets(port, host)
+        first, *others = bind_sockets(0, host)  # of several addresses, each has a port of its own
+    except OSError as error:
+        hint = "another seft monitor may have it; name another with --port" if port else ""
+        reason = error.strerror or str(error)
+        raise InputError(f"can't listen at {host}:{port} ({reason}); {hint}".rstrip("; ")) from None
+    for other in others:
+        other.close()
+    return [first]
+
+
+def keep_off_the_loop() -> None:
+    """Leave the loop's core, the first one, to the loop, and the others to it where it needs them.
+
+    To be called before other threads are there: they inherit both.
+    """
+    cores = sorted(os.sched_getaffinity(0))
+    if len(cores) > 1:
+        os.sched_setaffinity(0, cores[1:])
+    with contextlib.suppress(OSError):
+        os.nice(NICE)
+
+
+def serve(
+    sockets: list[socket.socket], host: str, token: str, namespace: str, ready: Callable[[], None]
+) -> None:
+    """Serve the page until SIGINT or SIGTERM.
+
+    Parameters
+    ----------
+    sockets : list of socket
+        As `listen` gives them.
+    host : str
+        What was listened at.
+    token : str
+        What pages must know; empty: nothing.
+    namespace : str
+        Of the test's topics.
+    ready : callable
+        Called when the page can be opened.
+    """
+    from seft_ros.monitor.graph import Graph
+    from seft_ros.monitor.watch import Watch
+    from seft_ros.monitor.web import Pages, application
+
+    graph = Graph(namespace)
+    try:
+        watch = Watch(graph)
+        pages = Pages(watch.everything)
+        port = sockets[0].getsockname()[1]
+        web = application(Access(token, is_loopback(host)), port, pages, graph.call)
+
+        async def run() -> None:
+            stopping = asyncio.Event()
+            loop = asyncio.get_running_loop()
+            for number in (signal.SIGINT, signal.SIGTERM):
+                loop.add_signal_handler(number, stopping.set)
+            server = HTTPServer(web, idle_connection_timeout=60)
+            server.add_sockets(sockets)
+            ready()
+            while not stopping.is_set():
+                pages.send(watch.look())
+                with contextlib.suppress(TimeoutError):
+                    await asyncio.wait_for(stopping.wait(), LOOK)
+            server.stop()
+            pages.close()
+            await server.close_all_connections()
+
+        asyncio.run(run())
+    finally:
+        graph.close()
