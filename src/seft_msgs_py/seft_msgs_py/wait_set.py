@@ -101,7 +101,8 @@ def take_all(subscription: Subscription, most: int) -> list[tuple[bytes, int]]:
     list of (bytes, int)
         The messages, oldest first, and the wall-clock time in ns at which each was sent.
     """
-    handle, kind, found = subscription.handle, subscription.msg_type, []
+    handle, kind = subscription.handle, subscription.msg_type
+    found: list[tuple[bytes, int]] = []
     while len(found) < most and (taken := handle.take_message(kind, True)) is not None:
         raw, info = taken
         found.append((raw, info["source_timestamp"]))

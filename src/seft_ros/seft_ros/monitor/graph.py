@@ -96,9 +96,7 @@ class Graph:
                 answered.set_result(response)
 
         pending = client.call_async(Trigger.Request())
-        pending.add_done_callback(
-            lambda done: loop.call_soon_threadsafe(answer, done.result())
-        )
+        pending.add_done_callback(lambda done: loop.call_soon_threadsafe(answer, done.result()))
         try:
             response = await asyncio.wait_for(answered, PATIENCE)
         except TimeoutError:

@@ -106,9 +106,7 @@ class Intake:
         if stretch is not None:
             self._new.append(stretch)
 
-    def _batches(
-        self, topic: LoopTopic, messages: Messages
-    ) -> list[tuple[Batch, Steps]]:
+    def _batches(self, topic: LoopTopic, messages: Messages) -> list[tuple[Batch, Steps]]:
         """Decode messages, those of equal length together; with the time each was sent."""
         found, start = [], 0
         for end in range(1, len(messages) + 1):

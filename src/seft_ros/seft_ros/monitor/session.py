@@ -52,6 +52,7 @@ class Session:
         self.round_trips: list[tuple[float, float | None, float | None, int]] = []
         self._experiment: Status | None = None
         self._silent = False
+        self._last = ("", "")
         self._nodes: dict[str, tuple[Status, float]] = {}
         self._rig: dict[str, str] = {}
         self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS)
@@ -70,12 +71,10 @@ class Session:
         before, self._experiment = self._experiment, status
         self._nodes[""] = (status, self._now)
         self.state = status.message
-        detail = status.values.get("detail", "")
-        if before is None or self._silent or (before.message, _detail(before)) != (
-            status.message,
-            detail,
-        ):
-            self._note(status.message, detail, status.level)
+        news = (status.message, status.values.get("detail", ""))
+        if before is None or self._silent or self._last != news:
+            self._note(*news, status.level)
+        self._last = news
         self._silent = False
         return status.message == State.RUNNING and (
             before is None or before.message != State.RUNNING
@@ -131,7 +130,7 @@ class Session:
         return {
             "name": name,
             "level": 3 if silent else status.level,
-            "text": "silent" if silent else status.message,
+            "text": status.message,
             "refused": _whole(status.values.get("refused")),
         }
 
@@ -171,14 +170,12 @@ class Session:
         )
 
 
-def _detail(status: Status) -> str:
-    return status.values.get("detail", "")
-
-
 def _named(values: dict[str, str], start: str) -> dict[str, float]:
-    found = {name.removeprefix(start): _number(v) for name, v in values.items()
-             if name.startswith(start)}
-    return {name: value for name, value in found.items() if value is not None}
+    found = {}
+    for name, text in values.items():
+        if name.startswith(start) and (value := _number(text)) is not None:
+            found[name.removeprefix(start)] = value
+    return found
 
 
 def _number(text: str | None) -> float | None:

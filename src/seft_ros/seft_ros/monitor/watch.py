@@ -116,8 +116,8 @@ class Watch:
             return
         intake = self.intake
         if intake is None or intake.timebase != timebase or intake.signals.axes != axes:
-            self.intake = Intake(axes, timebase, intake.number if intake else 0)
-        self.intake.describe(dict(sections))
+            intake = self.intake = Intake(axes, timebase, intake.number if intake else 0)
+        intake.describe(dict(sections))
 
     def _news(self) -> list[Frame]:
         """Make texts of what the nodes say; give those that are not as they were."""

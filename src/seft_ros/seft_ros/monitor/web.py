@@ -36,7 +36,7 @@ class Pages:
 
     def __init__(self, everything: Callable[[], list[Frame]]) -> None:
         self._everything = everything
-        self._open: dict["Live", bool] = {}  # and whether it knows all
+        self._open: dict[Live, bool] = {}  # and whether it knows all
 
     def __len__(self) -> int:
         return len(self._open)
@@ -79,8 +79,8 @@ class Guarded(RequestHandler):
 
     def set_default_headers(self) -> None:
         """Let the page load what is its own, be shown in no other page, and be kept nowhere."""
-        host = self.request.host if self.application.settings["access"].is_host(
-            self.request.host) else ""
+        known = self.application.settings["access"].is_host(self.request.host)
+        host = self.request.host if known else ""  # what is no name does not go into a header
         self.clear_header("Server")
         policy = (
             "default-src 'none'; script-src 'self'; img-src 'self' data: blob:; "

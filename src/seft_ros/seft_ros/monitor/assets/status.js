@@ -23,20 +23,20 @@ function row(...parts) {
 }
 
 const milliseconds = (value) => (value === undefined ? "–" : `${value.toFixed(2)} ms`);
-const percent = (value) => `${(100 * value).toFixed(0)} %`;
+const left = (margin) => (margin > 0 ? `${(100 * margin).toFixed(0)} % left` : "beyond");
 
 export function showState(status, domain) {
-  const key = !status.heard ? "" : status.silent ? "gone" : status.state;
+  const gone = status.heard && status.silent;
+  const key = !status.heard ? "" : gone && !status.ended ? "gone" : status.state;
+  const last = status.detail === NAMES[status.state] ? "" : status.detail;
+  const when = status.step === null ? "" : ` (step ${status.step}, ${status.time_s} s)`;
+  const details = {
+    "": `nothing is heard of a test on ROS domain ${domain} yet`,
+    gone: `nothing is heard of the supervisor any more; the test was ${NAMES[status.state]} last`,
+  };
   element("state").dataset.state = key;
   set("state-name", NAMES[key] ?? key);
-  const detail = {
-    "": `nothing is heard of a test on ROS domain ${domain} yet`,
-    gone: `nothing is heard of the supervisor any more; it was ${NAMES[status.state]} last: ` +
-      status.detail,
-  }[key] ?? (status.detail === NAMES[key] ? "" : status.detail);
-  const when = status.step !== null && key === "tripped"
-    ? ` (step ${status.step}, ${status.time_s} s)` : "";
-  set("state-detail", detail + when);
+  set("state-detail", details[key] ?? last + when + (gone ? "; its nodes have left" : ""));
   document.title = `${NAMES[key] ?? key} – seft monitor`;
 }
 
@@ -50,7 +50,7 @@ export function showNumbers(status, test, head) {
   set("trip-median", milliseconds(status.round_trip["median (ms)"]));
   set("trip-largest", milliseconds(status.round_trip["largest (ms)"]));
   const margins = Object.entries(status.margins).sort((a, b) => a[1] - b[1]);
-  set("margin", margins.length ? `${percent(margins[0][1])} (${margins[0][0]})` : "–");
+  set("margin", margins.length ? `${left(margins[0][1])}: ${margins[0][0]}` : "–");
 }
 
 export function showMargins(margins) {
@@ -63,7 +63,7 @@ export function showMargins(margins) {
     const [label, meter, text] = box.children[at].children;
     label.textContent = name;
     meter.value = used;
-    meter.textContent = text.textContent = `${percent(margins[name])} left`;
+    meter.textContent = text.textContent = left(margins[name]);
     meter.setAttribute("aria-label", `${name}: used of the limit`);
   });
 }
