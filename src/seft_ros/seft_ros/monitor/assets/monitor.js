@@ -6,8 +6,8 @@ import { Plots } from "./plots.js";
 import * as show from "./status.js";
 
 const AGAIN = 1000; // ms until the next attempt to connect
-const LEAST = 80, MOST = 1000; // ms between two pictures
-const SHARE = 0.15; // of the time may go into drawing: the test may need this machine
+const LEAST = 90, MOST = 1000; // ms between two pictures
+const SHARE = 0.15; // of the time may go into pictures: the test may need this machine
 
 const element = (id) => document.getElementById(id);
 const buttons = new Buttons();
@@ -79,9 +79,7 @@ function draw() {
   show.showNumbers(known.status, known.test, history.head);
   const [from, to] = times();
   plots.draw(history, known.test, Number(element("axis").value) || 0, from, to, known.trips);
-  setTimeout(() => { // when it has been painted
-    interval = Math.min(MOST, Math.max(LEAST, (performance.now() - now) / SHARE));
-  });
+  interval = Math.min(MOST, Math.max(LEAST, (performance.now() - now) / SHARE));
 }
 
 function release() {

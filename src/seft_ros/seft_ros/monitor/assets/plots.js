@@ -3,11 +3,12 @@
 const SCALES = { displacement: 1e3, acceleration: 1, force: 1e-3 };
 const LIGHT = { text: "#33383d", grid: "#e3e7ea", axis: "#aab1b8", measured: "#0b5fa5",
   median: "#0b5fa5", reference: "#98a1ab", largest: "#98a1ab", answer: "#2f8034",
-  missed: "#c1272d" };
+  period: "#c1272d", missed: "#c1272d" };
 const DARK = { text: "#d5dade", grid: "#2d3439", axis: "#5c666e", measured: "#63b3f2",
   median: "#63b3f2", reference: "#8b959e", largest: "#8b959e", answer: "#6cc070",
-  missed: "#ff7b72" };
+  period: "#ff7b72", missed: "#ff7b72" };
 const PIECES = 500; // of a line: as many as one can see
+const LEAST_TIME = 0.05; // ms, where the logarithmic axis may begin
 
 export class Plots {
   /** Make the figures; changed is called when someone zooms. */
@@ -16,11 +17,14 @@ export class Plots {
     const items = await answer.json();
     const plots = new Plots(changed);
     for (const [name, item] of Object.entries(items)) {
-      await Bokeh.embed.embed_item(item, `plot-${name}`);
-      plots.add(name, Bokeh.documents.at(-1));
+      const [view] = (await Bokeh.embed.embed_item(item, `plot-${name}`)).roots;
+      plots.add(name, view);
     }
     const dark = matchMedia("(prefers-color-scheme: dark)");
-    dark.addEventListener("change", () => plots.colour(dark.matches ? DARK : LIGHT));
+    dark.addEventListener("change", () => {
+      plots.colour(dark.matches ? DARK : LIGHT);
+      plots.renew();
+    });
     plots.colour(dark.matches ? DARK : LIGHT);
     return plots;
   }
@@ -32,17 +36,32 @@ export class Plots {
     this.zoomed = null; // [from, to] in s, as someone has chosen it
   }
 
-  add(name, document) {
-    const figure = document.roots()[0];
-    const element = globalThis.document.getElementById(`plot-${name}`);
+  add(name, view) {
+    const figure = view.model;
+    const element = document.getElementById(`plot-${name}`);
     const sources = {};
-    for (const renderer of figure.renderers)
-      sources[renderer.data_source.name] = renderer.data_source;
-    const panel = { figure, sources, element, seen: true };
-    new IntersectionObserver(([entry]) => (panel.seen = entry.isIntersecting)).observe(element);
+    for (const { data_source } of figure.renderers) sources[data_source.name] = data_source;
+    const panel = { view, figure, sources, seen: true, drawn: "" };
+    new IntersectionObserver(([entry]) => {
+      panel.seen = entry.isIntersecting;
+      this.renew();
+    }).observe(element);
+    new ResizeObserver(() => this.renew()).observe(element);
+    // The library paints for each thing that changes; here once when all of it has. Under the
+    // pointer it does as it likes, so that zooming shows what it does.
+    view.pause();
+    element.addEventListener("pointerenter", () => view.unpause());
+    element.addEventListener("pointerleave", () => view.pause());
+    // a finger that drags scrolls the page; who wants to zoom by it picks the tool
     if (matchMedia("(pointer: coarse)").matches) figure.toolbar.active_drag = null;
     figure.x_range.change.connect(() => this.follow(figure.x_range));
     this.panels[name] = panel;
+  }
+
+  /** Have all drawn anew, with its layout. */
+  renew() {
+    for (const panel of Object.values(this.panels)) [panel.fresh, panel.drawn] = [true, ""];
+    this.changed();
   }
 
   /** Take the range of time that someone has chosen in one figure for all of them. */
@@ -60,63 +79,82 @@ export class Plots {
         axis.minor_tick_line_color = null;
       }
       for (const grid of figure.center) grid.grid_line_color = colours.grid;
-      for (const { glyph, data_source } of figure.renderers) {
+      for (const { glyph, data_source } of figure.renderers)
         glyph.line_color = colours[data_source.name];
-        if (data_source.name === "missed") glyph.fill_color = colours.missed;
-      }
     }
   }
 
-  /** Draw the history between two times. */
-  draw(history, test, axis, from, to, trips) {
+  /** Draw the history between two times, in s; the told of the rig are [time, median, largest in
+   *  ms, missed]. */
+  draw(history, { dt, signals }, axis, from, to, told) {
     this.drawing = true;
-    const { dt, signals } = test;
-    const steps = [from / dt, to / dt].map(Math.floor);
     const line = (column, scale) => {
-      const { x, y } = history.points(column, ...steps, PIECES);
+      const { x, y } = history.points(column, Math.floor(from / dt), Math.floor(to / dt), PIECES);
       return { x: x.map((step) => step * dt), y: y.map((value) => value * scale) };
     };
     for (const [name, scale] of Object.entries(SCALES)) {
-      const panel = this.panels[name];
-      if (!panel.seen) continue;
-      const lines = ["reference", "measured"].map((kind) => {
-        const points = line(signals[kind][name] + axis, scale);
-        panel.sources[kind].data = points;
-        return points.y;
-      });
-      this.range(panel, from, to, lines, true);
+      if (!this.panels[name].seen) continue;
+      const lines = Object.fromEntries(["reference", "measured"].map(
+        (kind) => [kind, line(signals[kind][name] + axis, scale)]));
+      this.show(name, from, to, lines, even);
     }
-    this.drawTiming(line, signals, from, to, trips);
+    // of the time before, too: it holds up to the first that is told
+    const some = told.filter(([time], at) => time >= from && (told[at - 1]?.[0] ?? 0) <= to);
+    const column = (at) => ({ x: some.map(([time]) => time), y: some.map((row) => row[at] ?? NaN) });
+    if (this.panels.timing.seen) {
+      const period = { x: [from, to], y: [1e3 * dt, 1e3 * dt] };
+      const answer = line(signals.answer, 1);
+      const lines = { answer, largest: column(2), median: column(1), period };
+      this.show("timing", from, to, lines, decades);
+    }
+    const missed = column(3);
+    const drawn = JSON.stringify([history.test, missed, this.zoomed]);
+    if (this.panels.missed.seen && this.panels.missed.drawn !== drawn) {
+      this.panels.missed.drawn = drawn;
+      this.show("missed", from, to, { missed }, counted);
+    }
     this.drawing = false;
   }
 
-  drawTiming(line, signals, from, to, trips) {
-    const { sources, seen } = this.panels.timing;
-    if (!seen) return;
-    const answer = line(signals.answer, 1);
-    sources.answer.data = answer;
-    const shown = trips.filter(([time], at) => time >= from && (trips[at - 1]?.[0] ?? 0) <= to);
-    const x = shown.map(([time]) => time);
-    sources.median.data = { x, y: shown.map((trip) => trip[1] ?? NaN) };
-    sources.largest.data = { x, y: shown.map((trip) => trip[2] ?? NaN) };
-    const missed = trips.filter(
-      (trip, at) => trip[3] > (trips[at - 1]?.[3] ?? 0) && trip[0] >= from && trip[0] <= to);
-    sources.missed.data = { x: missed.map(([time]) => time), y: missed.map(() => 0) };
-    this.range(this.panels.timing, from, to,
-      [answer.y, sources.median.data.y, sources.largest.data.y], false);
-  }
-
-  range({ figure }, from, to, lines, even) {
-    let low = even ? Infinity : 0, high = -Infinity;
-    for (const values of lines)
-      for (const value of values) {
+  show(name, from, to, lines, range) {
+    const panel = this.panels[name], { view, figure, sources } = panel;
+    let low = Infinity, high = -Infinity;
+    for (const [kind, points] of Object.entries(lines)) {
+      sources[kind].data = points;
+      for (const value of points.y) {
         if (value < low) low = value;
         if (value > high) high = value;
       }
-    if (!(high > low)) [low, high] = even ? [(low || 0) - 1, (low || 0) + 1] : [0, 1];
-    if (!Number.isFinite(low)) [low, high] = [-1, 1];
-    const more = 0.06 * (high - low);
+    }
     figure.x_range.setv({ start: from, end: to });
-    figure.y_range.setv({ start: even ? low - more : -more, end: high + more });
+    const [start, end] = range(low, high), { y_range } = figure;
+    if (start !== y_range.start || end !== y_range.end) {
+      y_range.setv({ start, end });
+      panel.fresh = true;
+    }
+    view.unpause(true);
+    if (panel.fresh) view.repaint();
+    else view.paint();
+    view.pause();
+    panel.fresh = false;
   }
+}
+
+// Ranges of the vertical axes: round, so that they change seldom; each change costs a new layout.
+
+function even(low, high) {
+  if (!(high > low)) return Number.isFinite(low) ? [low - 1, low + 1] : [-1, 1];
+  const digit = 10 ** Math.floor(Math.log10(high - low)) / 4;
+  return [Math.floor(low / digit - 0.2) * digit, Math.ceil(high / digit + 0.2) * digit];
+}
+
+function decades(low, high) {
+  const decade = (value, round) => 10 ** round(Math.log10(Math.max(value, LEAST_TIME)));
+  if (!(high >= low)) return [0.1, 10];
+  return [decade(low, Math.floor), 2 * decade(high, Math.ceil)];
+}
+
+function counted(_, high) {
+  const [, end] = even(0, Math.max(high, 4));
+  return [0, end];
 }
