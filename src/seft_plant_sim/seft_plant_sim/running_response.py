@@ -39,7 +39,7 @@ class RunningResponse:
         Parameters
         ----------
         ground_motion : ndarray
-            Shape (N, n), m/s^2.
+            Shape (N, n), N at least 1, m/s^2.
 
         Returns
         -------
@@ -47,13 +47,19 @@ class RunningResponse:
             Relative to the ground, shape (N, n), m and m/s^2.
         """
         n, whole = self._whole.axes, self._whole
-        states = np.empty((len(ground_motion), 2 * n))
-        for step, motion in enumerate(ground_motion):
-            if self._last is not None:
-                change = motion - self._last
-                driven = self._start @ self._last + self._change @ change
-                self._state = self._free @ self._state + driven
-            states[step], self._last = self._state, motion
+        if self._last is None:  # at rest in the first step
+            states = np.zeros((len(ground_motion), 2 * n))
+            before, rest = ground_motion[:-1], states[1:]
+        else:
+            states = np.empty((len(ground_motion), 2 * n))
+            before, rest = np.vstack([self._last, ground_motion[:-1]]), states
+        after = ground_motion[len(ground_motion) - len(before) :]
+        rest[:] = before @ self._start.T + (after - before) @ self._change.T
+        state, free = self._state, self._free
+        for driven in rest:
+            driven += free.dot(state)
+            state = driven
+        self._state, self._last = state.copy(), ground_motion[-1].copy()
         restoring = states[:, :n] @ whole.stiffness.T + states[:, n:] @ whole.damping.T
         acceleration = -ground_motion - np.linalg.solve(whole.mass, restoring.T).T
         return states[:, :n], acceleration

@@ -75,8 +75,8 @@ def monitor(
         token = secrets.token_urlsafe(24)
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     keep_off_the_loop()
-    sockets = listen(host, port)
-    address = page_address(host, sockets[0].getsockname()[1])
+    listening = listen(host, port)
+    address = page_address(host, listening.getsockname()[1])
     if token:
         address += f"?token={token}"
 
@@ -87,5 +87,5 @@ def monitor(
 
             webbrowser.open(address)
 
-    serve(sockets, host, token, namespace, ready)
+    serve(listening, host, token, namespace, ready)
     return 0

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import errno
 import os
 import signal
 import socket
@@ -9,7 +10,6 @@ from collections.abc import Callable
 
 from seft_msgs_py.errors import InputError
 from tornado.httpserver import HTTPServer
-from tornado.netutil import bind_sockets
 
 from seft_ros.monitor.access import Access, is_loopback
 
@@ -17,8 +17,8 @@ LOOK = 0.1  # s
 NICE = 5
 
 
-def listen(host: str, port: int) -> list[socket.socket]:
-    """Take the port.
+def listen(host: str, port: int) -> socket.socket:
+    """Take a port, 0 for any; a name that stands for several addresses means the first of IPv4.
 
     Raises
     ------
@@ -26,16 +26,17 @@ def listen(host: str, port: int) -> list[socket.socket]:
         If it can't be had.
     """
     try:
-        if port:
-            return bind_sockets(port, host)
-        first, *others = bind_sockets(0, host)  # of several addresses, each has a port of its own
-    except OSError as error:
-        hint = "another seft monitor may have it; name another with --port" if port else ""
-        reason = error.strerror or str(error)
-        raise InputError(f"can't listen at {host}:{port} ({reason}); {hint}".rstrip("; ")) from None
-    for other in others:
-        other.close()
-    return [first]
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        family, _, _, _, address = min(found, key=lambda each: each[0] != socket.AF_INET)
+        listening = socket.create_server(address[:2], family=family, backlog=128)
+    except (OSError, UnicodeError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        in_use = getattr(error, "errno", None) == errno.EADDRINUSE
+        mend = "another seft monitor may have it; name another port with --port"
+        how = mend if in_use else "see --host and --port"
+        raise InputError(f"can't listen at {host}:{port} ({reason}); {how}") from None
+    listening.setblocking(False)
+    return listening
 
 
 def keep_off_the_loop() -> None:
@@ -51,14 +52,14 @@ def keep_off_the_loop() -> None:
 
 
 def serve(
-    sockets: list[socket.socket], host: str, token: str, namespace: str, ready: Callable[[], None]
+    listening: socket.socket, host: str, token: str, namespace: str, ready: Callable[[], None]
 ) -> None:
     """Serve the page until SIGINT or SIGTERM.
 
     Parameters
     ----------
-    sockets : list of socket
-        As `listen` gives them.
+    listening : socket
+        As `listen` gives it.
     host : str
         What was listened at.
     token : str
@@ -76,7 +77,7 @@ def serve(
     try:
         watch = Watch(graph)
         pages = Pages(watch.everything)
-        port = sockets[0].getsockname()[1]
+        port = listening.getsockname()[1]
         web = application(Access(token, is_loopback(host)), port, pages, graph.call)
 
         async def run() -> None:
@@ -85,7 +86,7 @@ def serve(
             for number in (signal.SIGINT, signal.SIGTERM):
                 loop.add_signal_handler(number, stopping.set)
             server = HTTPServer(web, idle_connection_timeout=60)
-            server.add_sockets(sockets)
+            server.add_socket(listening)
             ready()
             while not stopping.is_set():
                 pages.send(watch.look())
