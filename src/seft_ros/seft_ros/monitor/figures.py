@@ -3,7 +3,7 @@
 from typing import Any
 
 from bokeh.embed import json_item
-from bokeh.models import ColumnDataSource, Range1d
+from bokeh.models import ColumnDataSource, NumeralTickFormatter, Range1d
 from bokeh.plotting import figure
 
 from seft_ros.page.plots import plot
@@ -18,7 +18,7 @@ LINES = {
     "missed": ("missed commands", ("missed",)),
 }
 """Of each figure: the vertical axis, and its lines, the last on top."""
-WIDTHS = {"reference": 2.4, "answer": 1.0, "period": 1.0, "median": 2.0}
+WIDTHS = {"reference": 3.0, "answer": 1.0, "period": 1.0, "median": 2.0}
 STEPPED = ("largest", "median", "missed")
 """What is told once a second, of the second before."""
 
@@ -36,6 +36,8 @@ def _figure(name: str, label: str, lines: tuple[str, ...]) -> figure:
         "time / s", label, x_range=Range1d(0.0, 20.0), height=HEIGHT, log_y=name == "timing"
     )
     panel.y_range = Range1d(0.1, 10.0) if name == "timing" else Range1d(-1.0, 1.0)
+    if name == "timing":
+        panel.yaxis.formatter = NumeralTickFormatter(format="0.[000]")
     panel.background_fill_alpha = panel.border_fill_alpha = 0.0  # the page's own, dark or light
     panel.min_border_left = LEFT
     for axis in panel.axis:

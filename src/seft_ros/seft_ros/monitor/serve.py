@@ -30,10 +30,10 @@ def listen(host: str, port: int) -> socket.socket:
         family, _, _, _, address = min(found, key=lambda each: each[0] != socket.AF_INET)
         listening = socket.create_server(address[:2], family=family, backlog=128)
     except (OSError, UnicodeError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        in_use = getattr(error, "errno", None) == errno.EADDRINUSE
+        number = getattr(error, "errno", None) or 0
+        reason = os.strerror(number) if number > 0 else getattr(error, "strerror", str(error))
         mend = "another seft monitor may have it; name another port with --port"
-        how = mend if in_use else "see --host and --port"
+        how = mend if number == errno.EADDRINUSE else "see --host and --port"
         raise InputError(f"can't listen at {host}:{port} ({reason}); {how}") from None
     listening.setblocking(False)
     return listening

@@ -7,7 +7,7 @@ import * as show from "./status.js";
 
 const AGAIN = 1000; // ms until the next attempt to connect
 const LEAST = 90, MOST = 1000; // ms between two pictures
-const SHARE = 0.15; // of the time may go into pictures: the test may need this machine
+const SHARE = 0.12; // of the time may go into pictures: the test may need this machine
 
 const element = (id) => document.getElementById(id);
 const buttons = new Buttons();
@@ -30,7 +30,7 @@ function tell({ kind, ...content }) {
   if (kind === "test") {
     known.test = content;
     offerAxes(content.signals?.axes ?? []);
-    element("domain").textContent = `domain ${content.domain}`;
+    element("domain").textContent = `on ROS domain ${content.domain}`;
     element("reference-note").textContent =
       content.reference_note ? `No exact response: ${content.reference_note}.` : "";
   } else if (kind === "status") {
@@ -67,7 +67,9 @@ function times() {
   const { dt } = known.test, width = Number(element("window").value);
   const begin = history.begin * dt, now = Math.max(history.head, 1) * dt;
   const to = held ?? now;
-  return width ? [Math.max(begin, to - width), Math.max(to, begin + width)] : [begin, to];
+  const all = (known.status.steps || Infinity) * dt; // a short test needs no more room than this
+  if (width && begin + width > to) return [begin, Math.max(to, Math.min(begin + width, all))];
+  return width ? [to - width, to] : [begin, to];
 }
 
 function draw() {
@@ -104,6 +106,6 @@ element("hold").addEventListener("click", () => {
 });
 for (const id of ["window", "axis"]) element(id).addEventListener("change", release);
 
+connect(); // first: the buttons must work whatever becomes of the figures
 plots = await Plots.make(follow);
-connect();
 requestAnimationFrame(draw);

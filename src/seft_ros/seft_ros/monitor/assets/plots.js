@@ -26,6 +26,7 @@ export class Plots {
       plots.renew();
     });
     plots.colour(dark.matches ? DARK : LIGHT);
+    for (const { view } of Object.values(plots.panels)) plots.paint(view, true);
     return plots;
   }
 
@@ -108,6 +109,7 @@ export class Plots {
       this.show("timing", from, to, lines, decades);
     }
     const missed = column(3);
+    if (from <= 0) [missed.x, missed.y] = [[0, ...missed.x], [0, ...missed.y]];
     const drawn = JSON.stringify([history.test, missed, this.zoomed]);
     if (this.panels.missed.seen && this.panels.missed.drawn !== drawn) {
       this.panels.missed.drawn = drawn;
@@ -132,11 +134,15 @@ export class Plots {
       y_range.setv({ start, end });
       panel.fresh = true;
     }
+    this.paint(view, panel.fresh);
+    panel.fresh = false;
+  }
+
+  paint(view, fresh) {
     view.unpause(true);
-    if (panel.fresh) view.repaint();
+    if (fresh) view.repaint();
     else view.paint();
     view.pause();
-    panel.fresh = false;
   }
 }
 

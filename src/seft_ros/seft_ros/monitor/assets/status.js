@@ -45,8 +45,8 @@ export function showNumbers(status, test, head) {
   set("time", running ? `${((head - 1) * test.dt).toFixed(1)} s` : "–");
   set("step", running ? `${head}${status.steps ? ` of ${status.steps}` : ""}` : "–");
   element("progress").value = status.steps ? Math.min(1, head / status.steps) : 0;
-  const missed = status.missed === null ? "–" : String(status.missed);
-  set("missed", missed + (status.overruns ? `, clock held up ${status.overruns} times` : ""));
+  set("missed", status.missed === null ? "–" : String(status.missed));
+  set("overruns", status.overruns === null ? "–" : `${status.overruns} times`);
   set("trip-median", milliseconds(status.round_trip["median (ms)"]));
   set("trip-largest", milliseconds(status.round_trip["largest (ms)"]));
   const margins = Object.entries(status.margins).sort((a, b) => a[1] - b[1]);
