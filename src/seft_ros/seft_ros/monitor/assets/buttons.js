@@ -44,7 +44,7 @@ export class Buttons {
     document.addEventListener("keydown", (event) => {
       if (event.key !== "Escape" || event.repeat) return;
       if (this.asked) this.answer(false);
-      this.estop();
+      else this.estop();
     });
   }
 

@@ -17,6 +17,7 @@ let history = null, plots = null, stale = true, held = null, interval = LEAST, d
 function connect() {
   const socket = new WebSocket(`${location.protocol.replace("http", "ws")}//${location.host}/live`);
   socket.binaryType = "arraybuffer";
+  socket.onopen = () => (history = null); // it comes anew, and may be another monitor's
   socket.onmessage = ({ data }) => (typeof data === "string" ? tell(JSON.parse(data)) : take(data));
   socket.onclose = () => {
     element("state").dataset.state = "lost";
