@@ -13,6 +13,7 @@ from tornado.web import Application, HTTPError, RequestHandler, StaticFileHandle
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from seft_ros.monitor.access import Access
+from seft_ros.monitor.figures import figures
 from seft_ros.monitor.watch import Frame
 
 ASSETS = Path(__file__).with_name("assets")
@@ -151,12 +152,15 @@ class Page(Guarded):
 class Figures(Guarded):
     """The figures, without their lines."""
 
+    def initialize(self, access: Access, figures: str) -> None:  # type: ignore[override]
+        """Take what the application gives."""
+        super().initialize(access)
+        self._figures = figures
+
     def get(self) -> None:
         """Answer with what the plotting library makes figures of."""
-        from seft_ros.monitor.figures import figures
-
         self.set_header("Content-Type", "application/json")
-        self.finish(json.dumps(figures()))
+        self.finish(self._figures)
 
 
 class File(Guarded, StaticFileHandler):
@@ -242,10 +246,11 @@ async def _sent(future: Awaitable[None]) -> None:
 def application(access: Access, port: int, pages: Pages, call: Call) -> Application:
     """Make the web application."""
     given = {"access": access}
+    drawn = json.dumps(figures())  # now: it takes a second, for which an emergency stop would wait
     return Application(
         [
             (r"/", Page, given),
-            (r"/figures\.json", Figures, given),
+            (r"/figures\.json", Figures, {**given, "figures": drawn}),
             (r"/live", Live, {**given, "pages": pages}),
             (r"/service/(start|stop|estop|reset)", Service, {**given, "call": call}),
             (r"/assets/([a-z_]+\.(?:css|js))", File, {**given, "path": str(ASSETS)}),

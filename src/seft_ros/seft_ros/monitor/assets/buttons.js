@@ -22,7 +22,10 @@ async function call(service) {
     say(`${label}: ${text}`, done ? "good" : "bad");
   } catch (error) {
     const more = service === "estop" ? " Use the emergency stop in hardware." : "";
-    say(`${label} was not delivered (${error.message.trim()}).${more}`, "bad");
+    const why = error.name === "TimeoutError"
+      ? `there was no answer to ${label}: it may not have been delivered.`
+      : `${label} was not delivered (${error.message.trim()}).`;
+    say(why + more, "bad");
   }
 }
 
