@@ -10,9 +10,10 @@ const QUESTIONS = {
 const POSSIBLE = { start: ["ready"], stop: ["running", "ramping_down"], reset: ["done", "tripped"] };
 
 const element = (id) => document.getElementById(id);
+const capital = (word) => word[0].toUpperCase() + word.slice(1);
 
 async function call(service) {
-  const label = service === "estop" ? "Emergency stop" : service;
+  const label = service === "estop" ? "Emergency stop" : capital(service);
   say(`${label}: asking the supervisor …`, "");
   try {
     const answer = await fetch(`/service/${service}`,
@@ -85,9 +86,10 @@ export class Buttons {
 
   ask(service) {
     this.asked = service;
+    say("", "");
     [element("confirm-what").textContent, element("confirm-why").textContent] = QUESTIONS[service];
     element("confirm").hidden = false;
-    element("confirm-yes").textContent = service[0].toUpperCase() + service.slice(1);
+    element("confirm-yes").textContent = capital(service);
     element("confirm-yes").focus();
   }
 
