@@ -6,13 +6,14 @@ import { Plots } from "./plots.js";
 import * as show from "./status.js";
 
 const AGAIN = 1000; // ms until the next attempt to connect
-const LEAST = 90, MOST = 1000; // ms between two pictures
-const SHARE = 0.12; // of the time may go into pictures: the test may need this machine
+const FEW = navigator.hardwareConcurrency <= 2; // cores, which the test may need as well
+const LEAST = FEW ? 180 : 90, MOST = 1000; // ms between two pictures
+const SHARE = FEW ? 0.08 : 0.12; // of the time may go into them
 
 const element = (id) => document.getElementById(id);
 const buttons = new Buttons();
 const known = { test: { domain: "" }, status: null, trips: [] };
-let history = null, plots = null, stale = true, held = null, interval = LEAST, drawnAt = 0;
+let history = null, plots = null, planned = false, held = null, interval = LEAST, drawnAt = 0;
 
 function connect() {
   const socket = new WebSocket(`${location.protocol.replace("http", "ws")}//${location.host}/live`);
@@ -43,7 +44,7 @@ function tell({ kind, ...content }) {
     buttons.follow(content);
   } else if (kind === "events") show.showEvents(content.events);
   else if (kind === "round_trips") known.trips = content.round_trips;
-  stale = true;
+  renew();
 }
 
 function take(buffer) {
@@ -53,7 +54,7 @@ function take(buffer) {
     release();
   }
   history.take(frame);
-  stale = true;
+  renew();
 }
 
 function offerAxes(axes) {
@@ -73,11 +74,18 @@ function times() {
   return width ? [to - width, to] : [begin, to];
 }
 
+/** Have a picture made as soon as one is due; without news no frame is asked for. */
+function renew() {
+  if (planned) return;
+  planned = true;
+  const wait = Math.max(0, drawnAt + interval - performance.now());
+  setTimeout(() => requestAnimationFrame(draw), wait);
+}
+
 function draw() {
-  requestAnimationFrame(draw);
+  planned = false;
+  if (!plots || !known.status || !history || !known.test.dt) return;
   const now = performance.now();
-  if (!stale || now - drawnAt < interval || !known.status || !history || !known.test.dt) return;
-  stale = false;
   drawnAt = now;
   show.showNumbers(known.status, known.test, history.head);
   const [from, to] = times();
@@ -95,7 +103,7 @@ function follow() {
   const holds = held !== null || Boolean(plots?.zoomed);
   element("hold").setAttribute("aria-pressed", String(holds));
   element("hold").textContent = holds ? "Go on" : "Hold";
-  stale = true;
+  renew();
 }
 
 element("hold").addEventListener("click", () => {
@@ -109,4 +117,4 @@ for (const id of ["window", "axis"]) element(id).addEventListener("change", rele
 
 connect(); // first: the buttons must work whatever becomes of the figures
 plots = await Plots.make(follow);
-requestAnimationFrame(draw);
+renew();
