@@ -160,3 +160,15 @@ def test_a_structure_that_is_not_described_has_a_note():
     intake = Intake(AXES, TIMEBASE)
     intake.samples(states(range(3)), [])
     assert "described" in intake.reference_note
+
+
+def test_each_axis_has_its_own_columns():
+    intake = Intake(("x", "y"), TIMEBASE)
+    values = np.arange(8.0).reshape(4, 2)
+    raw = TrajectoryCodec(RIG_STATE, ("x", "y"), TIMEBASE).encode(0, values)
+    intake.samples([(raw, 0)], [])
+    intake.samples([], [])
+    (row,) = intake.history.recent().values
+    for name, expected in (("displacement", [0, 1]), ("acceleration", [4, 5]), ("force", [6, 7])):
+        assert row[intake.signals.measured[name]].tolist() == expected
+        assert np.isnan(row[intake.signals.reference[name]]).all()

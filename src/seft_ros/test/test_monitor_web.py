@@ -6,8 +6,9 @@ import json
 import pytest
 from seft_msgs_py.errors import InputError
 from seft_ros.monitor.access import Access, is_loopback, page_address
+from seft_ros.monitor.pages import Pages
 from seft_ros.monitor.serve import listen
-from seft_ros.monitor.web import Pages, application
+from seft_ros.monitor.web import application
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.httpserver import HTTPServer
 from tornado.websocket import websocket_connect

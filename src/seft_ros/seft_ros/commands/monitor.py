@@ -63,12 +63,15 @@ def monitor(
         seft monitor --host 0.0.0.0 --token "$(openssl rand -hex 16)"
     """
     import os
+    import re
 
     from seft_ros.monitor.access import is_loopback, page_address
     from seft_ros.monitor.serve import keep_off_the_loop, listen, serve
 
     if any(not c.isprintable() or c.isspace() for c in token) or not token.isascii():
         raise InputError("--token: use printable ASCII characters without blanks")
+    if not re.fullmatch(r"(/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*)?", namespace, re.ASCII):
+        raise InputError(f"--namespace {namespace}: is no name of ROS, such as /lab2")
     if not is_loopback(host) and not token:
         import secrets
 

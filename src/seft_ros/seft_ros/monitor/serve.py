@@ -72,8 +72,9 @@ def serve(
         Called when the page can be opened.
     """
     from seft_ros.monitor.graph import Graph
+    from seft_ros.monitor.pages import Pages
     from seft_ros.monitor.watch import Watch
-    from seft_ros.monitor.web import Pages, application
+    from seft_ros.monitor.web import application
 
     graph = Graph(namespace)
     try:
