@@ -41,7 +41,7 @@ class Intake:
     refused : int
         Messages that were not understood.
     reference_note : str
-        Why there is no exact response; empty if there is one.
+        Why there is no exact response, in a sentence; empty if there is one.
     """
 
     def __init__(self, axes: tuple[str, ...], timebase: Timebase, number: int = 0) -> None:
@@ -158,16 +158,20 @@ class Intake:
 
     def _response(self) -> RunningResponse | None:
         """Make the model of the whole structure, of what the nodes say of themselves."""
-        self.reference_note = ""
+        self.reference_note, nothing = "", "No response of the whole structure: "
         if "reference_force" not in self._sections:
-            self.reference_note = "reference_force has not described itself"
+            self.reference_note = f"{nothing}reference_force has not described itself."
             return None
         try:
-            return RunningResponse(Experiment(self._sections))
+            response = RunningResponse(Experiment(self._sections))
         except InputError as error:
-            self.reference_note = str(error)
+            self.reference_note = f"{nothing}{error}."
         except (KeyError, TypeError, ValueError):  # of a node of another version
-            self.reference_note = "the nodes' parameters do not describe the structure"
+            self.reference_note = f"{nothing}the nodes' parameters do not describe it."
+        else:
+            if not response.exact:
+                self.reference_note = "The specimen yields: its response is near the exact one."
+            return response
         return None
 
     def _advance_reference(self) -> None:

@@ -1,4 +1,4 @@
-"""The exact response to the ground motion of a test, as far as that is known."""
+"""The response to the ground motion of a test, as far as that is known."""
 
 from collections import deque
 
@@ -9,7 +9,7 @@ from seft_plant_sim.running_response import RunningResponse
 Floats = npt.NDArray[np.float64]
 
 MOST_AT_ONCE = 4000
-"""Steps: some 20 ms of work, also where a monitor catches up with a test that runs already."""
+"""Steps: 20 ms of work, 100 where a specimen yields, also while it catches up with a test."""
 
 
 class _Motion:
@@ -51,7 +51,7 @@ class LiveReference:
     Attributes
     ----------
     response : RunningResponse or None
-        None: the structure is not known, or its response can't be told in time.
+        None: the structure is not known.
     """
 
     def __init__(self) -> None:

@@ -33,8 +33,7 @@ function tell({ kind, ...content }) {
     known.test = content;
     offerAxes(content.signals?.axes ?? []);
     element("domain").textContent = `on ROS domain ${content.domain}`;
-    element("reference-note").textContent =
-      content.reference_note ? `No exact response: ${content.reference_note}.` : "";
+    element("reference-note").textContent = content.reference_note ?? "";
   } else if (kind === "status") {
     known.status = content;
     show.showState(content, known.test.domain);
