@@ -172,3 +172,14 @@ def test_each_axis_has_its_own_columns():
     for name, expected in (("displacement", [0, 1]), ("acceleration", [4, 5]), ("force", [6, 7])):
         assert row[intake.signals.measured[name]].tolist() == expected
         assert np.isnan(row[intake.signals.reference[name]]).all()
+
+
+def test_of_a_specimen_that_yields_the_response_is_said_to_be_near():
+    kind = [("rig", "specimen.kind", "bilinear"), ("rig", "specimen.yield_displacement", 0.004)]
+    intake = Intake(AXES, TIMEBASE)
+    intake.describe(Experiment.load(TABLES, [CONFIG], kind).sections)
+    intake.motion(motion(0, MOTION))
+    intake.samples(states(range(100)), [])
+    intake.samples([], [])
+    assert "yields" in intake.reference_note
+    assert np.isfinite(recent(intake, intake.signals.reference["displacement"])).all()
