@@ -32,7 +32,7 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.12",
     packages=find_packages(exclude=["test"]),
-    package_data={NAME: ["py.typed", "page/templates/*"]},
+    package_data={NAME: ["py.typed", "page/templates/*", "monitor/assets/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -55,6 +55,7 @@ setup(
         "scipy",
         "seft_msgs_py",
         "seft_plant_sim",
+        "tornado",
         "typer",
         "zstandard",
     ],

@@ -99,6 +99,14 @@ def take_timed(subscription: Subscription) -> tuple[bytes, int] | None:
     return None if taken is None else (taken[0], taken[1]["source_timestamp"])
 
 
+def take_all(subscription: Subscription, most: int) -> list[tuple[bytes, int]]:
+    """Take what has arrived on a raw subscription, at most so many messages, as `take_timed`."""
+    found: list[tuple[bytes, int]] = []
+    while len(found) < most and (taken := take_timed(subscription)) is not None:
+        found.append(taken)
+    return found
+
+
 def sender(publisher: Publisher) -> Callable[[bytes], None]:
     """Give what publishes message bytes, without the checks that rclpy makes on the way."""
     return publisher.handle.publish_raw

@@ -49,14 +49,9 @@ def reference_response(experiment: Experiment, ground_motion: Floats) -> Referen
         Ground acceleration of each axis by step, shape (N, n), m/s^2; linear in between.
     """
     section = experiment["reference_force"]
-    axes = experiment.axes
     specimen = tested_specimen(experiment)
-    model_mass = as_matrix(section["model.mass"], axes, "reference_force: model.mass")
-    if section["method"] == "eft":
-        mass = (1.0 + section["mass_ratio"]) * model_mass
-    else:
-        mass = specimen.mass + section["mass_ratio"] * model_mass
-    whole = replace(specimen, mass=mass)
+    whole = whole_structure(experiment)
+    mass = whole.mass
     respond = hysteretic_response if specimen.springs else _linear_response
     displacement, velocity, elastic = respond(whole, ground_motion, experiment.timebase.dt)
     restoring = elastic + velocity @ specimen.damping.T
@@ -66,6 +61,16 @@ def reference_response(experiment: Experiment, ground_motion: Floats) -> Referen
     else:
         force = acceleration @ specimen.mass.T + restoring
     return ReferenceResponse(displacement, velocity, acceleration, force)
+
+
+def whole_structure(experiment: Experiment) -> Specimen:
+    """Specimen of an experiment with the mass of the whole structure, see `reference_response`."""
+    section = experiment["reference_force"]
+    specimen = tested_specimen(experiment)
+    model_mass = as_matrix(section["model.mass"], experiment.axes, "reference_force: model.mass")
+    if section["method"] == "eft":
+        return replace(specimen, mass=(1.0 + section["mass_ratio"]) * model_mass)
+    return replace(specimen, mass=specimen.mass + section["mass_ratio"] * model_mass)
 
 
 def tested_specimen(experiment: Experiment) -> Specimen:
@@ -82,7 +87,26 @@ def _linear_response(
 ) -> tuple[Floats, Floats, Floats]:
     """Displacement, velocity and force of the springs under ground motion, from rest.
 
-    Exact where the motion is linear between samples (first-order hold, Van Loan 1978).
+    Exact where the motion is linear between samples.
+    """
+    n = structure.axes
+    free, start, change = sampled_motion(structure, dt)
+    states = np.zeros((len(ground_motion), 2 * n))
+    states[1:] = ground_motion[:-1] @ start.T
+    states[1:] += np.diff(ground_motion, axis=0) @ change.T
+    _recur(free, states)
+    displacement, velocity = states[:, :n], states[:, n:]
+    return displacement, velocity, displacement @ structure.stiffness.T
+
+
+def sampled_motion(structure: Specimen, dt: float) -> tuple[Floats, Floats, Floats]:
+    """Take a linear structure's motion over one step (first-order hold, Van Loan 1978).
+
+    Returns
+    -------
+    free, start, change : ndarray
+        Shapes (2n, 2n), (2n, n), (2n, n): the next (x, v) is free (x, v) + start a_g + change
+        (next a_g - a_g).
     """
     n = structure.axes
     a, b = structure.state_matrices()
@@ -92,13 +116,7 @@ def _linear_response(
     augmented[2 * n : 3 * n, 3 * n :] = np.eye(n)
     exponential = expm(augmented)
     free = np.ascontiguousarray(exponential[: 2 * n, : 2 * n])
-    start, change = exponential[: 2 * n, 2 * n : 3 * n], exponential[: 2 * n, 3 * n :]
-    states = np.zeros((len(ground_motion), 2 * n))
-    states[1:] = ground_motion[:-1] @ start.T
-    states[1:] += np.diff(ground_motion, axis=0) @ change.T
-    _recur(free, states)
-    displacement, velocity = states[:, :n], states[:, n:]
-    return displacement, velocity, displacement @ structure.stiffness.T
+    return free, exponential[: 2 * n, 2 * n : 3 * n], exponential[: 2 * n, 3 * n :]
 
 
 def _recur(free: Floats, states: Floats) -> None:

@@ -10,6 +10,7 @@ from seft_ros.commands.conform import conform
 from seft_ros.commands.design import design
 from seft_ros.commands.identify import identify
 from seft_ros.commands.link import link
+from seft_ros.commands.monitor import monitor
 from seft_ros.commands.motion import motion
 from seft_ros.commands.options import complain
 from seft_ros.commands.paper import paper
@@ -35,7 +36,7 @@ APP = typer.Typer(
 )
 for command in (
     *(run, simulate, report, compare, replay, motion, recover, identify, design, tournament),
-    *(preflight, link, conform, paper, parameters),
+    *(preflight, link, monitor, conform, paper, parameters),
 ):
     APP.command()(command)
 

@@ -1,0 +1,94 @@
+"""``seft monitor``: a page that shows a running test."""
+
+from typing import Annotated
+
+import typer
+from seft_msgs_py.errors import InputError
+
+PORT = 8765
+
+
+def monitor(
+    host: Annotated[
+        str,
+        typer.Option(
+            "--host",
+            metavar="ADDRESS",
+            help="Address to serve at; others than this host's own need a token, and show the test "
+            "to whoever has it.",
+        ),
+    ] = "127.0.0.1",
+    port: Annotated[
+        int,
+        typer.Option("--port", min=0, max=65535, metavar="N", help="Port; 0: any that is free."),
+    ] = PORT,
+    token: Annotated[
+        str,
+        typer.Option(
+            "--token",
+            metavar="TEXT",
+            envvar="SEFT_MONITOR_TOKEN",
+            help="What a browser must know; one is made where it is needed and not given. "
+            "SEFT_MONITOR_TOKEN keeps it out of the list of processes.",
+        ),
+    ] = "",
+    namespace: Annotated[
+        str,
+        typer.Option("--namespace", metavar="NAME", help="Namespace of the test's topics."),
+    ] = "",
+    open_page: Annotated[
+        bool,
+        typer.Option("--open", help="Open the page in the browser, off the loop's core too."),
+    ] = False,
+) -> int:
+    """Show a running test on a page in the browser, with buttons to start and stop it.
+
+    Any test on the ROS domain: of seft run, of ros2 run, several one after another. It shows the
+    state and trips, displacement, acceleration and force with their reference, round trip and
+    missed commands, margins to the limits. What it has seen survives a reload of the page.
+
+    Buttons call the supervisor: start, stop and reset ask once more, the emergency stop takes two
+    presses. A button in a browser is no emergency stop circuit.
+
+    It listens at 127.0.0.1 alone unless --host says otherwise. Ctrl-C ends it, not the test.
+
+    Examples:
+
+        seft monitor
+
+        seft monitor --open
+
+        ROS_DOMAIN_ID=7 seft monitor --port 8801
+
+        seft monitor --host 0.0.0.0 --token "$(openssl rand -hex 16)"
+    """
+    import os
+    import re
+
+    from seft_ros.monitor.access import is_loopback, page_address
+    from seft_ros.monitor.serve import keep_off_the_loop, listen, serve
+
+    if any(not c.isprintable() or c.isspace() for c in token) or not token.isascii():
+        raise InputError("--token: use printable ASCII characters without blanks")
+    if not re.fullmatch(r"(/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*)?", namespace, re.ASCII):
+        raise InputError(f"--namespace {namespace}: is no name of ROS, such as /lab2")
+    if not is_loopback(host) and not token:
+        import secrets
+
+        token = secrets.token_urlsafe(24)
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    keep_off_the_loop()
+    listening = listen(host, port)
+    address = page_address(host, listening.getsockname()[1])
+    if token:
+        address += f"?token={token}"
+
+    def ready() -> None:
+        print(f"seft monitor: {address}", flush=True)
+        if open_page:
+            import webbrowser
+
+            webbrowser.open(address)
+
+    serve(listening, host, token, namespace, ready)
+    return 0

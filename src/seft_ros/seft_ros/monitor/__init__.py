@@ -1,0 +1,1 @@
+"""A page that shows a running test, and its server."""

@@ -1,0 +1,97 @@
+// Texts and tables of the page. Whatever a node tells is text, never markup.
+
+const NAMES = { "": "no test", idle: "idle", ready: "ready", running: "running",
+  ramping_down: "ramping down", done: "done", tripped: "tripped", gone: "silent" };
+const LEVELS = ["ok", "warning", "error", "silent"];
+
+const element = (id) => document.getElementById(id);
+const set = (id, text) => {
+  if (element(id).textContent !== text) element(id).textContent = text;
+};
+
+function make(tag, text, mark) {
+  const found = document.createElement(tag);
+  found.textContent = text;
+  if (mark) found.dataset.mark = mark;
+  return found;
+}
+
+function row(...parts) {
+  const found = document.createElement("li");
+  found.append(...parts);
+  return found;
+}
+
+const milliseconds = (value) => (value === undefined ? "–" : `${value.toFixed(2)} ms`);
+const left = (margin) => (margin > 0 ? `${(100 * margin).toFixed(0)} % left` : "beyond");
+
+export function showState(status, domain) {
+  const gone = status.heard && status.silent;
+  const key = !status.heard ? "" : gone && !status.ended ? "gone" : status.state;
+  const last = status.detail === NAMES[status.state] ? "" : status.detail;
+  const when = status.step === null ? "" : ` (step ${status.step}, ${status.time_s} s)`;
+  const details = {
+    "": `nothing is heard of a test on ROS domain ${domain} yet`,
+    gone: `nothing is heard of the supervisor any more; the test was ${NAMES[status.state]} last`,
+  };
+  element("state").dataset.state = key;
+  set("state-name", NAMES[key] ?? key);
+  set("state-detail", details[key] ?? last + when + (gone ? "; its nodes have left" : ""));
+  document.title = `${NAMES[key] ?? key} – seft monitor`;
+}
+
+export function showNumbers(status, test, head) {
+  const running = head > 0;
+  set("time", running ? `${((head - 1) * test.dt).toFixed(1)} s` : "–");
+  set("step", running ? `${head}${status.steps ? ` of ${status.steps}` : ""}` : "–");
+  element("progress").value = status.steps ? Math.min(1, head / status.steps) : 0;
+  set("missed", status.missed === null ? "–" : String(status.missed));
+  set("overruns", status.overruns === null ? "–" : `${status.overruns} times`);
+  set("trip-median", milliseconds(status.round_trip["median (ms)"]));
+  set("trip-largest", milliseconds(status.round_trip["largest (ms)"]));
+  const margins = Object.entries(status.margins).sort((a, b) => a[1] - b[1]);
+  set("margin", margins.length ? `${left(margins[0][1])}: ${margins[0][0]}` : "–");
+}
+
+export function showMargins(margins) {
+  const names = Object.keys(margins);
+  element("no-margins").hidden = names.length > 0;
+  const box = element("margins");
+  if (box.childElementCount !== names.length) box.replaceChildren(...names.map(makeMargin));
+  names.forEach((name, at) => {
+    const used = 1 - margins[name];
+    const [label, meter, text] = box.children[at].children;
+    label.textContent = name;
+    meter.value = used;
+    meter.textContent = text.textContent = left(margins[name]);
+    meter.setAttribute("aria-label", `${name}: used of the limit`);
+  });
+}
+
+function makeMargin() {
+  const found = document.createElement("div");
+  const meter = document.createElement("meter");
+  Object.assign(meter, { min: 0, max: 1, low: 0.7, high: 0.9, optimum: 0 });
+  found.append(make("span", ""), meter, make("span", ""));
+  return found;
+}
+
+export function showNodes(nodes, refused) {
+  const rows = nodes.map(({ name, level, text, refused: ignored }) =>
+    row(make("b", name), make("span", LEVELS[level], LEVELS[level]), make("span",
+      ignored ? `${text}; ${ignored} messages refused` : text)));
+  if (refused) rows.push(row(make("b", "monitor"), make("span", LEVELS[1], LEVELS[1]),
+    make("span", `${refused} messages not understood`)));
+  element("nodes").replaceChildren(...rows);
+}
+
+export function showEvents(events) {
+  element("events").replaceChildren(...events.toReversed().map(({ at, what, detail, level }) =>
+    row(make("time", new Date(1000 * at).toLocaleTimeString()),
+      make("b", NAMES[what] ?? what, LEVELS[level]), make("span", detail))));
+}
+
+export function showParameters(parameters) {
+  element("parameters").replaceChildren(...Object.entries(parameters).flatMap(([name, value]) =>
+    [make("dt", name), make("dd", value)]));
+}

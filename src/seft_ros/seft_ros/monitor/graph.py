@@ -1,0 +1,121 @@
+"""The graph as the monitor hears it, and the supervisor's services.
+
+Messages wait in the middleware until they are asked for, ten times a second: waking for each
+would cost more than all else that the monitor does. What comes in each step is not sent again
+when it is lost, so that a monitor that is held up holds up nobody.
+"""
+
+import asyncio
+import os
+import threading
+from typing import Any
+
+import rclpy
+from rclpy.client import Client
+from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from seft_msgs_py.node_process import prepare_middleware
+from seft_msgs_py.topics import (
+    DESCRIPTION,
+    DIAGNOSTICS,
+    EXPERIMENT_STATE,
+    GROUND_MOTION,
+    REFERENCE_FORCE,
+    RIG_STATE,
+    Topic,
+)
+from seft_msgs_py.wait_set import raw_subscription, take_all
+from std_srvs.srv import Trigger
+
+from seft_ros.monitor.intake import Messages
+
+SERVICES = ("start", "stop", "estop", "reset")
+PATIENCE = 3.0  # s for an answer
+READ_DEPTH = 4096
+MOST_AT_ONCE = 8192
+_TOPICS = (EXPERIMENT_STATE, DESCRIPTION, DIAGNOSTICS, GROUND_MOTION, RIG_STATE, REFERENCE_FORCE)
+_DEPTHS = {EXPERIMENT_STATE: 64, DESCRIPTION: 64, DIAGNOSTICS: 512}
+_EACH_STEP = (RIG_STATE, REFERENCE_FORCE)
+
+
+class Graph:
+    """A node that listens to a test.
+
+    Parameters
+    ----------
+    namespace : str
+        In which the test's topics and services are; empty: none.
+
+    Attributes
+    ----------
+    domain : int
+        ROS domain.
+    """
+
+    def __init__(self, namespace: str = "") -> None:
+        prepare_middleware()
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        self._node = Node(
+            f"seft_monitor_{os.getpid()}",
+            namespace=namespace or None,
+            start_parameter_services=False,
+            enable_rosout=False,
+        )
+        self.domain: int = self._node.context.get_domain_id()
+        self._subscriptions = {
+            topic.name: raw_subscription(
+                self._node, topic, _DEPTHS.get(topic, READ_DEPTH), topic not in _EACH_STEP
+            )
+            for topic in _TOPICS
+        }
+        # made now, and so found by the time that an emergency stop is wanted
+        self._clients: dict[str, Client] = {
+            name: self._node.create_client(Trigger, name) for name in SERVICES
+        }
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        self._stopping = False
+        self._thread = threading.Thread(target=self._serve_clients, daemon=True)
+        self._thread.start()
+
+    def take(self, topic: Topic) -> Messages:
+        """Take what has come on a topic: bytes, and the wall-clock time in ns of their sending."""
+        return take_all(self._subscriptions[topic.name], MOST_AT_ONCE)
+
+    async def call(self, service: str) -> tuple[bool, str]:
+        """Call a service of the supervisor; return whether it was done, and its answer."""
+        client = self._clients[service]
+        if not client.service_is_ready():
+            return False, f"{service} was not delivered: there is no supervisor on the graph"
+        loop = asyncio.get_running_loop()
+        answered: asyncio.Future[Any] = loop.create_future()
+
+        def answer(response: Any) -> None:
+            if not answered.done():
+                answered.set_result(response)
+
+        pending = client.call_async(Trigger.Request())
+        pending.add_done_callback(lambda done: loop.call_soon_threadsafe(answer, done.result()))
+        try:
+            response = await asyncio.wait_for(answered, PATIENCE)
+        except TimeoutError:
+            client.remove_pending_request(pending)
+            return False, f"the supervisor did not answer {service} within {PATIENCE:g} s"
+        return response.success, response.message
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._stopping = True
+        self._executor.wake()
+        self._thread.join(timeout=3.0)
+        self._executor.shutdown(timeout_sec=1.0)
+        self._node.destroy_node()
+        rclpy.try_shutdown()
+
+    def _serve_clients(self) -> None:
+        try:
+            while not self._stopping and rclpy.ok():
+                self._executor.spin_once(timeout_sec=2.0)
+        except (ExternalShutdownException, ShutdownException):
+            return

@@ -1,0 +1,216 @@
+"""Who gets the page and may press its buttons, and what a page is told."""
+
+import asyncio
+import json
+
+import pytest
+from seft_msgs_py.errors import InputError
+from seft_ros.monitor.access import Access, is_loopback, page_address
+from seft_ros.monitor.pages import Pages
+from seft_ros.monitor.serve import listen
+from seft_ros.monitor.web import application
+from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
+from tornado.httpserver import HTTPServer
+from tornado.websocket import websocket_connect
+
+
+def serving(scenario, token="", local_only=True, everything=lambda: ["all"]):
+    """Serve, and do what ``scenario(ask, pages, calls)`` does."""
+    calls = []
+
+    async def call(service):
+        calls.append(service)
+        return True, f"{service} it is"
+
+    async def run():
+        socket = listen("127.0.0.1", 0)
+        port = socket.getsockname()[1]
+        pages = Pages(everything)
+        server = HTTPServer(application(Access(token, local_only), port, pages, call))
+        server.add_socket(socket)
+        client = AsyncHTTPClient()
+
+        def request(path, host=f"127.0.0.1:{port}", kind="http", **options):
+            headers = {"Host": host, **options.pop("headers", {})}
+            address = f"{kind}://127.0.0.1:{port}{path}"
+            return HTTPRequest(address, headers=headers, follow_redirects=False, **options)
+
+        async def ask(path, **options):
+            return await client.fetch(request(path, **options), raise_error=False)
+
+        ask.own = f"http://127.0.0.1:{port}"
+        ask.request = request
+        try:
+            await asyncio.wait_for(scenario(ask, pages, calls), 30)
+        finally:
+            client.close()
+            server.stop()
+            await server.close_all_connections()
+
+    asyncio.run(run())
+
+
+def post(path, origin=None, **options):
+    headers = {"Origin": origin} if origin else {}
+    return {"path": path, "method": "POST", "body": "", "headers": headers, **options}
+
+
+def test_the_page_comes_with_all_it_needs_and_may_load_nothing_else():
+    async def scenario(ask, *_):
+        page = await ask("/")
+        assert page.code == 200
+        assert "Server" not in page.headers
+        policy = page.headers["Content-Security-Policy"]
+        assert "default-src 'none'; script-src 'self';" in policy
+        assert "frame-ancestors 'none'" in policy
+        assert page.headers["X-Content-Type-Options"] == "nosniff"
+        text = page.body.decode()
+        assert "http:" not in text and "https:" not in text and "<script>" not in text
+        for path in ("/assets/monitor.js", "/assets/monitor.css", "/library/bokeh.min.js"):
+            assert path in text
+            assert (await ask(path)).code == 200
+        assert json.loads((await ask("/figures.json")).body).keys() >= {"displacement", "force"}
+
+    serving(scenario)
+
+
+@pytest.mark.parametrize(
+    "path", ["/nothing", "/assets/../web.py", "/assets/page.html", "/service/x"]
+)
+def test_nothing_else_is_there(path):
+    async def scenario(ask, *_):
+        assert (await ask(path)).code == 404
+
+    serving(scenario)
+
+
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "10.0.0.1", "a b", ""])
+def test_a_page_for_this_host_has_no_other_name(host):
+    async def scenario(ask, _, calls):
+        assert (await ask("/", host=host)).code in (400, 403)
+        assert (await ask(**post("/service/estop", f"http://{host}", host=host))).code in (400, 403)
+        assert not calls
+
+    serving(scenario)
+
+
+def test_only_the_page_itself_presses_buttons():
+    async def scenario(ask, _, calls):
+        for origin in (
+            None,
+            "null",
+            "http://evil.example",
+            "http://127.0.0.1",
+            "http://localhost:1",
+        ):
+            assert (await ask(**post("/service/stop", origin))).code == 403
+        assert (await ask("/service/stop")).code == 405
+        assert not calls
+        answer = await ask(**post("/service/stop", ask.own))
+        assert json.loads(answer.body) == {"done": True, "text": "stop it is"}
+        assert calls == ["stop"]
+
+    serving(scenario)
+
+
+def test_only_the_page_itself_is_told():
+    async def scenario(ask, *_):
+        for headers in ({}, {"Origin": "http://evil.example"}):
+            with pytest.raises(HTTPClientError, match="403"):
+                await websocket_connect(ask.request("/live", kind="ws", headers=headers))
+
+    serving(scenario)
+
+
+def test_without_the_token_there_is_nothing():
+    async def scenario(ask, _, calls):
+        for path in (
+            "/",
+            "/live",
+            "/assets/monitor.js",
+            "/figures.json",
+            "/?token=wrong",
+            "/nothing",
+        ):
+            answer = await ask(path, host="rig.lab:8765")
+            assert answer.code == 401
+            assert b"running" not in answer.body
+        assert (await ask(**post("/service/estop", ask.own))).code == 401
+        with pytest.raises(HTTPClientError, match="401"):
+            await websocket_connect(ask.request("/live", kind="ws", headers={"Origin": ask.own}))
+        assert not calls
+        assert b"<form" in (await ask("/")).body
+
+    serving(scenario, token="a secret", local_only=False)
+
+
+def test_a_token_in_the_address_becomes_a_cookie():
+    async def scenario(ask, _, calls):
+        answer = await ask("/?token=secret")
+        assert (answer.code, answer.headers["Location"]) == (302, "/")
+        cookie = answer.headers["Set-Cookie"]
+        assert "HttpOnly" in cookie and "SameSite=Strict" in cookie
+        known = {"Cookie": cookie.split(";")[0]}
+        assert (await ask("/", headers=known)).code == 200
+        assert (await ask("/", headers={"Authorization": "Bearer secret"})).code == 200
+        asked = post("/service/stop", ask.own)
+        asked["headers"] |= known
+        assert (await ask(**asked)).code == 200
+        assert calls == ["stop"]
+
+    serving(scenario, token="secret", local_only=False)
+
+
+def test_a_page_is_told_all_and_then_what_is_new():
+    async def scenario(ask, pages, _):
+        request = ask.request("/live", kind="ws", headers={"Origin": ask.own})
+        page = await websocket_connect(request)
+        assert await page.read_message() == "all"
+        pages.send(["new", b"\x01\x02"])
+        assert await page.read_message() == "new"
+        assert await page.read_message() == b"\x01\x02"
+        assert len(pages) == 1
+        page.close()
+        while len(pages):
+            await asyncio.sleep(0.01)
+        pages.send(["nobody"])
+
+    serving(scenario)
+
+
+def test_a_page_that_does_not_keep_up_is_left_out_and_later_told_all_anew():
+    class Slow:
+        def __init__(self):
+            self.sent, self.backlog = [], 0
+
+        def waiting(self):
+            return self.backlog
+
+        def send(self, frame):
+            self.sent.append(frame)
+
+    pages, slow = Pages(lambda: ["all"]), Slow()
+    pages.add(slow)
+    slow.backlog = 10**9
+    pages.send(["one"])
+    slow.backlog = 0
+    pages.send(["two"])
+    pages.send(["three"])
+    assert slow.sent == ["all", "all", "three"]
+
+
+def test_loopback_is_told_from_what_others_reach():
+    assert all(map(is_loopback, ("localhost", "127.0.0.1", "127.3.2.1", "::1")))
+    assert not any(map(is_loopback, ("0.0.0.0", "::", "10.0.0.1", "lab", "127.0.0.1.evil", "")))
+    assert page_address("0.0.0.0", 80) == "http://127.0.0.1:80/"
+    assert page_address("::1", 80) == "http://[::1]:80/"
+
+
+def test_a_port_in_use_is_named():
+    held = listen("127.0.0.1", 0)
+    port = held.getsockname()[1]
+    try:
+        with pytest.raises(InputError, match=f"127.0.0.1:{port}.*--port"):
+            listen("127.0.0.1", port)
+    finally:
+        held.close()

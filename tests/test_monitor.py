@@ -1,0 +1,236 @@
+"""`seft monitor` in a real browser, beside a real run."""
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+from urllib.parse import urlsplit
+
+import pytest
+from graph_tools import DEMO, MISSES_ALLOWED, STALLS_ALLOWED, abandoned, shared_files, wait_for
+
+webdriver = pytest.importorskip("selenium.webdriver")
+BROWSER, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+pytestmark = pytest.mark.skipif(
+    not (BROWSER and DRIVER), reason="needs chromium and chromedriver (apt install chromium-driver)"
+)
+
+PHONE, SCREEN = 400, 1400
+LONG = (
+    *("-p", "ground_motion:synthetic.duration:=600.0"),
+    # without feedback, many missed commands do not shake the rig
+    *("-p", "rig:actuator.kind:=ideal", "-p", "reference_force:compensation.method:=none"),
+    *("-p", "reference_force:method:=eft"),
+    *("-p", "ground_motion:peak_force:=100.0"),
+    *("-p", "rig:watchdog.supervisor_timeout:=60.0"),
+    *(*STALLS_ALLOWED, *MISSES_ALLOWED),
+)
+"""A test that is still running whenever a browser is ready, also on a machine with much to do."""
+DRAWN = """
+const colours = [];
+for (const figure of document.querySelectorAll("figure")) {
+  const found = new Set();
+  const walk = (node) => {
+    for (const child of node.querySelectorAll("*")) {
+      if (child.tagName === "CANVAS" && child.width && child.height) {
+        const {data} = child.getContext("2d").getImageData(0, 0, child.width, child.height);
+        for (let at = 0; at < data.length; at += 4)
+          if (data[at + 3] > 200) found.add((data[at] << 16) | (data[at + 1] << 8) | data[at + 2]);
+      }
+      if (child.shadowRoot) walk(child.shadowRoot);
+    }
+  };
+  walk(figure);
+  colours.push([...found]);
+}
+return colours;
+"""
+"""Colours that are on the canvases of each figure."""
+MEASURED = 0x0B5FA5
+POINTS = """
+return Bokeh.documents.slice(0, 3).map((d) => {
+  const found = {};
+  for (const renderer of d.roots()[0].renderers)
+    found[renderer.data_source.name] = renderer.data_source.data.y.filter(Number.isFinite).length;
+  return found;
+});
+"""
+"""Points of each line in the first figures."""
+
+
+@pytest.fixture
+def browser(tmp_path):
+    options = webdriver.ChromeOptions()
+    options.binary_location = BROWSER
+    for flag in (
+        "headless=new",
+        "no-sandbox",
+        "disable-gpu",
+        "disable-dev-shm-usage",
+        "disable-background-networking",
+        "disable-component-update",
+        "disable-sync",
+        "no-first-run",
+        f"user-data-dir={tmp_path / 'browser'}",
+    ):
+        options.add_argument(f"--{flag}")
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = webdriver.Chrome(options, webdriver.ChromeService(DRIVER))
+    driver.set_window_size(SCREEN, 2000)
+    yield driver
+    driver.quit()
+
+
+@pytest.fixture
+def monitor(start):
+    """Start a monitor; give the process and the address that it prints."""
+
+    def launch(*words):
+        process = start("seft_ros.commands.main", "monitor", "--port", "0", *words)
+        line = process.stdout.readline()
+        assert line.startswith("seft monitor: "), process.stderr.read()
+        return process, line.split()[-1]
+
+    return launch
+
+
+@pytest.fixture
+def run(start):
+    """Start a test that lasts."""
+    return lambda *words: start("seft_ros.commands.main", "run", DEMO, *LONG, *words)
+
+
+def text(browser, name):
+    return browser.find_element("id", name).text
+
+
+def seconds(browser):
+    shown = text(browser, "time").removesuffix(" s")
+    return float(shown) if shown[:1].isdigit() else -1.0
+
+
+def state(browser):
+    return text(browser, "state-name")
+
+
+def press(browser, *keys):
+    webdriver.ActionChains(browser).send_keys(*keys).perform()
+
+
+def hold_clean(browser, address):
+    """Hold that the page had no errors and asked nobody else."""
+    errors = [e["message"] for e in browser.get_log("browser") if e["level"] != "INFO"]
+    assert not errors
+    asked = []
+    for entry in browser.get_log("performance"):
+        message = json.loads(entry["message"])["message"]
+        if message["method"] == "Network.requestWillBeSent":
+            asked.append(message["params"]["request"]["url"])
+        elif message["method"] == "Network.webSocketCreated":
+            asked.append(message["params"]["url"])
+    assert any(url.startswith("ws:") for url in asked)
+    asked = [url for url in asked if urlsplit(url).scheme in ("http", "https", "ws", "wss")]
+    assert {urlsplit(url).netloc for url in asked} == {urlsplit(address).netloc}
+
+
+def end(process, *, after=signal.SIGINT):
+    """End a process as Ctrl-C does; nothing of it may be left in /dev/shm."""
+    files = shared_files(process.pid)
+    process.send_signal(after)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 0, out + err
+    assert not err
+    assert not abandoned(files)
+
+
+def test_a_run_is_shown_survives_a_reload_and_is_stopped_at_once(browser, monitor, run):
+    server, address = monitor()
+    browser.get(address)
+    wait_for(lambda: state(browser) == "no test", "the page to be connected")
+    test = run()
+    wait_for(lambda: seconds(browser) > 1.0 or test.poll() is not None, "the plots to move")
+    assert test.poll() is None, test.stderr.read() + text(browser, "events")
+    assert state(browser) == "running", text(browser, "state-detail")
+    before = seconds(browser)
+    wait_for(lambda: seconds(browser) > before, "the plots to move on")
+    assert state(browser) == "running"
+    wait_for(lambda: all(MEASURED in c for c in browser.execute_script(DRAWN)[:3]), "the lines")
+    wait_for(lambda: "left" in text(browser, "margin"), "margins")
+    wait_for(lambda: all(min(n.values()) > 10 for n in browser.execute_script(POINTS)), "points")
+    browser.refresh()
+    wait_for(lambda: seconds(browser) > before, "the page after its reload")
+    browser.execute_script(
+        "const choice = document.getElementById('window'); choice.value = '0';"
+        "choice.dispatchEvent(new Event('change'));"
+    )
+
+    def begins():
+        return browser.execute_script(
+            "const {x_range, renderers} = Bokeh.documents[0]?.roots()[0] ?? {};"
+            "return x_range && [x_range.start, renderers[0].data_source.data.x[0] ?? 9]"
+        )
+
+    wait_for(lambda: begins() and max(begins()) < 0.5, "the test from its first step on")
+    button = browser.find_element("id", "estop")
+    button.click()
+    assert state(browser) == "running"
+    button.click()
+    wait_for(lambda: state(browser) == "tripped", "the end of the test")
+    assert "emergency stop" in text(browser, "state-detail")
+    assert test.wait(60) == 1
+    assert "emergency stop" in test.stderr.read()
+    wait_for(lambda: "have left" in text(browser, "state-detail"), "the nodes' end to be shown")
+    assert "emergency stop" in text(browser, "events")
+    hold_clean(browser, address)
+    end(server)
+
+
+def test_keys_stop_a_test_that_began_before_the_monitor_beyond_localhost(browser, monitor, run):
+    test = run("-p", "ground_motion:tail:=600.0")
+    server, address = monitor("--host", "0.0.0.0", "--token", "for-this-test")
+    bare = address.split("?")[0]
+    browser.get(bare)
+    assert "token" in browser.find_element("tag name", "body").text
+    assert "running" not in browser.page_source
+    browser.get_log("browser")  # of the refusal
+    browser.find_element("id", "token").send_keys("for-this-test\n")
+    wait_for(lambda: browser.find_elements("id", "estop"), "the page")
+    assert browser.current_url == bare
+    browser.set_window_size(PHONE, 900)
+    wait_for(lambda: seconds(browser) > 1.0, "the running test")
+    sideways = browser.execute_script(
+        "const e = document.documentElement; return e.scrollWidth - e.clientWidth"
+    )
+    assert sideways <= 0, "the page must be scrolled sideways"
+    keys = webdriver.Keys
+    order = []
+    for _ in range(2):  # a test that runs can't be started
+        press(browser, keys.TAB)
+        order.append(browser.switch_to.active_element.get_attribute("id"))
+    assert order == ["estop", "stop"]
+    press(browser, keys.ENTER)
+    assert browser.switch_to.active_element.text == "Stop"
+    assert state(browser) == "running"
+    press(browser, keys.ENTER)
+    wait_for(lambda: state(browser) == "done", "the end of the test")
+    assert "stopped by the operator" in text(browser, "state-detail")
+    assert "brought down" in text(browser, "answer")
+    assert "stopped by the operator" in test.communicate(timeout=60)[1]
+    hold_clean(browser, bare)
+    end(server, after=signal.SIGTERM)
+
+
+def test_a_port_in_use_is_one_line(monitor, tmp_path):
+    _, address = monitor()
+    port = urlsplit(address).port
+    again = subprocess.run(
+        [sys.executable, "-m", "seft_ros.commands.main", "monitor", f"--port={port}"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert again.returncode == 2
+    assert again.stderr.count("\n") == 1
+    assert "--port" in again.stderr
