@@ -12,6 +12,7 @@ from seft_ros.commands.options import JsonOption, OverrideOption, complain, prin
 from seft_ros.commands.progress import step_progress
 
 if TYPE_CHECKING:
+    from seft_ros.replay.cue import Part
     from seft_ros.replay.recorded import Recorded
 
 
@@ -82,7 +83,8 @@ def replay(
     if overrides and len(nodes) > 1:
         raise InputError("-p changes one node; name it with --node")
     recorded = read_recorded(bag)
-    results = [_replay(name, recorded, overrides, offline, out) for name in nodes]
+    parts = _parts(nodes, recorded, asked=bool(node))
+    results = [_replay(part, recorded, overrides, offline, out) for part in parts]
     for result in results:
         result["bag"] = str(bag)
         result["overrides"] = param or []
@@ -94,21 +96,41 @@ def replay(
     return 0 if all(result["identical"] for result in results) else 1
 
 
+def _parts(nodes: list[str], recorded: "Recorded", *, asked: bool) -> list["Part"]:
+    """Make the parts for some nodes; of those that nobody asked for by name some may lack.
+
+    Raises
+    ------
+    InputError
+        If the bag does not have what a node was told that was asked for, or what any was told.
+    """
+    from seft_ros.replay.parts import part_for
+
+    parts = []
+    for name in nodes:
+        try:
+            parts.append(part_for(name, recorded))
+        except InputError as error:
+            if asked or (name == nodes[-1] and not parts):
+                raise
+            complain(f"{name} is left out: {error}")
+    return parts
+
+
 def _replay(
-    node: str,
+    part: "Part",
     recorded: "Recorded",
     overrides: list[Override],
     offline: bool,
     out: Path | None,
 ) -> dict[str, Any]:
-    from seft_ros.replay.parts import experiment_of, part_for
+    from seft_ros.replay.parts import experiment_of
     from seft_ros.replay.verdict import judge, replayed_record
 
-    part = part_for(node, recorded)
     meant = experiment_of(part, recorded, overrides, fixed=False)
     with step_progress(len(part.expected().steps)) as show:
         if offline:
-            answers = _answer_offline(part, meant[node], show)
+            answers = _answer_offline(part, meant[part.node], show)
         else:
             from seft_ros.replay.stage import play
 
@@ -117,7 +139,7 @@ def _replay(
     if out is not None:
         from seft_ros.recording.record_bag import write_record
 
-        record = replayed_record(part, recorded, answers, meant[node])
+        record = replayed_record(part, recorded, answers, meant[part.node])
         write_record(record, out, ground_motion=recorded.chunks)
         result["out"] = str(out)
     return result

@@ -125,7 +125,10 @@ class Suite:
         yield form
         yield stamps
         if trial.fault:
-            mend = "look at the rig first; then a smaller --amplitude, or mend what it measures"
+            mend = (
+                "look at the rig first; if it has not moved so, that sensor's unit, sign or factor "
+                "is wrong (mm for m?); else take a smaller --amplitude"
+            )
             yield found("stays within limits", False, trial.fault, mend)
         else:
             yield message_checks.check_end(trial, drive.steps, experiment)

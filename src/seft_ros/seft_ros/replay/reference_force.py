@@ -13,12 +13,13 @@ from seft_msgs_py.topics import (
     LoopTopic,
     Topic,
 )
-from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_msgs_py.trajectory import Floats, TrajectoryCodec
 
 from seft_ros.interlock.protected_force import ProtectedForce
 from seft_ros.recording.record import Estimates, Series
 from seft_ros.recording.samples import EstimateBuffer
 from seft_ros.reference_force.estimate_sampler import EstimateSampler
+from seft_ros.reference_force.previewed_force import PreviewedForce
 from seft_ros.replay.cue import FAR, Cue
 from seft_ros.replay.motion import Motion
 from seft_ros.replay.ramp import ramp_step
@@ -105,32 +106,33 @@ class ReferenceForcePart:
         return self._recorded.series(REFERENCE_FORCE)
 
     def computed(self, section: dict[str, Any]) -> tuple[Series, Estimates | None]:
-        """Give the answers of the block without ROS, with a node's parameters.
-
-        Raises
-        ------
-        InputError
-            If the test was over a link, for which there is the node alone.
-        """
-        if section["loop_delay"]:
-            raise InputError("--offline: forces with previews (loop_delay) need the node")
+        """Give the answers of the block without ROS, with a node's parameters."""
         axes, timebase = self._experiment.axes, self._experiment.timebase
-        block = ProtectedForce.from_parameters(dict(section), axes, timebase)
+        block = ProtectedForce.from_parameters(section, axes, timebase)
+        delay = max(section["loop_delay"], 0)
+        force: ProtectedForce | PreviewedForce = block
+        if delay:
+            force = PreviewedForce.from_parameters(block, section, axes, timebase)
+        window, last = 1 + force.preview, -1
         sampler, estimates = EstimateSampler(block, timebase), EstimateBuffer()
-        steps, forces = [], []
+        told: dict[int, Floats] = {}
         for step, state in _rows(self._states):
             if step == self._ramp:
                 block.ramp_down()
-            motion = self._motion.window(step, 1 + block.preview)
+            motion = self._motion.window(step, window)
             if motion is None and not block.ramping:
                 break  # the node would wait for it
-            force = block.step_without_motion() if motion is None else block.step(motion, state)
-            steps.append(step)
-            forces.append(force)
+            if isinstance(force, PreviewedForce) and step > last + 1:
+                lost = [self._motion.window(at, window) for at in range(last + 1, step)]
+                force.bridge(lost, state)
+            points = force.step_without_motion() if motion is None else force.step(motion, state)
+            for ahead, settled in enumerate(np.atleast_2d(points)[: 1 + delay]):
+                told.setdefault(step + ahead, settled)
+            last = step
             if step >= sampler.due:
                 estimates.append(step, sampler.sample(step))
-        values = np.array(forces).reshape(len(steps), 1, len(axes))
-        return Series(np.array(steps, np.int64), values), estimates.series()
+        values = np.array(list(told.values())).reshape(len(told), 1, len(axes))
+        return Series(np.array(list(told), np.int64), values), estimates.series()
 
 
 def _rows(series: Series) -> Iterator[tuple[int, Any]]:
