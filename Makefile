@@ -16,11 +16,11 @@ endif
 HEALTHY := $(shell [ "$$(cat $(READY) 2>/dev/null)" = "$$(pwd -P)" ] && [ -x $(BIN)/seft ] \
 	&& $(BIN)/python -I -S -c '' 2>/dev/null && echo yes)
 
-.PHONY: help setup demo test bench clean unfinished
+.PHONY: help setup demo test thorough bench clean unfinished
 .DELETE_ON_ERROR:
 
 help: ## this list
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-7s %s\n", $$1, $$2}' Makefile
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-8s %s\n", $$1, $$2}' Makefile
 
 setup: $(READY) ## make .venv with the pinned libraries and the three packages
 	@:
@@ -34,6 +34,9 @@ test: $(READY) ## all checks: lint, format, types, tests (CI runs the same)
 	$(BIN)/mypy
 	$(BIN)/pytest src -n 2
 	$(BIN)/pytest tests -n 2
+
+thorough: $(READY) ## the tests that take long: the tutorial, every fault in every state
+	$(BIN)/pytest src tests -m thorough
 
 bench: $(READY) ## every benchmark in bench, one after another
 	@failed=; for file in $(sort $(wildcard bench/[!_]*.py)); do \

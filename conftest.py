@@ -2,6 +2,9 @@
 
 import os
 
+from seft_msgs_py.middleware import prepare_middleware
+
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"  # a wrong type in a message raises, not corrupts
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+prepare_middleware()
 os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)  # apart from tests that run beside us

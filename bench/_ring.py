@@ -4,6 +4,7 @@ Run as a program it is one of the two that only hand on; `lap_times` is the thir
 """
 
 import os
+import statistics
 import subprocess
 import sys
 import time
@@ -11,6 +12,7 @@ import time
 import rclpy
 from _udp_ring import MESSAGE_SIZE
 from rclpy.node import Node
+from seft_msgs_py.middleware import PROFILES, RANGE
 from seft_msgs_py.ros_types import message_class, qos_profile
 from seft_msgs_py.topics import JOINT_TRAJECTORY, Topic
 from seft_msgs_py.wait_set import WaitSet, raw_subscription, sender, take
@@ -78,5 +80,18 @@ def lap_times(laps: int) -> list[float]:
             other.wait()
 
 
+def median_over_shared_memory(laps: int) -> float:
+    """Median lap of a ring with the settings that ROS comes with, s."""
+    theirs = {name: value for name, value in os.environ.items() if name != PROFILES}
+    theirs |= {RANGE: "LOCALHOST"}
+    done = subprocess.run(
+        [sys.executable, __file__, str(laps)], env=theirs, stdout=subprocess.PIPE, check=True
+    )
+    return float(done.stdout)
+
+
 if __name__ == "__main__":
-    hand_on(sys.argv[1], sys.argv[2])
+    if len(sys.argv) == 2:
+        print(statistics.median(lap_times(int(sys.argv[1]))))
+    else:
+        hand_on(sys.argv[1], sys.argv[2])

@@ -10,6 +10,7 @@ from typing import Any
 from rosbags.highlevel import AnyReader
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.messages import Status, decode_diagnostics
+from seft_msgs_py.middleware import prepare_on_this_host
 from seft_ros.experiment.tables import TABLES
 from seft_ros.recording.bag_reader import read_bag
 from seft_ros.recording.record import Record
@@ -21,7 +22,7 @@ CONFIG = Path(__file__).parent.parent / "config" / "jhu.yaml"
 
 def use_own_domain() -> None:
     """Keep apart from other tests on this machine."""
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    prepare_on_this_host()
     os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
 
 

@@ -18,6 +18,10 @@ from seft_ros.running.processes import MODULES
 _WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
 _domains = itertools.count(os.getpid() % 50)
 
+if "PYTEST_XDIST_WORKER" in os.environ:  # each worker's graphs have a core of their own
+    _cores = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, {_cores[_WORKER % len(_cores)]})
+
 
 @pytest.fixture
 def domain(monkeypatch):
@@ -33,6 +37,8 @@ def seft(domain, tmp_path) -> Callable[..., subprocess.CompletedProcess]:
     """Run `seft` in an empty folder."""
 
     def run(*words, status=None) -> subprocess.CompletedProcess:
+        if "--out" in words and words[0] in ("run", "simulate"):
+            words = (*words, "--no-figure")  # which would take longer than many a test
         done = subprocess.run(
             [sys.executable, "-m", "seft_ros.commands.main", *map(str, words)],
             cwd=tmp_path,

@@ -4,13 +4,7 @@
 
 Each round is one `seft run`, of which a seeded generator chooses pace, storage, what is done to it
 and when. It ends at the first thing that is wrong, and says how to do that round again. What a
-round sees of its run is what an operator sees: the progress bar, on a terminal of its own. Another
-ROS node would have its own share in /dev/shm.
-
-Tests on one host use the same names of ports there one after the other. Where others run at the
-same time, give the rounds a /dev/shm of their own (as root):
-
-    unshare -m sh -c 'mount -t tmpfs none /dev/shm && python tests/fault_rounds.py'
+round sees of its run is what an operator sees: the progress bar, on a terminal of its own.
 """
 
 import argparse
@@ -36,10 +30,8 @@ from graph_tools import (
     MISSES_ALLOWED,
     PATIENCE,
     STALLS_ALLOWED,
-    SharedFile,
-    abandoned,
     children,
-    shared_files,
+    shared_memory,
 )
 from seft_ros.recording.bag_reader import read_bag
 from seft_ros.recording.record import Record
@@ -56,7 +48,6 @@ ACTIONS = (
 MARK = "SEFT_FAULT_ROUND"
 """Environment variable by which a round knows all its processes."""
 LOOK = 0.02  # s
-FOREIGN_LOOK = 1.0  # s
 PEERS_MAY_STALL = (
     *("-p", "supervisor:watchdog.peer_timeout:=4.0"),
     *("-p", "rig:watchdog.supervisor_timeout:=4.0"),
@@ -131,8 +122,8 @@ class Run:
         It.
     pids : dict of str to int
         Its nodes, as far as they have been seen.
-    shared, foreign : set of SharedFile
-        Files in /dev/shm that its processes have had, and that others have.
+    shared : set of str
+        Files in /dev/shm that its processes have had.
     """
 
     def __init__(self, words: list[str], folder: Path, mark: str) -> None:
@@ -148,9 +139,7 @@ class Run:
         )
         os.close(behind)
         self.pids: dict[str, int] = {}
-        self.shared: set[SharedFile] = set()
-        self.foreign: set[SharedFile] = set()
-        self._looked_at = 0.0
+        self.shared: set[str] = set()
         self._text = bytearray()
         self._reader = threading.Thread(target=self._read, args=(terminal,))
         self._reader.start()
@@ -165,14 +154,7 @@ class Run:
         """See which nodes there are, and what is theirs in /dev/shm."""
         self.pids |= children(self.process.pid)
         for pid in (self.process.pid, *self.pids.values()):
-            self.shared |= shared_files(pid)
-        if time.monotonic() - self._looked_at > FOREIGN_LOOK:
-            # all tests on a host share the names of some ports
-            own = (self.process.pid, *self.pids.values())
-            for entry in Path("/proc").glob("[0-9]*"):
-                if int(entry.name) not in own:
-                    self.foreign |= shared_files(int(entry.name))
-            self._looked_at = time.monotonic()
+            self.shared.update(shared_memory(pid))
 
     @property
     def text(self) -> str:
@@ -356,9 +338,8 @@ def check_nothing_left(plan: Plan, run: Run) -> None:
     if living := run.living():
         names = [Path(f"/proc/{pid}/cmdline").read_bytes().decode() for pid in living]
         raise RoundError(f"processes left: {names}")
-    names = {file.name for file in run.foreign}
-    if left := abandoned({file for file in run.shared if file.name not in names}):
-        raise RoundError(f"left in /dev/shm: {sorted(file.name for file in left)}")
+    if left := [file for file in run.shared if Path(file).exists()]:
+        raise RoundError(f"left in /dev/shm: {sorted(left)}")
 
 
 def check_bag(plan: Plan, bag: Path) -> str:

@@ -4,16 +4,17 @@ import contextlib
 import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Container, Iterable
 from pathlib import Path
-from typing import NamedTuple
 
+import pytest
 from seft_ros.running.processes import COMPOSED, MODULES
-from seft_ros.running.shared_memory import FOLDER
 
 ROOT = Path(__file__).parent.parent
 JHU = ROOT / "config" / "jhu.yaml"
 DEMO = ROOT / "config" / "demo.yaml"
+THOROUGH = pytest.mark.thorough
+"""Takes its time for what another test looks at in short; only `make thorough` runs these."""
 PATIENCE = 400.0  # s; far beyond what anything here takes, also where eight others run
 STALLS_ALLOWED = (
     *("-p", "supervisor:watchdog.command_timeout:=60.0"),
@@ -25,6 +26,11 @@ STALLS_ALLOWED = (
 
 MISSES_ALLOWED = ("-p", "reference_force:instability.ratio:=0.0")
 """Lets it outlive the vibration that many missed commands make."""
+
+
+def thorough_but(values: Iterable[str], short: Container[str]) -> list[object]:
+    """Parameters of a test, of which only some are looked at in short."""
+    return [value if value in short else pytest.param(value, marks=THOROUGH) for value in values]
 
 
 def wait_for(condition: Callable[[], object], what: str) -> object:
@@ -58,39 +64,9 @@ def kill(pid: int) -> None:
     os.kill(pid, signal.SIGKILL)
 
 
-class SharedFile(NamedTuple):
-    """A file in /dev/shm. Names of ports are used again, by any test on this host."""
-
-    name: str
-    inode: int
-
-
-def shared_files(pid: int) -> set[SharedFile]:
-    """Files of FastDDS in /dev/shm that a process has mapped, or open to hold their lock."""
-    found: set[SharedFile] = set()
+def shared_memory(pid: int) -> list[str]:
+    """Files of the middleware in /dev/shm that a process has mapped."""
     with contextlib.suppress(OSError):  # it has ended
-        text = Path(f"/proc/{pid}/maps").read_text()
-        if f"{FOLDER}/" not in text:
-            return found
-        for line in text.splitlines():
-            if f"{FOLDER}/" in line:
-                *_, inode, path = line.split(maxsplit=5)
-                found.add(SharedFile(path.removeprefix(f"{FOLDER}/"), int(inode)))
-        for handle in Path(f"/proc/{pid}/fd").iterdir():
-            with contextlib.suppress(OSError):
-                file = handle.readlink()
-                if file.parent == FOLDER:
-                    found.add(SharedFile(file.name, handle.stat().st_ino))
-    return {file for file in found if "fastrtps" in file.name}
-
-
-def abandoned(files: set[SharedFile]) -> set[SharedFile]:
-    """Those of some files in /dev/shm that are still there, and no living process has."""
-    left = set()
-    for file in files:
-        with contextlib.suppress(FileNotFoundError):
-            if (FOLDER / file.name).stat().st_ino == file.inode:
-                left.add(file)
-    for entry in Path("/proc").glob("[0-9]*"):
-        left -= shared_files(int(entry.name))
-    return left
+        lines = Path(f"/proc/{pid}/maps").read_text().splitlines()
+        return sorted({line.split()[-1] for line in lines if "/dev/shm/fastrtps" in line})
+    return []

@@ -1,13 +1,24 @@
 """The loop's nodes in one process: the same bits, topics and safety as in several."""
 
 import pytest
-from graph_tools import JHU, MISSES_ALLOWED, PATIENCE, STALLS_ALLOWED, children, kill, wait_for
+from graph_tools import (
+    JHU,
+    MISSES_ALLOWED,
+    PATIENCE,
+    STALLS_ALLOWED,
+    children,
+    kill,
+    thorough_but,
+    wait_for,
+)
 from seft_msgs_py.topics import VALVE_COMMAND
 from seft_ros.recording.bag_reader import read_bag
 from test_invariant import EXPERIMENTS, LOCKSTEP, SHORT
 
 
-@pytest.mark.parametrize("name", ["servo_hydraulic", "eft_ideal", "preview_inverse"])
+@pytest.mark.parametrize(
+    "name", thorough_but(["servo_hydraulic", "eft_ideal", "preview_inverse"], ["servo_hydraulic"])
+)
 def test_composed_lockstep_gives_the_bits_of_the_offline_loop(seft_json, name):
     words = (JHU, *SHORT, *EXPERIMENTS[name])
     simulated = seft_json("simulate", *words, "--out", "simulated")

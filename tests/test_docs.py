@@ -1,6 +1,8 @@
 """Documents that are made of the code say what the code says."""
 
+import json
 import re
+from xml.etree import ElementTree
 
 import pytest
 from graph_tools import ROOT
@@ -73,3 +75,22 @@ def test_links_between_documents_lead_somewhere():
     for document in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
         for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", document.read_text()):
             assert (document.parent / target).exists(), f"{document.name}: {target}"
+
+
+def test_layouts_for_outside_tools_plot_fields_of_our_topics():
+    layouts = ROOT / "src" / "seft_ros" / "layouts"
+    foxglove = json.loads((layouts / "foxglove.json").read_text())["configById"]
+    shown = [
+        path["value"].replace(".points[0].", " ")
+        for name, panel in foxglove.items()
+        if name.startswith("Plot!")
+        for path in panel["paths"]
+    ]
+    plotjuggler = ElementTree.parse(layouts / "plotjuggler.xml")
+    curves = [c.get("name").replace("/points[0]/", " ") for c in plotjuggler.iter("curve")]
+    assert shown == curves
+    fields = {f"/{t.name} {field}[0]" for t in LOOP_TOPICS for field in t.quantities}
+    assert set(shown) <= fields
+    assert len(shown) == 6
+    called = {panel["serviceName"] for name, panel in foxglove.items() if "CallService" in name}
+    assert called == {"/start", "/stop", "/estop", "/reset"}

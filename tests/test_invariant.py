@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from graph_tools import JHU, MISSES_ALLOWED, STALLS_ALLOWED
+from graph_tools import JHU, MISSES_ALLOWED, STALLS_ALLOWED, THOROUGH, thorough_but
 from seft_ros.recording.bag_reader import read_bag
 
 SHORT = ("-p", "ground_motion:synthetic.duration:=5.0", "-p", "ground_motion:tail:=0.5")
@@ -55,6 +55,8 @@ EXPERIMENTS = {
     ),
 }
 
+IN_SHORT = ("servo_hydraulic", "coupled_axes", "loop_delay", "preview_inverse_yielding")
+
 ESTIMATED_DELAY = (
     *("-p", "axes:=[north, east]"),
     *("-p", "ground_motion:influence:=[1.0, 0.5]"),
@@ -65,7 +67,7 @@ ESTIMATED_DELAY = (
 )
 
 
-@pytest.mark.parametrize("name", EXPERIMENTS)
+@pytest.mark.parametrize("name", thorough_but(EXPERIMENTS, IN_SHORT))
 def test_lockstep_over_dds_gives_the_bits_of_the_offline_loop(seft_json, name):
     words = (JHU, *SHORT, *EXPERIMENTS[name])
     simulated = seft_json("simulate", *words, "--out", "simulated")
@@ -100,7 +102,11 @@ def test_estimates_over_dds_are_those_of_the_offline_loop(seft_json, tmp_path):
 
 @pytest.mark.parametrize(
     "experiment",
-    [EXPERIMENTS["servo_hydraulic"], ESTIMATED_DELAY, EXPERIMENTS["loop_delay"]],
+    [
+        EXPERIMENTS["servo_hydraulic"],
+        pytest.param(ESTIMATED_DELAY, marks=THOROUGH),
+        EXPERIMENTS["loop_delay"],
+    ],
 )
 def test_realtime_differs_only_from_the_first_missed_command_on(seft_json, tmp_path, experiment):
     words = (JHU, *SHORT, *STALLS_ALLOWED, *MISSES_ALLOWED, *experiment)

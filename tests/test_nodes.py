@@ -8,6 +8,8 @@ import signal
 import numpy as np
 import pytest
 from graph_tools import JHU, PATIENCE, STALLS_ALLOWED, wait_for
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
 from seft_msgs_py.topics import NODES
 from seft_ros.interlock.ramp_down import RampDown
 from seft_ros.recording.bag_reader import read_bag
@@ -203,3 +205,34 @@ def test_a_node_with_defaults_for_all_needs_no_file(start, observer, node):
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, errors
+
+
+def test_what_the_next_bag_is_called_may_be_set_and_what_a_node_was_started_with_not(
+    start_node, observer, tmp_path
+):
+    nodes = {node: start_node(node, *SHORT, "rig:pace:=lockstep") for node in MODULES}
+    wait_for(is_in_state(observer, "ready"), "ready")
+
+    def answer(node, name, value):
+        client = AsyncParameterClient(observer._node, node)
+        wait_for(client.services_are_ready, f"the parameters of {node}")
+        future = client.set_parameters([Parameter(name, value=value)])
+        wait_for(lambda: (observer.spin(0.05), future.done())[1], "an answer")
+        (result,) = future.result().results
+        return result.successful, result.reason
+
+    assert answer("recorder", "name", "named") == (True, "")
+    successful, reason = answer("recorder", "storage", "zip")
+    assert not successful
+    assert 'storage is "zip", but must be one of mcap, sqlite3' in reason
+    successful, reason = answer("rig", "specimen.mass", 3.0)
+    assert not successful
+    assert "read-only" in reason
+    assert observer.call("start")[0]
+    wait_for(lambda: (observer.spin(0.05), observer.recorder_phase == "saved")[1], "saved")
+    record = read_bag(tmp_path / "bags" / "named")
+    assert record.complete
+    for node in nodes.values():
+        node.send_signal(signal.SIGINT)
+    for node in nodes.values():
+        node.communicate(timeout=PATIENCE)

@@ -5,7 +5,7 @@ import signal
 import subprocess
 import time
 
-from graph_tools import JHU, MISSES_ALLOWED, PATIENCE, STALLS_ALLOWED, children, wait_for
+from graph_tools import JHU, MISSES_ALLOWED, PATIENCE, STALLS_ALLOWED, THOROUGH, children, wait_for
 from seft_msgs_py.messages import decode_diagnostics
 from seft_msgs_py.ros_types import message_class, qos_profile
 from seft_msgs_py.topics import (
@@ -46,7 +46,9 @@ def attack(hostile, process):
 
 def start_run(start, tmp_path, *words):
     """Start a `seft run`; return it when its test is under way."""
-    process = start("seft_ros.commands.main", "run", JHU, *LONG, *words, "--out", "bag")
+    process = start(
+        "seft_ros.commands.main", "run", JHU, *LONG, *words, "--out", "bag", "--no-figure"
+    )
 
     def is_under_way():
         assert process.poll() is None, process.communicate()
@@ -95,6 +97,7 @@ def test_a_hostile_node_changes_no_bit_of_a_test_in_lockstep(seft_json, start, h
         assert refused[node] > ROUNDS, refused
 
 
+@THOROUGH
 def test_a_hostile_node_is_not_acted_upon_in_realtime(seft_json, start, hostile, tmp_path):
     words = (*STALLS_ALLOWED, *MISSES_ALLOWED, *GENTLE)
     seft_json("simulate", JHU, *LONG, *GENTLE, "--out", "simulated")

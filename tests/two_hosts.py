@@ -16,7 +16,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from seft_msgs_py.node_process import FASTDDS_PROFILES
+from seft_msgs_py.middleware import NETWORK
 
 RELAY = Path(__file__).with_name("link_relay.py")
 _SIOCETHTOOL = 0x8946
@@ -90,7 +90,7 @@ class TwoHosts:
         environment = os.environ | {
             "PYTHONPATH": here,
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
-            "FASTRTPS_DEFAULT_PROFILES_FILE": str(FASTDDS_PROFILES),
+            "FASTRTPS_DEFAULT_PROFILES_FILE": str(NETWORK),
         }
         process = subprocess.Popen(
             [*command, *map(str, words)],

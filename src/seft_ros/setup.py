@@ -36,6 +36,8 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/launch", ["launch/experiment.launch.py"]),
+        (f"share/{NAME}/layouts", ["layouts/foxglove.json", "layouts/plotjuggler.xml"]),
         *experiments(),
     ],
     install_requires=[

@@ -6,13 +6,11 @@ holds one node; several in one hand each other their messages directly (`Mailbox
 """
 
 import gc
-import os
 import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Collection, Sequence
-from pathlib import Path
 from types import FrameType
 
 import numpy as np
@@ -24,9 +22,9 @@ from rclpy.subscription import Subscription
 
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.mailbox import Mailbox, Receive
+from seft_msgs_py.middleware import prepare_middleware
 from seft_msgs_py.wait_set import WaitSet, take
 
-FASTDDS_PROFILES = Path(__file__).with_name("fastdds.xml")
 OUTSIDE_LOOK = 0.002  # s between looks for messages from outside while those inside keep coming
 MOST_AT_ONCE = 4096  # messages of a topic, as many as the longest queue holds
 MOST_REFUSED = 200  # a few ms of nonsense
@@ -184,11 +182,6 @@ class NodeProcess:
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         del number, frame
         self.stopping = True
-
-
-def prepare_middleware() -> None:
-    """Have FastDDS read `FASTDDS_PROFILES`, unless the environment names another file."""
-    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(FASTDDS_PROFILES))
 
 
 def drain(read_one: Callable[[], bool | None]) -> None:

@@ -18,10 +18,11 @@ from seft_msgs_py.errors import WireError
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.mailbox import Receive
 from seft_msgs_py.messages import Status, encode_diagnostics, encode_string, restamp
+from seft_msgs_py.node_parameters import declare_parameters
 from seft_msgs_py.node_process import NodeProcess, drain
 from seft_msgs_py.parameter_file import split_ros_arguments
 from seft_msgs_py.parameters import Table
-from seft_msgs_py.ros_types import message_class, parameter_descriptor, qos_profile
+from seft_msgs_py.ros_types import message_class, qos_profile
 from seft_msgs_py.topics import DESCRIPTION, DIAGNOSTICS, LOOP_TOPICS, LoopTopic, Topic
 from seft_msgs_py.wait_set import raw_subscription, sender
 
@@ -77,8 +78,8 @@ class NodeShell:
         )
         process.add_node(self.node)
         self._claim = claim(self.node.context.get_domain_id(), self.node.get_fully_qualified_name())
-        for row in table.rows.values():
-            self.node.declare_parameter(row.name, section[row.name], parameter_descriptor(row))
+        self._facts: dict[str, Any] | None = None  # none before it has described itself
+        declare_parameters(self.node, table, section, self._describe)
         self._publishers: dict[str, Publisher] = {}
         self._subscriptions: dict[str, Subscription] = {}
         self._readers: dict[str, Callable[[], bool | None]] = {}
@@ -161,12 +162,12 @@ class NodeShell:
             What else others must know of this node, JSON values.
         """
         parameters = self.experiment[self.name]
-        description = {"node": self.name, "parameters": parameters, **(facts or {})}
+        self._facts = dict(facts or {})
         if "thread_priority" in parameters:
             for denied in realtime.apply(parameters):
                 self.node.get_logger().warning(denied)
-            description["realtime"] = realtime.granted()
-        self._description(encode_string(json.dumps(description)))
+            self._facts["realtime"] = realtime.granted()
+        self._describe()
         self._process.every_turn(self._look_after_status)
 
     def spin_once(self, timeout: float = IDLE_WAIT) -> bool:
@@ -292,6 +293,12 @@ class NodeShell:
         self._status = replace(self._status, values=values)
         if self._status != sent or now - sent_at >= STATUS_PERIOD:
             self._publish_status()
+
+    def _describe(self) -> None:
+        """Tell the node's parameters, at its start and when one was set."""
+        if self._facts is not None:
+            told = {"node": self.name, "parameters": self.experiment[self.name], **self._facts}
+            self._description(encode_string(json.dumps(told)))
 
     def _own_values(self) -> dict[str, str]:
         return {"refused": str(self.refused), "peak_memory_mb": str(_peak_memory_mb())}

@@ -54,6 +54,8 @@ class Parameter:
     default_from : str
         ``node:parameter`` of the same experiment whose value stands in where this one is
         not given.
+    live : bool
+        It may be set while the node runs, and holds from its next use on.
     """
 
     name: str
@@ -66,6 +68,7 @@ class Parameter:
     positive: bool = False
     choices: tuple[str, ...] = ()
     default_from: str = ""
+    live: bool = False
 
     def check(self, value: Value, where: str) -> Value:
         """Return the value in this parameter's type, if it fits.

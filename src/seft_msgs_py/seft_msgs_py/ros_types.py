@@ -28,9 +28,9 @@ def qos_profile(topic: Topic, depth: int | None = None, reliable: bool = True) -
 
 
 def parameter_descriptor(row: Parameter) -> ParameterDescriptor:
-    """ROS description of a parameter; all are read when a node starts, and then fixed."""
+    """ROS description of a parameter; most are read when a node starts, and then fixed."""
     unit = f" [{row.unit}]" if row.unit else ""
-    descriptor = ParameterDescriptor(description=row.description + unit, read_only=True)
+    descriptor = ParameterDescriptor(description=row.description + unit, read_only=not row.live)
     if row.choices:
         descriptor.additional_constraints = "one of: " + ", ".join(row.choices)
     if row.kind == "float" and (row.minimum is not None or row.maximum is not None):

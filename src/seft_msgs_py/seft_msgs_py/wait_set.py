@@ -93,19 +93,23 @@ def take(subscription: Subscription) -> tuple[bytes, int, int] | None:
     return raw, info["received_timestamp"], info["publication_sequence_number"] or 0
 
 
+def take_timed(subscription: Subscription) -> tuple[bytes, int] | None:
+    """Take the oldest message, and when its sender sent it, wall clock of its host, ns."""
+    taken = subscription.handle.take_message(subscription.msg_type, True)
+    return None if taken is None else (taken[0], taken[1]["source_timestamp"])
+
+
 def take_all(subscription: Subscription, most: int) -> list[tuple[bytes, int]]:
     """Take what has arrived on a raw subscription, at most so many messages.
 
     Returns
     -------
     list of (bytes, int)
-        The messages, oldest first, and the wall-clock time in ns at which each was sent.
+        The messages, oldest first, as `take_timed` gives each.
     """
-    handle, kind = subscription.handle, subscription.msg_type
     found: list[tuple[bytes, int]] = []
-    while len(found) < most and (taken := handle.take_message(kind, True)) is not None:
-        raw, info = taken
-        found.append((raw, info["source_timestamp"]))
+    while len(found) < most and (taken := take_timed(subscription)) is not None:
+        found.append(taken)
     return found
 
 

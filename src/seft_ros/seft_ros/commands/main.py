@@ -6,6 +6,7 @@ import typer
 from seft_msgs_py.errors import SeftError
 
 from seft_ros.commands.compare import compare
+from seft_ros.commands.conform import conform
 from seft_ros.commands.design import design
 from seft_ros.commands.identify import identify
 from seft_ros.commands.link import link
@@ -16,6 +17,7 @@ from seft_ros.commands.paper import paper
 from seft_ros.commands.parameters import parameters
 from seft_ros.commands.preflight import preflight
 from seft_ros.commands.recover import recover
+from seft_ros.commands.replay import replay
 from seft_ros.commands.report import report
 from seft_ros.commands.run import run
 from seft_ros.commands.simulate import simulate
@@ -33,8 +35,8 @@ APP = typer.Typer(
     rich_markup_mode=None,
 )
 for command in (
-    *(run, simulate, report, compare, motion, recover, identify, design, tournament),
-    *(preflight, link, monitor, paper, parameters),
+    *(run, simulate, report, compare, replay, motion, recover, identify, design, tournament),
+    *(preflight, link, conform, monitor, paper, parameters),
 ):
     APP.command()(command)
 

@@ -54,6 +54,10 @@ ExternalOption = Annotated[
         "as rig; its parameters are its own. May be given many times.",
     ),
 ]
+FigureOption = Annotated[
+    bool,
+    typer.Option("--figure/--no-figure", help="Draw a figure into the bag's folder."),
+]
 JsonOption = Annotated[
     bool,
     typer.Option("--json", help="Print one JSON object on stdout, and nothing else there."),

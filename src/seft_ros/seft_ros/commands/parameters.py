@@ -34,7 +34,9 @@ def parameters_text(nodes: list[str]) -> str:
     common = [row.name for row in COMMON]
     parts = [
         "# Parameters\n\nMade by `seft parameters`. A value in *italics* is taken from another "
-        "parameter of the same experiment where it is not given; **required** ones have none.",
+        "parameter of the same experiment where it is not given; **required** ones have none. "
+        "All are read when a node starts and then fixed, but for those marked *live*: "
+        "`ros2 param set` changes them for their next use.",
         "## every node, under `/**`\n\n" + _table(COMMON),
     ]
     for table in TABLES:
@@ -47,7 +49,7 @@ def parameters_text(nodes: list[str]) -> str:
 def _table(rows: tuple[Parameter, ...]) -> str:
     lines = ["| parameter | type | default | unit | meaning |", "|---|---|---|---|---|"]
     for row in rows:
-        meaning = row.description.replace("|", "\\|")
+        meaning = row.description.replace("|", "\\|") + (" (*live*)" if row.live else "")
         lines.append(f"| `{row.name}` | {_type(row)} | {_default(row)} | {row.unit} | {meaning} |")
     return "\n".join(lines)
 

@@ -29,7 +29,9 @@ def save(record: Record, blocks: Blocks, out: Path) -> Path:
     return out
 
 
-def present(record: Record, bag: Path | None, *, as_json: bool) -> dict[str, Any]:
+def present(
+    record: Record, bag: Path | None, *, as_json: bool, figure: bool = True
+) -> dict[str, Any]:
     """Show how a test went; draw its figure into the bag's folder, if there is one.
 
     Returns
@@ -41,13 +43,15 @@ def present(record: Record, bag: Path | None, *, as_json: bool) -> dict[str, Any
 
     reference = reference_of(record)
     summary = summarise(record, reference)
+    drawn = bag / FIGURE if bag is not None and figure else None
     if bag is not None:
+        summary["bag"] = str(bag)
+    if drawn is not None:
         from seft_ros.analysis.figure import test_figure
         from seft_ros.drawing.style import save_figure
 
-        figure = bag / FIGURE
-        save_figure(test_figure(record, reference), figure)
-        summary |= {"bag": str(bag), "figure": str(figure)}
+        save_figure(test_figure(record, reference), drawn)
+        summary["figure"] = str(drawn)
     if as_json:
         print_json(summary)
         return summary
@@ -57,5 +61,6 @@ def present(record: Record, bag: Path | None, *, as_json: bool) -> dict[str, Any
     console.print(summary_table(record, summary))
     if bag is not None:
         console.print(f"bag:    {bag}", soft_wrap=True, highlight=False)
-        console.print(f"figure: {summary['figure']}", soft_wrap=True, highlight=False)
+    if drawn is not None:
+        console.print(f"figure: {drawn}", soft_wrap=True, highlight=False)
     return summary

@@ -11,6 +11,7 @@ from seft_ros.commands.one_test import dds_test
 from seft_ros.commands.options import (
     ConfigArgument,
     ExternalOption,
+    FigureOption,
     JsonOption,
     OverrideOption,
     ParamsFileOption,
@@ -68,6 +69,7 @@ def run(
             "--accept-unstable", help="Run a test that preflight finds unstable all the same."
         ),
     ] = False,
+    figure: FigureOption = True,
     json: JsonOption = False,
 ) -> int:
     """Run an experiment as separate nodes over DDS, record it, and show how it went.
@@ -107,7 +109,7 @@ def run(
         external or (),
         arrangement=Arrangement(pin=pin, composed=composed, priority=priority),
     )
-    summary = present(record, bag, as_json=json)
+    summary = present(record, bag, as_json=json, figure=figure)
     if not summary["stable"]:
         complain(f"the test tripped: {record.trip.reason}" if record.trip else "unstable")
         return 1

@@ -7,6 +7,7 @@ import typer
 
 from seft_ros.commands.options import (
     ConfigArgument,
+    FigureOption,
     JsonOption,
     OverrideOption,
     ParamsFileOption,
@@ -29,6 +30,7 @@ def simulate(
             help="Write a bag of the same form as seft run, and a figure, into this new folder.",
         ),
     ] = None,
+    figure: FigureOption = True,
     json: JsonOption = False,
 ) -> int:
     """Run an experiment in one process, without ROS, and compare it with the exact response.
@@ -55,7 +57,7 @@ def simulate(
         record = run_offline(experiment, blocks, lambda done: show("simulating", done))
         show("done", len(record.series["rig/state"].steps))
     bag = save(record, blocks, out) if out is not None else None
-    summary = present(record, bag, as_json=json)
+    summary = present(record, bag, as_json=json, figure=figure)
     if not summary["stable"]:
         complain(f"unstable: {record.trip.reason if record.trip else 'values are not finite'}")
         return 1

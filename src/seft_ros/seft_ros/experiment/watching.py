@@ -49,10 +49,21 @@ SUPERVISOR = Table(
 RECORDER = Table(
     "recorder",
     [
-        Parameter("directory", "string", "bags", "folder in which a test's bag is made"),
-        Parameter("name", "string", "", "name of the bag in it; empty: date and time of the start"),
+        Parameter("directory", "string", "bags", "folder in which a test's bag is made", live=True),
         Parameter(
-            "storage", "string", "mcap", "file format of the bag", choices=("mcap", "sqlite3")
+            "name",
+            "string",
+            "",
+            "name of the bag in it; empty: date and time of the start",
+            live=True,
+        ),
+        Parameter(
+            "storage",
+            "string",
+            "mcap",
+            "file format of the bag",
+            choices=("mcap", "sqlite3"),
+            live=True,
         ),
     ],
 )

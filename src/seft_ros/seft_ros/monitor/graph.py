@@ -15,7 +15,7 @@ from rclpy.client import Client
 from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from seft_msgs_py.node_process import prepare_middleware
+from seft_msgs_py.__init__ import prepare_middleware
 from seft_msgs_py.topics import (
     DESCRIPTION,
     DIAGNOSTICS,

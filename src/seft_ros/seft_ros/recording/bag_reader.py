@@ -1,7 +1,7 @@
 """Read a bag back as the record of a test."""
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -120,6 +120,42 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         described=known,
         environment={**description.environment, UNDECODABLE: undecodable},
     )
+
+
+def read_messages(path: str | Path, topics: Sequence[Topic]) -> Iterator[tuple[Topic, int, bytes]]:
+    """Give the messages of some topics of a test as they were recorded, in the order of time.
+
+    Parameters
+    ----------
+    path : path
+        As `read_bag`.
+    topics : sequence of Topic
+        Which.
+
+    Yields
+    ------
+    topic : Topic
+        One of them.
+    received_ns : int
+        When the message was received, ns of the wall clock.
+    raw : bytes
+        The message.
+
+    Raises
+    ------
+    InputError
+        If there is no bag, or it is damaged or cut off.
+    """
+    path = Path(path)
+    reader = open_bag(path)
+    try:
+        bag = _Bag(path, reader)
+        found = [(topic, item) for topic in topics for item in bag.connections_of(topic)]
+        for block in read_blocks(reader, [item for _, item in found], path):
+            for source, received_ns, raw in block.messages():
+                yield found[source][0], received_ns, raw
+    finally:
+        reader.close()
 
 
 class _Bag:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.node_process import prepare_middleware
+from seft_msgs_py.middleware import prepare_on_this_host
 
 from seft_ros.experiment.peers import CONFLICT
 from seft_ros.experiment.state_machine import State
@@ -26,7 +26,6 @@ READY_TIMEOUT = 60.0  # s
 SAVE_TIMEOUT = 20.0  # s
 DISCOVERY = 1.0  # s
 ANNOUNCEMENT = 3.2  # s; participants announce themselves every 3 s
-MEMORY_LOOK = 0.5  # s
 
 
 @dataclass(frozen=True)
@@ -91,8 +90,7 @@ def run_experiment(
     ExperimentError
         If the run broke before anything was recorded.
     """
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    prepare_middleware()
+    prepare_on_this_host()
     experiment["recorder"].update(directory=str(bag.parent.resolve()), name=bag.name)
     arrangement = arrangement or Arrangement()
     if arrangement.priority:
@@ -102,14 +100,14 @@ def run_experiment(
                 experiment[node].update(wishes)
     wanted = {*experiment["supervisor"]["peers"], "supervisor"} - set(external)
     nodes = [node for node in MODULES if node in wanted]
-    with _working_folder(bag) as folder:
+    with working_folder(bag) as folder:
         parameters = folder / "parameters.yaml"
         parameters.write_text(experiment.to_yaml(), encoding="utf-8")
         progress("looking for other tests", 0)
         tidying = Tidying()
         observer = Observer()
         try:
-            _refuse_company(observer, external)
+            refuse_company(observer, external)
             progress("starting the nodes", 0)
             processes = NodeProcesses(
                 nodes,
@@ -118,8 +116,9 @@ def run_experiment(
                 arrangement,
                 lockstep=experiment.sections.get("rig", {}).get("pace") == "lockstep",
             )
+            tidying.watch(processes.pids().values())
             try:
-                _start(observer, processes, progress, tidying)
+                _start(observer, processes, progress)
                 following = Following(observer, processes, progress, experiment)
                 try:
                     fault = following.to_the_end()
@@ -128,10 +127,7 @@ def run_experiment(
                     raise
                 following.wait_until_saved(SAVE_TIMEOUT)
             finally:
-                try:
-                    tidying.look(processes.pids().values())
-                finally:  # also where an operator who is in a hurry interrupts this
-                    processes.stop()
+                processes.stop()
         finally:
             observer.close()
             tidying.finish()
@@ -140,8 +136,14 @@ def run_experiment(
     return Finished(bag, fault)
 
 
-def _refuse_company(observer: Observer, external: Collection[str]) -> None:
-    """See that no other test is on the graph: two would command each other's rig."""
+def refuse_company(observer: Observer, external: Collection[str] = ()) -> None:
+    """See that no other test is on the graph: two would command each other's rig.
+
+    Raises
+    ------
+    InputError
+        If there is one.
+    """
     observer.spin(DISCOVERY)
     _refuse([node for node in observer.present() if node not in external])
 
@@ -164,16 +166,13 @@ def _refuse(nodes: list[str]) -> None:
         )
 
 
-def _start(
-    observer: Observer, processes: NodeProcesses, progress: Progress, tidying: Tidying
-) -> None:
+def _start(observer: Observer, processes: NodeProcesses, progress: Progress) -> None:
     """Start the test when all nodes are ready and no other test is there."""
     deadline = time.monotonic() + READY_TIMEOUT
-    _wait_until_ready(observer, processes, progress, tidying, deadline)
+    _wait_until_ready(observer, processes, progress, deadline)
     _refuse_twins(observer)
     while True:
-        _wait_until_ready(observer, processes, progress, tidying, deadline)
-        tidying.look(processes.pids().values())
+        _wait_until_ready(observer, processes, progress, deadline)
         accepted, answer = observer.call("start")
         if accepted:
             return
@@ -186,10 +185,8 @@ def _wait_until_ready(
     observer: Observer,
     processes: NodeProcesses,
     progress: Progress,
-    tidying: Tidying,
     deadline: float,
 ) -> None:
-    looked_at = 0.0
     while True:
         observer.spin(LOOK)
         detail = observer.values.get("detail", "waiting for supervisor")
@@ -206,18 +203,15 @@ def _wait_until_ready(
             raise InputError(f"the nodes must have {detail.removeprefix('waiting for ')}")
         if time.monotonic() > deadline:
             raise InputError(f"not ready after {READY_TIMEOUT:g} s: {detail}")
-        if time.monotonic() - looked_at > MEMORY_LOOK:
-            looked_at = time.monotonic()
-            tidying.look(processes.pids().values())
 
 
 @contextmanager
-def _working_folder(bag: Path) -> Iterator[Path]:
-    """Folder for parameters and logs while the test runs; kept in the bag's folder."""
+def working_folder(bag: Path | None = None) -> Iterator[Path]:
+    """Folder for parameters and logs while nodes run; kept in the folder of a bag."""
     folder = Path(tempfile.mkdtemp(prefix="seft-"))
     try:
         yield folder
     finally:
-        if bag.is_dir():
+        if bag is not None and bag.is_dir():
             shutil.copytree(folder, bag / "logs", dirs_exist_ok=True)
         shutil.rmtree(folder, ignore_errors=True)

@@ -1,7 +1,8 @@
 """Tidying up after a run, also after one that is killed: by a process of its own.
 
 It learns from a pipe which processes the run has, and that the run has ended from the pipe's end,
-however that came about.
+however that came about. Nodes end with the run that started them, but for one that a signal has
+stopped.
 """
 
 import contextlib
@@ -14,15 +15,13 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
-from seft_ros.running.shared_memory import SharedMemory
-
 PATIENCE = 10.0  # s for nodes that the run did not end
 LOOK = 0.05  # s
 _SEEN = b"seen\n"
 
 
 class Tidying:
-    """Ends what processes a run leaves, and removes what dead ones leave in /dev/shm."""
+    """Ends what processes a run leaves."""
 
     def __init__(self) -> None:
         self._process = subprocess.Popen(
@@ -32,12 +31,12 @@ class Tidying:
             start_new_session=True,  # Ctrl-C is none of its business
         )
 
-    def look(self, pids: Iterable[int]) -> None:
-        """Have it note what this process and others have now."""
+    def watch(self, pids: Iterable[int]) -> None:
+        """Tell it which processes the run has started."""
         pipe, answer = self._process.stdin, self._process.stdout
         assert pipe is not None and answer is not None
         with contextlib.suppress(BrokenPipeError):  # a test goes on without it
-            pipe.write((" ".join(map(str, (os.getpid(), *pids))) + "\n").encode())
+            pipe.write((" ".join(map(str, pids)) + "\n").encode())
             pipe.flush()
             answer.readline()
 
@@ -48,18 +47,13 @@ class Tidying:
 
 def main() -> int:
     """Serve one run: lines of process numbers, until its end."""
-    run = os.getppid()
-    memory = SharedMemory()
     started: dict[int, str] = {}  # a number may be given anew
     for line in sys.stdin.buffer:
         pids = [int(word) for word in line.split()]
-        memory.look(pids)
         started |= {pid: _start(pid) for pid in pids if pid not in started}
         sys.stdout.buffer.write(_SEEN)
         sys.stdout.buffer.flush()
-    started.pop(run, None)
     _end({pid: start for pid, start in started.items() if start})
-    memory.clean()
     return 0
 
 

@@ -1,0 +1,42 @@
+"""Settings of FastDDS, the middleware below our nodes; `network.xml` and `one_host.xml` hold them.
+
+- UDP alone, also on one host. Shared memory is no faster here (`bench/loop.py` measures both), but
+  all tests on a host, whatever their domain, share its ports, whose health FastDDS judges by a
+  second without life: while other tests start, end or are killed, or where the machine stands
+  still, a node that lives may lose its port, and is deaf from then on. What is killed would leave
+  files, too.
+- Readers acknowledge what they have at a heartbeat; the default of 3 s lets thousands of samples
+  pile up, and clearing them away stops a publisher for milliseconds.
+- While nacks of the last sample are suppressed, the next one does not wake the event thread.
+- What FastDDS has to say goes to stderr: stdout is for results.
+"""
+
+import os
+from pathlib import Path
+
+NETWORK = Path(__file__).with_name("network.xml")
+ONE_HOST = Path(__file__).with_name("one_host.xml")
+PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+
+
+def prepare_middleware() -> None:
+    """Have FastDDS read our settings, unless the environment names others, or static peers.
+
+    To be called before rclpy starts; processes that are started later inherit it.
+    """
+    named = os.environ.get(PROFILES)
+    if named not in (None, str(NETWORK), str(ONE_HOST)):
+        return
+    if os.environ.get(RANGE) == "LOCALHOST":
+        if not os.environ.get("ROS_STATIC_PEERS"):  # which only rmw's own settings heed
+            os.environ[PROFILES] = str(ONE_HOST)
+            os.environ[RANGE] = "SYSTEM_DEFAULT"  # at LOCALHOST rmw adds shared memory
+    elif named is None:
+        os.environ[PROFILES] = str(NETWORK)
+
+
+def prepare_on_this_host() -> None:
+    """Do so after keeping to this host, unless the environment says how far to reach."""
+    os.environ.setdefault(RANGE, "LOCALHOST")
+    prepare_middleware()

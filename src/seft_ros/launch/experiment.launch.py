@@ -1,0 +1,98 @@
+"""The nodes of a test, ready to be started.
+
+    ros2 launch seft_ros experiment.launch.py config:=config/demo.yaml pace:=lockstep
+    ros2 service call /start std_srvs/srv/Trigger
+
+All end when one does, and at Ctrl-C, which ends a running test at once; to bring it down softly
+call /stop first.
+"""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.substitutions import FindPackageShare
+from seft_msgs_py.experiment import Experiment
+from seft_ros.experiment.tables import TABLES
+from seft_ros.running.arrangement import Arrangement
+from seft_ros.running.processes import MODULES
+
+YES_OR_NO = ["true", "false"]
+ARGUMENTS = (
+    DeclareLaunchArgument(
+        "config",
+        default_value=PathJoinSubstitution([FindPackageShare("seft_ros"), "config", "demo.yaml"]),
+        description="parameter file of the experiment",
+    ),
+    DeclareLaunchArgument(
+        "record", default_value="true", choices=YES_OR_NO, description="record a bag"
+    ),
+    DeclareLaunchArgument(
+        "bag",
+        default_value="",
+        description="name of the bag; empty: the experiment's, or date and time of the start",
+    ),
+    DeclareLaunchArgument(
+        "pace",
+        default_value="",
+        choices=["", "realtime", "lockstep"],
+        description="pace of the simulated rig; empty: the experiment's",
+    ),
+    DeclareLaunchArgument(
+        "composed",
+        default_value="false",
+        choices=YES_OR_NO,
+        description="put the loop's nodes into one process",
+    ),
+    DeclareLaunchArgument(
+        "rig",
+        default_value="simulated",
+        choices=["simulated", "hardware"],
+        description="hardware: a laboratory's driver runs already, or is started beside this",
+    ),
+)
+
+
+def nodes(context):
+    """Read the experiment, as every node will, and start what it needs."""
+    said = {argument.name: LaunchConfiguration(argument.name) for argument in ARGUMENTS}
+    said = {name: value.perform(context) for name, value in said.items()}
+    overrides = []
+    if said["pace"]:
+        overrides.append(("rig", "pace", said["pace"]))
+    if said["bag"]:
+        overrides.append(("recorder", "name", said["bag"]))
+    peers = Experiment.load(TABLES, [said["config"]], overrides)["supervisor"]["peers"]
+    if said["record"] == "false" and "recorder" in peers:
+        peers = [node for node in peers if node != "recorder"]
+        overrides.append(("supervisor", "peers", peers))
+    wanted = [node for node in MODULES if node in (*peers, "supervisor")]
+    if said["rig"] == "hardware":
+        wanted.remove("rig")
+    groups = Arrangement(composed=said["composed"] == "true").groups(wanted)
+    return [_process(group, said["config"], overrides) for group in groups]
+
+
+def _process(group, config, overrides):
+    alone = len(group) == 1
+    own = [override for override in overrides if override[0] in group]
+    return Node(
+        package="seft_plant_sim" if group == ("rig",) else "seft_ros",
+        executable=group[0] if alone else "loop",
+        arguments=[] if alone else ["--nodes", *group],
+        parameters=[config],
+        ros_arguments=[word for override in own for word in ("-p", _written(*override))],
+        output="screen",
+        emulate_tty=True,
+        on_exit=Shutdown(reason=f"{', '.join(group)} has ended"),
+    )
+
+
+def _written(node, name, value):
+    text = f"[{', '.join(value)}]" if isinstance(value, list) else value
+    return f"{node}:{name}:={text}"
+
+
+def generate_launch_description():
+    """Describe arguments and nodes."""
+    return LaunchDescription([*ARGUMENTS, OpaqueFunction(function=nodes)])

@@ -1,0 +1,121 @@
+"""``seft conform``: whether a rig's driver keeps the contract of a test."""
+
+import sys
+from typing import Annotated
+
+import typer
+from seft_msgs_py.errors import InputError
+
+from seft_ros.commands.options import (
+    ConfigArgument,
+    JsonOption,
+    OverrideOption,
+    ParamsFileOption,
+    load_experiment,
+    print_json,
+    stderr_console,
+)
+
+COUNTED = ("passed", "failed", "not_run")
+
+
+def conform(
+    config: ConfigArgument,
+    param: OverrideOption = None,
+    params_file: ParamsFileOption = None,
+    start_rig: Annotated[
+        bool,
+        typer.Option(
+            "--start-rig", help="Start the simulated rig of CONFIG; else a rig runs already."
+        ),
+    ] = False,
+    amplitude: Annotated[
+        float | None,
+        typer.Option(
+            "--amplitude",
+            metavar="V",
+            help="Largest valve command; default 0.2 V (50 N for an idealised actuator).",
+        ),
+    ] = None,
+    travel: Annotated[
+        float,
+        typer.Option(
+            "--travel", metavar="M", help="Displacement from rest at which it is stopped, m."
+        ),
+    ] = 0.005,
+    force: Annotated[
+        float,
+        typer.Option("--force", metavar="N", help="Change of force at which it is stopped, N."),
+    ] = 2000.0,
+    yes: Annotated[
+        bool,
+        typer.Option("--yes", help="Move the rig without asking: nobody is within its reach."),
+    ] = False,
+    json: JsonOption = False,
+) -> int:
+    """See whether a rig's driver keeps its contract (docs/hardware.md) before a test relies on it.
+
+    Plays supervisor and force controller for a node rig that runs already, such as a lab's own
+    driver: looks at what it says and sends; moves it by a few tenths of a millimetre to see that
+    units, signs and stamps fit one another; then sends what must be refused, and falls silent, to
+    see that it trips, rests and stays at rest. Each check has one line: passed or failed, the
+    measured number, how to mend it. What fails early ends the test before the rig moves further.
+
+    CONFIG has rate, axes, limits, and the specimen's mass, damping and stiffness
+    (reference_force: model.*); the rig's own parameters are taken from its description.
+
+    Exit status 0: it conforms; 1: it does not.
+
+    Examples:
+
+        seft conform config/jhu.yaml --start-rig
+
+        seft conform config/laboratory.yaml --amplitude 0.1
+
+        seft conform config/laboratory.yaml --yes --json
+    """
+    from seft_ros.conformance.finding import Finding
+    from seft_ros.conformance.stage import conform as look_at
+    from seft_ros.conformance.table import finding_line, verdict
+
+    experiment = load_experiment(config, param, params_file, None if start_rig else ["rig"])
+    sizes = (("--amplitude", amplitude), ("--travel", travel), ("--force", force))
+    for name, value in sizes:
+        if value is not None and not 0 < value < float("inf"):
+            raise InputError(f"{name} is {value:g}, but must be positive")
+    if not (start_rig or yes):
+        _ask(amplitude, travel)
+    if start_rig:
+        experiment["rig"]["pace"] = "realtime"
+    console = stderr_console()
+
+    def tell(finding: Finding) -> None:
+        if not json:
+            console.print(finding_line(finding), soft_wrap=True, highlight=False)
+
+    findings = look_at(
+        experiment, tell, start_rig=start_rig, amplitude=amplitude, travel=travel, force=force
+    )
+    result = verdict(findings)
+    if json:
+        print_json({"config": str(config), **result})
+    else:
+        words = "conforms" if result["conforms"] else "does not conform"
+        counts = (f"{result[word]} {word.replace('_', ' ')}" for word in COUNTED)
+        print(f"the rig {words}: {', '.join(counts)}")
+    return 0 if result["conforms"] else 1
+
+
+def _ask(amplitude: float | None, travel: float) -> None:
+    """Have a person say that the rig may move.
+
+    Raises
+    ------
+    InputError
+        If nobody can be asked, or the answer is no.
+    """
+    told = f"{amplitude or 0.2:g} V, stopped at {1e3 * travel:g} mm"
+    if not sys.stdin.isatty():
+        raise InputError(f"the rig will be moved ({told}): say --yes when nobody is in its reach")
+    if not typer.confirm(f"The rig will be moved ({told}). Is nobody within its reach?", err=True):
+        raise InputError("nothing was moved")

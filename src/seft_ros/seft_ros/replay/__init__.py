@@ -1,0 +1,1 @@
+"""Feeding a recorded test to one node, and holding its answers against the recorded ones."""

@@ -1,0 +1,283 @@
+"""What the checks of a rig's driver see in samples."""
+
+import numpy as np
+import pytest
+from seft_msgs_py.errors import WireError
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.messages import Status
+from seft_msgs_py.topics import RIG_STATE, VALVE_COMMAND
+from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_plant_sim.command import Command
+from seft_plant_sim.rig import Rig
+from seft_ros.conformance import message_checks, motion_checks, obedience_checks, timing_checks
+from seft_ros.conformance.bad_commands import KINDS, BadCommands
+from seft_ros.conformance.drive import Drive
+from seft_ros.conformance.facts import Facts
+from seft_ros.conformance.finding import found, not_run
+from seft_ros.conformance.guard import Guard
+from seft_ros.conformance.table import finding_line, verdict
+from seft_ros.conformance.trial import Samples, Trial
+from seft_ros.experiment.tables import TABLES
+
+RATE = 500.0
+DT = 1 / RATE
+G = 9.80665
+OVERRIDES = [
+    ("/**", "rate", RATE),
+    ("reference_force", "model.mass", 52.7),
+    ("reference_force", "model.damping", 800.3),
+    ("reference_force", "model.stiffness", 2.11e5),
+    ("force_controller", "numerator", [37.0]),
+    ("force_controller", "denominator", [1.0, 17.14, 4002.0]),
+    ("rig", "specimen.mass", 52.7),
+    ("rig", "specimen.damping", 800.3),
+    ("rig", "specimen.stiffness", 2.11e5),
+    ("rig", "actuator.kind", "servo_hydraulic_linear"),
+    ("rig", "sensors.position_noise", 5e-6),
+    ("rig", "sensors.velocity_noise", 1e-3),
+    ("rig", "sensors.acceleration_noise", 0.05),
+    ("rig", "sensors.force_noise", 3.0),
+]
+
+
+@pytest.fixture(scope="module")
+def experiment():
+    return Experiment.load(TABLES, [], OVERRIDES)
+
+
+@pytest.fixture(scope="module")
+def facts(experiment):
+    return Facts.of(experiment)
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return Drive(DT, 0.2)
+
+
+def moved(experiment, drive, later=0):
+    """Samples of the rig under the drive; commands are applied so many steps late."""
+    rig = Rig.from_parameters(experiment["rig"], experiment.axes, experiment.timebase)
+    commands = np.concatenate([np.zeros(later), drive.commands()])
+    states = [rig.reset()]
+    states += [rig.step(np.array([value])).copy() for value in commands[: drive.steps - 1]]
+    steps = np.arange(drive.steps)
+    return Samples(steps, np.array(states), steps * DT)
+
+
+@pytest.fixture(scope="module")
+def samples(experiment, drive):
+    return moved(experiment, drive)
+
+
+def scaled(samples, row, factor):
+    values = samples.values.copy()
+    values[:, row] *= factor
+    return Samples(samples.steps, values, samples.times)
+
+
+def units_of(samples, drive, facts):
+    return {finding.check: finding for finding in motion_checks.check_units(samples, drive, facts)}
+
+
+def test_channels_that_fit_one_another_pass(samples, drive, facts):
+    findings = units_of(samples, drive, facts)
+    assert {finding.verdict for finding in findings.values()} == {"passed"}
+    assert findings["velocity of displacement"].measured["ratio"] == pytest.approx(1, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("row", "factor", "check", "culprit", "why"),
+    [
+        (0, 1e3, "velocity of displacement", "displacement", "a thousandth of SI's (mm"),
+        (0, 1 / 0.0254, "velocity of displacement", "displacement", "inches"),
+        (0, -1.0, "velocity of displacement", "displacement", "the sign is reversed"),
+        (1, 1e3, "velocity of displacement", "velocity", "a thousandth of SI's"),
+        (1, -1.0, "acceleration of velocity", "velocity", "the sign is reversed"),
+        (2, 1 / G, "acceleration of velocity", "acceleration", "the unit is g, not m/s^2"),
+        (2, -1 / G, "acceleration of velocity", "acceleration", "and the sign is reversed"),
+        (2, -1.0, "acceleration of velocity", "acceleration", "the sign is reversed"),
+        (3, 1e-3, "force of specimen", "", "kN"),
+        (3, -1.0, "force of specimen", "", "the sign is reversed"),
+        (3, 1.5, "force of specimen", "", "times too large"),
+    ],
+)
+def test_a_wrong_unit_or_sign_is_found_and_named(
+    samples, drive, facts, row, factor, check, culprit, why
+):
+    finding = units_of(scaled(samples, row, factor), drive, facts)[check]
+    assert finding.verdict == "failed"
+    assert finding.mend.startswith(culprit)
+    assert why in finding.mend
+
+
+def test_a_channel_of_another_time_is_no_derivative(samples, drive, facts):
+    values = samples.values.copy()
+    values[:, 2] = np.roll(values[:, 2], 10, axis=0)
+    late = Samples(samples.steps, values, samples.times)
+    finding = units_of(late, drive, facts)["acceleration of velocity"]
+    assert (finding.verdict, "not of one time" in finding.mend) == ("failed", True)
+
+
+def test_without_a_specimen_that_is_known_the_force_is_not_judged(samples, drive, facts):
+    unknown = Facts(facts.experiment, facts.limits, None, {})
+    assert units_of(samples, drive, unknown)["force of specimen"].verdict == "not run"
+
+
+def test_a_valve_that_is_reversed_is_found(samples, drive):
+    assert motion_checks.check_moves(samples, drive).verdict == "passed"
+    reversed_valve = Samples(samples.steps, -samples.values, samples.times)
+    finding = motion_checks.check_moves(reversed_valve, drive)
+    assert (finding.verdict, "reverse the valve's sign" in finding.mend) == ("failed", True)
+
+
+def test_a_rig_without_pressure_does_not_move(samples, drive, experiment):
+    still = moved(experiment, Drive(DT, 1e-9))
+    finding = motion_checks.check_moves(still, drive)
+    assert (finding.verdict, "is the pressure on?" in finding.mend) == ("failed", True)
+
+
+@pytest.mark.parametrize(("later", "expected"), [(0, "passed"), (6, "failed")])
+def test_commands_that_are_applied_late_are_found(experiment, drive, facts, later, expected):
+    finding = motion_checks.check_answer_delay(moved(experiment, drive, later), drive, facts)
+    assert finding.verdict == expected
+
+
+def test_a_rig_that_drifts_is_not_at_rest(samples, drive):
+    assert motion_checks.check_rest(samples, drive).verdict == "passed"
+    values = samples.values.copy()
+    values[:, 0] += 1e-3 * samples.times[:, np.newaxis]
+    drifting = Samples(samples.steps, values, samples.times)
+    assert motion_checks.check_rest(drifting, drive).verdict == "failed"
+
+
+def at(times):
+    return Samples(np.arange(len(times)), np.zeros((len(times), 4, 1)), np.asarray(times))
+
+
+def timing(times, stalls=()):
+    found = timing_checks.check_timing(at(times), DT, stalls)
+    return {finding.check: finding.verdict for finding in found}
+
+
+def test_lateness_and_period_are_judged_by_half_a_period_and_a_hundredth():
+    due = np.arange(1000) * DT
+    jitter = np.random.default_rng(1).uniform(0, 0.2 * DT, 1000)
+    assert timing(due + jitter) == {"period": "passed", "late states": "passed"}
+    late = due + 0.8 * DT * (np.arange(1000) % 5 == 0)
+    assert timing(late)["late states"] == "failed"
+    rare = due + 0.8 * DT * (np.arange(1000) % 50 == 7)
+    assert timing(rare)["late states"] == "failed"
+    assert timing(1.05 * due)["period"] == "failed"
+
+
+def test_what_this_host_was_late_with_is_not_the_rigs():
+    times = np.arange(1000) * DT
+    times[400:440] = times[440]
+    assert timing(times)["late states"] == "failed"
+    assert timing(times, [(0.8, 0.885)])["late states"] == "passed"
+    everywhere = [(0.1 * k, 0.1 * k + 0.05) for k in range(20)]
+    assert timing(times, everywhere)["late states"] == "passed"
+    late = times + 0.8 * DT * (np.arange(1000) % 5 == 0)
+    assert timing(late, everywhere)["late states"] == "failed"
+
+
+def states(experiment, count=20, offset_ns=0):
+    codec = TrajectoryCodec(RIG_STATE, experiment.axes, experiment.timebase)
+    raws = [codec.encode(step, np.full((4, 1), 0.5)) for step in range(count)]
+    if offset_ns:
+        raws = [
+            raw[:8]
+            + (int.from_bytes(raw[8:12], "little") + offset_ns).to_bytes(4, "little")
+            + raw[12:]
+            for raw in raws
+        ]
+    return Trial(states=[(0.01 * k, raw) for k, raw in enumerate(raws)])
+
+
+def test_stamps_are_whole_periods_from_zero(experiment):
+    period_ns = experiment.timebase.period_ns
+    assert message_checks.check_stamps(states(experiment), period_ns).verdict == "passed"
+    off = message_checks.check_stamps(states(experiment, offset_ns=1000), period_ns)
+    assert (off.verdict, off.measured["off_ns"]) == ("failed", 1000.0)
+    trial = states(experiment)
+    del trial.states[7]
+    gap = message_checks.check_stamps(trial, period_ns)
+    assert "message 7 is stamped" in gap.told
+
+
+def test_axes_and_values_are_looked_at(experiment):
+    good = states(experiment)
+    assert message_checks.check_form(good, experiment.axes).verdict == "passed"
+    other = message_checks.check_form(good, ("north",))
+    assert "axes are ['x'], not ['north']" in other.told
+    (_, raw) = good.states[3]
+    good.states[3] = (0.03, raw.replace(np.float64(0.5).tobytes(), np.float64("nan").tobytes()))
+    assert "message 3: positions are [nan]" in message_checks.check_form(good, ("x",)).told
+
+
+def test_a_description_of_another_rate_or_pace_is_refused(experiment):
+    told = {"rate": RATE, "axes": ["x"]}
+    check = message_checks.check_description
+    assert check({"parameters": told}, experiment).verdict == "passed"
+    assert check(None, experiment).verdict == "failed"
+    assert "rate is 100" in check({"parameters": told | {"rate": 100.0}}, experiment).told
+    assert "lockstep" in check({"parameters": told | {"pace": "lockstep"}}, experiment).told
+
+
+def test_every_bad_command_is_refused_by_the_simulated_rig(experiment):
+    bad = BadCommands(VALVE_COMMAND, experiment.axes, experiment.timebase, 0.2)
+    command = Command(TrajectoryCodec(VALVE_COMMAND, experiment.axes, experiment.timebase), 10.0)
+    refused = dict.fromkeys(KINDS, 0)
+    for step in range(bad.steps):
+        command.current = step
+        kind = next((k for n, k in enumerate(KINDS) if step in range(bad.steps)[bad.block(n)]), "")
+        for raw in bad.answers(step):
+            try:
+                command.take(raw)
+            except WireError:
+                refused[kind] += 1
+        assert command.value[0] == 0.0
+    assert all(count >= 10 for count in refused.values()), refused
+
+
+def status(phase, **values):
+    return Status("rig", 0, phase, values={"phase": phase, **values})
+
+
+@pytest.mark.parametrize(
+    ("at", "phase", "expected"),
+    [(1.03, "tripped", "passed"), (1.9, "tripped", "failed"), (1.03, "running", "failed")],
+)
+def test_a_trip_is_in_time_or_not(at, phase, expected):
+    trial = Trial(marks={"silent": 1.0}, statuses=[(at, status(phase, reason="no command"))])
+    finding = obedience_checks.check_watchdog(trial, 0.02, "valve_command", "silent")
+    assert finding.verdict == expected
+
+
+def test_the_guard_believes_two_sensors_or_a_limit(facts):
+    guard = Guard(facts, travel=2e-3, force=500.0)
+    rest, moving = np.zeros((4, 1)), np.zeros((4, 1))
+
+    def look(displacement, force):
+        guard.reset()
+        for _ in range(25):
+            assert guard.fault(rest) == ""
+        moving[0], moving[3] = displacement, force
+        return guard.fault(moving)
+
+    assert look(0.001, 100.0) == ""
+    assert look(0.01, 100.0) == ""  # one sensor alone, within the limits
+    assert "moved 0.01 m" in look(0.01, 800.0)
+    assert "beyond the limit of 0.076 m" in look(0.2, 0.0)
+    assert "beyond the limit" in look(np.nan, 0.0)
+
+
+def test_a_rig_conforms_where_nothing_failed():
+    good, bad = found("a", True, "fine", "do this"), found("b", False, "bad", "do this", x_s=1.0)
+    assert verdict([good, not_run("c", "why")])["conforms"] is True
+    result = verdict([good, bad])
+    assert (result["conforms"], result["passed"], result["failed"]) == (False, 1, 1)
+    assert "-> do this" in finding_line(bad).plain
+    assert "->" not in finding_line(good).plain
+    assert verdict([])["conforms"] is False

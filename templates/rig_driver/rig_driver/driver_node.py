@@ -1,0 +1,245 @@
+"""Node ``rig``: a laboratory's rig behind the topics of a test.
+
+It samples at absolute deadlines as long as it lives, and publishes rig/state while the
+supervisor says so. docs/hardware.md of seft has the contract; `seft conform` checks it.
+"""
+
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from seft_msgs_py.arrays import per_axis
+from seft_msgs_py.awake_clock import AwakeClock
+from seft_msgs_py.errors import WireError
+from seft_msgs_py.messages import ERROR, OK, Status, decode_status, encode_clock
+from seft_msgs_py.node_main import NodeKind, run_node
+from seft_msgs_py.node_shell import NodeShell
+from seft_msgs_py.outcome import FINISHED, LISTED_STEPS, STOPPED, TRIPPED, Trip, rig_status
+from seft_msgs_py.parameters import group
+from seft_msgs_py.topics import CLOCK_TOPIC, EXPERIMENT_STATE, RIG_STATE, VALVE_COMMAND
+from seft_msgs_py.trajectory import Floats, TrajectoryCodec
+from seft_plant_sim.command import Command
+from seft_plant_sim.limits import Limits
+
+from rig_driver.calibration import Calibration
+from rig_driver.hardware import Hardware
+from rig_driver.parameters import TABLE
+from rig_driver.rest import Rest
+from rig_driver.stand_in import StandIn
+
+MOVING = ("running", "ramping_down")  # states of a test in which the rig obeys
+CLOCK_PERIOD = 0.1  # s between two messages of /clock
+
+
+class DriverNode:
+    """Moves samples and commands between a `Hardware` and the topics of a test.
+
+    Parameters
+    ----------
+    shell : NodeShell
+        Node and parameters.
+    hardware : Hardware
+        The rig.
+    """
+
+    def __init__(self, shell: NodeShell, hardware: Hardware) -> None:
+        experiment = shell.experiment
+        self._shell, self._hardware = shell, hardware
+        self._section, self._timebase = experiment["rig"], experiment.timebase
+        axes, section = experiment.axes, self._section
+        self._calibration = Calibration.from_parameters(group(section, "calibration"), axes)
+        self._limits = Limits(group(section, "limits"), axes, self._timebase.dt)
+        self._rest = Rest(section["safe.rest_velocity"], self._timebase.dt)
+        self._states = TrajectoryCodec(RIG_STATE, axes, self._timebase)
+        commands = TrajectoryCodec(VALVE_COMMAND, axes, self._timebase)
+        self._command = Command(commands, section["limits.command"])
+        self._publish_state = shell.publisher(RIG_STATE)
+        self._publish_clock = shell.publisher(CLOCK_TOPIC)
+        shell.subscribe(VALVE_COMMAND, lambda raw, _: self._command.take(raw), reliable=False)
+        shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
+        self._awake = AwakeClock()
+        self._heard_at = self._awake.time()
+        self._told = ""  # state of the test, as the supervisor says
+        self._armed = False  # it was ready, and no trip has been since
+        self._steps = 0  # of a test that is to begin; 0: none is
+        self._phase = "idle"
+        self._overruns = 0
+        self._status = Status("rig", OK, "idle", values={"phase": "idle"})
+        self._resting: bool | None = None  # None: nobody looks
+
+    def run(self) -> None:
+        """Sample until told to stop."""
+        self._hardware.to_safe_position()
+        self._shell.report(self._status)
+        period = self._timebase.dt
+        deadline = time.monotonic() + period
+        try:
+            while not self._shell.stopping:
+                while (left := deadline - time.monotonic()) > 0:
+                    self._shell.spin_once(left)
+                late = int((time.monotonic() - deadline) / period)
+                if late:  # held up for more than a period: go on from here, without hurry
+                    self._overruns += self._phase == "running"
+                deadline += (1 + late) * period
+                self._tick()
+            if self._phase == "running":
+                self._end("the rig node was told to end")
+        finally:
+            self._hardware.to_safe_position()
+            self._hardware.close()
+
+    def look(self) -> None:
+        """Nothing here falls due while another node of the process spins."""
+
+    def _tick(self) -> None:
+        """Take one sample, and do with it what the phase asks for."""
+        if self._phase == "running" and self._goes_on():
+            self._hardware.write_command(self._command.value)
+        sample = self._calibration.to_si(self._hardware.read_sample())
+        if self._phase == "running":
+            self._publish(self._step + 1, sample)
+        elif self._steps and self._told in MOVING:
+            self._begin(sample)
+        else:
+            self._follow_to_rest(sample)
+
+    def _begin(self, sample: Floats) -> None:
+        self._total, self._steps = self._steps, 0
+        self._phase, self._step, self._overruns = "running", -1, 0
+        self._missed: list[int] = []
+        self._missed_count = 0
+        self._resting = None
+        self._command.reset()
+        self._limits.reset()
+        self._started = time.monotonic()
+        self._clock_at = -CLOCK_PERIOD
+        self._step = 0
+        self._tell("running")
+        if conflict := self._shell.several_senders():
+            self._step = 0
+            self._end(conflict)
+            return
+        self._publish(0, sample)
+
+    def _publish(self, step: int, sample: Floats) -> None:
+        self._step = self._command.current = step
+        violation = self._limits.violation(sample)
+        try:
+            self._publish_state(self._states.encode(step, sample))
+        except WireError as error:
+            violation = violation or str(error)
+        now = time.monotonic()
+        if now - self._clock_at >= CLOCK_PERIOD:
+            self._clock_at = now
+            self._publish_clock(encode_clock(self._timebase.stamp_ns(step)))
+        if violation:
+            self._end(violation)
+
+    def _goes_on(self) -> bool:
+        """Look at the end of a period whether the test goes on; if not, it has been ended."""
+        step, section = self._step, self._section
+        patience = section["watchdog.supervisor_timeout"]
+        if self._told not in MOVING:
+            self._end(STOPPED)
+        elif self._awake.time() - self._heard_at > patience:
+            self._end(f"node supervisor has been silent for {patience:g} s")
+        elif step + 1 == self._total:
+            self._end(None)
+        elif self._command.step < step:
+            self._missed_count += 1
+            if len(self._missed) < LISTED_STEPS:
+                self._missed.append(step)
+            self._look_after_commands(step)
+        return self._phase == "running"
+
+    def _look_after_commands(self, step: int) -> None:
+        timeout = self._section["watchdog.command_timeout"]
+        if (step - self._command.step) * self._timebase.dt > timeout:
+            last = self._command.step
+            self._end(f"no new valve_command for {timeout:g} s (the last is of step {last})")
+
+    def _end(self, reason: str | None) -> None:
+        """End a test: the rig comes to rest whatever the reason; None if all steps are done."""
+        self._hardware.to_safe_position()
+        self._phase = FINISHED if reason is None else TRIPPED
+        self._armed = False
+        self._rest.begin()
+        self._resting = False
+        step = max(self._step, 0)
+        trip = Trip(reason, step, self._timebase.stamp_ns(step) / 1e9) if reason else None
+        self._tell(self._phase, trip)
+
+    def _follow_to_rest(self, sample: Floats) -> None:
+        if self._resting is not False:
+            return
+        values = {}
+        if self._rest.is_reached(sample):
+            self._resting = True
+            values["stop time (s)"] = f"{self._rest.time:.4g}"
+            values["stop peak force (N)"] = f"{self._rest.peak_force:.1f}"
+        elif self._rest.time > self._section["safe.settle_time"]:
+            self._resting = None
+            text = f"{self._status.message}; not at rest after {self._rest.time:.3g} s"
+            self._status = replace(self._status, level=ERROR, message=text)
+        else:
+            return
+        self._status = replace(self._status, values={**self._status.values, **values})
+        self._shell.report(self._status)
+
+    def _tell(self, phase: str, trip: Trip | None = None) -> None:
+        wall = time.monotonic() - self._started
+        count, missed = self._missed_count, self._missed
+        self._status = rig_status(
+            phase, self._step + 1, count, missed, wall, trip, overruns=self._overruns
+        )
+        self._shell.report(self._status)
+
+    def _on_experiment_state(self, raw: bytes, _: int) -> None:
+        """Follow the supervisor; a test that was not ready before does not move this rig."""
+        status = decode_status(raw)
+        self._heard_at = self._awake.time()
+        if status.message == self._told:
+            return  # a sign of life
+        self._told = status.message
+        if status.message == "idle" and self._phase != "running":
+            self._phase, self._resting = "idle", None  # how the last test ended has been told
+            self._status = Status("rig", OK, "idle", values={"phase": "idle"})
+            self._shell.report(self._status)
+        if status.message == "ready" and self._phase == "idle":
+            self._armed = True
+        elif status.message == "running":
+            steps = status.values.get("steps", "")
+            if not (self._armed and steps.isdecimal() and int(steps)):
+                raise WireError("a test that this rig was not ready for, or without its steps")
+            self._armed = False
+            self._steps = int(steps)
+
+
+def serve(make: Callable[[NodeShell], Hardware]) -> int:
+    """Run the driver of some hardware; return the exit status."""
+
+    def build(shell: NodeShell) -> DriverNode:
+        node = DriverNode(shell, make(shell))
+        shell.start({"drive": VALVE_COMMAND.name})
+        return node
+
+    return run_node(NodeKind(TABLE, [TABLE], build))
+
+
+def stand_in(shell: NodeShell) -> StandIn:
+    """Make the stand-in; put your own hardware here."""
+    experiment = shell.experiment
+    safe = experiment["rig"]["safe.valve_command"]
+    at = per_axis(safe, experiment.axes, "rig: safe.valve_command")
+    return StandIn(experiment.timebase.rate, experiment.axes, np.asarray(at))
+
+
+def main() -> int:
+    """Entry point of ``ros2 run rig_driver rig``."""
+    return serve(stand_in)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,128 @@
+"""Drivers of a rig with one fault each: the template's, deliberately broken.
+
+python -m bad_drivers FAULT --ros-args --params-file FILE
+"""
+
+import sys
+import time
+
+from rig_driver.driver_node import DriverNode, stand_in
+from rig_driver.parameters import TABLE
+from seft_msgs_py.node_main import NodeKind, run_node
+from seft_msgs_py.node_shell import NodeShell
+from seft_msgs_py.topics import RIG_STATE
+from seft_msgs_py.trajectory import TrajectoryCodec
+
+
+class WrongUnit(DriverNode):
+    """Sends one of the four quantities in a unit of its own."""
+
+    row, factor = 0, 1.0
+
+    def __init__(self, shell, hardware):
+        super().__init__(shell, hardware)
+        self._states = self
+        self._right = TrajectoryCodec(RIG_STATE, shell.experiment.axes, self._timebase)
+
+    def encode(self, step, sample):
+        sample = sample.copy()
+        sample[self.row] *= self.factor
+        return self._right.encode(step, sample)
+
+
+class DisplacementInMm(WrongUnit):
+    factor = 1e3
+
+
+class ForceInKn(WrongUnit):
+    row, factor = 3, 1e-3
+
+
+class NoSafePosition:
+    """Hardware whose valve stays where it is when the test is over."""
+
+    def __init__(self, hardware):
+        self._hardware = hardware
+
+    def to_safe_position(self):
+        """Nothing."""
+
+    def __getattr__(self, name):
+        return getattr(self._hardware, name)
+
+
+class WrongStamp(DriverNode):
+    """Stamps by a clock that it reads, a microsecond after the sample."""
+
+    def __init__(self, shell, hardware):
+        super().__init__(shell, hardware)
+        publish = self._publish_state
+
+        def late_stamp(raw):
+            nanoseconds = int.from_bytes(raw[8:12], "little") + 1000
+            publish(raw[:8] + nanoseconds.to_bytes(4, "little") + raw[12:])
+
+        self._publish_state = late_stamp
+
+
+class LateState(DriverNode):
+    """Every fifth state comes most of a period late: something else is done first."""
+
+    def _publish(self, step, sample):
+        if step % 5 == 4:
+            time.sleep(0.9 * self._timebase.dt)
+        super()._publish(step, sample)
+
+
+class NoWatchdog(DriverNode):
+    """A command that does not come is held for ever."""
+
+    def _look_after_commands(self, step):
+        """Nothing."""
+
+
+class Careless(DriverNode):
+    """Applies whatever number comes last, of whatever step; a trip is over with the next ready."""
+
+    def __init__(self, shell, hardware):
+        super().__init__(shell, hardware)
+        command = self._command
+
+        def take(raw):
+            _, values = command.codec.decode(raw)
+            command.step, command._points = command.current, values[:, 0]
+
+        command.take = take
+
+    def _on_experiment_state(self, raw, at):
+        if self._phase != "running":
+            self._phase = "idle"
+        super()._on_experiment_state(raw, at)
+
+
+NODES = {
+    "displacement_in_mm": DisplacementInMm,
+    "force_in_kn": ForceInKn,
+    "wrong_stamp": WrongStamp,
+    "late_state": LateState,
+    "no_watchdog": NoWatchdog,
+    "careless": Careless,
+}
+
+
+def main() -> int:
+    fault = sys.argv.pop(1)
+
+    def build(shell: NodeShell) -> DriverNode:
+        hardware = stand_in(shell)
+        if fault == "no_safe_position":
+            hardware = NoSafePosition(hardware)
+        node = NODES.get(fault, DriverNode)(shell, hardware)
+        shell.start({"drive": "valve_command"})
+        return node
+
+    return run_node(NodeKind(TABLE, [TABLE], build))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

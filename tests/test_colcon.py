@@ -1,0 +1,112 @@
+"""An installation by colcon: what `ros2 run PKG EXE` would find starts, and works together."""
+
+import os
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from graph_tools import PATIENCE, ROOT, wait_for
+from seft_msgs_py.topics import NODES
+from seft_ros.recording.bag_reader import read_bag
+
+SHORT = ("ground_motion:synthetic.duration:=3.0", "rig:pace:=lockstep", "recorder:name:=bag")
+OURS = ("seft_msgs_py", "seft_plant_sim", "seft_ros")
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory):
+    """A workspace of its own, built."""
+    folder = tmp_path_factory.mktemp("workspace")
+    unwanted = shutil.ignore_patterns("__pycache__", "build", "*.egg-info")
+    shutil.copytree(ROOT / "src", folder / "src", ignore=unwanted)
+    shutil.copytree(ROOT / "config", folder / "config")
+    shutil.copy(ROOT / "colcon.meta", folder)
+    colcon = Path(sys.executable).with_name("colcon")
+    built = subprocess.run(
+        [colcon, "build"],
+        cwd=folder,
+        env=os.environ | {"AMENT_PREFIX_PATH": sys.prefix},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+    )
+    assert built.returncode == 0, built.stdout + built.stderr
+    assert all(f"Finished <<< {package}" in built.stdout for package in OURS)
+    return folder
+
+
+@pytest.fixture
+def run(workspace, tmp_path, domain):
+    """Start an executable in the sourced workspace; what still runs at the end is killed."""
+    started = []
+
+    def launch(executable: Path, *words) -> subprocess.Popen:
+        setup = workspace / "install" / "setup.sh"
+        command = (
+            f". {shlex.quote(str(setup))} && exec {shlex.join(map(str, (executable, *words)))}"
+        )
+        process = subprocess.Popen(
+            ["sh", "-c", command],
+            cwd=tmp_path,
+            env=os.environ | {"AMENT_PREFIX_PATH": sys.prefix, "PYTHONPATH": ""},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        started.append(process)
+        return process
+
+    yield launch
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def executables(workspace: Path) -> dict[str, Path]:
+    """Find what is in lib/PKG of each package, where `ros2 run` looks for it."""
+    return {
+        file.name: file
+        for package in OURS
+        for file in (workspace / "install" / package / "lib" / package).glob("*")
+    }
+
+
+def test_installed_nodes_run_a_test(workspace, run, observer, tmp_path):
+    found = executables(workspace)
+    assert sorted(found) == sorted([*NODES, "loop", "seft"])
+    share = workspace / "install" / "seft_ros" / "share" / "seft_ros"
+    assert (share / "launch" / "experiment.launch.py").is_file()
+    ros = ["--ros-args", "--params-file", share / "config" / "jhu.yaml"]
+    ros += [word for override in SHORT for word in ("-p", override)]
+    nodes = [run(found[node], *ros) for node in NODES if node not in ("rig", "force_controller")]
+    nodes.append(run(found["loop"], "--nodes", "rig", "force_controller", *ros))
+    wait_for(lambda: (observer.spin(0.05), observer.state == "ready")[1], "ready")
+    assert observer.call("start")[0]
+    wait_for(lambda: (observer.spin(0.05), observer.recorder_phase == "saved")[1], "saved")
+    for node in nodes:
+        node.send_signal(signal.SIGINT)
+    for node in nodes:
+        out, errors = node.communicate(timeout=PATIENCE)
+        assert (node.returncode, out, errors) == (0, "", "")
+    assert read_bag(tmp_path / "bags" / "bag").complete
+
+
+@pytest.mark.parametrize("name", ["rig", "force_controller", "seft"])
+def test_installed_executables_that_the_loop_stands_in_for_start(workspace, run, observer, name):
+    path = executables(workspace)[name]
+    if name == "seft":
+        out, errors = run(path, "simulate", "--help").communicate(timeout=PATIENCE)
+        assert "--out" in out
+        assert errors == ""
+        return
+    share = workspace / "install" / "seft_ros" / "share" / "seft_ros"
+    process = run(path, "--ros-args", "--params-file", share / "config" / "jhu.yaml")
+    wait_for(lambda: (observer.spin(0.05), observer.present() == [name])[1], "the node")
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=PATIENCE)
+    assert (process.returncode, errors) == (0, "")

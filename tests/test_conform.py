@@ -1,0 +1,85 @@
+"""A good driver of a rig passes the conformance test, and each bad one fails what it is bad at."""
+
+import json
+import os
+
+import pytest
+from graph_tools import JHU, ROOT, wait_for
+from seft_msgs_py.claim import is_claimed
+
+TEMPLATE = ROOT / "templates" / "rig_driver"
+PATIENT = (
+    *("-p", "rate:=250.0"),
+    *("-p", "supervisor:watchdog.command_timeout:=1.0"),
+)
+"""What a machine that does much else holds, as a rule."""
+LONE = ("-p", "rig:watchdog.supervisor_timeout:=2.0")
+
+
+@pytest.fixture
+def start_driver(start, domain, tmp_path):
+    """Start a driver of the template's, good or bad, and wait until it is there."""
+    text = (TEMPLATE / "config" / "rig.yaml").read_text().replace("500.0  ", "250.0  ", 1)
+    config = tmp_path / "rig.yaml"
+    text = text.replace("command_timeout: 0.02", "command_timeout: 1.0")
+    config.write_text(text.replace("supervisor_timeout: 1.0", "supervisor_timeout: 2.0"))
+
+    def launch(*words):
+        paths = (ROOT / "tests", TEMPLATE, os.environ.get("PYTHONPATH", ""))
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, paths))}
+        process = start(*words, "--ros-args", "--params-file", config, env=environment)
+        wait_for(lambda: process.poll() is not None or is_claimed(domain, "/rig"), "the driver")
+        assert process.poll() is None, process.communicate()
+        return process
+
+    return launch
+
+
+def failed(result):
+    return {check["check"] for check in result["checks"] if check["verdict"] == "failed"}
+
+
+def told(result):
+    return [f"{c['verdict']}  {c['check']}: {c['told']}" for c in result["checks"]]
+
+
+def test_the_simulated_rig_conforms(seft):
+    done = seft("conform", JHU, "--start-rig", *PATIENT, *LONE, "--json")
+    result = json.loads(done.stdout)
+    assert (done.returncode, failed(result)) == (0, set()), told(result)
+    assert result["conforms"] is True
+    assert result["not_run"] == 0
+
+
+def test_the_template_conforms(seft, start_driver):
+    start_driver("rig_driver.driver_node")
+    done = seft("conform", JHU, *PATIENT, "--yes", "--json")
+    result = json.loads(done.stdout)
+    assert (done.returncode, failed(result)) == (0, set()), told(result)
+    assert result["not_run"] == 0
+
+
+@pytest.mark.parametrize(
+    ("fault", "checks"),
+    [
+        ("displacement_in_mm", {"velocity of displacement"}),
+        ("force_in_kn", {"force of specimen"}),
+        ("wrong_stamp", {"stamps"}),
+        ("late_state", {"late states"}),
+        ("no_watchdog", {"watchdog: valve_command silent"}),
+        ("no_safe_position", {"safe position"}),
+        ("careless", {"command stale", "command of the future", "trip is latched"}),
+    ],
+)
+def test_a_bad_driver_fails_what_it_is_bad_at(seft, start_driver, fault, checks):
+    start_driver("bad_drivers", fault)
+    done = seft("conform", JHU, *PATIENT, "--yes", "--json", status=1)
+    result = json.loads(done.stdout)
+    assert checks <= failed(result), told(result)
+    mends = {c["check"]: c["mend"] for c in result["checks"] if c["verdict"] == "failed"}
+    assert all(mends.values())
+
+
+def test_a_rig_that_is_not_simulated_is_not_moved_unasked(seft):
+    done = seft("conform", JHU, status=2)
+    assert "the rig will be moved (0.2 V, stopped at 5 mm): say --yes" in done.stderr
