@@ -15,7 +15,7 @@ from rclpy.client import Client
 from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from seft_msgs_py.__init__ import prepare_middleware
+from seft_msgs_py.middleware import prepare_on_this_host
 from seft_msgs_py.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
@@ -54,7 +54,7 @@ class Graph:
     """
 
     def __init__(self, namespace: str = "") -> None:
-        prepare_middleware()
+        prepare_on_this_host()
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self._node = Node(
             f"seft_monitor_{os.getpid()}",
