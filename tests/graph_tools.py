@@ -28,9 +28,14 @@ MISSES_ALLOWED = ("-p", "reference_force:instability.ratio:=0.0")
 """Lets it outlive the vibration that many missed commands make."""
 
 
+def thorough(*values: object) -> object:
+    """Parameters of a test that `make thorough` alone looks at."""
+    return pytest.param(*values, marks=THOROUGH)
+
+
 def thorough_but(values: Iterable[str], short: Container[str]) -> list[object]:
     """Parameters of a test, of which only some are looked at in short."""
-    return [value if value in short else pytest.param(value, marks=THOROUGH) for value in values]
+    return [value if value in short else thorough(value) for value in values]
 
 
 def wait_for(condition: Callable[[], object], what: str) -> object:

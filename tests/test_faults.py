@@ -17,6 +17,7 @@ from graph_tools import (
     children,
     kill,
     shared_memory,
+    thorough,
     thorough_but,
     wait_for,
 )
@@ -124,9 +125,9 @@ def test_a_node_that_dies_or_stands_still_before_the_test_is_named(run, tmp_path
         ("force_controller", "realtime"),
         ("supervisor", "lockstep"),
         ("ground_motion", "realtime"),
-        pytest.param("rig", "realtime", marks=THOROUGH),
-        pytest.param("reference_force", "lockstep", marks=THOROUGH),
-        pytest.param("supervisor", "realtime", marks=THOROUGH),
+        thorough("rig", "realtime"),
+        thorough("reference_force", "lockstep"),
+        thorough("supervisor", "realtime"),
     ],
 )
 def test_a_node_that_dies_ends_the_run_with_a_readable_bag(run, tmp_path, node, pace):
@@ -151,8 +152,8 @@ def test_a_node_that_dies_ends_the_run_with_a_readable_bag(run, tmp_path, node, 
     [
         ("rig", "realtime"),
         ("recorder", "lockstep"),
-        pytest.param("force_controller", "lockstep", marks=THOROUGH),
-        pytest.param("supervisor", "realtime", marks=THOROUGH),
+        thorough("force_controller", "lockstep"),
+        thorough("supervisor", "realtime"),
     ],
 )
 def test_a_node_that_stands_still_is_named_with_the_time(run, tmp_path, node, pace):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from graph_tools import JHU, MISSES_ALLOWED, STALLS_ALLOWED, THOROUGH, thorough_but
+from graph_tools import JHU, MISSES_ALLOWED, STALLS_ALLOWED, thorough, thorough_but
 from seft_ros.recording.bag_reader import read_bag
 
 SHORT = ("-p", "ground_motion:synthetic.duration:=5.0", "-p", "ground_motion:tail:=0.5")
@@ -104,7 +104,7 @@ def test_estimates_over_dds_are_those_of_the_offline_loop(seft_json, tmp_path):
     "experiment",
     [
         EXPERIMENTS["servo_hydraulic"],
-        pytest.param(ESTIMATED_DELAY, marks=THOROUGH),
+        thorough(ESTIMATED_DELAY),
         EXPERIMENTS["loop_delay"],
     ],
 )

@@ -8,7 +8,7 @@ import sys
 from urllib.parse import urlsplit
 
 import pytest
-from graph_tools import DEMO, MISSES_ALLOWED, STALLS_ALLOWED, abandoned, shared_files, wait_for
+from graph_tools import DEMO, MISSES_ALLOWED, STALLS_ALLOWED, shared_memory, wait_for
 
 webdriver = pytest.importorskip("selenium.webdriver")
 BROWSER, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
@@ -136,12 +136,11 @@ def hold_clean(browser, address):
 
 def end(process, *, after=signal.SIGINT):
     """End a process as Ctrl-C does; nothing of it may be left in /dev/shm."""
-    files = shared_files(process.pid)
+    assert not shared_memory(process.pid)
     process.send_signal(after)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 0, out + err
     assert not err
-    assert not abandoned(files)
 
 
 def test_a_run_is_shown_survives_a_reload_and_is_stopped_at_once(browser, monitor, run):

@@ -100,7 +100,13 @@ def take_timed(subscription: Subscription) -> tuple[bytes, int] | None:
 
 
 def take_all(subscription: Subscription, most: int) -> list[tuple[bytes, int]]:
-    """Take what has arrived on a raw subscription, at most so many messages, as `take_timed`."""
+    """Take what has arrived on a raw subscription, at most so many messages.
+
+    Returns
+    -------
+    list of (bytes, int)
+        The messages, oldest first, as `take_timed` gives each.
+    """
     found: list[tuple[bytes, int]] = []
     while len(found) < most and (taken := take_timed(subscription)) is not None:
         found.append(taken)

@@ -36,7 +36,7 @@ APP = typer.Typer(
 )
 for command in (
     *(run, simulate, report, compare, replay, motion, recover, identify, design, tournament),
-    *(preflight, link, monitor, conform, paper, parameters),
+    *(preflight, link, conform, monitor, paper, parameters),
 ):
     APP.command()(command)
 

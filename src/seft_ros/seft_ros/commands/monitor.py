@@ -62,7 +62,6 @@ def monitor(
 
         seft monitor --host 0.0.0.0 --token "$(openssl rand -hex 16)"
     """
-    import os
     import re
 
     from seft_ros.monitor.access import is_loopback, page_address
@@ -76,7 +75,6 @@ def monitor(
         import secrets
 
         token = secrets.token_urlsafe(24)
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     keep_off_the_loop()
     listening = listen(host, port)
     address = page_address(host, listening.getsockname()[1])
