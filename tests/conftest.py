@@ -72,18 +72,14 @@ def observer(domain) -> Iterator[Observer]:
 
 
 @pytest.fixture
-def start(domain, tmp_path) -> Iterator[Callable[..., subprocess.Popen]]:
-    """Start programs; what still runs at the end of the test is killed."""
+def spawn(domain, tmp_path) -> Iterator[Callable[..., subprocess.Popen]]:
+    """Start processes in an empty folder; what still runs at the end of the test is killed."""
     started: list[subprocess.Popen] = []
 
     def launch(*words, **options) -> subprocess.Popen:
         options.setdefault("stderr", subprocess.PIPE)
         process = subprocess.Popen(
-            [sys.executable, "-m", *map(str, words)],
-            cwd=tmp_path,
-            stdout=subprocess.PIPE,
-            text=True,
-            **options,
+            list(map(str, words)), cwd=tmp_path, stdout=subprocess.PIPE, text=True, **options
         )
         started.append(process)
         return process
@@ -93,6 +89,12 @@ def start(domain, tmp_path) -> Iterator[Callable[..., subprocess.Popen]]:
         if process.poll() is None:
             process.kill()
         process.communicate()
+
+
+@pytest.fixture
+def start(spawn) -> Callable[..., subprocess.Popen]:
+    """Start modules of Python, as `spawn` does."""
+    return lambda *words, **options: spawn(sys.executable, "-m", *words, **options)
 
 
 @pytest.fixture

@@ -40,31 +40,17 @@ def workspace(tmp_path_factory):
 
 
 @pytest.fixture
-def run(workspace, tmp_path, domain):
-    """Start an executable in the sourced workspace; what still runs at the end is killed."""
-    started = []
+def run(workspace, spawn):
+    """Start an executable in the sourced workspace."""
 
     def launch(executable: Path, *words) -> subprocess.Popen:
         setup = workspace / "install" / "setup.sh"
-        command = (
-            f". {shlex.quote(str(setup))} && exec {shlex.join(map(str, (executable, *words)))}"
-        )
-        process = subprocess.Popen(
-            ["sh", "-c", command],
-            cwd=tmp_path,
-            env=os.environ | {"AMENT_PREFIX_PATH": sys.prefix, "PYTHONPATH": ""},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        started.append(process)
-        return process
+        words = shlex.join(map(str, (executable, *words)))
+        environment = os.environ | {"AMENT_PREFIX_PATH": sys.prefix, "PYTHONPATH": ""}
+        command = f". {shlex.quote(str(setup))} && exec {words}"
+        return spawn("sh", "-c", command, env=environment)
 
-    yield launch
-    for process in started:
-        if process.poll() is None:
-            process.kill()
-        process.communicate()
+    return launch
 
 
 def executables(workspace: Path) -> dict[str, Path]:

@@ -1,7 +1,6 @@
 """`seft monitor` in a real browser, beside a real run."""
 
 import json
-import shutil
 import signal
 import subprocess
 import sys
@@ -9,14 +8,9 @@ from urllib.parse import urlsplit
 
 import pytest
 from graph_tools import DEMO, MISSES_ALLOWED, STALLS_ALLOWED, shared_memory, wait_for
+from real_browser import NEEDED, PHONE, SCREEN, start_browser, webdriver
 
-webdriver = pytest.importorskip("selenium.webdriver")
-BROWSER, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
-pytestmark = pytest.mark.skipif(
-    not (BROWSER and DRIVER), reason="needs chromium and chromedriver (apt install chromium-driver)"
-)
-
-PHONE, SCREEN = 400, 1400
+pytestmark = NEEDED
 LONG = (
     *("-p", "ground_motion:synthetic.duration:=600.0"),
     # without feedback, many missed commands do not shake the rig
@@ -61,22 +55,7 @@ return Bokeh.documents.slice(0, 3).map((d) => {
 
 @pytest.fixture
 def browser(tmp_path):
-    options = webdriver.ChromeOptions()
-    options.binary_location = BROWSER
-    for flag in (
-        "headless=new",
-        "no-sandbox",
-        "disable-gpu",
-        "disable-dev-shm-usage",
-        "disable-background-networking",
-        "disable-component-update",
-        "disable-sync",
-        "no-first-run",
-        f"user-data-dir={tmp_path / 'browser'}",
-    ):
-        options.add_argument(f"--{flag}")
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    driver = webdriver.Chrome(options, webdriver.ChromeService(DRIVER))
+    driver = start_browser(tmp_path / "browser")
     driver.set_window_size(SCREEN, 2000)
     yield driver
     driver.quit()

@@ -1,20 +1,14 @@
 """Pages in a real browser: drawn, without errors, without the network, on a phone and a screen."""
 
 import json
-import shutil
 import subprocess
 import sys
 
 import pytest
 from graph_tools import DEMO, JHU
+from real_browser import NEEDED, PHONE, SCREEN, start_browser
 
-webdriver = pytest.importorskip("selenium.webdriver")
-BROWSER, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
-pytestmark = pytest.mark.skipif(
-    not (BROWSER and DRIVER), reason="needs chromium and chromedriver (apt install chromium-driver)"
-)
-
-PHONE, SCREEN = 400, 1400
+pytestmark = NEEDED
 DRAWN = """
 const found = [];
 const walk = (node) => {
@@ -40,22 +34,7 @@ return [...document.querySelectorAll("figure")].map((figure) => {
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
-    options = webdriver.ChromeOptions()
-    options.binary_location = BROWSER
-    for flag in (
-        "headless=new",
-        "no-sandbox",
-        "disable-gpu",
-        "disable-dev-shm-usage",
-        "disable-background-networking",
-        "disable-component-update",
-        "disable-sync",
-        "no-first-run",
-        f"user-data-dir={tmp_path_factory.mktemp('browser')}",
-    ):
-        options.add_argument(f"--{flag}")
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    driver = webdriver.Chrome(options, webdriver.ChromeService(DRIVER))
+    driver = start_browser(tmp_path_factory.mktemp("browser"))
     yield driver
     driver.quit()
 
