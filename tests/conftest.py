@@ -18,10 +18,6 @@ from seft_ros.running.processes import MODULES
 _WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
 _domains = itertools.count(os.getpid() % 50)
 
-if "PYTEST_XDIST_WORKER" in os.environ:  # each worker's graphs have a core of their own
-    _cores = sorted(os.sched_getaffinity(0))
-    os.sched_setaffinity(0, {_cores[_WORKER % len(_cores)]})
-
 
 @pytest.fixture
 def domain(monkeypatch):

@@ -13,6 +13,7 @@ from graph_tools import (
     JHU,
     MISSES_ALLOWED,
     PATIENCE,
+    STALLS_ALLOWED,
     THOROUGH,
     children,
     kill,
@@ -222,7 +223,7 @@ def test_a_killed_recorder_loses_at_most_half_a_second(run, seft, tmp_path):
 
 def test_an_interrupted_run_comes_down_softly_and_keeps_its_bag(run, seft, tmp_path):
     """Before that, a second test on the same domain is refused."""
-    found = run("-p", "rig:pace:=lockstep")
+    found = run("-p", "rig:pace:=lockstep", *STALLS_ALLOWED)
     found.wait_for_data()
     refused = seft("run", JHU, "--out", "second", status=2)
     assert "already has a node" in refused.stderr
@@ -239,7 +240,7 @@ def test_an_interrupted_run_comes_down_softly_and_keeps_its_bag(run, seft, tmp_p
 
 def test_a_second_interruption_is_an_emergency_stop(run, tmp_path):
     """SIGTERM is one as Ctrl-C is."""
-    found = run(*LONG_RAMP)
+    found = run(*LONG_RAMP, *STALLS_ALLOWED)
     found.wait_for_data()
     found.wait_for_ramp()
     found.process.send_signal(signal.SIGTERM)
@@ -252,7 +253,7 @@ def test_a_second_interruption_is_an_emergency_stop(run, tmp_path):
 
 @THOROUGH
 def test_a_run_that_is_terminated_comes_down_softly(run, tmp_path):
-    found = run()
+    found = run(*STALLS_ALLOWED)
     found.wait_for_data()
     found.process.terminate()
     assert "interrupted" in found.ending()

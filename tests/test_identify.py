@@ -3,7 +3,7 @@
 import json
 import signal
 
-from graph_tools import JHU, PATIENCE
+from graph_tools import JHU, PATIENCE, STALLS_ALLOWED
 
 SHORT = ("--duration", "15", "--amplitude", "0.2")
 
@@ -16,8 +16,8 @@ def test_two_tests_in_a_row_on_an_external_rig_give_the_numbers_of_the_offline_l
     seft, seft_json, start_node, tmp_path
 ):
     """Its parameters are its own: what the experiment says of a rig does not count."""
-    rig = start_node("rig", "rig:pace:=lockstep")
-    words = ("identify", JHU, *SHORT)
+    rig = start_node("rig", "rig:pace:=lockstep", *STALLS_ALLOWED[1::2])
+    words = ("identify", JHU, *SHORT, *STALLS_ALLOWED)
     elsewhere = ("-p", "rig:specimen.mass:=20.0", "-p", "rig:pace:=realtime")
     external = seft_json(*words, *elsewhere, "--external", "rig", "--out", "external")
     assert numbers(external) == numbers(seft_json(*words, "--out", "offline"))
@@ -33,7 +33,9 @@ def test_two_tests_in_a_row_on_an_external_rig_give_the_numbers_of_the_offline_l
     assert "already has a node rig" in refused.stderr
 
     short = ("-p", "ground_motion:synthetic.duration:=3.0")
-    done = seft("run", JHU, *short, "--external", "rig", "--out", "bag", "--json", status=0)
+    done = seft(
+        "run", JHU, *short, *STALLS_ALLOWED, "--external", "rig", "--out", "bag", "--json", status=0
+    )
     assert json.loads(done.stdout)["stable"] is True
     rig.send_signal(signal.SIGINT)
     _, errors = rig.communicate(timeout=PATIENCE)

@@ -6,10 +6,7 @@ from graph_tools import JHU, MISSES_ALLOWED, STALLS_ALLOWED, thorough, thorough_
 from seft_ros.recording.bag_reader import read_bag
 
 SHORT = ("-p", "ground_motion:synthetic.duration:=5.0", "-p", "ground_motion:tail:=0.5")
-LOCKSTEP = (
-    *("-p", "rig:pace:=lockstep", *STALLS_ALLOWED),
-    *("-p", "rig:watchdog.supervisor_timeout:=60.0"),
-)
+LOCKSTEP = ("-p", "rig:pace:=lockstep", *STALLS_ALLOWED)
 
 EXPERIMENTS = {
     "servo_hydraulic": ("-p", "reference_force:mass_ratio:=0.5"),

@@ -83,7 +83,7 @@ def refusals(bag):
 
 def test_a_hostile_node_changes_no_bit_of_a_test_in_lockstep(seft_json, start, hostile, tmp_path):
     simulated = seft_json("simulate", JHU, *LONG, "--out", "simulated")
-    process = start_run(start, tmp_path, *LOCKSTEP)
+    process = start_run(start, tmp_path, *LOCKSTEP, *STALLS_ALLOWED)
     attack(hostile, process)
     errors = ending(process)
     assert process.returncode == 0, errors
@@ -119,7 +119,7 @@ def test_a_hostile_node_is_not_acted_upon_in_realtime(seft_json, start, hostile,
 
 def test_true_messages_come_through_a_flood(seft_json, start, hostile, tmp_path):
     seft_json("simulate", JHU, *LONG, "--out", "simulated")
-    process = start_run(start, tmp_path, *LOCKSTEP)
+    process = start_run(start, tmp_path, *LOCKSTEP, *STALLS_ALLOWED)
     hostile.join()
     wait_for(lambda: hostile.is_heard() or process.poll() is not None, "listeners")
     for topic in (VALVE_COMMAND, RIG_STATE, REFERENCE_FORCE):
