@@ -33,7 +33,8 @@ test: $(READY) ## all checks: lint, format, types, tests (CI runs the same)
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/pytest src -n 2
-	$(BIN)/pytest tests -n 2
+	$(BIN)/pytest tests -n 2 -m "not thorough and not alone"
+	$(BIN)/pytest tests -m "alone and not thorough"
 
 thorough: $(READY) ## the tests that take long: the tutorial, every fault in every state
 	$(BIN)/pytest src tests -m thorough

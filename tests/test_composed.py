@@ -45,6 +45,7 @@ def test_a_composed_process_that_dies_ends_the_run_with_a_readable_bag(start, tm
     process = start(
         *("seft_ros.commands.main", "run", JHU, "-p", "ground_motion:synthetic.duration:=600.0"),
         *(*STALLS_ALLOWED, *MISSES_ALLOWED, "--composed", "--out", "bag"),
+        *("-p", "supervisor:watchdog.peer_timeout:=5.0"),
     )
     wait_for(lambda: (tmp_path / "bag").exists() or process.poll() is not None, "the bag")
     bag = tmp_path / "bag"

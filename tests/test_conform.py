@@ -7,6 +7,7 @@ import pytest
 from graph_tools import JHU, ROOT, thorough, wait_for
 from seft_msgs_py.claim import is_claimed
 
+pytestmark = pytest.mark.alone
 TEMPLATE = ROOT / "templates" / "rig_driver"
 PATIENT = (
     *("-p", "rate:=250.0"),
