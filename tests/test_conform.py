@@ -44,20 +44,25 @@ def told(result):
     return [f"{c['verdict']}  {c['check']}: {c['told']}" for c in result["checks"]]
 
 
-def test_the_simulated_rig_conforms(seft):
-    done = seft("conform", JHU, "--start-rig", *PATIENT, *LONE, "--json")
-    result = json.loads(done.stdout)
+def check_conforms(seft, *words):
+    """See that a good driver passes; once more, where this machine made it late."""
+    for again in (True, True, False):
+        done = seft("conform", JHU, *words, "--json")
+        result = json.loads(done.stdout)
+        if not (again and failed(result) and failed(result) <= {"period", "late states"}):
+            break
     assert (done.returncode, failed(result)) == (0, set()), told(result)
     assert result["conforms"] is True
     assert result["not_run"] == 0
 
 
+def test_the_simulated_rig_conforms(seft):
+    check_conforms(seft, "--start-rig", *PATIENT, *LONE)
+
+
 def test_the_template_conforms(seft, start_driver):
     start_driver("rig_driver.driver_node")
-    done = seft("conform", JHU, *PATIENT, "--yes", "--json")
-    result = json.loads(done.stdout)
-    assert (done.returncode, failed(result)) == (0, set()), told(result)
-    assert result["not_run"] == 0
+    check_conforms(seft, *PATIENT, "--yes")
 
 
 @pytest.mark.parametrize(
