@@ -95,11 +95,15 @@ class ReferenceForceNode:
     def _reset(self) -> None:
         self._cause_step = -1
         self._waiting.clear()
+        self._rest()
+        self._sampler.reset()
+        self._follow_test()
+
+    def _rest(self) -> None:
+        """No force, and nothing remembered."""
         self._block.reset()
         if self._previewed is not None:
             self._previewed.reset()
-        self._sampler.reset()
-        self._follow_test()
 
     def _on_ground_motion(self, raw: bytes, _: int) -> None:
         first, values = self._motion_codec.decode(raw)
@@ -154,9 +158,7 @@ class ReferenceForceNode:
             self._report(ALL_ANSWERED)
         elif self._test in (State.IDLE, State.READY) and self._phase != "ready":
             self._conflict = ""
-            self._block.reset()
-            if self._previewed is not None:
-                self._previewed.reset()
+            self._rest()
             self._report("ready")
 
     def _answer(self, step: int, state: Floats) -> None:

@@ -68,15 +68,7 @@ class PreviewedForce:
         self._last: Floats | None = None
 
     def step(self, ground_motion: Floats, state: Floats) -> Floats:
-        """Compute the forces from the state of one step.
-
-        Parameters
-        ----------
-        ground_motion : ndarray
-            Ground acceleration of each axis, of this step and the coming ones, shape
-            (1 + preview, n), m/s^2.
-        state : ndarray
-            Measured displacement, velocity, acceleration and force, shape (4, n).
+        """Compute the forces from the state of one step, both given as to `ReferenceForce.step`.
 
         Returns
         -------

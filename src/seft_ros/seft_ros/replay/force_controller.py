@@ -12,9 +12,9 @@ from seft_ros.force_controller.block import ForceController
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.recording.record import Estimates, Series
 from seft_ros.recording.samples import until
+from seft_ros.replay.answered import note_unanswered
 from seft_ros.replay.cue import Cue
 from seft_ros.replay.recorded import Recorded
-from seft_ros.replay.words import listed
 
 BY_TIME = "force_controller: no "
 """Start of a trip's reason that a clock made, not a sample."""
@@ -54,15 +54,8 @@ class ForceControllerPart:
             self._commands = until(self._commands, trip.step)
             self.notes.append(f"replayed until step {trip.step}, where a clock tripped it")
         states, forces = recorded.series(RIG_STATE), recorded.series(REFERENCE_FORCE)
-        lost = np.setdiff1d(self._commands.steps, states.steps)
-        if len(lost):
-            raise InputError(
-                f"the bag lacks rig/state of step {lost[0]}, which force_controller has answered: "
-                "what the node remembers of it can't be replayed"
-            )
-        unanswered = np.setdiff1d(until(states, _last(self._commands)).steps, self._commands.steps)
-        if len(unanswered):
-            self.notes.append(listed("not answered when recorded, and not sent", unanswered))
+        sent = until(states, _last(self._commands))
+        self.notes += note_unanswered(self.node, sent.steps, self._commands.steps)
         self._states = dict(zip(states.steps.tolist(), states.values, strict=True))
         self._forces = dict(zip(forces.steps.tolist(), forces.values[:, 0], strict=True))
         forceless = np.setdiff1d(self._commands.steps, forces.steps)

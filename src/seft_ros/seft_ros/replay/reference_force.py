@@ -20,6 +20,7 @@ from seft_ros.recording.record import Estimates, Series
 from seft_ros.recording.samples import EstimateBuffer
 from seft_ros.reference_force.estimate_sampler import EstimateSampler
 from seft_ros.reference_force.previewed_force import PreviewedForce
+from seft_ros.replay.answered import note_unanswered
 from seft_ros.replay.cue import FAR, Cue
 from seft_ros.replay.motion import Motion
 from seft_ros.replay.ramp import ramp_step
@@ -70,15 +71,7 @@ class ReferenceForcePart:
             if recorded.record.trip is None and len(unrecorded):
                 self.notes.append(listed("the bag lacks the recorded answer", unrecorded))
                 answered = np.union1d(answered, unrecorded)
-        lost = np.setdiff1d(answered, states.steps)
-        if len(lost):
-            raise InputError(
-                f"the bag lacks rig/state of step {lost[0]}, which reference_force has answered: "
-                "what the node remembers of it can't be replayed"
-            )
-        unanswered = np.setdiff1d(states.steps, answered)
-        if len(unanswered):
-            self.notes.append(listed("not answered when recorded, and not sent", unanswered))
+        self.notes += note_unanswered(self.node, states.steps, answered)
         self._states = _only(states, answered)
         unmoved = answered[answered >= self._motion.steps]
         if len(unmoved) and not (self._ramp is not None and unmoved[0] >= self._ramp):
