@@ -11,7 +11,7 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 from rosbags.interfaces import QosDurability, QosHistory, QosReliability
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import Reader, StoragePlugin
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.messages import encode_diagnostics, encode_string
 from seft_msgs_py.timebase import Timebase
@@ -25,6 +25,7 @@ from seft_msgs_py.topics import (
 )
 from seft_msgs_py.trajectory import TrajectoryCodec
 from seft_ros.recording import bag_writer
+from seft_ros.recording.bag_storage import UnsyncedWriter
 from seft_ros.recording.bag_writer import BagWriter
 from seft_ros.recording.recover import recover
 
@@ -46,6 +47,12 @@ def contents(path):
 @pytest.fixture(params=STORAGES)
 def storage(request):
     return request.param
+
+
+def test_an_sqlite_bag_waits_for_no_disk(tmp_path):
+    plugin = StoragePlugin.SQLITE3
+    with UnsyncedWriter(tmp_path / "bag", version=9, storage_plugin=plugin) as writer:
+        assert writer.storage.conn.execute("PRAGMA synchronous").fetchone() == (0,)
 
 
 def test_what_was_written_is_read_back_in_the_order_of_time(tmp_path, storage):
@@ -309,7 +316,7 @@ try:
             written += 1
 except SeftError as error:
     print(error.exit_status, written, error)
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import Reader, StoragePlugin
 with Reader("bag") as reader:
     print(reader.message_count, len(list(reader.messages())))
 """

@@ -8,7 +8,24 @@ for that is in this file.
 
 from typing import Any, Protocol
 
-from rosbags.rosbag2 import Writer
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
+
+
+class _UnsyncedSqlite(Sqlite3Writer):
+    """Leaves it to the operating system when the file gets to the disk, as for an mcap file.
+
+    What is committed survives this process. Waiting for a busy disk takes seconds, in which
+    nothing would be committed.
+    """
+
+    SQLITE_SCHEMA = f"PRAGMA synchronous = OFF;{Sqlite3Writer.SQLITE_SCHEMA}"
+
+
+class UnsyncedWriter(Writer):
+    """A `rosbags` writer that waits for no disk."""
+
+    STORAGE_PLUGINS = {**Writer.STORAGE_PLUGINS, StoragePlugin.SQLITE3: _UnsyncedSqlite}  # noqa: RUF012
 
 
 class BagStorage(Protocol):

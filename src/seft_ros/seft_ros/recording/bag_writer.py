@@ -12,11 +12,16 @@ from types import TracebackType
 from typing import Any, Self
 
 from rosbags.interfaces import Connection
-from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
+from rosbags.rosbag2 import StoragePlugin, WriterError
 from seft_msgs_py.errors import ExperimentError, InputError, SeftError
 from seft_msgs_py.topics import Topic
 
-from seft_ros.recording.bag_storage import BagStorage, McapStorage, SqliteStorage
+from seft_ros.recording.bag_storage import (
+    BagStorage,
+    McapStorage,
+    SqliteStorage,
+    UnsyncedWriter,
+)
 from seft_ros.recording.bag_topics import add_topic
 from seft_ros.recording.reserve import Reserve
 
@@ -51,7 +56,7 @@ class BagWriter:
             raise InputError(f"storage is {storage}, but must be one of {', '.join(STORAGES)}")
         there = self.path.exists()
         try:
-            self._writer = Writer(
+            self._writer = UnsyncedWriter(
                 self.path, version=9, storage_plugin=StoragePlugin[storage.upper()]
             )
             self._writer.open()
