@@ -33,6 +33,7 @@ from graph_tools import (
     children,
     shared_memory,
 )
+from seft_msgs_py.errors import InputError
 from seft_ros.recording.bag_reader import read_bag
 from seft_ros.recording.record import Record
 from seft_ros.recording.recover import recover
@@ -302,8 +303,7 @@ def check_end(plan: Plan, run: Run, done: bool) -> None:
     if status == 0:
         if told:
             raise RoundError(f"status 0, but it complains: {told}")
-        # what it shows is a fifth of a second old
-        late = plan.moment in ("running", "ending") and run.step >= run.total
+        late = plan.moment == "ending" or (plan.moment == "running" and run.step >= run.total)
         if plan.moment == "ramping down" or not (plan.action == "nothing" or not done or late):
             raise RoundError(f"status 0 in spite of {plan.action}")
         return
@@ -342,8 +342,11 @@ def check_nothing_left(plan: Plan, run: Run) -> None:
         raise RoundError(f"left in /dev/shm: {sorted(left)}")
 
 
-def check_bag(plan: Plan, bag: Path) -> str:
-    """Check that a bag can be read; tell what is in it."""
+def check_bag(plan: Plan, bag: Path, told_at_start: bool) -> str:
+    """Check that a bag can be read; tell what is in it.
+
+    There may be nothing in it only where the run told a fault of its first moment.
+    """
     if not bag.exists():
         return "no bag"
     for log in sorted(bag.glob("logs/*.log")):
@@ -351,7 +354,12 @@ def check_bag(plan: Plan, bag: Path) -> str:
             raise RoundError(f"a traceback in {log.name}:\n{text}")
     recovered = ""
     if plan.action == "kill recorder":
-        recovered = "" if recover(bag).intact else " (recovered)"
+        try:
+            recovered = "" if recover(bag).intact else " (recovered)"
+        except InputError as error:
+            if "nothing to recover" in str(error) and told_at_start:
+                return "killed while it made its bag"
+            raise
     record: Record = read_bag(bag)
     steps = record.series["rig/state"].steps
     if not (steps == range(len(steps))).all():
@@ -385,7 +393,7 @@ def do_round(seed: int, number: int, folder: Path) -> tuple[Plan, str]:
         took = time.monotonic() - acted_at
         check_end(plan, run, done)
         check_nothing_left(plan, run)
-        found = check_bag(plan, folder / "bag")
+        found = check_bag(plan, folder / "bag", any("(at step 0)" in c for c in run.complaints))
     except Exception as error:
         raise RoundError(f"{error}\nthe run showed at last:\n{run.text[-500:]}") from error
     finally:

@@ -4,6 +4,7 @@ from seft_msgs_py import realtime
 from seft_msgs_py.parameters import Parameter, Table
 
 from seft_plant_sim.limits import limit_rows
+from seft_plant_sim.specimen import KINDS
 
 PACE = (
     Parameter(
@@ -41,8 +42,9 @@ SPECIMEN = (
         "string",
         "linear",
         "restoring force: linear, bilinear with kinematic hardening, or Bouc-Wen",
-        choices=("linear", "bilinear", "bouc_wen"),
+        choices=KINDS.names,
     ),
+    KINDS.settings_row("specimen.settings", "a restoring force"),
     Parameter("specimen.mass", "floats", None, "mass: one number, a diagonal, or a matrix", "kg"),
     Parameter("specimen.damping", "floats", 0.0, "viscous damping, likewise", "N s/m"),
     Parameter(

@@ -9,10 +9,18 @@ import numpy.typing as npt
 from seft_msgs_py.arrays import mass_matrix, symmetric_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.parameters import group
+from seft_msgs_py.registered import Registered
 
 from seft_plant_sim.restoring_force import BilinearSpring, BoucWenSpring, HystereticSpring
 
 Floats = npt.NDArray[np.float64]
+
+KINDS = Registered("seft.restoring_force", ("linear", "bilinear", "bouc_wen"))
+"""Of other packages: a kind -> what makes a `HystereticSpring`.
+
+It is given elastic stiffness in N/m, yield displacement in m, and hardening ratio, and may take
+settings.
+"""
 
 
 @dataclass(frozen=True)
@@ -70,15 +78,9 @@ class Specimen:
                 f"{where}.yield_displacement is {section['yield_displacement']}, but a "
                 f"{kind} specimen yields: give the displacement in m"
             )
-        extra = group(section, "bouc_wen") if kind == "bouc_wen" else {}
-        if extra and extra["beta"] + extra["gamma"] <= 0.0:
-            raise InputError(
-                f"{where}.bouc_wen: beta {extra['beta']} and gamma {extra['gamma']} must add up "
-                "to more than 0, or the spring never yields"
-            )
-        law = BoucWenSpring if kind == "bouc_wen" else BilinearSpring
         springs = tuple(
-            law(*values, **extra) for values in zip(stiffness, yields, hardening, strict=True)
+            _spring(kind, section, where, values)
+            for values in zip(stiffness, yields, hardening, strict=True)
         )
         return replace(linear, springs=springs, deformation=deformation)
 
@@ -103,6 +105,29 @@ class Specimen:
         b = np.zeros((2 * n, n))
         b[n:] = np.linalg.inv(self.mass)
         return a, b
+
+
+def _spring(
+    kind: str, section: dict[str, Any], where: str, values: tuple[float, float, float]
+) -> HystereticSpring:
+    """One spring of a stiffness, a yield displacement and a hardening ratio."""
+    if kind in KINDS:
+        spring = KINDS.make(kind, section.get("settings", ""), f"{where}.kind", *values)
+        if not isinstance(spring, HystereticSpring):
+            raise InputError(
+                f"{where}.kind is {kind}, but it makes a {type(spring).__name__}; it must be "
+                "a seft_plant_sim.restoring_force.HystereticSpring"
+            )
+        return spring
+    if kind == "bilinear":
+        return BilinearSpring(*values)
+    shape = group(section, "bouc_wen")
+    if shape and shape["beta"] + shape["gamma"] <= 0.0:
+        raise InputError(
+            f"{where}.bouc_wen: beta {shape['beta']} and gamma {shape['gamma']} must add up "
+            "to more than 0, or the spring never yields"
+        )
+    return BoucWenSpring(*values, **shape)
 
 
 def _deformation(value: float | Sequence[float], axes: Sequence[str], where: str) -> Floats:

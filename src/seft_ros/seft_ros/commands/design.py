@@ -117,8 +117,7 @@ def design(
             raise InputError("--crossover proposes a controller: leave out what gives one")
         controller = propose_controller(whole.axis(shown), crossover, dt, gain_margin)
     elif controller is None:
-        own = experiment["force_controller"]
-        controller = Controller.from_coefficients(own["numerator"], own["denominator"])
+        controller = Controller.from_parameters(experiment["force_controller"])
     loops = [shape_loop(whole.axis(index), controller, dt) for index in range(len(axes))]
     slowest = dominant_pole(whole, controller, dt)
 

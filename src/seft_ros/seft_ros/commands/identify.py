@@ -104,6 +104,7 @@ def identify(
 
         seft identify config/lab.yaml --external rig --amplitude 0.1 --duration 300
     """
+    from seft_ros.force_controller.names import TRANSFER_FUNCTION
     from seft_ros.identification.experiments import (
         PILOT_DURATION,
         Levels,
@@ -126,7 +127,8 @@ def identify(
     levels = Levels(first, default_force(experiment, signal) if force is None else force)
     check_levels(experiment, levels)
     own = experiment["force_controller"]
-    controller = Controller.from_coefficients(own["numerator"], own["denominator"])
+    known = own["method"] == TRANSFER_FUNCTION
+    controller = Controller.from_parameters(own) if known else None
     used = band or (0.3, min(0.45 * experiment.timebase.rate, 200.0))
     folder = out or Path(datetime.now().strftime("identify_%Y-%m-%d_%H-%M-%S"))
     motions = Motions(experiment, levels.force, signal, used, seed)

@@ -12,6 +12,7 @@ from seft_plant_sim.rig import Rig
 
 from seft_ros.ensemble.loop_steps import ControlArrays, ForceArrays, SensorArrays
 from seft_ros.ensemble.rig_step import PlantArrays
+from seft_ros.force_controller.block import ForceController
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.interlock.instability import InstabilityWatch
 from seft_ros.interlock.plausibility import PlausibleState
@@ -140,6 +141,8 @@ def force_arrays(block: ProtectedForce, known: Floats, steps: int) -> ForceArray
 def control_arrays(interlock: Interlock, rig: Rig) -> ControlArrays:
     """Arrays of a force controller and its interlock."""
     controller, limited = interlock.controller, interlock.saturated
+    if not isinstance(controller, ForceController):
+        raise NotLinearError("a force controller of another package")
     return ControlArrays(
         _c(controller.matrix),
         _c(controller.from_drive),

@@ -37,8 +37,8 @@ from seft_ros.ensemble.loop_steps import (
 )
 from seft_ros.experiment.blocks import check_lead
 from seft_ros.experiment.offline import loop_series, trip_of
-from seft_ros.force_controller.block import ForceController
 from seft_ros.force_controller.interlock import Interlock
+from seft_ros.force_controller.methods import force_control
 from seft_ros.ground_motion.block import GroundMotion
 from seft_ros.interlock.instability import InstabilityWatch
 from seft_ros.interlock.protected_force import ProtectedForce
@@ -165,7 +165,7 @@ class Workshop:
             if experiment["reference_force"]["loop_delay"]:
                 raise NotLinearError("a link with loop_delay")
             section = experiment["force_controller"]
-            controller = ForceController.from_parameters(section, axes, timebase)
+            controller = force_control(section, axes, timebase)
             interlock = Interlock.from_parameters(controller, section, axes, timebase)
             arrays = force_arrays(force, motion.known, motion.steps)
             return _Loop(motion, force, arrays, interlock)

@@ -6,7 +6,8 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.experiment import Experiment
 from seft_plant_sim.rig import Rig
 
-from seft_ros.force_controller.block import ForceController
+from seft_ros.force_controller.force_control import ForceControl
+from seft_ros.force_controller.methods import force_control
 from seft_ros.ground_motion.block import GroundMotion
 from seft_ros.interlock.protected_force import ProtectedForce
 from seft_ros.reference_force.continuation import Continuation
@@ -18,7 +19,7 @@ class Blocks:
 
     ground_motion: GroundMotion
     reference_force: ProtectedForce
-    force_controller: ForceController
+    force_controller: ForceControl
     rig: Rig
 
 
@@ -34,7 +35,7 @@ def build_blocks(experiment: Experiment) -> Blocks:
     blocks = Blocks(
         GroundMotion.from_parameters(experiment["ground_motion"], axes, timebase),
         ProtectedForce.from_parameters(experiment["reference_force"], axes, timebase),
-        ForceController.from_parameters(experiment["force_controller"], axes, timebase),
+        force_control(experiment["force_controller"], axes, timebase),
         Rig.from_parameters(experiment["rig"], axes, timebase),
     )
     check_lead(experiment, blocks.ground_motion, blocks.reference_force)

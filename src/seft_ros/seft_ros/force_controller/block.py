@@ -8,6 +8,8 @@ import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.timebase import Timebase
 
+from seft_ros.force_controller.force_control import LinearControl
+
 Floats = npt.NDArray[np.float64]
 
 
@@ -71,7 +73,7 @@ class ForceController:
         output = np.eye(1, order + 1)
         output[0, order] = b[0]
         update = np.column_stack([np.eye(order, k=1), b[1:]]) - np.outer(a[1:], output)
-        self.matrix = np.kron(np.vstack([output, update]), one)
+        self.matrix = np.asarray(np.kron(np.vstack([output, update]), one), np.float64)
         self.from_drive = np.kron(a[1:, np.newaxis], one)
         self._axes = axes
         self.feedback = feedback
@@ -100,21 +102,16 @@ class ForceController:
         """Forget the test so far."""
         self._work[:] = 0.0
 
+    def linear(self) -> LinearControl:
+        """Give its matrices; the states are the delays."""
+        n, delays = self._axes, len(self._delays)
+        by_delays, by_error = self.matrix[:, :delays], self.matrix[:, delays:]
+        return LinearControl.of_error(
+            by_delays[n:], by_error[n:], by_delays[:n], by_error[:n], self.feedback
+        )
+
     def step(self, reference_force: Floats, state: Floats) -> Floats:
-        """Compute the valve drive of one step.
-
-        Parameters
-        ----------
-        reference_force : ndarray
-            Shape (n,), N.
-        state : ndarray
-            Measured displacement, velocity, acceleration and force, shape (4, n).
-
-        Returns
-        -------
-        ndarray
-            Valve drive within the limit, shape (n,), V.
-        """
+        """See `seft_ros.force_controller.force_control.ForceControl.step`."""
         if self.feedback:
             np.subtract(reference_force, state[3], self._error)
         else:

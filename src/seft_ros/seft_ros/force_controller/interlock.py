@@ -9,19 +9,19 @@ import numpy.typing as npt
 from seft_msgs_py.timebase import Timebase
 from seft_plant_sim.saturated_time import TimeWithinSecond
 
-from seft_ros.force_controller.block import ForceController
+from seft_ros.force_controller.force_control import ForceControl
 
 Floats = npt.NDArray[np.float64]
 
 
 class Interlock:
-    """A `ForceController` that never computes with nonsense, nor stays at its limit for long.
+    """A `ForceControl` that never computes with nonsense, nor stays at its limit for long.
 
     Once it has tripped it answers 0 V, which closes the valve, until the next test.
 
     Parameters
     ----------
-    controller : ForceController
+    controller : ForceControl
         Computes the valve drive.
     axes : sequence of str
         Names of the n axes.
@@ -46,7 +46,7 @@ class Interlock:
 
     def __init__(
         self,
-        controller: ForceController,
+        controller: ForceControl,
         axes: Sequence[str],
         largest_force: float,
         longest_saturation: float,
@@ -64,7 +64,7 @@ class Interlock:
     @classmethod
     def from_parameters(
         cls,
-        controller: ForceController,
+        controller: ForceControl,
         section: dict[str, Any],
         axes: tuple[str, ...],
         timebase: Timebase,
@@ -108,6 +108,9 @@ class Interlock:
                 self.trip(index, nonsense)
                 return self._safe
         drive = self.controller.step(reference_force, state)
+        if not math.isfinite(drive.dot(drive)):
+            self.trip(index, self._not_a_number("valve command", drive))
+            return self._safe
         if self.controller.limited and self.saturated.is_exceeded(index):
             self.trip(index, self.saturation())
             return self._safe
@@ -127,7 +130,7 @@ class Interlock:
 
     def nonsense_in(self, reference_force: Floats, state: Floats) -> str:
         """Say what is wrong with a reference force, or with the measured; else empty."""
-        return self.nonsense(reference_force) or self._not_a_number("measured", state[3])
+        return self.nonsense(reference_force) or self._not_a_number("measured force", state[3])
 
     def nonsense(self, reference_force: Floats) -> str:
         """Say what is wrong with a reference force, shape (n,), if anything; else empty."""
@@ -137,10 +140,10 @@ class Interlock:
                     f"reference force {value:.5g} N on axis {axis} is beyond the limit of "
                     f"{self.largest:g} N"
                 )
-        return self._not_a_number("reference", reference_force)
+        return self._not_a_number("reference force", reference_force)
 
-    def _not_a_number(self, name: str, force: Floats) -> str:
-        for axis, value in zip(self._axes, force.tolist(), strict=True):
+    def _not_a_number(self, name: str, values: Floats) -> str:
+        for axis, value in zip(self._axes, values.tolist(), strict=True):
             if not math.isfinite(value):
-                return f"{name} force on axis {axis} is {value}"
+                return f"{name} on axis {axis} is {value}"
         return ""

@@ -3,9 +3,19 @@
 from seft_msgs_py import realtime
 from seft_msgs_py.parameters import Parameter, Table
 
+from seft_ros.force_controller.names import REGISTERED, TRANSFER_FUNCTION
+
 TABLE = Table(
     "force_controller",
     [
+        Parameter(
+            "method",
+            "string",
+            TRANSFER_FUNCTION,
+            "the controller: numerator over denominator on each axis, or another package's",
+            choices=REGISTERED.names,
+        ),
+        REGISTERED.settings_row("settings", "a controller"),
         Parameter(
             "numerator",
             "floats",

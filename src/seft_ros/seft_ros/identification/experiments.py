@@ -14,6 +14,7 @@ from seft_msgs_py.parameters import group
 from seft_msgs_py.topics import RIG_STATE
 from seft_plant_sim.limits import NAMES
 
+from seft_ros.force_controller.names import TRANSFER_FUNCTION
 from seft_ros.recording.record import Record
 
 Floats = npt.NDArray[np.float64]
@@ -130,6 +131,7 @@ def open_loop(experiment: Experiment, record: Path, levels: Levels) -> Experimen
         Its valve commands get ``levels.voltage``.
     """
     controller = {
+        "method": TRANSFER_FUNCTION,
         "numerator": [levels.voltage / levels.force],
         "denominator": [1.0],
         "feedback": False,

@@ -43,11 +43,14 @@ class ValveResponse:
         The continuous plant.
     loop : LoopDesign
         That plant, sampled, with the experiment's controller.
+    controller_known : bool
+        Whether that is a transfer function; else the loop is of the plant alone.
     """
 
     measured: Measurement
     fit: PlantFit
     loop: LoopDesign
+    controller_known: bool
 
 
 @dataclass(frozen=True)
@@ -104,7 +107,7 @@ def identify(
     open_loop: Record | None,
     closed_loop: Record | None,
     band: tuple[float, float],
-    controller: Controller,
+    controller: Controller | None,
 ) -> Identified:
     """Identify a rig from the records of its two tests.
 
@@ -114,8 +117,8 @@ def identify(
         One may be missing.
     band : tuple of float
         Lowest and highest frequency of the excitation, Hz.
-    controller : Controller
-        Of the force loop whose margins are wanted.
+    controller : Controller or None
+        Of the force loop whose margins are wanted; None: not known as a transfer function.
 
     Raises
     ------
@@ -163,7 +166,11 @@ def identify(
 
 
 def _valve(
-    measured: Measurement, dt: float, specimen: SpecimenFit, axis: int, controller: Controller
+    measured: Measurement,
+    dt: float,
+    specimen: SpecimenFit,
+    axis: int,
+    controller: Controller | None,
 ) -> ValveResponse:
     fit = fit_plant(measured, dt, specimen.axis_root(axis), len(specimen.mass))
     model = fit.model.rational()
@@ -172,7 +179,9 @@ def _valve(
         "plant.denominator": model.denominator,
         "plant.dead_time": model.dead_time,
     }
-    return ValveResponse(measured, fit, shape_loop(identified_plant(section, 1), controller, dt))
+    alone = Controller.from_coefficients(1.0, 1.0)
+    loop = shape_loop(identified_plant(section, 1), controller or alone, dt)
+    return ValveResponse(measured, fit, loop, controller is not None)
 
 
 def _closed_loop(measured: Measurement, dt: float) -> ClosedLoop:

@@ -78,7 +78,9 @@ def notes(identified: Identified) -> list[str]:
                     f"axis {axis}: the {name}'s resonance lies beyond the band of "
                     f"{identified.band[1]:g} Hz; the model covers its effect within"
                 )
-        if not valve.loop.stable:
+        if not valve.controller_known:
+            found.append(f"axis {axis}: margins of another package's controller are not known")
+        elif not valve.loop.stable:
             found.append(f"axis {axis}: by this model the loop is unstable with its controller")
     if not identified.closed_loops:
         found.append("without a good closed-loop test the tracking is not known")
@@ -101,7 +103,8 @@ def _axis(identified: Identified, index: int) -> dict[str, Any]:
 
 
 def _of_valve(valve: ValveResponse, band: tuple[float, float]) -> dict[str, Any]:
-    model, margins = valve.fit.model, valve.loop.margins
+    model = valve.fit.model
+    margins = valve.loop.margins if valve.controller_known else None
     values: dict[str, Any] = {}
     roots = (model.zeros[0], model.poles[0], model.valve)
     for (frequency, damping), root in zip(_PLANT, roots, strict=True):
@@ -114,10 +117,10 @@ def _of_valve(valve: ValveResponse, band: tuple[float, float]) -> dict[str, Any]
         "gain": model.gain,
         "dead_time_s": model.dead_time,
         "fit_error": valve.fit.error,
-        "crossover_hz": margins.crossover_hz,
-        "phase_margin_deg": margins.phase_margin_deg,
-        "gain_margin_db": margins.gain_margin_db,
-        "sensitivity_peak": margins.sensitivity_peak,
+        "crossover_hz": margins.crossover_hz if margins else None,
+        "phase_margin_deg": margins.phase_margin_deg if margins else None,
+        "gain_margin_db": margins.gain_margin_db if margins else None,
+        "sensitivity_peak": margins.sensitivity_peak if margins else None,
     }
 
 

@@ -2,12 +2,14 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 
 from seft_ros.force_controller.block import bilinear
+from seft_ros.force_controller.names import TRANSFER_FUNCTION
 from seft_ros.loop_shaping.roots import Root, roots_of
 
 Floats = npt.NDArray[np.float64]
@@ -46,6 +48,22 @@ class Controller:
             if not any(values):
                 raise InputError(f"force_controller: {name} is zero")
         return cls(num, den)
+
+    @classmethod
+    def from_parameters(cls, section: dict[str, Any]) -> "Controller":
+        """Make it of a force controller's section of an experiment.
+
+        Raises
+        ------
+        InputError
+            If another package's controller is in use, or a polynomial is zero.
+        """
+        if section["method"] != TRANSFER_FUNCTION:
+            raise InputError(
+                f"force_controller: method is {section['method']}, but only a {TRANSFER_FUNCTION} "
+                "can be judged here; choose that method or give a controller as options"
+            )
+        return cls.from_coefficients(section["numerator"], section["denominator"])
 
     @classmethod
     def from_roots(cls, gain: float, zeros: Iterable[Root], poles: Iterable[Root]) -> "Controller":

@@ -5,6 +5,7 @@ from pathlib import Path
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.parameter_file import write_parameter_file
 
+from seft_ros.force_controller.names import TRANSFER_FUNCTION
 from seft_ros.loop_shaping.controller import Controller
 
 
@@ -32,6 +33,7 @@ def write_controller(controller: Controller, path: Path) -> None:
     """
     check_new(path)
     section = {
+        "method": TRANSFER_FUNCTION,
         "numerator": list(controller.numerator),
         "denominator": list(controller.denominator),
     }

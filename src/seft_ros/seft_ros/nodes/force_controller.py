@@ -24,9 +24,9 @@ from seft_msgs_py.trajectory import Floats, TrajectoryCodec
 from seft_ros.experiment.sample_order import SampleOrder, check_magnitude
 from seft_ros.experiment.state_machine import MOVING
 from seft_ros.experiment.tables import TABLES
-from seft_ros.force_controller.block import ForceController
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.matched_forces import PENDING, MatchedForces
+from seft_ros.force_controller.methods import force_control
 from seft_ros.force_controller.newest_preview import NewestPreview
 from seft_ros.force_controller.parameters import TABLE
 from seft_ros.force_controller.silence import Silence
@@ -50,7 +50,7 @@ class ForceControllerNode:
         section = experiment["force_controller"]
         self._shell = shell
         self._controller = Interlock.from_parameters(
-            ForceController.from_parameters(section, experiment.axes, experiment.timebase),
+            force_control(section, experiment.axes, experiment.timebase),
             section,
             experiment.axes,
             experiment.timebase,

@@ -153,6 +153,7 @@ class RecorderNode:
         self._samples = sum(topic is RIG_STATE for topic, _, _ in self._before)
         while self._before:
             self._bag.write(*self._before.popleft())
+        self._bag.flush()
         self._report("recording")
 
     def _close(self) -> None:

@@ -35,8 +35,7 @@ def identify_rig(experiment: Experiment) -> Identified:
     ExperimentError
         If a test trips, or shows nothing but noise.
     """
-    own = experiment["force_controller"]
-    controller = Controller.from_coefficients(own["numerator"], own["denominator"])
+    controller = Controller.from_parameters(experiment["force_controller"])
     band = (_BAND[0], min(0.45 * experiment.timebase.rate, _BAND[1]))
     levels = Levels(pilot_voltage(experiment), default_force(experiment, "random"))
     motions = Motions(experiment, levels.force, "random", band, _SEED)

@@ -7,6 +7,7 @@ import numpy.typing as npt
 from scipy.linalg import eig
 from scipy.sparse.csgraph import connected_components
 
+from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.reference_force.compensation.linear_filter import LinearFilter
 
 Floats = npt.NDArray[np.float64]
@@ -90,15 +91,14 @@ def growth_rate(z: complex, dt: float) -> float:
 def closed_loop(
     rig: tuple[Floats, Floats, Floats],
     compensation: LinearFilter,
-    control: Matrices | None,
+    control: LinearControl,
     dt: float,
-    feedback: bool = True,
 ) -> ClosedLoop:
     """Close the loop as the blocks run it.
 
-    Sample k, y = (x, v, a, f), gives f_r = c s + d y + e g, the force error e = f_r - f gives the
-    drive u = c_u w + d_u e, and u acts on the rig from sample k+1 on. The states are the
-    rig's, the compensation's s and the controller's w.
+    Sample k, y = (x, v, a, f), gives f_r = c s + d y + e g, the controller makes the drive u of
+    f_r and y, and u acts on the rig from sample k+1 on. The states are the rig's, the
+    compensation's s and the controller's.
 
     Parameters
     ----------
@@ -106,35 +106,26 @@ def closed_loop(
         a, b, c from the drive to y, see `LoopRig.sampled`.
     compensation : LinearFilter
         From y and g to f_r.
-    control : tuple of ndarray or None
-        a, b, c, d of the force controller; None: f_r itself drives the rig.
+    control : LinearControl
+        From f_r and y to u.
     dt : float
         Sampling period, s.
-    feedback : bool
-        Whether the controller sees the measured force.
     """
     _, b, c = rig
     n = compensation.axes
     matrix = loop_matrix(
-        rig, (compensation.a, compensation.b, compensation.c, compensation.d), control, feedback
+        rig, (compensation.a, compensation.b, compensation.c, compensation.d), control
     )
-    _, gain, _, direct = control or no_control(n)
     by_ground = compensation.e
-    ground = np.vstack([b @ direct @ by_ground, compensation.h, gain @ by_ground])
+    ground = np.vstack(
+        [b @ control.d[:, :n] @ by_ground, compensation.h, control.b[:, :n] @ by_ground]
+    )
     displacement = np.pad(c[:n], ((0, 0), (0, len(matrix) - len(b))))
     return ClosedLoop(matrix, ground, displacement, dt)
 
 
-def no_control(axes: int) -> Matrices:
-    """Give the matrices of a controller that hands f_r itself on to the rig."""
-    return np.zeros((0, 0)), np.zeros((0, axes)), np.zeros((axes, 0)), np.eye(axes)
-
-
 def loop_matrix(
-    rig: tuple[Floats, Floats, Floats],
-    compensation: Matrices,
-    control: Matrices | None,
-    feedback: bool,
+    rig: tuple[Floats, Floats, Floats], compensation: Matrices, control: LinearControl
 ) -> Floats:
     """Matrix of `closed_loop`; stacks of rigs and of compensations give a stack of matrices.
 
@@ -144,10 +135,8 @@ def loop_matrix(
         a, b, c, see `closed_loop`; shapes (..., r, r) and so on.
     compensation : tuple of ndarray
         a, b, c, d of a `LinearFilter`; shapes (..., s, s) and so on.
-    control : tuple of ndarray or None
+    control : LinearControl
         See `closed_loop`.
-    feedback : bool
-        Likewise.
 
     Returns
     -------
@@ -157,21 +146,18 @@ def loop_matrix(
     a, b, c = rig
     filter_a, filter_b, filter_c, filter_d = compensation
     n = filter_d.shape[-2]
-    if control is None:
-        control, feedback = no_control(n), False
-    own, gain, shown, direct = control
-    by_rig = filter_d @ c
-    if feedback:
-        by_rig = by_rig - c[..., 3 * n :, :]
+    by_force, by_state = control.b[:, :n], control.b[:, n:]
+    driven_by_force, driven_by_state = b @ control.d[:, :n], b @ control.d[:, n:]
+    asked = filter_d @ c
     first, second = a.shape[-1], a.shape[-1] + filter_a.shape[-1]
-    matrix = np.zeros((*by_rig.shape[:-2], second + len(own), second + len(own)))
-    driven = b @ direct
-    matrix[..., :first, :first] = a + driven @ by_rig
-    matrix[..., :first, first:second] = driven @ filter_c
-    matrix[..., :first, second:] = b @ shown
+    size = second + len(control.a)
+    matrix = np.zeros((*asked.shape[:-2], size, size))
+    matrix[..., :first, :first] = a + driven_by_force @ asked + driven_by_state @ c
+    matrix[..., :first, first:second] = driven_by_force @ filter_c
+    matrix[..., :first, second:] = b @ control.c
     matrix[..., first:second, :first] = filter_b @ c
     matrix[..., first:second, first:second] = filter_a
-    matrix[..., second:, :first] = gain @ by_rig
-    matrix[..., second:, first:second] = gain @ filter_c
-    matrix[..., second:, second:] = own
+    matrix[..., second:, :first] = by_force @ asked + by_state @ c
+    matrix[..., second:, first:second] = by_force @ filter_c
+    matrix[..., second:, second:] = control.a
     return matrix

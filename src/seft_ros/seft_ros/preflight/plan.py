@@ -6,10 +6,11 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.topics import VALVE_COMMAND
 
-from seft_ros.loop_shaping.controller import Controller
+from seft_ros.force_controller.force_control import LinearControl
+from seft_ros.force_controller.methods import force_control
 from seft_ros.loop_shaping.plant import Source
-from seft_ros.loop_shaping.sampling import controller_states
 from seft_ros.preflight.closed_loop import ClosedLoop, Matrices, closed_loop, loop_matrix
 from seft_ros.preflight.loop_rig import choose_rig
 from seft_ros.reference_force.block import knowledge
@@ -53,12 +54,10 @@ class Plan:
         self.section = experiment["reference_force"]
         self.mass_ratio = float(self.section["mass_ratio"])
         self.dead_time = self.rig.plant.delay
-        control = experiment["force_controller"]
-        self._feedback = bool(control["feedback"])
-        self._control = None
-        if self.rig.drive == "valve_command":
-            controller = Controller.from_coefficients(control["numerator"], control["denominator"])
-            self._control = controller_states(controller, self.timebase.dt, len(self.axes))
+        self._control = LinearControl.none(len(self.axes))
+        if self.rig.drive == VALVE_COMMAND.name:
+            control = force_control(experiment["force_controller"], self.axes, self.timebase)
+            self._control = control.linear()
         self._filter = lru_cache(maxsize=64)(self.compensation)
         self._rig = lru_cache(maxsize=64)(self.rig.sampled)
 
@@ -129,9 +128,9 @@ class Plan:
         rig = self._rig(self.dt, self.dead_time if dead_time is None else dead_time, gain)
         compensation = self._filter(mass_ratio, stiffness, told_delay)
         compensation = compensation.delayed(self.section["loop_delay"])
-        return closed_loop(rig, compensation, self._control, self.dt, self._feedback)
+        return closed_loop(rig, compensation, self._control, self.dt)
 
     def loop_matrices(self, filters: Matrices, dead_time: float | None = None) -> Floats:
         """Close the loop with a stack of compensations, see `loop_matrix`; shape (..., N, N)."""
         rig = self._rig(self.dt, self.dead_time if dead_time is None else dead_time, 1.0)
-        return loop_matrix(rig, filters, self._control, self._feedback)
+        return loop_matrix(rig, filters, self._control)

@@ -3,7 +3,7 @@
 from seft_msgs_py import realtime
 from seft_msgs_py.parameters import Parameter, Table
 
-from seft_ros.reference_force.compensation.names import NAMES
+from seft_ros.reference_force.compensation.names import REGISTERED
 
 TABLE = Table(
     "reference_force",
@@ -57,8 +57,9 @@ TABLE = Table(
             "string",
             "none",
             "how the measured acceleration is freed of the actuator's delay",
-            choices=NAMES,
+            choices=REGISTERED.names,
         ),
+        REGISTERED.settings_row("compensation.settings", "a method"),
         Parameter(
             "compensation.delay",
             "float",

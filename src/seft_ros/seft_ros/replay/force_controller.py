@@ -8,8 +8,8 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND, LoopTopic, Topic
 from seft_msgs_py.trajectory import TrajectoryCodec
 
-from seft_ros.force_controller.block import ForceController
 from seft_ros.force_controller.interlock import Interlock
+from seft_ros.force_controller.methods import force_control
 from seft_ros.recording.record import Estimates, Series
 from seft_ros.recording.samples import until
 from seft_ros.replay.answered import note_unanswered
@@ -83,7 +83,7 @@ class ForceControllerPart:
     def computed(self, section: dict[str, Any]) -> tuple[Series, Estimates | None]:
         """Give the answers of the block without ROS, with a node's parameters."""
         axes, timebase = self._experiment.axes, self._experiment.timebase
-        block = ForceController.from_parameters(dict(section), axes, timebase)
+        block = force_control(dict(section), axes, timebase)
         interlock = Interlock.from_parameters(block, dict(section), axes, timebase)
         steps, commands, none = [], [], np.zeros(len(axes))
         for step in self._commands.steps.tolist():

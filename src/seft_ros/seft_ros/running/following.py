@@ -121,8 +121,10 @@ class Following:
         step = self._observer.time_ns // self._period_ns
         detail = self._observer.values.get("detail", "")
         if self._observer.state == State.DONE:
-            self._progress("done", step + 1)
-            return detail if "stopped" in detail else ""
+            stopped = "stopped" in detail
+            steps = self._observer.values.get("steps", "")
+            self._progress("done", int(steps) if steps and not stopped else step + 1)
+            return detail if stopped else ""
         if not self._observer.values.get(SILENT) and "step" in self._observer.values:
             return ""
         return f"{detail} (at step {self._observer.values.get('step', step)})"

@@ -9,7 +9,7 @@ from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.parameters import Section, nearest
 
 from seft_ros.experiment.blocks import build_blocks
-from seft_ros.force_controller.block import ForceController
+from seft_ros.force_controller.methods import force_control
 from seft_ros.ground_motion.block import GroundMotion
 from seft_ros.reference_force.block import knowledge
 from seft_ros.reference_force.compensation.methods import METHODS
@@ -123,7 +123,7 @@ def make_tournament(
     ]
     GroundMotion.from_parameters(experiment["ground_motion"], axes, timebase)
     knowledge(experiment["reference_force"], axes, timebase)
-    ForceController.from_parameters(experiment["force_controller"], axes, timebase)
+    force_control(experiment["force_controller"], axes, timebase)
     for number, section in enumerate(sections):
         check_rig(section, axes, timebase, number)
     chosen, ratios = tuple(dict.fromkeys(methods or METHODS)), list(dict.fromkeys(ratios))

@@ -1,13 +1,4 @@
-"""Compensation methods by the name that a parameter file gives: ours, and those of other packages.
-
-A package registers a method in its setup.py:
-
-    entry_points={"seft.compensation": ["ours = their_package.module:function"]}
-"""
-
-from importlib.metadata import EntryPoint
-
-from seft_msgs_py.errors import InputError
+"""Compensation methods by the name that a parameter file gives: ours, and those of others."""
 
 from seft_ros.reference_force.compensation.ats import ats
 from seft_ros.reference_force.compensation.compensator import Compensator, Knowledge, Method
@@ -27,24 +18,17 @@ _METHODS: tuple[Method, ...] = (
 )
 
 
-def _registered(entry: EntryPoint) -> Method:
-    """Load a registered method when it is used: what others have wrong breaks no test of ours."""
-
+def _registered(name: str) -> Method:
     def make(knowledge: Knowledge) -> Compensator:
-        try:
-            method = entry.load()
-        except Exception as error:
-            package = entry.dist.name if entry.dist is not None else entry.module
-            raise InputError(
-                f"reference_force: compensation.method is {entry.name}, but package {package} "
-                f"has no {entry.value} that can be loaded: {error}"
-            ) from None
-        return method(knowledge)
+        settings = knowledge.options.get("compensation.settings", "")
+        where = "reference_force: compensation.method"
+        made: Compensator = REGISTERED.make(name, settings, where, knowledge)
+        return made
 
     return make
 
 
 METHODS: dict[str, Method] = {
     **dict(zip(OWN, _METHODS, strict=True)),
-    **{name: _registered(entry) for name, entry in REGISTERED.items()},
+    **{name: _registered(name) for name in REGISTERED.names if name in REGISTERED},
 }

@@ -1,13 +1,10 @@
 """Names of the compensation methods, for nodes that know their parameters but not the methods.
 
-What the methods compute with takes a third of a second to import. Those of other packages are
-registered as entry points; none of their code is imported here.
+What the methods compute with takes a third of a second to import.
 """
 
-from importlib.metadata import entry_points
+from seft_msgs_py.registered import Registered
 
-GROUP = "seft.compensation"
-"""Group of the entry points: name of a method -> `compensator.Method`."""
 OWN = (
     "none",
     "polynomial",
@@ -19,5 +16,5 @@ OWN = (
     "restoring",
     "preview_inverse",
 )
-REGISTERED = {entry.name: entry for entry in entry_points(group=GROUP) if entry.name not in OWN}
-NAMES = (*OWN, *sorted(REGISTERED))
+REGISTERED = Registered("seft.compensation", OWN)
+"""Of other packages: name of a method -> `compensator.Method`, which may take settings."""

@@ -1,0 +1,66 @@
+"""What other packages register: found by name, made with settings, one clear error else."""
+
+import sys
+import types
+
+import pytest
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.registered import Registered
+
+
+def own_factory(knowledge, gain=1.0):
+    return knowledge, gain
+
+
+@pytest.fixture
+def group(tmp_path, monkeypatch):
+    described = tmp_path / "their_lab-1.0.dist-info"
+    described.mkdir()
+    (described / "METADATA").write_text("Metadata-Version: 2.1\nName: their-lab\nVersion: 1.0\n")
+    (described / "entry_points.txt").write_text(
+        "[seft.test]\ngood = their_module:factory\nlost = their_module:nothing\nours = x:y\n"
+    )
+    module = types.ModuleType("their_module")
+    module.factory = own_factory
+    monkeypatch.setitem(sys.modules, "their_module", module)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return Registered("seft.test", ("ours",))
+
+
+def test_names_of_others_follow_ours_and_cannot_replace_them(group):
+    assert group.names == ("ours", "good", "lost")
+    assert "good" in group
+    assert "ours" not in group
+
+
+@pytest.mark.parametrize(
+    ("settings", "gain"),
+    [
+        ("", 1.0),
+        ("gain=2.5", 2.5),
+        ("gain=[1,2.5]", [1, 2.5]),
+        ("gain=high", "high"),
+        ("'gain=a b'", "a b"),
+    ],
+)
+def test_one_is_made_of_what_is_known_and_its_settings(group, settings, gain):
+    assert group.make("good", settings, "node: method", "known") == ("known", gain)
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "words"),
+    [
+        ("lost", "", "node: method is lost, but package their-lab has no their_module:nothing"),
+        ("good", "gain='2", "node: method: settings.*No closing quotation"),
+        ("good", "gain 2.0", "'gain' is not of the form name=value"),
+        ("good", "gian=2.0", "its settings do not fit their_module:factory.*'gian'"),
+    ],
+)
+def test_what_can_not_be_made_gets_one_clear_error(group, name, settings, words):
+    with pytest.raises(InputError, match=words):
+        group.make(name, settings, "node: method", "known")
+
+
+def test_the_row_of_the_settings_is_a_text_that_may_be_left_out(group):
+    row = group.settings_row("settings", "a thing")
+    assert (row.name, row.kind, row.default) == ("settings", "string", "")

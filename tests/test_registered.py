@@ -1,0 +1,125 @@
+"""Method, controller and restoring force of somebody else's package take part like ours."""
+
+import os
+
+import pytest
+from graph_tools import JHU, STALLS_ALLOWED
+
+THEIRS = '''"""A compensation method, a controller and a spring."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from seft_plant_sim.restoring_force import HystereticSpring
+from seft_ros.force_controller.force_control import LinearControl
+from seft_ros.reference_force.compensation.linear_filter import LinearCompensator, LinearFilter
+
+
+def half(knowledge, share=0.25):
+    """A share of the measured acceleration is fed back."""
+    n = knowledge.axes
+    measured = np.zeros((n, 4 * n))
+    measured[:, 2 * n : 3 * n] = -share * knowledge.computed_mass
+    return LinearCompensator(LinearFilter.of_gains(measured, -knowledge.total_mass))
+
+
+class Damped:
+    """Force error through a low pass, and the piston's velocity, which the flow must make up."""
+
+    def __init__(self, knowledge, gain, by_velocity=0.0):
+        self._gain, self._by_velocity, self._axes = gain, by_velocity, knowledge.axes
+        self._keep = np.exp(-2 * np.pi * 10.0 * knowledge.dt)
+        self.reset()
+
+    def reset(self):
+        self._low = np.zeros(self._axes)
+
+    def step(self, reference_force, state):
+        drive = self._low + self._by_velocity * state[1]
+        error = reference_force - state[3]
+        self._low = self._keep * self._low + (1 - self._keep) * self._gain * error
+        return drive
+
+    def linear(self):
+        one, none = np.eye(self._axes), np.zeros((self._axes, self._axes))
+        by_error = (1 - self._keep) * self._gain * one
+        return LinearControl(
+            a=self._keep * one,
+            b=np.hstack([by_error, none, none, none, -by_error]),
+            c=one,
+            d=np.hstack([none, none, self._by_velocity * one, none, none]),
+        )
+
+
+@dataclass(frozen=True)
+class Pinching(HystereticSpring):
+    """Yields the later, the further it has gone."""
+
+    rounding: float = 2.0
+
+    def rate(self, z, velocity, work):
+        share = min(abs(z) / self.yield_displacement, 1.0)
+        return velocity * (1.0 - share**self.rounding) if z * velocity > 0 else velocity
+'''
+REGISTERED = """\
+[seft.compensation]
+half = theirs:half
+lost = theirs:nothing
+[seft.force_control]
+damped = theirs:Damped
+[seft.restoring_force]
+pinching = theirs:Pinching
+"""
+SHORT = ("-p", "ground_motion:synthetic.duration:=3.0", "-p", "reference_force:mass_ratio:=0.4")
+METHOD = ("-p", "reference_force:compensation.method:=half")
+CONTROLLER = (
+    *("-p", "force_controller:method:=damped"),
+    *("-p", "force_controller:settings:=gain=0.004 by_velocity=1.5"),
+)
+SPRING = (
+    *("-p", "rig:specimen.kind:=pinching", "-p", "rig:specimen.yield_displacement:=0.004"),
+    *("-p", "rig:specimen.settings:=rounding=3.0"),
+)
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """An installed package that registers all kinds, and a method that is not there."""
+    folder = tmp_path / "installed"
+    described = folder / "their_lab-1.0.dist-info"
+    described.mkdir(parents=True)
+    (folder / "theirs.py").write_text(THEIRS)
+    (described / "METADATA").write_text("Metadata-Version: 2.1\nName: their-lab\nVersion: 1.0\n")
+    (described / "entry_points.txt").write_text(REGISTERED)
+    paths = [str(folder), *filter(None, [os.environ.get("PYTHONPATH")])]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(paths))
+
+
+@pytest.mark.usefixtures("package")
+def test_what_is_registered_gives_the_same_bits_over_dds_and_is_known_to_preflight(seft, seft_json):
+    words = (JHU, *SHORT, *METHOD, *CONTROLLER)
+    whole = seft_json("preflight", JHU, *SHORT, *CONTROLLER, status=1)  # unstable
+    part = seft_json("preflight", *words)
+    assert part["critical_mass_ratio"] > 2.0 * whole["critical_mass_ratio"]
+    words = (*words, *SPRING)
+    seft_json("simulate", *words, "--out", "simulated")
+    seft_json("run", *words, "-p", "rig:pace:=lockstep", *STALLS_ALLOWED, "--out", "lockstep")
+    assert seft_json("compare", "simulated", "lockstep")["identical"] is True
+    lost = ("-p", "reference_force:compensation.method:=lost")
+    (line,) = seft("simulate", JHU, *lost, status=2).stderr.strip().splitlines()
+    assert "package their-lab has no theirs:nothing that can be loaded" in line
+    without = seft("simulate", JHU, *CONTROLLER[:2], status=2).stderr.strip()
+    assert "force_controller: method is damped, but its settings do not fit" in without
+
+
+@pytest.mark.usefixtures("package")
+def test_settings_of_what_is_registered_change_the_test(seft_json):
+    words = (JHU, *SHORT, *METHOD)
+    quarter = seft_json("preflight", *words)["critical_mass_ratio"]
+    eighth = ("-p", "reference_force:compensation.settings:=share=0.125")
+    assert seft_json("preflight", *words, *eighth)["critical_mass_ratio"] > 1.5 * quarter
+
+
+def test_a_method_that_nobody_registered_is_refused(seft):
+    (line,) = seft("simulate", JHU, *METHOD, status=2).stderr.strip().splitlines()
+    assert 'compensation.method is "half", but must be one of none, ' in line
