@@ -29,7 +29,8 @@ class RunningResponse:
     """
 
     def __init__(self, experiment: Experiment) -> None:
-        whole = whole_structure(experiment)
+        self._tested = whole_structure(experiment)
+        whole = self._tested.structure
         self.exact = not whole.springs
         self._whole = whole
         self._free, self._start, self._change = sampled_motion(whole, experiment.timebase.dt)
@@ -52,7 +53,8 @@ class RunningResponse:
         displacement, acceleration : ndarray
             Relative to the ground, shape (N, n), m and m/s^2.
         """
-        n, whole = self._whole.axes, self._whole
+        shown, n, whole = ground_motion.shape[1], self._whole.axes, self._whole
+        ground_motion = self._tested.motion(ground_motion)
         if self._last is None:  # at rest in the first step
             states = np.zeros((len(ground_motion), 2 * n))
             before, rest = ground_motion[:-1], states[1:]
@@ -71,7 +73,7 @@ class RunningResponse:
         self._state, self._last = state.copy(), ground_motion[-1].copy()
         restoring = states[:, :n] @ whole.stiffness.T + states[:, n:] @ whole.damping.T
         acceleration = plastic - ground_motion - np.linalg.solve(whole.mass, restoring.T).T
-        return states[:, :n], acceleration
+        return states[:, :shown], acceleration[:, :shown]
 
     def _yield(self, state: Floats) -> Floats:
         """Bring a state to where its plastic forces take it; give these, over the mass, m/s^2."""

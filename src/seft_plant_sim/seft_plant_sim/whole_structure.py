@@ -9,6 +9,7 @@ from seft_msgs_py.arrays import as_matrix
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.parameters import group
 
+from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_plant_sim.hysteretic_response import hysteretic_response
 from seft_plant_sim.specimen import Specimen
 
@@ -36,10 +37,10 @@ class ReferenceResponse:
 def reference_response(experiment: Experiment, ground_motion: Floats) -> ReferenceResponse:
     """Exact response of the whole structure of an experiment (paper Eq. 2.1).
 
-    M x'' + C x' + r(x) = -M a_g from rest. In a SEFT test M is the specimen's mass and the
-    computed mass, mass_ratio times the model's; in an EFT test M is (1 + mass_ratio) times
-    the model's mass, all of it on the specimen (Eq. 2.2). Where the rig is simulated, the
-    specimen is the simulated one; else it is the reference-force node's model.
+    M x'' + C x' + r(x) = -M a_g from rest. In a SEFT test it is the specimen and the computed
+    substructure; in an EFT test M is (1 + mass_ratio) times the model's mass, all of it on the
+    specimen (Eq. 2.2). Where the rig is simulated, the specimen is the simulated one; else it is
+    the reference-force node's model.
 
     Parameters
     ----------
@@ -50,27 +51,77 @@ def reference_response(experiment: Experiment, ground_motion: Floats) -> Referen
     """
     section = experiment["reference_force"]
     specimen = tested_specimen(experiment)
-    whole = whole_structure(experiment)
-    mass = whole.mass
+    n, whole = specimen.axes, whole_structure(experiment)
+    structure, computed = whole.structure, whole.computed
+    motion = whole.motion(ground_motion)
     respond = hysteretic_response if specimen.springs else _linear_response
-    displacement, velocity, elastic = respond(whole, ground_motion, experiment.timebase.dt)
-    restoring = elastic + velocity @ specimen.damping.T
-    acceleration = -ground_motion - np.linalg.solve(mass, restoring.T).T
+    displacement, velocity, elastic = respond(structure, motion, experiment.timebase.dt)
+    restoring = elastic + velocity @ structure.damping.T
+    acceleration = -motion - np.linalg.solve(structure.mass, restoring.T).T
     if section["method"] == "eft":
-        force = -ground_motion @ mass.T
+        force = -motion @ structure.mass.T
     else:
-        force = acceleration @ specimen.mass.T + restoring
-    return ReferenceResponse(displacement, velocity, acceleration, force)
+        own = restoring - displacement @ computed.stiffness.T - velocity @ computed.damping.T
+        force = acceleration[:, :n] @ specimen.mass.T + own[:, :n]
+    return ReferenceResponse(displacement[:, :n], velocity[:, :n], acceleration[:, :n], force)
 
 
-def whole_structure(experiment: Experiment) -> Specimen:
-    """Specimen of an experiment with the mass of the whole structure, see `reference_response`."""
-    section = experiment["reference_force"]
+@dataclass(frozen=True)
+class WholeStructure:
+    """Specimen and computed substructure together.
+
+    Attributes
+    ----------
+    structure : Specimen
+        Over n axes, then q internal degrees of freedom.
+    computed : ComputedSubstructure
+        The part that is computed; nothing in an EFT test.
+    """
+
+    structure: Specimen
+    computed: ComputedSubstructure
+
+    @classmethod
+    def of(cls, specimen: Specimen, computed: ComputedSubstructure) -> "WholeStructure":
+        """Put them together at the axes."""
+        if computed.is_lumped:  # the very numbers of a structure that has no more than axes
+            return cls(replace(specimen, mass=specimen.mass + computed.mass), computed)
+        inside = [(0, computed.internal)] * 2
+        return cls(
+            replace(
+                specimen,
+                mass=np.pad(specimen.mass, inside) + computed.mass,
+                damping=np.pad(specimen.damping, inside) + computed.damping,
+                stiffness=np.pad(specimen.stiffness, inside) + computed.stiffness,
+                deformation=np.pad(specimen.deformation, [(0, 0), inside[1]])
+                if specimen.springs
+                else specimen.deformation,
+            ),
+            computed,
+        )
+
+    def motion(self, ground_motion: Floats) -> Floats:
+        """Ground acceleration of every degree of freedom, of that of the axes; (N, n + q)."""
+        if not self.computed.internal:
+            return ground_motion
+        return np.hstack([ground_motion, ground_motion @ self.computed.influence.T])
+
+
+def whole_structure(experiment: Experiment) -> WholeStructure:
+    """Give specimen and computed substructure of an experiment, see `reference_response`.
+
+    Raises
+    ------
+    InputError
+        If there is no such structure.
+    """
+    section, axes = experiment["reference_force"], experiment.axes
     specimen = tested_specimen(experiment)
-    model_mass = as_matrix(section["model.mass"], experiment.axes, "reference_force: model.mass")
     if section["method"] == "eft":
-        return replace(specimen, mass=(1.0 + section["mass_ratio"]) * model_mass)
-    return replace(specimen, mass=specimen.mass + section["mass_ratio"] * model_mass)
+        model_mass = as_matrix(section["model.mass"], axes, "reference_force: model.mass")
+        carried = replace(specimen, mass=(1.0 + section["mass_ratio"]) * model_mass)
+        return WholeStructure(carried, ComputedSubstructure.none(len(axes)))
+    return WholeStructure.of(specimen, ComputedSubstructure.from_parameters(section, axes))
 
 
 def tested_specimen(experiment: Experiment) -> Specimen:

@@ -8,13 +8,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, sosfilt
+from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_ros.interlock.instability import InstabilityWatch
 from seft_ros.reference_force.compensation.compensator import Knowledge
 
 RATIO, FLOOR = 5.0, 0.3
-ONE = Knowledge(
-    np.array([[52.7]]), np.array([[52.7]]), np.array([[800.0]]), np.array([[2.11e5]]), 0.002, {}
-)
+
+
+def known_of(mass, computed, damping, stiffness, dt=0.002):
+    return Knowledge(mass, ComputedSubstructure.lumped(computed), damping, stiffness, dt, {})
+
+
+ONE = known_of(*(np.array([[value]]) for value in (52.7, 52.7, 800.0, 2.11e5)))
 
 
 def watch(known=ONE, ratio=RATIO, lowest=0.0):
@@ -68,14 +73,8 @@ def vibration(steps, dt, hz, growth, start=1e-3):
 )
 def test_strong_motion_that_a_rough_model_explains_is_no_fault(seed, axes, mass_ratio, rate, wrong):
     couple = 2 * np.eye(axes) - np.eye(axes, k=1) - np.eye(axes, k=-1)
-    known = Knowledge(
-        50.0 * np.eye(axes),
-        mass_ratio * 50.0 * np.eye(axes),
-        400.0 * couple,
-        2e5 * couple,
-        1 / rate,
-        {},
-    )
+    mass = 50.0 * np.eye(axes)
+    known = known_of(mass, mass_ratio * mass, 400.0 * couple, 2e5 * couple, 1 / rate)
     ground = motion(seed, 400, axes)
     true = dataclasses.replace(known, stiffness=wrong * known.stiffness)
     noise = 0.05 * np.random.default_rng(seed + 1).standard_normal(ground.shape)
@@ -102,7 +101,7 @@ def test_it_is_seen_in_the_middle_of_strong_motion():
 
 
 def test_the_axis_that_vibrates_is_named():
-    two = Knowledge(*(np.kron(np.eye(2), part) for part in (52.7, 52.7, 800.0, 2.11e5)), 0.002, {})
+    two = known_of(*(np.kron(np.eye(2), part) for part in (52.7, 52.7, 800.0, 2.11e5)))
     growing = np.hstack([np.zeros((2000, 1)), vibration(2000, 0.002, 40.0, 7.0)])
     _, fault = first_fault(watch(two), np.zeros_like(growing), growing)
     assert "on axis axis1" in fault

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_plant_sim.restoring_force import BilinearSpring, BoucWenSpring
 from seft_ros.reference_force.compensation.compensator import Knowledge
 from seft_ros.reference_force.compensation.preview.force_error import ForceErrorCorrection
@@ -20,7 +21,9 @@ def plastic_part(spring, x):
 
 def knowledge(alpha=1.0, n=1):
     one = np.eye(n)
-    return Knowledge(M * one, alpha * M * one, C * one, K * one, DT, {})
+    return Knowledge(
+        M * one, ComputedSubstructure.lumped(alpha * M * one), C * one, K * one, DT, {}
+    )
 
 
 def motion(steps=4000, amplitude=0.01):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_ros.reference_force.compensation.compensator import Knowledge
 from seft_ros.reference_force.compensation.preview.target_prediction import TargetPrediction
 
@@ -18,7 +19,14 @@ def structure(n, seed):
         return scale * (np.eye(n) + coupling * (part + part.T))
 
     mass, stiffness, damping = definite(50.0, 0.02), definite(2e5, 0.1), definite(800.0, 0.1)
-    known = Knowledge(mass, rng.uniform(0.3, 4.0) * mass, damping, stiffness, DT, {})
+    known = Knowledge(
+        mass,
+        ComputedSubstructure.lumped(rng.uniform(0.3, 4.0) * mass),
+        damping,
+        stiffness,
+        DT,
+        {},
+    )
     return known, np.hstack([stiffness, damping])
 
 
@@ -83,7 +91,14 @@ def test_the_coming_displacements_are_those_of_the_whole_structure(n):
 
 def test_without_computed_mass_nothing_but_the_ground_motion_counts():
     known, restoring = structure(2, seed=4)
-    known = Knowledge(known.mass, 0 * known.mass, known.damping, known.stiffness, DT, {})
+    known = Knowledge(
+        known.mass,
+        ComputedSubstructure.none(known.axes),
+        known.damping,
+        known.stiffness,
+        DT,
+        {},
+    )
     weights = np.random.default_rng(1).normal(size=(1, 1 + HORIZON))
     motion, ground_motion, rest = TargetPrediction(known, weights, None, restoring).gains()
     assert not motion.any() and not rest.any()

@@ -20,7 +20,7 @@ def force_control(
     InputError
         If it can't be made.
     """
-    name = section["method"]
+    name = section.get("method", TRANSFER_FUNCTION)  # not in an older record
     if name == TRANSFER_FUNCTION:
         return ForceController.from_parameters(section, axes, timebase)
     knowledge = ControlKnowledge(len(axes), timebase.dt, section["voltage_limit"])

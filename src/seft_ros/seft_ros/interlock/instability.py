@@ -19,6 +19,7 @@ from seft_msgs_py.timebase import Timebase
 from seft_ros.force_controller.block import bilinear
 from seft_ros.reference_force.block import knowledge
 from seft_ros.reference_force.compensation.compensator import Knowledge
+from seft_ros.reference_force.compensation.substructure import whole_system
 
 Floats = npt.NDArray[np.float64]
 
@@ -178,15 +179,13 @@ def _filtered(
     known: Knowledge, lowest: float, dt: float, n: int
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """State space from (a_g, a) to the high-passed accelerations of the model and as measured."""
-    whole = np.linalg.inv(known.mass + known.computed_mass)
-    restoring = -whole @ np.hstack([known.stiffness, known.damping])
-    motion = np.vstack([np.hstack([np.zeros((n, n)), np.eye(n)]), restoring])
-    push = np.vstack([np.zeros((n, n)), -np.eye(n)])
-    held = expm(dt * np.block([[motion, push], [np.zeros((n, 3 * n))]]))  # zero-order hold
+    motion, push = whole_system(known)
+    size, restoring = len(motion), motion[n : 2 * n]
+    held = expm(dt * np.block([[motion, push], [np.zeros((n, size + n))]]))  # zero-order hold
     fa, fb, fc, fd = _high_pass(lowest, dt)
     one, none = np.eye(n), np.zeros((n, n))
     filters = [np.kron(part, one) for part in (fa, fb, fc, fd)]
-    size, order = 2 * n, len(fa) * n
+    order = len(fa) * n
     a = block_diag(held[:size, :size], filters[0], filters[0])
     a[size : size + order, :size] = filters[1] @ restoring  # the model's acceleration, filtered
     b = np.block(

@@ -58,9 +58,10 @@ class Controller:
         InputError
             If another package's controller is in use, or a polynomial is zero.
         """
-        if section["method"] != TRANSFER_FUNCTION:
+        method = section.get("method", TRANSFER_FUNCTION)  # not in an older record
+        if method != TRANSFER_FUNCTION:
             raise InputError(
-                f"force_controller: method is {section['method']}, but only a {TRANSFER_FUNCTION} "
+                f"force_controller: method is {method}, but only a {TRANSFER_FUNCTION} "
                 "can be judged here; choose that method or give a controller as options"
             )
         return cls.from_coefficients(section["numerator"], section["denominator"])

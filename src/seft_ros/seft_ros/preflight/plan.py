@@ -13,10 +13,9 @@ from seft_ros.force_controller.methods import force_control
 from seft_ros.loop_shaping.plant import Source
 from seft_ros.preflight.closed_loop import ClosedLoop, Matrices, closed_loop, loop_matrix
 from seft_ros.preflight.loop_rig import choose_rig
-from seft_ros.reference_force.block import knowledge
+from seft_ros.reference_force.block import compensator, knowledge
 from seft_ros.reference_force.compensation.compensator import Compensator
 from seft_ros.reference_force.compensation.linear_filter import LinearFilter
-from seft_ros.reference_force.compensation.methods import METHODS
 
 Floats = npt.NDArray[np.float64]
 
@@ -89,7 +88,7 @@ class Plan:
             if section[name] > 0:  # it is told
                 section[name] = max(section[name] + told_delay, 0.0)
         known = knowledge(section, self.axes, self.timebase)
-        return METHODS[section["compensation.method"]](known)
+        return compensator(section["compensation.method"], known)
 
     def compensation(
         self, mass_ratio: float | None = None, stiffness: float = 1.0, told_delay: float = 0.0

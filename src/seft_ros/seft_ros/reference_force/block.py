@@ -7,9 +7,11 @@ import numpy.typing as npt
 from seft_msgs_py.arrays import mass_matrix, symmetric_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.timebase import Timebase
+from seft_plant_sim.computed_substructure import ComputedSubstructure
 
 from seft_ros.reference_force.compensation.compensator import Compensator, Knowledge
 from seft_ros.reference_force.compensation.methods import METHODS
+from seft_ros.reference_force.compensation.substructure import with_substructure
 
 Floats = npt.NDArray[np.float64]
 
@@ -54,7 +56,7 @@ class ReferenceForce:
             lacks something.
         """
         known = knowledge(section, axes, timebase)
-        return cls(METHODS[section["compensation.method"]](known))
+        return cls(compensator(section["compensation.method"], known))
 
     def reset(self) -> None:
         """Forget the test so far."""
@@ -83,6 +85,17 @@ class ReferenceForce:
         return self.compensator.estimates()
 
 
+def compensator(method: str, known: Knowledge) -> Compensator:
+    """Make a compensation method of what is known of a test.
+
+    Raises
+    ------
+    InputError
+        If the method lacks something.
+    """
+    return with_substructure(METHODS[method](known), known)
+
+
 def knowledge(section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase) -> Knowledge:
     """Gather what a compensation method is told of a test.
 
@@ -98,9 +111,12 @@ def knowledge(section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
         symmetric_matrix(section[f"model.{name}"], axes, f"{where}.{name}")
         for name in ("damping", "stiffness")
     )
-    computed = section["mass_ratio"] * mass
     if section["method"] == "eft":  # the specimen carries all of the mass
-        mass, computed = mass + computed, np.zeros_like(mass)
+        mass = mass + section["mass_ratio"] * mass
+        computed = ComputedSubstructure.none(len(axes))
+    else:
+        computed = ComputedSubstructure.from_parameters(section, axes).without_inertial_coupling()
+    _check_total_mass(mass + computed.mass[: len(axes), : len(axes)])
     options = {
         name: value
         for name, value in section.items()
@@ -114,6 +130,14 @@ def knowledge(section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
         )
     _add_delay(options, loop_delay * timebase.dt)
     return Knowledge(mass, computed, damping, stiffness, timebase.dt, options, loop_delay)
+
+
+def _check_total_mass(mass: Floats) -> None:
+    if np.linalg.eigvalsh(mass)[0] <= 0.0:
+        raise InputError(
+            "reference_force: computed.mass and model.mass add up to a mass on the axes that is "
+            f"not positive (definite): {mass.tolist()}"
+        )
 
 
 def _add_delay(options: dict[str, Any], delay: float) -> None:

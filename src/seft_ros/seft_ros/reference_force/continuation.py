@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.errors import InputError
 from seft_msgs_py.timebase import Timebase
 
 from seft_ros.reference_force.block import knowledge
@@ -49,6 +50,12 @@ class Continuation:
 
     def __init__(self, section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase) -> None:
         known = knowledge(section, axes, timebase)
+        if not known.computed.is_lumped:
+            raise InputError(
+                "reference_force: loop_delay is given, but a computed substructure with springs, "
+                "dampers or internal degrees of freedom is not yet known to the forces that "
+                "bridge a link; compute lumped masses, or run it without a link"
+            )
         self.steps = steps = max(1, round(REACH / known.dt))
         options = known.options
         told = options["compensation.delay"]

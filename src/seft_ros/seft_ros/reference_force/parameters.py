@@ -16,7 +16,37 @@ TABLE = Table(
             choices=("eft", "seft"),
         ),
         Parameter(
-            "mass_ratio", "float", 0.0, "computed mass over specimen mass, alpha", minimum=0.0
+            "mass_ratio",
+            "float",
+            0.0,
+            "computed mass over specimen mass, alpha; with computed.mass a factor on all that is "
+            "computed, 1 as given",
+            minimum=0.0,
+        ),
+        Parameter(
+            "computed.mass",
+            "floats",
+            0.0,
+            "mass of the computed substructure over the axes, then its internal degrees of "
+            "freedom: one number, a diagonal, or a matrix; 0: the mass of the specimen's model",
+            "kg",
+        ),
+        Parameter("computed.damping", "floats", 0.0, "its damping, likewise", "N s/m"),
+        Parameter("computed.stiffness", "floats", 0.0, "its stiffness, likewise", "N/m"),
+        Parameter(
+            "computed.internal",
+            "int",
+            0,
+            "degrees of freedom of the computed substructure beside the axes",
+            minimum=0,
+            maximum=200,
+        ),
+        Parameter(
+            "computed.influence",
+            "floats",
+            0.0,
+            "ground acceleration of each of these per that of each axis, one after the other; 0: "
+            "that of the first axis",
         ),
         Parameter(
             "loop_delay",

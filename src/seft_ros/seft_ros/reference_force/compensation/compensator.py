@@ -6,6 +6,7 @@ from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
+from seft_plant_sim.computed_substructure import ComputedSubstructure
 
 from seft_ros.reference_force.compensation.linear_filter import LinearFilter
 
@@ -18,8 +19,11 @@ class Knowledge:
 
     Attributes
     ----------
-    mass, computed_mass : ndarray
-        M_e on the rig and M_c computed, shape (n, n), kg. In an EFT test M_c is zero.
+    mass : ndarray
+        M_e on the rig, shape (n, n), kg.
+    computed : ComputedSubstructure
+        What is computed beside it, no mass of which couples axes and internal degrees of freedom.
+        In an EFT test it is nothing.
     damping, stiffness : ndarray
         C and K of the specimen as far as the experimenter knows them, shape (n, n), N s/m, N/m.
     dt : float
@@ -32,7 +36,7 @@ class Knowledge:
     """
 
     mass: Floats
-    computed_mass: Floats
+    computed: ComputedSubstructure
     damping: Floats
     stiffness: Floats
     dt: float
@@ -43,6 +47,11 @@ class Knowledge:
     def axes(self) -> int:
         """Number of axes n."""
         return len(self.mass)
+
+    @property
+    def computed_mass(self) -> Floats:
+        """M_c, computed on the axes, shape (n, n), kg: all that most methods need to know."""
+        return self.computed.mass[: self.axes, : self.axes]
 
     @property
     def total_mass(self) -> Floats:
