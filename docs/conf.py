@@ -31,16 +31,19 @@ html_theme = "furo"
 html_title = "seft"
 html_math_renderer = "mathml"
 html_copy_source = False
+html_show_copyright = False
 
 
 def write_mathml(translator: HTML5Translator, node: math | math_block) -> None:
     """Write a formula as MathML, which browsers draw without a network."""
+    block = isinstance(node, math_block)
     try:
-        formula = tex2mathml(node.astext(), as_block=isinstance(node, math_block))
+        formula = tex2mathml(node.astext(), as_block=block)
     except MathError as error:
         LOGGER.warning("formula: %s", error, location=node)
-    else:
-        translator.body.append(formula)
+        raise SkipNode from None
+    # with room about it, or the theme's frame scrolls
+    translator.body.append(f'<div style="padding: 0.4em">{formula}</div>' if block else formula)
     raise SkipNode
 
 

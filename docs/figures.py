@@ -145,9 +145,9 @@ def interaction() -> Figure:
         near = (f > 5.0) & (f < 20.0)
         lowest = np.argmin(np.abs(loop.sampled.tracking[near]))
         dip = decibels(loop.sampled.tracking[near])[lowest]
-        print(f"{label}: zero {loop.plant.zeros()[0].hz:.2f} Hz, T {dip:.2f} dB ", end="")
+        print(f"{label}: zero {loop.plant.zeros()[0].hz:.2f} Hz, G {dip:.2f} dB ", end="")
         print(f"at {f[near][lowest]:.1f} Hz, delay at 2 Hz {1e3 * loop.delay_at(2.0):.1f} ms")
-    for panel, what in ((left, "valve to force / (dB of N/V)"), (right, "closed loop $T$ / dB")):
+    for panel, what in ((left, "valve to force / (dB of N/V)"), (right, "closed loop $G$ / dB")):
         panel.set(xscale="log")
         panel.set_xticks([1, 2, 5, 10, 20, 50, 100], ["1", "2", "5", "10", "20", "50", "100"])
         panel.minorticks_off()
