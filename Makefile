@@ -4,6 +4,7 @@ BIN := .venv/bin
 READY := .venv/seft-ready
 PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
 PACKAGES := src/seft_msgs_py src/seft_plant_sim src/seft_ros
+DOCS = $(BIN)/sphinx-build -q -W --keep-going -c docs . build/docs
 BUILD_FILES := $(wildcard $(foreach p,$(PACKAGES),$(p)/setup.py $(p)/setup.cfg $(p)/pyproject.toml))
 
 # .venv brings its own ROS: one sourced in this shell must not shine through.
@@ -16,7 +17,7 @@ endif
 HEALTHY := $(shell [ "$$(cat $(READY) 2>/dev/null)" = "$$(pwd -P)" ] && [ -x $(BIN)/seft ] \
 	&& $(BIN)/python -I -S -c '' 2>/dev/null && echo yes)
 
-.PHONY: help setup demo test thorough bench clean unfinished
+.PHONY: help setup demo test docs thorough bench clean unfinished
 .DELETE_ON_ERROR:
 
 help: ## this list
@@ -28,13 +29,17 @@ setup: $(READY) ## make .venv with the pinned libraries and the three packages
 demo: $(READY) ## the test of config/demo.yaml over ROS 2, on the simulated rig
 	$(BIN)/seft run config/demo.yaml
 
-test: $(READY) ## all checks: lint, format, types, tests (CI runs the same)
+test: $(READY) ## all checks: lint, format, types, docs, tests (CI runs the same)
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
+	$(DOCS)
 	$(BIN)/pytest src -n 2
 	$(BIN)/pytest tests -n 2 -m "not thorough and not alone"
 	$(BIN)/pytest tests -m "alone and not thorough"
+
+docs: $(READY) ## the pages as HTML in build/docs, every link between them checked
+	$(DOCS)
 
 thorough: $(READY) ## the tests that take long: the tutorial, every fault in every state
 	$(BIN)/pytest src tests -m thorough

@@ -71,12 +71,6 @@ def test_where_a_method_ends_is_what_preflight_says(method, column, overrides):
         assert float(told) == pytest.approx(critical.value, rel=0.005)
 
 
-def test_links_between_documents_lead_somewhere():
-    for document in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
-        for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", document.read_text()):
-            assert (document.parent / target).exists(), f"{document.name}: {target}"
-
-
 def test_layouts_for_outside_tools_plot_fields_of_our_topics():
     layouts = ROOT / "src" / "seft_ros" / "layouts"
     foxglove = json.loads((layouts / "foxglove.json").read_text())["configById"]

@@ -1,0 +1,218 @@
+"""Figures of theory.md, and the numbers on that page: run it in the folder of the project.
+
+    .venv/bin/python docs/figures.py
+
+All on the paper's rig, config/demo.yaml.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.parameters import Value
+from seft_plant_sim.whole_structure import reference_response
+from seft_ros.analysis.metrics import nrmse
+from seft_ros.drawing.style import FIRST, MARK, OTHERS, REFERENCE, TEXT, save_figure, tidy
+from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.offline import simulate
+from seft_ros.experiment.tables import TABLES
+from seft_ros.loop_shaping.controller import Controller
+from seft_ros.loop_shaping.design import LoopDesign, shape_loop
+from seft_ros.loop_shaping.plant import choose_plant
+from seft_ros.preflight.margins import HIGHEST_MASS_RATIO, critical_mass_ratio
+from seft_ros.preflight.modes import predicted_modes
+from seft_ros.preflight.plan import Plan
+
+Floats = npt.NDArray[np.float64]
+
+DOCS = Path(__file__).parent
+COLOURS = {"none": MARK, "restoring": OTHERS[2], "preview_inverse": FIRST}
+DELAYS: Floats = np.array([0.0, 0.002, 0.004, 0.006, 0.01, 0.014, 0.02, 0.026, 0.032, 0.038])
+MASS_RATIOS: Floats = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2, 1.4, 1.7, 2.0, 2.5, 3.0])
+COLOURS_OF_A_FILE = 64
+BAND_HZ = (1.0, 150.0)
+WINDOW_S = (1.0, 3.5)
+
+
+def planned(*overrides: tuple[str, str, Value]) -> Experiment:
+    """Read the demo's experiment, changed."""
+    return Experiment.load(TABLES, [DOCS.parent / "config" / "demo.yaml"], overrides)
+
+
+def method(name: str) -> tuple[str, str, Value]:
+    """Choose the compensation method."""
+    return ("reference_force", "compensation.method", name)
+
+
+def mass_ratio(value: float) -> tuple[str, str, Value]:
+    """Choose alpha."""
+    return ("reference_force", "mass_ratio", value)
+
+
+def critical_by_delay(name: str) -> Floats:
+    """Critical mass ratios of a rig that is a pure delay; infinite where none was found."""
+    found = []
+    for delay in DELAYS:
+        rig = [("rig", "actuator.kind", "delay"), ("rig", "actuator.delay", float(delay))]
+        critical = critical_mass_ratio(Plan(planned(*rig, method(name)), "rig"))
+        found.append(critical.value if critical else np.inf)
+    return np.array(found)
+
+
+def neutral_end(experiment: Experiment) -> tuple[Floats, Floats]:
+    """Delay T in s and mass ratio at which the neutral delay equation has a root on the axis."""
+    rig = experiment["rig"]
+    mass, damping, stiffness = (rig[f"specimen.{n}"] for n in ("mass", "damping", "stiffness"))
+    natural = np.sqrt(stiffness / mass)
+    ratio = damping / (2.0 * mass * natural)
+    v = np.linspace(1e-3, 0.999, 400)  # natural over critical frequency
+    phase = np.pi + np.arctan2(2.0 * ratio * v, 1.0 - v**2)
+    return phase * v / natural, np.hypot(v**2 - 1.0, 2.0 * ratio * v)
+
+
+def stability() -> Figure:
+    """Draw the critical mass ratio over the delay."""
+    experiment = planned()
+    figure, (panel,) = panels(1, (6.0, 3.2))
+    delays, ends = neutral_end(experiment)
+    panel.plot(1e3 * delays, ends, color=REFERENCE, lw=3, label="neutral delay equation")
+    loop_delays = 1e3 * (DELAYS + 1.5 * experiment.timebase.dt)
+    print(f"of the equation: {np.round(np.interp(loop_delays, 1e3 * delays, ends), 3)}")
+    for name, style in (("none", "o"), ("restoring", "^")):
+        found = critical_by_delay(name)
+        print(f"critical mass ratio, {name}: {np.round(found, 3)} at T = {loop_delays} ms")
+        shown = np.minimum(found, HIGHEST_MASS_RATIO)
+        label = name if np.isfinite(found).all() else f"{name}: no end up to {HIGHEST_MASS_RATIO:g}"
+        panel.plot(loop_delays, shown, style, color=COLOURS[name], label=label)
+    panel.set(yscale="log", xlim=(0.0, 42.0), ylim=(0.2, 80.0))
+    panel.set_yticks(
+        [0.2, 0.5, 1, 2, 5, 10, 20, 50], ["0.2", "0.5", "1", "2", "5", "10", "20", "50"]
+    )
+    panel.minorticks_off()
+    name_axes(panel, "delay T of the whole loop / ms", "critical mass ratio $\\alpha$")
+    panel.legend(frameon=False, fontsize=9, labelcolor=TEXT, loc="center right")
+    return figure
+
+
+def growth() -> Figure:
+    """Draw growth rate and damping ratio over the mass ratio."""
+    figure, (left, right) = panels(2, (7.2, 2.8))
+    left.axhline(0.0, color=REFERENCE, lw=3)
+    for name, colour in COLOURS.items():
+        plans = [Plan(planned(method(name), mass_ratio(float(a))), "rig") for a in MASS_RATIOS]
+        rates = np.array([plan.loop().growth_rate() for plan in plans])
+        modes = [predicted_modes(plan) for plan in plans]
+        damping = 100 * np.array([m[0].damping if m else np.nan for m in modes])
+        exact = 100 * np.array([m[0].exact_damping if m else np.nan for m in modes])
+        print(f"{name}: growth rate {np.round(rates, 1)}, damping {np.round(damping, 1)} %")
+        left.plot(MASS_RATIOS, rates, color=colour, label=name)
+        if name == "none":
+            right.plot(MASS_RATIOS, exact, color=REFERENCE, lw=3, label="whole structure")
+            print(f"mass ratios {MASS_RATIOS}, exact damping {np.round(exact, 1)} %")
+        right.plot(MASS_RATIOS, damping, color=colour, label=name)
+    name_axes(left, "mass ratio $\\alpha$", "slowest mode's growth / (1/s)")
+    name_axes(right, "mass ratio $\\alpha$", "damping ratio in the test / %")
+    right.legend(frameon=False, fontsize=9, labelcolor=TEXT)
+    return figure
+
+
+def force_loop(*overrides: tuple[str, str, Value]) -> LoopDesign:
+    """Close the force loop of the demo, changed, as it runs."""
+    experiment = planned(*overrides)
+    control = experiment["force_controller"]
+    controller = Controller.from_coefficients(control["numerator"], control["denominator"])
+    return shape_loop(choose_plant(experiment, "rig"), controller, experiment.timebase.dt)
+
+
+def interaction() -> Figure:
+    """Draw what the valve does to the force, alone and in the loop."""
+    figure, (left, right) = panels(2, (7.2, 2.8))
+    loops = {
+        "the specimen of Eq. 3.1": (force_loop(), FIRST),
+        "20 % less stiff": (force_loop(("rig", "specimen.stiffness", 0.8 * 2.11e5)), OTHERS[2]),
+    }
+    for label, (loop, colour) in loops.items():
+        f = loop.frequencies_hz
+        shown = (f >= BAND_HZ[0]) & (f <= BAND_HZ[1])
+        responses = (loop.sampled.plant, loop.sampled.tracking)
+        for panel, response in zip((left, right), responses, strict=True):
+            panel.plot(f[shown], decibels(response[shown]), color=colour, label=label)
+        near = (f > 5.0) & (f < 20.0)
+        lowest = np.argmin(np.abs(loop.sampled.tracking[near]))
+        dip = decibels(loop.sampled.tracking[near])[lowest]
+        print(f"{label}: zero {loop.plant.zeros()[0].hz:.2f} Hz, G {dip:.2f} dB ", end="")
+        print(f"at {f[near][lowest]:.1f} Hz, delay at 2 Hz {1e3 * loop.delay_at(2.0):.1f} ms")
+    for panel, what in ((left, "valve to force / (dB of N/V)"), (right, "closed loop $G$ / dB")):
+        panel.set(xscale="log")
+        panel.set_xticks([1, 2, 5, 10, 20, 50, 100], ["1", "2", "5", "10", "20", "50", "100"])
+        panel.minorticks_off()
+        name_axes(panel, "frequency / Hz", what)
+    right.axhline(0.0, color=REFERENCE, lw=3, zorder=1.5)
+    right.set_ylim(-12.0, 6.0)
+    right.legend(frameon=False, fontsize=9, labelcolor=TEXT, loc="lower left")
+    return figure
+
+
+def histories() -> Figure:
+    """Draw a displacement with and without compensation."""
+    figure, (panel,) = panels(1, (7.2, 2.6))
+    for name in ("none", "preview_inverse"):
+        load = ("ground_motion", "peak_force", 500.0)
+        experiment = planned(method(name), mass_ratio(1.0), load)
+        record = simulate(experiment, build_blocks(experiment))
+        states = record.series["rig/state"].values
+        motion = record.series["ground_motion"].values[:, 0]
+        exact = reference_response(experiment, motion).displacement[:, 0]
+        t = np.arange(len(states)) * experiment.timebase.dt
+        shown = (t >= WINDOW_S[0]) & (t <= WINDOW_S[1])
+        measured = states[:, 0, 0]
+        if name == "none":
+            panel.plot(t[shown], 1e3 * exact[shown], color=REFERENCE, lw=4, label="exact")
+        panel.plot(t[shown], 1e3 * measured[shown], color=COLOURS[name], lw=1.2, label=name)
+        peaks = 1e3 * np.abs(measured).max(), 1e3 * np.abs(exact).max()
+        at = t[np.abs(exact).argmax()]
+        print(f"{name}: displacement error {100 * nrmse(measured, exact):.2f} %, ", end="")
+        print(f"peak {peaks[0]:.1f} mm, exact {peaks[1]:.1f} mm at {at:.2f} s")
+    name_axes(panel, "time / s", "displacement / mm")
+    panel.legend(frameon=False, fontsize=9, labelcolor=TEXT, ncols=3, loc="upper right")
+    return figure
+
+
+def decibels(response: npt.NDArray[np.complex128]) -> Floats:
+    """Magnitude in dB."""
+    magnitude: Floats = 20.0 * np.log10(np.abs(response))
+    return magnitude
+
+
+def panels(count: int, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:
+    """Make a figure of panels side by side."""
+    figure = Figure(figsize=size, layout="constrained")
+    FigureCanvasAgg(figure)
+    found = list(figure.subplots(1, count, squeeze=False)[0])
+    for panel in found:
+        tidy(panel)
+    return figure, found
+
+
+def name_axes(panel: Axes, x: str, y: str) -> None:
+    """Write what the axes are."""
+    panel.set_xlabel(x, color=TEXT, fontsize=9)
+    panel.set_ylabel(y, color=TEXT, fontsize=9)
+
+
+def main() -> None:
+    """Draw all figures."""
+    for draw in (stability, growth, interaction, histories):
+        print(f"-- theory_{draw.__name__}.png")
+        path = DOCS / f"theory_{draw.__name__}.png"
+        save_figure(draw(), path)
+        Image.open(path).quantize(COLOURS_OF_A_FILE).save(path, optimize=True)
+
+
+if __name__ == "__main__":
+    main()
