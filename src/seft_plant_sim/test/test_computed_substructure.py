@@ -1,0 +1,184 @@
+"""What is computed beside the specimen: parameters, and the response of the whole of it."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.experiment import Experiment
+from seft_plant_sim.computed_substructure import ComputedSubstructure
+from seft_plant_sim.running_response import RunningResponse
+from seft_plant_sim.whole_structure import reference_response
+
+NOTHING = {
+    "mass_ratio": 1.0,
+    "model.mass": 50.0,
+    "computed.mass": 0.0,
+    "computed.damping": 0.0,
+    "computed.stiffness": 0.0,
+    "computed.internal": 0,
+    "computed.influence": 0.0,
+}
+
+
+def computed_of(axes=("x",), **given_values):
+    given_values = {name.replace("__", "."): value for name, value in given_values.items()}
+    return ComputedSubstructure.from_parameters(NOTHING | given_values, axes)
+
+
+def positive(rng, size, scale):
+    """Symmetric positive definite matrix."""
+    root = rng.normal(size=(size, size))
+    return scale * (root @ root.T / size + 0.3 * np.eye(size))
+
+
+def structure(rng, axes, internal):
+    """Parameters of a specimen and of a computed substructure, coupled in everything."""
+    size = axes + internal
+    return {
+        "model.mass": positive(rng, axes, 50.0),
+        "model.damping": positive(rng, axes, 400.0),
+        "model.stiffness": positive(rng, axes, 2e5),
+        "computed.mass": positive(rng, size, 40.0),
+        "computed.damping": positive(rng, size, 200.0),
+        "computed.stiffness": positive(rng, size, 1e5),
+        "computed.internal": internal,
+        "computed.influence": rng.normal(size=(internal, axes)) if internal else 0.0,
+    }
+
+
+def experiment_of(values, axes, rate=500.0):
+    section = {name: np.ravel(value).tolist() for name, value in values.items()}
+    section |= {"computed.internal": values["computed.internal"], "mass_ratio": 1.0}
+    if not values["computed.internal"]:
+        section["computed.influence"] = 0.0
+    section |= {"method": "seft", "rate": rate, "axes": [f"axis {i}" for i in range(axes)]}
+    return Experiment({"reference_force": section})
+
+
+def test_without_a_mass_of_its_own_it_is_that_of_the_model():
+    found = computed_of(mass_ratio=1.5, model__mass=52.7)
+    assert found.is_lumped
+    assert found.mass.tolist() == [[1.5 * 52.7]]
+
+
+def test_the_mass_ratio_is_a_factor_on_all_of_it():
+    found = computed_of(
+        mass_ratio=0.5,
+        computed__internal=1,
+        computed__mass=[0.0, 8.0],
+        computed__damping=[70.0, -70.0, -70.0, 70.0],
+        computed__stiffness=[2e4, -2e4, -2e4, 2e4],
+    )
+    assert (found.axes, found.internal, found.is_lumped) == (1, 1, False)
+    assert found.mass.tolist() == [[0.0, 0.0], [0.0, 4.0]]
+    assert found.stiffness.tolist() == [[1e4, -1e4], [-1e4, 1e4]]
+    assert found.influence.tolist() == [[1.0]]  # the ground motion of the first axis
+
+
+def test_influences_stand_together_for_each_internal_degree_of_freedom():
+    found = computed_of(
+        ("x", "y"),
+        computed__internal=2,
+        computed__mass=1.0,
+        computed__influence=[1.0, 0.0, 0.5, 0.25],
+    )
+    assert found.influence.tolist() == [[1.0, 0.0], [0.5, 0.25]]
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"computed__internal": 1}, "computed.internal is 1, but .*computed.mass is not given"),
+        ({"computed__internal": 1, "computed__mass": [1.0, 0.0]}, "must be positive"),
+        ({"computed__internal": 1, "computed__mass": [1.0, 1.0, 1.0]}, r"3 values.*internal 1"),
+        ({"computed__mass": 1.0, "computed__stiffness": [1.0, 2.0]}, "stiffness: 2 values"),
+        (
+            {
+                "computed__internal": 1,
+                "computed__mass": 1.0,
+                "computed__stiffness": [1.0, 2.0, 3.0, 1.0],
+            },
+            "not symmetric",
+        ),
+        (
+            {"computed__internal": 2, "computed__mass": 1.0, "computed__influence": [1.0]},
+            "influence: 1 values for 2 internal degrees of freedom and 1 axes; give 2",
+        ),
+    ],
+)
+def test_what_makes_no_structure_is_refused(values, words):
+    with pytest.raises(InputError, match=words):
+        computed_of(**values)
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 2**31), axes=st.integers(1, 4), internal=st.integers(0, 4))
+def test_the_response_is_that_of_the_assembled_structure(seed, axes, internal):
+    rng = np.random.default_rng(seed)
+    values, size = structure(rng, axes, internal), axes + internal
+    test, steps = experiment_of(values, axes), 80
+    ground = rng.normal(size=(steps, axes)) * np.exp(-np.arange(steps) / 30.0)[:, np.newaxis]
+    found = reference_response(test, ground)
+
+    mass, damping, stiffness = (values[f"computed.{n}"] for n in ("mass", "damping", "stiffness"))
+    mass, damping, stiffness = (
+        part + np.pad(values[f"model.{n}"], [(0, internal)] * 2)
+        for n, part in (("mass", mass), ("damping", damping), ("stiffness", stiffness))
+    )
+    inside = values["computed.influence"] if internal else np.zeros((0, axes))
+    influence = np.vstack([np.eye(axes), inside])
+    time = 0.002 * np.arange(steps)
+
+    def slope(t, state):
+        motion = influence @ [np.interp(t, time, column) for column in ground.T]
+        force = stiffness @ state[:size] + damping @ state[size:]
+        return np.concatenate([state[size:], -motion - np.linalg.solve(mass, force)])
+
+    solved = solve_ivp(
+        slope,
+        (0.0, time[-1]),
+        np.zeros(2 * size),
+        t_eval=time,
+        max_step=0.001,
+        rtol=1e-9,
+        atol=1e-13,
+    )
+    scale = np.abs(solved.y[:size]).max()
+    np.testing.assert_allclose(found.displacement, solved.y[:axes].T, rtol=0, atol=2e-6 * scale)
+
+    own = values["model.damping"] @ found.velocity.T + values["model.stiffness"] @ (
+        found.displacement.T
+    )
+    expected = values["model.mass"] @ found.acceleration.T + own  # what moves the specimen so
+    np.testing.assert_allclose(found.force, expected.T, rtol=0, atol=1e-9 * np.abs(expected).max())
+    running = RunningResponse(test)
+    pieces = [running.advance(piece) for piece in np.array_split(ground, 3)]
+    displacement, acceleration = (np.vstack(part) for part in zip(*pieces, strict=True))
+    for piece, exact in ((displacement, found.displacement), (acceleration, found.acceleration)):
+        np.testing.assert_allclose(piece, exact, rtol=0, atol=1e-9 * np.abs(exact).max())
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**31), axes=st.integers(1, 4), internal=st.integers(1, 4))
+def test_without_inertial_coupling_it_is_the_same_structure(seed, axes, internal):
+    values = structure(np.random.default_rng(seed), axes, internal)
+    whole = ComputedSubstructure(
+        *(values[f"computed.{name}"] for name in ("mass", "damping", "stiffness", "influence"))
+    )
+    found = whole.without_inertial_coupling()
+    assert not found.mass[axes:, :axes].any()
+    for s in (0.0, 3j, 40j, -2 + 90j):  # force on the axes, by their motion and the ground's
+
+        def force(part, s=s):
+            dynamic = s * s * part.mass + s * part.damping + part.stiffness
+            pushed = part.mass @ np.vstack([np.eye(axes), part.influence])
+            inner = np.linalg.inv(dynamic[axes:, axes:])
+            by_motion = (
+                dynamic[:axes, :axes] - dynamic[:axes, axes:] @ inner @ dynamic[axes:, :axes]
+            )
+            by_ground = pushed[:axes] - dynamic[:axes, axes:] @ inner @ pushed[axes:]
+            return np.hstack([by_motion, by_ground])
+
+        np.testing.assert_allclose(force(found), force(whole), rtol=1e-8)

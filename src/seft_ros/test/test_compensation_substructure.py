@@ -1,0 +1,157 @@
+"""Every method with a computed substructure that is more than lumped mass."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.parameters import resolve
+from seft_msgs_py.timebase import Timebase
+from seft_plant_sim.whole_structure import reference_response
+from seft_ros.reference_force.block import compensator, knowledge
+from seft_ros.reference_force.compensation.methods import METHODS
+from seft_ros.reference_force.compensation.substructure import (
+    _BehindMotion,
+    substructure_motion,
+)
+from seft_ros.reference_force.continuation import Continuation
+from seft_ros.reference_force.parameters import TABLE
+
+RATE = 4000.0
+TRACKING = {
+    "tracking.numerator": [1.0],
+    "tracking.denominator": [1.5e-5, 8e-3, 1.0],
+    "tracking.dead_time": 0.002,
+}
+
+
+def positive(rng, size, scale):
+    root = rng.normal(size=(size, size))
+    return scale * (root @ root.T / size + 0.5 * np.eye(size))
+
+
+def section_of(seed, axes, internal, rate=RATE, **values):
+    """A specimen and a computed substructure, coupled in everything."""
+    rng, size = np.random.default_rng(seed), axes + internal
+    matrices = {
+        "model.mass": positive(rng, axes, 50.0),
+        "model.damping": positive(rng, axes, 400.0),
+        "model.stiffness": positive(rng, axes, 2e5),
+        "computed.mass": positive(rng, size, 40.0),
+        "computed.damping": positive(rng, size, 200.0),
+        "computed.stiffness": positive(rng, size, 1e5),
+    }
+    given_values = {name: matrix.ravel().tolist() for name, matrix in matrices.items()}
+    if internal:
+        given_values["computed.influence"] = rng.normal(size=internal * axes).tolist()
+    names = [f"axis {index}" for index in range(axes)]
+    given_values |= {"computed.internal": internal, "mass_ratio": 1.0, "rate": rate, "axes": names}
+    given_values |= {name.replace("__", "."): value for name, value in values.items()}
+    checked = TABLE.check(given_values)
+    return resolve({"reference_force": TABLE}, {"reference_force": checked})["reference_force"]
+
+
+def known_of(section):
+    return knowledge(section, tuple(section["axes"]), Timebase.from_rate(section["rate"]))
+
+
+def exact_test(section, seed, steps=800):
+    """Ground motion, and the state of a perfect test."""
+    rng, axes = np.random.default_rng(seed), len(section["axes"])
+    slow = np.cumsum(rng.normal(size=(steps + 400, axes)), axis=0) / 20.0
+    ground = slow * np.hanning(len(slow))[:, np.newaxis]
+    found = reference_response(Experiment({"reference_force": section}), ground)
+    parts = (found.displacement, found.velocity, found.acceleration, found.force)
+    return ground, np.stack(parts, axis=1)[:steps]
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 2**31), axes=st.integers(1, 3), internal=st.integers(0, 3))
+@pytest.mark.parametrize("method", ["none", "restoring"])
+def test_in_a_perfect_test_the_reference_force_is_the_exact_one(method, seed, axes, internal):
+    section = section_of(seed, axes, internal)
+    one = compensator(method, known_of(section))
+    ground, states = exact_test(section, seed)
+    window = 1 + one.preview
+    forces = np.array([one.step(ground[k : k + window], y) for k, y in enumerate(states)])
+    error = np.abs(forces - states[:, 3]).max()
+    assert error < 2e-4 * np.abs(states[:, 3]).max()
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 2**31), axes=st.integers(1, 3), internal=st.integers(0, 3))
+def test_what_stands_for_the_ground_motion_is_known_ahead(seed, axes, internal):
+    section, preview = section_of(seed, axes, internal), 60
+    known = known_of(section)
+    motion = substructure_motion(known, preview)
+    ground, states = exact_test(section, seed)
+    matrix, work = motion.matrix(), np.zeros(motion.matrix().shape[1])
+    outputs, inside = (1 + preview) * axes, len(motion.a)
+    found = []
+    for k, state in enumerate(states):
+        work[inside:] = np.concatenate([state.ravel(), ground[k : k + 1 + preview].ravel()])
+        result = matrix @ work
+        work[:inside] = result[outputs:]
+        found.append(result[:outputs].reshape(1 + preview, axes))
+    now = np.array([each[0] for each in found])
+    scale = np.abs(now).max()
+    for ahead in (1, 20, preview):
+        expected, told = now[ahead:], np.array([each[ahead] for each in found[:-ahead]])
+        assert np.abs(told - expected).max() < 1e-3 * scale
+
+
+@pytest.mark.parametrize("method", [name for name in METHODS if name != "ats"])
+@pytest.mark.parametrize("internal", [0, 2])
+def test_a_method_is_the_linear_filter_that_it_says_it_is(method, internal):
+    section = section_of(
+        3,
+        2,
+        internal,
+        500.0,
+        compensation__delay=0.0133,
+        compensation__adaptive=False,
+        **{name.replace(".", "__"): value for name, value in TRACKING.items()},
+    )
+    known = known_of(section)
+    one = compensator(method, known)
+    again = _BehindMotion(METHODS[method](known), substructure_motion(known, one.preview))
+    matrix, size = one.linear().matrix(), len(one.linear().a)
+    rng, work = np.random.default_rng(1), np.zeros(one.linear().matrix().shape[1])
+    for _ in range(20):
+        ground, state = rng.normal(size=(1 + one.preview, 2)), rng.normal(size=(4, 2))
+        work[size:] = np.concatenate([state.ravel(), ground.ravel()])
+        result = matrix @ work
+        work[:size] = result[2:]
+        for each in (one, again):
+            np.testing.assert_allclose(each.step(ground, state), result[:2], rtol=1e-7, atol=1e-9)
+    again.reset()
+    work[:] = 0.0
+    np.testing.assert_allclose(again.linear().matrix(), matrix, rtol=1e-9, atol=1e-12)
+
+
+def test_masses_on_the_axes_alone_have_the_bits_of_a_mass_ratio():
+    plain = {"model.mass": 52.7, "model.stiffness": 2e5, "mass_ratio": 1.0}
+    forces = []
+    for more in ({}, {"computed.mass": 52.7}, {"computed.mass": 52.7, "computed.damping": 0.0}):
+        checked = TABLE.check(plain | more)
+        section = resolve({"reference_force": TABLE}, {"reference_force": checked})
+        one = compensator("restoring", known_of(section["reference_force"]))
+        rng = np.random.default_rng(1)
+        steps = [one.step(rng.normal(size=(1, 1)), rng.normal(size=(4, 1))) for _ in range(20)]
+        forces.append(np.array(steps))
+    assert forces[0].tobytes() == forces[1].tobytes() == forces[2].tobytes()
+
+
+def test_a_mass_that_is_taken_away_must_leave_one():
+    checked = {"model.mass": 50.0, "model.stiffness": 2e5, "mass_ratio": 1.0}
+    checked = TABLE.check(checked | {"computed.mass": -60.0})
+    section = resolve({"reference_force": TABLE}, {"reference_force": checked})["reference_force"]
+    with pytest.raises(InputError, match="add up to a mass on the axes that is not positive"):
+        known_of(section)
+
+
+def test_a_link_can_not_yet_be_bridged_with_it():
+    section = section_of(1, 1, 1, 500.0, loop_delay=5)
+    with pytest.raises(InputError, match="loop_delay is given, but a computed substructure"):
+        Continuation(section, ("axis 0",), Timebase.from_rate(500.0))
