@@ -1,6 +1,8 @@
 """The response that a perfect test would give: the whole structure, solved exactly."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -82,6 +84,17 @@ class WholeStructure:
     computed: ComputedSubstructure
 
     @classmethod
+    def of_test(
+        cls, specimen: Specimen, section: dict[str, Any], axes: Sequence[str]
+    ) -> "WholeStructure":
+        """Make that of a test with a reference force's section, see `reference_response`."""
+        if section["method"] == "eft":
+            model_mass = as_matrix(section["model.mass"], axes, "reference_force: model.mass")
+            carried = replace(specimen, mass=(1.0 + section["mass_ratio"]) * model_mass)
+            return cls(carried, ComputedSubstructure.none(len(axes)))
+        return cls.of(specimen, ComputedSubstructure.from_parameters(section, axes))
+
+    @classmethod
     def of(cls, specimen: Specimen, computed: ComputedSubstructure) -> "WholeStructure":
         """Put them together at the axes."""
         if computed.is_lumped:  # the very numbers of a structure that has no more than axes
@@ -115,13 +128,9 @@ def whole_structure(experiment: Experiment) -> WholeStructure:
     InputError
         If there is no such structure.
     """
-    section, axes = experiment["reference_force"], experiment.axes
-    specimen = tested_specimen(experiment)
-    if section["method"] == "eft":
-        model_mass = as_matrix(section["model.mass"], axes, "reference_force: model.mass")
-        carried = replace(specimen, mass=(1.0 + section["mass_ratio"]) * model_mass)
-        return WholeStructure(carried, ComputedSubstructure.none(len(axes)))
-    return WholeStructure.of(specimen, ComputedSubstructure.from_parameters(section, axes))
+    return WholeStructure.of_test(
+        tested_specimen(experiment), experiment["reference_force"], experiment.axes
+    )
 
 
 def tested_specimen(experiment: Experiment) -> Specimen:

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import eigh
-from seft_msgs_py.arrays import mass_matrix
+from scipy.optimize import linear_sum_assignment
+from seft_plant_sim.whole_structure import WholeStructure
 
 from seft_ros.preflight.plan import Plan
 
@@ -14,6 +15,7 @@ Complexes = npt.NDArray[np.complex128]
 
 NEAR = 2.0
 """A mode of the loop stands for one of the structure within this factor in frequency."""
+_UNFIT = 1e6
 
 
 @dataclass(frozen=True)
@@ -49,49 +51,27 @@ def predicted_modes(plan: Plan) -> list[Mode]:
 
     In place of a mode stands the eigenvalue of the loop, near it in frequency, through which
     the ground motion moves the mode's shape most: the residue over the distance from the unit
-    circle. Overdamped modes, and those that the loop does not show, are left out.
+    circle; none stands for two. Overdamped modes, and those that the loop does not show, are
+    left out.
     """
-    specimen = plan.rig.specimen
-    mass = whole_mass(plan)
-    n = len(mass)
-    _, shapes = eigh(specimen.stiffness, mass)
-    exact = _upper(
-        np.linalg.eigvals(
-            np.block(
-                [
-                    [np.zeros((n, n)), np.eye(n)],
-                    [
-                        -np.linalg.solve(mass, specimen.stiffness),
-                        -np.linalg.solve(mass, specimen.damping),
-                    ],
-                ]
-            )
-        )
-    )
-    if len(exact) < n:  # then shapes can't be matched by order
+    whole = WholeStructure.of_test(plan.rig.specimen, plan.section, plan.axes).structure
+    n = len(plan.axes)
+    _, shapes = eigh(whole.stiffness, whole.mass)
+    exact = _upper(np.linalg.eigvals(whole.state_matrices()[0]).astype(np.complex128))
+    if len(exact) < whole.axes:  # then shapes can't be matched by order
         return []
     z, residues = plan.loop().modes()
     upper = (z.imag > 0) & (np.abs(z) > 0.1)
     z, residues = z[upper], residues[upper]
     s = np.log(z) / plan.dt
-    modes = []
-    for pole, shape in zip(exact, shapes.T, strict=True):
-        moved = np.linalg.norm(np.einsum("p,pq,iqn->in", shape, mass, residues), axis=1)
-        peak = moved / np.maximum(np.abs(1 - np.abs(z)), 1e-12)
-        near = (np.abs(s) > abs(pole) / NEAR) & (np.abs(s) < abs(pole) * NEAR)
-        peak = np.where(near & np.isfinite(peak), peak, 0.0)
-        if peak.any():
-            found = s[int(peak.argmax())]
-            modes.append(Mode(*_natural(pole), *_natural(found)))
-    return modes
-
-
-def whole_mass(plan: Plan) -> Floats:
-    """Mass of the whole structure, shape (n, n), kg, as for the reference of a test."""
-    mass = mass_matrix(plan.section["model.mass"], plan.axes, "reference_force: model.mass")
-    if plan.section["method"] == "eft":
-        return (1.0 + plan.mass_ratio) * mass
-    return plan.rig.specimen.mass + plan.mass_ratio * mass
+    distance = np.abs(np.log(np.abs(s) / np.abs(exact)[:, np.newaxis]))
+    weights = shapes[:n].T @ whole.mass[:n, :n]  # as far as a test measures a shape
+    moved = np.linalg.norm(np.einsum("mi,pij->mpj", weights, residues), axis=2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        fitness = np.log(moved / np.maximum(np.abs(1 - np.abs(z)), 1e-12)) - distance
+    fits = (distance < np.log(NEAR)) & np.isfinite(fitness)
+    pairs = zip(*linear_sum_assignment(np.where(fits, -fitness, _UNFIT)), strict=True)
+    return [Mode(*_natural(exact[m]), *_natural(s[p])) for m, p in pairs if fits[m, p]]
 
 
 def _upper(poles: Complexes) -> Complexes:
