@@ -5,7 +5,10 @@ import pytest
 from scipy.integrate import solve_ivp
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_ros.reference_force.compensation.compensator import Knowledge
-from seft_ros.reference_force.compensation.preview.target_prediction import TargetPrediction
+from seft_ros.reference_force.compensation.preview.target_prediction import (
+    NominalSpecimen,
+    TargetPrediction,
+)
 
 DT, HORIZON = 0.004, 9
 
@@ -55,12 +58,13 @@ def draw(n, seed=3):
     return motion, rng.normal(0, 4.0, (1 + HORIZON, n)), rng.normal(0, 200.0, (1 + HORIZON, n))
 
 
-@pytest.mark.parametrize("felt", [False, True])
+@pytest.mark.parametrize("felt", ["not", "same mass", "other mass"])
 @pytest.mark.parametrize("varying", [False, True])
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_the_weighted_target_is_that_of_the_whole_structure(n, varying, felt):
     known, restoring = structure(n, seed=n)
-    nominal = 1.3 * restoring if felt else None
+    mass = known.mass if felt == "same mass" else 40.0 * np.eye(n)
+    nominal = None if felt == "not" else NominalSpecimen(mass, 1.3 * restoring)
     weights = np.random.default_rng(n).normal(size=(2, 1 + HORIZON))
     motion, ground_motion, rest = draw(n)
     rest = rest if varying else np.tile(rest[0], (1 + HORIZON, 1))
@@ -73,9 +77,28 @@ def test_the_weighted_target_is_that_of_the_whole_structure(n, varying, felt):
     r = path @ restoring.T + rest
     acceleration = np.linalg.solve(known.total_mass, -r.T).T - ground_motion
     force = known.mass @ acceleration.T + r.T  # that the actuators of a perfect test measure
-    if felt:  # f + d, with d = K_0 x + C_0 v - r
-        force = force + nominal @ path.T - r.T
+    if nominal is not None:  # what moves the nominal specimen as this one moves
+        force = nominal.mass @ acceleration.T + nominal.restoring @ path.T
     np.testing.assert_allclose(found.reshape(2, n), weights @ force.T, rtol=1e-7)
+
+
+@pytest.mark.parametrize("other", [1.0, 0.7])
+@pytest.mark.parametrize("ahead", [0, 1, HORIZON])
+@pytest.mark.parametrize("n", [1, 3])
+def test_the_coming_departure_is_what_the_nominal_specimen_needs_beside_the_force(n, ahead, other):
+    known, restoring = structure(n, seed=n)
+    nominal = NominalSpecimen(other * known.mass, 1.3 * restoring)
+    motion, ground_motion, rest = draw(n)
+    prediction = TargetPrediction(known, np.zeros((1, 1 + HORIZON)), nominal, restoring)
+    gains = prediction.departure(ahead)
+    inputs = motion, ground_motion.ravel(), rest.ravel()
+    found = sum(gain @ value for gain, value in zip(gains, inputs, strict=True))
+    path = coming(known, restoring, motion, ground_motion, rest)[ahead]
+    r = restoring @ path + rest[ahead]
+    acceleration = -np.linalg.solve(known.total_mass, r) - ground_motion[ahead]
+    force = known.mass @ acceleration + r
+    needed = nominal.mass @ acceleration + nominal.restoring @ path
+    np.testing.assert_allclose(found, needed - force, rtol=1e-7, atol=1e-7)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])

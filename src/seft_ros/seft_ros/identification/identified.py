@@ -15,6 +15,7 @@ from seft_ros.identification.measured_test import (
     MeasuredTest,
 )
 from seft_ros.identification.measurement import Measurement
+from seft_ros.identification.nominal_axis import NominalAxis
 from seft_ros.identification.plant_fit import PlantFit, fit_plant
 from seft_ros.identification.specimen_fit import SpecimenFit, fit_specimen
 from seft_ros.identification.tracking_fit import TrackingFit, fit_tracking
@@ -92,6 +93,10 @@ class Identified:
         Why a test could not be used, one line each.
     faults : tuple of str
         What else was wrong, likewise.
+    nominal : NominalAxis or None
+        Of several axes: the uncoupled specimen of `tracking`.
+    tracking : ClosedLoop or None
+        Of several axes: the force loop of all of them, as it would be with that specimen.
     """
 
     axes: tuple[str, ...]
@@ -101,6 +106,8 @@ class Identified:
     closed_loops: tuple[ClosedLoop, ...]
     unusable: tuple[str, ...] = ()
     faults: tuple[str, ...] = ()
+    nominal: NominalAxis | None = None
+    tracking: ClosedLoop | None = None
 
 
 def identify(
@@ -145,12 +152,16 @@ def identify(
         raise ExperimentError(unusable[0])
     axes, dt = tests[0].axes, tests[0].dt
     specimen = fit_specimen([test.response(REFERENCE, MOTION, MOTION_TO) for test in tests])
+    nominal = NominalAxis.of(specimen) if len(axes) > 1 else None
+    tracking: ClosedLoop | None = None
     valves: list[ValveResponse] = []
     closed_loops: list[ClosedLoop] = []
     for test in tests:
         for axis in range(len(axes)):
             if test.record is closed_loop:
                 closed_loops.append(_closed_loop(test.of(REFERENCE, FORCE, axis), dt))
+                if nominal is not None and tracking is None:
+                    tracking = _closed_loop(test.as_of(nominal), dt)
             else:
                 measured = test.of(VALVE, FORCE, axis)
                 valves.append(_valve(measured, dt, specimen, axis, controller))
@@ -162,6 +173,8 @@ def identify(
         tuple(closed_loops),
         tuple(unusable),
         tuple(faults),
+        nominal,
+        tracking,
     )
 
 

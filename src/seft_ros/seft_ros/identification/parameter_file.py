@@ -1,5 +1,6 @@
 """What was identified as a ROS 2 parameter file of its own."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,10 @@ _LONGEST_DELAY = 1.0  # s, as the table has it
 def model_parameters(identified: Identified) -> dict[str, dict[str, Any]]:
     """Parameters of `reference_force` and `force_controller`, by node.
 
-    The specimen's matrices are those of all axes; plant and tracking, of which the tables hold
-    one, are those of the first axis. The specimen that the tracking was identified with is told
-    beside it where a valve drives the rig; the tracking of a rig without one does not feel it.
+    The specimen's matrices are those of all axes; the plant, of which the table holds one, is
+    that of the first axis. The specimen that the tracking was identified with is told beside it
+    where a valve drives the rig, of several axes the nominal one; the tracking of a rig without
+    a valve does not feel it.
     """
     specimen = identified.specimen
     reference: dict[str, Any] = {
@@ -29,10 +31,14 @@ def model_parameters(identified: Identified) -> dict[str, dict[str, Any]]:
         if closed.tracking.delay_s is not None:
             delay = min(max(closed.tracking.delay_s, 0.0), _LONGEST_DELAY)
             reference["compensation.delay"] = float(delay)
-        reference |= _response("tracking", closed.fit.model)
         feels = identified.valves or identified.unusable  # a valve's test that was not usable
-        for name in ("stiffness", "damping"):  # copies: ROS 2 reads no YAML aliases
-            reference[f"tracking.{name}"] = list(reference[f"model.{name}"]) if feels else [0.0]
+        if feels and identified.nominal is not None and identified.tracking is not None:
+            reference |= _response("tracking", identified.tracking.fit.model)
+            reference |= {f"tracking.{k}": [v] for k, v in asdict(identified.nominal).items()}
+        else:
+            reference |= _response("tracking", closed.fit.model)
+            for name in ("stiffness", "damping"):  # copies: ROS 2 reads no YAML aliases
+                reference[f"tracking.{name}"] = list(reference[f"model.{name}"]) if feels else [0.0]
     if identified.valves:
         controller = _response("plant", identified.valves[0].fit.model.rational())
     sections = {"reference_force": reference, "force_controller": controller}
@@ -58,7 +64,10 @@ def write_model(identified: Identified, path: Path, source: str) -> None:
     """
     comments = [f"Identified by seft identify from {source}", f"Axes: {identified.axes}"]
     if len(identified.axes) > 1:
-        comments += [f"plant.* and tracking.* are those of axis {identified.axes[0]}"]
+        comments += [
+            f"plant.* is that of axis {identified.axes[0]}; tracking.* that of all axes, as it is",
+            "with the uncoupled specimen of tracking.mass, tracking.damping, tracking.stiffness",
+        ]
     write_parameter_file(path, model_parameters(identified), comments)
 
 

@@ -201,6 +201,13 @@ TABLE = Table(
         ),
         Parameter("tracking.damping", "floats", 0.0, "damping of that specimen", "N s/m"),
         Parameter(
+            "tracking.mass",
+            "floats",
+            0.0,
+            "mass of that specimen; 0: that of the specimen's model",
+            "kg",
+        ),
+        Parameter(
             "limits.force",
             "float",
             22200.0,

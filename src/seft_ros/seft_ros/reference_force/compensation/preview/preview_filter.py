@@ -6,13 +6,16 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.arrays import as_matrix
+from seft_msgs_py.arrays import as_matrix, mass_matrix
 
 from seft_ros.reference_force.compensation.compensator import Knowledge
 from seft_ros.reference_force.compensation.linear_filter import LinearFilter
 from seft_ros.reference_force.compensation.preview.motion_filter import motion_filter
 from seft_ros.reference_force.compensation.preview.preview_tracking import PreviewTracking
-from seft_ros.reference_force.compensation.preview.target_prediction import TargetPrediction
+from seft_ros.reference_force.compensation.preview.target_prediction import (
+    NominalSpecimen,
+    TargetPrediction,
+)
 from seft_ros.reference_force.compensation.preview.tracking_model import TrackingModel
 
 Floats = npt.NDArray[np.float64]
@@ -87,7 +90,7 @@ class PreviewFilter:
         self.delay = model.delay(dt)
         self.preview = min(LONGEST_HORIZON, int(np.ceil((self.delay + HORIZON) / dt)))
         tracking = PreviewTracking.design(model, self.preview, min(CORNER * dt, HIGHEST_CORNER))
-        self._nominal = _nominal(options, n)
+        self._nominal = _nominal(options, knowledge.mass)
         weights = np.zeros((2, 1 + self.preview))  # of the target, and of its rate
         weights[0] = tracking.target
         weights[1, 1:] += tracking.target[:-1] / (2 * dt)
@@ -102,9 +105,12 @@ class PreviewFilter:
         inertia = (np.diag(self._mass) * self.noise.acceleration) ** 2
         self.restoring_noise = self.noise.force**2 + inertia
         self._trust = _TRUST * self.noise.force**2 / self.restoring_noise
-        self._direct_by_rest = float(self._nominal is not None) - self._trust
+        self._direct_by_rest = -np.diag(self._trust)
+        if self._nominal is not None:
+            self._departing = self.prediction.departing()[2]
+            self._direct_by_rest -= self._departing
         if self._loop_delay:  # nothing passes the inverse by but what arrives
-            self._trust = self._direct_by_rest = np.zeros(n)
+            self._trust, self._direct_by_rest = np.zeros(n), np.zeros((n, n))
         # the loop's states z and the last forces: one product gives u less the target's part
         size, past = len(model.a), len(tracking.past)
         self._loop = np.zeros((2 + size + past, size + past))
@@ -187,7 +193,9 @@ class PreviewFilter:
         gain[6 * n : 7 * n], gain[7 * n : 8 * n] = residual, restoring_force
         known_rest = rest if elastic else np.zeros_like(rest)
         if self._nominal is not None:
-            gain[8 * n : 9 * n] = (self._nominal - self.restoring) @ motion - known_rest
+            by_own, by_first, by_known = self.prediction.departing()
+            gain[8 * n : 9 * n] = by_own @ motion + by_known @ known_rest
+            gain[8 * n : 9 * n, 10 * n : 11 * n] += by_first
         gain[9 * n : 11 * n] = targets
         gain[11 * n :] = np.diag(self._trust) @ (residual - known_rest) - gain[8 * n : 9 * n]
         if self._loop_delay and self._nominal is not None:
@@ -215,8 +223,8 @@ class PreviewFilter:
             p over the horizon, shape ((1 + horizon) n,), N.
         """
         if self._nominal is not None:
-            self.departure -= self.rest
-        self._direct += self._direct_by_rest * self.rest
+            self.departure += self._departing.dot(self.rest)
+        self._direct += self._direct_by_rest.dot(self.rest)
         if self._loop_delay and self._nominal is not None:
             self._direct -= self._arriving.dot(coming)
         self.target += self._rest_gains.dot(coming)
@@ -253,14 +261,18 @@ class PreviewFilter:
         return LinearFilter(a, b, h, c, d, e)
 
 
-def _nominal(options: Mapping[str, Any], axes: int) -> Floats | None:
-    """(K_0, C_0) of the specimen that tracking was identified with; None: not felt."""
+def _nominal(options: Mapping[str, Any], mass: Floats) -> NominalSpecimen | None:
+    """Specimen that tracking was identified with; None: not felt."""
     if not np.any(options["tracking.stiffness"]):
         return None
-    names = [str(axis) for axis in range(axes)]
-    return np.hstack(
+    names = [str(axis) for axis in range(len(mass))]
+    where = "reference_force: tracking"
+    restoring = np.hstack(
         [
-            as_matrix(options[f"tracking.{name}"], names, f"reference_force: tracking.{name}")
+            as_matrix(options[f"tracking.{name}"], names, f"{where}.{name}")
             for name in ("stiffness", "damping")
         ]
     )
+    if np.any(options["tracking.mass"]):
+        mass = mass_matrix(options["tracking.mass"], names, f"{where}.mass")
+    return NominalSpecimen(mass, restoring)

@@ -57,7 +57,10 @@ class SpecimenIdentification:
         places[upper] = places[upper[::-1]] = np.arange(count)
         self._places = np.hstack([places, count + places])
         self._start = np.hstack([stiffness[upper], damping[upper]])
-        spread = np.outer([_STIFFNESS_SPREAD, _DAMPING_SPREAD], np.ones(n)) * [diagonal, damped]
+        spread = np.outer([_STIFFNESS_SPREAD / n, _DAMPING_SPREAD / n], np.ones(n)) * [
+            diagonal,
+            damped,
+        ]
         self._spread = np.sqrt(spread[:, upper[0]] * spread[:, upper[1]]).reshape(-1)
         # (x, v) to the force that a parameter of its spread makes on an axis over the noise's
         self._regression = np.zeros((n, 2 * count, 2 * n))

@@ -1,5 +1,7 @@
 """Coming target of the measured force, predicted with the whole structure."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import expm
@@ -7,6 +9,23 @@ from scipy.linalg import expm
 from seft_ros.reference_force.compensation.compensator import Knowledge
 
 Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class NominalSpecimen:
+    """Specimen that a force loop was identified with.
+
+    Attributes
+    ----------
+    mass : ndarray
+        M_0, shape (n, n), kg.
+    restoring : ndarray
+        (K_0, C_0), shape (n, 2n), N/m and N s/m.
+    """
+
+    mass: Floats
+    restoring: Floats
+
 
 WAY_BACK = 4.0  # Hz: a displacement that force errors caused goes back critically damped
 
@@ -21,9 +40,9 @@ class TargetPrediction:
         w = -M_e a_g + S r + N (x, v),  r = K x + C v + p
 
     With S = M_c (M_e + M_c)^-1 and N = 0 it is the reference force itself, the algebraic loop
-    solved. Where the force loop feels the specimen, S is less by one and N = (K_0, C_0): then w
-    is the force with which the specimen that the loop was identified with would move as this
-    one does.
+    solved. Where the force loop feels the specimen, w is the force with which the specimen
+    (M_0, C_0, K_0) that the loop was identified with would move as this one does: N = (K_0, C_0),
+    S = -M_0 (M_e + M_c)^-1, and M_0 stands for M_e.
 
     Parameters
     ----------
@@ -31,21 +50,31 @@ class TargetPrediction:
         Masses and sampling period.
     weights : ndarray
         Sets of weights of the target from this step on, shape (m, 1 + horizon).
-    nominal : ndarray or None
-        (K_0, C_0), shape (n, 2n); None where the force loop does not feel the specimen.
+    nominal : NominalSpecimen or None
+        None where the force loop does not feel the specimen.
     restoring : ndarray
         (K, C) of the specimen, shape (n, 2n).
     """
 
     def __init__(
-        self, knowledge: Knowledge, weights: Floats, nominal: Floats | None, restoring: Floats
+        self,
+        knowledge: Knowledge,
+        weights: Floats,
+        nominal: NominalSpecimen | None,
+        restoring: Floats,
     ) -> None:
         n = knowledge.axes
-        self._dt, self._mass, self._weights = knowledge.dt, knowledge.mass, weights
+        self._dt, self._weights = knowledge.dt, weights
         self._inverse_mass = np.linalg.inv(knowledge.total_mass)
-        share = knowledge.computed_mass @ self._inverse_mass
-        self.nominal = np.zeros((n, 2 * n)) if nominal is None else nominal
-        self.share: Floats = share if nominal is None else share - np.eye(n)
+        share: Floats = knowledge.computed_mass @ self._inverse_mass
+        self._mass, self.nominal = knowledge.mass, np.zeros((n, 2 * n))
+        self.other_mass: Floats = np.zeros((n, n))  # M_0 - M_e
+        if nominal is not None:
+            self.nominal, self._mass = nominal.restoring, nominal.mass
+            self.other_mass = nominal.mass - knowledge.mass
+            # S - 1 where the mass is the same
+            share = share - np.eye(n) - self.other_mass @ self._inverse_mass
+        self.share = share
         self.set_restoring(restoring)
 
     def set_restoring(self, restoring: Floats) -> None:
@@ -114,7 +143,9 @@ class TargetPrediction:
         return gain
 
     def departure(self, ahead: int) -> tuple[Floats, Floats, Floats]:
-        """Gains of the force K_0 x + C_0 v - r some steps ahead, as `gains` has them.
+        """Gains of the force by which the specimen departs some steps ahead, as `gains` has them.
+
+        It is K_0 x + C_0 v - r + (M_0 - M_e) x'', see `departing`.
 
         Parameters
         ----------
@@ -133,15 +164,28 @@ class TargetPrediction:
             ground[step] += power @ self._end
             ground[step - 1] += power @ self._start
             power = power @ self._free
-        departure = self.nominal - self._restoring
+        departure, by_ground, by_rest = self.departing()
         rest = departure @ ground @ self._inverse_mass
-        rest[ahead] -= np.eye(n)
+        rest[ahead] += by_rest
+        ground = departure @ ground
+        ground[ahead] += by_ground
         flat = (n, steps * n)
         return (
             departure @ power,
-            (departure @ ground).transpose(1, 0, 2).reshape(flat),
+            ground.transpose(1, 0, 2).reshape(flat),
             rest.transpose(1, 0, 2).reshape(flat),
         )
+
+    def departing(self) -> tuple[Floats, Floats, Floats]:
+        """Gains of the force by which the specimen departs from that of the force loop now.
+
+        Returns
+        -------
+        motion, ground_motion, rest : ndarray
+            Of (x, v), a_g and p, shapes (n, 2n), (n, n) and (n, n).
+        """
+        by_rest = -np.eye(len(self._mass)) - self.other_mass @ self._inverse_mass
+        return self.nominal + by_rest @ self._restoring, -self.other_mass, by_rest
 
     def displacements(self) -> tuple[Floats, Floats, Floats]:
         """Gains from which the coming displacements follow, as `gains` has them.

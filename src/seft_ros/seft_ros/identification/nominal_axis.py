@@ -1,0 +1,24 @@
+"""The specimen of one axis that several coupled ones are compared with."""
+
+from dataclasses import dataclass
+
+from seft_ros.identification.specimen_fit import SpecimenFit
+
+
+@dataclass(frozen=True)
+class NominalAxis:
+    """Mass, damping and stiffness of one uncoupled axis, kg, N s/m and N/m."""
+
+    mass: float
+    damping: float
+    stiffness: float
+
+    @classmethod
+    def of(cls, specimen: SpecimenFit) -> "NominalAxis":
+        """Take the mean of the axes of a specimen, uncoupled."""
+        return cls(
+            *(
+                float(matrix.diagonal().mean())
+                for matrix in (specimen.mass, specimen.damping, specimen.stiffness)
+            )
+        )
