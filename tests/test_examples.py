@@ -1,0 +1,28 @@
+"""The examples in config/ run, and hold what is said of them."""
+
+import pytest
+from graph_tools import ROOT, STALLS_ALLOWED
+
+CONFIG = ROOT / "config"
+LARGEST_ERROR = {"water_tower": 0.02, "three_storey_frame": 0.02}
+SHORT = ("-p", "ground_motion:synthetic.duration:=6.0", "-p", "ground_motion:tail:=0.5")
+
+
+def test_each_example_beside_the_paper_s_rig_is_looked_at():
+    found = {path.stem for path in CONFIG.glob("*.yaml")}
+    assert found == {"demo", "jhu", *LARGEST_ERROR}
+
+
+@pytest.mark.parametrize("name", LARGEST_ERROR)
+def test_an_example_is_near_the_whole_structure(seft_json, name):
+    summary = seft_json("simulate", CONFIG / f"{name}.yaml", "--out", "bag")
+    assert summary["displacement"]["nrmse"] < LARGEST_ERROR[name]
+
+
+@pytest.mark.parametrize("name", LARGEST_ERROR)
+def test_an_example_gives_the_same_bits_over_dds(seft_json, name):
+    config = CONFIG / f"{name}.yaml"
+    seft_json("simulate", config, *SHORT, "--out", "simulated")
+    words = (*SHORT, "-p", "rig:pace:=lockstep", *STALLS_ALLOWED)
+    seft_json("run", config, *words, "--out", "lockstep")
+    assert seft_json("compare", "simulated", "lockstep")["identical"] is True
