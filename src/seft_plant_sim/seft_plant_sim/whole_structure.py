@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import expm
 from seft_msgs_py.arrays import as_matrix
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.parameters import group
 
 from seft_plant_sim.computed_substructure import ComputedSubstructure
+from seft_plant_sim.first_order_hold import first_order_hold
 from seft_plant_sim.hysteretic_response import hysteretic_response
 from seft_plant_sim.specimen import Specimen
 
@@ -160,7 +160,7 @@ def _linear_response(
 
 
 def sampled_motion(structure: Specimen, dt: float) -> tuple[Floats, Floats, Floats]:
-    """Take a linear structure's motion over one step (first-order hold, Van Loan 1978).
+    """Take a linear structure's motion over one step, see `first_order_hold`.
 
     Returns
     -------
@@ -168,15 +168,8 @@ def sampled_motion(structure: Specimen, dt: float) -> tuple[Floats, Floats, Floa
         Shapes (2n, 2n), (2n, n), (2n, n): the next (x, v) is free (x, v) + start a_g + change
         (next a_g - a_g).
     """
-    n = structure.axes
     a, b = structure.state_matrices()
-    augmented = np.zeros((4 * n, 4 * n))
-    augmented[: 2 * n, : 2 * n] = a * dt
-    augmented[: 2 * n, 2 * n : 3 * n] = b @ -structure.mass * dt
-    augmented[2 * n : 3 * n, 3 * n :] = np.eye(n)
-    exponential = expm(augmented)
-    free = np.ascontiguousarray(exponential[: 2 * n, : 2 * n])
-    return free, exponential[: 2 * n, 2 * n : 3 * n], exponential[: 2 * n, 3 * n :]
+    return first_order_hold(a, b @ -structure.mass, dt)
 
 
 def _recur(free: Floats, states: Floats) -> None:

@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import expm
+from seft_plant_sim.first_order_hold import first_order_hold
 
 from seft_ros.reference_force.compensation.compensator import Compensator, Knowledge
 from seft_ros.reference_force.compensation.linear_filter import LinearCompensator, LinearFilter
@@ -99,7 +99,7 @@ def substructure_motion(knowledge: Knowledge, preview: int) -> LinearFilter:
     before, rest, x, v, a, f, *ground = (part for part in parts)
     system, by_ground = _internal(knowledge)
     # the motion of the axes enters as input, and ends in itself
-    free, start, change = _held_linear(
+    free, start, change = first_order_hold(
         system[:, 2 * n :], np.hstack([system[:, : 2 * n], by_ground]), dt
     )
     here = np.vstack([x, v, ground[0]])
@@ -113,7 +113,7 @@ def substructure_motion(knowledge: Knowledge, preview: int) -> LinearFilter:
     whole, push = whole_system(knowledge)
     by_rest = np.zeros_like(push)
     by_rest[n : 2 * n] = -inverse
-    free, start, change = _held_linear(whole, np.hstack([push, by_rest]), dt)
+    free, start, change = first_order_hold(whole, np.hstack([push, by_rest]), dt)
     motion = np.vstack([x, v, internal])
     found = [ground[0] + acceleration @ motion]
     for now, coming in pairwise(ground):
@@ -192,23 +192,3 @@ def _internal(knowledge: Knowledge) -> tuple[Floats, Floats]:
     moved = -np.hstack([k[:, :n], c[:, :n], k[:, n:], c[:, n:]])
     still = np.hstack([np.zeros((q, 2 * n + q)), np.eye(q)])
     return np.vstack([still, moved]), np.vstack([np.zeros((q, n)), -computed.influence])
-
-
-def _held_linear(a: Floats, b: Floats, dt: float) -> tuple[Floats, Floats, Floats]:
-    """Sample s' = a s + b u with u linear in between (Van Loan 1978).
-
-    Returns
-    -------
-    free, start, change : ndarray
-        The next s is free s + start u + change (next u - u).
-    """
-    size, inputs = b.shape
-    augmented = np.zeros((size + 2 * inputs,) * 2)
-    augmented[:size, :size], augmented[:size, size : size + inputs] = a * dt, b * dt
-    augmented[size : size + inputs, size + inputs :] = np.eye(inputs)
-    exponential = expm(augmented)
-    return (
-        exponential[:size, :size],
-        exponential[:size, size : size + inputs],
-        exponential[:size, size + inputs :],
-    )

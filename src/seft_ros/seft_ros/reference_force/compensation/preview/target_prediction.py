@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import expm
+from seft_plant_sim.first_order_hold import first_order_hold
 
 from seft_ros.reference_force.compensation.compensator import Knowledge
 
@@ -219,19 +220,12 @@ class TargetPrediction:
     def _transition(self) -> tuple[Floats, Floats, Floats]:
         """Transition of (x, v) over a step: free, and by a_g at its start and at its end."""
         n = len(self._mass)
-        augmented = np.zeros((4 * n, 4 * n))
-        augmented[:n, n : 2 * n] = np.eye(n)
-        augmented[n : 2 * n, : 2 * n] = -self._slowing
-        augmented[n : 2 * n, 2 * n : 3 * n] = -np.eye(n)
-        augmented[: 2 * n] *= self._dt
-        augmented[2 * n : 3 * n, 3 * n :] = np.eye(n)
-        exponential = expm(augmented)
-        change = exponential[: 2 * n, 3 * n :]
-        return (
-            exponential[: 2 * n, : 2 * n],
-            exponential[: 2 * n, 2 * n : 3 * n] - change,
-            change,
-        )
+        system, push = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, n))
+        system[:n, n:] = np.eye(n)
+        system[n:] = -self._slowing
+        push[n:] = -np.eye(n)
+        free, start, change = first_order_hold(system, push, self._dt)
+        return free, start - change, change
 
 
 def _ahead(weights: Floats, target: Floats, transition: Floats) -> Floats:
