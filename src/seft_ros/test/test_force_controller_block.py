@@ -26,7 +26,7 @@ CONTROLLERS = {
 
 
 def controller(numerator, denominator, limit=1e300, axes=1):
-    return ForceController(numerator, denominator, limit, DT, axes)
+    return ForceController([(numerator, denominator)] * axes, limit, DT)
 
 
 def drive(block, reference, force):
@@ -110,7 +110,7 @@ def test_without_feedback_the_reference_force_alone_goes_through_it(name):
     rng = np.random.default_rng(5)
     reference, force = rng.normal(size=(2, 300, 2))
     numerator, denominator = CONTROLLERS[name]
-    block = ForceController(numerator, denominator, 1e300, DT, 2, feedback=False)
+    block = ForceController([(numerator, denominator)] * 2, 1e300, DT, feedback=False)
     closed = controller(numerator, denominator, axes=2)
     np.testing.assert_array_equal(
         drive(block, reference, 1e9 * force), drive(closed, reference, 0 * force)
@@ -119,7 +119,7 @@ def test_without_feedback_the_reference_force_alone_goes_through_it(name):
 
 def test_without_feedback_the_limit_and_its_anti_windup_hold_too():
     reference = np.repeat([1.0, -1.0], [5000, 200])[:, np.newaxis]
-    block = ForceController([50.0], [1.0, 0.0], 10.0, DT, 1, feedback=False)
+    block = ForceController([([50.0], [1.0, 0.0])], 10.0, DT, feedback=False)
     got = drive(block, reference, np.full_like(reference, np.nan))
     assert (got[1000:5000] == 10.0).all()
     assert got[5001, 0] < 10.0

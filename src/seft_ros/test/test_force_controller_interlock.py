@@ -17,7 +17,7 @@ JHU = "config/jhu.yaml"
 
 
 def interlock(gain=1.0, longest_saturation=0.5):
-    controller = ForceController([gain], [1.0], 10.0, DT, len(AXES))
+    controller = ForceController([([gain], [1.0])] * len(AXES), 10.0, DT)
     return Interlock(controller, AXES, 1000.0, longest_saturation, DT)
 
 
@@ -28,7 +28,7 @@ def state(east=0.0, north=0.0):
 
 
 def test_it_is_the_controller_itself_while_all_is_well():
-    guarded, bare = interlock(), ForceController([1.0], [1.0], 10.0, DT, 2)
+    guarded, bare = interlock(), ForceController([([1.0], [1.0])] * 2, 10.0, DT)
     rng = np.random.default_rng(1)
     for step in range(200):
         force, measured = rng.normal(0, 300, 2), state(*rng.normal(0, 300, 2))

@@ -159,7 +159,7 @@ def test_a_plant_that_answers_at_once_is_sampled_with_the_step_of_latency_alone(
 def test_a_sine_runs_through_the_blocks_as_the_closed_loop_says(frequency):
     test = experiment()
     dt, count, kept = test.timebase.dt, 6000, 2000  # 12 s; the last 4 s hold whole periods
-    controller = ForceController(PAPER.numerator, PAPER.denominator, 1e9, dt, 1)
+    controller = ForceController([(PAPER.numerator, PAPER.denominator)], 1e9, dt)
     rig = LinearPlant(continuous_model(test["rig"], test.axes), dt)
     reference = np.sin(2 * np.pi * frequency * dt * np.arange(count))
     state, forces = rig.reset(), []
@@ -189,7 +189,7 @@ def test_the_dominant_pole_is_how_the_blocks_grow_or_die_out(axes, gain):
     dt = test.timebase.dt
     controller = PAPER.scaled(gain)
     pole = dominant_pole(choose_plant(test), controller, dt)
-    block = ForceController(controller.numerator, controller.denominator, 1e150, dt, len(axes))
+    block = ForceController([(controller.numerator, controller.denominator)] * len(axes), 1e150, dt)
     rig = LinearPlant(continuous_model(test["rig"], test.axes), dt)
     state, forces = rig.reset(), []
     for k in range(1500):

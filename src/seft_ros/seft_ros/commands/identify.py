@@ -104,7 +104,6 @@ def identify(
 
         seft identify config/lab.yaml --external rig --amplitude 0.1 --duration 300
     """
-    from seft_ros.force_controller.names import TRANSFER_FUNCTION
     from seft_ros.identification.experiments import (
         PILOT_DURATION,
         Levels,
@@ -118,7 +117,7 @@ def identify(
     )
     from seft_ros.identification.identified import identify as identify_rig
     from seft_ros.identification.motions import Motions
-    from seft_ros.loop_shaping.controller import Controller
+    from seft_ros.loop_shaping.controller import Controller, is_one_controller
 
     if set(external or ()) - {"rig"}:
         raise InputError("--external: only the rig may be, the other nodes are set up here")
@@ -127,8 +126,7 @@ def identify(
     levels = Levels(first, default_force(experiment, signal) if force is None else force)
     check_levels(experiment, levels)
     own = experiment["force_controller"]
-    known = own["method"] == TRANSFER_FUNCTION
-    controller = Controller.from_parameters(own) if known else None
+    controller = Controller.from_parameters(own) if is_one_controller(own) else None
     used = band or (0.3, min(0.45 * experiment.timebase.rate, 200.0))
     folder = out or Path(datetime.now().strftime("identify_%Y-%m-%d_%H-%M-%S"))
     motions = Motions(experiment, levels.force, signal, used, seed)

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.arrays import as_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.timebase import Timebase
 
@@ -14,9 +15,11 @@ Floats = npt.NDArray[np.float64]
 
 
 class ForceController:
-    """Force servo on each of n axes: u = C(s) (f_r - f), limited to the valve's range.
+    """Force servo of n axes: u = G C(s) (f_r - f), limited to the valve's range.
 
-    Without feedback it is u = C(s) f_r, which drives the valve by a motion of one's own.
+    C is a transfer function on each axis, the same or each its own; G mixes what they ask for,
+    for valves of unlike gain or to decouple axes. Without feedback it is u = G C(s) f_r, which
+    drives the valves by a motion of one's own.
 
     C is discretised with the bilinear (Tustin) transform. Its recursion runs on the limited
     outputs, as the valve does, and so cannot wind up: the anti-windup of Astrom & Wittenmark
@@ -25,16 +28,17 @@ class ForceController:
 
     Parameters
     ----------
-    numerator, denominator : sequence of float
-        C in s, highest power first; proper.
+    controllers : sequence of (sequence of float, sequence of float)
+        Numerator and denominator of each axis in s, highest power first; proper, and of one order
+        on all axes.
     voltage_limit : float
         Largest magnitude of the valve drive, V.
     dt : float
         Sampling period, s.
-    axes : int
-        Number of axes n.
     feedback : bool
         Whether the measured force is fed back.
+    gain : ndarray, optional
+        G, shape (n, n), invertible; default 1.
 
     Attributes
     ----------
@@ -51,30 +55,43 @@ class ForceController:
     Raises
     ------
     InputError
-        If C is improper, has no denominator, or can't be discretised at this rate.
+        If a C is improper, has no denominator, can't be discretised at this rate, or is of
+        another order, or G is singular.
     """
 
     def __init__(
         self,
-        numerator: Sequence[float],
-        denominator: Sequence[float],
+        controllers: Sequence[tuple[Sequence[float], Sequence[float]]],
         voltage_limit: float,
         dt: float,
-        axes: int,
         feedback: bool = True,
+        gain: Floats | None = None,
     ) -> None:
-        b, a = bilinear(numerator, denominator, dt)
-        order, one = len(a) - 1, np.eye(axes)
+        axes = len(controllers)
+        sampled = [bilinear(*each, dt) for each in controllers]
+        orders = {len(a) - 1 for _, a in sampled}
+        if len(orders) > 1:
+            raise InputError(
+                f"force_controller: denominators of degree {min(orders)} and {max(orders)}; give "
+                "them the same, with leading zeros in the numerator"
+            )
+        order = orders.pop()
         # transposed direct form II on the vector (w, e), w the order * n delays:
         # u = b0 e + w[0],  w' = shift(w) + b e - a u; with that u put in, in one matrix
         self._work = np.zeros((order + 1) * axes)
         self._delays = self._work[: order * axes]
         self._error = self._work[order * axes :]
-        output = np.eye(1, order + 1)
-        output[0, order] = b[0]
-        update = np.column_stack([np.eye(order, k=1), b[1:]]) - np.outer(a[1:], output)
-        self.matrix = np.asarray(np.kron(np.vstack([output, update]), one), np.float64)
-        self.from_drive = np.kron(a[1:, np.newaxis], one)
+        self.matrix: Floats = np.zeros(((order + 1) * axes,) * 2)
+        self.from_drive: Floats = np.zeros((order * axes, axes))
+        for axis, (b, a) in enumerate(sampled):
+            output = np.eye(1, order + 1)
+            output[0, order] = b[0]
+            update = np.column_stack([np.eye(order, k=1), b[1:]]) - np.outer(a[1:], output)
+            self.matrix[axis::axes, axis::axes] = np.vstack([output, update])
+            self.from_drive[axis::axes, axis] = a[1:]
+        if gain is not None:
+            self.matrix[:axes] = gain @ self.matrix[:axes]
+            self.from_drive = self.from_drive @ _inverse(gain)
         self._axes = axes
         self.feedback = feedback
         self.limit = float(voltage_limit)
@@ -86,17 +103,15 @@ class ForceController:
         cls, section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
     ) -> "ForceController":
         """Make it of its section of an experiment."""
-        numerator, denominator = (
-            np.atleast_1d(section[name]).tolist() for name in ("numerator", "denominator")
-        )
-        return cls(
-            numerator,
-            denominator,
-            section["voltage_limit"],
-            timebase.dt,
-            len(axes),
-            section["feedback"],
-        )
+        parts = [np.atleast_1d(section[name]).tolist() for name in ("numerator", "denominator")]
+        if section.get("per_axis"):
+            names = ("numerator", "denominator")
+            each = [_split(part, axes, name) for part, name in zip(parts, names, strict=True)]
+            controllers = list(zip(*each, strict=True))
+        else:
+            controllers = [(parts[0], parts[1])] * len(axes)
+        gain = as_matrix(section.get("gain", 1.0), axes, "force_controller: gain")
+        return cls(controllers, section["voltage_limit"], timebase.dt, section["feedback"], gain)
 
     def reset(self) -> None:
         """Forget the test so far."""
@@ -126,6 +141,27 @@ class ForceController:
             drive = limited
         self._delays[:] = delays
         return drive
+
+
+def _split(coefficients: list[float], axes: Sequence[str], name: str) -> list[list[float]]:
+    """Polynomials of the axes that stand one after the other."""
+    each, rest = divmod(len(coefficients), len(axes))
+    if rest:
+        raise InputError(
+            f"force_controller: per_axis, but {name} has {len(coefficients)} coefficients for "
+            f"{len(axes)} axes {list(axes)}; give each axis as many"
+        )
+    return [coefficients[each * axis : each * (axis + 1)] for axis in range(len(axes))]
+
+
+def _inverse(gain: Floats) -> Floats:
+    try:
+        return np.linalg.inv(gain).astype(np.float64)
+    except np.linalg.LinAlgError:
+        raise InputError(
+            f"force_controller: gain {gain.tolist()} is singular: a valve or a combination of "
+            "valves would never be driven"
+        ) from None
 
 
 def bilinear(

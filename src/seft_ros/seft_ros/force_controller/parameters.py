@@ -27,6 +27,20 @@ TABLE = Table(
             "denominator", "floats", [1.0, 17.14, 4002.0], "denominator of the controller, likewise"
         ),
         Parameter(
+            "per_axis",
+            "bool",
+            False,
+            "whether numerator and denominator hold a polynomial for each axis, one after the "
+            "other, instead of one for all",
+        ),
+        Parameter(
+            "gain",
+            "floats",
+            1.0,
+            "what valves get of the controllers' outputs: one number, a diagonal, or a matrix that "
+            "decouples the axes",
+        ),
+        Parameter(
             "voltage_limit", "float", 10.0, "largest valve drive, either way", "V", positive=True
         ),
         Parameter(

@@ -132,6 +132,8 @@ def open_loop(experiment: Experiment, record: Path, levels: Levels) -> Experimen
     """
     controller = {
         "method": TRANSFER_FUNCTION,
+        "per_axis": False,
+        "gain": [1.0],
         "numerator": [levels.voltage / levels.force],
         "denominator": [1.0],
         "feedback": False,

@@ -79,7 +79,9 @@ def notes(identified: Identified) -> list[str]:
                     f"{identified.band[1]:g} Hz; the model covers its effect within"
                 )
         if not valve.controller_known:
-            found.append(f"axis {axis}: margins of another package's controller are not known")
+            found.append(
+                f"axis {axis}: margins are known of one transfer function for all axes alone"
+            )
         elif not valve.loop.stable:
             found.append(f"axis {axis}: by this model the loop is unstable with its controller")
     if not identified.closed_loops:

@@ -56,15 +56,17 @@ class Controller:
         Raises
         ------
         InputError
-            If another package's controller is in use, or a polynomial is zero.
+            If another package's controller is in use, axes have different ones or are mixed, or
+            a polynomial is zero.
         """
-        method = section.get("method", TRANSFER_FUNCTION)  # not in an older record
-        if method != TRANSFER_FUNCTION:
+        if not is_one_controller(section):
             raise InputError(
-                f"force_controller: method is {method}, but only a {TRANSFER_FUNCTION} "
-                "can be judged here; choose that method or give a controller as options"
+                "force_controller: method, per_axis or gain make it something else than one "
+                f"{TRANSFER_FUNCTION} for all axes, which alone can be judged here; give one as "
+                "options"
             )
-        return cls.from_coefficients(section["numerator"], section["denominator"])
+        gain = float(np.ravel(section.get("gain", 1.0))[0])
+        return cls.from_coefficients(section["numerator"], section["denominator"]).scaled(gain)
 
     @classmethod
     def from_roots(cls, gain: float, zeros: Iterable[Root], poles: Iterable[Root]) -> "Controller":
@@ -106,6 +108,12 @@ class Controller:
         """
         b, a = bilinear(self.numerator, self.denominator, dt)
         return _ratio(b, a, np.exp(2j * np.pi * frequencies_hz * dt))
+
+
+def is_one_controller(section: dict[str, Any]) -> bool:
+    """Whether a force controller's section is of one transfer function for all axes."""
+    same = section.get("method", TRANSFER_FUNCTION) == TRANSFER_FUNCTION  # not in an older record
+    return same and not section.get("per_axis") and np.size(section.get("gain", 1.0)) == 1
 
 
 def _product(roots: Iterable[Root]) -> Floats:

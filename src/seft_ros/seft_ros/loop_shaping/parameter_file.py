@@ -34,6 +34,8 @@ def write_controller(controller: Controller, path: Path) -> None:
     check_new(path)
     section = {
         "method": TRANSFER_FUNCTION,
+        "per_axis": False,
+        "gain": [1.0],
         "numerator": list(controller.numerator),
         "denominator": list(controller.denominator),
     }
