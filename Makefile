@@ -34,8 +34,8 @@ test: $(READY) ## all checks: lint, format, types, docs, tests (CI runs the same
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(DOCS)
-	$(BIN)/pytest src -n 2
-	$(BIN)/pytest tests -n 2 -m "not thorough and not alone"
+	$(BIN)/pytest src -n 2 --durations 10
+	$(BIN)/pytest tests -n 2 -m "not thorough and not alone" --durations 15
 	$(BIN)/pytest tests -m "alone and not thorough"
 
 docs: $(READY) ## the pages as HTML in build/docs, every link between them checked

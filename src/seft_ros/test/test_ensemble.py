@@ -7,11 +7,14 @@ import pytest
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.parameter_file import parse_override
+from seft_ros.ensemble import member
 from seft_ros.ensemble.arrays import NotLinearError
 from seft_ros.ensemble.run import Workshop, run_ensemble
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES
+from seft_ros.force_controller.force_control import ControlKnowledge
+from seft_ros.force_controller.registered_control import RegisteredControl
 from seft_ros.reference_force.compensation.methods import METHODS
 from seft_ros.tournament.perturbed_rig import perturbed_rig
 
@@ -63,7 +66,17 @@ CASES = {
     "smith": (METHOD("smith"), DELAY, RATIO(1.0), WEAK),
     "polynomial": (METHOD("polynomial"), DELAY, RATIO(0.3), WEAK),
     "preview_inverse": (*PREVIEW, RATIO(1.5), WEAK),
+    "sloshing water": (
+        *PREVIEW, RATIO(1.0), WEAK, "reference_force:computed.internal:=1",
+        "reference_force:computed.mass:=[35.0, 25.0]",
+        "reference_force:computed.stiffness:=[1421.2, -1421.2, -1421.2, 1421.2]",
+    ),
     "two axes": (*TWO, RATIO(0.4)),
+    "two axes, mixed": (
+        *TWO, RATIO(0.3), "force_controller:per_axis:=true",
+        "force_controller:numerator:=[37.0, 30.0]", "force_controller:gain:=[1.0, 0.05, 0.0, 1.1]",
+        "force_controller:denominator:=[1.0, 17.14, 4002.0, 1.0, 16.0, 3600.0]",
+    ),
     "two axes, preview, yielding": (
         *TWO, *PREVIEW, WEAK, RATIO(1.0), "rig:specimen.kind:=bouc_wen", "rig:specimen.springs:="
         "[1.0, 0.0, 0.0, 1.0, 1.0, -1.0]", YIELDS,
@@ -166,6 +179,21 @@ def test_a_method_of_ones_own_is_not_compiled(monkeypatch):
 
     monkeypatch.setitem(METHODS, "none", Own)
     assert "changes while the test runs" in Workshop().obstacle(load())
+
+
+def test_a_controller_of_another_package_is_not_compiled(monkeypatch):
+    class Own:
+        def reset(self):
+            pass
+
+        def step(self, reference_force, state):
+            return 0.001 * (reference_force - state[3])
+
+    def force_control(_, axes, timebase):
+        return RegisteredControl(Own(), "own", ControlKnowledge(len(axes), timebase.dt, 10.0))
+
+    monkeypatch.setattr(member, "force_control", force_control)
+    assert "another package" in Workshop().obstacle(load())
 
 
 def test_wrong_input_is_told_as_ever():

@@ -133,8 +133,9 @@ class Workshop:
             As `run`.
         """
         try:
-            self.loop(experiment)
-            plant_arrays(_rig(experiment))
+            rig = _rig(experiment)
+            plant_arrays(rig)
+            control_arrays(self.loop(experiment).interlock, rig)
         except NotLinearError as error:
             return str(error)
         return ""
