@@ -151,7 +151,16 @@ def test_a_mass_that_is_taken_away_must_leave_one():
         known_of(section)
 
 
-def test_a_link_can_not_yet_be_bridged_with_it():
-    section = section_of(1, 1, 1, 500.0, loop_delay=5)
-    with pytest.raises(InputError, match="loop_delay is given, but a computed substructure"):
-        Continuation(section, ("axis 0",), Timebase.from_rate(500.0))
+@pytest.mark.parametrize("internal", [0, 2])
+def test_the_force_that_bridges_a_link_is_the_exact_one(internal):
+    section = section_of(1, 2, internal, 1000.0, loop_delay=5)
+    names, delay = tuple(section["axes"]), section["loop_delay"]
+    continuation = Continuation(section, names, Timebase.from_rate(1000.0))
+    ground, states = exact_test(section, 1)
+    force, steps = states[:, 3], continuation.steps
+    errors = []
+    for k, state in enumerate(states[: -delay - steps]):
+        continuation.take(ground[k : k + 1 + continuation.preview], state)
+        exact = force[k + delay + 1 : k + delay + 1 + steps] - force[k + delay]
+        errors.append(np.abs(continuation.changes() - exact).max())
+    assert max(errors) < 2e-3 * np.abs(force).max()

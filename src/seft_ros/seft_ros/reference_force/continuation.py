@@ -4,12 +4,15 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.errors import InputError
 from seft_msgs_py.timebase import Timebase
 
 from seft_ros.reference_force.block import knowledge
 from seft_ros.reference_force.compensation.preview.target_prediction import TargetPrediction
 from seft_ros.reference_force.compensation.preview.tracking_model import TrackingModel
+from seft_ros.reference_force.compensation.substructure import (
+    SubstructureMotion,
+    substructure_motion,
+)
 
 Floats = npt.NDArray[np.float64]
 
@@ -50,12 +53,6 @@ class Continuation:
 
     def __init__(self, section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase) -> None:
         known = knowledge(section, axes, timebase)
-        if not known.computed.is_lumped:
-            raise InputError(
-                "reference_force: loop_delay is given, but a computed substructure with springs, "
-                "dampers or internal degrees of freedom is not yet known to the forces that "
-                "bridge a link; compute lumped masses, or run it without a link"
-            )
         self.steps = steps = max(1, round(REACH / known.dt))
         options = known.options
         told = options["compensation.delay"]
@@ -70,9 +67,23 @@ class Continuation:
         self._gain = np.hstack([motion, ground])
         self._known = np.zeros(self._gain.shape[1])
         self._motion, self._ground = np.split(self._known, [2 * known.axes])
+        self._substructure: SubstructureMotion | None = None
+        if not known.computed.is_lumped:
+            self._substructure = SubstructureMotion(substructure_motion(known, self.preview))
 
-    def changes(self, ground_motion: Floats, state: Floats) -> Floats:
-        """Predict the changes, shape (p, n), N, from what `ReferenceForce.step` is given."""
+    def reset(self) -> None:
+        """Begin a new test."""
+        if self._substructure is not None:
+            self._substructure.reset()
+
+    def take(self, ground_motion: Floats, state: Floats) -> None:
+        """Take a step in, as `ReferenceForce.step` is given it."""
+        ground_motion = ground_motion[: 1 + self.preview]
+        if self._substructure is not None:
+            ground_motion = self._substructure.step(ground_motion, state)
         self._motion[:] = state[:2].ravel()
-        self._ground[:] = ground_motion[: 1 + self.preview].ravel()
+        self._ground[:] = ground_motion.ravel()
+
+    def changes(self) -> Floats:
+        """Predict the changes after the last step, shape (p, n), N."""
         return self._gain.dot(self._known).reshape(self.steps, -1)

@@ -66,6 +66,7 @@ class PreviewedForce:
         """Begin a new test: no force before the first that is computed."""
         self._settled.extend([np.zeros(self._axes)] * (self._settled.maxlen or 0))
         self._last: Floats | None = None
+        self._continuation.reset()
 
     def step(self, ground_motion: Floats, state: Floats) -> Floats:
         """Compute the forces from the state of one step, both given as to `ReferenceForce.step`.
@@ -76,7 +77,7 @@ class PreviewedForce:
             Of this step and the coming ones, shape (1 + d + p, n), N.
         """
         self._take(ground_motion, state)
-        return self._points(self._continuation.changes(ground_motion, state))
+        return self._points(self._continuation.changes())
 
     def bridge(self, ground_motion: Sequence[Floats | None], state: Floats) -> None:
         """Make good for the states of steps that were lost before this one, in a straight line.
@@ -104,6 +105,7 @@ class PreviewedForce:
 
     def _take(self, ground_motion: Floats, state: Floats) -> None:
         self._last = state
+        self._continuation.take(ground_motion, state)
         self._settled.append(self._force.step(ground_motion[: self._window], state))
 
     def _points(self, changes: Floats) -> Floats:

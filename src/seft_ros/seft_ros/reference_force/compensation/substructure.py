@@ -129,36 +129,62 @@ def substructure_motion(knowledge: Knowledge, preview: int) -> LinearFilter:
     return LinearFilter(a, b, h, c, d, e)
 
 
-class _BehindMotion:
-    """A method that is not linear, behind the filter of `substructure_motion`."""
+class SubstructureMotion:
+    """The filter of `substructure_motion` under way.
 
-    def __init__(self, method: Compensator, motion: LinearFilter) -> None:
-        self.preview = method.preview
-        self.estimates = method.estimates
-        self._method, self._motion = method, motion
+    Parameters
+    ----------
+    motion : LinearFilter
+        As it gives it.
+    """
+
+    def __init__(self, motion: LinearFilter) -> None:
+        self.filter = motion
         self._matrix = np.ascontiguousarray(motion.matrix())
-        states, outputs = len(motion.a), len(motion.c)
         self._work = np.zeros(self._matrix.shape[1])
-        self._states, signals = np.split(self._work, [states])
+        self._states, signals = np.split(self._work, [len(motion.a)])
         self._measured, self._ground = np.split(signals, [motion.d.shape[1]])
-        self._outputs = outputs
 
     def reset(self) -> None:
         """Forget the test so far."""
         self._work[:] = 0.0
+
+    def step(self, ground_motion: Floats, state: Floats) -> Floats:
+        """Take a step in, as `Compensator.step` is given it.
+
+        Returns
+        -------
+        ndarray
+            What stands for the ground motion of this step and the coming ones, shape
+            (1 + preview, n), m/s^2.
+        """
+        self._measured[:] = state.reshape(-1)
+        self._ground[:] = ground_motion.reshape(-1)
+        result = self._matrix.dot(self._work)
+        outputs, self._states[:] = np.split(result, [len(self.filter.c)])
+        return outputs.reshape(ground_motion.shape)
+
+
+class _BehindMotion:
+    """A method that is not linear, behind a `SubstructureMotion`."""
+
+    def __init__(self, method: Compensator, motion: LinearFilter) -> None:
+        self.preview = method.preview
+        self.estimates = method.estimates
+        self._method, self._motion = method, SubstructureMotion(motion)
+
+    def reset(self) -> None:
+        """Forget the test so far."""
+        self._motion.reset()
         self._method.reset()
 
     def step(self, ground_motion: Floats, state: Floats) -> Floats:
         """Compute the reference force of one step, see `Compensator.step`."""
-        self._measured[:] = state.reshape(-1)
-        self._ground[:] = ground_motion.reshape(-1)
-        result = self._matrix.dot(self._work)
-        self._states[:] = result[self._outputs :]
-        return self._method.step(result[: self._outputs].reshape(ground_motion.shape), state)
+        return self._method.step(self._motion.step(ground_motion, state), state)
 
     def linear(self) -> LinearFilter:
         """Linear filter that the method is now, see `Compensator.linear`."""
-        return _behind(self._method.linear(), self._motion)
+        return _behind(self._method.linear(), self._motion.filter)
 
 
 def _behind(method: LinearFilter, motion: LinearFilter) -> LinearFilter:
