@@ -66,7 +66,7 @@ class Specimen:
         kind = section.get("kind", "linear")
         if kind == "linear":
             return linear
-        deformation = _deformation(section["springs"], axes, where)
+        deformation = deformations(section["springs"], axes, where)
         stiffness = _spring_stiffness(linear.stiffness, deformation, where)
         count = len(deformation)
         yields, hardening = (
@@ -130,8 +130,16 @@ def _spring(
     return BoucWenSpring(*values, **shape)
 
 
-def _deformation(value: float | Sequence[float], axes: Sequence[str], where: str) -> Floats:
-    """Matrix D over the axes; a single 0 stands for one spring between each axis and the ground."""
+def deformations(value: float | Sequence[float], axes: Sequence[str], where: str) -> Floats:
+    """Matrix D over n axes, shape (p, n): deformation of each spring per displacement.
+
+    A single 0 stands for one spring between each axis and the ground.
+
+    Raises
+    ------
+    InputError
+        If there are not n values for each spring; ``where`` names the parameters' group.
+    """
     numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
     n = len(axes)
     if numbers.size == 1 and numbers[0] == 0.0:

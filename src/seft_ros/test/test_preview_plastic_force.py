@@ -63,7 +63,7 @@ def follower(alpha=1.0, n=1):
     restoring = np.hstack([known.stiffness, known.damping])
     prediction = TargetPrediction(known, np.zeros((1, 1 + HORIZON)), None, restoring)
     gains = prediction.displacements()
-    return PlasticForce(np.full(n, K), np.full(n, NOISE), gains), np.zeros(n)
+    return PlasticForce(K * np.eye(n), np.full(n, NOISE), gains, np.eye(n)), np.zeros(n)
 
 
 @pytest.mark.parametrize("spring", SPRINGS)

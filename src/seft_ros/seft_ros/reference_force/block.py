@@ -8,6 +8,7 @@ from seft_msgs_py.arrays import mass_matrix, symmetric_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.timebase import Timebase
 from seft_plant_sim.computed_substructure import ComputedSubstructure
+from seft_plant_sim.specimen import deformations
 
 from seft_ros.reference_force.compensation.compensator import Compensator, Knowledge
 from seft_ros.reference_force.compensation.methods import METHODS
@@ -129,7 +130,8 @@ def knowledge(section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
             "tells it: give it with -p reference_force:loop_delay:=STEPS"
         )
     _add_delay(options, loop_delay * timebase.dt)
-    return Knowledge(mass, computed, damping, stiffness, timebase.dt, options, loop_delay)
+    springs = deformations(section.get("model.springs", 0.0), axes, where)
+    return Knowledge(mass, computed, damping, stiffness, timebase.dt, options, loop_delay, springs)
 
 
 def _check_total_mass(mass: Floats) -> None:

@@ -83,6 +83,14 @@ TABLE = Table(
             default_from="rig:specimen.stiffness",
         ),
         Parameter(
+            "model.springs",
+            "floats",
+            0.0,
+            "springs of the specimen that may yield, likewise: deformation of each per "
+            "displacement of each axis; 0: one between each axis and the ground",
+            default_from="rig:specimen.springs",
+        ),
+        Parameter(
             "compensation.method",
             "string",
             "none",

@@ -12,6 +12,8 @@ from seft_ros.reference_force.compensation.linear_filter import LinearFilter
 
 Floats = npt.NDArray[np.float64]
 
+_SINGULAR = 1e6
+
 
 @dataclass(frozen=True)
 class Knowledge:
@@ -33,6 +35,8 @@ class Knowledge:
         delays and dead times among them hold the loop's delay.
     loop_delay : int
         Steps from a state to the first use of the force that is computed from it.
+    springs : ndarray or None
+        Deformation of each spring that may yield per displacement of each axis, shape (p, n).
     """
 
     mass: Floats
@@ -42,11 +46,20 @@ class Knowledge:
     dt: float
     options: Mapping[str, Any]
     loop_delay: int = 0
+    springs: Floats | None = None
 
     @property
     def axes(self) -> int:
         """Number of axes n."""
         return len(self.mass)
+
+    @property
+    def deformation(self) -> Floats:
+        """Deformations that tell the displacements, shape (n, n); else the displacements."""
+        springs = self.springs
+        if springs is None or len(springs) != self.axes or np.linalg.cond(springs) > _SINGULAR:
+            return np.eye(self.axes)
+        return springs
 
     @property
     def computed_mass(self) -> Floats:

@@ -114,7 +114,7 @@ class AdaptivePreviewInverse:
         """
         n = self._knowledge.axes
         restoring = self._filter.restoring
-        slope = 0.0 if self._plastic is None else self._plastic.slope
+        slope = 0.0 if self._plastic is None else np.diag(self._plastic.slope)
         return {
             "stiffness": np.diag(restoring[:, :n]) + slope,
             "damping": np.diag(restoring[:, n:]).copy(),
@@ -168,8 +168,10 @@ class AdaptivePreviewInverse:
         late = self._knowledge.loop_delay * self._knowledge.dt
         pace = 1.0 - late / known.delay
         self._correction = ForceErrorCorrection(self._knowledge, known.restoring, pace)
+        n = self._knowledge.axes
         self._plastic = PlasticForce(
-            known.restoring.diagonal(),
+            known.restoring[:, :n],
             self._noise,
             known.prediction.displacements(),
+            self._knowledge.deformation,
         )

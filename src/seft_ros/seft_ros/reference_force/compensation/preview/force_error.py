@@ -82,9 +82,10 @@ class ForceErrorCorrection:
             Of this step, shape (n,), m/s^2 and N.
         motion : ndarray
             (x, v), shape (2n,).
-        rest, slope : ndarray
-            Restoring force beside K x + C v, and its slope over the displacement, shape (n,), N
-            and N/m.
+        rest : ndarray
+            Restoring force beside K x + C v, shape (n,), N.
+        slope : ndarray
+            Its slope over the displacement, shape (n, n), N/m.
         deviation : ndarray
             Force that the loop makes beside what its model expects, shape (n,), N.
 
@@ -93,7 +94,7 @@ class ForceErrorCorrection:
         ndarray
             Shape (n,), N; valid until the next step.
         """
-        yielded = slope * self._deviation
+        yielded = slope.dot(self._deviation)
         np.concatenate((force, ground_motion, motion, rest, deviation, yielded), out=self._inputs)
         np.dot(self._gain, self._known, out=self._result)
         for axis, restoring_force in enumerate(self._restoring_force.tolist()):

@@ -11,29 +11,44 @@ _SOFTEST = -0.97  # slope over stiffness at which softening is expected to end
 
 
 class PlasticForce:
-    """Tangent of the restoring force on each of n axes, beside an elastic model.
+    """Tangent of the restoring force of n springs between n axes, beside an elastic model.
 
-    p = r - K x - C v is followed with its slope kappa = dp/dx (`TangentFilter`); the tangent
-    stiffness is K + kappa. While the specimen softens, kappa is expected to go on changing over
-    the way as it does now, until hardly any stiffness is left.
+    With the springs' deformations e = D x, p = r - K x - C v = D^T s, and each s is followed
+    with its slope kappa = ds/de (`TangentFilter`); the tangent stiffness is K + D^T kappa D. While
+    a spring softens, kappa is expected to go on changing over the way as it does now, until
+    hardly any stiffness is left.
 
     Parameters
     ----------
     stiffness : ndarray
-        Elastic stiffness of each axis, shape (n,), N/m.
+        K, elastic, shape (n, n), N/m.
     noise : ndarray
         Variance of the measured restoring force, shape (n,), N^2.
     displacements : tuple of ndarray
         Gains of the coming displacements, as `TargetPrediction.displacements` gives them.
+    deformation : ndarray
+        D, shape (n, n), invertible.
+
+    Attributes
+    ----------
+    slope : ndarray
+        D^T kappa D, shape (n, n), N/m.
     """
 
     def __init__(
-        self, stiffness: Floats, noise: Floats, displacements: tuple[Floats, Floats, Floats]
+        self,
+        stiffness: Floats,
+        noise: Floats,
+        displacements: tuple[Floats, Floats, Floats],
+        deformation: Floats,
     ) -> None:
         n = len(stiffness)
-        pairs = zip(stiffness.tolist(), noise.tolist(), strict=True)
+        self._deformation, self._back = deformation, np.linalg.inv(deformation)
+        own = np.diag(self._back.T @ stiffness @ self._back)
+        shared = np.diag(self._back.T @ np.diag(noise) @ self._back)
+        pairs = zip(own.tolist(), shared.tolist(), strict=True)
         self._filters = [TangentFilter(*pair) for pair in pairs]
-        self._bounds = [(_SOFTEST * k, -1e-9 * k) for k in stiffness.tolist()]
+        self._bounds = [(_SOFTEST * k, -1e-9 * k) for k in own.tolist()]
         from_motion, from_ground_motion, from_rest = displacements
         from_here = from_motion.copy()
         from_here[:, :n] -= np.tile(np.eye(n), (len(from_motion) // n, 1))
@@ -44,9 +59,10 @@ class PlasticForce:
         self._flat_forces = self._known[-steps:]  # p on the way
         self._forces = self._flat_forces.reshape(-1, n)
         self._begun = False
-        self.slope = np.zeros(n)
+        self.slope = np.zeros((n, n))
         # of the way ahead: its direction, slope and bend on it, and where the bend ends
         self._direction, self._slope, self._bend, self._end = np.zeros((4, n))
+        self._tangent = np.zeros(n)
         self._softens = False
 
     def update(self, motion: Floats, rest: Floats, residual: Floats) -> None:
@@ -61,22 +77,26 @@ class PlasticForce:
         residual : ndarray
             p as measured, shape (n,), N.
         """
+        forces = np.stack([rest, residual]) @ self._back  # of the springs
         samples = zip(
-            *motion.reshape(2, -1).tolist(), rest.tolist(), residual.tolist(), strict=True
+            *(motion.reshape(2, -1) @ self._deformation.T).tolist(), *forces.tolist(), strict=True
         )
-        of_axes = zip(self._filters, self._bounds, samples, strict=True)
+        of_springs = zip(self._filters, self._bounds, samples, strict=True)
         self._softens = False
-        for axis, (own, (lowest, straight), sample) in enumerate(of_axes):
-            rest[axis] = own.step(*sample)
-            slope = self.slope[axis] = own.slope
+        for spring, (own, (lowest, straight), sample) in enumerate(of_springs):
+            forces[0, spring] = own.step(*sample)
+            slope = self._tangent[spring] = own.slope
             direction = -1.0 if sample[1] < 0.0 else 1.0
             bend = own.bend * direction
             if bend < straight:
                 self._softens = True
             else:  # only softening is expected to go on
                 bend = straight
-            self._direction[axis], self._slope[axis] = direction, slope * direction
-            self._bend[axis], self._end[axis] = bend * direction, min(lowest - slope, 0.0) / bend
+            self._direction[spring], self._slope[spring] = direction, slope * direction
+            self._bend[spring] = bend * direction
+            self._end[spring] = min(lowest - slope, 0.0) / bend
+        rest[:] = forces[0] @ self._deformation
+        self.slope = (self._deformation.T * self._tangent) @ self._deformation
 
     def coming(self, motion: Floats, rest: Floats, ground_motion: Floats) -> Floats:
         """Predict p over the horizon, shape ((1 + horizon) n,), N; valid until the next call.
@@ -93,15 +113,16 @@ class PlasticForce:
         else:
             forces[:] = rest
             self._begun = True
-        way = self._ways.dot(self._known).reshape(-1, n)
+        way = self._ways.dot(self._known).reshape(-1, n) @ self._deformation.T
         way *= self._direction
         np.maximum.accumulate(way, out=way)
-        np.multiply(way, self._slope, out=forces)
+        of_springs = way * self._slope
         if self._softens:
             bent = np.minimum(way, self._end)
             way -= 0.5 * bent
             way *= bent
             way *= self._bend
-            forces += way
+            of_springs += way
+        np.dot(of_springs, self._deformation, out=forces)
         forces += rest
         return self._flat_forces
