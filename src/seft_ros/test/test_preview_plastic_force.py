@@ -58,12 +58,14 @@ def response(spring, alpha, steps=4000):
     return a_g[:, None], path[:, :2], path[:, 2]
 
 
-def follower(alpha=1.0, n=1):
-    known = knowledge(alpha, n)
-    restoring = np.hstack([known.stiffness, known.damping])
+def follower(alpha=1.0, n=1, deformation=None):
+    """Of springs that deform as the axes are displaced, or as a matrix says."""
+    known, between = knowledge(alpha, n), np.eye(n) if deformation is None else deformation
+    stiffness = K * between.T @ between
+    restoring = np.hstack([stiffness, known.damping])
     prediction = TargetPrediction(known, np.zeros((1, 1 + HORIZON)), None, restoring)
     gains = prediction.displacements()
-    return PlasticForce(K * np.eye(n), np.full(n, NOISE), gains, np.eye(n)), np.zeros(n)
+    return PlasticForce(stiffness, np.full(n, NOISE), gains, between), np.zeros(n)
 
 
 @pytest.mark.parametrize("spring", SPRINGS)
@@ -75,7 +77,7 @@ def test_the_tangent_is_that_of_the_spring(spring):
     slopes = []
     for y, exact in zip(path, p, strict=True):
         plastic.update(y, rest, exact + rng.normal(0, np.sqrt(NOISE), 1))
-        slopes.append(plastic.slope[0])
+        slopes.append(plastic.slope[0, 0])
     exact = np.gradient(p, DT) / np.gradient(path[:, 0], DT)
     steady = np.convolve(np.abs(np.gradient(exact)) < 0.02 * K, np.ones(25) / 25, "same") > 0.99
     steady &= (np.abs(path[:, 1]) > 0.03) & (np.arange(len(p)) > 500)
@@ -116,6 +118,25 @@ def test_the_coming_force_is_better_known_than_by_holding_what_is(spring, alpha)
     assert np.mean(followed) < 0.6 * np.mean(held)
 
 
+def test_springs_between_axes_are_followed_each_by_itself():
+    """One storey of two yields: the other's stiffness stays in the tangent."""
+    between, path, rng = np.array([[1.0, 0.0], [-1.0, 1.0]]), motion(), np.random.default_rng(2)
+    upper = plastic_part(SPRINGS[0], path[:, 0])  # the lower storey hardly moves
+    plastic, rest = follower(n=2, deformation=between)
+    softest, errors = np.zeros(2), []
+    for (e, rate), s in zip(path, upper, strict=True):
+        x, v = (np.linalg.solve(between, [0.1 * value, value]) for value in (e, rate))
+        p = between.T @ [0.0, s]
+        plastic.update(np.concatenate([x, v]), rest, p + rng.normal(0, np.sqrt(NOISE), 2))
+        errors.append(rest - p)
+        of_springs = np.linalg.solve(between.T, plastic.slope) @ np.linalg.inv(between)
+        np.testing.assert_allclose(of_springs, np.diag(of_springs.diagonal()), atol=1e-6 * K)
+        softest = np.minimum(softest, of_springs.diagonal())
+    assert softest[1] < -0.8 * K
+    assert softest[0] > -0.4 * K
+    assert np.sqrt(np.mean(np.square(errors))) < 2 * np.sqrt(NOISE)
+
+
 def test_an_elastic_specimen_is_expected_to_stay_so():
     path, rng = motion(), np.random.default_rng(4)
     plastic, rest = follower()
@@ -123,7 +144,7 @@ def test_an_elastic_specimen_is_expected_to_stay_so():
     for y in path:
         plastic.update(y, rest, rng.normal(0, np.sqrt(NOISE), 1))
         assert abs(rest[0]) < 5 * np.sqrt(NOISE)
-        slopes.append(plastic.slope[0])
+        slopes.append(plastic.slope[0, 0])
     assert np.sqrt(np.mean(np.square(slopes))) < 0.1 * K
 
 
@@ -159,7 +180,7 @@ def run_correction(known, slope, error, steps):
 def test_a_lasting_force_error_is_answered_as_its_equations_say(alpha, stiffness):
     """Exact deviation of the damped oscillator under a constant force, and its integral."""
     known, error = knowledge(alpha), 2.0
-    slope = np.array([stiffness - K])
+    slope = np.array([[stiffness - K]])
     times = DT * np.arange(1, 401)
     total, force = M * (1 + alpha), (1 + alpha) * error
     roots = np.roots([total, C, stiffness]).astype(complex)
@@ -183,8 +204,8 @@ def test_a_lasting_force_error_is_answered_as_its_equations_say(alpha, stiffness
 def test_the_integral_of_the_error_ends_at_a_tenth_of_the_restoring_force():
     one = correction(knowledge(1.0), 10.0)  # stiff: the specimen hardly deviates
     share, error, pull = 0.5, 5.0, np.array([200.0])
-    zero, still = np.zeros(1), np.zeros(2)
-    answers = [one.step(zero, share * pull + error, still, pull, zero, zero)[0] for _ in range(500)]
+    zero, still, flat = np.zeros(1), np.zeros(2), np.zeros((1, 1))
+    answers = [one.step(zero, share * pull + error, still, pull, flat, zero)[0] for _ in range(500)]
     assert answers[20] == pytest.approx(21 * 2 * np.pi * 4.0 * DT * error, abs=0.5)
     assert answers[-1] == pytest.approx(0.1 * pull[0], abs=0.5)
 
@@ -192,7 +213,7 @@ def test_the_integral_of_the_error_ends_at_a_tenth_of_the_restoring_force():
 def test_a_deviation_of_the_loop_is_followed_where_it_lasts():
     one, zero = correction(knowledge(1.0, n=2)), np.zeros(2)
     answers = [
-        one.step(zero, zero, np.zeros(4), zero, zero, np.array([7.0, -3.0])).copy()
+        one.step(zero, zero, np.zeros(4), zero, np.zeros((2, 2)), np.array([7.0, -3.0])).copy()
         for _ in range(200)
     ]
     exact = 1.0 - np.exp(-2 * np.pi * 6.0 * DT * np.arange(1, 201))
@@ -204,8 +225,8 @@ def test_without_force_errors_nothing_is_mended():
     one = correction(known)
     restoring, share = np.hstack([known.stiffness, known.damping]), 0.75
     for _ in range(50):
-        a_g, rest, slope = rng.normal(size=(3, 2)) * [[1.0], [300.0], [K]]
+        a_g, rest, slopes = rng.normal(size=(3, 2)) * [[1.0], [300.0], [K]]
         motion = rng.normal(size=4) * 1e-3
         force = -M * a_g + share * (restoring @ motion + rest)
-        mended = one.step(a_g, force, motion, rest, slope, np.zeros(2))
+        mended = one.step(a_g, force, motion, rest, np.diag(slopes), np.zeros(2))
         np.testing.assert_allclose(mended, 0.0, atol=1e-8)
