@@ -1,5 +1,7 @@
 """Runs of the `seft` command and of single nodes, each test on a ROS domain of its own."""
 
+import contextlib
+import io
 import itertools
 import json
 import os
@@ -11,11 +13,15 @@ import pytest
 from graph_tools import JHU, PATIENCE
 from hostile import Hostile
 from seft_msgs_py.experiment import Experiment
+from seft_ros.commands.main import main
 from seft_ros.experiment.tables import TABLES
 from seft_ros.running.observer import Observer
 from seft_ros.running.processes import MODULES
 
 _WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+_OFFLINE = ("simulate", "compare")
+"""Commands that run in this process: to start one takes longer than most of what they do."""
+_PATH = os.environ.get("PYTHONPATH")  # a test that changes it wants others' packages to be found
 _domains = itertools.count(os.getpid() % 50)
 
 
@@ -29,24 +35,37 @@ def domain(monkeypatch):
 
 
 @pytest.fixture
-def seft(domain, tmp_path) -> Callable[..., subprocess.CompletedProcess]:
+def seft(domain, tmp_path, monkeypatch) -> Callable[..., subprocess.CompletedProcess]:
     """Run `seft` in an empty folder."""
 
     def run(*words, status=None) -> subprocess.CompletedProcess:
         if "--out" in words and words[0] in ("run", "simulate"):
             words = (*words, "--no-figure")  # which would take longer than many a test
-        done = subprocess.run(
-            [sys.executable, "-m", "seft_ros.commands.main", *map(str, words)],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            timeout=PATIENCE,
-        )
+        words = tuple(map(str, words))
+        if words[0] in _OFFLINE and os.environ.get("PYTHONPATH") == _PATH:
+            done = _here(words, tmp_path, monkeypatch)
+        else:
+            command = [sys.executable, "-m", "seft_ros.commands.main", *words]
+            done = subprocess.run(
+                command, cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE
+            )
         if status is not None:
             assert done.returncode == status, done.stderr
         return done
 
     return run
+
+
+def _here(words, folder, monkeypatch) -> subprocess.CompletedProcess:
+    out, errors = io.StringIO(), io.StringIO()
+    monkeypatch.setattr(sys, "argv", ["seft", *words])
+    with (
+        contextlib.chdir(folder),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(errors),
+    ):
+        status = main()
+    return subprocess.CompletedProcess(words, status, out.getvalue(), errors.getvalue())
 
 
 @pytest.fixture

@@ -49,7 +49,7 @@ def wait_for(condition: Callable[[], object], what: str) -> object:
 
 
 def children(pid: int) -> dict[str, int]:
-    """Node processes that a `seft run` has started: node -> pid."""
+    """Node processes that a `seft run` has started: node, with its rig's name -> pid."""
     found = {}
     for entry in Path("/proc").iterdir():
         if not entry.name.isdigit():
@@ -59,9 +59,10 @@ def children(pid: int) -> dict[str, int]:
             parent = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
         except (OSError, ValueError):
             continue
+        below = [word.removeprefix("__ns:=/") + "/" for word in words if word.startswith("__ns:=/")]
         for node, module in MODULES.items():
             if parent == pid and (module in words or (COMPOSED in words and node in words)):
-                found[node] = int(entry.name)
+                found["".join([*below, node])] = int(entry.name)
     return found
 
 

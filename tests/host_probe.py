@@ -5,7 +5,6 @@ Run as ``python -m host_probe CONFIG`` on the host of the rig.
 
 import json
 import sys
-import time
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -19,7 +18,7 @@ from seft_ros.experiment.tables import TABLES
 
 
 def tell(**what):
-    print(json.dumps({"at": time.monotonic(), **what}), flush=True)
+    print(json.dumps(what), flush=True)
 
 
 def main():
@@ -30,9 +29,10 @@ def main():
     def of_a_step(topic, row):
         codec = TrajectoryCodec(topic, experiment.axes, experiment.timebase)
 
-        def receive(raw):
+        def receive(raw, info):
             step, values = codec.decode(raw)
-            tell(topic=topic.name, step=step, value=values[0, row, 0])
+            sent = info["source_timestamp"] / 1e9  # this process may be late
+            tell(topic=topic.name, at=sent, step=step, value=values[0, row, 0])
 
         return receive
 

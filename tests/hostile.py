@@ -10,6 +10,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.leaving import leave_graph
 from seft_msgs_py.messages import Status, encode_status, encode_string
 from seft_msgs_py.ros_types import message_class, qos_profile
 from seft_msgs_py.topics import (
@@ -132,5 +133,4 @@ class Hostile:
 
     def close(self) -> None:
         """Leave the graph."""
-        self._node.destroy_node()
-        rclpy.try_shutdown(context=self._context)
+        leave_graph(self._node)

@@ -82,7 +82,7 @@ def test_nodes_of_different_rates_do_not_start(start_node, observer):
 
 def test_a_test_is_stopped_by_the_operator(start_node, observer, tmp_path):
     for node in MODULES:
-        start_node(node, *STALLS_ALLOWED[1::2])
+        start_node(node, *STALLS_ALLOWED[1::2], *MISSES_ALLOWED[1::2])
     wait_for(is_in_state(observer, "ready"), "ready")
     assert observer.call("start")[0]
     wait_for(lambda: (observer.spin(0.05), observer.time_ns > 10**9)[1], "a second of the test")

@@ -13,6 +13,7 @@ import socket
 import struct
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -41,12 +42,11 @@ def why_not():
     return f"no mounts of one's own: {entered.stderr.strip()}" if entered.returncode else ""
 
 
-def promptly(pid=0):
+def promptly(pid):
     """Have a process, all its threads, run before what else this machine does, where allowed."""
     with contextlib.suppress(OSError):  # not allowed, or ended meanwhile
-        tasks = Path(f"/proc/{pid}/task").iterdir() if pid else ()
-        for thread in [int(task.name) for task in tasks] or [0]:
-            os.sched_setscheduler(thread, os.SCHED_RR, os.sched_param(10))
+        for task in Path(f"/proc/{pid}/task").iterdir():
+            os.sched_setscheduler(int(task.name), os.SCHED_RR, os.sched_param(10))
 
 
 class TwoHosts:
@@ -82,8 +82,8 @@ class TwoHosts:
         self._relay.stdin.flush()
         return json.loads(self._relay.stdout.readline())
 
-    def start(self, host, *words, **options):
-        """Start a Python module on a host."""
+    def start(self, host, *words, prompt=False):
+        """Start a Python module on a host; a prompt one runs before what else is there."""
         command = ["nsenter", "--target", str(self._holders[host].pid), "--net", "--mount"]
         command += [f"--wd={self.folder}", sys.executable, "-m"]
         here = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
@@ -98,9 +98,10 @@ class TwoHosts:
             stderr=subprocess.PIPE,
             text=True,
             env=environment,
-            **options,
         )
         self._processes.append(process)
+        if prompt:
+            promptly(process.pid)  # it has one thread yet; its others and its children inherit it
         return process
 
     def close(self):
@@ -176,6 +177,8 @@ def two_hosts(domain, tmp_path):
     """Hosts of a test; skipped where they can't be had."""
     if reason := why_not():
         pytest.skip(reason)
-    hosts = TwoHosts(tmp_path)
-    yield hosts
-    hosts.close()
+    with (Path(tempfile.gettempdir()) / "seft_two_hosts.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # two side by side are too much for two cores
+        hosts = TwoHosts(tmp_path)
+        yield hosts
+        hosts.close()

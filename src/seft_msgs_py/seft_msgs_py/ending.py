@@ -10,7 +10,7 @@ _Handler = ctypes.CFUNCTYPE(None, ctypes.c_int)
 
 
 @contextmanager
-def ending_within(seconds: float, status: int) -> Iterator[None]:
+def ending_within(seconds: float, status: int, told: str = "") -> Iterator[None]:
     """End the process with a status if what is done inside takes longer.
 
     FastDDS 2.14 can wait for itself for ever when a participant is taken down in the moment in
@@ -24,8 +24,16 @@ def ending_within(seconds: float, status: int) -> Iterator[None]:
         Patience.
     status : int
         Exit status.
+    told : str
+        What to say then on stderr.
     """
-    handler = _Handler(lambda _: os._exit(status))
+
+    def end(_: int) -> None:
+        if told:
+            os.write(2, f"{told}\n".encode())
+        os._exit(status)
+
+    handler = _Handler(end)
     libc = ctypes.CDLL(None)
     libc.signal.restype = ctypes.c_void_p
     libc.signal.argtypes = [ctypes.c_int, ctypes.c_void_p]

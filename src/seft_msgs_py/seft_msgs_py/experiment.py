@@ -20,6 +20,7 @@ from seft_msgs_py.parameter_file import (
     read_parameter_file,
 )
 from seft_msgs_py.parameters import COMMON, Section, Table, Value, nearest, resolve
+from seft_msgs_py.rigs import rigs_of
 from seft_msgs_py.timebase import Timebase
 
 _COMMON_TABLE = Table(EVERY_NODE, ())
@@ -31,7 +32,17 @@ class Experiment:
     Parameters
     ----------
     sections : mapping
-        Node name -> parameter name -> value.
+        Node name -> parameter name -> value. Of nodes that each of several rigs has there is
+        one section, of which every rig takes what is of its axes.
+
+    Attributes
+    ----------
+    timebase : Timebase
+        Sampling clock.
+    axes : tuple of str
+        Names of the axes, of all rigs.
+    rigs : tuple of RigAxes
+        Whose they are.
     """
 
     def __init__(self, sections: Mapping[str, Section]) -> None:
@@ -51,6 +62,10 @@ class Experiment:
             raise InputError(f"{EVERY_NODE}: axes are {list(self.axes)}, but names must differ")
         if not "".join(self.axes).isprintable():
             raise InputError(f"{EVERY_NODE}: axes are {list(self.axes)}, but must be printable")
+        try:
+            self.rigs = rigs_of(self.axes)
+        except InputError as error:
+            raise InputError(f"{EVERY_NODE}: {error}") from None
 
     @classmethod
     def load(

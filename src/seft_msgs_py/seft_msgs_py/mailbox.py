@@ -4,6 +4,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection
 
+from seft_msgs_py.rigs import bare
 from seft_msgs_py.topics import LoopTopic, Topic
 
 Receive = Callable[[bytes, int, int], bool]
@@ -27,7 +28,8 @@ class Mailbox:
 
     def serves(self, topic: Topic) -> bool:
         """Whether the topic's messages come from a node of this process."""
-        return isinstance(topic, LoopTopic) and topic.publisher in self._nodes
+        # with several rigs, a process holds nodes of one of them
+        return isinstance(topic, LoopTopic) and bare(topic.publisher) in self._nodes
 
     def subscribe(self, name: str, node: str, receive: Receive) -> None:
         """Let ``receive`` have every message of the topic of this full name."""

@@ -14,7 +14,7 @@ from rclpy.subscription import Subscription
 
 from seft_msgs_py import realtime
 from seft_msgs_py.claim import claim
-from seft_msgs_py.errors import WireError
+from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.mailbox import Receive
 from seft_msgs_py.messages import Status, encode_diagnostics, encode_string, restamp
@@ -22,8 +22,9 @@ from seft_msgs_py.node_parameters import declare_parameters
 from seft_msgs_py.node_process import NodeProcess, drain
 from seft_msgs_py.parameter_file import split_ros_arguments
 from seft_msgs_py.parameters import Table
+from seft_msgs_py.rigs import RIG_NODES, RigAxes
 from seft_msgs_py.ros_types import message_class, qos_profile
-from seft_msgs_py.topics import DESCRIPTION, DIAGNOSTICS, LOOP_TOPICS, LoopTopic, Topic
+from seft_msgs_py.topics import DESCRIPTION, DIAGNOSTICS, LoopTopic, Topic
 from seft_msgs_py.wait_set import raw_subscription, sender
 
 IDLE_WAIT = 0.05  # s; a signal is noticed within this time
@@ -34,7 +35,6 @@ WARM_UP_STEPS = 200
 """Steps a node of the loop tries on itself, so that its first real ones are not its slowest."""
 Handler = Callable[[bytes, int], None]
 """Takes a message's bytes and the wall-clock time in ns at which it came in."""
-_LOOP_NAMES = {topic.name for topic in LOOP_TOPICS}
 
 
 class NodeShell:
@@ -53,8 +53,12 @@ class NodeShell:
 
     Attributes
     ----------
+    name : str
+        The node's name, with its rig's where the test has several.
     experiment : Experiment
         This node's section of what the command line and its parameter files say.
+    rig : RigAxes
+        The rig that the node belongs to; all axes, where it serves all rigs.
     node : rclpy.node.Node
         The node itself.
     refused : int
@@ -65,17 +69,18 @@ class NodeShell:
         self, process: NodeProcess, table: Table, tables: Iterable[Table], argv: Sequence[str]
     ) -> None:
         files, overrides = split_ros_arguments(argv)
-        self.name = table.node
-        self.experiment = Experiment.load(tables, files, overrides, nodes=[self.name])
+        self.experiment = Experiment.load(tables, files, overrides, nodes=[table.node])
         self.refused = 0
         self._warning = ""  # the first reason since the last warning
         self._warned_at = -WARN_PERIOD
         self._process = process
-        section = self.experiment[self.name]
+        self._section = section = self.experiment[table.node]
         self.node = Node(
-            self.name,
+            table.node,
             parameter_overrides=[RosParameter(name, value=v) for name, v in section.items()],
         )
+        self.rig, self._test_namespace = _rig_of(self.node, self.experiment)
+        self.name = self.rig.node(table.node)
         process.add_node(self.node)
         self._claim = claim(self.node.context.get_domain_id(), self.node.get_fully_qualified_name())
         self._facts: dict[str, Any] | None = None  # none before it has described itself
@@ -83,7 +88,8 @@ class NodeShell:
         self._publishers: dict[str, Publisher] = {}
         self._subscriptions: dict[str, Subscription] = {}
         self._readers: dict[str, Callable[[], bool | None]] = {}
-        self._inside: list[str] = []  # topics that come from this process
+        self._inside: dict[str, str] = {}  # topics that come from this process, and full names
+        self._loop_names: set[str] = set()  # of the topics of the loop that it listens to
         self._handled_at = 0.0  # s, monotonic: the last message of the loop
         self._looked_at = 0.0
         self._status = Status(self.name, 0, "starting", values={})
@@ -99,7 +105,8 @@ class NodeShell:
 
     def publisher(self, topic: Topic) -> Callable[[bytes], None]:
         """Make the publisher of a topic; give the function that publishes message bytes."""
-        publisher = self.node.create_publisher(message_class(topic), topic.name, qos_profile(topic))
+        full_name = self._full_name(topic)
+        publisher = self.node.create_publisher(message_class(topic), full_name, qos_profile(topic))
         self._publishers[topic.name] = publisher
         if not isinstance(topic, LoopTopic):
             return sender(publisher)
@@ -135,14 +142,17 @@ class NodeShell:
         callable
             Handles one message and tells whether it was acted upon; None if there is none.
         """
+        if isinstance(topic, LoopTopic):
+            self._loop_names.add(topic.name)
         if self._process.mailbox.serves(topic):
-            full_name = self.node.resolve_topic_name(topic.name)
+            full_name = self.node.resolve_topic_name(self._full_name(topic))
             receive = self._guarded(handler, topic, None)
             self._process.mailbox.subscribe(full_name, self.name, receive)
-            self._inside.append(topic.name)
+            self._inside[topic.name] = full_name
             self._readers[topic.name] = lambda: None  # whatever was sent has been handed over
             return self._readers[topic.name]
-        subscription = raw_subscription(self.node, topic, depth, reliable)
+        here = replace(topic, name=self._full_name(topic))
+        subscription = raw_subscription(self.node, here, depth, reliable)
         self._subscriptions[topic.name] = subscription
         receive = self._guarded(handler, topic, subscription)
         read_one = self._process.add_subscription(subscription, receive, wake)
@@ -161,7 +171,7 @@ class NodeShell:
         facts : dict, optional
             What else others must know of this node, JSON values.
         """
-        parameters = self.experiment[self.name]
+        parameters = self._section
         self._facts = dict(facts or {})
         if "thread_priority" in parameters:
             for denied in realtime.apply(parameters):
@@ -195,7 +205,8 @@ class NodeShell:
 
     def report(self, status: Status) -> None:
         """Make this the node's status, and publish it at once."""
-        self._status = replace(status, values={**status.values, **self._own_values()})
+        values = {**status.values, **self._own_values()}
+        self._status = replace(status, name=self.name, values=values)
         self._publish_status()
 
     def matched(self) -> dict[str, str]:
@@ -204,12 +215,13 @@ class NodeShell:
         Names are separated by blanks.
         """
         found = {}
-        for name in self._inside:
-            found[f"senders {name}"] = str(self.node.count_publishers(name))
+        for name, full_name in self._inside.items():
+            found[f"senders {name}"] = str(self.node.count_publishers(full_name))
         for name, subscription in self._subscriptions.items():
             found[f"senders {name}"] = str(subscription.get_publisher_count())
         for name, publisher in self._publishers.items():
-            listeners = {info.node_name for info in self.node.get_subscriptions_info_by_topic(name)}
+            infos = self.node.get_subscriptions_info_by_topic(publisher.topic_name)
+            listeners = {self._seen_from_the_test(i.node_namespace, i.node_name) for i in infos}
             if len(listeners) > publisher.get_subscription_count():
                 listeners = set()  # some are known but not connected yet
             listeners.update(self._process.mailbox.listeners(publisher.topic_name))
@@ -222,9 +234,9 @@ class NodeShell:
         One of them is not of this test, and whose messages count would be chance.
         """
         counts = {name: s.get_publisher_count() for name, s in self._subscriptions.items()}
-        counts |= {name: self.node.count_publishers(name) for name in self._inside}
+        counts |= {name: self.node.count_publishers(full) for name, full in self._inside.items()}
         for name, count in counts.items():
-            if name in _LOOP_NAMES and count > 1:
+            if name in self._loop_names and count > 1:
                 return f"{count} nodes publish {name}"
         return ""
 
@@ -241,6 +253,17 @@ class NodeShell:
         conflict = self.several_senders()
         return f"{told}; {conflict}" if conflict else told
 
+    def _full_name(self, topic: Topic) -> str:
+        """Name of a topic for this node, which may be a level below the test."""
+        if not self.rig.name or topic.name.startswith("/"):
+            return topic.name
+        return f"{self._test_namespace}/{topic.name}"
+
+    def _seen_from_the_test(self, namespace: str, node: str) -> str:
+        """Name of a node below the test's namespace; elsewhere its full name."""
+        full = f"{namespace.rstrip('/')}/{node}"
+        return full.removeprefix(f"{self._test_namespace}/")
+
     def _guarded(
         self, handler: Handler, topic: Topic, subscription: Subscription | None
     ) -> Receive:
@@ -249,13 +272,13 @@ class NodeShell:
         The publisher of a topic that has a message in each step numbers them. One that joins
         later has sent fewer than were acted upon.
         """
-        is_of_the_loop = isinstance(topic, LoopTopic)
-        is_numbered = is_of_the_loop and not topic.latched and subscription is not None
+        is_of_each_step = isinstance(topic, LoopTopic) and not topic.latched
+        is_numbered = is_of_each_step and subscription is not None
         last = 0
 
         def receive(raw: bytes, received_ns: int, number: int) -> bool:
             nonlocal last
-            if is_of_the_loop:
+            if is_of_each_step:
                 self._handled_at = time.monotonic()
             try:
                 if is_numbered and 0 < number <= last and _several_publish(subscription):
@@ -297,7 +320,7 @@ class NodeShell:
     def _describe(self) -> None:
         """Tell the node's parameters, at its start and when one was set."""
         if self._facts is not None:
-            told = {"node": self.name, "parameters": self.experiment[self.name], **self._facts}
+            told = {"node": self.name, "parameters": self._section, **self._facts}
             self._description(encode_string(json.dumps(told)))
 
     def _own_values(self) -> dict[str, str]:
@@ -310,6 +333,33 @@ class NodeShell:
         self._status_sent = (time.monotonic(), self._status)
         restamp(self._status_message, now)
         self._diagnostics(bytes(self._status_message))
+
+
+def _rig_of(node: Node, experiment: Experiment) -> tuple[RigAxes, str]:
+    """Find the rig that a node belongs to, and the namespace of the test, without a last slash.
+
+    Raises
+    ------
+    InputError
+        If the node is in the namespace of no rig, or of one that it does not belong to.
+    """
+    namespace, name = node.get_namespace().rstrip("/"), node.get_name()
+    above, _, last = namespace.rpartition("/")
+    rigs = {rig.name: rig for rig in experiment.rigs}
+    whole = RigAxes.whole(experiment.axes)
+    if "" in rigs or (name not in RIG_NODES and last not in rigs):
+        return whole, namespace
+    known = " or ".join(f"-r __ns:={above if last in rigs else namespace}/{rig}" for rig in rigs)
+    if name not in RIG_NODES:
+        raise InputError(
+            f"{name} serves all rigs and can't be in {namespace}, which is one rig's namespace"
+        )
+    if last not in rigs:
+        raise InputError(
+            f"{name} is in namespace {namespace or '/'}, but the axes {list(experiment.axes)} are "
+            f"of several rigs; say which one's it is: --ros-args {known}"
+        )
+    return rigs[last], above
 
 
 def _several_publish(subscription: Subscription | None) -> bool:

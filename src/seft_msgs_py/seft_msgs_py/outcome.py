@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.messages import ERROR, OK, WARN, Status
+from seft_msgs_py.rigs import bare
 from seft_msgs_py.timebase import Timebase
 
 RIG = "rig"
@@ -56,6 +57,17 @@ class Saturation:
         for name in set(names):
             self.samples[name] = self.samples.get(name, 0) + 1
             self.first_step.setdefault(name, step)
+
+    @classmethod
+    def of_all(cls, parts: Iterable["Saturation"]) -> "Saturation":
+        """Add up what several rigs tell; a rig's sample counts for itself."""
+        found = cls()
+        for part in parts:
+            for name, samples in part.samples.items():
+                first = part.first_step[name]
+                found.samples[name] = found.samples.get(name, 0) + samples
+                found.first_step[name] = min(found.first_step.get(name, first), first)
+        return found
 
     def to_json(self) -> str:
         """Text: name -> samples and first_step."""
@@ -115,6 +127,29 @@ class Outcome:
     trip: Trip | None
     overruns: int = 0
     saturation: Saturation = field(default_factory=Saturation)
+
+    @classmethod
+    def of_all(cls, outcomes: Sequence["Outcome"]) -> "Outcome":
+        """Put together how a test ended for each of its rigs; the first trip with a cause counts.
+
+        The steps are those that all rigs have sampled; what they missed is added up.
+        """
+        if len(outcomes) == 1:
+            return outcomes[0]
+        trips = [outcome.trip for outcome in outcomes if outcome.trip is not None]
+        causes = [trip for trip in trips if trip.reason != STOPPED] or trips
+        walls = [outcome.wall_s for outcome in outcomes if outcome.wall_s is not None]
+        missed = {step for outcome in outcomes for step in outcome.missed_steps}
+        return cls(
+            phase=TRIPPED if trips else FINISHED,
+            steps=min(outcome.steps for outcome in outcomes),
+            missed=sum(outcome.missed for outcome in outcomes),
+            missed_steps=sorted(missed)[:LISTED_STEPS],
+            wall_s=max(walls, default=None),
+            trip=min(causes, key=lambda trip: trip.step, default=None),
+            overruns=sum(outcome.overruns for outcome in outcomes),
+            saturation=Saturation.of_all([outcome.saturation for outcome in outcomes]),
+        )
 
 
 def rig_status(
@@ -185,7 +220,7 @@ def read_outcome(status: Status, timebase: Timebase) -> Outcome | None:
     Returns
     -------
     Outcome or None
-        None if it is not the rig's status, or the test has not ended with it.
+        None if it is not a rig's status, or the test has not ended with it.
 
     Raises
     ------
@@ -194,7 +229,7 @@ def read_outcome(status: Status, timebase: Timebase) -> Outcome | None:
     """
     values = status.values
     phase = values.get("phase", "")
-    if status.name != RIG or phase not in (FINISHED, TRIPPED):
+    if bare(status.name) != RIG or phase not in (FINISHED, TRIPPED):
         return None
     try:
         listed = values["missed_steps"]

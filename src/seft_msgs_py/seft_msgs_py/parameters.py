@@ -130,7 +130,12 @@ class Parameter:
 
 COMMON = (
     Parameter("rate", "float", 500.0, "sampling rate of the loop", "Hz", positive=True),
-    Parameter("axes", "strings", ["x"], "names of the axes (actuators), in order"),
+    Parameter(
+        "axes",
+        "strings",
+        ["x"],
+        "names of the axes (actuators), in order; RIG/AXIS where they are of several rigs",
+    ),
 )
 """Parameters of every node; in a file they stand under ``/**``."""
 

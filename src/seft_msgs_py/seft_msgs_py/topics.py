@@ -4,7 +4,11 @@ The table in the README is made of these rows. Names are relative, so that a tes
 put in a namespace; a bag holds them with a leading slash.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+from seft_msgs_py.rigs import RIG_NODES, RigAxes, with_rigs
 
 JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 DIAGNOSTIC_STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
@@ -50,11 +54,22 @@ class Topic:
 
     name: str
     type: str
-    publisher: str = ""
-    subscribers: tuple[str, ...] = ()
+    publisher: str = field(default="", compare=False)  # which of several rigs', the test says
+    subscribers: tuple[str, ...] = field(default=(), compare=False)
     latched: bool = False
     depth: int = 4096
     recorded: bool = True
+
+    def of(self, rig: RigAxes) -> Self:
+        """Give the topic as one rig of several has it of its own: in its namespace."""
+        if not rig.name:
+            return self
+        return replace(
+            self,
+            name=rig.node(self.name),
+            publisher=rig.node(self.publisher) if self.publisher else "",
+            subscribers=tuple(rig.node(n) if n in RIG_NODES else n for n in self.subscribers),
+        )
 
 
 @dataclass(frozen=True)
@@ -134,4 +149,24 @@ LINK_PONG = Topic("link/pong", STRING, depth=256, recorded=False)
 """Messages over a link and back, sent by `seft link` while no test runs."""
 
 TOPICS = (*STEP_TOPICS, EXPERIMENT_STATE, DESCRIPTION, DIAGNOSTICS, CLOCK_TOPIC)
-RECORDED_TOPICS = tuple(topic for topic in TOPICS if topic.recorded)
+
+RIG_TOPICS = (RIG_STATE, VALVE_COMMAND)
+"""Topics that each of several rigs has of its own."""
+
+
+def topics_of(rigs: Sequence[RigAxes]) -> tuple[Topic, ...]:
+    """List the topics of a test of these rigs; the first of them is its clock."""
+    found: list[Topic] = []
+    for topic in TOPICS:
+        if topic in RIG_TOPICS:
+            found += [topic.of(rig) for rig in rigs]
+            continue
+        publisher = topic.publisher
+        if publisher in RIG_NODES:
+            publisher = rigs[0].node(publisher)
+        found.append(
+            replace(
+                topic, publisher=publisher, subscribers=tuple(with_rigs(topic.subscribers, rigs))
+            )
+        )
+    return tuple(found)

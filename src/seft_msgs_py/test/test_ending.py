@@ -7,17 +7,17 @@ import pytest
 HELD = """
 import ctypes, sys
 from seft_msgs_py.ending import ending_within
-with ending_within(0.2, {status}):
+with ending_within(0.2, {status}, {told!r}):
     while True:
         ctypes.PyDLL(None).usleep(10_000_000)  # holds the interpreter, as a stuck library does
 """
 
 
-@pytest.mark.parametrize("status", [0, 2])
-def test_a_process_that_is_stuck_in_a_library_ends_with_its_status(status):
-    code = HELD.format(status=status)
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=60)
-    assert (done.returncode, done.stderr) == (status, b"")
+@pytest.mark.parametrize(("status", "told"), [(0, ""), (2, "it is stuck")])
+def test_a_process_that_is_stuck_in_a_library_ends_with_its_status(status, told):
+    code = HELD.format(status=status, told=told)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr.strip()) == (status, told)
 
 
 def test_what_ends_in_time_leaves_no_alarm_behind():

@@ -2,6 +2,7 @@
 
 import numpy as np
 from seft_msgs_py.errors import WireError
+from seft_msgs_py.rigs import RigAxes
 from seft_msgs_py.trajectory import Floats, TrajectoryCodec
 
 
@@ -18,6 +19,8 @@ class Command:
         Largest magnitude on any axis, in the topic's unit.
     loop_delay : int
         Steps beyond that of a message for which its points settle the command.
+    rig : RigAxes, optional
+        The rig that the command is for, of several whose axes the topic has; default all.
 
     Attributes
     ----------
@@ -27,8 +30,16 @@ class Command:
         Step of the rig's last sample: no later one can have been answered.
     """
 
-    def __init__(self, codec: TrajectoryCodec, limit: float, loop_delay: int = 0) -> None:
+    def __init__(
+        self,
+        codec: TrajectoryCodec,
+        limit: float,
+        loop_delay: int = 0,
+        rig: RigAxes | None = None,
+    ) -> None:
         self.codec = codec
+        self._rig = rig or RigAxes.whole(codec.axes)
+        self._places = None if self._rig.axes == codec.axes else list(self._rig.places)
         self._limit = limit
         self._loop_delay = loop_delay
         self.reset()
@@ -37,7 +48,7 @@ class Command:
         """Back to no drive, before the first sample of a test."""
         self._message = self.current = -1
         self.step = self._loop_delay - 1
-        self._points: Floats = np.zeros((1 + self._loop_delay, len(self.codec.axes)))
+        self._points: Floats = np.zeros((1 + self._loop_delay, len(self._rig.axes)))
 
     @property
     def value(self) -> Floats:
@@ -66,9 +77,9 @@ class Command:
                 f"{name} of step {step} after that of step {self._message}: stale, duplicated or "
                 "out of order"
             )
-        points = values[:, 0]
+        points = values[:, 0] if self._places is None else values[:, 0, self._places]
         worst = points[0] if len(points) == 1 else points[np.abs(points).max(axis=1).argmax()]
-        for axis, number in zip(self.codec.axes, worst.tolist(), strict=True):
+        for axis, number in zip(self._rig.axes, worst.tolist(), strict=True):
             if not abs(number) <= self._limit:
                 unit = self.codec.topic.units[0]
                 raise WireError(

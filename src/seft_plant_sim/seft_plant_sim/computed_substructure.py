@@ -11,6 +11,8 @@ from seft_msgs_py.errors import InputError
 
 Floats = npt.NDArray[np.float64]
 
+_NAMES = ("mass", "damping", "stiffness", "internal", "influence")
+
 
 @dataclass(frozen=True)
 class ComputedSubstructure:
@@ -50,32 +52,29 @@ class ComputedSubstructure:
             If a matrix does not fit, is not symmetric, or an internal mass is not positive.
         """
         where, n = "reference_force: computed", len(axes)
-        if "computed.mass" not in section:  # of a record that is older than they are
-            mass = mass_matrix(section["model.mass"], axes, "reference_force: model.mass")
-            return cls.lumped(section["mass_ratio"] * mass)
-        q: int = section["computed.internal"]
+        # none of them is in a record that is older than they are
+        given = {name: section.get(f"computed.{name}", 0.0) for name in _NAMES}
+        ratio, q = section["mass_ratio"], int(given["internal"])
         names = (*axes, *(f"internal {index + 1}" for index in range(q)))
-        ratio = section["mass_ratio"]
-        if not np.any(section["computed.mass"]):
-            if q:
-                raise InputError(
-                    f"{where}.internal is {q}, but {where}.mass is not given: give the masses of "
-                    "the axes and of the internal degrees of freedom"
-                )
-            model = "reference_force: model.mass"
-            mass = mass_matrix(section["model.mass"], axes, model)
+        if np.any(given["mass"]):
+            mass = symmetric_matrix(given["mass"], names, f"{where}.mass")
+        elif q:
+            raise InputError(
+                f"{where}.internal is {q}, but {where}.mass is not given: give the masses of the "
+                "axes and of the internal degrees of freedom"
+            )
         else:
-            mass = symmetric_matrix(section["computed.mass"], names, f"{where}.mass")
+            mass = mass_matrix(section["model.mass"], axes, "reference_force: model.mass")
         if q and np.linalg.eigvalsh(mass[n:, n:])[0] <= 0.0:
             raise InputError(
-                f"{where}.mass is {section['computed.mass']}, but the mass of the internal "
+                f"{where}.mass is {given['mass']}, but the mass of the internal "
                 "degrees of freedom must be positive (definite)"
             )
         damping, stiffness = (
-            symmetric_matrix(section[f"computed.{name}"], names, f"{where}.{name}")
+            symmetric_matrix(given[name], names, f"{where}.{name}")
             for name in ("damping", "stiffness")
         )
-        influence = _influence(section["computed.influence"], n, q, f"{where}.influence")
+        influence = _influence(given["influence"], n, q, f"{where}.influence")
         return cls(ratio * mass, ratio * damping, ratio * stiffness, influence)
 
     @classmethod

@@ -4,7 +4,7 @@ Oil column, valve flow and leakage after Merritt (Hydraulic Control Systems, 196
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -109,6 +109,14 @@ class Hydraulics:
             viscous_friction=value("viscous_friction"),
             stroke=value("stroke"),
             dead_time=float(group["dead_time"]),
+        )
+
+    def part(self, places: Sequence[int]) -> "Hydraulics":
+        """Take the actuators at some places among the axes."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        own = list(places)
+        return Hydraulics(
+            **{k: v[own] if isinstance(v, np.ndarray) else v for k, v in values.items()}  # type: ignore[arg-type]
         )
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.outcome import Saturation
 from seft_msgs_py.parameters import group
+from seft_msgs_py.rigs import RigAxes
 from seft_msgs_py.timebase import Timebase
 from seft_msgs_py.topics import VALVE_COMMAND
 
@@ -81,24 +82,40 @@ class Rig:
 
     @classmethod
     def from_parameters(
-        cls, section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
+        cls,
+        section: dict[str, Any],
+        axes: tuple[str, ...],
+        timebase: Timebase,
+        rig: RigAxes | None = None,
     ) -> "Rig":
         """Make the rig of its section of an experiment.
+
+        Parameters
+        ----------
+        section : dict
+            Parameters, for all axes.
+        axes : tuple of str
+            Names of all axes.
+        timebase : Timebase
+            Sampling clock.
+        rig : RigAxes, optional
+            The one of several rigs whose axes it is to have; default it has all.
 
         Raises
         ------
         InputError
-            If sizes do not fit the axes, or values make no rig.
+            If sizes do not fit the axes, values make no rig, or its specimen is coupled with
+            that of another rig.
         """
+        own = rig or RigAxes.whole(axes)
+        sensors, dt = group(section, "sensors"), timebase.dt
         return cls(
-            continuous_model(section, axes),
-            Sensors.from_parameters(
-                group(section, "sensors"), section["seed"], timebase.dt, axes, "rig: sensors"
-            ),
-            Limits(group(section, "limits"), axes, timebase.dt),
-            SaturatedTime(section["limits.saturated_time"], timebase.dt),
-            timebase.dt,
-            Safe.from_parameters(group(section, "safe"), axes, timebase.dt),
+            continuous_model(section, axes, own),
+            Sensors.from_parameters(sensors, section["seed"], dt, axes, "rig: sensors", own.places),
+            Limits(group(section, "limits"), own.axes, dt),
+            SaturatedTime(section["limits.saturated_time"], dt),
+            dt,
+            Safe.from_parameters(group(section, "safe"), axes, dt).part(own.places),
         )
 
     def reset(self) -> Floats:
@@ -160,15 +177,23 @@ class Rig:
         return measured
 
 
-def continuous_model(section: dict[str, Any], axes: tuple[str, ...]) -> ContinuousModel:
-    """Model of actuator, specimen and anti-aliasing filters that a rig's parameters describe."""
-    specimen = Specimen.from_parameters(group(section, "specimen"), axes, "rig: specimen")
+def continuous_model(
+    section: dict[str, Any], axes: tuple[str, ...], rig: RigAxes | None = None
+) -> ContinuousModel:
+    """Model of actuator, specimen and anti-aliasing filters that a rig's parameters describe.
+
+    As `Rig.from_parameters` is given them.
+    """
+    own = rig or RigAxes.whole(axes)
+    whole = Specimen.from_parameters(group(section, "specimen"), axes, "rig: specimen")
+    specimen = whole.part(own, "rig: specimen")
     actuator = group(section, "actuator")
     kind = actuator["kind"]
     if kind in ("ideal", "delay"):
         model = delayed_force(specimen, actuator["delay"] if kind == "delay" else 0.0)
     else:
-        hydraulics = Hydraulics.from_parameters(actuator, specimen, axes, "rig: actuator")
+        everywhere = Hydraulics.from_parameters(actuator, whole, axes, "rig: actuator")
+        hydraulics = everywhere.part(own.places)
         model = servo_hydraulic(specimen, hydraulics, linear=kind == "servo_hydraulic_linear")
     cutoff = section["sensors.anti_alias"]
     return with_low_pass(model, cutoff) if cutoff else model

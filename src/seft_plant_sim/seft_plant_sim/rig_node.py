@@ -6,14 +6,16 @@ the sampling clock of the test; the supervisor's experiment/state starts and sto
 
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
 from seft_msgs_py.awake_clock import AwakeClock
-from seft_msgs_py.errors import WireError
+from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.messages import Status, decode_status, encode_clock
 from seft_msgs_py.node_main import NodeKind, run_node
 from seft_msgs_py.node_shell import WARM_UP_STEPS, NodeShell
 from seft_msgs_py.outcome import FINISHED, LISTED_STEPS, STOPPED, TRIPPED, Trip, rig_status
+from seft_msgs_py.rigs import until_start
 from seft_msgs_py.topics import (
     CLOCK_TOPIC,
     EXPERIMENT_STATE,
@@ -30,8 +32,10 @@ from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_diagnostics import with_health
 from seft_plant_sim.round_trip import RoundTrip
 from seft_plant_sim.safe_stop import Stopped
+from seft_plant_sim.sample_clock import SampleClock
 
 CLOCK_PERIOD = 0.1  # s of wall time
+FALL_BACK = 0.25  # of a period, by which a rig that is ahead of others delays each next sample
 MOVING = ("running", "ramping_down")  # states of a test in which the rig obeys
 TELL_PERIOD = 1.0  # s, of the diagnostics of a running test
 
@@ -50,16 +54,23 @@ class RigNode:
         experiment = shell.experiment
         self._timebase = experiment.timebase
         self._section = experiment["rig"]
-        self._rig = Rig.from_parameters(self._section, experiment.axes, self._timebase)
-        self._state_codec = TrajectoryCodec(RIG_STATE, experiment.axes, self._timebase)
-        self._publish_state = shell.publisher(RIG_STATE)
-        self._publish_time = shell.publisher(CLOCK_TOPIC)
+        self._rig = Rig.from_parameters(self._section, experiment.axes, self._timebase, shell.rig)
+        self._state_codec = TrajectoryCodec(RIG_STATE.of(shell.rig), shell.rig.axes, self._timebase)
+        self._publish_state = shell.publisher(RIG_STATE.of(shell.rig))
+        # of several rigs, one is the test's clock, and all keep to one start
+        self._publish_time: Callable[[bytes], None] | None = None
+        if shell.rig.axes[0] == experiment.axes[0]:
+            self._publish_time = shell.publisher(CLOCK_TOPIC)
+        self._is_alone = len(experiment.rigs) == 1
         self._round_trip = RoundTrip()
-        self._valve = self._drive = self._command(VALVE_COMMAND, "limits.command")
+        valve = VALVE_COMMAND.of(shell.rig)
+        self._valve = self._drive = self._command(valve, shell.rig.axes, "limits.command")
         if self._rig.drive == REFERENCE_FORCE.name:
             delay = max(self._section["loop_delay"], 0)
-            self._drive = self._command(REFERENCE_FORCE, "limits.force", delay)
+            axes = experiment.axes
+            self._drive = self._command(REFERENCE_FORCE, axes, "limits.force", delay)
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
+        self._clock: SampleClock | None = None  # of a test in realtime
         self._armed = False
         self._latched = False  # tripped: no new test before the supervisor has said idle
         self._wanted: Status | None = None
@@ -90,10 +101,12 @@ class RigNode:
     def look(self) -> None:
         """Nothing of a rig falls due while another node spins: it does so itself."""
 
-    def _command(self, topic: LoopTopic, limit: str, loop_delay: int = 0) -> Command:
-        experiment = self._shell.experiment
-        codec = TrajectoryCodec(topic, experiment.axes, experiment.timebase)
-        command = Command(codec, self._section[limit], loop_delay)
+    def _command(
+        self, topic: LoopTopic, axes: tuple[str, ...], limit: str, loop_delay: int = 0
+    ) -> Command:
+        codec = TrajectoryCodec(topic, axes, self._timebase)
+        rig = None if axes == self._shell.rig.axes else self._shell.rig
+        command = Command(codec, self._section[limit], loop_delay, rig)
 
         def receive(raw: bytes, _: int) -> None:
             command.take(raw)
@@ -122,14 +135,15 @@ class RigNode:
         self._drive.reset()
         self._missed: list[int] = []
         self._missed_count = 0
-        self._overruns = 0
+        self._clock = None
         self._round_trip.reset()
         self._answered_at = 0.0
+        self._waited_in_vain = False
         self._refused_before = self._shell.refused
         self._started = time.monotonic()
         state = self._rig.reset()
         self._tell("running")
-        conflict = self._shell.several_senders()
+        conflict = self._shell.several_senders() or self._start_together()
         if conflict:
             self._publish(0, state)
         pace = self._lockstep if self._section["pace"] == "lockstep" else self._realtime
@@ -145,6 +159,24 @@ class RigNode:
             self._tell(TRIPPED, trip)  # before the rig comes to rest: others can stop at once
             self._tell(TRIPPED, trip, self._rig.stop())
 
+    def _start_together(self) -> str | None:
+        """Wait for the moment at which all rigs start; say why they can't, if they can't.
+
+        Each samples by its own clock from then on, so these must agree.
+        """
+        if self._is_alone or self._section["pace"] == "lockstep" or self._wanted is None:
+            return None
+        try:
+            ahead = until_start(self._wanted.values)
+        except InputError as error:
+            return str(error)
+        self._start = time.monotonic() + ahead
+        while (left := self._start - time.monotonic()) > 0:
+            self._shell.spin_once(left)
+            if (why := self._unwanted()) is not None:
+                return why
+        return None
+
     def _tell(self, phase: str, trip: Trip | None = None, stopped: Stopped | None = None) -> None:
         self._told_at = time.monotonic()
         status = rig_status(
@@ -154,7 +186,7 @@ class RigNode:
             self._missed,
             self._told_at - self._started,
             trip,
-            overruns=self._overruns,
+            overruns=self._clock.overruns if self._clock else 0,
             saturation=self._rig.saturation,
         )
         if phase == "running":
@@ -203,31 +235,32 @@ class RigNode:
     def _realtime(self, steps: int) -> str | None:
         """Absolute deadlines: at each, apply the newest command, and count it if it is old.
 
-        A rig that was held up itself for more than a period goes on from there: hurrying
-        through the steps it is late for would leave the others no time to answer them.
+        One of several rigs waits for another that is behind: their steps are answered together.
+        Behind links they can't see each other, and each makes up for the time it has lost.
         """
         rig, shell, drive = self._rig, self._shell, self._drive
         period = self._timebase.dt
         timeout = self._section["watchdog.command_timeout"]
         patience = max(1, round(timeout / period))
-        start = time.monotonic()
+        waits = not self._is_alone and not self._section["loop_delay"]
+        start = time.monotonic() if self._is_alone else self._start
+        self._clock = clock = SampleClock(period, start, makes_up=not self._is_alone and not waits)
         state = rig.reset()
         while True:
             step = rig.step_index
             if not self._publish(step, state):
                 return rig.violation
-            deadline = start + (step + 1) * period
+            deadline = clock.deadline(step + 1)
             while (left := deadline - time.monotonic()) > 0:
                 shell.spin_once(left)
                 if drive.step >= step:
                     self._tell_if_due()
-            periods_late = int(-left / period)
-            if periods_late:
-                self._overruns += 1
-                start += periods_late * period
+            clock.awake(-left)
             late = time.monotonic() + period
             while drive.step < step and time.monotonic() < late and shell.spin_once(0.0):
                 pass  # what came while we were late counts as in time; a flood does not stop us
+            if waits and drive.step < step:
+                clock.fall_back(self._wait_for_companions(timeout) + FALL_BACK * period)
             if (why := self._unwanted()) is not None:
                 return rig.violation or why
             if rig.violation is not None:
@@ -238,13 +271,24 @@ class RigNode:
                 self._missed_count += 1
                 if len(self._missed) < LISTED_STEPS:
                     self._missed.append(step)
-                if step - drive.step > patience:
+                if step - drive.step > patience or self._waited_in_vain:
                     topic, company = drive.codec.topic, shell.company(self._refused_before)
                     return (
                         f"no new {topic.name} for {timeout:g} s (the last is of step "
                         f"{drive.step}); is {topic.publisher} running?{company}"
                     )
             state = rig.step(self._drive.value)
+
+    def _wait_for_companions(self, longest: float) -> float:
+        """Wait while steps before the last are not answered; return for how long, s."""
+        drive, begun = self._drive, time.monotonic()
+        behind = self._rig.step_index - 1
+        while drive.step < behind and time.monotonic() - begun < longest:
+            self._shell.spin_once(self._timebase.dt)
+            if self._unwanted() is not None:
+                break
+        self._waited_in_vain = drive.step < behind
+        return time.monotonic() - begun
 
     def _publish(self, step: int, state: Floats) -> bool:
         """Publish a sample; False if it is no number, which no message may carry."""
@@ -261,7 +305,7 @@ class RigNode:
 
     def _publish_clock(self, step: int, force: bool = False) -> None:
         now = time.monotonic()
-        if force or now - self._clock_at >= CLOCK_PERIOD:
+        if self._publish_time is not None and (force or now - self._clock_at >= CLOCK_PERIOD):
             self._clock_at = now
             self._publish_time(encode_clock(self._timebase.stamp_ns(step)))
 

@@ -1,7 +1,7 @@
 """How a rig is brought to rest when a test trips."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,10 @@ class Safe:
         """Make it of the parameters ``safe.*``; InputError if sizes do not fit the axes."""
         command = per_axis(group["valve_command"], axes, "rig: safe.valve_command")
         return cls(command, round(group["settle_time"] / dt))
+
+    def part(self, places: Sequence[int]) -> "Safe":
+        """Take the valves at some places among the axes."""
+        return replace(self, command=self.command[list(places)])
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """Sensors of the rig: what the data acquisition sees of the true motion and force."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,6 +36,12 @@ class Channels:
     range: Floats
     resolution: Floats
 
+    def part(self, places: Sequence[int]) -> "Channels":
+        """Take the sensors of some of the axes."""
+        own = list(places)
+        rows = (self.noise, self.bias, self.range, self.resolution)
+        return Channels(*(np.ascontiguousarray(row[:, own]) for row in rows))
+
 
 class Sensors:
     """Bias, white noise, range and resolution of every sensor, in this order.
@@ -50,6 +57,8 @@ class Sensors:
         Seed of the noise.
     differentiator : Differentiator, optional
         Derives the velocity from the measured displacement; else it is measured.
+    places : sequence of int, optional
+        Numbers of the axes, by which each has a noise of its own; default 0 to n - 1.
 
     Attributes
     ----------
@@ -58,10 +67,15 @@ class Sensors:
     """
 
     def __init__(
-        self, channels: Channels, seed: int, differentiator: "Differentiator | None" = None
+        self,
+        channels: Channels,
+        seed: int,
+        differentiator: "Differentiator | None" = None,
+        places: Sequence[int] | None = None,
     ) -> None:
         self.channels = channels
         self._seed = seed
+        self._places = range(channels.noise.shape[1]) if places is None else places
         self.differentiator = differentiator
         self._block_index = -1
         self._block: Floats = np.empty((0, *channels.noise.shape))
@@ -75,9 +89,30 @@ class Sensors:
 
     @classmethod
     def from_parameters(
-        cls, group: dict[str, Any], seed: int, dt: float, axes: tuple[str, ...], where: str
+        cls,
+        group: dict[str, Any],
+        seed: int,
+        dt: float,
+        axes: tuple[str, ...],
+        where: str,
+        places: Sequence[int] | None = None,
     ) -> "Sensors":
         """Make them of the parameters ``sensors.*``.
+
+        Parameters
+        ----------
+        group : dict
+            The parameters.
+        seed : int
+            Seed of the noise.
+        dt : float
+            Sampling period, s.
+        axes : tuple of str
+            Names of the axes.
+        where : str
+            Names the parameters.
+        places : sequence of int, optional
+            Those of the axes that are measured; default all.
 
         Raises
         ------
@@ -90,6 +125,7 @@ class Sensors:
             return np.array([per_axis(group[name], axes, f"{where}.{name}") for name in names])
 
         noise, bias, ranges = values("noise"), values("bias"), values("range")
+        own = list(range(len(axes)) if places is None else places)
         derived = group["velocity"] == "derived"
         if derived:  # there is no sensor of it
             for rows in (noise, bias, ranges):
@@ -107,8 +143,8 @@ class Sensors:
         ranges[ranges == 0] = np.inf
         differentiator = None
         if derived:
-            differentiator = Differentiator(group["velocity_cutoff"], dt, len(axes))
-        return cls(Channels(noise, bias, ranges, resolution), seed, differentiator)
+            differentiator = Differentiator(group["velocity_cutoff"], dt, len(own))
+        return cls(Channels(noise, bias, ranges, resolution).part(own), seed, differentiator, own)
 
     def reset(self) -> None:
         """Forget the test so far."""
@@ -169,7 +205,7 @@ class Sensors:
         noise = self.channels.noise
         drawn = [
             np.random.default_rng([self._seed, index, axis]).standard_normal((BLOCK, 4))
-            for axis in range(noise.shape[1])
+            for axis in self._places
         ]
         return np.stack(drawn, axis=2) * noise
 

@@ -1,5 +1,6 @@
 """The load-resisting member under test."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -10,6 +11,7 @@ from seft_msgs_py.arrays import mass_matrix, symmetric_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.parameters import group
 from seft_msgs_py.registered import Registered
+from seft_msgs_py.rigs import RigAxes
 
 from seft_plant_sim.restoring_force import BilinearSpring, BoucWenSpring, HystereticSpring
 
@@ -88,6 +90,34 @@ class Specimen:
     def axes(self) -> int:
         """Number of axes n."""
         return len(self.mass)
+
+    def part(self, rig: RigAxes, where: str) -> "Specimen":
+        """Take the part that one of several rigs has.
+
+        Raises
+        ------
+        InputError
+            If a matrix or a spring couples axes of different rigs.
+        """
+        own = list(rig.places)
+        others = np.setdiff1d(np.arange(self.axes), own)
+        for name in ("mass", "damping", "stiffness"):
+            if getattr(self, name)[np.ix_(own, others)].any():
+                raise InputError(
+                    f"{where}.{name} couples axes of {rig.name} with those of another rig; what "
+                    "rigs share can only be computed: give it as reference_force: computed.*"
+                )
+        touching = self.deformation[:, own].any(axis=1) if self.springs else np.zeros(0, bool)
+        if self.springs and self.deformation[np.ix_(touching, others)].any():
+            raise InputError(f"{where}.springs: a spring connects {rig.name} with another rig")
+        square = np.ix_(own, own)
+        return Specimen(
+            self.mass[square],
+            self.damping[square],
+            self.stiffness[square],
+            tuple(itertools.compress(self.springs, touching)),
+            self.deformation[touching][:, own] if self.springs else self.deformation,
+        )
 
     def state_matrices(self) -> tuple[Floats, Floats]:
         """State-space form over (x, v), driven by the force f, of the elastic specimen.

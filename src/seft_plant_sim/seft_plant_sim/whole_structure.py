@@ -53,7 +53,7 @@ def reference_response(experiment: Experiment, ground_motion: Floats) -> Referen
     """
     section = experiment["reference_force"]
     specimen = tested_specimen(experiment)
-    n, whole = specimen.axes, whole_structure(experiment)
+    n, whole = specimen.axes, WholeStructure.of_test(specimen, section, experiment.axes)
     structure, computed = whole.structure, whole.computed
     motion = whole.motion(ground_motion)
     respond = hysteretic_response if specimen.springs else _linear_response

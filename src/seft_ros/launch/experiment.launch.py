@@ -13,6 +13,7 @@ from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.rigs import bare, rig_name, with_rigs
 from seft_ros.experiment.tables import TABLES
 from seft_ros.running.arrangement import Arrangement
 from seft_ros.running.processes import MODULES
@@ -62,24 +63,27 @@ def nodes(context):
         overrides.append(("rig", "pace", said["pace"]))
     if said["bag"]:
         overrides.append(("recorder", "name", said["bag"]))
-    peers = Experiment.load(TABLES, [said["config"]], overrides)["supervisor"]["peers"]
+    experiment = Experiment.load(TABLES, [said["config"]], overrides)
+    peers = experiment["supervisor"]["peers"]
     if said["record"] == "false" and "recorder" in peers:
         peers = [node for node in peers if node != "recorder"]
         overrides.append(("supervisor", "peers", peers))
     wanted = [node for node in MODULES if node in (*peers, "supervisor")]
     if said["rig"] == "hardware":
         wanted.remove("rig")
+    wanted = with_rigs(wanted, experiment.rigs)
     groups = Arrangement(composed=said["composed"] == "true").groups(wanted)
     return [_process(group, said["config"], overrides) for group in groups]
 
 
 def _process(group, config, overrides):
-    alone = len(group) == 1
-    own = [override for override in overrides if override[0] in group]
+    alone, names = len(group) == 1, [bare(node) for node in group]
+    own = [override for override in overrides if override[0] in names]
     return Node(
-        package="seft_plant_sim" if group == ("rig",) else "seft_ros",
-        executable=group[0] if alone else "loop",
-        arguments=[] if alone else ["--nodes", *group],
+        package="seft_plant_sim" if names == ["rig"] else "seft_ros",
+        executable=names[0] if alone else "loop",
+        namespace=rig_name(group[0]) or None,
+        arguments=[] if alone else ["--nodes", *names],
         parameters=[config],
         ros_arguments=[word for override in own for word in ("-p", _written(*override))],
         output="screen",

@@ -53,8 +53,8 @@ def recent(intake, part):
 
 
 def test_measured_and_reference_force_of_a_step_stand_together(intake):
-    intake.samples(states(range(50)), forces(range(49)))
-    (last,) = intake.samples([], [])
+    intake.samples([states(range(50))], forces(range(49)))
+    (last,) = intake.samples([[]], [])
     assert last.first + len(last.values) == 50
     signals = intake.signals
     np.testing.assert_allclose(recent(intake, signals.measured["force"]), 3 * np.arange(50))
@@ -65,23 +65,23 @@ def test_measured_and_reference_force_of_a_step_stand_together(intake):
 
 
 def test_of_previews_the_step_s_own_force_counts(intake):
-    intake.samples(states(range(9)), forces(range(9), ahead=5))
-    intake.samples([], [])
+    intake.samples([states(range(9))], forces(range(9), ahead=5))
+    intake.samples([[]], [])
     reference = recent(intake, intake.signals.reference["force"])
     np.testing.assert_allclose(reference, 4 * np.arange(9))
 
 
 def test_an_answer_before_its_question_is_two_clocks_and_not_shown(intake):
-    intake.samples(states(range(9)), forces(range(9), late=-MS))
-    intake.samples([], [])
+    intake.samples([states(range(9))], forces(range(9), late=-MS))
+    intake.samples([[]], [])
     assert np.isnan(recent(intake, intake.signals.answer)).all()
 
 
 def test_the_exact_response_comes_with_the_motion(intake):
     intake.motion(motion(0, MOTION[:150]) + motion(150, MOTION[150:]))
     for start in range(0, 400, 40):
-        intake.samples(states(range(start, start + 40)), [])
-    intake.samples([], [])
+        intake.samples([states(range(start, start + 40))], [])
+    intake.samples([[]], [])
     wanted = reference_response(EXPERIMENT, MOTION)
     for name in ("displacement", "acceleration"):
         found = recent(intake, intake.signals.reference[name])
@@ -91,12 +91,12 @@ def test_the_exact_response_comes_with_the_motion(intake):
 
 
 def test_who_comes_in_the_middle_shows_the_rest(intake):
-    new = intake.samples(states(range(5000, 5100)), [])
+    new = intake.samples([states(range(5000, 5100))], [])
     assert new[0].first == 5000
     intake.motion(motion(0, np.resize(MOTION, (6000, 1))))  # latched; comes a little later
-    intake.samples(states(range(5100, 5200)), [])  # some of the way to catch up
-    intake.samples(states(range(5200, 5300)), [])
-    intake.samples([], [])
+    intake.samples([states(range(5100, 5200))], [])  # some of the way to catch up
+    intake.samples([states(range(5200, 5300))], [])
+    intake.samples([[]], [])
     found = recent(intake, intake.signals.reference["displacement"])
     assert np.isnan(found[:190]).all()
     assert np.isfinite(found[200:]).all()
@@ -104,19 +104,19 @@ def test_who_comes_in_the_middle_shows_the_rest(intake):
 
 def test_without_the_first_of_the_motion_there_is_no_reference(intake):
     intake.motion(motion(100, MOTION))
-    intake.samples(states(range(100, 200)), [])
-    intake.samples([], [])
+    intake.samples([states(range(100, 200))], [])
+    intake.samples([[]], [])
     assert np.isnan(recent(intake, intake.signals.reference["displacement"])).all()
 
 
 def test_step_zero_begins_a_test_and_its_own_motion(intake):
     intake.motion(motion(0, MOTION))
-    intake.samples(states(range(100)), [])
+    intake.samples([states(range(100))], [])
     intake.motion(motion(0, 2 * MOTION))  # for the next test, while the last still runs
-    intake.samples(states(range(100, 200)), [])
+    intake.samples([states(range(100, 200))], [])
     assert intake.number == 1
-    intake.samples(states(range(60)), [])
-    intake.samples([], [])
+    intake.samples([states(range(60))], [])
+    intake.samples([[]], [])
     assert intake.number == 2
     assert intake.history.head == 60
     exact = 2 * reference_response(EXPERIMENT, MOTION).displacement[:60, 0]
@@ -125,24 +125,24 @@ def test_step_zero_begins_a_test_and_its_own_motion(intake):
 
 
 def test_two_tests_in_one_look_leave_the_second(intake):
-    new = intake.samples(states([*range(50), *range(20)]), [])
+    new = intake.samples([states([*range(50), *range(20)])], [])
     assert intake.number == 2
     assert [stretch.first for stretch in new] == [0]
     assert intake.history.head == 20
 
 
 def test_old_steps_of_somebody_else_are_left_out_unless_a_test_is_expected(intake):
-    intake.samples(states(range(100)), [])
-    intake.samples(states(range(10, 20)), [])
+    intake.samples([states(range(100))], [])
+    intake.samples([states(range(10, 20))], [])
     assert (intake.number, intake.history.head) == (1, 100)
     intake.expect()
-    intake.samples(states(range(3, 20)), [])
+    intake.samples([states(range(3, 20))], [])
     assert (intake.number, intake.history.head) == (2, 20)
 
 
 def test_a_long_gap_is_passed_over(intake):
-    intake.samples(states([0, 1, 2, 10**6, 10**6 + 1]), [])
-    intake.samples([], [])
+    intake.samples([states([0, 1, 2, 10**6, 10**6 + 1])], [])
+    intake.samples([[]], [])
     assert intake.history.recent().first == 10**6
     assert intake.history.envelope.origin == 0
 
@@ -150,15 +150,15 @@ def test_a_long_gap_is_passed_over(intake):
 def test_garbage_is_counted_and_does_not_hide_the_rest(intake):
     messages = states(range(4))
     messages[1:1] = [(b"", 0), (b"\0" * 3, 0), (b"\xff" * len(messages[0][0]), 0)]
-    intake.samples(messages, [(b"x" * 40, 0)])
-    intake.samples([], [])
+    intake.samples([messages], [(b"x" * 40, 0)])
+    intake.samples([[]], [])
     assert intake.refused == 4
     assert intake.history.head == 4
 
 
 def test_a_structure_that_is_not_described_has_a_note():
     intake = Intake(AXES, TIMEBASE)
-    intake.samples(states(range(3)), [])
+    intake.samples([states(range(3))], [])
     assert "described" in intake.reference_note
 
 
@@ -166,8 +166,8 @@ def test_each_axis_has_its_own_columns():
     intake = Intake(("x", "y"), TIMEBASE)
     values = np.arange(8.0).reshape(4, 2)
     raw = TrajectoryCodec(RIG_STATE, ("x", "y"), TIMEBASE).encode(0, values)
-    intake.samples([(raw, 0)], [])
-    intake.samples([], [])
+    intake.samples([[(raw, 0)]], [])
+    intake.samples([[]], [])
     (row,) = intake.history.recent().values
     for name, expected in (("displacement", [0, 1]), ("acceleration", [4, 5]), ("force", [6, 7])):
         assert row[intake.signals.measured[name]].tolist() == expected
@@ -179,7 +179,7 @@ def test_of_a_specimen_that_yields_the_response_is_said_to_be_near():
     intake = Intake(AXES, TIMEBASE)
     intake.describe(Experiment.load(TABLES, [CONFIG], kind).sections)
     intake.motion(motion(0, MOTION))
-    intake.samples(states(range(100)), [])
-    intake.samples([], [])
+    intake.samples([states(range(100))], [])
+    intake.samples([[]], [])
     assert "yields" in intake.reference_note
     assert np.isfinite(recent(intake, intake.signals.reference["displacement"])).all()

@@ -2,25 +2,29 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.messages import Status
-from seft_msgs_py.topics import NODES, TOPICS
+from seft_msgs_py.rigs import rigs_of, with_rigs
+from seft_msgs_py.topics import NODES, TOPICS, topics_of
 from seft_ros.experiment.peers import Heard, silence, silent
 from seft_ros.experiment.peers import missing as missing_after
 
 PEERS = tuple(node for node in NODES if node != "supervisor")
 NOW = 100.0
 TIMEOUT = 3.0  # s
+ONE_RIG = rigs_of(["x"])
+TWO_RIGS = rigs_of(["west/x", "east/x"])
+PEERS_OF_TWO = with_rigs(PEERS, TWO_RIGS)
 
 
-def missing(peers, heard, descriptions, now):
-    return missing_after(peers, heard, descriptions, now, TIMEOUT)
+def missing(peers, heard, descriptions, now, rigs=ONE_RIG):
+    return missing_after(peers, heard, descriptions, now, TIMEOUT, rigs)
 
 
-def graph(peers=PEERS, drive="valve_command"):
+def graph(peers=PEERS, drive="valve_command", rigs=ONE_RIG):
     """What a complete graph has said: status and description of each node."""
-    everyone = " ".join(NODES)
+    everyone = " ".join(with_rigs(NODES, rigs))
     heard, descriptions = {}, {}
     for node in (*peers, "supervisor"):
-        own = [topic for topic in TOPICS if topic.publisher in (node, "")]
+        own = [topic for topic in topics_of(rigs) if topic.publisher in (node, "")]
         values = {f"matched {topic.name}": everyone for topic in own}
         if node == "ground_motion":
             values["phase"] = "primed"
@@ -28,6 +32,40 @@ def graph(peers=PEERS, drive="valve_command"):
         descriptions[node] = {"parameters": {"rate": 500.0, "axes": ["x"]}}
     descriptions["rig"] = {**descriptions.get("rig", {}), "drive": drive}
     return heard, descriptions
+
+
+def test_of_several_rigs_each_must_be_there_and_hear():
+    def lacks(change, rigs=TWO_RIGS):
+        heard, descriptions = graph(PEERS_OF_TWO, rigs=rigs)
+        change(heard, descriptions)
+        return missing(PEERS_OF_TWO, heard, descriptions, NOW, rigs)
+
+    def deaf(heard, _):
+        values = heard["west/rig"].status.values
+        values["matched west/rig/state"] = "reference_force recorder"
+
+    def driven(heard, descriptions):
+        descriptions["east/rig"]["drive"] = "reference_force"
+        values = heard["reference_force"].status.values
+        values["matched reference_force"] = "west/force_controller east/force_controller recorder"
+
+    assert lacks(lambda heard, _: None) == ""
+    assert lacks(lambda heard, _: heard.pop("east/rig")) == "node east/rig"
+    assert lacks(deaf) == "west/rig to reach west/force_controller on west/rig/state"
+    assert lacks(driven) == "reference_force to reach east/rig on reference_force"
+
+
+@pytest.mark.parametrize(
+    ("node", "name", "value", "expected"),
+    [
+        ("east/rig", "pace", "lockstep", "one pace: west/rig has None, east/rig has lockstep"),
+        ("east/force_controller", "loop_delay", 3, "one loop_delay: reference_force has 0, east/"),
+    ],
+)
+def test_several_rigs_must_agree(node, name, value, expected):
+    heard, descriptions = graph(PEERS_OF_TWO, rigs=TWO_RIGS)
+    descriptions[node]["parameters"][name] = value
+    assert missing(PEERS_OF_TWO, heard, descriptions, NOW, TWO_RIGS).startswith(expected)
 
 
 def lost(publisher, topic, listener, **rest):

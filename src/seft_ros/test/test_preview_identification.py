@@ -23,7 +23,7 @@ DAMPING = 1e2 * np.array([[8.0, -1.0, 0.5], [-1.0, 7.0, -0.5], [0.5, -0.5, 9.0]]
 def specimen(n, stiffness=1.0, damping=1.0):
     """Identification of n axes that starts with these factors on what is true."""
     k, c = stiffness * STIFFNESS[:n, :n], damping * DAMPING[:n, :n]
-    return SpecimenIdentification(MASS[:n, :n], c, k, NOISE, DT)
+    return SpecimenIdentification(MASS[:n, :n], c, k, np.full(n, NOISE), DT)
 
 
 def shaken(n, seconds=12.0, seed=1):
@@ -50,6 +50,23 @@ def learn(one, motion, force, noise=NOISE, seed=2):
         one.step(y, r)
         one.bounded()
     return one.restoring
+
+
+@pytest.mark.parametrize("n", [2, 3])
+def test_what_noise_makes_of_a_right_start_is_no_contradiction_but_a_wrong_one_is(n):
+    for stiffness, expected in ((1.0, False), (0.9, True)):
+        one = specimen(n, stiffness)
+        learn(one, *MOTIONS[n])
+        assert one.contradicts() is expected
+        one.take()
+        assert not one.contradicts()
+
+
+def test_one_axis_is_always_followed():
+    one = specimen(1)
+    assert one.contradicts()
+    learn(one, *MOTIONS[1])
+    assert one.contradicts()
 
 
 @pytest.mark.parametrize("stiffness", [0.8, 1.0, 1.2])

@@ -210,6 +210,21 @@ def test_the_integral_of_the_error_ends_at_a_tenth_of_the_restoring_force():
     assert answers[-1] == pytest.approx(0.1 * pull[0], abs=0.5)
 
 
+def test_a_way_back_that_is_told_is_all_that_a_force_error_is_answered_with():
+    """The forces that a way back of the usual gain asks for, and no integral."""
+    known, error = knowledge(1.0), np.array([5.0])
+    w, restoring = 2 * np.pi * 4.0, np.hstack([10 * known.stiffness, known.damping])
+    told = ForceErrorCorrection(known, restoring, way_back=M * np.array([[w * w, 2 * w]]))
+    usual = ForceErrorCorrection(known, restoring)
+    zero, still, flat = np.zeros(1), np.zeros(2), np.zeros((1, 1))
+    for _ in range(100):  # nothing pulls: the integral of the other ends at nothing
+        answers = [one.step(zero, error, still, zero, flat, zero)[0] for one in (told, usual)]
+        np.testing.assert_allclose(*answers, atol=0.1 * error[0])
+    pull = np.array([200.0])
+    share = told.step(zero, 0.5 * pull + error, still, pull, flat, zero)[0]
+    assert abs(share) < 0.05 * pull[0]
+
+
 def test_a_deviation_of_the_loop_is_followed_where_it_lasts():
     one, zero = correction(knowledge(1.0, n=2)), np.zeros(2)
     answers = [

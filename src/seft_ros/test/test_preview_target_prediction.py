@@ -83,22 +83,24 @@ def test_the_weighted_target_is_that_of_the_whole_structure(n, varying, felt):
 
 
 @pytest.mark.parametrize("other", [1.0, 0.7])
-@pytest.mark.parametrize("ahead", [0, 1, HORIZON])
+@pytest.mark.parametrize("steps", [(0,), (1,), (HORIZON,), (0, 2, 5)])
 @pytest.mark.parametrize("n", [1, 3])
-def test_the_coming_departure_is_what_the_nominal_specimen_needs_beside_the_force(n, ahead, other):
+def test_the_coming_departure_is_what_the_nominal_specimen_needs_beside_the_force(n, steps, other):
     known, restoring = structure(n, seed=n)
     nominal = NominalSpecimen(other * known.mass, 1.3 * restoring)
     motion, ground_motion, rest = draw(n)
     prediction = TargetPrediction(known, np.zeros((1, 1 + HORIZON)), nominal, restoring)
-    gains = prediction.departure(ahead)
+    weights = np.zeros(steps[-1] + 1)
+    weights[list(steps)] = np.random.default_rng(n).normal(size=len(steps))
+    gains = prediction.departure(weights)
     inputs = motion, ground_motion.ravel(), rest.ravel()
     found = sum(gain @ value for gain, value in zip(gains, inputs, strict=True))
-    path = coming(known, restoring, motion, ground_motion, rest)[ahead]
-    r = restoring @ path + rest[ahead]
-    acceleration = -np.linalg.solve(known.total_mass, r) - ground_motion[ahead]
+    path = coming(known, restoring, motion, ground_motion, rest)[: len(weights)].T
+    r = restoring @ path + rest[: len(weights)].T
+    acceleration = -np.linalg.solve(known.total_mass, r) - ground_motion[: len(weights)].T
     force = known.mass @ acceleration + r
     needed = nominal.mass @ acceleration + nominal.restoring @ path
-    np.testing.assert_allclose(found, needed - force, rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(found, (needed - force) @ weights, rtol=1e-7, atol=1e-7)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])

@@ -19,8 +19,8 @@ from seft_msgs_py.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
     EXPERIMENT_STATE,
-    RECORDED_TOPICS,
     REFERENCE_FORCE,
+    TOPICS,
     VALVE_COMMAND,
 )
 from seft_msgs_py.trajectory import TrajectoryCodec
@@ -32,6 +32,8 @@ from seft_ros.recording.recover import recover
 STORAGES = ("mcap", "sqlite3")
 CODEC = TrajectoryCodec(VALVE_COMMAND, ("x",), Timebase.from_rate(500.0))
 START = 1_700_000_000_000_000_000
+
+RECORDED_TOPICS = [topic for topic in TOPICS if topic.recorded]
 
 
 def sample(step):

@@ -12,12 +12,13 @@ from dataclasses import replace
 import numpy as np
 from seft_msgs_py.arrays import per_axis
 from seft_msgs_py.awake_clock import AwakeClock
-from seft_msgs_py.errors import WireError
+from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.messages import ERROR, OK, Status, decode_status, encode_clock
 from seft_msgs_py.node_main import NodeKind, run_node
 from seft_msgs_py.node_shell import NodeShell
 from seft_msgs_py.outcome import FINISHED, LISTED_STEPS, STOPPED, TRIPPED, Trip, rig_status
 from seft_msgs_py.parameters import group
+from seft_msgs_py.rigs import until_start
 from seft_msgs_py.topics import CLOCK_TOPIC, EXPERIMENT_STATE, RIG_STATE, VALVE_COMMAND
 from seft_msgs_py.trajectory import Floats, TrajectoryCodec
 from seft_plant_sim.command import Command
@@ -48,22 +49,27 @@ class DriverNode:
         experiment = shell.experiment
         self._shell, self._hardware = shell, hardware
         self._section, self._timebase = experiment["rig"], experiment.timebase
-        axes, section = experiment.axes, self._section
+        # one of several rigs has its own part of the axes (docs/hosts.md)
+        rig, section = shell.rig, self._section
+        axes = rig.axes
         self._calibration = Calibration.from_parameters(group(section, "calibration"), axes)
         self._limits = Limits(group(section, "limits"), axes, self._timebase.dt)
         self._rest = Rest(section["safe.rest_velocity"], self._timebase.dt)
-        self._states = TrajectoryCodec(RIG_STATE, axes, self._timebase)
-        commands = TrajectoryCodec(VALVE_COMMAND, axes, self._timebase)
+        self._states = TrajectoryCodec(RIG_STATE.of(rig), axes, self._timebase)
+        commands = TrajectoryCodec(VALVE_COMMAND.of(rig), axes, self._timebase)
         self._command = Command(commands, section["limits.command"])
-        self._publish_state = shell.publisher(RIG_STATE)
-        self._publish_clock = shell.publisher(CLOCK_TOPIC)
-        shell.subscribe(VALVE_COMMAND, lambda raw, _: self._command.take(raw), reliable=False)
+        self._publish_state = shell.publisher(self._states.topic)
+        self._tells_time = axes[0] == experiment.axes[0]  # one rig does
+        if self._tells_time:
+            self._publish_clock = shell.publisher(CLOCK_TOPIC)
+        shell.subscribe(commands.topic, lambda raw, _: self._command.take(raw), reliable=False)
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
         self._awake = AwakeClock()
         self._heard_at = self._awake.time()
         self._told = ""  # state of the test, as the supervisor says
         self._armed = False  # it was ready, and no trip has been since
         self._steps = 0  # of a test that is to begin; 0: none is
+        self._start = 0.0  # s, monotonic: not before
         self._phase = "idle"
         self._overruns = 0
         self._status = Status("rig", OK, "idle", values={"phase": "idle"})
@@ -100,7 +106,7 @@ class DriverNode:
         sample = self._calibration.to_si(self._hardware.read_sample())
         if self._phase == "running":
             self._publish(self._step + 1, sample)
-        elif self._steps and self._told in MOVING:
+        elif self._steps and self._told in MOVING and time.monotonic() >= self._start:
             self._begin(sample)
         else:
             self._follow_to_rest(sample)
@@ -131,7 +137,7 @@ class DriverNode:
         except WireError as error:
             violation = violation or str(error)
         now = time.monotonic()
-        if now - self._clock_at >= CLOCK_PERIOD:
+        if self._tells_time and now - self._clock_at >= CLOCK_PERIOD:
             self._clock_at = now
             self._publish_clock(encode_clock(self._timebase.stamp_ns(step)))
         if violation:
@@ -213,8 +219,12 @@ class DriverNode:
             steps = status.values.get("steps", "")
             if not (self._armed and steps.isdecimal() and int(steps)):
                 raise WireError("a test that this rig was not ready for, or without its steps")
+            try:
+                ahead = until_start(status.values)  # together with other rigs
+            except InputError as error:
+                raise WireError(str(error)) from None
             self._armed = False
-            self._steps = int(steps)
+            self._steps, self._start = int(steps), time.monotonic() + ahead
 
 
 def serve(make: Callable[[NodeShell], Hardware]) -> int:
@@ -222,7 +232,7 @@ def serve(make: Callable[[NodeShell], Hardware]) -> int:
 
     def build(shell: NodeShell) -> DriverNode:
         node = DriverNode(shell, make(shell))
-        shell.start({"drive": VALVE_COMMAND.name})
+        shell.start({"drive": VALVE_COMMAND.of(shell.rig).name})
         return node
 
     return run_node(NodeKind(TABLE, [TABLE], build))
@@ -232,8 +242,8 @@ def stand_in(shell: NodeShell) -> StandIn:
     """Make the stand-in; put your own hardware here."""
     experiment = shell.experiment
     safe = experiment["rig"]["safe.valve_command"]
-    at = per_axis(safe, experiment.axes, "rig: safe.valve_command")
-    return StandIn(experiment.timebase.rate, experiment.axes, np.asarray(at))
+    at = per_axis(safe, shell.rig.axes, "rig: safe.valve_command")
+    return StandIn(experiment.timebase.rate, shell.rig.axes, np.asarray(at))
 
 
 def main() -> int:

@@ -5,6 +5,8 @@
   second without life: while other tests start, end or are killed, or where the machine stands
   still, a node that lives may lose its port, and is deaf from then on. What is killed would leave
   files, too.
+- A participant announces itself for 3 s, not for half a second: of six that start together some
+  miss each other, and would meet at the next announcement, 3 s later.
 - Readers acknowledge what they have at a heartbeat; the default of 3 s lets thousands of samples
   pile up, and clearing them away stops a publisher for milliseconds.
 - While nacks of the last sample are suppressed, the next one does not wake the event thread.

@@ -79,6 +79,11 @@ def conform(
     from seft_ros.conformance.table import finding_line, verdict
 
     experiment = load_experiment(config, param, params_file, None if start_rig else ["rig"])
+    if len(experiment.rigs) > 1:
+        raise InputError(
+            f"{config}: the axes are of several rigs, but conform looks at one: give its axes "
+            'alone, without its name, as -p "/**:axes:=[x]", and parameters for these'
+        )
     sizes = (("--amplitude", amplitude), ("--travel", travel), ("--force", force))
     for name, value in sizes:
         if value is not None and not 0 < value < float("inf"):

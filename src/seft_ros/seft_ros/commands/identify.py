@@ -104,6 +104,7 @@ def identify(
 
         seft identify config/lab.yaml --external rig --amplitude 0.1 --duration 300
     """
+    from seft_ros.force_controller.kinds import is_one_controller
     from seft_ros.identification.experiments import (
         PILOT_DURATION,
         Levels,
@@ -117,7 +118,7 @@ def identify(
     )
     from seft_ros.identification.identified import identify as identify_rig
     from seft_ros.identification.motions import Motions
-    from seft_ros.loop_shaping.controller import Controller, is_one_controller
+    from seft_ros.loop_shaping.controller import Controller
 
     if set(external or ()) - {"rig"}:
         raise InputError("--external: only the rig may be, the other nodes are set up here")

@@ -5,6 +5,8 @@ from typing import Annotated, Any
 
 import typer
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.rigs import RigAxes
 
 from seft_ros.commands.options import (
     JsonOption,
@@ -33,6 +35,9 @@ def link(
     echo: Annotated[
         bool, typer.Option("--echo", help="Be the other side: send back what comes, until Ctrl-C.")
     ] = False,
+    rig: Annotated[
+        str, typer.Option("--rig", metavar="NAME", help="Of several rigs, whose link it is.")
+    ] = "",
     duration: Annotated[
         float, typer.Option("--duration", metavar="S", help="Time for which the link is measured.")
     ] = 10.0,
@@ -63,6 +68,8 @@ def link(
 
         seft link config/demo.yaml --out link.yaml
 
+        seft link config/two_pier_bridge.yaml --rig east
+
         seft run config/demo.yaml --params-file link.yaml --external rig
         --external force_controller
     """
@@ -79,8 +86,9 @@ def link(
     rate, size = RATE, SIZE
     if experiment is not None:
         rate, size = experiment.timebase.rate, message_size(experiment)
+    other_side = _rig(rig, experiment)
     with step_progress(max(2, round(duration * rate))) as show:
-        trips = measure(rate, duration, size, show)
+        trips = measure(rate, duration, size, show, other_side)
     test = None if experiment is None else allowed(experiment, trips.loop_delay)
     verdict, reasons = judge(trips, test)
     summary: dict[str, Any] = {
@@ -104,6 +112,20 @@ def link(
     for reason in reasons:
         complain(f"{verdict}: {reason}")
     return 1 if verdict == "unusable" else 0
+
+
+def _rig(name: str, experiment: Experiment | None) -> RigAxes | None:
+    """Find the rig whose link is measured; None where there is but one."""
+    rigs: dict[str, RigAxes | None] = {"": None}
+    if experiment is not None and len(experiment.rigs) > 1:
+        rigs = {one.name: one for one in experiment.rigs}
+    if name not in rigs:
+        raise InputError(
+            f"--rig {name}: must be {' or '.join(rigs)}, whose link it is"
+            if rigs.keys() != {""}
+            else f"--rig {name}: give CONFIG of a test that has several rigs"
+        )
+    return rigs[name]
 
 
 def _echo() -> int:

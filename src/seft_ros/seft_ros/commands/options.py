@@ -12,6 +12,7 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.parameter_file import parse_override
 from seft_msgs_py.parameters import nearest
+from seft_msgs_py.rigs import with_rigs
 from seft_msgs_py.topics import NODES
 
 from seft_ros.experiment.tables import TABLES
@@ -71,17 +72,19 @@ def load_experiment(
     external: Sequence[str] | None = None,
 ) -> Experiment:
     """Read an experiment of a command line; nodes that are external have no section in it."""
+    experiment = Experiment.load(
+        [table for table in TABLES if table.node not in (external or ())],
+        [config, *(params_files or ())],
+        [parse_override(text) for text in overrides or ()],
+    )
     possible = [node for node in NODES if node not in ("supervisor", "recorder")]
+    possible = list(dict.fromkeys([*possible, *with_rigs(possible, experiment.rigs)]))
     for node in external or ():
         if node not in possible:
             raise InputError(
                 f"--external {node}: must be one of {', '.join(possible)}{nearest(node, possible)}"
             )
-    return Experiment.load(
-        [table for table in TABLES if table.node not in (external or ())],
-        [config, *(params_files or ())],
-        [parse_override(text) for text in overrides or ()],
-    )
+    return experiment
 
 
 def print_json(value: dict[str, Any]) -> None:

@@ -136,10 +136,13 @@ def _with_measured_delay(experiment: Experiment) -> Experiment:
     from seft_ros.link.verdict import message_size, with_loop_delay
 
     rate = experiment.timebase.rate
-    with step_progress(round(LINK_TIME * rate)) as show:
-        trips = measure(rate, LINK_TIME, message_size(experiment), show)
-    complain(f"the link needs a delay of the loop of {trips.loop_delay} steps")
-    return with_loop_delay(experiment, trips.loop_delay)
+    size, delays = message_size(experiment), []
+    for rig in experiment.rigs:
+        with step_progress(round(LINK_TIME * rate)) as show:
+            delays.append(measure(rate, LINK_TIME, size, show, rig).loop_delay)
+        whose = f" to {rig.name}" if rig.name else ""
+        complain(f"the link{whose} needs a delay of the loop of {delays[-1]} steps")
+    return with_loop_delay(experiment, max(delays))
 
 
 def _check_stable(experiment: Experiment, accept_unstable: bool) -> None:

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.experiment import Experiment
 from seft_plant_sim.rig import Rig
+from seft_plant_sim.rigs import Rigs
 
-from seft_ros.force_controller.force_control import ForceControl
-from seft_ros.force_controller.methods import force_control
+from seft_ros.force_controller.interlock import Interlock
+from seft_ros.force_controller.interlocks import Interlocks, interlock_of
 from seft_ros.ground_motion.block import GroundMotion
 from seft_ros.interlock.protected_force import ProtectedForce
 from seft_ros.reference_force.continuation import Continuation
@@ -19,8 +20,8 @@ class Blocks:
 
     ground_motion: GroundMotion
     reference_force: ProtectedForce
-    force_controller: ForceControl
-    rig: Rig
+    force_controller: Interlock | Interlocks
+    rig: Rig | Rigs
 
 
 def build_blocks(experiment: Experiment) -> Blocks:
@@ -35,11 +36,18 @@ def build_blocks(experiment: Experiment) -> Blocks:
     blocks = Blocks(
         GroundMotion.from_parameters(experiment["ground_motion"], axes, timebase),
         ProtectedForce.from_parameters(experiment["reference_force"], axes, timebase),
-        force_control(experiment["force_controller"], axes, timebase),
-        Rig.from_parameters(experiment["rig"], axes, timebase),
+        interlock_of(experiment),
+        _rigs(experiment),
     )
     check_lead(experiment, blocks.ground_motion, blocks.reference_force)
     return blocks
+
+
+def _rigs(experiment: Experiment) -> Rig | Rigs:
+    section, axes, timebase = experiment["rig"], experiment.axes, experiment.timebase
+    if len(experiment.rigs) == 1:
+        return Rig.from_parameters(section, axes, timebase)
+    return Rigs.from_parameters(section, axes, timebase, experiment.rigs)
 
 
 def check_lead(experiment: Experiment, motion: GroundMotion, force: ProtectedForce) -> None:

@@ -12,7 +12,6 @@ from seft_msgs_py.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, VALVE
 
 from seft_ros.experiment.blocks import Blocks
 from seft_ros.experiment.state_machine import while_ramping_down
-from seft_ros.force_controller.interlock import Interlock
 from seft_ros.recording.environment import describe_environment
 from seft_ros.recording.record import Record, Series, Trip
 from seft_ros.recording.samples import EstimateBuffer
@@ -52,12 +51,8 @@ def simulate(
     commands = np.empty((total, axes))
     reference_force = blocks.reference_force
     reference_force.reset()
-    interlock = Interlock.from_parameters(
-        blocks.force_controller,
-        experiment["force_controller"],
-        experiment.axes,
-        experiment.timebase,
-    )
+    interlock = blocks.force_controller
+    interlock.reset()
     sampler = EstimateSampler(reference_force, experiment.timebase)
     estimates = EstimateBuffer()
     force_step, valve_step = reference_force.step, interlock.step

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from seft_msgs_py.messages import Status
-from seft_msgs_py.outcome import FINISHED, TRIPPED
-from seft_msgs_py.topics import RECORDED_TOPICS, TOPICS
+from seft_msgs_py.outcome import FINISHED, RIG, TRIPPED
+from seft_msgs_py.rigs import RigAxes, bare, with_rigs
+from seft_msgs_py.topics import topics_of
 
 RAMPING_DOWN, AT_REST = "ramping_down", "at_rest"  # phases of the reference force
 ALL_ANSWERED = "ended"
@@ -43,13 +44,14 @@ def missing(
     descriptions: Mapping[str, Mapping[str, Any]],
     now: float,
     timeout: float,
+    rigs: Sequence[RigAxes],
 ) -> str:
     """Say what a test still lacks before it can start; empty if nothing.
 
     Parameters
     ----------
     peers : sequence of str
-        Nodes that the test needs.
+        Nodes that the test needs, each rig's own among them.
     heard : mapping
         Node name -> last status; holds the supervisor's own too.
     descriptions : mapping
@@ -58,6 +60,8 @@ def missing(
         Time on the clock of `Heard.at`, s.
     timeout : float
         Silence after which a node counts as absent, s.
+    rigs : sequence of RigAxes
+        The test's.
     """
     absent = [n for n in peers if n not in heard] + silent(peers, heard, now, timeout)
     if absent:
@@ -65,18 +69,19 @@ def missing(
     undescribed = [node for node in peers if node not in descriptions]
     if undescribed:
         return "the parameters of " + ", ".join(undescribed)
-    conflict = _conflict(peers, descriptions)
+    rig_nodes = [node for node in with_rigs([RIG], rigs) if node in peers]
+    conflict = _conflict(peers, descriptions, rig_nodes)
     if conflict:
         return conflict
+    topics = topics_of(rigs)
     for publisher in (*peers, "supervisor"):
-        for topic in TOPICS:
+        for topic in topics:
             if topic.publisher not in (publisher, ""):
                 continue
             known = heard[publisher].status.values.get(f"matched {topic.name}", "").split()
             wanted = {node for node in topic.subscribers if node in (*peers, "supervisor")}
-            if topic.name == descriptions.get("rig", {}).get("drive"):
-                wanted.add("rig")
-            if topic in RECORDED_TOPICS and "recorder" in peers:
+            wanted.update(n for n in rig_nodes if descriptions[n].get("drive") == topic.name)
+            if topic.recorded and "recorder" in peers:
                 wanted.add("recorder")
             lost = sorted(wanted - set(known) - {publisher})
             if lost:
@@ -84,8 +89,9 @@ def missing(
             for node in sorted(wanted & set(heard)):
                 if heard[node].status.values.get(f"senders {topic.name}") == "0":
                     return f"{node} to hear {publisher} on {topic.name}"
-    if "rig" in peers and heard["rig"].status.values.get("phase") in _IN_A_TEST:
-        return "the rig to leave the last test"  # else its end would count for the next
+    for node in rig_nodes:
+        if heard[node].status.values.get("phase") in _IN_A_TEST:
+            return f"the {node} to leave the last test"  # else its end would count for the next
     force = heard.get("reference_force")
     phase = force.status.values.get("phase") if force is not None else ""
     if phase in (RAMPING_DOWN, AT_REST, ALL_ANSWERED):
@@ -108,26 +114,31 @@ def silence(node: str, heard: Mapping[str, Heard]) -> str:
     return f"node {node} has been silent since {heard[node].test_s:.2f} s"
 
 
-def _conflict(peers: Sequence[str], descriptions: Mapping[str, Mapping[str, Any]]) -> str:
+def _conflict(
+    peers: Sequence[str], descriptions: Mapping[str, Mapping[str, Any]], rig_nodes: Sequence[str]
+) -> str:
     """Nodes that were started with different rates or axes can't work together."""
-    for name in ("rate", "axes"):
-        first, *others = peers
+    for name, nodes in (("rate", peers), ("axes", peers), ("pace", rig_nodes)):
+        if len(nodes) < 2:
+            continue
+        first, *others = nodes
         value = descriptions[first]["parameters"].get(name)
         for node in others:
             other = descriptions[node]["parameters"].get(name)
             if other != value:
                 return f"{CONFLICT}{name}: {first} has {value}, {node} has {other}"
-    return _other_delay(descriptions)
+    return _other_delay(peers, descriptions)
 
 
-def _other_delay(descriptions: Mapping[str, Mapping[str, Any]]) -> str:
+def _other_delay(peers: Sequence[str], descriptions: Mapping[str, Mapping[str, Any]]) -> str:
     """Delays of the loop that contradict; below zero is whatever the other side has measured."""
-    told = {
-        node: descriptions[node]["parameters"].get("loop_delay", 0)
-        for node in ("reference_force", "force_controller")
-        if node in descriptions
-    }
-    sent, taken = told.get("reference_force"), told.get("force_controller")
-    if sent is None or taken is None or sent == taken or (taken < 0 and sent > 0):
+    if "reference_force" not in peers:
         return ""
-    return f"{CONFLICT}loop_delay: reference_force has {sent}, force_controller has {taken}"
+    sent = descriptions["reference_force"]["parameters"].get("loop_delay", 0)
+    for node in peers:
+        if bare(node) != "force_controller":
+            continue
+        taken = descriptions[node]["parameters"].get("loop_delay", 0)
+        if sent != taken and not (taken < 0 and sent > 0):
+            return f"{CONFLICT}loop_delay: reference_force has {sent}, {node} has {taken}"
+    return ""

@@ -7,9 +7,12 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.arrays import as_matrix
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.rigs import RigAxes
 from seft_msgs_py.timebase import Timebase
 
+from seft_ros.force_controller.decoupling import own_part, specimen_modes
 from seft_ros.force_controller.force_control import LinearControl
+from seft_ros.force_controller.kinds import inverts_the_specimen
 
 Floats = npt.NDArray[np.float64]
 
@@ -19,7 +22,8 @@ class ForceController:
 
     C is a transfer function on each axis, the same or each its own; G mixes what they ask for,
     for valves of unlike gain or to decouple axes. Without feedback it is u = G C(s) f_r, which
-    drives the valves by a motion of one's own.
+    drives the valves by a motion of one's own. Where C is not of axes but of modes, each sees
+    its part of the forces: u = G C(s) H (f_r - f).
 
     C is discretised with the bilinear (Tustin) transform. Its recursion runs on the limited
     outputs, as the valve does, and so cannot wind up: the anti-windup of Astrom & Wittenmark
@@ -39,6 +43,8 @@ class ForceController:
         Whether the measured force is fed back.
     gain : ndarray, optional
         G, shape (n, n), invertible; default 1.
+    parts : ndarray, optional
+        H, shape (n, n); default 1.
 
     Attributes
     ----------
@@ -66,6 +72,7 @@ class ForceController:
         dt: float,
         feedback: bool = True,
         gain: Floats | None = None,
+        parts: Floats | None = None,
     ) -> None:
         axes = len(controllers)
         sampled = [bilinear(*each, dt) for each in controllers]
@@ -92,6 +99,8 @@ class ForceController:
         if gain is not None:
             self.matrix[:axes] = gain @ self.matrix[:axes]
             self.from_drive = self.from_drive @ _inverse(gain)
+        if parts is not None:
+            self.matrix[:, order * axes :] = self.matrix[:, order * axes :] @ parts
         self._axes = axes
         self.feedback = feedback
         self.limit = float(voltage_limit)
@@ -100,9 +109,20 @@ class ForceController:
 
     @classmethod
     def from_parameters(
-        cls, section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
+        cls,
+        section: dict[str, Any],
+        axes: tuple[str, ...],
+        timebase: Timebase,
+        rig: RigAxes | None = None,
     ) -> "ForceController":
-        """Make it of its section of an experiment."""
+        """Make it of its section of an experiment, see `force_control`."""
+        own = (rig or RigAxes.whole(axes)).places
+        gain = as_matrix(section.get("gain", 1.0), axes, "force_controller: gain")
+        gain = own_part(gain, own, f"force_controller: gain {gain.tolist()} mixes")
+        limits = section["voltage_limit"], timebase.dt, section["feedback"]
+        if inverts_the_specimen(section):
+            modes = specimen_modes(section, axes, own, timebase.dt)
+            return cls(modes.controllers, *limits, gain @ modes.shapes, modes.shapes.T)
         parts = [np.atleast_1d(section[name]).tolist() for name in ("numerator", "denominator")]
         if section.get("per_axis"):
             names = ("numerator", "denominator")
@@ -110,8 +130,7 @@ class ForceController:
             controllers = list(zip(*each, strict=True))
         else:
             controllers = [(parts[0], parts[1])] * len(axes)
-        gain = as_matrix(section.get("gain", 1.0), axes, "force_controller: gain")
-        return cls(controllers, section["voltage_limit"], timebase.dt, section["feedback"], gain)
+        return cls([controllers[place] for place in own], *limits, gain)
 
     def reset(self) -> None:
         """Forget the test so far."""

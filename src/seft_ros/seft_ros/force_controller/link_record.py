@@ -1,7 +1,8 @@
 """How reference forces came over the link in a test, as the force controller counts it."""
 
 import json
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 
@@ -19,6 +20,16 @@ class LinkRecord:
 
     ages: Mapping[int, int]
     held: int
+
+    @classmethod
+    def of_all(cls, records: Iterable["LinkRecord"]) -> "LinkRecord":
+        """Add up what the force controllers of several rigs tell."""
+        ages: Counter[int] = Counter()
+        held = 0
+        for record in records:
+            ages.update(record.ages)
+            held += record.held
+        return cls(dict(sorted(ages.items())), held)
 
     def older_than(self, loop_delay: int) -> int:
         """Count the forces whose messages were older than the loop's delay: bridged ones."""

@@ -2,27 +2,43 @@
 
 from typing import Any
 
+from seft_msgs_py.rigs import RigAxes
 from seft_msgs_py.timebase import Timebase
 
 from seft_ros.force_controller.block import ForceController
 from seft_ros.force_controller.force_control import ControlKnowledge, ForceControl
-from seft_ros.force_controller.names import REGISTERED, TRANSFER_FUNCTION
+from seft_ros.force_controller.names import DECOUPLING, REGISTERED, TRANSFER_FUNCTION
 from seft_ros.force_controller.registered_control import RegisteredControl
 
 
 def force_control(
-    section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
+    section: dict[str, Any],
+    axes: tuple[str, ...],
+    timebase: Timebase,
+    rig: RigAxes | None = None,
 ) -> ForceControl:
     """Make the controller of a force controller's section of an experiment.
+
+    Parameters
+    ----------
+    section : dict
+        Parameters, for all axes.
+    axes : tuple of str
+        Names of all axes.
+    timebase : Timebase
+        Sampling clock.
+    rig : RigAxes, optional
+        The one of several rigs that it controls; default all axes.
 
     Raises
     ------
     InputError
-        If it can't be made.
+        If it can't be made, or mixes axes of several rigs.
     """
+    own = rig or RigAxes.whole(axes)
     name = section.get("method", TRANSFER_FUNCTION)  # not in an older record
-    if name == TRANSFER_FUNCTION:
-        return ForceController.from_parameters(section, axes, timebase)
-    knowledge = ControlKnowledge(len(axes), timebase.dt, section["voltage_limit"])
+    if name in (TRANSFER_FUNCTION, DECOUPLING):
+        return ForceController.from_parameters(section, axes, timebase, own)
+    knowledge = ControlKnowledge(len(own.axes), timebase.dt, section["voltage_limit"])
     own = REGISTERED.make(name, section["settings"], "force_controller: method", knowledge)
     return RegisteredControl(own, name, knowledge)

@@ -3,5 +3,6 @@
 from seft_msgs_py.registered import Registered
 
 TRANSFER_FUNCTION = "transfer_function"
-REGISTERED = Registered("seft.force_control", (TRANSFER_FUNCTION,))
+DECOUPLING = "decoupling"
+REGISTERED = Registered("seft.force_control", (TRANSFER_FUNCTION, DECOUPLING))
 """Of other packages: name -> what makes a controller of `ControlKnowledge`; may take settings."""

@@ -14,7 +14,7 @@ from seft_msgs_py.parameters import group
 from seft_msgs_py.topics import RIG_STATE
 from seft_plant_sim.limits import NAMES
 
-from seft_ros.force_controller.names import TRANSFER_FUNCTION
+from seft_ros.force_controller.kinds import one_controller
 from seft_ros.recording.record import Record
 
 Floats = npt.NDArray[np.float64]
@@ -130,15 +130,8 @@ def open_loop(experiment: Experiment, record: Path, levels: Levels) -> Experimen
     levels : Levels
         Its valve commands get ``levels.voltage``.
     """
-    controller = {
-        "method": TRANSFER_FUNCTION,
-        "per_axis": False,
-        "gain": [1.0],
-        "numerator": [levels.voltage / levels.force],
-        "denominator": [1.0],
-        "feedback": False,
-    }
-    return _with(experiment, record, controller)
+    controller = one_controller([levels.voltage / levels.force], [1.0])
+    return _with(experiment, record, controller | {"feedback": False})
 
 
 def closed_loop(experiment: Experiment, record: Path) -> Experiment:

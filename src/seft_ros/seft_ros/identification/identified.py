@@ -6,6 +6,8 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import ExperimentError
 
+from seft_ros.force_controller.kinds import inverts_the_specimen
+from seft_ros.identification.blocked_error import blocked_error
 from seft_ros.identification.measured_test import (
     FORCE,
     MOTION,
@@ -46,12 +48,16 @@ class ValveResponse:
         That plant, sampled, with the experiment's controller.
     controller_known : bool
         Whether that is a transfer function; else the loop is of the plant alone.
+    blocked_error : tuple of float
+        Error over force of the loop where the piston is held still, in s, highest power first;
+        empty where the controller is not known.
     """
 
     measured: Measurement
     fit: PlantFit
     loop: LoopDesign
     controller_known: bool
+    blocked_error: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -94,7 +100,8 @@ class Identified:
     faults : tuple of str
         What else was wrong, likewise.
     nominal : NominalAxis or None
-        Of several axes: the uncoupled specimen of `tracking`.
+        Of several axes: the uncoupled specimen of `tracking`. None where the force controller
+        inverts the specimen: all axes have one force loop then, with the specimen as it is.
     tracking : ClosedLoop or None
         Of several axes: the force loop of all of them, as it would be with that specimen.
     """
@@ -152,16 +159,21 @@ def identify(
         raise ExperimentError(unusable[0])
     axes, dt = tests[0].axes, tests[0].dt
     specimen = fit_specimen([test.response(REFERENCE, MOTION, MOTION_TO) for test in tests])
-    nominal = NominalAxis.of(specimen) if len(axes) > 1 else None
+    several = len(axes) > 1
+    inverting = closed_loop is not None and inverts_the_specimen(
+        closed_loop.experiment["force_controller"]
+    )
+    nominal = NominalAxis.of(specimen) if several and not inverting else None
     tracking: ClosedLoop | None = None
     valves: list[ValveResponse] = []
     closed_loops: list[ClosedLoop] = []
     for test in tests:
+        if test.record is closed_loop and several:
+            known_with = specimen if nominal is None else nominal.on_each(len(axes))
+            tracking = _closed_loop(test.as_of(known_with), dt)
         for axis in range(len(axes)):
             if test.record is closed_loop:
                 closed_loops.append(_closed_loop(test.of(REFERENCE, FORCE, axis), dt))
-                if nominal is not None and tracking is None:
-                    tracking = _closed_loop(test.as_of(nominal), dt)
             else:
                 measured = test.of(VALVE, FORCE, axis)
                 valves.append(_valve(measured, dt, specimen, axis, controller))
@@ -194,7 +206,8 @@ def _valve(
     }
     alone = Controller.from_coefficients(1.0, 1.0)
     loop = shape_loop(identified_plant(section, 1), controller or alone, dt)
-    return ValveResponse(measured, fit, loop, controller is not None)
+    blocked = blocked_error(fit, controller, dt) if controller else ()
+    return ValveResponse(measured, fit, loop, controller is not None, blocked)
 
 
 def _closed_loop(measured: Measurement, dt: float) -> ClosedLoop:

@@ -5,7 +5,7 @@ import numpy.typing as npt
 from seft_msgs_py.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 
 from seft_ros.identification.measurement import Measurement
-from seft_ros.identification.nominal_axis import NominalAxis
+from seft_ros.identification.specimen_fit import SpecimenFit
 from seft_ros.identification.spectral import Response, response, segment_duration, spectra
 from seft_ros.loop_shaping.margins import BAND_HZ
 from seft_ros.recording.record import Record
@@ -88,18 +88,19 @@ class MeasuredTest:
         band = self._band[0], min(self._band[1], share / self.dt)
         return response(self._spectra, these, those, band)
 
-    def as_of(self, nominal: NominalAxis) -> Measurement:
-        """Response of the force loop as it would be with the same uncoupled specimen on each axis.
+    def as_of(self, nominal: SpecimenFit) -> Measurement:
+        """Response of the force loop on every axis, as it would be with another specimen.
 
-        A specimen (M, C, K) moves as the nominal one (m, c, k) does under a force that is larger
-        by d = m a + c v + k x - f, which the force loop feels as part of reference and force:
-        f + d = T (f_r + d) on every axis, as far as actuators and controllers are the same.
+        A specimen moves as the nominal one (M_0, C_0, K_0) does under a force that is larger by
+        d = M_0 a + C_0 v + K_0 x - f, which the force loop feels as part of reference and force:
+        f + d = T (f_r + d), as far as actuators and controllers are the same and the loop's gain
+        is high (see `blocked_error`).
         """
         n = len(self.axes)
         found = self.response(REFERENCE, MOTION)
         s = 2j * np.pi * found.frequencies_hz[:, np.newaxis, np.newaxis]
         x, a, force = (found.response[:, n * row : n * (row + 1)] for row in range(3))
-        felt = nominal.mass * a + (nominal.damping * s + nominal.stiffness) * x
+        felt = nominal.mass @ a + (nominal.damping * s + nominal.stiffness) @ x
         asked = np.eye(n) - force + felt
         power = np.sum(np.abs(asked) ** 2, axis=(1, 2))
         variance = np.trace(found.variance()[:, 2 * n :], axis1=1, axis2=2) / power

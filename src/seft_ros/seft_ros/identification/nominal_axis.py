@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from seft_ros.identification.specimen_fit import SpecimenFit
 
 
@@ -22,3 +24,10 @@ class NominalAxis:
                 for matrix in (specimen.mass, specimen.damping, specimen.stiffness)
             )
         )
+
+    def on_each(self, axes: int) -> SpecimenFit:
+        """Give the specimen that is one of it on each of n axes."""
+        mass, damping, stiffness = (
+            value * np.eye(axes) for value in (self.mass, self.damping, self.stiffness)
+        )
+        return SpecimenFit(mass, damping, stiffness, error=0.0)

@@ -9,6 +9,7 @@ from seft_msgs_py.parameter_file import write_parameter_file
 from seft_ros.identification.identified import Identified
 from seft_ros.identification.rational import Rational
 
+_WITH_NOMINAL = "with the uncoupled specimen of tracking.mass, tracking.damping, tracking.stiffness"
 _LONGEST_DELAY = 1.0  # s, as the table has it
 
 
@@ -17,8 +18,9 @@ def model_parameters(identified: Identified) -> dict[str, dict[str, Any]]:
 
     The specimen's matrices are those of all axes; the plant, of which the table holds one, is
     that of the first axis. The specimen that the tracking was identified with is told beside it
-    where a valve drives the rig, of several axes the nominal one; the tracking of a rig without
-    a valve does not feel it.
+    where a valve drives the rig, of several axes the nominal one unless the force controller
+    inverts the specimen; the tracking of a rig without a valve does not feel it. Of a nominal one
+    there is also what the loop does to a specimen that departs from it.
     """
     specimen = identified.specimen
     reference: dict[str, Any] = {
@@ -35,8 +37,13 @@ def model_parameters(identified: Identified) -> dict[str, dict[str, Any]]:
         if feels and identified.nominal is not None and identified.tracking is not None:
             reference |= _response("tracking", identified.tracking.fit.model)
             reference |= {f"tracking.{k}": [v] for k, v in asdict(identified.nominal).items()}
+            if identified.valves and identified.valves[0].blocked_error:
+                reference["tracking.blocked_error"] = list(identified.valves[0].blocked_error)
         else:
-            reference |= _response("tracking", closed.fit.model)
+            of_all = identified.tracking if feels else None
+            reference |= _response("tracking", (of_all or closed).fit.model)
+            if of_all:  # what a nominal specimen would need, and this one not
+                reference |= {"tracking.mass": [0.0], "tracking.blocked_error": [0.0]}
             for name in ("stiffness", "damping"):  # copies: ROS 2 reads no YAML aliases
                 reference[f"tracking.{name}"] = list(reference[f"model.{name}"]) if feels else [0.0]
     if identified.valves:
@@ -64,10 +71,11 @@ def write_model(identified: Identified, path: Path, source: str) -> None:
     """
     comments = [f"Identified by seft identify from {source}", f"Axes: {identified.axes}"]
     if len(identified.axes) > 1:
-        comments += [
-            f"plant.* is that of axis {identified.axes[0]}; tracking.* that of all axes, as it is",
-            "with the uncoupled specimen of tracking.mass, tracking.damping, tracking.stiffness",
-        ]
+        plant = f"plant.* is that of axis {identified.axes[0]}; tracking.* that of all axes"
+        if identified.nominal is not None:
+            comments += [f"{plant}, as it is", _WITH_NOMINAL]
+        else:
+            comments.append(plant)
     write_parameter_file(path, model_parameters(identified), comments)
 
 

@@ -19,7 +19,7 @@ _PLANT = (
 )
 _VALVE_KEYS = (
     *(key for pair in _PLANT for key in pair),
-    *("leakage_pole_hz", "leakage_per_s", "gain", "dead_time_s", "fit_error"),
+    *("leakage_pole_hz", "leakage_per_s", "gain", "dead_time_s", "fit_error", "blocked_error"),
     *("crossover_hz", "phase_margin_deg", "gain_margin_db", "sensitivity_peak"),
 )
 _CLOSED_LOOP_KEYS = (
@@ -37,8 +37,9 @@ def summarise_identified(identified: Identified) -> dict[str, Any]:
         Of the first axis ``plant_zero_hz``, ``plant_zero_damping``, ``plant_pole_hz``,
         ``plant_pole_damping`` (oil column), ``valve_frequency_hz``, ``valve_damping``,
         ``leakage_pole_hz``, ``leakage_per_s``, ``gain`` (N/s/V), ``dead_time_s``,
-        ``fit_error``, ``crossover_hz``, ``phase_margin_deg``, ``gain_margin_db``,
-        ``sensitivity_peak`` of the model in the digital loop;
+        ``fit_error``, ``blocked_error`` (force error over force of the loop with its piston held
+        still, in s, highest power first), ``crossover_hz``, ``phase_margin_deg``,
+        ``gain_margin_db``, ``sensitivity_peak`` of the model in the digital loop;
         ``closed_loop_flat_to_hz``, ``bandwidth_hz``, ``delay_s``, ``dip_db``, ``dip_hz``,
         ``tracking_fit_error``, ``delay_by_frequency`` (hz, delay_s, magnitude_db, coherence)
         of the measured closed loop; ``coherence`` of both tests. ``axes`` has these for each
@@ -119,6 +120,7 @@ def _of_valve(valve: ValveResponse, band: tuple[float, float]) -> dict[str, Any]
         "gain": model.gain,
         "dead_time_s": model.dead_time,
         "fit_error": valve.fit.error,
+        "blocked_error": list(valve.blocked_error) or None,
         "crossover_hz": margins.crossover_hz if margins else None,
         "phase_margin_deg": margins.phase_margin_deg if margins else None,
         "gain_margin_db": margins.gain_margin_db if margins else None,

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from seft_msgs_py.leaving import leave_graph
 from seft_msgs_py.ros_types import message_class, qos_profile
 from seft_msgs_py.topics import LINK_PING, LINK_PONG
 from seft_msgs_py.wait_set import WaitSet, raw_subscription, sender, take
@@ -35,5 +36,4 @@ def echo(progress: Callable[[int], None]) -> None:
                 count += 1
             progress(count)
     finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
+        leave_graph(node)

@@ -10,7 +10,9 @@ import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from seft_msgs_py.errors import ExperimentError, InputError, WireError
+from seft_msgs_py.leaving import leave_graph
 from seft_msgs_py.messages import decode_string, encode_string
+from seft_msgs_py.rigs import RigAxes
 from seft_msgs_py.ros_types import message_class, qos_profile
 from seft_msgs_py.topics import LINK_PING, LINK_PONG
 from seft_msgs_py.wait_set import WaitSet, raw_subscription, sender, take
@@ -24,7 +26,11 @@ LAST = 1.0  # s in which the last one may come back
 
 
 def measure(
-    rate: float, duration: float, size: int, progress: Callable[[str, int], None]
+    rate: float,
+    duration: float,
+    size: int,
+    progress: Callable[[str, int], None],
+    rig: RigAxes | None = None,
 ) -> RoundTrips:
     """Measure the link to whoever echoes on this ROS domain.
 
@@ -38,6 +44,8 @@ def measure(
         Bytes of each.
     progress : callable
         Told what goes on, and the messages sent.
+    rig : RigAxes, optional
+        Whose force controller is to echo, of several rigs.
 
     Raises
     ------
@@ -49,19 +57,19 @@ def measure(
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = Node("seft_link", start_parameter_services=False)
     try:
-        return _Pinger(node).measure(rate, duration, size, progress)
+        return _Pinger(node, rig).measure(rate, duration, size, progress)
     finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
+        leave_graph(node)
 
 
 class _Pinger:
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, rig: RigAxes | None) -> None:
         self._node = node
-        self._publisher = node.create_publisher(
-            message_class(LINK_PING), LINK_PING.name, qos_profile(LINK_PING)
-        )
-        self._subscription = raw_subscription(node, LINK_PONG, reliable=False)
+        ping, self._pong = LINK_PING, LINK_PONG
+        if rig is not None:
+            ping, self._pong = ping.of(rig), self._pong.of(rig)
+        self._publisher = node.create_publisher(message_class(ping), ping.name, qos_profile(ping))
+        self._subscription = raw_subscription(node, self._pong, reliable=False)
         self._wait_set = WaitSet(node.context, [self._subscription])
         self._name = uuid.uuid4().hex
         self._sent: dict[int, float] = {}
@@ -101,7 +109,7 @@ class _Pinger:
     def _find_echo(self) -> None:
         deadline = time.monotonic() + PATIENCE
         while True:
-            echoes = self._node.get_publishers_info_by_topic(LINK_PONG.name)
+            echoes = self._node.get_publishers_info_by_topic(self._pong.name)
             if len(echoes) > 1:
                 names = ", ".join(sorted(echo.node_name for echo in echoes))
                 raise InputError(f"several nodes echo on this ROS domain: {names}; let one do so")

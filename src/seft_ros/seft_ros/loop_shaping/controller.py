@@ -9,6 +9,7 @@ import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 
 from seft_ros.force_controller.block import bilinear
+from seft_ros.force_controller.kinds import is_one_controller
 from seft_ros.force_controller.names import TRANSFER_FUNCTION
 from seft_ros.loop_shaping.roots import Root, roots_of
 
@@ -108,12 +109,6 @@ class Controller:
         """
         b, a = bilinear(self.numerator, self.denominator, dt)
         return _ratio(b, a, np.exp(2j * np.pi * frequencies_hz * dt))
-
-
-def is_one_controller(section: dict[str, Any]) -> bool:
-    """Whether a force controller's section is of one transfer function for all axes."""
-    same = section.get("method", TRANSFER_FUNCTION) == TRANSFER_FUNCTION  # not in an older record
-    return same and not section.get("per_axis") and np.size(section.get("gain", 1.0)) == 1
 
 
 def _product(roots: Iterable[Root]) -> Floats:

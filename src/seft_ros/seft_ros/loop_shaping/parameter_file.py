@@ -5,7 +5,7 @@ from pathlib import Path
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.parameter_file import write_parameter_file
 
-from seft_ros.force_controller.names import TRANSFER_FUNCTION
+from seft_ros.force_controller.kinds import one_controller
 from seft_ros.loop_shaping.controller import Controller
 
 
@@ -32,12 +32,6 @@ def write_controller(controller: Controller, path: Path) -> None:
         If the file exists already or can't be written.
     """
     check_new(path)
-    section = {
-        "method": TRANSFER_FUNCTION,
-        "per_axis": False,
-        "gain": [1.0],
-        "numerator": list(controller.numerator),
-        "denominator": list(controller.denominator),
-    }
+    section = one_controller(controller.numerator, controller.denominator)
     told = "Controller of the force loop, by seft design: force error (N) to valve (V)"
     write_parameter_file(path, {"force_controller": section}, [told])

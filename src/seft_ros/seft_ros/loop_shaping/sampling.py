@@ -7,7 +7,7 @@ import numpy.typing as npt
 from scipy.linalg import expm
 from seft_msgs_py.errors import InputError
 
-from seft_ros.force_controller.block import bilinear
+from seft_ros.force_controller.block import ForceController
 from seft_ros.loop_shaping.controller import Controller
 from seft_ros.loop_shaping.plant import Plant
 
@@ -113,24 +113,12 @@ def closed_loop_poles(plant: SampledPlant, controller: Controller) -> Complexes:
     says more than the margins of each.
     """
     a, b, c = plant.state_space()
-    own, gain, first, direct = controller_states(controller, plant.dt, plant.before.shape[1])
-    closed = np.block([[a - b @ direct @ c, b @ first], [-gain @ c, own]])
+    axes = plant.before.shape[1]
+    polynomials = controller.numerator, controller.denominator
+    control = ForceController([polynomials] * axes, np.inf, plant.dt).linear()
+    by_error, direct = control.b[:, :axes], control.d[:, :axes]
+    closed = np.block([[a - b @ direct @ c, b @ control.c], [-by_error @ c, control.a]])
     return np.linalg.eigvals(closed)
-
-
-def controller_states(
-    controller: Controller, dt: float, axes: int
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Matrices a, b, c, d of the controller on n axes as its block runs it, from e to u."""
-    num, den = bilinear(controller.numerator, controller.denominator, dt)
-    order, one = len(den) - 1, np.eye(axes)
-    # w' = shift w + gain e, u = w[0] + num[0] e
-    shift = np.eye(order, k=1)
-    shift[:, :1] = -den[1:, np.newaxis]
-    gain = (num[1:] - den[1:] * num[0])[:, np.newaxis]
-    parts = shift, gain, np.eye(1, order), num[:1, np.newaxis]
-    a, b, c, d = (np.kron(part, one) for part in parts)
-    return a, b, c, d
 
 
 def dominant_pole(plant: Plant, controller: Controller, dt: float) -> complex:

@@ -15,6 +15,8 @@ from rclpy.client import Client
 from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
+from seft_msgs_py.leaving import leave_graph
 from seft_msgs_py.middleware import prepare_on_this_host
 from seft_msgs_py.topics import (
     DESCRIPTION,
@@ -23,6 +25,7 @@ from seft_msgs_py.topics import (
     GROUND_MOTION,
     REFERENCE_FORCE,
     RIG_STATE,
+    LoopTopic,
     Topic,
 )
 from seft_msgs_py.wait_set import raw_subscription, take_all
@@ -36,7 +39,6 @@ READ_DEPTH = 4096
 MOST_AT_ONCE = 8192
 _TOPICS = (EXPERIMENT_STATE, DESCRIPTION, DIAGNOSTICS, GROUND_MOTION, RIG_STATE, REFERENCE_FORCE)
 _DEPTHS = {EXPERIMENT_STATE: 64, DESCRIPTION: 64, DIAGNOSTICS: 512}
-_EACH_STEP = (RIG_STATE, REFERENCE_FORCE)
 
 
 class Graph:
@@ -63,12 +65,9 @@ class Graph:
             enable_rosout=False,
         )
         self.domain: int = self._node.context.get_domain_id()
-        self._subscriptions = {
-            topic.name: raw_subscription(
-                self._node, topic, _DEPTHS.get(topic, READ_DEPTH), topic not in _EACH_STEP
-            )
-            for topic in _TOPICS
-        }
+        self._subscriptions: dict[str, Subscription] = {}
+        for topic in _TOPICS:
+            self._subscribe(topic)
         # made now, and so found by the time that an emergency stop is wanted
         self._clients: dict[str, Client] = {
             name: self._node.create_client(Trigger, name) for name in SERVICES
@@ -80,8 +79,19 @@ class Graph:
         self._thread.start()
 
     def take(self, topic: Topic) -> Messages:
-        """Take what has come on a topic: bytes, and the wall-clock time in ns of their sending."""
+        """Take what has come on a topic: bytes, and the wall-clock time in ns of their sending.
+
+        A topic of one of several rigs is listened to from the first time on.
+        """
+        if topic.name not in self._subscriptions:
+            self._subscribe(topic)
         return take_all(self._subscriptions[topic.name], MOST_AT_ONCE)
+
+    def _subscribe(self, topic: Topic) -> None:
+        of_each_step = isinstance(topic, LoopTopic) and not topic.latched
+        self._subscriptions[topic.name] = raw_subscription(
+            self._node, topic, _DEPTHS.get(topic, READ_DEPTH), not of_each_step
+        )
 
     async def call(self, service: str) -> tuple[bool, str]:
         """Call a service of the supervisor; return whether it was done, and its answer."""
@@ -110,8 +120,7 @@ class Graph:
         self._executor.wake()
         self._thread.join(timeout=3.0)
         self._executor.shutdown(timeout_sec=1.0)
-        self._node.destroy_node()
-        rclpy.try_shutdown()
+        leave_graph(self._node)
 
     def _serve_clients(self) -> None:
         try:

@@ -1,20 +1,24 @@
 """The samples of one test after another: from messages of the loop to a history."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.rigs import rigs_of
 from seft_msgs_py.timebase import Timebase
-from seft_msgs_py.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, LoopTopic
+from seft_msgs_py.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
 from seft_msgs_py.trajectory import TrajectoryCodec
-from seft_msgs_py.trajectory_batch import Batch, decode_batch
+from seft_msgs_py.trajectory_batch import Batch as Decoded
+from seft_msgs_py.trajectory_batch import decode_batch
 from seft_plant_sim.running_response import RunningResponse
 
 from seft_ros.monitor.envelope import Samples
 from seft_ros.monitor.history import History, Stretch
 from seft_ros.monitor.live_reference import LiveReference
+from seft_ros.monitor.rig_batches import Batch, RigBatches
 from seft_ros.monitor.signals import MEASURED, ROWS, Signals
 
 HELD_BACK = 8
@@ -30,8 +34,19 @@ Messages = list[tuple[bytes, int]]
 class Intake:
     """Takes in the loop's messages of a graph, one test after another.
 
+    Parameters
+    ----------
+    axes : tuple of str
+        Names of the axes.
+    timebase : Timebase
+        Sampling clock.
+    number : int
+        Tests seen so far.
+
     Attributes
     ----------
+    rigs : tuple of RigAxes
+        Whose the axes are.
     number : int
         Counts the tests seen; 0: none yet.
     history : History
@@ -54,8 +69,11 @@ class Intake:
         self._new: list[Stretch] = []
         self._sections: dict[str, dict[str, Any]] = {}
         self._reference = LiveReference()
-        topics = (RIG_STATE, REFERENCE_FORCE, GROUND_MOTION)
-        self._codecs = {topic.name: TrajectoryCodec(topic, axes, timebase) for topic in topics}
+        self.rigs = rigs_of(axes)
+        self._states = [TrajectoryCodec(RIG_STATE, rig.axes, timebase) for rig in self.rigs]
+        self._forces = TrajectoryCodec(REFERENCE_FORCE, axes, timebase)
+        self._motion = TrajectoryCodec(GROUND_MOTION, axes, timebase)
+        self._of_rigs = RigBatches(self.rigs) if len(self.rigs) > 1 else None
         self._sent = np.zeros(2**14, np.int64)  # ns, when the states of the last steps were
         self._sent_step = np.full(2**14, -1)
 
@@ -71,17 +89,16 @@ class Intake:
 
     def motion(self, messages: Messages) -> None:
         """Take in ground motion."""
-        codec = self._codecs[GROUND_MOTION.name]
         for raw, _ in messages:
             try:
-                first, values = codec.decode(raw)
+                first, values = self._motion.decode(raw)
             except InputError:
                 self.refused += 1
             else:
                 self._reference.motion(first, values[:, 0, :])
 
-    def samples(self, states: Messages, forces: Messages) -> list[Stretch]:
-        """Take in what came of the rig's states and of reference forces.
+    def samples(self, states: Sequence[Messages], forces: Messages) -> list[Stretch]:
+        """Take in what came of each rig's states and of reference forces.
 
         Returns
         -------
@@ -89,16 +106,16 @@ class Intake:
             What of the history is new, and will not change.
         """
         self._new = []
-        for part, sent in self._batches(RIG_STATE, states):
-            jumps = np.diff(part.steps)
+        for steps, values, sent in self._batches_of_states(states):
+            jumps = np.diff(steps)
             cuts = np.flatnonzero((jumps < 0) | (jumps > LONGEST_GAP)) + 1
             for piece in np.split(np.arange(len(sent)), cuts):
                 if len(piece):
-                    self._take_states(part.steps[piece], part.values[piece], sent[piece])
-        for part, sent in self._batches(REFERENCE_FORCE, forces):
+                    self._take_states(steps[piece], values[piece], sent[piece])
+        for part, sent in self._batches(self._forces, forces):
             self._take_forces(part.steps, part.values[:, 0].astype(np.float32), sent)
         self._advance_reference()
-        self._release(HELD_BACK if states else 0)
+        self._release(HELD_BACK if any(states) else 0)
         return self._new
 
     def _release(self, held_back: int) -> None:
@@ -106,7 +123,20 @@ class Intake:
         if stretch is not None:
             self._new.append(stretch)
 
-    def _batches(self, topic: LoopTopic, messages: Messages) -> list[tuple[Batch, Steps]]:
+    def _batches_of_states(self, states: Sequence[Messages]) -> list[Batch]:
+        """Decode states; of several rigs, give what is there of all."""
+        found = [
+            (number, (part.steps, part.values, sent))
+            for number, (codec, messages) in enumerate(zip(self._states, states, strict=True))
+            for part, sent in self._batches(codec, messages)
+        ]
+        if self._of_rigs is None:
+            return [batch for _, batch in found]
+        for number, batch in found:
+            self._of_rigs.take(number, batch)
+        return [self._of_rigs.complete()]
+
+    def _batches(self, codec: TrajectoryCodec, messages: Messages) -> list[tuple[Decoded, Steps]]:
         """Decode messages, those of equal length together; with the time each was sent."""
         found, start = [], 0
         for end in range(1, len(messages) + 1):
@@ -114,7 +144,7 @@ class Intake:
                 continue
             raws = [raw for raw, _ in messages[start:end]]
             rows = np.frombuffer(b"".join(raws), np.uint8).reshape(end - start, -1)
-            batch = decode_batch(self._codecs[topic.name], rows).up_to(0)
+            batch = decode_batch(codec, rows).up_to(0)
             self.refused += batch.refused
             sent = np.array([sent for _, sent in messages[start:end]], np.int64)
             found.append((batch, sent[batch.messages]))

@@ -7,6 +7,8 @@ from typing import Any
 
 from seft_msgs_py.awake_clock import AwakeClock
 from seft_msgs_py.messages import Status
+from seft_msgs_py.outcome import RIG
+from seft_msgs_py.rigs import bare
 from seft_msgs_py.topics import NODES
 
 from seft_ros.experiment.state_machine import ENDED, State
@@ -54,7 +56,7 @@ class Session:
         self._silent = False
         self._last = ("", "")
         self._nodes: dict[str, tuple[Status, float]] = {}
-        self._rig: dict[str, str] = {}
+        self._rigs: dict[str, dict[str, str]] = {}
         self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS)
 
     def look(self) -> None:
@@ -83,26 +85,26 @@ class Session:
     def begin(self) -> None:
         """Forget the last test's round trips and margins."""
         self.round_trips = []
-        self._rig = {}
+        self._rigs = {}
 
     def on_diagnostics(self, statuses: list[Status], dt: float) -> None:
         """Take in what nodes say of themselves; dt is the period of a step, s."""
         for status in statuses:
-            if status.name not in NODES:
+            if bare(status.name) not in NODES:
                 continue
             self._nodes[status.name] = (status, self._now)
-            if status.name == "rig" and status.values.get("phase", "idle") != "idle":
-                self._follow_rig(status.values, dt)
+            if bare(status.name) == RIG and status.values.get("phase", "idle") != "idle":
+                self._follow_rig(status, dt)
 
     def on_description(self, node: str, parameters: dict[str, Any]) -> None:
-        """Take in a node's parameters."""
-        self.sections[node] = parameters
+        """Take in a node's parameters; those of several rigs are of all."""
+        self.sections[bare(node)] = parameters
 
     def told(self) -> dict[str, Any]:
         """Make what the page shows of it, JSON values."""
         experiment = self._experiment
         values = experiment.values if experiment else {}
-        rig = self._rig
+        rig = self._of_all_rigs()
         return {
             "heard": experiment is not None,
             "silent": self._silent,
@@ -116,7 +118,7 @@ class Session:
             "overruns": _whole(rig.get("overruns")),
             "margins": _named(rig, MARGIN),
             "round_trip": _named(rig, ROUND_TRIP),
-            "nodes": [self._node(name) for name in NODES if name in self._nodes],
+            "nodes": [self._node(name) for name in sorted(self._nodes, key=_order) if name],
             "parameters": self._parameters(),
         }
 
@@ -142,12 +144,34 @@ class Session:
             if self.sections.get(node, {}).get(name) not in (None, "", 0)
         }
 
-    def _follow_rig(self, values: dict[str, str], dt: float) -> None:
-        if values == self._rig:
+    def _of_all_rigs(self) -> dict[str, str]:
+        """Put together what rigs tell: what they miss added up, else the worst of each."""
+        told = list(self._rigs.values())
+        if len(told) < 2:
+            return told[0] if told else {}
+        found = dict(told[0])
+        for other in told[1:]:
+            for name, text in other.items():
+                ours, theirs = _number(found.get(name)), _number(text)
+                if ours is None or theirs is None:
+                    continue
+                if name in ("missed", "overruns"):
+                    found[name] = str(round(ours + theirs))
+                elif name.startswith((MARGIN, ROUND_TRIP)):
+                    worst = min if name.startswith(MARGIN) else max
+                    found[name] = str(worst(ours, theirs))
+        return found
+
+    def _follow_rig(self, status: Status, dt: float) -> None:
+        before, values = self._rigs.get(status.name, {}), status.values
+        if values == before:
             return
+        is_first = next(iter(self._rigs), status.name) == status.name
         fresh = _whole(values.get("steps")) or 0
-        told = _whole(self._rig.get("steps")) or 0
-        self._rig = dict(values)
+        told = _whole(before.get("steps")) or 0
+        self._rigs[status.name] = dict(values)
+        if not is_first:
+            return  # round trips are shown of one
         if fresh < told:
             self.round_trips = []  # of another test
         elif fresh == told:
@@ -168,6 +192,10 @@ class Session:
         self._events.append(
             {"at": round(self._wall(), 3), "what": what, "detail": detail, "level": level}
         )
+
+
+def _order(node: str) -> tuple[int, str]:
+    return (NODES.index(bare(node)) if node else 0, node)
 
 
 def _named(values: dict[str, str], start: str) -> dict[str, float]:

@@ -56,9 +56,12 @@ class Watch:
         """Take what has come; give what is new, for pages that know the rest."""
         self._hear_nodes()
         take = self._graph.take
-        motion, states, forces = take(GROUND_MOTION), take(RIG_STATE), take(REFERENCE_FORCE)
+        intake = self.intake
+        rigs = [RIG_STATE] if intake is None else [RIG_STATE.of(rig) for rig in intake.rigs]
+        motion, forces = take(GROUND_MOTION), take(REFERENCE_FORCE)
+        states = [take(topic) for topic in rigs]
         frames: list[Frame] = []
-        if (intake := self.intake) is not None:
+        if intake is not None:
             before = intake.number
             intake.motion(motion)
             new = intake.samples(states, forces)

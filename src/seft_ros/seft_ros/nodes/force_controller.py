@@ -47,45 +47,42 @@ class ForceControllerNode:
 
     def __init__(self, shell: NodeShell) -> None:
         experiment = shell.experiment
-        section = experiment["force_controller"]
+        section, timebase = experiment["force_controller"], experiment.timebase
+        rig, axes = shell.rig, shell.rig.axes
         self._shell = shell
         self._controller = Interlock.from_parameters(
-            force_control(section, experiment.axes, experiment.timebase),
-            section,
-            experiment.axes,
-            experiment.timebase,
+            force_control(section, experiment.axes, timebase, rig), section, axes, timebase
         )
-        self._command_codec = TrajectoryCodec(VALVE_COMMAND, experiment.axes, experiment.timebase)
-        self._publish = shell.publisher(VALVE_COMMAND)
+        self._command_codec = TrajectoryCodec(VALVE_COMMAND.of(rig), axes, timebase)
+        self._publish = shell.publisher(self._command_codec.topic)
         self._states: dict[int, Floats] = {}
         self._previews: NewestPreview | None = None
         if section["loop_delay"]:
-            self._previews = NewestPreview.from_parameters(
-                section, experiment.axes, experiment.timebase
-            )
+            self._previews = NewestPreview.from_parameters(section, axes, timebase)
         self._forces = self._previews or MatchedForces()
         self._told_at = 0.0
         self._moving = False  # as the supervisor says
-        self._order = SampleOrder(experiment.timebase)
+        self._order = SampleOrder(timebase)
         self._silence = Silence(section["watchdog.state_timeout"])
         self._refused_before = 0  # messages, until the last state came
         self._warm_up()
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
         if self._previews is not None:
-            send_back = shell.publisher(LINK_PONG)
-            shell.subscribe(LINK_PING, lambda raw, _: send_back(raw), reliable=False)
-        self._force_codec, self._state_codec = (
-            TrajectoryCodec(topic, experiment.axes, experiment.timebase)
-            for topic in (REFERENCE_FORCE, RIG_STATE)
-        )
+            send_back = shell.publisher(LINK_PONG.of(rig))
+            shell.subscribe(LINK_PING.of(rig), lambda raw, _: send_back(raw), reliable=False)
+        self._force_codec = TrajectoryCodec(REFERENCE_FORCE, experiment.axes, timebase)
+        self._state_codec = TrajectoryCodec(RIG_STATE.of(rig), axes, timebase)
+        # the reference force is one message for all rigs
+        self._places = list(rig.places) if rig.name else slice(None)
         # without a link the state of a step is nearly always there before the force that answers
         # it: only the force is worth waking up for
         shell.subscribe(REFERENCE_FORCE, self._on_force, reliable=False)
         wake = self._previews is not None
-        self._read_state = shell.subscribe(RIG_STATE, self._on_state, wake=wake, reliable=False)
+        state = self._state_codec.topic
+        self._read_state = shell.subscribe(state, self._on_state, wake=wake, reliable=False)
 
     def _warm_up(self) -> None:
-        axes = len(self._shell.experiment.axes)
+        axes = len(self._shell.rig.axes)
         force, state = np.zeros(axes), np.zeros((4, axes))
         for step in range(WARM_UP_STEPS):
             raw = self._command_codec.encode(step, self._controller.step(step, force, state))
@@ -148,7 +145,7 @@ class ForceControllerNode:
 
     def _on_force(self, raw: bytes, _: int) -> None:
         step, values = self._force_codec.decode(raw)
-        points, name = values[:, 0], REFERENCE_FORCE.name
+        points, name = values[:, 0, self._places], REFERENCE_FORCE.name
         if self._controller.reason and step <= self._order.last:
             return
         for force in points:

@@ -15,16 +15,18 @@ from seft_msgs_py.description import decode_description
 from seft_msgs_py.messages import Status, decode_diagnostics, decode_status, encode_string
 from seft_msgs_py.node_main import NodeKind, run_node
 from seft_msgs_py.node_shell import Handler, NodeShell
+from seft_msgs_py.outcome import RIG
 from seft_msgs_py.realtime import boot
 from seft_msgs_py.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
+    ESTIMATES,
     EXPERIMENT_STATE,
     GROUND_MOTION,
-    RECORDED_TOPICS,
     RIG_STATE,
-    STEP_TOPICS,
+    LoopTopic,
     Topic,
+    topics_of,
 )
 from seft_msgs_py.trajectory import TrajectoryCodec
 
@@ -65,8 +67,13 @@ class RecorderNode:
         self._samples, self._expected = 0, 0  # of the rig
         self._environment = describe_environment("run")  # asks git once, before a test runs
         self._watch: StallWatch | None = None
-        for topic in RECORDED_TOPICS:
-            depth = 64 if topic.latched and topic is not GROUND_MOTION else READ_DEPTH
+        rigs = shell.experiment.rigs
+        self._rig_states = [RIG_STATE.of(rig) for rig in rigs]
+        self._paced_by = rigs[0].node(RIG)
+        for topic in topics_of(rigs):
+            if not topic.recorded:
+                continue
+            depth = 64 if topic.latched and topic != GROUND_MOTION else READ_DEPTH
             shell.subscribe(topic, self._receiver(topic), depth=depth, wake=False)
 
     def run(self) -> None:
@@ -93,22 +100,22 @@ class RecorderNode:
                 self._close()
 
     def _receiver(self, topic: Topic) -> Handler:
-        of_a_step = topic in STEP_TOPICS
+        of_a_step = topic == ESTIMATES or isinstance(topic, LoopTopic)
 
         def receive(raw: bytes, now: int) -> None:
             if of_a_step:
                 self._step_message_at = time.monotonic()
-            if topic is DESCRIPTION:
+            if topic == DESCRIPTION:
                 node, _ = decode_description(raw)
                 self._descriptions[node] = (topic, raw, now)
-            if topic is EXPERIMENT_STATE:
+            if topic == EXPERIMENT_STATE:
                 self._follow(decode_status(raw))
             if self._bag is not None:
                 self._bag.write(topic, raw, now)
-                self._samples += topic is RIG_STATE
+                self._samples += topic in self._rig_states
             elif of_a_step:
                 self._keep(topic, raw, now)
-            if topic is DIAGNOSTICS:
+            if topic == DIAGNOSTICS:
                 for status in decode_diagnostics(raw)[1]:
                     if status.name == "reference_force":
                         self._force_phase = status.values.get("phase", "")
@@ -117,7 +124,7 @@ class RecorderNode:
 
     def _keep(self, topic: Topic, raw: bytes, now: int) -> None:
         """Hold what comes before the bag is open; a new ground motion replaces an old one."""
-        if topic is GROUND_MOTION and self._motion_codec.decode(raw)[0] == 0:
+        if topic == GROUND_MOTION and self._motion_codec.decode(raw)[0] == 0:
             self._before.clear()
         self._before.append((topic, raw, now))
 
@@ -136,7 +143,8 @@ class RecorderNode:
             last = test.values.get("step", "")  # where it tripped
             steps = test.values.get("steps", "") if phase == "done" else ""
             steps = steps if steps.isdecimal() else "0"
-            self._expected = int(last) + 1 if last.isdecimal() else int(steps)
+            expected = int(last) + 1 if last.isdecimal() else int(steps)
+            self._expected = expected * len(self._rig_states)
         self._phase = phase
 
     def _open(self) -> None:
@@ -150,7 +158,7 @@ class RecorderNode:
         for topic, raw, _ in self._descriptions.values():
             self._bag.write(topic, raw, now)
         self._watch_the_machine()
-        self._samples = sum(topic is RIG_STATE for topic, _, _ in self._before)
+        self._samples = sum(topic in self._rig_states for topic, _, _ in self._before)
         while self._before:
             self._bag.write(*self._before.popleft())
         self._bag.flush()
@@ -172,9 +180,9 @@ class RecorderNode:
 
     def _watch_the_machine(self) -> None:
         """Have stalls of the loop's core noted, where the rig keeps a pace and is on this host."""
-        if self._watch is None or "rig" not in self._descriptions:
+        if self._watch is None or self._paced_by not in self._descriptions:
             return
-        _, rig = decode_description(self._descriptions["rig"][1])
+        _, rig = decode_description(self._descriptions[self._paced_by][1])
         there = rig.get("realtime", {})
         if rig["parameters"].get("pace") == "realtime" and there.get("boot") == boot():
             period = self._shell.experiment.timebase.dt

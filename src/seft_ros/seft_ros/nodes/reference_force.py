@@ -5,13 +5,15 @@ Phases: ready, ramping_down, at_rest, ended.
 """
 
 import sys
+import time
+from functools import partial
 
 import numpy as np
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.estimates import EstimatesCodec
 from seft_msgs_py.messages import ERROR, OK, Status, decode_status
 from seft_msgs_py.node_main import NodeKind, run_node
-from seft_msgs_py.node_shell import WARM_UP_STEPS, NodeShell
+from seft_msgs_py.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell
 from seft_msgs_py.outcome import tripped_status
 from seft_msgs_py.topics import (
     ESTIMATES,
@@ -31,6 +33,9 @@ from seft_ros.reference_force.estimate_sampler import EstimateSampler
 from seft_ros.reference_force.motion_buffer import MotionBuffer
 from seft_ros.reference_force.parameters import TABLE
 from seft_ros.reference_force.previewed_force import PreviewedForce
+from seft_ros.reference_force.state_gathering import StateGathering
+
+RIG_LOOK = 0.002  # s between looks for the state of a rig that is late
 
 
 class ReferenceForceNode:
@@ -49,10 +54,18 @@ class ReferenceForceNode:
                 self._block, section, experiment.axes, experiment.timebase
             )
         self._window = 1 + (self._previewed or self._block).preview
-        self._motion_codec, self._state_codec, self._force_codec = (
+        self._motion_codec, self._force_codec = (
             TrajectoryCodec(topic, experiment.axes, experiment.timebase)
-            for topic in (GROUND_MOTION, RIG_STATE, REFERENCE_FORCE)
+            for topic in (GROUND_MOTION, REFERENCE_FORCE)
         )
+        self._state_codecs = [
+            TrajectoryCodec(RIG_STATE.of(rig), rig.axes, experiment.timebase)
+            for rig in experiment.rigs
+        ]
+        self._gathering: StateGathering | None = None
+        if len(experiment.rigs) > 1:
+            timeout = section["watchdog.rig_timeout"]
+            self._gathering = StateGathering(experiment.rigs, timeout)
         self._sampler = EstimateSampler(self._block, experiment.timebase)
         self._estimates_codec = EstimatesCodec(experiment.axes, experiment.timebase)
         self._publish = shell.publisher(REFERENCE_FORCE)
@@ -67,7 +80,12 @@ class ReferenceForceNode:
         self._warm_up()
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
         shell.subscribe(GROUND_MOTION, self._on_ground_motion)
-        shell.subscribe(RIG_STATE, self._on_rig_state, reliable=False)
+        # behind a link, who is late bridges what is old rather than answer it
+        delay = max(section["loop_delay"], 0)
+        depth = 2 * (2 + delay) if delay else None
+        for number, codec in enumerate(self._state_codecs):
+            receive = partial(self._on_rig_state, number)
+            shell.subscribe(codec.topic, receive, depth=depth, reliable=False)
 
     def begin(self) -> None:
         """Say that the node is ready."""
@@ -75,16 +93,24 @@ class ReferenceForceNode:
 
     def run(self) -> None:
         """Answer until told to stop."""
-        self._shell.spin()
+        self._shell.spin(self.look, self._pause)
 
     def look(self) -> None:
-        """Nothing here falls due by time alone."""
+        """See whether the states of one of several rigs have failed to come."""
+        running = self._order.steps and not self._order.in_lockstep
+        if self._gathering is not None and running and not self._conflict:
+            self._trip_for(self._gathering.lost(time.monotonic()), max(self._order.last, 0))
+
+    def _pause(self) -> float:
+        waiting = self._gathering is not None and self._gathering.is_waiting
+        return RIG_LOOK if waiting else IDLE_WAIT
 
     def _warm_up(self) -> None:
         axes = len(self._shell.experiment.axes)
         motion, state = np.zeros((self._window, axes)), np.zeros((4, axes))
         for step in range(WARM_UP_STEPS):
-            self._state_codec.decode(self._state_codec.encode(step, state))
+            for codec in self._state_codecs:
+                codec.decode(codec.encode(step, state[:, : len(codec.axes)]))
             self._message(step, motion, state)
             self._order.last = step
             if step >= self._sampler.due and (estimates := self._sampler.sample(step)):
@@ -95,6 +121,8 @@ class ReferenceForceNode:
     def _reset(self) -> None:
         self._cause_step = -1
         self._waiting.clear()
+        if self._gathering is not None:
+            self._gathering.reset()
         self._rest()
         self._sampler.reset()
         self._follow_test()
@@ -119,8 +147,8 @@ class ReferenceForceNode:
         for step in sorted(self._waiting):
             self._answer(step, self._waiting[step])
 
-    def _on_rig_state(self, raw: bytes, _: int) -> None:
-        step, values = self._state_codec.decode(raw)
+    def _on_rig_state(self, rig: int, raw: bytes, _: int) -> None:
+        step, values = self._state_codecs[rig].decode(raw)
         check_magnitude("rig/state of step", step, values)
         if step == 0:
             self._shell.catch_up(EXPERIMENT_STATE)  # what was told before does not end this test
@@ -128,21 +156,23 @@ class ReferenceForceNode:
             raise WireError(f"rig/state of step {step}: the test is {self._test}")
         if self._order.begins(step):
             self._reset()
-            self._conflict = self._shell.several_senders()
-            if self._conflict:
-                self._shell.report(tripped_status("reference_force", self._conflict, step))
+            self._trip_for(self._shell.several_senders(), step)
         self._order.check("rig/state", step)
         if step in self._waiting:
             raise WireError(f"rig/state of step {step} a second time")
-        if not self._conflict:
-            self._answer(step, values[0])
+        state: Floats | None = values[0]
+        if self._gathering is not None:
+            state = self._gathering.take(rig, step, values[0], time.monotonic())
+        if state is not None and not self._conflict:
+            self._answer(step, state)
 
     def _on_experiment_state(self, raw: bytes, _: int) -> None:
         status = decode_status(raw)
         if status.message == self._test:
             return  # a sign of life
         if status.message == State.DONE:  # a link's rig does not wait for the last answers
-            self._shell.catch_up(RIG_STATE)
+            for codec in self._state_codecs:
+                self._shell.catch_up(codec.topic)
         self._test = status.message
         self._order.follow(status)
         self._follow_test()
@@ -160,6 +190,12 @@ class ReferenceForceNode:
             self._conflict = ""
             self._rest()
             self._report("ready")
+
+    def _trip_for(self, reason: str, step: int) -> None:
+        """End the test for a reason, if there is one: nothing is answered any more."""
+        self._conflict = reason
+        if reason:
+            self._shell.report(tripped_status("reference_force", reason, step))
 
     def _answer(self, step: int, state: Floats) -> None:
         """Answer a state, or let it wait for the ground motion it needs."""

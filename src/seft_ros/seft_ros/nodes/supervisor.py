@@ -6,6 +6,7 @@ estop and reset.
 
 import sys
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -22,7 +23,8 @@ from seft_msgs_py.messages import (
 )
 from seft_msgs_py.node_main import NodeKind, run_node
 from seft_msgs_py.node_shell import NodeShell
-from seft_msgs_py.outcome import FINISHED, TRIPPED
+from seft_msgs_py.outcome import FINISHED, RIG, TRIPPED
+from seft_msgs_py.rigs import START, with_rigs
 from seft_msgs_py.timebase import NANOSECONDS_PER_SECOND
 from seft_msgs_py.topics import CLOCK_TOPIC, DESCRIPTION, DIAGNOSTICS, EXPERIMENT_STATE
 from std_srvs.srv import Trigger
@@ -47,6 +49,7 @@ MOST_AT_ONCE = 1000  # messages that are heard between two looks, in a flood
 LEVELS = {State.RAMPING_DOWN: WARN, State.TRIPPED: ERROR}
 SOFT_PEERS = ("ground_motion", "recorder")
 """Nodes without which the loop can still bring the force down."""
+START_AHEAD_NS = 200_000_000  # in which the word of the start reaches all rigs
 LOCKSTEP_PATIENCE = 10.0  # times the margin of realtime
 
 
@@ -56,7 +59,10 @@ class SupervisorNode:
     def __init__(self, shell: NodeShell) -> None:
         self._shell = shell
         self._section = shell.experiment["supervisor"]
-        self._peers: list[str] = self._section["peers"]
+        self._rigs = shell.experiment.rigs
+        self._peers = with_rigs(self._section["peers"], self._rigs)
+        self._rig_nodes = with_rigs([RIG], self._rigs)
+        self._start_ns = 0  # at which several rigs begin together
         self._timeout: float = self._section["watchdog.peer_timeout"]
         self._machine = StateMachine()
         self._lock = threading.Lock()
@@ -79,7 +85,7 @@ class SupervisorNode:
             ("start", machine.start),
             ("stop", machine.stop),
             ("estop", machine.estop),
-            ("reset", lambda: machine.reset(moving=self._phase("rig") == "running")),
+            ("reset", lambda: machine.reset(moving=self._is_any("running"))),
         ):
             shell.node.create_service(Trigger, name, self._service(request))
 
@@ -127,6 +133,7 @@ class SupervisorNode:
             self._state, self._since, self._silent = machine.state, self._now, None
             if self._state is State.RUNNING:
                 self._test_s = 0.0
+                self._start_ns = time.time_ns() + START_AHEAD_NS
 
     def _look_at_the_graph(self) -> None:
         if self._now - self._looked_at < LOOK:  # it takes a millisecond
@@ -135,7 +142,9 @@ class SupervisorNode:
         own = Status("supervisor", OK, "watching", values=self._shell.matched())
         self._heard["supervisor"] = Heard(own, self._now)
         self._machine.peers(
-            missing(self._peers, self._heard, self._descriptions, self._now, self._timeout)
+            missing(
+                self._peers, self._heard, self._descriptions, self._now, self._timeout, self._rigs
+            )
         )
 
     def _watch_peers(self) -> None:
@@ -156,7 +165,7 @@ class SupervisorNode:
 
     def _ramp_patience(self) -> float:
         margin = self._section["watchdog.ramp_margin"]
-        if self._parameters("rig").get(PACE) == "lockstep":
+        if self._parameters(self._rig_nodes[0]).get(PACE) == "lockstep":
             margin *= LOCKSTEP_PATIENCE
         return float(self._parameters("reference_force").get("ramp_down_time", 0.0)) + margin
 
@@ -192,8 +201,11 @@ class SupervisorNode:
             values[SILENT] = " ".join(self._silent)
         if "ground_motion" in self._heard:
             values["steps"] = self._heard["ground_motion"].status.values.get("steps", "0")
-        if PACE in self._parameters("rig"):
-            values[PACE] = str(self._parameters("rig")[PACE])
+        rig = self._parameters(self._rig_nodes[0])
+        if PACE in rig:
+            values[PACE] = str(rig[PACE])
+        if len(self._rigs) > 1 and machine.state in MOVING:
+            values[START] = str(self._start_ns)
         level = LEVELS.get(machine.state, OK)
         status = Status("experiment", level, str(machine.state), values=values)
         if status != self._published:
@@ -206,11 +218,12 @@ class SupervisorNode:
     def _on_diagnostics(self, raw: bytes, _: int) -> None:
         for status in decode_diagnostics(raw)[1]:
             self._heard[status.name] = Heard(status, self._awake.time(), self._test_s)
-            if status.name == "rig":
+            is_rig = status.name in self._rig_nodes
+            if is_rig:
                 self._follow_rig(status)
             elif status.name == "reference_force":
                 self._follow_reference_force(status)
-            if status.name != "rig" and status.values.get("phase") == TRIPPED:
+            if not is_rig and status.values.get("phase") == TRIPPED:
                 self._follow_tripped(status)
 
     def _follow_rig(self, status: Status) -> None:
@@ -218,11 +231,11 @@ class SupervisorNode:
         if phase not in (FINISHED, TRIPPED):
             return
         with self._lock:
-            if phase == FINISHED:
-                self._machine.finish(f"{status.values.get('steps')} steps done")
-            else:
+            if phase == TRIPPED:
                 reason = status.values.get("reason") or status.message
                 self._machine.hard_trip(reason, _step_of(status))
+            elif all(self._phase(rig) == FINISHED for rig in self._rig_nodes):
+                self._machine.finish(f"{status.values.get('steps')} steps done")
             self._publish_if_due()
 
     def _follow_tripped(self, status: Status) -> None:
@@ -252,6 +265,9 @@ class SupervisorNode:
     def _phase(self, node: str) -> str:
         heard = self._heard.get(node)
         return heard.status.values.get("phase", "") if heard else ""
+
+    def _is_any(self, phase: str) -> bool:
+        return any(self._phase(rig) == phase for rig in self._rig_nodes)
 
     def _parameters(self, node: str) -> dict[str, Any]:
         parameters: dict[str, Any] = self._descriptions.get(node, {}).get("parameters", {})

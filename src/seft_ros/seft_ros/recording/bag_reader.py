@@ -17,9 +17,9 @@ from seft_msgs_py.topics import (
     ESTIMATES,
     EXPERIMENT_STATE,
     GROUND_MOTION,
-    LOOP_TOPICS,
     REFERENCE_FORCE,
     RIG_STATE,
+    RIG_TOPICS,
     VALVE_COMMAND,
     Topic,
 )
@@ -37,7 +37,7 @@ from seft_ros.recording.gathering import (
 )
 from seft_ros.recording.inference import infer_experiment
 from seft_ros.recording.record import Record
-from seft_ros.recording.samples import on_steps_of, until
+from seft_ros.recording.samples import of_all_rigs, on_steps_of, until
 
 UNDECODABLE = "undecodable"
 """Key of a record's environment: messages that could not be understood, and were left out."""
@@ -75,8 +75,12 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         known = described or bool(description.sections)
         experiment = bag.experiment(description) if known else bag.inferred_experiment()
         loop: dict[Topic, SeriesGatherer] = {
-            topic: SeriesGatherer(topic, experiment, bag.count(topic)) for topic in LOOP_TOPICS
+            topic.of(rig): SeriesGatherer(topic, experiment, bag.count(topic.of(rig)), rig)
+            for topic in RIG_TOPICS
+            for rig in experiment.rigs
         }
+        for topic in (GROUND_MOTION, REFERENCE_FORCE):
+            loop[topic] = SeriesGatherer(topic, experiment, bag.count(topic))
         log = EventLog()
         estimates = EstimatesGatherer(experiment)
         statuses, test = StatusGatherer(experiment.timebase, log), StateGatherer(log)
@@ -89,8 +93,14 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         start_ns = reader.start_time
     finally:
         reader.close()
-    series = {topic.name: gatherer.series() for topic, gatherer in loop.items()}
-    outcome = statuses.outcome
+    series = {
+        topic.name: of_all_rigs(
+            [loop[topic.of(rig)].series() for rig in experiment.rigs], experiment.rigs
+        )
+        for topic in RIG_TOPICS
+    }
+    series |= {t.name: loop[t].series() for t in (GROUND_MOTION, REFERENCE_FORCE)}
+    outcome = statuses.outcome(len(experiment.rigs))
     if outcome is not None and outcome.steps > 0:  # what is stamped later, the rig never sampled
         series = {name: until(one, outcome.steps - 1) for name, one in series.items()}
     states = series[RIG_STATE.name].steps
@@ -113,7 +123,7 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         missed_steps=outcome.missed_steps if outcome else [],
         overruns=outcome.overruns if outcome else None,
         saturation=outcome.saturation if outcome else Saturation(),
-        link=statuses.link,
+        link=statuses.link(),
         events=log.events(start_ns),
         wall_s=outcome.wall_s if outcome else None,
         complete=outcome is not None,

@@ -8,6 +8,7 @@ from typing import Any
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.parameters import Section
+from seft_msgs_py.rigs import bare
 
 
 @dataclass
@@ -26,7 +27,7 @@ class Description:
     environment: dict[str, Any] = field(default_factory=dict)
 
     def experiment(self) -> Experiment:
-        """Make the experiment of the nodes' parameters.
+        """Make the experiment of the nodes' parameters; of several rigs the first's count.
 
         Raises
         ------
@@ -35,8 +36,11 @@ class Description:
         """
         if not self.sections:
             raise InputError("no node told its parameters")
+        sections: dict[str, Section] = {}
+        for node, section in self.sections.items():
+            sections.setdefault(bare(node), section)
         try:
-            return Experiment(self.sections)
+            return Experiment(sections)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise InputError(
                 f"the parameters that nodes told make no experiment: {error!r}"

@@ -20,6 +20,7 @@ from seft_msgs_py.messages import (
     decode_status,
 )
 from seft_msgs_py.outcome import Outcome, read_outcome
+from seft_msgs_py.rigs import RigAxes, bare
 from seft_msgs_py.timebase import NANOSECONDS_PER_SECOND, Timebase
 from seft_msgs_py.topics import GROUND_MOTION, REFERENCE_FORCE, LoopTopic
 from seft_msgs_py.trajectory import TrajectoryCodec
@@ -58,12 +59,21 @@ class SeriesGatherer:
         Tells axes and rate.
     expected : int
         Number of messages.
+    rig : RigAxes, optional
+        The one of several rigs whose topic it is; default the topic has all axes.
     """
 
-    def __init__(self, topic: LoopTopic, experiment: Experiment, expected: int) -> None:
+    def __init__(
+        self,
+        topic: LoopTopic,
+        experiment: Experiment,
+        expected: int,
+        rig: RigAxes | None = None,
+    ) -> None:
         self.undecodable = 0
-        self._codec = TrajectoryCodec(topic, experiment.axes, experiment.timebase)
-        self._samples = SampleBuffer(len(topic.quantities), len(experiment.axes), expected)
+        axes = rig.axes if rig else experiment.axes
+        self._codec = TrajectoryCodec(topic, axes, experiment.timebase)
+        self._samples = SampleBuffer(len(topic.quantities), len(axes), expected)
         self._timed = topic is not GROUND_MOTION  # which goes ahead, sooner or later
         self._ahead = inf
         if topic is REFERENCE_FORCE:
@@ -105,20 +115,12 @@ class EstimatesGatherer:
 
 
 class StatusGatherer:
-    """What the nodes told in their diagnostics: how the test ended, and what changed.
-
-    Attributes
-    ----------
-    outcome : Outcome or None
-        None as long as the rig said nothing of an end.
-    link : LinkRecord or None
-        None as long as the force controller said nothing of one.
-    """
+    """What the nodes told in their diagnostics: how the test ended, and what changed."""
 
     def __init__(self, timebase: Timebase, log: "EventLog") -> None:
         self.undecodable = 0
-        self.outcome: Outcome | None = None
-        self.link: LinkRecord | None = None
+        self._outcomes: dict[str, Outcome] = {}  # of the rigs
+        self._links: dict[str, LinkRecord] = {}  # of the force controllers
         self._timebase, self._log = timebase, log
         self._decode = lru_cache(64)(decode_diagnostics)  # nodes repeat themselves
 
@@ -130,14 +132,25 @@ class StatusGatherer:
             self.undecodable += 1
             return
         for status in statuses:
-            self.outcome = read_outcome(status, self._timebase) or self.outcome
-            if status.name == "force_controller" and "link" in status.values:
-                self._take_link(status.values["link"])
+            if (outcome := read_outcome(status, self._timebase)) is not None:
+                self._outcomes[status.name] = outcome
+            if bare(status.name) == "force_controller" and "link" in status.values:
+                self._take_link(status.name, status.values["link"])
             self._log.add(received_ns, status, status.message)
 
-    def _take_link(self, text: str) -> None:
+    def outcome(self, rigs: int) -> Outcome | None:
+        """How the test ended, once as many rigs as it has have said so; else None."""
+        if len(self._outcomes) < rigs:
+            return None
+        return Outcome.of_all(list(self._outcomes.values()))
+
+    def link(self) -> LinkRecord | None:
+        """How messages came over links; None as long as no force controller told of one."""
+        return LinkRecord.of_all(self._links.values()) if self._links else None
+
+    def _take_link(self, node: str, text: str) -> None:
         try:
-            self.link = LinkRecord.from_json(text)
+            self._links[node] = LinkRecord.from_json(text)
         except ValueError:
             self.undecodable += 1
 

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
@@ -9,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.estimates import EstimatesCodec
 from seft_msgs_py.messages import encode_diagnostics, encode_string
-from seft_msgs_py.outcome import FINISHED, TRIPPED, rig_status
+from seft_msgs_py.outcome import FINISHED, RIG, TRIPPED, rig_status
+from seft_msgs_py.rigs import RigAxes
 from seft_msgs_py.timebase import NANOSECONDS_PER_SECOND
 from seft_msgs_py.topics import (
     DESCRIPTION,
@@ -18,6 +20,7 @@ from seft_msgs_py.topics import (
     GROUND_MOTION,
     LOOP_TOPICS,
     RIG_STATE,
+    RIG_TOPICS,
     STEP_TOPICS,
 )
 from seft_msgs_py.trajectory import TrajectoryCodec
@@ -70,8 +73,16 @@ def write_record(
         If the disk is full.
     """
     timebase, axes = record.experiment.timebase, record.experiment.axes
-    start_ns = _start_ns(record)
-    codecs = {topic.name: TrajectoryCodec(topic, axes, timebase) for topic in LOOP_TOPICS}
+    start_ns, rigs = _start_ns(record), record.experiment.rigs
+    whole = RigAxes.whole(axes)
+    codecs = {
+        topic.name: [
+            (rig.places, TrajectoryCodec(topic.of(rig), rig.axes, timebase))
+            for rig in (rigs if topic in RIG_TOPICS else [whole])
+        ]
+        for topic in LOOP_TOPICS
+    }
+    ((_, motion_codec),) = codecs[GROUND_MOTION.name]
     estimates_codec = EstimatesCodec(axes, timebase)
     motion = _motion(record, ground_motion)
     events, not_finite = _events(record)
@@ -86,16 +97,18 @@ def write_record(
             time_ns = start_ns + timebase.stamp_ns(step)
             while sent < len(motion) and motion[max(0, sent - 1)].first_step <= step:
                 run = motion[sent]
-                raw = codecs[GROUND_MOTION.name].encode_points(run.first_step, run.values)
+                raw = motion_codec.encode_points(run.first_step, run.values)
                 bag.write(GROUND_MOTION, raw, time_ns)
                 sent += 1
             topic = STEP_TOPICS[which]
             if topic is ESTIMATES and record.estimates:
                 named = zip(record.estimates.names, record.estimates.values[index], strict=True)
-                raw = estimates_codec.encode(step, dict(named))
-            else:
-                raw = codecs[topic.name].encode(step, record.series[topic.name].values[index])
-            bag.write(topic, raw, time_ns)
+                bag.write(topic, estimates_codec.encode(step, dict(named)), time_ns)
+                continue
+            values = record.series[topic.name].values[index]
+            for places, codec in codecs[topic.name]:
+                raw = codec.encode(step, np.ascontiguousarray(values[:, places]))
+                bag.write(codec.topic, raw, time_ns)
         if record.complete and record.missed is not None:
             sampled = record.series[RIG_STATE.name].steps
             status = rig_status(
@@ -108,7 +121,11 @@ def write_record(
                 overruns=record.overruns or 0,
                 saturation=record.saturation,
             )
-            bag.write(DIAGNOSTICS, encode_diagnostics(time_ns, [status]), time_ns)
+            # what is of the rigs together is told of the first
+            statuses = [replace(status, name=rig.node(RIG)) for rig in rigs]
+            quiet = {"missed": "0", "missed_steps": "", "overruns": "0", "saturated": "{}"}
+            statuses[1:] = [replace(s, values={**s.values, **quiet}) for s in statuses[1:]]
+            bag.write(DIAGNOSTICS, encode_diagnostics(time_ns, statuses), time_ns)
 
 
 def _motion(record: Record, given: Iterable[Chunk] | None) -> Sequence[Run]:

@@ -1,11 +1,12 @@
 """Samples of a topic, gathered message by message in whatever order they come."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import WireError
+from seft_msgs_py.rigs import RigAxes
 
 from seft_ros.recording.record import Estimates, Series
 
@@ -128,6 +129,35 @@ def consecutive_runs(series: Series, longest: int) -> list[Run]:
             values = series.values[at : min(at + longest, int(end))]
             runs.append(Run(int(series.steps[at]), values))
     return runs
+
+
+def of_all_rigs(parts: Sequence[Series], rigs: Sequence[RigAxes]) -> Series:
+    """Put the series of several rigs together: the steps that all have, received when all were.
+
+    Parameters
+    ----------
+    parts : sequence of Series
+        Of each rig, over its own axes.
+    rigs : sequence of RigAxes
+        Which these are.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    steps = parts[0].steps
+    for part in parts[1:]:
+        steps = np.intersect1d(steps, part.steps, assume_unique=True)
+    rows = [np.searchsorted(part.steps, steps) for part in parts]
+    shape = (len(steps), parts[0].values.shape[1], sum(len(rig.axes) for rig in rigs))
+    values = np.empty(shape)
+    for part, kept, rig in zip(parts, rows, rigs, strict=True):
+        values[:, :, list(rig.places)] = part.values[kept]
+    times = [
+        part.received_ns[kept]
+        for part, kept in zip(parts, rows, strict=True)
+        if part.received_ns is not None
+    ]
+    received = np.max(times, axis=0) if len(times) == len(parts) else None
+    return Series(steps, values, received_ns=received)
 
 
 def until(series: Series, last_step: int) -> Series:

@@ -216,6 +216,14 @@ TABLE = Table(
             "kg",
         ),
         Parameter(
+            "tracking.blocked_error",
+            "floats",
+            [0.0],
+            "force error over force of the loop where the piston is held still, a polynomial in s, "
+            "highest power first: what the loop does to a specimen that departs from that one; "
+            "0: not known",
+        ),
+        Parameter(
             "limits.force",
             "float",
             22200.0,
@@ -258,6 +266,15 @@ TABLE = Table(
             "frequency, which the model gives",
             "Hz",
             minimum=0.0,
+        ),
+        Parameter(
+            "watchdog.rig_timeout",
+            "float",
+            0.01,
+            "of several rigs in realtime: longest time that the state of one may fail to come "
+            "when another's is there, before the test trips",
+            "s",
+            positive=True,
         ),
         Parameter(
             "ramp_down_time",

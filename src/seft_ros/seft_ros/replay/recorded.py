@@ -63,6 +63,8 @@ def read_recorded(path: str | Path) -> Recorded:
         If the bag can't be read, does not have the test's beginning, or has several tests.
     """
     record = read_bag(path)
+    if len(record.experiment.rigs) > 1:
+        raise InputError(f"{path}: a test of several rigs; only tests of one can be replayed")
     states = record.series[RIG_STATE.name].steps
     if not len(states):
         raise InputError(f"{path}: the bag has no rig/state; record that topic, too")

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from seft_msgs_py.rigs import bare, rig_name
+
 LOOP_NODES = ("rig", "reference_force", "force_controller")
 """Nodes that work one after the other within a step."""
 
@@ -14,9 +16,10 @@ class Arrangement:
     ----------
     pin : bool
         Keep the loop's nodes on one core and the others off it. They work in turn, so that a
-        second core gives them nothing but wake-ups across cores.
+        second core gives them nothing but wake-ups across cores. Several rigs work side by side,
+        and have as many cores.
     composed : bool
-        Put the loop's nodes into one process.
+        Put the loop's nodes into one process; with several rigs, each rig's own.
     priority : int
         Real-time priority and locked memory for the loop's nodes; 0: none.
     """
@@ -27,6 +30,16 @@ class Arrangement:
 
     def groups(self, nodes: list[str]) -> list[tuple[str, ...]]:
         """Sort nodes into processes, in order."""
-        together = tuple(node for node in LOOP_NODES if node in nodes) if self.composed else ()
-        alone: list[tuple[str, ...]] = [(node,) for node in nodes if node not in together]
-        return [*alone, together] if together else alone
+        if not self.composed:
+            return [(node,) for node in nodes]
+        together: dict[str, list[str]] = {}  # by rig
+        for node in sorted(nodes, key=lambda node: order_in_loop(bare(node))):
+            if bare(node) in LOOP_NODES:
+                together.setdefault(rig_name(node), []).append(node)
+        alone: list[tuple[str, ...]] = [(node,) for node in nodes if bare(node) not in LOOP_NODES]
+        return [*alone, *(tuple(group) for group in together.values())]
+
+
+def order_in_loop(node: str) -> int:
+    """Place of a node among those of the loop; behind them for another."""
+    return LOOP_NODES.index(node) if node in LOOP_NODES else len(LOOP_NODES)

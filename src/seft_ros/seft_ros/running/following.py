@@ -104,7 +104,7 @@ class Following:
     def _is_left_alone(self) -> bool:
         """Tell whether nobody is left who could say that the test is over, and the rig rests."""
         alone = self._observer.silence() > self._timeout + SLACK
-        return alone and self._observer.rig_phase != "running"
+        return alone and not self._observer.is_moving
 
     def _wait_for_the_verdict(self) -> None:
         """Wait until the supervisor knows who fell silent before a trip."""

@@ -1,6 +1,7 @@
 """What the `seft` command sees of a test on the graph, and the services it calls."""
 
 import time
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import rclpy
@@ -10,8 +11,11 @@ from rclpy.signals import SignalHandlerOptions
 from seft_msgs_py.awake_clock import AwakeClock
 from seft_msgs_py.claim import is_claimed
 from seft_msgs_py.errors import ExperimentError
+from seft_msgs_py.leaving import leave_graph
+from seft_msgs_py.outcome import RIG
+from seft_msgs_py.rigs import bare
 from seft_msgs_py.ros_types import message_class, qos_profile
-from seft_msgs_py.topics import CLOCK_TOPIC, DIAGNOSTICS, EXPERIMENT_STATE, NODES
+from seft_msgs_py.topics import CLOCK_TOPIC, DIAGNOSTICS, EXPERIMENT_STATE, NODES, Topic
 from std_srvs.srv import Trigger
 
 SERVICE_TIMEOUT = 10.0  # s
@@ -19,6 +23,11 @@ SERVICE_TIMEOUT = 10.0  # s
 
 class Observer:
     """Follows experiment/state, /clock and the recorder's status.
+
+    Parameters
+    ----------
+    nodes : sequence of str
+        Names that the nodes of a test have.
 
     Attributes
     ----------
@@ -30,17 +39,19 @@ class Observer:
         Experiment time, nanoseconds.
     recorder_phase : str
         ``idle``, ``recording``, ``saved``.
-    rig_phase : str
-        ``idle``, ``running``, ``finished``, ``tripped``.
+    is_moving : bool
+        Whether a rig says that it runs.
     since : float
         When it came up, monotonic, s.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, nodes: Sequence[str] = NODES) -> None:
+        self._nodes = tuple(nodes)
         self.state = ""
         self.values: dict[str, str] = {}
         self.time_ns = 0
-        self.recorder_phase = self.rig_phase = ""
+        self.recorder_phase = ""
+        self._running: set[str] = set()  # rigs
         self._awake = AwakeClock()
         self._heard_at = self._awake.time()
         self.since = time.monotonic()
@@ -93,20 +104,42 @@ class Observer:
 
     def present(self) -> list[str]:
         """Names of a test's nodes that are on the graph, or on this host and not yet found."""
-        found = set(self._node.get_node_names())
-        domain = self._node.context.get_domain_id()
-        return [node for node in NODES if node in found or is_claimed(domain, f"/{node}")]
+        found, domain = self._found(), self._node.context.get_domain_id()
+        ours = [node for node in self._nodes if node in found or is_claimed(domain, f"/{node}")]
+        return ours + self._of_other_namespaces(found)
 
     def twins(self) -> list[str]:
         """Names of a test's nodes that are on the graph more than once."""
-        found = self._node.get_node_names()
-        return [node for node in NODES if found.count(node) > 1]
+        found = self._found()
+        twice = [node for node in self._nodes if found.count(node) > 1]
+        return twice + self._of_other_namespaces(found)
+
+    def conflict(self, topics: Iterable[Topic]) -> str:
+        """Say which of some topics more than one node publishes; empty if none."""
+        for topic in topics:
+            if (count := self._node.count_publishers(topic.name)) > 1:
+                return f"{count} nodes publish {topic.name}"
+        return ""
+
+    @property
+    def is_moving(self) -> bool:
+        """See the attributes."""
+        return bool(self._running)
+
+    def _of_other_namespaces(self, found: Sequence[str]) -> list[str]:
+        """Nodes of another test, which shares /clock with this one."""
+        others = set(found) - set(self._nodes)
+        return sorted(node for node in others if bare(node) in NODES)
+
+    def _found(self) -> list[str]:
+        """Names of all nodes on the graph, with their namespaces, without the first slash."""
+        pairs = self._node.get_node_names_and_namespaces()
+        return [f"{namespace.rstrip('/')}/{name}"[1:] for name, namespace in pairs]
 
     def close(self) -> None:
         """Leave the graph."""
         self._executor.shutdown()
-        self._node.destroy_node()
-        rclpy.try_shutdown()
+        leave_graph(self._node)
 
     def _on_state(self, message: Any) -> None:
         self._heard_at = self._awake.time()
@@ -118,6 +151,9 @@ class Observer:
 
     def _on_diagnostics(self, message: Any) -> None:
         for status in message.status:
-            if status.name in ("recorder", "rig"):
-                values = {item.key: item.value for item in status.values}
-                setattr(self, f"{status.name}_phase", values.get("phase", ""))
+            values = {item.key: item.value for item in status.values}
+            phase = values.get("phase", "")
+            if status.name == "recorder":
+                self.recorder_phase = phase
+            elif bare(status.name) == RIG:
+                (self._running.add if phase == "running" else self._running.discard)(status.name)

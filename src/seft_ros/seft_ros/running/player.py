@@ -10,6 +10,7 @@ from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from seft_msgs_py.errors import ExperimentError, WireError
+from seft_msgs_py.leaving import leave_graph
 from seft_msgs_py.messages import Status, decode_diagnostics, encode_status
 from seft_msgs_py.ros_types import message_class, qos_profile
 from seft_msgs_py.topics import DIAGNOSTICS, EXPERIMENT_STATE, Topic
@@ -138,8 +139,7 @@ class Player:
 
     def close(self) -> None:
         """Leave the graph."""
-        self.node.destroy_node()
-        rclpy.try_shutdown()
+        leave_graph(self.node)
 
     def _repeat(self) -> None:
         self._said_at = time.monotonic()

@@ -9,6 +9,8 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
+from seft_msgs_py.rigs import bare, rig_name
+
 from seft_ros.running.arrangement import LOOP_NODES, Arrangement
 from seft_ros.running.scheduling import end_with_parent, prefer_latency, prefer_throughput
 
@@ -52,15 +54,18 @@ class NodeProcesses:
     ) -> None:
         self._logs = logs
         cores = sorted(os.sched_getaffinity(0))
+        nodes = list(nodes)
         self._pin = arrangement.pin and len(cores) > 1
         self._lockstep = lockstep
-        self._cores, self._loop_core, self._other_cores = set(cores), {cores[0]}, set(cores[1:])
+        places = max(1, sum(bare(node) == "rig" for node in nodes))  # rigs work side by side
+        self._cores, self._loop_cores = set(cores), set(cores[:places])
+        self._other_cores = set(cores[places:]) or self._cores
         if self._pin:
             os.sched_setaffinity(0, self._other_cores)  # this process keeps off it, too
         self._logs_of: dict[str, Path] = {}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         try:
-            for group in arrangement.groups(list(nodes)):
+            for group in arrangement.groups(nodes):
                 process = self._start(group, parameters)
                 self._processes.update(dict.fromkeys(group, process))
         except BaseException:
@@ -111,10 +116,12 @@ class NodeProcesses:
         os.sched_setaffinity(0, self._cores)  # as found, for whatever this process does next
 
     def _start(self, group: tuple[str, ...], parameters: Path) -> "subprocess.Popen[bytes]":
-        alone = len(group) == 1
-        what = [MODULES[group[0]]] if alone else [COMPOSED, "--nodes", *group]
+        names, rig = [bare(node) for node in group], rig_name(group[0])
+        what = [MODULES[names[0]]] if len(group) == 1 else [COMPOSED, "--nodes", *names]
         command = [sys.executable, "-m", *what, "--ros-args", "--params-file", str(parameters)]
-        path = self._logs / ("_".join(group) + ".log")
+        if rig:
+            command += ["-r", f"__ns:=/{rig}"]
+        path = self._logs / ("_".join(node.replace("/", "_") for node in group) + ".log")
         self._logs_of.update(dict.fromkeys(group, path))
         with path.open("wb") as log:
             process = subprocess.Popen(
@@ -126,8 +133,8 @@ class NodeProcesses:
                 preexec_fn=end_with_parent,
                 env=os.environ | {"ROS_LOG_DIR": str(self._logs)},
             )
-        if self._pin and group[0] in LOOP_NODES:
-            os.sched_setaffinity(process.pid, self._loop_core)
+        if self._pin and names[0] in LOOP_NODES:
+            os.sched_setaffinity(process.pid, self._loop_cores)
             if self._lockstep:
                 prefer_throughput(process.pid)
             else:

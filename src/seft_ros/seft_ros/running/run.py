@@ -4,7 +4,7 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
@@ -13,6 +13,8 @@ from pathlib import Path
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.middleware import prepare_on_this_host
+from seft_msgs_py.rigs import bare, with_rigs
+from seft_msgs_py.topics import NODES, LoopTopic, Topic, topics_of
 
 from seft_ros.experiment.peers import CONFLICT
 from seft_ros.experiment.state_machine import State
@@ -24,7 +26,7 @@ from seft_ros.running.tidying import Tidying
 
 READY_TIMEOUT = 60.0  # s
 SAVE_TIMEOUT = 20.0  # s
-DISCOVERY = 1.0  # s
+DISCOVERY = 0.5  # s; who is not found by then is at the second look, before anything moves
 ANNOUNCEMENT = 3.2  # s; participants announce themselves every 3 s
 
 
@@ -81,7 +83,7 @@ def run_experiment(
         Where the nodes run; default pinned, each in a process of its own.
     external : collection of str
         Nodes that someone else starts and ends; they are waited for. The experiment needs no
-        section of them.
+        section of them. Of several rigs those of one or of all: ``east/rig`` or ``rig``.
 
     Raises
     ------
@@ -98,14 +100,16 @@ def run_experiment(
             if node in experiment.sections:
                 wishes = {"thread_priority": arrangement.priority, "lock_memory": True}
                 experiment[node].update(wishes)
-    wanted = {*experiment["supervisor"]["peers"], "supervisor"} - set(external)
-    nodes = [node for node in MODULES if node in wanted]
+    wanted = {*experiment["supervisor"]["peers"], "supervisor"}
+    every = with_rigs([node for node in MODULES if node in wanted], experiment.rigs)
+    external = [node for node in every if node in external or bare(node) in external]
+    nodes = [node for node in every if node not in external]
     with working_folder(bag) as folder:
         parameters = folder / "parameters.yaml"
         parameters.write_text(experiment.to_yaml(), encoding="utf-8")
         progress("looking for other tests", 0)
         tidying = Tidying()
-        observer = Observer()
+        observer = Observer(with_rigs(NODES, experiment.rigs))
         try:
             refuse_company(observer, external)
             progress("starting the nodes", 0)
@@ -118,7 +122,7 @@ def run_experiment(
             )
             tidying.watch(processes.pids().values())
             try:
-                _start(observer, processes, progress)
+                _start(observer, processes, progress, _of_the_loop(experiment))
                 following = Following(observer, processes, progress, experiment)
                 try:
                     fault = following.to_the_end()
@@ -148,13 +152,19 @@ def refuse_company(observer: Observer, external: Collection[str] = ()) -> None:
     _refuse([node for node in observer.present() if node not in external])
 
 
-def _refuse_twins(observer: Observer) -> None:
-    """See once more that no other test is there.
+def _refuse_twins(observer: Observer, topics: Iterable[Topic]) -> None:
+    """See once more that no other test is there, and nobody else who commands a rig.
 
-    A single node that runs already may not be seen before it announces itself the next time.
+    A single node that runs already may not be seen before it announces itself the next time; and
+    this process is longer on the graph than those of the test.
     """
     observer.spin(max(0.0, observer.since + ANNOUNCEMENT - time.monotonic()))
     _refuse(observer.twins())
+    if conflict := observer.conflict(topics):
+        domain = os.environ.get("ROS_DOMAIN_ID", "0")
+        raise InputError(
+            f"{conflict} in ROS domain {domain}, and only one is this test's: end the other"
+        )
 
 
 def _refuse(nodes: list[str]) -> None:
@@ -166,11 +176,17 @@ def _refuse(nodes: list[str]) -> None:
         )
 
 
-def _start(observer: Observer, processes: NodeProcesses, progress: Progress) -> None:
+def _of_the_loop(experiment: Experiment) -> list[Topic]:
+    return [topic for topic in topics_of(experiment.rigs) if isinstance(topic, LoopTopic)]
+
+
+def _start(
+    observer: Observer, processes: NodeProcesses, progress: Progress, topics: Iterable[Topic]
+) -> None:
     """Start the test when all nodes are ready and no other test is there."""
     deadline = time.monotonic() + READY_TIMEOUT
     _wait_until_ready(observer, processes, progress, deadline)
-    _refuse_twins(observer)
+    _refuse_twins(observer, topics)
     while True:
         _wait_until_ready(observer, processes, progress, deadline)
         accepted, answer = observer.call("start")

@@ -37,7 +37,11 @@ def preview_inverse(knowledge: Knowledge) -> Compensator:
     T depends on the specimen (control-structure interaction, Dyke et al. 1995). With
     d = K_0 x + C_0 v - r, by which the specimen departs from the one T was identified with,
 
-        f = T (f_r + d) - d,  so that  f_r = T^-1 (f_r* + d) - d
+        f = T (f_r + (1 + E) d) - d,  so that  f_r = T^-1 (f_r* + d) - (1 + E) d
+
+    where E is the error over force of the loop with its piston held still
+    (``tracking.blocked_error``): d changes the piston's motion, which a loop of finite gain does
+    not answer at once.
 
     With ``compensation.adaptive`` stiffness, damping, and the gain and delay of T are identified
     while the test runs; where the specimen yields, its tangent is followed (`PlasticForce`) and
@@ -63,12 +67,13 @@ class AdaptivePreviewInverse:
         self.preview = self._filter.preview
         noise = self._filter.restoring_noise
         self._noise = noise
-        self._sigmas: list[float] = (_YIELD_SIGMAS * np.sqrt(noise)).tolist()
+        visible = _YIELD_SIGMAS * np.sqrt(self._filter.residual_noise())
+        self._sigmas: list[float] = visible.tolist()
         self._specimen = SpecimenIdentification(
             knowledge.mass,
             knowledge.damping,
             knowledge.stiffness,
-            float(noise.mean()),
+            noise,
             knowledge.dt,
         )
         self._tracking = TrackingIdentification(
@@ -129,11 +134,12 @@ class AdaptivePreviewInverse:
     def _identify(self) -> None:
         """Learn of the specimen; see whether it yields."""
         known, specimen = self._filter, self._specimen
-        if specimen.step(known.motion, known.restoring_force):
+        if specimen.step(known.motion, known.restoring_force) and specimen.contradicts():
             restoring, used = specimen.bounded(), known.restoring
             change, largest = np.abs(restoring - used), np.abs(restoring).max(axis=0)
             if (change > _NOTICEABLE * largest).any():
                 known.set_restoring(restoring)
+                specimen.take()
             if (change > _ANOTHER * largest).any():  # its course would have been another
                 known.begin_course()
         if self._yields():
@@ -156,18 +162,19 @@ class AdaptivePreviewInverse:
         return seen
 
     def _follow_yielding(self) -> None:
-        """Take the specimen as identified for its elastic part from now on.
+        """Take the specimen as it is known for its elastic part from now on.
 
         The force loop is taken as it was identified: what had been learnt of it beside belonged
         to small forces.
         """
         known = self._filter
-        known.set_restoring(self._specimen.bounded(), elastic=False)
+        known.set_restoring(self._specimen.elastic(), elastic=False)
         known.rest[:] = known.residual
         self._tracking.reset()
         late = self._knowledge.loop_delay * self._knowledge.dt
         pace = 1.0 - late / known.delay
-        self._correction = ForceErrorCorrection(self._knowledge, known.restoring, pace)
+        way_back = known.way_back() / known.reach if known.knows_any_specimen else None
+        self._correction = ForceErrorCorrection(self._knowledge, known.restoring, pace, way_back)
         n = self._knowledge.axes
         self._plastic = PlasticForce(
             known.restoring[:, :n],

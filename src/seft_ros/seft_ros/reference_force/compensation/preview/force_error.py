@@ -25,6 +25,10 @@ class ForceErrorCorrection:
     target is lowered by M_e (w^2 d + 2 w d'), by the integral of w e, and by the slow part of the
     force that the loop makes beside what its model expects.
 
+    Where the force loop is known for any specimen, the lowering for (d, d') is that of the whole
+    way back, and nothing is integrated: what the loop does late, and what several modes of a
+    structure make of it, is reckoned with.
+
     Parameters
     ----------
     knowledge : Knowledge
@@ -34,9 +38,17 @@ class ForceErrorCorrection:
     pace : float
         Factor on the frequencies at which it corrects: below 1 where the loop's delay makes them
         too fast.
+    way_back : ndarray or None
+        Lowering for (d, d') that is reckoned over the whole way back, shape (n, 2n).
     """
 
-    def __init__(self, knowledge: Knowledge, restoring: Floats, pace: float = 1.0) -> None:
+    def __init__(
+        self,
+        knowledge: Knowledge,
+        restoring: Floats,
+        pace: float = 1.0,
+        way_back: Floats | None = None,
+    ) -> None:
         n, dt = knowledge.axes, knowledge.dt
         mass = knowledge.mass
         inverse = np.linalg.inv(knowledge.total_mass)
@@ -51,11 +63,16 @@ class ForceErrorCorrection:
         slowing = inverse @ (restoring @ np.vstack([d, rate]) + yielded)
         rate = rate + dt * (np.linalg.inv(mass) @ error - slowing)
         d = d + dt * rate
-        integral = integral + 2 * np.pi * pace * _INTEGRAL * dt * error
+        if way_back is None:
+            integral = integral + 2 * np.pi * pace * _INTEGRAL * dt * error
         lasting = 1.0 - np.exp(-2 * np.pi * pace * _DISTURBANCE * dt)
         disturbance = disturbance + lasting * (deviation - disturbance)
-        w = 2 * np.pi * pace * WAY_BACK
-        lowering = mass @ (w * w * d + 2 * w * rate) + disturbance
+        if way_back is None:
+            w = 2 * np.pi * pace * WAY_BACK
+            lowering = mass @ (w * w * d + 2 * w * rate)
+        else:
+            lowering = way_back @ np.vstack([d, rate])
+        lowering = lowering + disturbance
         self._gain = np.vstack([d, rate, integral, disturbance, restoring_force, lowering])
         self._known, self._result = np.zeros(11 * n), np.zeros(6 * n)
         self._inputs, self._states = np.split(self._known, [7 * n])

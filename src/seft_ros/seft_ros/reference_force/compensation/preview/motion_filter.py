@@ -29,14 +29,28 @@ def motion_filter(dt: float, position: float, velocity: float, acceleration: flo
         Shape (2, 6): from x and v of the step before, its measured acceleration, and the
         measured x, v and a of this step, to x and v of this step.
     """
-    free = np.array([[1.0, dt], [0.0, 1.0]])
-    drive = np.array([[dt * dt / 2], [dt]])
-    noise = np.diag([position**2, velocity**2])
-    spread = solve_discrete_are(free.T, np.eye(2), drive @ drive.T * acceleration**2, noise)
-    gain = spread @ np.linalg.inv(spread + noise)
+    free, gain, _ = _stationary(dt, position, velocity, acceleration)
     before = np.array([[dt * dt / 3], [dt / 2]])
     now = np.array([[dt * dt / 6], [dt / 2]])
     kept = np.eye(2) - gain
     found = np.hstack([kept @ free, kept @ before, gain, kept @ now])
     found.flags.writeable = False  # it is shared
     return found
+
+
+def motion_noise(dt: float, position: float, velocity: float, acceleration: float) -> Floats:
+    """Covariance of the errors that the sensors' noise leaves in x and v, shape (2, 2)."""
+    _, gain, spread = _stationary(dt, position, velocity, acceleration)
+    left: Floats = spread - gain @ spread
+    return left
+
+
+def _stationary(
+    dt: float, position: float, velocity: float, acceleration: float
+) -> tuple[Floats, Floats, Floats]:
+    """Transition of (x, v), gain of the measured ones, covariance before they are measured."""
+    free = np.array([[1.0, dt], [0.0, 1.0]])
+    drive = np.array([[dt * dt / 2], [dt]])
+    noise = np.diag([position**2, velocity**2])
+    spread = solve_discrete_are(free.T, np.eye(2), drive @ drive.T * acceleration**2, noise)
+    return free, spread @ np.linalg.inv(spread + noise), spread

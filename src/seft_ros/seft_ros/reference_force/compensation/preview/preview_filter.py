@@ -10,7 +10,11 @@ from seft_msgs_py.arrays import as_matrix, mass_matrix
 
 from seft_ros.reference_force.compensation.compensator import Knowledge
 from seft_ros.reference_force.compensation.linear_filter import LinearFilter
-from seft_ros.reference_force.compensation.preview.motion_filter import motion_filter
+from seft_ros.reference_force.compensation.preview.coming_weights import coming_weights
+from seft_ros.reference_force.compensation.preview.motion_filter import (
+    motion_filter,
+    motion_noise,
+)
 from seft_ros.reference_force.compensation.preview.preview_tracking import PreviewTracking
 from seft_ros.reference_force.compensation.preview.target_prediction import (
     NominalSpecimen,
@@ -74,6 +78,8 @@ class PreviewFilter:
         shape (2n,), for the step to come.
     departure : ndarray
         Force by which the specimen departs from that of the tracking model, shape (n,), N.
+    knows_any_specimen : bool
+        Whether the force loop is known for specimens that depart from that one, too.
     target, rate : ndarray
         Weighted target and its weighted rate, shape (n,).
     model_force : ndarray
@@ -84,13 +90,14 @@ class PreviewFilter:
     def __init__(self, knowledge: Knowledge, bias_corner: float, mends: bool = False) -> None:
         options, dt, n = knowledge.options, knowledge.dt, knowledge.axes
         self._axes, self._mass, self._mends = n, knowledge.mass, mends
-        self._loop_delay = knowledge.loop_delay
+        self._loop_delay, self._dt = knowledge.loop_delay, dt
         self.noise = Noise.from_options(options)
         model = TrackingModel.from_options(options, dt)
         self.delay = model.delay(dt)
         self.preview = min(LONGEST_HORIZON, int(np.ceil((self.delay + HORIZON) / dt)))
         tracking = PreviewTracking.design(model, self.preview, min(CORNER * dt, HIGHEST_CORNER))
         self._nominal = _nominal(options, knowledge.mass)
+        self._ahead = self._weights_of_departure(options, dt)
         weights = np.zeros((2, 1 + self.preview))  # of the target, and of its rate
         weights[0] = tracking.target
         weights[1, 1:] += tracking.target[:-1] / (2 * dt)
@@ -198,9 +205,11 @@ class PreviewFilter:
             gain[8 * n : 9 * n, 10 * n : 11 * n] += by_first
         gain[9 * n : 11 * n] = targets
         gain[11 * n :] = np.diag(self._trust) @ (residual - known_rest) - gain[8 * n : 9 * n]
-        if self._loop_delay and self._nominal is not None:
-            arriving = self.prediction.departure(self._loop_delay)
-            gain[11 * n :] = -arriving[0] @ motion
+        if self._ahead.size:
+            arriving = self.prediction.departure(self._ahead)
+            if self._loop_delay:  # what departs now does not count any more
+                gain[11 * n :] = 0.0
+            gain[11 * n :] -= arriving[0] @ motion
             gain[11 * n :, ground] -= arriving[1]
             if elastic:
                 gain[11 * n :] -= arriving[2].reshape(n, -1, n).sum(axis=1) @ rest
@@ -225,9 +234,27 @@ class PreviewFilter:
         if self._nominal is not None:
             self.departure += self._departing.dot(self.rest)
         self._direct += self._direct_by_rest.dot(self.rest)
-        if self._loop_delay and self._nominal is not None:
+        if self._ahead.size:
             self._direct -= self._arriving.dot(coming)
         self.target += self._rest_gains.dot(coming)
+
+    def way_back(self) -> Floats:
+        """Gain by which the weighted target is lowered for a deviation that is to go back.
+
+        The deviation (d, d') is taken back over the horizon as an elastic specimen's is, see
+        `TargetPrediction.way_back`; shape (n, 2n).
+        """
+        gain: Floats = self.prediction.gains()[0][: self._axes] - self.prediction.way_back()
+        return gain
+
+    def residual_noise(self) -> Floats:
+        """Variance that the sensors' noise makes in the residual, shape (n,), N^2."""
+        noise = self.noise
+        left = motion_noise(self._dt, noise.position, noise.velocity, noise.acceleration)
+        parts = self.restoring.reshape(self._axes, 2, self._axes)
+        of_motion = np.einsum("ikj,kl,ilj->i", parts, left, parts)
+        found: Floats = self.restoring_noise + of_motion
+        return found
 
     def begin_course(self) -> None:
         """Let the course begin at the motion of this step."""
@@ -241,6 +268,22 @@ class PreviewFilter:
         self._kept[:] = self._result[: len(self._kept)]
         force: Floats = drive + self._direct
         return force
+
+    def _weights_of_departure(self, options: Mapping[str, Any], dt: float) -> Floats:
+        """Weights of the departure d in the steps to come, in the force that passes the inverse by.
+
+        Beside d itself, which is known now or arrives after the loop's delay, it is E d, E the
+        error of the blocked loop: f + d = T (f_r + d + E d).
+        """
+        error = np.trim_zeros(np.atleast_1d(options["tracking.blocked_error"]).astype(float), "f")
+        self.knows_any_specimen = self._nominal is not None and error.size > 0
+        weights = np.zeros(1 + self.preview)
+        if self._nominal is not None and self._loop_delay:
+            weights[self._loop_delay] = 1.0
+        if self.knows_any_specimen:
+            coming = coming_weights(error, dt)[: len(weights) - self._loop_delay]
+            weights[self._loop_delay : self._loop_delay + len(coming)] += coming
+        return np.trim_zeros(weights, "b")
 
     def linear(self, gain: Floats, advance: Floats) -> LinearFilter:
         """Filter that this is, with a tracking gain and an advance (s) found on line."""

@@ -11,6 +11,7 @@ _LEAST_DAMPING_RATIO = 0.02
 _STIFFNESS_SPREAD, _DAMPING_SPREAD = 0.3, 1.0  # uncertainty at the start, relative
 _EXCITATION = 1.5  # RMS of the restoring force over its noise, below which nothing is learnt
 BLOCK = 10  # samples that are learnt from at once
+_SIGNIFICANT = 3.0  # by each parameter beyond one axis's, see `contradicts`
 _EXCITATION_TIME = 0.1  # s over which that is taken
 
 
@@ -27,8 +28,8 @@ class SpecimenIdentification:
     ----------
     mass, damping, stiffness : ndarray
         As known at the start, shape (n, n).
-    noise : float
-        Variance of the measured restoring force, N^2.
+    noise : ndarray
+        Variance of the measured restoring force, shape (n,), N^2.
     dt : float
         Sampling period, s.
 
@@ -42,7 +43,7 @@ class SpecimenIdentification:
     """
 
     def __init__(
-        self, mass: Floats, damping: Floats, stiffness: Floats, noise: float, dt: float
+        self, mass: Floats, damping: Floats, stiffness: Floats, noise: Floats, dt: float
     ) -> None:
         n = len(mass)
         diagonal = np.abs(np.diag(stiffness))
@@ -66,7 +67,8 @@ class SpecimenIdentification:
         self._regression = np.zeros((n, 2 * count, 2 * n))
         for axis, columns in enumerate(self._places):
             self._regression[axis, columns, np.arange(2 * n)] = 1.0
-        self._regression *= self._spread[:, np.newaxis] / np.sqrt(noise)
+        deviation = np.sqrt(noise)[:, np.newaxis, np.newaxis]
+        self._regression *= self._spread[:, np.newaxis] / deviation
         self._noise = noise
         self._least = n * _EXCITATION**2
         self._forgetting = 1.0 - np.exp(-BLOCK * dt / _EXCITATION_TIME)
@@ -77,6 +79,7 @@ class SpecimenIdentification:
         """Go back to what was known."""
         count, n = len(self._spread), len(self._regression)
         self._changes = np.zeros(count)  # of the parameters, over their spread
+        self._taken = self._changes
         self._information, self._evidence = np.eye(count), np.zeros(count)
         self._uncertainty = self._quadratic(np.eye(count))
         self.restoring = self._start[self._places]
@@ -128,8 +131,35 @@ class SpecimenIdentification:
     def _quadratic(self, covariance: Floats) -> Floats:
         """Forms of (x, v) that give the variance of each axis's expected force, (n, 2n, 2n)."""
         turned = self._regression.transpose(0, 2, 1)
-        forms: Floats = self._noise * (turned @ covariance @ self._regression)
+        noise = self._noise[:, np.newaxis, np.newaxis]
+        forms: Floats = noise * (turned @ covariance @ self._regression)
         return forms
+
+    def contradicts(self) -> bool:
+        """Tell whether the measurements speak against the parameters that were taken last.
+
+        The squared distance of the estimate from them, over its covariance, is about the number
+        of parameters where they are right. The more axes, the more the noise moves parameters
+        that the motion hardly shows; to follow that would do harm. The two parameters of one axis
+        are always followed.
+        """
+        distance = self._changes - self._taken
+        likely = _SIGNIFICANT * (len(distance) - 2)
+        return bool(distance.dot(self._information).dot(distance) >= likely)
+
+    def take(self) -> None:
+        """Note that the parameters are taken as they are now."""
+        self._taken = self._changes
+
+    def elastic(self) -> Floats:
+        """Give the parameters that are best taken for the elastic ones once the specimen yields.
+
+        What softens just before is not seen as yielding yet, and goes into the estimate. The two
+        parameters of one axis stand it; the many of several axes may then be far from any specimen
+        (half the stiffness of a storey in config/three_storey_frame.yaml), so that what was told
+        is taken.
+        """
+        return self.bounded() if len(self._regression) == 1 else self._first
 
     def bounded(self) -> Floats:
         """Take the parameters over into `restoring`, within their bounds."""

@@ -143,15 +143,15 @@ class TargetPrediction:
         gain: Floats = _ahead(self._weights[:1], target, expm(system * self._dt))[0]
         return gain
 
-    def departure(self, ahead: int) -> tuple[Floats, Floats, Floats]:
-        """Gains of the force by which the specimen departs some steps ahead, as `gains` has them.
+    def departure(self, weights: Floats) -> tuple[Floats, Floats, Floats]:
+        """Gains of a weighted sum of the coming forces by which the specimen departs.
 
-        It is K_0 x + C_0 v - r + (M_0 - M_e) x'', see `departing`.
+        As `gains` has them. The force is K_0 x + C_0 v - r + (M_0 - M_e) x'', see `departing`.
 
         Parameters
         ----------
-        ahead : int
-            Steps, within the horizon.
+        weights : ndarray
+            From this step on, shape (m,), at most as long as the horizon.
 
         Returns
         -------
@@ -160,16 +160,17 @@ class TargetPrediction:
         """
         n, steps = len(self._mass), self._weights.shape[1]
         ground = np.zeros((steps, 2 * n, n))
-        power = np.eye(2 * n)
-        for step in range(ahead, 0, -1):  # what enters in the step to `step`
+        power = weights[-1] * np.eye(2 * n)
+        for step in range(len(weights) - 1, 0, -1):  # what enters in the step to `step`
             ground[step] += power @ self._end
             ground[step - 1] += power @ self._start
-            power = power @ self._free
+            power = power @ self._free + weights[step - 1] * np.eye(2 * n)
         departure, by_ground, by_rest = self.departing()
+        direct = weights[:, np.newaxis, np.newaxis]
         rest = departure @ ground @ self._inverse_mass
-        rest[ahead] += by_rest
+        rest[: len(weights)] += direct * by_rest
         ground = departure @ ground
-        ground[ahead] += by_ground
+        ground[: len(weights)] += direct * by_ground
         flat = (n, steps * n)
         return (
             departure @ power,

@@ -1,0 +1,98 @@
+"""Several rigs, each with its part of the parameters."""
+
+import numpy as np
+import pytest
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.parameter_file import parse_override
+from seft_plant_sim.parameters import TABLE
+from seft_plant_sim.rig import Rig
+from seft_plant_sim.rigs import Rigs
+
+PLAN = (
+    "/**:axes:=[west/x, east/x, west/y]",
+    "rig:specimen.mass:=[50.0, 40.0, 60.0]",
+    "rig:specimen.damping:=[800.0, 700.0, 900.0]",
+    "rig:specimen.stiffness:=[2.0e5, 0.0, -3.0e4, 0.0, 1.5e5, 0.0, -3.0e4, 0.0, 1.8e5]",
+    "rig:actuator.flow_gain:=[0.04, 0.03, 0.05]",
+    "rig:actuator.friction:=10.0",
+    "rig:sensors.position_noise:=[1.0e-5, 2.0e-5, 3.0e-5]",
+    "rig:sensors.force_noise:=3.0",
+    "rig:safe.valve_command:=[0.1, 0.2, 0.3]",
+    "rig:seed:=3",
+)
+
+
+def plan(*more):
+    return Experiment.load([TABLE], [], [parse_override(text) for text in (*PLAN, *more)])
+
+
+def made(test, rig=None):
+    return Rig.from_parameters(test["rig"], test.axes, test.timebase, rig)
+
+
+def driven(rig, axes, steps=200):
+    rng = np.random.default_rng(0)
+    commands = rng.normal(scale=0.3, size=(steps, axes))
+    return np.array([rig.reset(), *(rig.step(command) for command in commands)]), commands
+
+
+SPRINGS = [1.0, 0.0, 0.0, 1.0, 0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+YIELDING = (
+    "rig:specimen.kind:=bouc_wen",
+    "rig:specimen.yield_displacement:=1.0e-3",
+    f"rig:specimen.springs:={SPRINGS}",
+)
+FILTERED = ("rig:sensors.velocity:=derived", "rig:sensors.anti_alias:=100.0")
+
+
+@pytest.mark.parametrize("more", [(), YIELDING, FILTERED])
+def test_rigs_together_do_what_one_with_all_axes_does(more):
+    test = plan(*more)
+    together = Rigs.from_parameters(test["rig"], test.axes, test.timebase, test.rigs)
+    found, _ = driven(together, 3)
+    whole, _ = driven(made(test), 3)
+    scale = np.abs(whole).max(axis=0)
+    np.testing.assert_allclose(found / scale, whole / scale, rtol=0, atol=1e-10)
+    assert together.drive == "valve_command"
+
+
+def test_each_has_the_bits_of_its_node():
+    test = plan()
+    together = Rigs.from_parameters(test["rig"], test.axes, test.timebase, test.rigs)
+    found, commands = driven(together, 3)
+    for rig in test.rigs:
+        places = list(rig.places)
+        alone = made(test, rig)
+        states = [alone.reset(), *(alone.step(command[places]) for command in commands)]
+        np.testing.assert_array_equal(found[:, :, places], states)
+
+
+def test_a_limit_that_one_breaks_is_the_violation_of_all():
+    test = plan("rig:limits.displacement:=1.0e-4")
+    together = Rigs.from_parameters(test["rig"], test.axes, test.timebase, test.rigs)
+    together.reset()
+    assert together.violation is None
+    for _ in range(200):
+        together.step(np.array([0.0, 2.0, 0.0]))
+    assert "axis east/x" in together.violation
+
+
+@pytest.mark.parametrize("name", ["mass", "damping", "stiffness"])
+def test_what_two_rigs_share_can_only_be_computed(name):
+    matrix = [50.0, 1.0, 0.0, 1.0, 40.0, 0.0, 0.0, 0.0, 60.0]
+    test = plan(f"rig:specimen.{name}:={matrix}")
+    with pytest.raises(InputError, match=f"{name} couples axes of west with those of another"):
+        made(test, test.rigs[0])
+
+
+def test_no_spring_connects_rigs():
+    springs = [1.0, -1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0]  # two whose stiffness adds up to none
+    test = plan(
+        "rig:specimen.kind:=bilinear",
+        "rig:specimen.yield_displacement:=0.01",
+        f"rig:specimen.springs:={springs}",
+        "rig:specimen.stiffness:=[2.0e5, 2.0e5, 1.0e5]",
+    )
+    with pytest.raises(InputError, match="a spring connects west with another rig"):
+        made(test, test.rigs[0])

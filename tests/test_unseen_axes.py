@@ -1,0 +1,139 @@
+"""preview_inverse on rigs of 2 to 10 coupled axes that nobody has tuned anything for.
+
+Masses, modes and what is computed are drawn; each actuator is sized in proportion to the mass that
+it moves, as a laboratory does, so that one identified response of the force loop holds for all.
+Frames have modes far above what controllers of the axes bear: theirs inverts the frame.
+"""
+
+import numpy as np
+import pytest
+from graph_tools import ROOT, THOROUGH
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.parameter_file import parse_override
+from seft_ros.analysis.summary import summarise
+from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.offline import simulate
+from seft_ros.experiment.tables import TABLES
+
+FRAME = ROOT / "config" / "three_storey_frame.yaml"
+SHORT = ("ground_motion:synthetic.duration:=16.0", "ground_motion:peak_force:=250.0")
+KNOWN = Experiment.load(TABLES, [FRAME], [])
+
+
+def turned(rng, root):
+    """Matrix whose columns are random directions in coordinates of unit mass."""
+    return root @ np.linalg.qr(rng.normal(size=root.shape))[0]
+
+
+def drawn(n, seed):
+    """Overrides of a rig: 30 to 120 kg an axis, modes of 3 to 12 Hz with 2 to 6 % damping."""
+    rng = np.random.default_rng([n, seed])
+    mass = rng.uniform(30.0, 120.0, n)
+    root = np.diag(np.sqrt(mass))
+    w, damping = 2 * np.pi * rng.uniform(3.0, 12.0, n), rng.uniform(0.02, 0.06, n)
+    modes = turned(rng, root)
+    others = turned(rng, root)  # what is computed is coupled in another way
+    specimen = {
+        "mass": mass,
+        "stiffness": modes @ np.diag(w**2) @ modes.T,
+        "damping": modes @ np.diag(2 * damping * w) @ modes.T,
+    }
+    size = mass / KNOWN["reference_force"]["tracking.mass"]
+    values = {
+        "reference_force:computed.mass": others @ np.diag(rng.uniform(0.5, 1.5, n)) @ others.T,
+        "rig:actuator.oil_stiffness": size * KNOWN["rig"]["actuator.oil_stiffness"],
+        "force_controller:gain": 1.0 / size,
+    }
+    for name, value in specimen.items():
+        values |= {f"{node}.{name}": value for node in ("rig:specimen", "reference_force:model")}
+        values[f"reference_force:tracking.{name}"] = (
+            size * KNOWN["reference_force"][f"tracking.{name}"]
+        )
+    lists = {
+        name: ((v + v.T) / 2 if v.ndim > 1 else v).ravel().tolist() for name, v in values.items()
+    }
+    names = "[" + ", ".join(f"axis_{index}" for index in range(n)) + "]"
+    return f"axes:={names}", *(f"{name}:={value}" for name, value in lists.items())
+
+
+def simulated(*words):
+    experiment = Experiment.load(TABLES, [FRAME], [parse_override(word) for word in words])
+    record = simulate(experiment, build_blocks(experiment))
+    return record, summarise(record)
+
+
+@pytest.mark.parametrize(
+    ("n", "seed"),
+    [
+        (2, 0),
+        (3, 0),
+        (6, 0),
+        *(
+            pytest.param(n, seed, marks=THOROUGH)
+            for n in range(2, 11)
+            for seed in range(3)
+            if (n, seed) not in ((2, 0), (3, 0), (6, 0))
+        ),
+    ],
+)
+def test_a_linear_rig_is_within_2_percent_of_the_whole_structure(n, seed):
+    _, summary = simulated(*SHORT, *drawn(n, seed))
+    assert not summary["saturated"]
+    assert summary["displacement"]["nrmse"] < 0.02
+
+
+INVERTING = (
+    "force_controller:method:=decoupling",
+    "reference_force:tracking.mass:=0.0",
+    "reference_force:tracking.blocked_error:=[0.0]",
+)
+
+
+def frame(n, seed):
+    """Overrides of a shear frame: storeys of 30 to 120 kg, the lowest mode at 3 to 6 Hz."""
+    rng = np.random.default_rng([n, seed, 7])
+    mass, storeys = rng.uniform(30.0, 120.0, n), np.eye(n) - np.eye(n, k=-1)
+    stiffness = storeys.T @ np.diag(rng.uniform(0.7, 1.3, n)) @ storeys
+    lowest = np.linalg.eigvals(np.linalg.solve(np.diag(mass), stiffness)).real.min() ** 0.5
+    w = 2 * np.pi * rng.uniform(3.0, 6.0)
+    stiffness *= (w / lowest) ** 2
+    damping = 0.03 * (stiffness / w + np.diag(mass) * w)
+    values = {
+        "rig:specimen.springs": storeys,
+        "rig:actuator.oil_stiffness": mass / 52.7 * KNOWN["rig"]["actuator.oil_stiffness"],
+        "reference_force:computed.mass": np.diag(rng.uniform(0.5, 1.5, n) * mass),
+        "rig:specimen.mass": np.diag(mass),
+        "reference_force:model.mass": np.diag(mass),
+    }
+    for name, matrix in (("stiffness", stiffness), ("damping", damping)):
+        for where in ("rig:specimen", "reference_force:model", "reference_force:tracking"):
+            values[f"{where}.{name}"] = matrix
+    lists = {name: matrix.ravel().tolist() for name, matrix in values.items()}
+    names = "[" + ", ".join(f"floor_{index}" for index in range(n)) + "]"
+    return f"axes:={names}", *INVERTING, *(f"{k}:={v}" for k, v in lists.items())
+
+
+@pytest.mark.parametrize(
+    ("n", "seed"),
+    [
+        (5, 0),
+        *(
+            pytest.param(n, seed, marks=THOROUGH)
+            for n in range(2, 11)
+            for seed in range(2)
+            if (n, seed) != (5, 0)
+        ),
+    ],
+)
+def test_a_frame_is_near_the_whole_structure_also_where_its_storeys_yield(n, seed):
+    record, summary = simulated(*SHORT, *frame(n, seed))
+    assert summary["displacement"]["nrmse"] < (0.025 if n <= 6 else 0.06)
+    x = record.series["rig/state"].values[:, 0]
+    drift = np.abs(np.diff(x, axis=1, prepend=0.0)).max()
+    yields = (
+        "rig:specimen.kind:=bouc_wen",
+        f"rig:specimen.yield_displacement:={0.6 * drift:.5f}",
+    )
+    _, summary = simulated(*SHORT, *frame(n, seed), *yields)
+    assert summary["trip"] is None
+    assert summary["displacement"]["nrmse"] < 0.08
