@@ -164,13 +164,33 @@ def test_who_joins_a_test_with_commands_that_are_valid_is_not_obeyed(
     assert refusals(tmp_path / "bag")["rig"] > 100
 
 
+def statuses(observer):
+    """Node -> its last status, as it comes in while the observer spins."""
+    told = {}
+
+    def listen(message):
+        told.update({status.name: status for status in message.status})
+
+    observer._node.create_subscription(
+        message_class(DIAGNOSTICS), DIAGNOSTICS.name, listen, qos_profile(DIAGNOSTICS)
+    )
+    return told
+
+
 def test_two_publishers_of_a_topic_of_the_loop_end_the_test_before_anything_moves(
     start_node, hostile, observer, tmp_path
 ):
     nodes = {node: start_node(node, "rig:pace:=lockstep", SHORT) for node in MODULES}
+    told = statuses(observer)
 
     def is_in(state):
         return lambda: (observer.spin(0.05), observer.state == state)[1]
+
+    def have_met(topic):
+        """Whether all who read a topic know of both who publish it, not only these of them."""
+        observer.spin(0.05)
+        values = [(n, v.key, v.value) for n in told for v in told[n].values]
+        return all((n, f"senders {topic.name}", "2") in values for n in topic.subscribers)
 
     def start():
         wait_for(is_in("ready"), "ready")
@@ -179,7 +199,7 @@ def test_two_publishers_of_a_topic_of_the_loop_end_the_test_before_anything_move
     for topic in LOOP_TOPICS:
         wait_for(is_in("ready"), "ready")
         hostile.join(topic)
-        wait_for(lambda topic=topic: hostile.listeners(topic) > len(topic.subscribers), "listeners")
+        wait_for(lambda topic=topic: have_met(topic), "listeners")
         start()
         wait_for(is_in("tripped"), "the trip")
         assert f"2 nodes publish {topic.name}" in observer.values["detail"]
@@ -203,14 +223,7 @@ def test_the_force_controller_trips_by_itself_when_the_rig_dies(start_node, obse
     overrides = (*STALLS_ALLOWED[1::2], MISSES_ALLOWED[1], GENTLE[1])
     # this alone stays sharp; the machine may stand still before the rig is killed
     sharp = ("force_controller:watchdog.state_timeout:=3.0",)
-    told = {}
-
-    def listen(message):
-        told.update({status.name: status for status in message.status})
-
-    observer._node.create_subscription(
-        message_class(DIAGNOSTICS), DIAGNOSTICS.name, listen, qos_profile(DIAGNOSTICS)
-    )
+    told = statuses(observer)
     nodes = {node: start_node(node, *overrides, *sharp) for node in MODULES}
 
     def is_in(state):
