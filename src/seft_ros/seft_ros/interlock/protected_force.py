@@ -38,6 +38,8 @@ class ProtectedForce:
     ----------
     preview : int
         Steps of coming ground motion that `step` wants to see.
+    learn : callable
+        As the block's: to be called when the answer is out.
     cause : str or None
         The first fault of this test; latched until `reset`.
     reference_force, plausible, guards, ramp
@@ -52,7 +54,7 @@ class ProtectedForce:
         ramp: RampDown,
     ) -> None:
         self.preview = reference_force.preview
-        self.estimates = reference_force.estimates
+        self.estimates, self.learn = reference_force.estimates, reference_force.learn
         self.cause: str | None = None
         self.reference_force = reference_force
         self.plausible, self.guards, self.ramp = plausible, tuple(guards), ramp

@@ -10,7 +10,11 @@ from seft_msgs_py.timebase import Timebase
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_plant_sim.specimen import deformations
 
-from seft_ros.reference_force.compensation.compensator import Compensator, Knowledge
+from seft_ros.reference_force.compensation.compensator import (
+    Compensator,
+    Knowledge,
+    learning,
+)
 from seft_ros.reference_force.compensation.methods import METHODS
 from seft_ros.reference_force.compensation.substructure import with_substructure
 
@@ -36,12 +40,16 @@ class ReferenceForce:
     ----------
     preview : int
         Steps of coming ground motion that `step` wants to see.
+    learn : callable
+        To be called, without arguments, when the answer is out: what can wait until then need
+        not hold up the loop. Nothing but time depends on whether it is.
     compensator : Compensator
         As given.
     """
 
     def __init__(self, compensator: Compensator) -> None:
         self.preview = compensator.preview
+        self.learn = learning(compensator)
         self.compensator = compensator
 
     @classmethod

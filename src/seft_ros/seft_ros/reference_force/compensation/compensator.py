@@ -75,6 +75,10 @@ class Knowledge:
 class Compensator(Protocol):
     """What the reference force asks of a compensation method.
 
+    A method that identifies may have ``learn()`` beside, for what can wait until the answer is
+    out. It need not be called: whatever is left of a step is to be made good by the next one, and
+    by `estimates` and `linear`, so that nothing depends on when it was.
+
     Attributes
     ----------
     preview : int
@@ -109,6 +113,12 @@ class Compensator(Protocol):
 
     def linear(self) -> LinearFilter:
         """Linear filter that the method is now: exactly, or as long as no estimate changes."""
+
+
+def learning(compensator: Compensator) -> Callable[[], None]:
+    """Give the ``learn`` of a compensator; nothing to do where it has none."""
+    found: Callable[[], None] = getattr(compensator, "learn", lambda: None)
+    return found
 
 
 Method = Callable[[Knowledge], Compensator]

@@ -90,15 +90,15 @@ class AdaptivePreviewInverse:
         self._filter.set_restoring(self._specimen.restoring)
         self._error, self._largest = [0.0] * n, [0.0] * n
         self._plastic: PlasticForce | None = None
+        self._has_learnt = True
 
     def step(self, ground_motion: Floats, state: Floats) -> Floats:
         """Compute the reference force of one step, see `Compensator.step`."""
+        self.learn()
         known, tracking = self._filter, self._tracking
         known.observe(ground_motion, state)
         if self._plastic is None:
-            self._identify()
-            tracking.deviation(known.model_force, state[3] + known.departure)
-            tracking.update(self._specimen.variance)
+            self._has_learnt = False
             target = (1.0 - tracking.gain) * known.target - tracking.advance * known.rate
         else:  # the loop is taken as it was identified
             motion, rest, plastic = known.motion, known.rest, self._plastic
@@ -111,12 +111,23 @@ class AdaptivePreviewInverse:
             )
         return known.command(target)
 
+    def learn(self) -> None:
+        """Identify specimen and tracking by the last step, if that was not done yet."""
+        if self._has_learnt:
+            return
+        self._has_learnt = True
+        known = self._filter
+        self._identify()
+        self._tracking.deviation(known.model_force, known.measured_force + known.departure)
+        self._tracking.update(self._specimen.variance)
+
     def estimates(self) -> dict[str, Floats]:
         """Estimates of each axis.
 
         ``stiffness`` (tangent, N/m), ``damping`` (N s/m), and of the force loop ``amplitude``
         and ``delay`` (s).
         """
+        self.learn()
         n = self._knowledge.axes
         restoring = self._filter.restoring
         slope = 0.0 if self._plastic is None else np.diag(self._plastic.slope)
@@ -129,6 +140,7 @@ class AdaptivePreviewInverse:
 
     def linear(self) -> LinearFilter:
         """Linear filter at what is identified now, the specimen elastic."""
+        self.learn()
         return self._filter.linear(1.0 - self._tracking.gain, self._tracking.advance)
 
     def _identify(self) -> None:

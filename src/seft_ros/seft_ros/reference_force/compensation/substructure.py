@@ -15,7 +15,11 @@ import numpy as np
 import numpy.typing as npt
 from seft_plant_sim.first_order_hold import first_order_hold
 
-from seft_ros.reference_force.compensation.compensator import Compensator, Knowledge
+from seft_ros.reference_force.compensation.compensator import (
+    Compensator,
+    Knowledge,
+    learning,
+)
 from seft_ros.reference_force.compensation.linear_filter import LinearCompensator, LinearFilter
 
 Floats = npt.NDArray[np.float64]
@@ -170,7 +174,7 @@ class _BehindMotion:
 
     def __init__(self, method: Compensator, motion: LinearFilter) -> None:
         self.preview = method.preview
-        self.estimates = method.estimates
+        self.estimates, self.learn = method.estimates, learning(method)
         self._method, self._motion = method, SubstructureMotion(motion)
 
     def reset(self) -> None:

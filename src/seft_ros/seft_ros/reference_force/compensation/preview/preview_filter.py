@@ -73,9 +73,11 @@ class PreviewFilter:
         As the last step had them: filtered (x, v), shape (2n,); what of the restoring force is
         beside K x + C v, p; the measured restoring force; and its part beside K x + C v; the
         last three of shape (n,), N. To change p is to tell it.
+    measured_force : ndarray
+        Of the last step, shape (n,), N.
     course : ndarray
         (x, v) that the whole structure, as it is taken to be, makes of the ground motion alone,
-        shape (2n,), for the step to come.
+        shape (2n,), for the step to come. Like p it may be changed until then.
     departure : ndarray
         Force by which the specimen departs from that of the tracking model, shape (n,), N.
     knows_any_specimen : bool
@@ -134,8 +136,9 @@ class PreviewFilter:
         self._states = self._work[: len(loop) + 6 * n]
         self._tracking, self._known = loop.reshape(-1, n), rest
         self._kept = rest[: 6 * n]  # x, v, a, p and the course
-        self._kept_rest, self._kept_course = rest[3 * n : 4 * n], rest[4 * n : 6 * n]
+        self._kept_course = rest[4 * n : 6 * n]
         self._measured = rest[6 * n : 10 * n].reshape(4, n)
+        self.measured_force = self._measured[3]
         self._ground_motion = rest[10 * n :].reshape(-1, n)
         self._result = np.zeros(12 * n)
         parts = np.split(self._result, n * np.array([2, 3, 4, 6, 7, 8, 9, 10, 11]))
@@ -147,6 +150,7 @@ class PreviewFilter:
     def reset(self) -> None:
         """Forget the test so far, but not the specimen."""
         self._states[:] = 0.0
+        self._result[:] = 0.0
 
     def set_restoring(self, restoring: Floats, elastic: bool = True) -> None:
         """Take the specimen to be (K, C) from the next step on.
@@ -218,6 +222,7 @@ class PreviewFilter:
 
     def observe(self, ground_motion: Floats, state: Floats) -> None:
         """Take a step in: known ground motion, shape (1 + preview, n), and state, (4, n)."""
+        self._kept[:] = self._result[: len(self._kept)]
         self._measured[:] = state
         self._ground_motion[:] = ground_motion
         np.dot(self._gain, self._known, out=self._result)
@@ -261,11 +266,10 @@ class PreviewFilter:
         self.course += self._free.dot(self.motion - self._kept_course)
 
     def command(self, target: Floats) -> Floats:
-        """Compute the reference force for a weighted target, shape (n,), N; ends the step."""
+        """Compute the reference force for a weighted target, shape (n,), N."""
         drive = self._loop_result[0] + target
         np.multiply(self._drive, drive, out=self._tracking)
         self._tracking += self._loop_result[2:]
-        self._kept[:] = self._result[: len(self._kept)]
         force: Floats = drive + self._direct
         return force
 
