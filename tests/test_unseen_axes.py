@@ -82,10 +82,13 @@ def test_a_linear_rig_is_within_2_percent_of_the_whole_structure(n, seed):
     assert summary["displacement"]["nrmse"] < 0.02
 
 
+SIX = Experiment.load(TABLES, [ROOT / "config" / "six_storey_frame.yaml"], [])["reference_force"]
+LOOP = ("numerator", "denominator", "dead_time", "blocked_compliance")
 INVERTING = (
     "force_controller:method:=decoupling",
     "reference_force:tracking.mass:=0.0",
     "reference_force:tracking.blocked_error:=[0.0]",
+    *(f"reference_force:tracking.{name}:={SIX[f'tracking.{name}']}" for name in LOOP),
 )
 
 
@@ -102,6 +105,7 @@ def frame(n, seed):
         "rig:specimen.springs": storeys,
         "rig:actuator.oil_stiffness": mass / 52.7 * KNOWN["rig"]["actuator.oil_stiffness"],
         "reference_force:computed.mass": np.diag(rng.uniform(0.5, 1.5, n) * mass),
+        "reference_force:tracking.actuator_size": mass / 52.7,
         "rig:specimen.mass": np.diag(mass),
         "reference_force:model.mass": np.diag(mass),
     }
@@ -127,7 +131,7 @@ def frame(n, seed):
 )
 def test_a_frame_is_near_the_whole_structure_also_where_its_storeys_yield(n, seed):
     record, summary = simulated(*SHORT, *frame(n, seed))
-    assert summary["displacement"]["nrmse"] < (0.025 if n <= 6 else 0.06)
+    assert summary["displacement"]["nrmse"] < 0.02
     x = record.series["rig/state"].values[:, 0]
     drift = np.abs(np.diff(x, axis=1, prepend=0.0)).max()
     yields = (
@@ -136,4 +140,4 @@ def test_a_frame_is_near_the_whole_structure_also_where_its_storeys_yield(n, see
     )
     _, summary = simulated(*SHORT, *frame(n, seed), *yields)
     assert summary["trip"] is None
-    assert summary["displacement"]["nrmse"] < 0.08
+    assert summary["displacement"]["nrmse"] < (0.05 if n <= 7 else 0.15)

@@ -42,6 +42,10 @@ FELT = {
     "tracking.damping": [900.0, -50.0, -50.0, 800.0],
 }
 ANY = FELT | {"tracking.blocked_error": [4e-6, 2e-4, 0.01]}
+INVERTED = FELT | {
+    "tracking.blocked_compliance": [5e-12, 1e-9, 5e-8],
+    "tracking.actuator_size": [1.0, 1.3],
+}
 
 
 def told(axes=("x", "y"), **values):
@@ -73,10 +77,16 @@ def written_out(known, motion, states, horizon, corner=30.0):
     observe = motion_filter(DT, 5e-6, 1e-3, 0.05)
     felt = bool(np.any(options["tracking.stiffness"]))
     coming = coming_weights(np.array(options["tracking.blocked_error"]), DT)
+    compliance = np.array(options["tracking.blocked_compliance"])
     nominal = [
         np.reshape(options[f"tracking.{name}"], (n, n)) if felt else np.zeros((n, n))
         for name in ("stiffness", "damping")
     ]
+    sizes = np.broadcast_to(options["tracking.actuator_size"], n)
+    by_mode = sum(  # E of a controller that inverts the nominal specimen
+        np.multiply.outer(coming_weights(np.append(compliance, [0.0] * p), DT), matrix / sizes)
+        for p, matrix in enumerate([*nominal, known.mass])
+    )
     total, share = known.total_mass, known.computed_mass @ np.linalg.inv(known.total_mass)
     system = np.zeros((5 * n, 5 * n))  # x, v, a_g, rate of a_g, p
     system[:n, n : 2 * n] = np.eye(n)
@@ -107,7 +117,7 @@ def written_out(known, motion, states, horizon, corner=30.0):
                 d = nominal[0] @ x_j + nominal[1] @ v_j - r
                 target = target + d
                 if j < len(coming):
-                    echo = echo + coming[j] * d
+                    echo = echo + coming[j] * d + by_mode[j] @ (d - target)
             u = u + tracking.target[j] * target
             if j < horizon:
                 rate = (motion[k + j + 1] - a_g) / DT
@@ -120,7 +130,7 @@ def written_out(known, motion, states, horizon, corner=30.0):
     return np.array(forces)
 
 
-@pytest.mark.parametrize("nominal", [{}, FELT, ANY])
+@pytest.mark.parametrize("nominal", [{}, FELT, ANY, INVERTED])
 def test_the_fixed_method_is_its_equations(nominal):
     known = told(compensation__adaptive=False, **nominal)
     fixed = METHODS["preview_inverse"](known)
@@ -132,7 +142,7 @@ def test_the_fixed_method_is_its_equations(nominal):
 
 
 @pytest.mark.parametrize("mends", [False, True])
-@pytest.mark.parametrize("nominal", [{}, FELT, ANY])
+@pytest.mark.parametrize("nominal", [{}, FELT, ANY, INVERTED])
 def test_its_steps_are_the_linear_filter_that_it_says_it_is(nominal, mends):
     one = PreviewFilter(told(**nominal), 0.3, mends)
     gain, advance = np.array([0.97, 1.02]), np.array([4e-4, -7e-4])
@@ -275,3 +285,17 @@ def test_wrong_input_is_one_line(values, message, adaptive):
         METHODS["preview_inverse"](told(compensation__adaptive=adaptive, **values))
     assert str(caught.value).startswith("reference_force: ")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("values", "told_of"),
+    [
+        ({**ANY, **INVERTED}, "blocked_compliance of one that inverts it; set one of them"),
+        ({"tracking.blocked_compliance": [1e-8]}, "needs the specimen that the force controller"),
+        (INVERTED | {"tracking.actuator_size": [1.0, 1.0, 1.0]}, "must be one number above zero"),
+        (INVERTED | {"tracking.actuator_size": [1.0, 0.0]}, "or 2, one for each axis"),
+    ],
+)
+def test_what_contradicts_of_the_force_loop_is_refused(values, told_of):
+    with pytest.raises(InputError, match=told_of):
+        METHODS["preview_inverse"](told(**values))

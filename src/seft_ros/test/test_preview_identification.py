@@ -23,7 +23,7 @@ DAMPING = 1e2 * np.array([[8.0, -1.0, 0.5], [-1.0, 7.0, -0.5], [0.5, -0.5, 9.0]]
 def specimen(n, stiffness=1.0, damping=1.0):
     """Identification of n axes that starts with these factors on what is true."""
     k, c = stiffness * STIFFNESS[:n, :n], damping * DAMPING[:n, :n]
-    return SpecimenIdentification(MASS[:n, :n], c, k, np.full(n, NOISE), DT)
+    return SpecimenIdentification(MASS[:n, :n], c, k, NOISE * np.eye(n), DT)
 
 
 def shaken(n, seconds=12.0, seed=1):

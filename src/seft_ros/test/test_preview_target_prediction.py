@@ -86,21 +86,25 @@ def test_the_weighted_target_is_that_of_the_whole_structure(n, varying, felt):
 @pytest.mark.parametrize("steps", [(0,), (1,), (HORIZON,), (0, 2, 5)])
 @pytest.mark.parametrize("n", [1, 3])
 def test_the_coming_departure_is_what_the_nominal_specimen_needs_beside_the_force(n, steps, other):
+    rng = np.random.default_rng(n)
     known, restoring = structure(n, seed=n)
     nominal = NominalSpecimen(other * known.mass, 1.3 * restoring)
     motion, ground_motion, rest = draw(n)
     prediction = TargetPrediction(known, np.zeros((1, 1 + HORIZON)), nominal, restoring)
-    weights = np.zeros(steps[-1] + 1)
-    weights[list(steps)] = np.random.default_rng(n).normal(size=len(steps))
-    gains = prediction.departure(weights)
+    departures, targets = np.zeros((2, steps[-1] + 1, n, n))
+    departures[list(steps)], targets[list(steps)] = rng.normal(size=(2, len(steps), n, n))
+    gains = prediction.weighed(departures, targets)
     inputs = motion, ground_motion.ravel(), rest.ravel()
     found = sum(gain @ value for gain, value in zip(gains, inputs, strict=True))
-    path = coming(known, restoring, motion, ground_motion, rest)[: len(weights)].T
-    r = restoring @ path + rest[: len(weights)].T
-    acceleration = -np.linalg.solve(known.total_mass, r) - ground_motion[: len(weights)].T
+    count = len(departures)
+    path = coming(known, restoring, motion, ground_motion, rest)[:count].T
+    r = restoring @ path + rest[:count].T
+    acceleration = -np.linalg.solve(known.total_mass, r) - ground_motion[:count].T
     force = known.mass @ acceleration + r
     needed = nominal.mass @ acceleration + nominal.restoring @ path
-    np.testing.assert_allclose(found, (needed - force) @ weights, rtol=1e-7, atol=1e-7)
+    expected = np.einsum("tij,jt->i", departures, needed - force)
+    expected += np.einsum("tij,jt->i", targets, needed)
+    np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-6)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])

@@ -7,6 +7,7 @@ import numpy.typing as npt
 from seft_msgs_py.errors import ExperimentError
 
 from seft_ros.force_controller.kinds import inverts_the_specimen
+from seft_ros.identification.blocked_compliance import BlockedCompliance
 from seft_ros.identification.blocked_error import blocked_error
 from seft_ros.identification.measured_test import (
     FORCE,
@@ -103,7 +104,10 @@ class Identified:
         Of several axes: the uncoupled specimen of `tracking`. None where the force controller
         inverts the specimen: all axes have one force loop then, with the specimen as it is.
     tracking : ClosedLoop or None
-        Of several axes: the force loop of all of them, as it would be with that specimen.
+        Of several axes: the force loop of all of them, as it would be with that specimen, or
+        without the compliance.
+    compliance : BlockedCompliance or None
+        Of several axes whose force controller inverts the specimen, where valves were driven.
     """
 
     axes: tuple[str, ...]
@@ -115,6 +119,7 @@ class Identified:
     faults: tuple[str, ...] = ()
     nominal: NominalAxis | None = None
     tracking: ClosedLoop | None = None
+    compliance: BlockedCompliance | None = None
 
 
 def identify(
@@ -165,12 +170,16 @@ def identify(
     )
     nominal = NominalAxis.of(specimen) if several and not inverting else None
     tracking: ClosedLoop | None = None
+    compliance: BlockedCompliance | None = None
     valves: list[ValveResponse] = []
     closed_loops: list[ClosedLoop] = []
     for test in tests:
-        if test.record is closed_loop and several:
+        if test.record is closed_loop and (several or inverting):
             known_with = specimen if nominal is None else nominal.on_each(len(axes))
-            tracking = _closed_loop(test.as_of(known_with), dt)
+            if inverting and valves:
+                gain = test.record.experiment["force_controller"]["specimen.gain"]
+                compliance = BlockedCompliance.of([valve.fit for valve in valves], gain, dt)
+            tracking = _closed_loop(test.as_of(known_with, compliance), dt)
         for axis in range(len(axes)):
             if test.record is closed_loop:
                 closed_loops.append(_closed_loop(test.of(REFERENCE, FORCE, axis), dt))
@@ -187,6 +196,7 @@ def identify(
         tuple(faults),
         nominal,
         tracking,
+        compliance,
     )
 
 

@@ -19,8 +19,8 @@ def model_parameters(identified: Identified) -> dict[str, dict[str, Any]]:
     The specimen's matrices are those of all axes; the plant, of which the table holds one, is
     that of the first axis. The specimen that the tracking was identified with is told beside it
     where a valve drives the rig, of several axes the nominal one unless the force controller
-    inverts the specimen; the tracking of a rig without a valve does not feel it. Of a nominal one
-    there is also what the loop does to a specimen that departs from it.
+    inverts the specimen; the tracking of a rig without a valve does not feel it. There is also
+    what the loop's pistons, held still, do to a specimen that departs from it.
     """
     specimen = identified.specimen
     reference: dict[str, Any] = {
@@ -44,6 +44,11 @@ def model_parameters(identified: Identified) -> dict[str, dict[str, Any]]:
             reference |= _response("tracking", (of_all or closed).fit.model)
             if of_all:  # what a nominal specimen would need, and this one not
                 reference |= {"tracking.mass": [0.0], "tracking.blocked_error": [0.0]}
+            if of_all and identified.compliance is not None:
+                reference |= {
+                    "tracking.blocked_compliance": list(identified.compliance.polynomial),
+                    "tracking.actuator_size": list(identified.compliance.sizes),
+                }
             for name in ("stiffness", "damping"):  # copies: ROS 2 reads no YAML aliases
                 reference[f"tracking.{name}"] = list(reference[f"model.{name}"]) if feels else [0.0]
     if identified.valves:

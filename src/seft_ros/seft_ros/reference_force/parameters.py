@@ -224,6 +224,21 @@ TABLE = Table(
             "0: not known",
         ),
         Parameter(
+            "tracking.blocked_compliance",
+            "floats",
+            [0.0],
+            "of a force controller that inverts the specimen: that error over the force with which "
+            "tracking.mass, .damping and .stiffness resist, likewise; 0: not known, or none such",
+            "m/N",
+        ),
+        Parameter(
+            "tracking.actuator_size",
+            "floats",
+            [1.0],
+            "force of each axis's actuator with the piston held still, over that of the actuator "
+            "whose compliance that is",
+        ),
+        Parameter(
             "limits.force",
             "float",
             22200.0,

@@ -22,7 +22,7 @@ def note_unanswered(node: str, states: Steps, answered: Steps) -> list[str]:
     Returns
     -------
     list of str
-        A note, or none.
+        Notes: of these, and of steps of which the bag has neither state nor answer.
 
     Raises
     ------
@@ -35,7 +35,9 @@ def note_unanswered(node: str, states: Steps, answered: Steps) -> list[str]:
             f"the bag lacks rig/state of step {lost[0]}, which {node} has answered: "
             "what the node remembers of it can't be replayed"
         )
-    unanswered = np.setdiff1d(states, answered)
-    return (
-        [listed("not answered when recorded, and not sent", unanswered)] if len(unanswered) else []
-    )
+    found = {
+        "not answered when recorded, and not sent": np.setdiff1d(states, answered),
+        "neither rig/state nor its answer is in the bag, and whether the node had them is not "
+        "known": np.setdiff1d(np.arange(answered[-1] if len(answered) else 0), states),
+    }
+    return [listed(what, steps) for what, steps in found.items() if len(steps)]

@@ -41,7 +41,9 @@ def preview_inverse(knowledge: Knowledge) -> Compensator:
 
     where E is the error over force of the loop with its piston held still
     (``tracking.blocked_error``): d changes the piston's motion, which a loop of finite gain does
-    not answer at once.
+    not answer at once. Of a force controller that inverts the specimen, E is larger for a stiffer
+    mode, and so T differs from mode to mode; with the T of a loop without E,
+    f_r = T^-1 (f_r* + d) + E (f_r* + d) - (1 + E) d.
 
     With ``compensation.adaptive`` stiffness, damping, and the gain and delay of T are identified
     while the test runs; where the specimen yields, its tangent is followed (`PlasticForce`) and
@@ -66,14 +68,13 @@ class AdaptivePreviewInverse:
         self._filter = PreviewFilter(knowledge, _BIAS_CORNER_ADAPTIVE, mends=True)
         self.preview = self._filter.preview
         noise = self._filter.restoring_noise
-        self._noise = noise
-        visible = _YIELD_SIGMAS * np.sqrt(self._filter.residual_noise())
+        visible = _YIELD_SIGMAS * np.sqrt(self._filter.residual_noise().diagonal())
         self._sigmas: list[float] = visible.tolist()
         self._specimen = SpecimenIdentification(
             knowledge.mass,
             knowledge.damping,
             knowledge.stiffness,
-            noise,
+            self._filter.residual_noise(lasting=True),
             knowledge.dt,
         )
         self._tracking = TrackingIdentification(
@@ -190,7 +191,7 @@ class AdaptivePreviewInverse:
         n = self._knowledge.axes
         self._plastic = PlasticForce(
             known.restoring[:, :n],
-            self._noise,
+            known.residual_noise(lasting=True),
             known.prediction.displacements(),
             self._knowledge.deformation,
         )

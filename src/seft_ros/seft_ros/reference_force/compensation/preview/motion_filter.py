@@ -38,10 +38,20 @@ def motion_filter(dt: float, position: float, velocity: float, acceleration: flo
     return found
 
 
-def motion_noise(dt: float, position: float, velocity: float, acceleration: float) -> Floats:
-    """Covariance of the errors that the sensors' noise leaves in x and v, shape (2, 2)."""
-    _, gain, spread = _stationary(dt, position, velocity, acceleration)
+def motion_noise(
+    dt: float, position: float, velocity: float, acceleration: float, lasting: bool = False
+) -> Floats:
+    """Covariance of the errors that the sensors' noise leaves in x and v, shape (2, 2).
+
+    Errors of neighbouring steps are alike. ``lasting`` gives the covariance of errors that would
+    be independent and leave as much in the mean of many steps.
+    """
+    free, gain, spread = _stationary(dt, position, velocity, acceleration)
     left: Floats = spread - gain @ spread
+    if lasting:  # left goes on as kept^j from step to step
+        kept = free - gain @ free
+        sums = np.linalg.solve(np.eye(2) - kept, left)
+        left = sums + sums.T - left
     return left
 
 

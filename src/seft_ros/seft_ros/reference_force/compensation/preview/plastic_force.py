@@ -23,7 +23,7 @@ class PlasticForce:
     stiffness : ndarray
         K, elastic, shape (n, n), N/m.
     noise : ndarray
-        Variance of the measured restoring force, shape (n,), N^2.
+        Covariance of what noise makes of r - (K x + C v), shape (n, n), N^2.
     displacements : tuple of ndarray
         Gains of the coming displacements, as `TargetPrediction.displacements` gives them.
     deformation : ndarray
@@ -45,9 +45,9 @@ class PlasticForce:
         n = len(stiffness)
         self._deformation, self._back = deformation, np.linalg.inv(deformation)
         own = np.diag(self._back.T @ stiffness @ self._back)
-        shared = np.diag(self._back.T @ np.diag(noise) @ self._back)
+        shared = np.diag(self._back.T @ noise @ self._back)
         pairs = zip(own.tolist(), shared.tolist(), strict=True)
-        self._filters = [TangentFilter(*pair) for pair in pairs]
+        self._filters = [TangentFilter(*pair, springs=n) for pair in pairs]
         self._bounds = [(_SOFTEST * k, -1e-9 * k) for k in own.tolist()]
         from_motion, from_ground_motion, from_rest = displacements
         from_here = from_motion.copy()

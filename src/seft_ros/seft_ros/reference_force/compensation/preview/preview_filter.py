@@ -10,7 +10,10 @@ from seft_msgs_py.arrays import as_matrix, mass_matrix
 
 from seft_ros.reference_force.compensation.compensator import Knowledge
 from seft_ros.reference_force.compensation.linear_filter import LinearFilter
-from seft_ros.reference_force.compensation.preview.coming_weights import coming_weights
+from seft_ros.reference_force.compensation.preview.blocked_error import (
+    blocked_error,
+    inverts_the_specimen,
+)
 from seft_ros.reference_force.compensation.preview.motion_filter import (
     motion_filter,
     motion_noise,
@@ -81,7 +84,8 @@ class PreviewFilter:
     departure : ndarray
         Force by which the specimen departs from that of the tracking model, shape (n,), N.
     knows_any_specimen : bool
-        Whether the force loop is known for specimens that depart from that one, too.
+        Whether the force loop is known for specimens that depart from that one, too, and is alike
+        for all modes.
     target, rate : ndarray
         Weighted target and its weighted rate, shape (n,).
     model_force : ndarray
@@ -99,7 +103,7 @@ class PreviewFilter:
         self.preview = min(LONGEST_HORIZON, int(np.ceil((self.delay + HORIZON) / dt)))
         tracking = PreviewTracking.design(model, self.preview, min(CORNER * dt, HIGHEST_CORNER))
         self._nominal = _nominal(options, knowledge.mass)
-        self._ahead = self._weights_of_departure(options, dt)
+        self._ahead = self._weights_ahead(options, dt)
         weights = np.zeros((2, 1 + self.preview))  # of the target, and of its rate
         weights[0] = tracking.target
         weights[1, 1:] += tracking.target[:-1] / (2 * dt)
@@ -209,8 +213,8 @@ class PreviewFilter:
             gain[8 * n : 9 * n, 10 * n : 11 * n] += by_first
         gain[9 * n : 11 * n] = targets
         gain[11 * n :] = np.diag(self._trust) @ (residual - known_rest) - gain[8 * n : 9 * n]
-        if self._ahead.size:
-            arriving = self.prediction.departure(self._ahead)
+        if len(self._ahead[0]):
+            arriving = self.prediction.weighed(*self._ahead)
             if self._loop_delay:  # what departs now does not count any more
                 gain[11 * n :] = 0.0
             gain[11 * n :] -= arriving[0] @ motion
@@ -239,7 +243,7 @@ class PreviewFilter:
         if self._nominal is not None:
             self.departure += self._departing.dot(self.rest)
         self._direct += self._direct_by_rest.dot(self.rest)
-        if self._ahead.size:
+        if len(self._ahead[0]):
             self._direct -= self._arriving.dot(coming)
         self.target += self._rest_gains.dot(coming)
 
@@ -252,13 +256,16 @@ class PreviewFilter:
         gain: Floats = self.prediction.gains()[0][: self._axes] - self.prediction.way_back()
         return gain
 
-    def residual_noise(self) -> Floats:
-        """Variance that the sensors' noise makes in the residual, shape (n,), N^2."""
+    def residual_noise(self, lasting: bool = False) -> Floats:
+        """Covariance that the sensors' noise makes in the residual, shape (n, n), N^2.
+
+        With ``lasting`` as `motion_noise` has it, for who learns of many steps.
+        """
         noise = self.noise
-        left = motion_noise(self._dt, noise.position, noise.velocity, noise.acceleration)
+        left = motion_noise(self._dt, noise.position, noise.velocity, noise.acceleration, lasting)
         parts = self.restoring.reshape(self._axes, 2, self._axes)
-        of_motion = np.einsum("ikj,kl,ilj->i", parts, left, parts)
-        found: Floats = self.restoring_noise + of_motion
+        of_motion = np.einsum("ikj,kl,mlj->im", parts, left, parts)
+        found: Floats = np.diag(self.restoring_noise) + of_motion
         return found
 
     def begin_course(self) -> None:
@@ -273,21 +280,27 @@ class PreviewFilter:
         force: Floats = drive + self._direct
         return force
 
-    def _weights_of_departure(self, options: Mapping[str, Any], dt: float) -> Floats:
-        """Weights of the departure d in the steps to come, in the force that passes the inverse by.
+    def _weights_ahead(self, options: Mapping[str, Any], dt: float) -> tuple[Floats, Floats]:
+        """Weights of steps to come in the force that passes the inverse by, with other sign.
 
-        Beside d itself, which is known now or arrives after the loop's delay, it is E d, E the
-        error of the blocked loop: f + d = T (f_r + d + E d).
+        Of the departure d: beside d itself, which is known now or arrives after the loop's delay,
+        it is E d, E the error of the blocked loop: f + d = T (f_r + d + E d). Where the controller
+        inverts the specimen, E is one for each mode, and T that of a loop without it, so that E
+        times the target comes to the reference force. Shapes (m, n, n).
         """
-        error = np.trim_zeros(np.atleast_1d(options["tracking.blocked_error"]).astype(float), "f")
-        self.knows_any_specimen = self._nominal is not None and error.size > 0
-        weights = np.zeros(1 + self.preview)
-        if self._nominal is not None and self._loop_delay:
-            weights[self._loop_delay] = 1.0
-        if self.knows_any_specimen:
-            coming = coming_weights(error, dt)[: len(weights) - self._loop_delay]
-            weights[self._loop_delay : self._loop_delay + len(coming)] += coming
-        return np.trim_zeros(weights, "b")
+        error = blocked_error(options, self._nominal, dt, self._axes)
+        inverting = inverts_the_specimen(options)
+        self.knows_any_specimen = len(error) > 0 and not inverting
+        begin, steps = self._loop_delay, 1 + self.preview
+        error = error[: steps - begin]
+        departures, targets = np.zeros((2, steps, self._axes, self._axes))
+        if self._nominal is not None and begin:
+            departures[begin] = np.eye(self._axes)
+        departures[begin : begin + len(error)] += error
+        if inverting:
+            targets[begin : begin + len(error)] -= error
+        last = begin + max(len(error), 1) if departures.any() else 0
+        return departures[:last], targets[:last]
 
     def linear(self, gain: Floats, advance: Floats) -> LinearFilter:
         """Filter that this is, with a tracking gain and an advance (s) found on line."""

@@ -29,7 +29,7 @@ class SpecimenIdentification:
     mass, damping, stiffness : ndarray
         As known at the start, shape (n, n).
     noise : ndarray
-        Variance of the measured restoring force, shape (n,), N^2.
+        Covariance of what noise makes of r - (K x + C v), shape (n, n), N^2.
     dt : float
         Sampling period, s.
 
@@ -63,13 +63,14 @@ class SpecimenIdentification:
             damped,
         ]
         self._spread = np.sqrt(spread[:, upper[0]] * spread[:, upper[1]]).reshape(-1)
-        # (x, v) to the force that a parameter of its spread makes on an axis over the noise's
+        # (x, v) to the force that a parameter of its spread makes on an axis
         self._regression = np.zeros((n, 2 * count, 2 * n))
         for axis, columns in enumerate(self._places):
             self._regression[axis, columns, np.arange(2 * n)] = 1.0
-        deviation = np.sqrt(noise)[:, np.newaxis, np.newaxis]
-        self._regression *= self._spread[:, np.newaxis] / deviation
-        self._noise = noise
+        self._regression *= self._spread[:, np.newaxis]
+        # the same over the noise, which is made independent and of variance one
+        self._whitening = np.linalg.inv(np.linalg.cholesky(noise))
+        self._white = np.tensordot(self._whitening, self._regression, axes=1)
         self._least = n * _EXCITATION**2
         self._forgetting = 1.0 - np.exp(-BLOCK * dt / _EXCITATION_TIME)
         self._motions, self._forces = np.zeros((BLOCK, 2 * n)), np.zeros((BLOCK, n))
@@ -113,15 +114,14 @@ class SpecimenIdentification:
 
     def _learn(self) -> None:
         """Take the block's samples over into the parameters, as they stand out of the noise."""
-        scale = np.sqrt(self._noise)
         expected = self._motions @ self._first.T  # of the specimen as known at the start
-        power = np.square(expected / scale).sum() / BLOCK
+        power = np.square(expected @ self._whitening.T).sum() / BLOCK
         self._excitation += self._forgetting * (power - self._excitation)
         if self._excitation <= self._least:
             return
-        regressors = (self._regression @ self._motions.T).transpose(1, 0, 2)
+        regressors = (self._white @ self._motions.T).transpose(1, 0, 2)
         regressors = regressors.reshape(len(self._spread), -1)
-        errors = (self._forces - expected) / scale
+        errors = (self._forces - expected) @ self._whitening.T
         self._information += regressors @ regressors.T
         self._evidence += regressors @ errors.T.reshape(-1)
         covariance = np.linalg.inv(self._information)
@@ -130,9 +130,7 @@ class SpecimenIdentification:
 
     def _quadratic(self, covariance: Floats) -> Floats:
         """Forms of (x, v) that give the variance of each axis's expected force, (n, 2n, 2n)."""
-        turned = self._regression.transpose(0, 2, 1)
-        noise = self._noise[:, np.newaxis, np.newaxis]
-        forms: Floats = noise * (turned @ covariance @ self._regression)
+        forms: Floats = self._regression.transpose(0, 2, 1) @ covariance @ self._regression
         return forms
 
     def contradicts(self) -> bool:

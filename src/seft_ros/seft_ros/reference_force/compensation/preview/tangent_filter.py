@@ -18,6 +18,8 @@ class TangentFilter:
         Elastic stiffness, N/m.
     noise : float
         Variance of the measured p, N^2.
+    springs : int
+        How many are followed at once: their errors act together on one structure.
 
     Attributes
     ----------
@@ -25,9 +27,9 @@ class TangentFilter:
         dp/dx in N/m, and how it changes on the way at present, in N/m^2.
     """
 
-    def __init__(self, stiffness: float, noise: float) -> None:
+    def __init__(self, stiffness: float, noise: float, springs: int = 1) -> None:
         self._noise = noise
-        self._visible = _VISIBLE * noise**0.5 / stiffness  # m
+        self._visible = _VISIBLE * (springs * noise) ** 0.5 / stiffness  # m
         self._largest = (_SUDDENNESS * stiffness) ** 2
         self._lowest, self._highest = _SOFTEST * stiffness, _STEEPEST * stiffness
         self.slope = self.bend = 0.0

@@ -143,37 +143,37 @@ class TargetPrediction:
         gain: Floats = _ahead(self._weights[:1], target, expm(system * self._dt))[0]
         return gain
 
-    def departure(self, weights: Floats) -> tuple[Floats, Floats, Floats]:
-        """Gains of a weighted sum of the coming forces by which the specimen departs.
+    def weighed(self, departures: Floats, targets: Floats) -> tuple[Floats, Floats, Floats]:
+        """Gains of a weighted sum of the coming departures, and of the coming targets.
 
-        As `gains` has them. The force is K_0 x + C_0 v - r + (M_0 - M_e) x'', see `departing`.
+        As `gains` has them. The departure is K_0 x + C_0 v - r + (M_0 - M_e) x'', see `departing`.
 
         Parameters
         ----------
-        weights : ndarray
-            From this step on, shape (m,), at most as long as the horizon.
+        departures, targets : ndarray
+            Weights of each from this step on, shape (m, n, n), at most as long as the horizon.
 
         Returns
         -------
         motion, ground_motion, rest : ndarray
             Shapes (n, 2n) and (n, (1 + horizon) n), twice.
         """
-        n, steps = len(self._mass), self._weights.shape[1]
-        ground = np.zeros((steps, 2 * n, n))
-        power = weights[-1] * np.eye(2 * n)
-        for step in range(len(weights) - 1, 0, -1):  # what enters in the step to `step`
+        n, steps, count = len(self._mass), self._weights.shape[1], len(departures)
+        departing, by_ground, by_rest = self.departing()
+        target = self.share @ self._restoring + self.nominal
+        by_motion = departures @ departing + targets @ target
+        ground = np.zeros((steps, n, n))
+        power = by_motion[-1]
+        for step in range(count - 1, 0, -1):  # what enters in the step to `step`
             ground[step] += power @ self._end
             ground[step - 1] += power @ self._start
-            power = power @ self._free + weights[step - 1] * np.eye(2 * n)
-        departure, by_ground, by_rest = self.departing()
-        direct = weights[:, np.newaxis, np.newaxis]
-        rest = departure @ ground @ self._inverse_mass
-        rest[: len(weights)] += direct * by_rest
-        ground = departure @ ground
-        ground[: len(weights)] += direct * by_ground
+            power = power @ self._free + by_motion[step - 1]
+        rest = ground @ self._inverse_mass
+        rest[:count] += departures @ by_rest + targets @ self.share
+        ground[:count] += departures @ by_ground - targets @ self._mass
         flat = (n, steps * n)
         return (
-            departure @ power,
+            power,
             ground.transpose(1, 0, 2).reshape(flat),
             rest.transpose(1, 0, 2).reshape(flat),
         )
