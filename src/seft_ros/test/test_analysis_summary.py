@@ -217,7 +217,8 @@ def test_an_empty_record_is_summarised():
     summary = summarise(record)
     assert summary["steps"] == 0
     assert summary["displacement"] == dict.fromkeys(MEASURES)
-    assert "done" in verdict(summary)
+    assert summary["first_step"] is None
+    assert "no rig/state" in verdict(summary)
 
 
 def test_a_reference_that_is_given_is_used():

@@ -8,6 +8,7 @@ from seft_ros.report.judgement import judge
 
 GOOD = {
     "steps": 1000,
+    "first_step": 0,
     "rate_hz": 500.0,
     "duration_s": 2.0,
     "trip": None,
@@ -50,6 +51,8 @@ def test_a_test_without_fault_can_be_trusted():
         ({"trip": {"reason": "force", "step": 7, "time_s": 0.014}}, Mark.BAD, "ending"),
         ({"stable": False}, Mark.BAD, "ending"),
         ({"complete": False}, Mark.BAD, "ending"),
+        ({"complete": False, "first_step": None}, Mark.BAD, "ending"),
+        ({"first_step": 120, "displacement__nrmse": 9.0}, Mark.BAD, "beginning"),
         ({"displacement__nrmse": 0.06}, Mark.DOUBT, "displacement_error"),
         ({"displacement__nrmse": 0.16}, Mark.BAD, "displacement_error"),
         ({"displacement__nrmse": None}, Mark.DOUBT, "displacement_error"),
@@ -95,6 +98,9 @@ def test_what_is_not_known_is_left_out():
     summary = changed(energy=None, vibration__ratio=None)
     names = {finding.name for finding in judge(summary).findings}
     assert not names & {"energy_balance", "vibration", "delay"}
+    findings = {f.name: f.text for f in judge(changed(first_step=None)).findings}
+    assert "no rig/state" in findings["ending"]
+    assert "lost" not in findings
 
 
 def test_programs_find_the_same_as_people():

@@ -41,7 +41,8 @@ def summarise(
     Returns
     -------
     dict
-        ``steps`` (from 0 to the last that was recorded), ``rate_hz``, ``duration_s``,
+        ``steps`` (from 0 to the last that was recorded), ``first_step`` (the first that was; null
+        if none), ``rate_hz``, ``duration_s``,
         ``wall_s``, ``realtime_factor``, ``complete``, ``stable`` (no trip, and all samples
         finite), ``trip`` (null or reason, step, time_s), ``missed`` (steps without a command
         in time), ``overruns`` (times the rig's own clock was held up), ``timing`` (round trips,
@@ -100,10 +101,11 @@ def summarise_briefly(record: Record, reference: ReferenceResponse) -> dict[str,
 
 def _course(record: Record) -> dict[str, Any]:
     """How far a test came, and how it ended."""
-    trip = record.trip
+    trip, steps = record.trip, record.series[RIG_STATE.name].steps
     finite = all(np.isfinite(series.values).all() for series in record.series.values())
     return {
         "steps": _steps(record),
+        "first_step": int(steps[0]) if len(steps) else None,
         "stable": trip is None and finite,
         "trip": trip and {"reason": trip.reason, "step": trip.step, "time_s": trip.time_s},
         "saturated": _saturated(record),

@@ -74,6 +74,8 @@ def verdict(summary: dict[str, Any]) -> str:
         text = f"TRIPPED at {trip['time_s']:.3f} s (step {trip['step']}): {trip['reason']}"
     elif not summary["stable"]:
         text = "UNSTABLE: samples are not finite"
+    elif summary["first_step"] is None:
+        text = "NOTHING KNOWN: the record has no rig/state"
     elif not summary["complete"]:
         text = "CUT OFF: the record ends before the test did"
     elif error is not None:

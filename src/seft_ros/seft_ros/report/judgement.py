@@ -98,6 +98,8 @@ def judge(summary: dict[str, Any]) -> Judgement:
 
 
 def _findings(summary: dict[str, Any]) -> Iterator[Finding]:
+    if summary["first_step"]:
+        yield _beginning(summary["first_step"])
     yield _ending(summary)
     yield _error(summary)
     if summary["displacement"]["nrmse"] is not None:
@@ -109,13 +111,22 @@ def _findings(summary: dict[str, Any]) -> Iterator[Finding]:
     yield _missed(summary)
     if summary["link"]:
         yield _link(summary["link"])
-    yield _lost(summary)
+    if summary["first_step"] is not None:
+        yield _lost(summary)
     if summary["overruns"]:
         text = f"the rig's own clock was held up {summary['overruns']} times"
         yield Finding(Mark.DOUBT, "overruns", text)
     yield _saturated(summary)
     if summary["energy"] and summary["energy"]["closure"] is not None:
         yield _closure(summary)
+
+
+def _beginning(first: int) -> Finding:
+    text = (
+        f"the record begins at step {first} of the test; errors are of what is there, against the "
+        "exact response from step 0 on"
+    )
+    return Finding(Mark.BAD, "beginning", text)
 
 
 def _ending(summary: dict[str, Any]) -> Finding:
@@ -125,6 +136,8 @@ def _ending(summary: dict[str, Any]) -> Finding:
         return Finding(Mark.BAD, "ending", text)
     if not summary["stable"]:
         return Finding(Mark.BAD, "ending", "it went unstable: samples are not finite")
+    if summary["first_step"] is None:
+        return Finding(Mark.BAD, "ending", "the record has no rig/state: nothing is known of it")
     if not summary["complete"]:
         return Finding(Mark.BAD, "ending", "the record is cut off before the test ended")
     text = f"it ran to its end, {summary['steps']} steps, {summary['duration_s']:g} s"
