@@ -33,6 +33,7 @@ def protected(forces, guards=(), ramp=10, largest=1e4, fastest=1e9):
     block = SimpleNamespace(
         preview=0,
         estimates=dict,
+        learn=lambda: None,
         reset=lambda: None,
         step=lambda motion, state: np.array([next(given)]),
     )
