@@ -61,7 +61,7 @@ def summarise(
     """
     if reference is None:
         reference = reference_of(record)
-    steps = _steps(record)
+    steps, recorded = _steps(record), record.series[RIG_STATE.name].steps
     duration = steps * record.experiment.timebase.dt
     timing = timing_of(record)
     axes = record.experiment.axes
@@ -71,6 +71,7 @@ def summarise(
     }
     summary = {
         **_course(record),
+        "first_step": int(recorded[0]) if len(recorded) else None,
         "rate_hz": record.experiment.timebase.rate,
         "duration_s": duration,
         "wall_s": record.wall_s,
@@ -101,11 +102,10 @@ def summarise_briefly(record: Record, reference: ReferenceResponse) -> dict[str,
 
 def _course(record: Record) -> dict[str, Any]:
     """How far a test came, and how it ended."""
-    trip, steps = record.trip, record.series[RIG_STATE.name].steps
+    trip = record.trip
     finite = all(np.isfinite(series.values).all() for series in record.series.values())
     return {
         "steps": _steps(record),
-        "first_step": int(steps[0]) if len(steps) else None,
         "stable": trip is None and finite,
         "trip": trip and {"reason": trip.reason, "step": trip.step, "time_s": trip.time_s},
         "saturated": _saturated(record),
