@@ -73,10 +73,15 @@ def run_over(two_hosts, rig_host, **link):
     return over
 
 
-def assert_accurate(over, most):
-    """Hold the displacement to a bound, unless this machine itself stood still too often."""
+def assert_accurate(over, most, unanswered=0):
+    """Hold the displacement to a bound, unless this machine itself stood still too often.
+
+    Before the first state that comes over the link, there is no reference force: so many may lack.
+    """
     if over["missed"] < 0.02 * over["steps"]:
-        assert over["lost"] == dict.fromkeys(over["lost"], 0)
+        others = {k: count for k, count in over["lost"].items() if k != "reference_force"}
+        assert others == dict.fromkeys(others, 0)
+        assert over["lost"]["reference_force"] <= unanswered
         assert over["displacement"]["nrmse"] < most
 
 
@@ -97,7 +102,7 @@ def test_what_is_lost_on_the_link_is_bridged(two_hosts, rig_host):
     five_messages = 0.0101  # s
     loss = {"loss": 0.02, "burst": five_messages, "burst_period": 0.7}
     over = run_over(two_hosts, rig_host, **DELAYED, **loss)
-    assert_accurate(over, 0.05)
+    assert_accurate(over, 0.05, unanswered=5)
     assert min(way["lost"] for way in two_hosts.link()) > 100
 
 
