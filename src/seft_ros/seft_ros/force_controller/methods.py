@@ -40,5 +40,5 @@ def force_control(
     if name in (TRANSFER_FUNCTION, DECOUPLING):
         return ForceController.from_parameters(section, axes, timebase, own)
     knowledge = ControlKnowledge(len(own.axes), timebase.dt, section["voltage_limit"])
-    own = REGISTERED.make(name, section["settings"], "force_controller: method", knowledge)
-    return RegisteredControl(own, name, knowledge)
+    made = REGISTERED.make(name, section["settings"], "force_controller: method", knowledge)
+    return RegisteredControl(made, name, knowledge)

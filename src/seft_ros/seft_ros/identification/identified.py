@@ -104,10 +104,10 @@ class Identified:
         Of several axes: the uncoupled specimen of `tracking`. None where the force controller
         inverts the specimen: all axes have one force loop then, with the specimen as it is.
     tracking : ClosedLoop or None
-        Of several axes: the force loop of all of them, as it would be with that specimen, or
-        without the compliance.
+        Of several axes, or where the force controller inverts the specimen: the force loop of all
+        of them, as it would be with that specimen, or without the compliance.
     compliance : BlockedCompliance or None
-        Of several axes whose force controller inverts the specimen, where valves were driven.
+        Where the force controller inverts the specimen, and valves were driven.
     """
 
     axes: tuple[str, ...]

@@ -15,8 +15,8 @@ Floats = npt.NDArray[np.float64]
 _WHERE = "reference_force: tracking"
 
 
-def inverts_the_specimen(options: Mapping[str, Any]) -> bool:
-    """Whether ``tracking.*`` is of a force controller that inverts the nominal specimen."""
+def is_of_each_mode(options: Mapping[str, Any]) -> bool:
+    """Whether E is, as ``tracking.*`` is of a controller that inverts the nominal specimen."""
     return bool(np.any(options["tracking.blocked_compliance"]))
 
 

@@ -12,7 +12,7 @@ from seft_ros.reference_force.compensation.compensator import Knowledge
 from seft_ros.reference_force.compensation.linear_filter import LinearFilter
 from seft_ros.reference_force.compensation.preview.blocked_error import (
     blocked_error,
-    inverts_the_specimen,
+    is_of_each_mode,
 )
 from seft_ros.reference_force.compensation.preview.motion_filter import (
     motion_filter,
@@ -289,15 +289,15 @@ class PreviewFilter:
         times the target comes to the reference force. Shapes (m, n, n).
         """
         error = blocked_error(options, self._nominal, dt, self._axes)
-        inverting = inverts_the_specimen(options)
-        self.knows_any_specimen = len(error) > 0 and not inverting
+        of_each_mode = is_of_each_mode(options)
+        self.knows_any_specimen = len(error) > 0 and not of_each_mode
         begin, steps = self._loop_delay, 1 + self.preview
         error = error[: steps - begin]
         departures, targets = np.zeros((2, steps, self._axes, self._axes))
         if self._nominal is not None and begin:
             departures[begin] = np.eye(self._axes)
         departures[begin : begin + len(error)] += error
-        if inverting:
+        if of_each_mode:
             targets[begin : begin + len(error)] -= error
         last = begin + max(len(error), 1) if departures.any() else 0
         return departures[:last], targets[:last]
