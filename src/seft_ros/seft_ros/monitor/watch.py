@@ -55,20 +55,19 @@ class Watch:
     def look(self) -> list[Frame]:
         """Take what has come; give what is new, for pages that know the rest."""
         self._hear_nodes()
-        take = self._graph.take
         intake = self.intake
-        rigs = [RIG_STATE] if intake is None else [RIG_STATE.of(rig) for rig in intake.rigs]
+        if intake is None:
+            return self._news()  # samples wait in the middleware until they can be read
+        take = self._graph.take
+        rigs = [RIG_STATE.of(rig) for rig in intake.rigs]
         motion, forces = take(GROUND_MOTION), take(REFERENCE_FORCE)
         states = [take(topic) for topic in rigs]
-        frames: list[Frame] = []
-        if intake is not None:
-            before = intake.number
-            intake.motion(motion)
-            new = intake.samples(states, forces)
-            if intake.number != before:
-                self.session.begin()
-            frames += [samples_frame(intake.number, stretch) for stretch in new]
-        return self._news() + frames
+        before = intake.number
+        intake.motion(motion)
+        new = intake.samples(states, forces)
+        if intake.number != before:
+            self.session.begin()
+        return self._news() + [samples_frame(intake.number, stretch) for stretch in new]
 
     def everything(self) -> list[Frame]:
         """Give all that a page needs which has just been opened."""
