@@ -96,6 +96,13 @@ def written_out(known, motion, states, horizon, corner=30.0):
     )  # fmt: skip
     system[2 * n : 3 * n, 3 * n : 4 * n] = np.eye(n)
     ahead = expm(system * DT)
+    driven, committed = np.zeros((4 * n, 4 * n)), 0  # x, v, f + d, rate of f + d
+    if compliance.any():
+        committed = round((model.dead_time + model.delay(DT)) / 2 / DT)
+        inverse = np.linalg.inv(known.mass)
+        driven[:n, n : 2 * n] = driven[2 * n : 3 * n, 3 * n :] = np.eye(n)
+        driven[n : 2 * n, : 3 * n] = inverse @ np.hstack([-nominal[0], -nominal[1], np.eye(n)])
+    driven = expm(driven * DT)
     variance = 9.0 + (np.diag(known.mass) * 0.05) ** 2
     kinematic, p, z = np.zeros((3, n)), np.zeros(n), np.zeros((len(model.a), n))
     past, forces = np.zeros((len(tracking.past), n)), []
@@ -108,6 +115,7 @@ def written_out(known, motion, states, horizon, corner=30.0):
         u = tracking.state @ z + tracking.past @ past
         path = np.concatenate([x, v])
         echo = np.zeros(n)  # of the departure, in a loop of finite gain
+        on_its_way = z
         for j in range(horizon + 1):
             a_g = motion[k + j]
             x_j, v_j = path.reshape(2, n)
@@ -119,7 +127,12 @@ def written_out(known, motion, states, horizon, corner=30.0):
                 if j < len(coming):
                     echo = echo + coming[j] * d + by_mode[j] @ (d - target)
             u = u + tracking.target[j] * target
-            if j < horizon:
+            if j < committed:
+                asked = on_its_way, model.a @ on_its_way + np.outer(model.b, past[0])
+                now, then = (model.c @ state for state in asked)
+                path = (driven @ np.concatenate([path, now, (then - now) / DT]))[: 2 * n]
+                on_its_way = asked[1]
+            elif j < horizon:
                 rate = (motion[k + j + 1] - a_g) / DT
                 path = (ahead @ np.concatenate([path, a_g, rate, p]))[: 2 * n]
         d = nominal[0] @ x + nominal[1] @ v - residual - known.stiffness @ x - known.damping @ v

@@ -111,7 +111,7 @@ def test_the_coming_force_is_better_known_than_by_holding_what_is(spring, alpha)
     for k in range(250, len(p) - 1 - HORIZON):
         y = path[k]
         plastic.update(y, rest, p[k] + rng.normal(0, np.sqrt(NOISE), 1))
-        coming = plastic.coming(y, rest, a_g[k : k + 1 + HORIZON])
+        coming = plastic.coming(y, rest, a_g[k : k + 1 + HORIZON], np.zeros(1))
         assert coming[0] == pytest.approx(rest[0], abs=1e-6)
         exact = p[k : k + 21]
         followed.append(np.sqrt(np.mean((coming[:21] - exact) ** 2)))
@@ -158,12 +158,12 @@ def test_axes_are_followed_on_their_own():
     a_g = np.random.default_rng(5).normal(0, 2.0, (1 + HORIZON, 2))
     for k, y in enumerate(paths):
         both.update(y.ravel(), rest, np.array([p[0][k], p[1][k]]))
-        found = both.coming(y.ravel(), rest, a_g).reshape(-1, 2)
+        found = both.coming(y.ravel(), rest, a_g, np.zeros(2)).reshape(-1, 2)
         for axis, (one, own) in enumerate(singles):
             column = slice(axis, axis + 1)
             one.update(y[:, axis], own, p[axis][k : k + 1])
             np.testing.assert_allclose(rest[axis], own[0], rtol=1e-12, atol=1e-12)
-            alone = one.coming(y[:, axis], own, a_g[:, column])
+            alone = one.coming(y[:, axis], own, a_g[:, column], np.zeros(1))
             np.testing.assert_allclose(found[:, axis], alone, rtol=1e-9, atol=1e-7)
 
 

@@ -63,8 +63,8 @@ class Continuation:
         weights = np.eye(steps, 1 + self.preview, k=here + 1)
         weights[:, here] = -1.0
         restoring = np.hstack([known.stiffness, known.damping])
-        motion, ground, _ = TargetPrediction(known, weights, None, restoring).gains()
-        self._gain = np.hstack([motion, ground])
+        coming = TargetPrediction(known, weights, None, restoring).gains()
+        self._gain = np.hstack([coming.motion, coming.ground_motion])
         self._known = np.zeros(self._gain.shape[1])
         self._motion, self._ground = np.split(self._known, [2 * known.axes])
         self._substructure: SubstructureMotion | None = None

@@ -104,7 +104,7 @@ class AdaptivePreviewInverse:
         else:  # the loop is taken as it was identified
             motion, rest, plastic = known.motion, known.rest, self._plastic
             plastic.update(motion, rest, known.residual)
-            known.expect(plastic.coming(motion, rest, ground_motion))
+            known.expect(plastic.coming(motion, rest, ground_motion, known.committed))
             force = state[3]
             deviation = force + known.departure - known.model_force
             target = known.target - known.reach * self._correction.step(
@@ -186,8 +186,9 @@ class AdaptivePreviewInverse:
         self._tracking.reset()
         late = self._knowledge.loop_delay * self._knowledge.dt
         pace = 1.0 - late / known.delay
-        way_back = known.way_back() / known.reach if known.knows_any_specimen else None
-        self._correction = ForceErrorCorrection(self._knowledge, known.restoring, pace, way_back)
+        self._correction = ForceErrorCorrection(
+            self._knowledge, known.restoring, pace, known.way_back(pace)
+        )
         n = self._knowledge.axes
         self._plastic = PlasticForce(
             known.restoring[:, :n],

@@ -4,6 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from seft_ros.reference_force.compensation.preview.tangent_filter import TangentFilter
+from seft_ros.reference_force.compensation.preview.target_prediction import Gains
 
 Floats = npt.NDArray[np.float64]
 
@@ -24,8 +25,8 @@ class PlasticForce:
         K, elastic, shape (n, n), N/m.
     noise : ndarray
         Covariance of what noise makes of r - (K x + C v), shape (n, n), N^2.
-    displacements : tuple of ndarray
-        Gains of the coming displacements, as `TargetPrediction.displacements` gives them.
+    displacements : Gains
+        Of the coming displacements, as `TargetPrediction.displacements` gives them.
     deformation : ndarray
         D, shape (n, n), invertible.
 
@@ -39,7 +40,7 @@ class PlasticForce:
         self,
         stiffness: Floats,
         noise: Floats,
-        displacements: tuple[Floats, Floats, Floats],
+        displacements: Gains,
         deformation: Floats,
     ) -> None:
         n = len(stiffness)
@@ -49,15 +50,13 @@ class PlasticForce:
         pairs = zip(own.tolist(), shared.tolist(), strict=True)
         self._filters = [TangentFilter(*pair, springs=n) for pair in pairs]
         self._bounds = [(_SOFTEST * k, -1e-9 * k) for k in own.tolist()]
-        from_motion, from_ground_motion, from_rest = displacements
-        from_here = from_motion.copy()
-        from_here[:, :n] -= np.tile(np.eye(n), (len(from_motion) // n, 1))
-        self._ways = np.hstack([from_here, from_ground_motion, from_rest])
-        steps = from_rest.shape[1]
-        self._known = np.zeros(2 * n + 2 * steps)
-        self._motion, self._ground_motion = self._known[: 2 * n], self._known[2 * n : -steps]
-        self._flat_forces = self._known[-steps:]  # p on the way
-        self._forces = self._flat_forces.reshape(-1, n)
+        self._ways = np.hstack(displacements)
+        self._ways[:, :n] -= np.tile(np.eye(n), (len(self._ways) // n, 1))
+        self._known = np.zeros(self._ways.shape[1])
+        places = np.cumsum([part.shape[1] for part in displacements[:-1]])
+        parts = np.split(self._known, places)
+        self._motion, self._ground_motion, self._flat_forces, self._committed = parts
+        self._forces = self._flat_forces.reshape(-1, n)  # p on the way
         self._begun = False
         self.slope = np.zeros((n, n))
         # of the way ahead: its direction, slope and bend on it, and where the bend ends
@@ -98,7 +97,9 @@ class PlasticForce:
         rest[:] = forces[0] @ self._deformation
         self.slope = (self._deformation.T * self._tangent) @ self._deformation
 
-    def coming(self, motion: Floats, rest: Floats, ground_motion: Floats) -> Floats:
+    def coming(
+        self, motion: Floats, rest: Floats, ground_motion: Floats, committed: Floats
+    ) -> Floats:
         """Predict p over the horizon, shape ((1 + horizon) n,), N; valid until the next call.
 
         Beyond the point where the specimen turns it stays as it was there. The way depends on
@@ -107,6 +108,7 @@ class PlasticForce:
         n = len(rest)
         self._motion[:] = motion
         self._ground_motion[:] = ground_motion.reshape(-1)
+        self._committed[:] = committed.reshape(-1)
         forces = self._forces
         if self._begun:
             forces[:-1] = forces[1:]

@@ -20,6 +20,7 @@ from seft_ros.reference_force.compensation.preview.motion_filter import (
 )
 from seft_ros.reference_force.compensation.preview.preview_tracking import PreviewTracking
 from seft_ros.reference_force.compensation.preview.target_prediction import (
+    Gains,
     NominalSpecimen,
     TargetPrediction,
 )
@@ -32,6 +33,7 @@ HIGHEST_CORNER = 0.15  # of the sampling frequency
 HORIZON = 0.06  # s beyond the loop's delay: the inverse has died out
 LONGEST_HORIZON = 150  # steps
 
+_WAY_BACK = 3.0  # Hz
 _TRUST = 0.8  # in the model's force against the measured one, of what their noise allows
 _LEAST_NOISE = (1e-6, 2e-4, 0.01, 0.6)  # m, m/s, m/s^2, N: converters and their cables have it
 
@@ -83,9 +85,9 @@ class PreviewFilter:
         shape (2n,), for the step to come. Like p it may be changed until then.
     departure : ndarray
         Force by which the specimen departs from that of the tracking model, shape (n,), N.
-    knows_any_specimen : bool
-        Whether the force loop is known for specimens that depart from that one, too, and is alike
-        for all modes.
+    committed : ndarray
+        Forces f + d of this step and those to come that nothing asked for now will change, shape
+        (1 + steps, n), N; as far as it is known, else of this step alone.
     target, rate : ndarray
         Weighted target and its weighted rate, shape (n,).
     model_force : ndarray
@@ -109,7 +111,10 @@ class PreviewFilter:
         weights[1, 1:] += tracking.target[:-1] / (2 * dt)
         weights[1, :-1] -= tracking.target[1:] / (2 * dt)
         restoring = np.hstack([knowledge.stiffness, knowledge.damping])
-        self.prediction = TargetPrediction(knowledge, weights, self._nominal, restoring)
+        # on its way is what comes before T, beyond its dead time, has answered half
+        committed = round((model.dead_time + self.delay) / 2 / dt)
+        committed = min(committed, self.preview - 1) if is_of_each_mode(options) else 0
+        self.prediction = TargetPrediction(knowledge, weights, self._nominal, restoring, committed)
         self.reach = float(tracking.target.sum())
         self._observe = motion_filter(
             dt, self.noise.position, self.noise.velocity, self.noise.acceleration
@@ -126,14 +131,21 @@ class PreviewFilter:
             self._trust, self._direct_by_rest = np.zeros(n), np.zeros((n, n))
         # the loop's states z and the last forces: one product gives u less the target's part
         size, past = len(model.a), len(tracking.past)
-        self._loop = np.zeros((2 + size + past, size + past))
-        self._loop[0, :size], self._loop[0, size:] = tracking.state, tracking.past
-        self._loop[1, :size] = model.c
-        self._loop[2 : 2 + size, :size] = model.a
-        self._loop[3 + size :, size:-1] = np.eye(past - 1)
+        going_on = np.zeros((size + past, size + past))
+        going_on[:size, :size] = model.a
+        going_on[1 + size :, size:-1] = np.eye(past - 1)
         self._drive = np.concatenate([model.b, np.eye(1, past)[0]])[:, np.newaxis]
+        held = going_on + self._drive @ np.eye(1, size + past, k=size)  # by what is asked for last
+        forces = [np.append(model.c, np.zeros(past))]  # of this step and the committed ones
+        for _ in range(committed):
+            forces.append(forces[-1] @ held)
+        asked = np.append(tracking.state, tracking.past)
+        self._loop = np.vstack([asked, forces, going_on])
         self._loop_result = np.zeros((len(self._loop), n))
         self.model_force = self._loop_result[1]
+        self.committed = self._loop_result[1 : 2 + committed]
+        self._going_on = self._loop_result[2 + committed :]
+        self._by_committed = np.zeros((3 * n, self.committed.size))
         # z, then what is kept of the specimen, then inputs: the last two give all by one product
         self._work = np.zeros(((size + past) + 6 + 4 + 1 + self.preview) * n)
         loop, rest = np.split(self._work, [(size + past) * n])
@@ -149,6 +161,7 @@ class PreviewFilter:
         self.motion, _, self.rest, self.course, *forces = parts
         self.residual, self.restoring_force, self.departure, self.target, self.rate = forces[:5]
         self._direct = forces[5]  # part of the reference force that passes the inverse by
+        self._asked_for = self._result[9 * n :]  # these last three
         self.set_restoring(restoring)
 
     def reset(self) -> None:
@@ -170,10 +183,11 @@ class PreviewFilter:
         self.restoring = restoring.copy()
         self.prediction.set_restoring(self.restoring)
         n, known, eye = self._axes, len(self._known), np.eye(self._axes)
-        by_motion, by_ground, by_rest = self.prediction.gains()
-        self._rest_gains = np.ascontiguousarray(by_rest[:n])
+        coming = self.prediction.gains()
+        self._rest_gains = np.ascontiguousarray(coming.rest[:n])
+        self._by_committed[: 2 * n] = coming.committed
         a, p = slice(2 * n, 3 * n), slice(3 * n, 4 * n)
-        course, ground = slice(4 * n, 6 * n), slice(10 * n, None)
+        course = slice(4 * n, 6 * n)
         measured = slice(6 * n, 9 * n)
         motion, residual, rest = (
             np.zeros((2 * n, known)),
@@ -188,15 +202,12 @@ class PreviewFilter:
         rest[:, p] = eye
         if elastic:
             rest += self._bias_gain * (residual - rest)
-        targets = np.zeros((2 * n, known))
-        targets[:, ground] = by_ground
-        if elastic:
-            targets += by_rest.reshape(2 * n, -1, n).sum(axis=1) @ rest
+        targets = self._of_known(coming, motion, rest if elastic else None)
         if elastic and self._mends:
-            way_back = self.prediction.way_back()
-            targets[:n, course] += by_motion[:n] - way_back
-            by_motion[:n] = way_back
-        targets += by_motion @ motion
+            coming, of_course = self.prediction.mending()
+            targets[:n] = self._of_known(coming, motion, rest)
+            targets[:n, course] += of_course
+            self._by_committed[:n] = coming.committed
         free, course_by_rest, course_by_ground = self.prediction.course()
         going_on = course_by_rest @ rest
         going_on[:, course] += free
@@ -217,11 +228,9 @@ class PreviewFilter:
             arriving = self.prediction.weighed(*self._ahead)
             if self._loop_delay:  # what departs now does not count any more
                 gain[11 * n :] = 0.0
-            gain[11 * n :] -= arriving[0] @ motion
-            gain[11 * n :, ground] -= arriving[1]
-            if elastic:
-                gain[11 * n :] -= arriving[2].reshape(n, -1, n).sum(axis=1) @ rest
-            self._arriving = arriving[2]
+            gain[11 * n :] -= self._of_known(arriving, motion, rest if elastic else None)
+            self._by_committed[2 * n :] = -arriving.committed
+            self._arriving = arriving.rest
         self._gain = gain
 
     def observe(self, ground_motion: Floats, state: Floats) -> None:
@@ -231,6 +240,7 @@ class PreviewFilter:
         self._ground_motion[:] = ground_motion
         np.dot(self._gain, self._known, out=self._result)
         np.dot(self._loop, self._tracking, out=self._loop_result)
+        self._asked_for += self._by_committed.dot(self.committed.reshape(-1))
 
     def expect(self, coming: Floats) -> None:
         """Reckon with p as `rest` has been told it is, and with a coming one.
@@ -247,14 +257,18 @@ class PreviewFilter:
             self._direct -= self._arriving.dot(coming)
         self.target += self._rest_gains.dot(coming)
 
-    def way_back(self) -> Floats:
-        """Gain by which the weighted target is lowered for a deviation that is to go back.
+    def way_back(self, pace: float) -> Floats | None:
+        """Gain by which the target is lowered for a deviation (d, d') that is to go back.
 
-        The deviation (d, d') is taken back over the horizon as an elastic specimen's is, see
-        `TargetPrediction.way_back`; shape (n, 2n).
+        It is taken back over the horizon as an elastic specimen's is, see
+        `TargetPrediction.way_back`. Where the prediction reckons with what is on its way, it goes
+        back critically damped, at ``pace`` times the usual frequency. Shape (n, 2n); None where
+        the force loop is not known for any specimen.
         """
-        gain: Floats = self.prediction.gains()[0][: self._axes] - self.prediction.way_back()
-        return gain
+        if self.prediction.committed:
+            w = 2 * np.pi * pace * _WAY_BACK
+            return np.hstack([w * w * self._mass, 2 * w * self._mass])
+        return self.prediction.way_back() / self.reach if self._knows_any_specimen else None
 
     def residual_noise(self, lasting: bool = False) -> Floats:
         """Covariance that the sensors' noise makes in the residual, shape (n, n), N^2.
@@ -276,9 +290,21 @@ class PreviewFilter:
         """Compute the reference force for a weighted target, shape (n,), N."""
         drive = self._loop_result[0] + target
         np.multiply(self._drive, drive, out=self._tracking)
-        self._tracking += self._loop_result[2:]
+        self._tracking += self._going_on
         force: Floats = drive + self._direct
         return force
+
+    def _of_known(self, coming: Gains, motion: Floats, rest: Floats | None) -> Floats:
+        """Gains of all that is known of something that is to come, but for committed forces.
+
+        Of p where it stays what it is known as; None: it is told.
+        """
+        n = self._axes
+        found: Floats = coming.motion @ motion
+        found[:, 10 * n :] += coming.ground_motion
+        if rest is not None:
+            found += coming.rest.reshape(len(found), -1, n).sum(axis=1) @ rest
+        return found
 
     def _weights_ahead(self, options: Mapping[str, Any], dt: float) -> tuple[Floats, Floats]:
         """Weights of steps to come in the force that passes the inverse by, with other sign.
@@ -290,7 +316,7 @@ class PreviewFilter:
         """
         error = blocked_error(options, self._nominal, dt, self._axes)
         of_each_mode = is_of_each_mode(options)
-        self.knows_any_specimen = len(error) > 0 and not of_each_mode
+        self._knows_any_specimen = len(error) > 0 and not of_each_mode
         begin, steps = self._loop_delay, 1 + self.preview
         error = error[: steps - begin]
         departures, targets = np.zeros((2, steps, self._axes, self._axes))
@@ -309,10 +335,12 @@ class PreviewFilter:
         tracking, known = np.split(np.eye(len(self._work)), [self._tracking.size])
         result = self._gain @ known
         loop = np.tensordot(self._loop, tracking.reshape(*self._tracking.shape, -1), axes=1)
-        target, rate, direct = result[9 * n :].reshape(3, n, -1)
+        first = len(loop) - len(tracking) // n
+        committed = self._by_committed @ loop[1:first].reshape(self.committed.size, -1)
+        target, rate, direct = (result[9 * n :] + committed).reshape(3, n, -1)
         each = (n, 1)
         drive = loop[0] + np.reshape(gain, each) * target - np.reshape(advance, each) * rate
-        going_on = self._drive[..., np.newaxis] * drive + loop[2:]
+        going_on = self._drive[..., np.newaxis] * drive + loop[first:]
         kept = result[: len(self._kept)]
         matrix = np.vstack([drive + direct, going_on.reshape(len(tracking), -1), kept])
         places = [size, size + 4 * n]

@@ -1,5 +1,7 @@
 """Tangent of a restoring force over displacement, followed on one axis."""
 
+import math
+
 _SUDDENNESS = 0.1  # of the stiffness: how much the tangent may change while r changes visibly
 _VISIBLE = 5.0  # standard deviations of the measured restoring force
 _STEEPEST, _SOFTEST = 0.05, -1.05  # bounds of the slope over the stiffness
@@ -10,7 +12,9 @@ class TangentFilter:
     """Kalman filter of p and its slope dp/dx over the displacement x, in plain floats.
 
     Where the velocity changes its sign the specimen unloads with its elastic stiffness: the
-    slope of p, which is beside that, is zero again.
+    slope of p, which is beside that, is zero again. Where it turns once more, and loads as it did
+    before, the slope is what it was then, the less the further the force has gone since: small
+    vibrations on the way do not hide that the specimen yields.
 
     Parameters
     ----------
@@ -36,6 +40,9 @@ class TangentFilter:
         self._own, self._slopes, self._shared = noise, 0.0, 0.0  # variances of p and slope
         self._turning = self._way = 0.0
         self._last: tuple[float, float] | None = None
+        self._stiffness = stiffness
+        # of the last turn in each direction: the slope before it, and the restoring force
+        self._turns = {1.0: (0.0, 0.0), -1.0: (0.0, 0.0)}
 
     def step(self, x: float, v: float, p: float, measured: float) -> float:
         """Follow p (N) to a new sample of displacement (m), velocity (m/s) and p; return it."""
@@ -43,7 +50,8 @@ class TangentFilter:
         self._last = (x, v)
         moved = x - last_x
         if v * last_v < 0.0:
-            self.slope = self._shared = self._turning = self._way = 0.0
+            self.slope = self._turn(math.copysign(1.0, last_v), self._stiffness * last_x + p)
+            self._shared = self._turning = self._way = 0.0
             self._slopes = self._largest
         before, shared = self.slope, self._shared
         own = self._own + moved * (2 * shared + moved * self._slopes) + 1e-3 * self._noise
@@ -58,3 +66,9 @@ class TangentFilter:
         self._way = _BEND_MEMORY * self._way + moved * moved
         self.bend = self._turning / (self._way + self._visible * self._visible)
         return p + before * moved + gain * error
+
+    def _turn(self, direction: float, force: float) -> float:
+        """Leave a direction at a restoring force, N; give the slope in the other."""
+        self._turns[direction] = self.slope, force
+        slope, then = self._turns[-direction]
+        return slope * max(0.0, 1.0 - abs(force - then) / abs(then)) if then else 0.0

@@ -1,6 +1,7 @@
 """Coming target of the measured force, predicted with the whole structure."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +29,25 @@ class NominalSpecimen:
     restoring: Floats
 
 
+class Gains(NamedTuple):
+    """How something that is to come follows from what is known now.
+
+    Attributes
+    ----------
+    motion : ndarray
+        Of (x, v), shape (m, 2n).
+    ground_motion, rest : ndarray
+        Of a_g and p in every step of the horizon, shape (m, (1 + horizon) n).
+    committed : ndarray
+        Of the forces f + d that are on their way, shape (m, (1 + committed) n).
+    """
+
+    motion: Floats
+    ground_motion: Floats
+    rest: Floats
+    committed: Floats
+
+
 WAY_BACK = 4.0  # Hz: a displacement that force errors caused goes back critically damped
 
 
@@ -45,6 +65,13 @@ class TargetPrediction:
     (M_0, C_0, K_0) that the loop was identified with would move as this one does: N = (K_0, C_0),
     S = -M_0 (M_e + M_c)^-1, and M_0 stands for M_e.
 
+    Such a loop moves any specimen as the forces f + d move (M_0, C_0, K_0), d being what the
+    specimen departs by, and what it was asked for lately is on its way and can't be changed any
+    more. So over the first ``committed`` steps M_0 x'' + C_0 x' + K_0 x is f + d, and the whole
+    structure is at work from there on. Were it at work at once, a motion that nobody meant would
+    be answered, a delay later, as if the loop had answered it before: of a specimen softer than
+    K_0, fast modes would grow.
+
     Parameters
     ----------
     knowledge : Knowledge
@@ -55,6 +82,8 @@ class TargetPrediction:
         None where the force loop does not feel the specimen.
     restoring : ndarray
         (K, C) of the specimen, shape (n, 2n).
+    committed : int
+        Steps, fewer than the horizon; 0 where it is not known what is on its way.
     """
 
     def __init__(
@@ -63,8 +92,10 @@ class TargetPrediction:
         weights: Floats,
         nominal: NominalSpecimen | None,
         restoring: Floats,
+        committed: int = 0,
     ) -> None:
         n = knowledge.axes
+        self.committed = committed
         self._dt, self._weights = knowledge.dt, weights
         self._inverse_mass = np.linalg.inv(knowledge.total_mass)
         share: Floats = knowledge.computed_mass @ self._inverse_mass
@@ -75,6 +106,8 @@ class TargetPrediction:
             self.other_mass = nominal.mass - knowledge.mass
             # S - 1 where the mass is the same
             share = share - np.eye(n) - self.other_mass @ self._inverse_mass
+            inverse = np.linalg.inv(nominal.mass)
+            self._moved = _transition(inverse @ nominal.restoring, inverse, knowledge.dt)
         self.share = share
         self.set_restoring(restoring)
 
@@ -82,32 +115,23 @@ class TargetPrediction:
         """Take the specimen to be (K, C), shape (n, 2n)."""
         self._restoring = restoring
         self._slowing = self._inverse_mass @ restoring
-        self._free, self._start, self._end = self._transition()
+        self._whole = _transition(self._slowing, -np.eye(len(self._mass)), self._dt)
+        self._by_motion = self.share @ restoring + self.nominal  # the target's part
 
-    def gains(self) -> tuple[Floats, Floats, Floats]:
-        """Gains of (x, v), of the ground motion and of p.
-
-        Returns
-        -------
-        motion : ndarray
-            Shape (m n, 2n).
-        ground_motion, rest : ndarray
-            Of every step of the horizon, shape (m n, (1 + horizon) n).
-        """
-        sets, steps = self._weights.shape
-        n = len(self._mass)
-        ahead = _ahead(self._weights, self.share @ self._restoring + self.nominal, self._free)
-        through = np.zeros((steps, sets * n, n))
-        through[:-1] = ahead[1:] @ self._start
-        through[1:] += ahead[1:] @ self._end
-        direct = self._weights.T[:, :, np.newaxis, np.newaxis]
-        ground = through - (direct * self._mass).reshape(steps, sets * n, n)
-        rest = through @ self._inverse_mass + (direct * self.share).reshape(steps, sets * n, n)
-        flat = (sets * n, steps * n)
-        return (
-            ahead[0].copy(),
-            ground.transpose(1, 0, 2).reshape(flat),
-            rest.transpose(1, 0, 2).reshape(flat),
+    def gains(self) -> Gains:
+        """Gains of the targets, of all sets of weights one below the other."""
+        each, begin = self._weighted(self._by_motion), self.committed
+        ahead = _ahead(each[begin:], self._whole[0])
+        _, start, end = self._whole
+        through = np.zeros((len(each), each.shape[1], len(self._mass)))
+        through[begin:-1] = ahead[1:] @ start
+        through[1 + begin :] += ahead[1:] @ end
+        motion, _, committed = self._from_here(ahead[0], each[:begin])
+        return self._gains(
+            motion,
+            through - self._weighted(self._mass),
+            through @ self._inverse_mass + self._weighted(self.share),
+            committed,
         )
 
     def course(self) -> tuple[Floats, Floats, Floats]:
@@ -119,11 +143,11 @@ class TargetPrediction:
             Gains of (x, v), of p, and of the ground motion of this step and the next, shapes
             (2n, 2n), (2n, n) and (2n, 2n).
         """
-        by_rest = (self._start + self._end) @ self._inverse_mass
-        return self._free, by_rest, np.hstack([self._start, self._end])
+        free, start, end = self._whole
+        return free, (start + end) @ self._inverse_mass, np.hstack([start, end])
 
     def way_back(self) -> Floats:
-        """Gain of the target for a deviation (d, d') from that motion which is taken back.
+        """Lowering of the target for a deviation (d, d') from that motion which is taken back.
 
         Over the horizon it goes back critically damped beside what the structure does of itself:
         (M_e + M_c) d'' + C d' + K d = -(M_e + M_c) (w^2 d + 2 w d').
@@ -133,50 +157,56 @@ class TargetPrediction:
         ndarray
             Shape (n, 2n).
         """
-        n = len(self._mass)
-        w = 2 * np.pi * WAY_BACK
-        back = np.hstack([w * w * np.eye(n), 2 * w * np.eye(n)])
-        system = np.zeros((2 * n, 2 * n))
-        system[:n, n:] = np.eye(n)
-        system[n:] = -self._slowing - back
-        target = self.share @ self._restoring + self.nominal - self._mass @ back
-        gain: Floats = _ahead(self._weights[:1], target, expm(system * self._dt))[0]
-        return gain
+        lowering: Floats = _ahead(self._first(self._by_motion), self._whole[0])[0] - self._back(0)
+        return lowering
 
-    def weighed(self, departures: Floats, targets: Floats) -> tuple[Floats, Floats, Floats]:
+    def mending(self) -> tuple[Gains, Floats]:
+        """Gains of the first set's target that takes a deviation from a course back.
+
+        The course is the motion that `course` gives, told as another (x, v); what deviates from
+        it goes back as `way_back` has it from where nothing is committed any more.
+
+        Returns
+        -------
+        gains : Gains
+            As `gains` has them, of n targets.
+        course : ndarray
+            Gains of the course, shape (n, 2n).
+        """
+        each, begin = self._first(self._by_motion), self.committed
+        ahead, back = _ahead(each, self._whole[0]), self._back(begin)
+        _, start, end = self._whole
+        through = np.zeros((len(each), *self._mass.shape))
+        through[:-1] = ahead[1:] @ start
+        through[1:] += ahead[1:] @ end
+        motion, _, committed = self._from_here(back, each[:begin])
+        course, of_course, _ = self._from_here(back, each[:begin], whole=True)
+        through -= of_course
+        gains = self._gains(
+            motion,
+            through - self._first(self._mass),
+            through @ self._inverse_mass + self._first(self.share),
+            committed,
+        )
+        return gains, ahead[0] - course
+
+    def weighed(self, departures: Floats, targets: Floats) -> Gains:
         """Gains of a weighted sum of the coming departures, and of the coming targets.
 
-        As `gains` has them. The departure is K_0 x + C_0 v - r + (M_0 - M_e) x'', see `departing`.
+        The departure is K_0 x + C_0 v - r + (M_0 - M_e) x'', see `departing`.
 
         Parameters
         ----------
         departures, targets : ndarray
             Weights of each from this step on, shape (m, n, n), at most as long as the horizon.
-
-        Returns
-        -------
-        motion, ground_motion, rest : ndarray
-            Shapes (n, 2n) and (n, (1 + horizon) n), twice.
         """
-        n, steps, count = len(self._mass), self._weights.shape[1], len(departures)
         departing, by_ground, by_rest = self.departing()
-        target = self.share @ self._restoring + self.nominal
-        by_motion = departures @ departing + targets @ target
-        ground = np.zeros((steps, n, n))
-        power = by_motion[-1]
-        for step in range(count - 1, 0, -1):  # what enters in the step to `step`
-            ground[step] += power @ self._end
-            ground[step - 1] += power @ self._start
-            power = power @ self._free + by_motion[step - 1]
+        by_motion = departures @ departing + targets @ self._by_motion
+        motion, ground, committed = self._from_here(by_motion[-1], by_motion[:-1])
         rest = ground @ self._inverse_mass
-        rest[:count] += departures @ by_rest + targets @ self.share
-        ground[:count] += departures @ by_ground - targets @ self._mass
-        flat = (n, steps * n)
-        return (
-            power,
-            ground.transpose(1, 0, 2).reshape(flat),
-            rest.transpose(1, 0, 2).reshape(flat),
-        )
+        rest[: len(departures)] += departures @ by_rest + targets @ self.share
+        ground[: len(departures)] += departures @ by_ground - targets @ self._mass
+        return self._gains(motion, ground, rest, committed)
 
     def departing(self) -> tuple[Floats, Floats, Floats]:
         """Gains of the force by which the specimen departs from that of the force loop now.
@@ -189,56 +219,88 @@ class TargetPrediction:
         by_rest = -np.eye(len(self._mass)) - self.other_mass @ self._inverse_mass
         return self.nominal + by_rest @ self._restoring, -self.other_mass, by_rest
 
-    def displacements(self) -> tuple[Floats, Floats, Floats]:
-        """Gains from which the coming displacements follow, as `gains` has them.
-
-        Returns
-        -------
-        motion : ndarray
-            Shape ((1 + horizon) n, 2n).
-        ground_motion, rest : ndarray
-            Shape ((1 + horizon) n, (1 + horizon) n).
-        """
+    def displacements(self) -> Gains:
+        """Gains of the coming displacements, (1 + horizon) times n of them."""
         n, steps = len(self._mass), self._weights.shape[1]
-        powers = np.empty((steps, n, 2 * n))
-        powers[0] = np.eye(n, 2 * n)
+        of_motion, of_steps, of_committed = 2 * n, steps * n, (1 + self.committed) * n
+        places = of_motion, of_motion + of_steps, of_motion + of_steps + of_committed
+        motion = np.eye(2 * n, places[2])  # by what is known now, step by step
+        found = [motion[:n]]
         for step in range(1, steps):
-            powers[step] = powers[step - 1] @ self._free
-        lag = np.subtract.outer(np.arange(steps), np.arange(steps))
-        from_start = np.where(
-            lag[..., np.newaxis, np.newaxis] > 0, (powers @ self._start)[lag - 1], 0.0
-        )
-        from_end = np.where(lag[..., np.newaxis, np.newaxis] >= 0, (powers @ self._end)[lag], 0.0)
-        from_end[:, 0] = 0.0
-        ground = from_start + from_end
-        flat = (steps * n, steps * n)
-        return (
-            powers.reshape(steps * n, 2 * n),
-            ground.transpose(0, 2, 1, 3).reshape(flat),
-            (ground @ self._inverse_mass).transpose(0, 2, 1, 3).reshape(flat),
-        )
+            is_committed = step <= self.committed
+            free, start, end = self._moved if is_committed else self._whole
+            at = places[1 if is_committed else 0] + (step - 1) * n
+            motion = free @ motion
+            motion[:, at : at + n] += start
+            motion[:, at + n : at + 2 * n] += end
+            found.append(motion[:n])
+        by_motion, ground, committed = np.split(np.concatenate(found), places[:2], axis=1)
+        rest = ground.reshape(-1, n) @ self._inverse_mass
+        return Gains(by_motion, ground, rest.reshape(ground.shape), committed)
 
-    def _transition(self) -> tuple[Floats, Floats, Floats]:
-        """Transition of (x, v) over a step: free, and by a_g at its start and at its end."""
+    def _weighted(self, part: Floats) -> Floats:
+        """Each step's weights times a part of its target, shape (1 + horizon, m n, ...)."""
+        each = self._weights.T[:, :, np.newaxis, np.newaxis] * part
+        return each.reshape(len(each), -1, part.shape[1])
+
+    def _first(self, part: Floats) -> Floats:
+        """Like `_weighted`, of the first set alone."""
+        return self._weights[0][:, np.newaxis, np.newaxis] * part
+
+    def _back(self, begin: int) -> Floats:
+        """Gain of a deviation in step `begin` on the way back that begins with it."""
         n = len(self._mass)
-        system, push = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, n))
+        w = 2 * np.pi * WAY_BACK
+        back = np.hstack([w * w * np.eye(n), 2 * w * np.eye(n)])
+        system = np.zeros((2 * n, 2 * n))
         system[:n, n:] = np.eye(n)
-        system[n:] = -self._slowing
-        push[n:] = -np.eye(n)
-        free, start, change = first_order_hold(system, push, self._dt)
-        return free, start - change, change
+        system[n:] = -self._slowing - back
+        each = self._first(self._by_motion - self._mass @ back)
+        gain: Floats = _ahead(each[begin:], expm(system * self._dt))[0]
+        return gain
+
+    def _from_here(
+        self, last: Floats, before: Floats, whole: bool = False
+    ) -> tuple[Floats, Floats, Floats]:
+        """Gains of a sum over (x, v) of coming steps: those ``before``, and of one after them.
+
+        With ``whole`` the whole structure is at work all the time. Shapes (m, 2n), (1 + horizon,
+        m, n) and (1 + committed, m, n), of (x, v) now, of ground motion and of committed forces.
+        """
+        n, steps, begin = len(self._mass), self._weights.shape[1], self.committed
+        ground = np.zeros((steps, len(last), n))
+        committed = np.zeros((1 + begin, len(last), n))
+        gain = last
+        for step in range(len(before), 0, -1):  # what enters on the way to `step`
+            is_whole = whole or step > begin
+            free, start, end = self._whole if is_whole else self._moved
+            entering = ground if is_whole else committed
+            entering[step] += gain @ end
+            entering[step - 1] += gain @ start
+            gain = gain @ free + before[step - 1]
+        return gain.copy(), ground, committed
+
+    @staticmethod
+    def _gains(motion: Floats, *of_steps: Floats) -> Gains:
+        """Put the gains of several steps side by side."""
+        flat = [part.transpose(1, 0, 2).reshape(len(motion), -1) for part in of_steps]
+        return Gains(motion, *flat)
 
 
-def _ahead(weights: Floats, target: Floats, transition: Floats) -> Floats:
-    """Weighted sums of ``target @ transition^k`` over the steps to come, from each step on.
+def _transition(slowing: Floats, push: Floats, dt: float) -> tuple[Floats, Floats, Floats]:
+    """Transition of (x, v) over a step: free, and by what pushes at its start and at its end."""
+    n = len(push)
+    system, entering = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, n))
+    system[:n, n:] = np.eye(n)
+    system[n:], entering[n:] = -slowing, push
+    free, start, change = first_order_hold(system, entering, dt)
+    return free, start - change, change
 
-    Shape (steps, m n, 2n) for m sets of weights.
-    """
-    sets, steps = weights.shape
-    each = weights.T[:, :, np.newaxis, np.newaxis] * target
-    ahead: Floats = each.reshape(steps, sets * len(target), -1)
-    lag, power = 1, transition
-    while lag < steps:  # each step is given the weights of twice as many coming ones
+
+def _ahead(each: Floats, transition: Floats) -> Floats:
+    """Sum ``each[k + j] @ transition^j`` over the steps to come, from each step k on."""
+    ahead, lag, power = each.copy(), 1, transition
+    while lag < len(ahead):  # each step is given those of twice as many coming ones
         ahead[:-lag] += ahead[lag:] @ power
         lag, power = 2 * lag, power @ power
     return ahead

@@ -29,11 +29,14 @@ class TrackingModel:
     ----------
     a, b, c : ndarray
         Shapes (s, s), (s,) and (s,). The states are scaled to equal size.
+    dead_time : float
+        s, during which f does not answer at all.
     """
 
     a: Floats
     b: Floats
     c: Floats
+    dead_time: float
 
     @classmethod
     def from_options(cls, options: Mapping[str, Any], dt: float) -> "TrackingModel":
@@ -115,7 +118,8 @@ class TrackingModel:
         if np.abs(np.linalg.eigvals(system)).max() >= 1.0:
             raise InputError("reference_force: tracking.denominator has an unstable pole")
         scale = _sizes(system, drive)
-        return cls(system * scale / scale[:, np.newaxis], drive / scale, output * scale)
+        scaled = system * scale / scale[:, np.newaxis]
+        return cls(scaled, drive / scale, output * scale, dead_time)
 
     def delay(self, dt: float, hz: float = 1.0) -> float:
         """Phase delay at a frequency, s."""
