@@ -153,8 +153,6 @@ def test_axes_are_followed_on_their_own():
     paths = np.stack([motion(600), motion(600, 0.006)], axis=2)
     p = [plastic_part(spring, x) for spring, x in zip(SPRINGS, paths[:, 0].T, strict=True)]
     (both, rest), singles = follower(n=2), [follower() for _ in range(2)]
-    for one, _ in singles:
-        one._filters = [TangentFilter(K, NOISE, springs=2)]  # as careful as with two
     a_g = np.random.default_rng(5).normal(0, 2.0, (1 + HORIZON, 2))
     for k, y in enumerate(paths):
         both.update(y.ravel(), rest, np.array([p[0][k], p[1][k]]))
@@ -248,3 +246,20 @@ def test_without_force_errors_nothing_is_mended():
         force = -M * a_g + share * (restoring @ motion + rest)
         mended = one.step(a_g, force, motion, rest, np.diag(slopes), np.zeros(2))
         np.testing.assert_allclose(mended, 0.0, atol=1e-8)
+
+
+def test_a_spring_that_vibrates_while_it_yields_is_not_taken_for_elastic():
+    """Small turns back, and its slope is known at once when it loads again."""
+    spring = BoucWenSpring(K, YIELD, 0.1)
+    t = DT * np.arange(1200)
+    x = 0.012 * t / t[-1] + 1.2e-4 * np.sin(2 * np.pi * 30.0 * t)
+    v, p = np.gradient(x, DT), plastic_part(spring, x)
+    tangent = np.gradient(p) / np.gradient(x) / K
+    one, rng = TangentFilter(K, NOISE), np.random.default_rng(4)
+    followed, error = p[0], []
+    for k in range(len(t)):
+        followed = one.step(x[k], v[k], followed, p[k] + rng.normal(0, np.sqrt(NOISE)))
+        if k > 600 and v[k] > 0.0 >= v[k - 3]:  # up to its third step since a turn
+            error.append(one.slope / K - tangent[k])
+    assert len(error) > 50
+    assert np.sqrt(np.mean(np.square(error))) < 0.4

@@ -48,7 +48,7 @@ class PlasticForce:
         own = np.diag(self._back.T @ stiffness @ self._back)
         shared = np.diag(self._back.T @ noise @ self._back)
         pairs = zip(own.tolist(), shared.tolist(), strict=True)
-        self._filters = [TangentFilter(*pair, springs=n) for pair in pairs]
+        self._filters = [TangentFilter(*pair) for pair in pairs]
         self._bounds = [(_SOFTEST * k, -1e-9 * k) for k in own.tolist()]
         self._ways = np.hstack(displacements)
         self._ways[:, :n] -= np.tile(np.eye(n), (len(self._ways) // n, 1))

@@ -2,7 +2,7 @@
 
 import math
 
-_SUDDENNESS = 0.1  # of the stiffness: how much the tangent may change while r changes visibly
+_SUDDENNESS = 0.2  # of the stiffness: how much the tangent may change while r changes visibly
 _VISIBLE = 5.0  # standard deviations of the measured restoring force
 _STEEPEST, _SOFTEST = 0.05, -1.05  # bounds of the slope over the stiffness
 _BEND_MEMORY = 0.7  # part of what is known of the slope's change that outlasts a step
@@ -22,8 +22,6 @@ class TangentFilter:
         Elastic stiffness, N/m.
     noise : float
         Variance of the measured p, N^2.
-    springs : int
-        How many are followed at once: their errors act together on one structure.
 
     Attributes
     ----------
@@ -31,9 +29,9 @@ class TangentFilter:
         dp/dx in N/m, and how it changes on the way at present, in N/m^2.
     """
 
-    def __init__(self, stiffness: float, noise: float, springs: int = 1) -> None:
+    def __init__(self, stiffness: float, noise: float) -> None:
         self._noise = noise
-        self._visible = _VISIBLE * (springs * noise) ** 0.5 / stiffness  # m
+        self._visible = _VISIBLE * noise**0.5 / stiffness  # m
         self._largest = (_SUDDENNESS * stiffness) ** 2
         self._lowest, self._highest = _SOFTEST * stiffness, _STEEPEST * stiffness
         self.slope = self.bend = 0.0
