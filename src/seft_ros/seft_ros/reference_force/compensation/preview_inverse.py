@@ -43,7 +43,8 @@ def preview_inverse(knowledge: Knowledge) -> Compensator:
     (``tracking.blocked_error``): d changes the piston's motion, which a loop of finite gain does
     not answer at once. Of a force controller that inverts the specimen, E is larger for a stiffer
     mode, and so T differs from mode to mode; with the T of a loop without E,
-    f_r = T^-1 (f_r* + d) + E (f_r* + d) - (1 + E) d.
+    f_r = T^-1 (f_r* + d) + E (f_r* + d) - (1 + E) d. It is known then what such a loop makes of any
+    specimen, and the prediction reckons with the forces that are on their way.
 
     With ``compensation.adaptive`` stiffness, damping, and the gain and delay of T are identified
     while the test runs; where the specimen yields, its tangent is followed (`PlasticForce`) and

@@ -240,7 +240,8 @@ class PreviewFilter:
         self._ground_motion[:] = ground_motion
         np.dot(self._gain, self._known, out=self._result)
         np.dot(self._loop, self._tracking, out=self._loop_result)
-        self._asked_for += self._by_committed.dot(self.committed.reshape(-1))
+        if self.prediction.committed:
+            self._asked_for += self._by_committed.dot(self.committed.reshape(-1))
 
     def expect(self, coming: Floats) -> None:
         """Reckon with p as `rest` has been told it is, and with a coming one.

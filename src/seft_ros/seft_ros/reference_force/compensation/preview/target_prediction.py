@@ -122,10 +122,7 @@ class TargetPrediction:
         """Gains of the targets, of all sets of weights one below the other."""
         each, begin = self._weighted(self._by_motion), self.committed
         ahead = _ahead(each[begin:], self._whole[0])
-        _, start, end = self._whole
-        through = np.zeros((len(each), each.shape[1], len(self._mass)))
-        through[begin:-1] = ahead[1:] @ start
-        through[1 + begin :] += ahead[1:] @ end
+        through = self._entering(ahead, begin)
         motion, _, committed = self._from_here(ahead[0], each[:begin])
         return self._gains(
             motion,
@@ -175,13 +172,9 @@ class TargetPrediction:
         """
         each, begin = self._first(self._by_motion), self.committed
         ahead, back = _ahead(each, self._whole[0]), self._back(begin)
-        _, start, end = self._whole
-        through = np.zeros((len(each), *self._mass.shape))
-        through[:-1] = ahead[1:] @ start
-        through[1:] += ahead[1:] @ end
         motion, _, committed = self._from_here(back, each[:begin])
         course, of_course, _ = self._from_here(back, each[:begin], whole=True)
-        through -= of_course
+        through = self._entering(ahead) - of_course
         gains = self._gains(
             motion,
             through - self._first(self._mass),
@@ -258,6 +251,14 @@ class TargetPrediction:
         each = self._first(self._by_motion - self._mass @ back)
         gain: Floats = _ahead(each[begin:], expm(system * self._dt))[0]
         return gain
+
+    def _entering(self, ahead: Floats, begin: int = 0) -> Floats:
+        """Gains of the ground motion of each step in sums that `_ahead` made from ``begin`` on."""
+        _, start, end = self._whole
+        found = np.zeros((begin + len(ahead), ahead.shape[1], len(self._mass)))
+        found[begin:-1] = ahead[1:] @ start
+        found[1 + begin :] += ahead[1:] @ end
+        return found
 
     def _from_here(
         self, last: Floats, before: Floats, whole: bool = False
