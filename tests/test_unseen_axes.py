@@ -105,14 +105,18 @@ def test_a_linear_rig_is_within_2_percent_of_the_whole_structure(n, seed):
         ),
     ],
 )
-def test_a_rig_of_springs_that_yield_is_within_7_percent_of_the_whole_structure(n, seed):
-    """Springs between the axes, each to those before it: K = D^T k D of its Cholesky factor."""
-    record, _ = simulated(*SHORT, *drawn(n, seed))
+def test_a_rig_of_springs_that_yield_is_within_5_percent_of_the_whole_structure(n, seed):
+    """Springs between the axes, each to those before it: K = D^T k D of its Cholesky factor.
+
+    With force enough to stand out of the sensors' noise, which drifts of what yields add up.
+    """
+    words = *SHORT, *drawn(n, seed), "ground_motion:peak_force:=400.0"
+    record, _ = simulated(*words)
     factor = np.linalg.cholesky(np.reshape(record.experiment["rig"]["specimen.stiffness"], (n, n)))
     yields = yielding(record, (factor / np.diag(factor)).T)
-    _, summary = simulated(*SHORT, *drawn(n, seed), *yields)
+    _, summary = simulated(*words, *yields)
     assert summary["trip"] is None
-    assert summary["displacement"]["nrmse"] < 0.07
+    assert summary["displacement"]["nrmse"] < 0.05
 
 
 SIX = Experiment.load(TABLES, [ROOT / "config" / "six_storey_frame.yaml"], [])["reference_force"]
