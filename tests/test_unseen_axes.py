@@ -21,6 +21,12 @@ SHORT = ("ground_motion:synthetic.duration:=16.0", "ground_motion:peak_force:=25
 KNOWN = Experiment.load(TABLES, [FRAME], [])
 
 
+def axes_and_seeds(seeds, at_once):
+    """2 to 10 axes, each with some seeds; those that are not tried at once are thorough."""
+    every = [(n, seed) for n in range(2, 11) for seed in range(seeds)]
+    return [pytest.param(*one, marks=() if one in at_once else THOROUGH) for one in every]
+
+
 def turned(rng, root):
     """Matrix whose columns are random directions in coordinates of unit mass."""
     return root @ np.linalg.qr(rng.normal(size=root.shape))[0]
@@ -73,38 +79,14 @@ def simulated(*words):
     return record, summarise(record)
 
 
-@pytest.mark.parametrize(
-    ("n", "seed"),
-    [
-        (2, 0),
-        (3, 0),
-        (6, 0),
-        *(
-            pytest.param(n, seed, marks=THOROUGH)
-            for n in range(2, 11)
-            for seed in range(3)
-            if (n, seed) not in ((2, 0), (3, 0), (6, 0))
-        ),
-    ],
-)
+@pytest.mark.parametrize(("n", "seed"), axes_and_seeds(3, at_once=[(2, 0), (3, 0), (6, 0)]))
 def test_a_linear_rig_is_within_2_percent_of_the_whole_structure(n, seed):
     _, summary = simulated(*SHORT, *drawn(n, seed))
     assert not summary["saturated"]
     assert summary["displacement"]["nrmse"] < 0.02
 
 
-@pytest.mark.parametrize(
-    ("n", "seed"),
-    [
-        (6, 0),
-        *(
-            pytest.param(n, seed, marks=THOROUGH)
-            for n in range(2, 11)
-            for seed in range(2)
-            if (n, seed) != (6, 0)
-        ),
-    ],
-)
+@pytest.mark.parametrize(("n", "seed"), axes_and_seeds(2, at_once=[(6, 0)]))
 def test_a_rig_of_springs_that_yield_is_within_5_percent_of_the_whole_structure(n, seed):
     """Springs between the axes, each to those before it: K = D^T k D of its Cholesky factor.
 
@@ -173,18 +155,7 @@ def test_a_frame_whose_storeys_have_grown_soft_is_stable(n, seed, soft, left):
     assert abs(np.angle(loop.dominant())) < 2 * np.pi * 6.0 * loop.dt  # of the structure's own
 
 
-@pytest.mark.parametrize(
-    ("n", "seed"),
-    [
-        (5, 0),
-        *(
-            pytest.param(n, seed, marks=THOROUGH)
-            for n in range(2, 11)
-            for seed in range(2)
-            if (n, seed) != (5, 0)
-        ),
-    ],
-)
+@pytest.mark.parametrize(("n", "seed"), axes_and_seeds(2, at_once=[(5, 0)]))
 def test_a_frame_is_near_the_whole_structure_also_where_its_storeys_yield(n, seed):
     record, summary = simulated(*SHORT, *frame(n, seed))
     assert summary["displacement"]["nrmse"] < 0.02

@@ -134,9 +134,9 @@ def test_the_coming_departure_is_what_the_nominal_specimen_needs_beside_the_forc
     r = restoring @ path + rest[:count].T
     acceleration = -np.linalg.solve(known.total_mass, r) - ground_motion[:count].T
     force = known.mass @ acceleration + r
-    needed = nominal.mass @ acceleration + nominal.restoring @ path
-    expected = np.einsum("tij,jt->i", departures, needed - force)
-    expected += np.einsum("tij,jt->i", targets, needed)
+    target = nominal.mass @ acceleration + nominal.restoring @ path
+    expected = np.einsum("tij,jt->i", departures, target - force)
+    expected += np.einsum("tij,jt->i", targets, target)
     np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-6)
 
 
@@ -179,16 +179,13 @@ def test_a_deviation_from_the_course_goes_back_where_nothing_is_committed(n, ste
     prediction = TargetPrediction(known, weights, nominal, restoring, steps)
     course, ground_motion, rest = draw(n)
     committed = forces_on_their_way(n, steps)
-    gains, by_course = prediction.mending()
-
-    def target(motion, committed):
-        return all_of(gains, motion, ground_motion, rest, committed) + by_course @ course
-
+    gains, (lowering, by_course) = prediction.gains(), prediction.mending()
     path = coming(known, restoring, course, ground_motion, rest)
     force = weights[0] @ needed(known, restoring, nominal, path, ground_motion, rest)
     deviation = np.random.default_rng(5).normal(size=2 * n) * np.repeat([1e-3, 0.1], n)
     moved = coming(known, restoring, course + deviation, ground_motion, rest, nominal, committed)
-    found = target(course + deviation, committed)
+    told = course + deviation, ground_motion, rest, committed
+    found = all_of(gains, *told)[:n] - all_of(lowering, *told) - by_course @ course
     # at first the motion is what is committed, thence the deviation from the course goes back
     w, inverse = 2 * np.pi * WAY_BACK, np.linalg.inv(known.total_mass)
     back = np.hstack([w * w * np.eye(n), 2 * w * np.eye(n)])

@@ -23,6 +23,7 @@ from seft_ros.reference_force.compensation.preview.target_prediction import (
     Gains,
     NominalSpecimen,
     TargetPrediction,
+    critically_damped,
 )
 from seft_ros.reference_force.compensation.preview.tracking_model import TrackingModel
 
@@ -204,10 +205,10 @@ class PreviewFilter:
             rest += self._bias_gain * (residual - rest)
         targets = self._of_known(coming, motion, rest if elastic else None)
         if elastic and self._mends:
-            coming, of_course = self.prediction.mending()
-            targets[:n] = self._of_known(coming, motion, rest)
-            targets[:n, course] += of_course
-            self._by_committed[:n] = coming.committed
+            lowering, of_course = self.prediction.mending()
+            targets[:n] -= self._of_known(lowering, motion, rest)
+            targets[:n, course] -= of_course
+            self._by_committed[:n] -= lowering.committed
         free, course_by_rest, course_by_ground = self.prediction.course()
         going_on = course_by_rest @ rest
         going_on[:, course] += free
@@ -267,8 +268,7 @@ class PreviewFilter:
         the force loop is not known for any specimen.
         """
         if self.prediction.committed:
-            w = 2 * np.pi * pace * _WAY_BACK
-            return np.hstack([w * w * self._mass, 2 * w * self._mass])
+            return self._mass @ critically_damped(pace * _WAY_BACK, self._axes)
         return self.prediction.way_back() / self.reach if self._knows_any_specimen else None
 
     def residual_noise(self, lasting: bool = False) -> Floats:

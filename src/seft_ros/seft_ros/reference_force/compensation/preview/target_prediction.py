@@ -117,12 +117,16 @@ class TargetPrediction:
         self._slowing = self._inverse_mass @ restoring
         self._whole = _transition(self._slowing, -np.eye(len(self._mass)), self._dt)
         self._by_motion = self.share @ restoring + self.nominal  # the target's part
+        # of the targets to come, from each step on in which nothing is committed any more
+        self._ahead = _ahead(self._weighted(self._by_motion)[self.committed :], self._whole[0])
 
     def gains(self) -> Gains:
         """Gains of the targets, of all sets of weights one below the other."""
-        each, begin = self._weighted(self._by_motion), self.committed
-        ahead = _ahead(each[begin:], self._whole[0])
-        through = self._entering(ahead, begin)
+        each, begin, ahead = self._weighted(self._by_motion), self.committed, self._ahead
+        _, start, end = self._whole
+        through = np.zeros((len(each), each.shape[1], len(self._mass)))
+        through[begin:-1] = ahead[1:] @ start
+        through[1 + begin :] += ahead[1:] @ end
         motion, _, committed = self._from_here(ahead[0], each[:begin])
         return self._gains(
             motion,
@@ -144,44 +148,44 @@ class TargetPrediction:
         return free, (start + end) @ self._inverse_mass, np.hstack([start, end])
 
     def way_back(self) -> Floats:
-        """Lowering of the target for a deviation (d, d') from that motion which is taken back.
+        """Lowering of the first set's target for a deviation (d, d') from that motion.
 
-        Over the horizon it goes back critically damped beside what the structure does of itself:
-        (M_e + M_c) d'' + C d' + K d = -(M_e + M_c) (w^2 d + 2 w d').
+        From where nothing is committed any more the deviation goes back critically damped beside
+        what the structure does of itself: (M_e + M_c) d'' + C d' + K d =
+        -(M_e + M_c) (w^2 d + 2 w d').
 
         Returns
         -------
         ndarray
-            Shape (n, 2n).
+            Shape (n, 2n), of (d, d') in that step.
         """
-        lowering: Floats = _ahead(self._first(self._by_motion), self._whole[0])[0] - self._back(0)
+        n = len(self._mass)
+        back = critically_damped(WAY_BACK, n)
+        system = np.zeros((2 * n, 2 * n))
+        system[:n, n:] = np.eye(n)
+        system[n:] = -self._slowing - back
+        first = self._weights[0, self.committed :, np.newaxis, np.newaxis]
+        each = first * (self._by_motion - self._mass @ back)
+        lowering: Floats = self._ahead[0, :n] - _ahead(each, expm(system * self._dt))[0]
         return lowering
 
     def mending(self) -> tuple[Gains, Floats]:
-        """Gains of the first set's target that takes a deviation from a course back.
+        """Gains of the lowering that takes a deviation from a course back, see `way_back`.
 
-        The course is the motion that `course` gives, told as another (x, v); what deviates from
-        it goes back as `way_back` has it from where nothing is committed any more.
+        The course is the motion that `course` gives, told as another (x, v).
 
         Returns
         -------
         gains : Gains
-            As `gains` has them, of n targets.
+            As `gains` has them, of n forces.
         course : ndarray
             Gains of the course, shape (n, 2n).
         """
-        each, begin = self._first(self._by_motion), self.committed
-        ahead, back = _ahead(each, self._whole[0]), self._back(begin)
-        motion, _, committed = self._from_here(back, each[:begin])
-        course, of_course, _ = self._from_here(back, each[:begin], whole=True)
-        through = self._entering(ahead) - of_course
-        gains = self._gains(
-            motion,
-            through - self._first(self._mass),
-            through @ self._inverse_mass + self._first(self.share),
-            committed,
-        )
-        return gains, ahead[0] - course
+        lowering = self.way_back()
+        before = np.zeros((self.committed, *lowering.shape))
+        motion, _, committed = self._from_here(lowering, before)
+        course, entering, _ = self._from_here(lowering, before, whole=True)
+        return self._gains(motion, -entering, -entering @ self._inverse_mass, committed), -course
 
     def weighed(self, departures: Floats, targets: Floats) -> Gains:
         """Gains of a weighted sum of the coming departures, and of the coming targets.
@@ -236,30 +240,6 @@ class TargetPrediction:
         each = self._weights.T[:, :, np.newaxis, np.newaxis] * part
         return each.reshape(len(each), -1, part.shape[1])
 
-    def _first(self, part: Floats) -> Floats:
-        """Like `_weighted`, of the first set alone."""
-        return self._weights[0][:, np.newaxis, np.newaxis] * part
-
-    def _back(self, begin: int) -> Floats:
-        """Gain of a deviation in step `begin` on the way back that begins with it."""
-        n = len(self._mass)
-        w = 2 * np.pi * WAY_BACK
-        back = np.hstack([w * w * np.eye(n), 2 * w * np.eye(n)])
-        system = np.zeros((2 * n, 2 * n))
-        system[:n, n:] = np.eye(n)
-        system[n:] = -self._slowing - back
-        each = self._first(self._by_motion - self._mass @ back)
-        gain: Floats = _ahead(each[begin:], expm(system * self._dt))[0]
-        return gain
-
-    def _entering(self, ahead: Floats, begin: int = 0) -> Floats:
-        """Gains of the ground motion of each step in sums that `_ahead` made from ``begin`` on."""
-        _, start, end = self._whole
-        found = np.zeros((begin + len(ahead), ahead.shape[1], len(self._mass)))
-        found[begin:-1] = ahead[1:] @ start
-        found[1 + begin :] += ahead[1:] @ end
-        return found
-
     def _from_here(
         self, last: Floats, before: Floats, whole: bool = False
     ) -> tuple[Floats, Floats, Floats]:
@@ -286,6 +266,12 @@ class TargetPrediction:
         """Put the gains of several steps side by side."""
         flat = [part.transpose(1, 0, 2).reshape(len(motion), -1) for part in of_steps]
         return Gains(motion, *flat)
+
+
+def critically_damped(hz: float, axes: int) -> Floats:
+    """Acceleration (w^2, 2 w) over (d, d') that takes d back at a frequency, shape (n, 2n)."""
+    w = 2 * np.pi * hz
+    return np.hstack([w * w * np.eye(axes), 2 * w * np.eye(axes)])
 
 
 def _transition(slowing: Floats, push: Floats, dt: float) -> tuple[Floats, Floats, Floats]:
