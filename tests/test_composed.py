@@ -29,6 +29,15 @@ def test_composed_lockstep_gives_the_bits_of_the_offline_loop(seft_json, name):
         assert compared["topics"][topic]["samples_b"] == simulated["steps"] == 1501
 
 
+def test_a_loop_in_lockstep_does_not_wait_for_ever_for_a_motion_that_is_barely_ahead(seft_json):
+    lead = ("-p", "ground_motion:lead:=0.05")
+    simulated = seft_json("simulate", JHU, *SHORT, *lead, "--out", "simulated")
+    seft_json("run", JHU, *SHORT, *lead, *LOCKSTEP, "--composed", "--out", "composed")
+    compared = seft_json("compare", "simulated", "composed")
+    assert compared["identical"] is True
+    assert compared["topics"]["ground_motion"]["samples_b"] == simulated["steps"]
+
+
 def test_composed_realtime_tells_its_process_and_its_priority(seft_json, tmp_path):
     words = (JHU, *SHORT, *STALLS_ALLOWED, *MISSES_ALLOWED, "--composed", "--priority", "10")
     done = seft_json("run", *words, "--out", "bag")

@@ -23,6 +23,7 @@ from rclpy.subscription import Subscription
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.mailbox import Mailbox, Receive
 from seft_msgs_py.middleware import prepare_middleware
+from seft_msgs_py.realtime import wake_on_time
 from seft_msgs_py.wait_set import WaitSet, take
 
 OUTSIDE_LOOK = 0.002  # s between looks for messages from outside while those inside keep coming
@@ -55,6 +56,7 @@ class NodeProcess:
 
     def __init__(self, argv: Sequence[str], nodes: Collection[str]) -> None:
         self.stopping = False
+        wake_on_time()
         self.mailbox = Mailbox(nodes)
         prepare_middleware()
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -161,12 +163,15 @@ class NodeProcess:
             time.sleep(timeout)
             return False
         handled = False
-        for subscription in self._wait_set.wait(timeout):
+        # to wait for no time at all takes longer than to look everywhere
+        ready = self._wait_set.wait(timeout) if timeout > 0.0 else self._waking
+        for subscription in ready:
             read_one = self._waking[subscription]
             for _ in range(MOST_REFUSED):  # a flood must not hold up what is true
-                if read_one() is not False:
+                acted = read_one()
+                handled |= acted is not None
+                if acted is not False:
                     break
-            handled = True
         if self.mailbox.deliver():
             handled = True
         self._looked_outside_at = time.monotonic()

@@ -8,6 +8,10 @@ import sys
 import pytest
 from seft_msgs_py import realtime
 
+EQUAL_ADDRESSES = pytest.mark.skipif(
+    subprocess.run(["setarch", "-R", "true"], stderr=subprocess.DEVNULL).returncode != 0,
+    reason="a container's filter denies equal addresses",
+)
 WISH = {"cpu_core": -1, "lock_memory": False, "thread_priority": 0}
 PROGRAM = """
 import ctypes, json, os, resource, sys
@@ -64,6 +68,39 @@ def test_what_is_granted_is_told():
     assert told["denied"] == []
     assert told["granted"]["priority"] == 40
     assert told["granted"]["locked_kb"] > 0
+
+
+@EQUAL_ADDRESSES
+def test_programs_at_equal_addresses_have_their_parts_in_the_same_places():
+    def places(how):
+        words = [sys.executable, "-c", "print(open('/proc/self/maps').read())"]
+        done = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True, preexec_fn=how)
+        return sorted(line.split()[0] for line in done.stdout.splitlines() if ".so" in line)
+
+    equal = places(realtime.take_equal_addresses)
+    assert equal
+    assert equal == places(realtime.take_equal_addresses)
+    assert equal != places(None)
+
+
+@EQUAL_ADDRESSES
+@pytest.mark.parametrize("equal", [False, True])
+def test_equal_addresses_are_told(equal):
+    words = [sys.executable, "-c", PROGRAM, json.dumps(WISH), ""]
+    how = realtime.take_equal_addresses if equal else None
+    done = subprocess.run(words, stdout=subprocess.PIPE, check=True, preexec_fn=how)
+    assert json.loads(done.stdout)["granted"]["equal_addresses"] is equal
+
+
+def test_threads_are_woken_on_time():
+    program = (
+        "import ctypes, threading; from seft_msgs_py.realtime import wake_on_time\n"
+        "def tell(): print(ctypes.CDLL(None).prctl(30))  # PR_GET_TIMERSLACK\n"
+        "tell(); wake_on_time(); tell(); t = threading.Thread(target=tell); t.start(); t.join()"
+    )
+    done = subprocess.run([sys.executable, "-c", program], stdout=subprocess.PIPE, check=True)
+    before, own, of_a_thread = map(int, done.stdout.split())
+    assert before > own == of_a_thread == 1
 
 
 def test_all_processes_of_a_machine_tell_the_same_boot():

@@ -34,7 +34,8 @@ from seft_plant_sim.round_trip import RoundTrip
 from seft_plant_sim.safe_stop import Stopped
 from seft_plant_sim.sample_clock import SampleClock
 
-CLOCK_PERIOD = 0.1  # s of wall time
+CLOCK_PERIOD = 0.1  # s of the test's time
+BREATH = 0.005  # s from the first answer in realtime to the time of step 0
 FALL_BACK = 0.25  # of a period, by which a rig that is ahead of others delays each next sample
 MOVING = ("running", "ramping_down")  # states of a test in which the rig obeys
 TELL_PERIOD = 1.0  # s, of the diagnostics of a running test
@@ -77,7 +78,8 @@ class RigNode:
         self._told = ""
         self._awake = AwakeClock()
         self._heard_at = self._awake.time()
-        self._clock_at = self._told_at = self._published_at = self._answered_at = 0.0
+        self._clock_steps = max(1, round(CLOCK_PERIOD * self._timebase.rate))
+        self._told_at = self._published_at = self._answered_at = 0.0
         self._refused_before = 0  # messages, until the newest command came
         self._warm_up()
 
@@ -148,7 +150,7 @@ class RigNode:
             self._publish(0, state)
         pace = self._lockstep if self._section["pace"] == "lockstep" else self._realtime
         reason = conflict or pace(steps)
-        self._publish_clock(self._rig.step_index, force=True)
+        self._publish_clock(self._rig.step_index)
         self._ended = True
         if reason is None:
             self._tell(FINISHED)
@@ -215,7 +217,8 @@ class RigNode:
                 return rig.violation
             deadline = time.monotonic() + timeout
             while self._valve.step < step or self._drive.step < step:
-                self._shell.spin_once(0.05)
+                if not self._shell.spin_once(0.05):
+                    self._publish_clock(step)  # perhaps there is no ground motion so far ahead
                 if (why := self._unwanted()) is not None:
                     return rig.violation or why
                 if time.monotonic() > deadline:
@@ -235,8 +238,10 @@ class RigNode:
     def _realtime(self, steps: int) -> str | None:
         """Absolute deadlines: at each, apply the newest command, and count it if it is old.
 
-        One of several rigs waits for another that is behind: their steps are answered together.
-        Behind links they can't see each other, and each makes up for the time it has lost.
+        Time begins soon after the first answer: the others prepare for a test, and tell of it,
+        when they first hear of it. Of several rigs, which begin together, one waits for another
+        that is behind: their steps are answered together. Behind links they can't see each other,
+        and each makes up for the time it has lost.
         """
         rig, shell, drive = self._rig, self._shell, self._drive
         period = self._timebase.dt
@@ -250,6 +255,8 @@ class RigNode:
             step = rig.step_index
             if not self._publish(step, state):
                 return rig.violation
+            if step == 0 and self._is_alone:
+                clock.fall_back(self._wait_for_answer(0, timeout) + BREATH)
             deadline = clock.deadline(step + 1)
             while (left := deadline - time.monotonic()) > 0:
                 shell.spin_once(left)
@@ -260,7 +267,7 @@ class RigNode:
             while drive.step < step and time.monotonic() < late and shell.spin_once(0.0):
                 pass  # what came while we were late counts as in time; a flood does not stop us
             if waits and drive.step < step:
-                clock.fall_back(self._wait_for_companions(timeout) + FALL_BACK * period)
+                clock.fall_back(self._wait_for_answer(step - 1, timeout) + FALL_BACK * period)
             if (why := self._unwanted()) is not None:
                 return rig.violation or why
             if rig.violation is not None:
@@ -279,15 +286,14 @@ class RigNode:
                     )
             state = rig.step(self._drive.value)
 
-    def _wait_for_companions(self, longest: float) -> float:
-        """Wait while steps before the last are not answered; return for how long, s."""
+    def _wait_for_answer(self, step: int, longest: float) -> float:
+        """Wait for the command of a step; return for how long, s."""
         drive, begun = self._drive, time.monotonic()
-        behind = self._rig.step_index - 1
-        while drive.step < behind and time.monotonic() - begun < longest:
+        while drive.step < step and time.monotonic() - begun < longest:
             self._shell.spin_once(self._timebase.dt)
             if self._unwanted() is not None:
                 break
-        self._waited_in_vain = drive.step < behind
+        self._waited_in_vain = drive.step < step
         return time.monotonic() - begun
 
     def _publish(self, step: int, state: Floats) -> bool:
@@ -300,13 +306,12 @@ class RigNode:
             return False
         self._published_at = time.monotonic()
         self._publish_state(raw)
-        self._publish_clock(step)
+        if step % self._clock_steps == 0:
+            self._publish_clock(step)
         return True
 
-    def _publish_clock(self, step: int, force: bool = False) -> None:
-        now = time.monotonic()
-        if self._publish_time is not None and (force or now - self._clock_at >= CLOCK_PERIOD):
-            self._clock_at = now
+    def _publish_clock(self, step: int) -> None:
+        if self._publish_time is not None:
             self._publish_time(encode_clock(self._timebase.stamp_ns(step)))
 
     def _unwanted(self) -> str | None:

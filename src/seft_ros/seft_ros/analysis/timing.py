@@ -1,7 +1,9 @@
 """When the messages of a test came: round trips, and gaps on each topic.
 
 Times are those at which the recorder received them, which is what a bag holds: on one host some
-tens of microseconds after the nodes did. A test of the offline loop has none.
+tens of microseconds after the nodes did, and more where the recorder had to wait for its core, so
+that the longest round trips are rather shorter than they seem. What the rig itself measured is in
+its diagnostics. A test of the offline loop has no times.
 """
 
 from dataclasses import dataclass

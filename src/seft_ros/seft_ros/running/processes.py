@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
+from seft_msgs_py.realtime import take_equal_addresses
 from seft_msgs_py.rigs import bare, rig_name
 
 from seft_ros.running.arrangement import LOOP_NODES, Arrangement
@@ -121,6 +122,7 @@ class NodeProcesses:
         command = [sys.executable, "-m", *what, "--ros-args", "--params-file", str(parameters)]
         if rig:
             command += ["-r", f"__ns:=/{rig}"]
+        shares_a_core = self._pin and names[0] in LOOP_NODES
         path = self._logs / ("_".join(node.replace("/", "_") for node in group) + ".log")
         self._logs_of.update(dict.fromkeys(group, path))
         with path.open("wb") as log:
@@ -130,10 +132,10 @@ class NodeProcesses:
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,  # Ctrl-C is ours to pass on, in order
-                preexec_fn=end_with_parent,
+                preexec_fn=_begin_in_the_loop if shares_a_core else end_with_parent,
                 env=os.environ | {"ROS_LOG_DIR": str(self._logs)},
             )
-        if self._pin and names[0] in LOOP_NODES:
+        if shares_a_core:
             os.sched_setaffinity(process.pid, self._loop_cores)
             if self._lockstep:
                 prefer_throughput(process.pid)
@@ -146,3 +148,8 @@ class NodeProcesses:
     def _last_line(self, node: str) -> str:
         text = self._logs_of[node].read_text(errors="replace").strip()
         return text.splitlines()[-1] if text else "it wrote nothing"
+
+
+def _begin_in_the_loop() -> None:
+    end_with_parent()
+    take_equal_addresses()

@@ -1,0 +1,51 @@
+"""Where the processes of a test run."""
+
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+from seft_ros.running.arrangement import LOOP_NODES, Arrangement
+from seft_ros.running.processes import NodeProcesses
+
+NODES = (*LOOP_NODES, "recorder")
+NOT_RANDOM = 0x0040000  # ADDR_NO_RANDOMIZE of personality(2)
+EQUAL_ADDRESSES = pytest.mark.skipif(
+    subprocess.run(["setarch", "-R", "true"], stderr=subprocess.DEVNULL).returncode != 0,
+    reason="a container's filter denies equal addresses",
+)
+SEVERAL_CORES = pytest.mark.skipif(
+    len(os.sched_getaffinity(0)) < 2, reason="one core is not to be kept free"
+)
+
+
+def where(tmp_path, arrangement):
+    """Node -> cores, and whether its addresses are those of others, just after its start."""
+    processes = NodeProcesses(NODES, Path(os.devnull), tmp_path, arrangement, lockstep=True)
+    try:
+        return {
+            node: (
+                os.sched_getaffinity(pid),
+                bool(int(Path(f"/proc/{pid}/personality").read_text(), 16) & NOT_RANDOM),
+            )
+            for node, pid in processes.pids().items()
+        }
+    finally:
+        processes.stop(0.0)
+
+
+@EQUAL_ADDRESSES
+@SEVERAL_CORES
+@pytest.mark.parametrize("composed", [False, True])
+def test_nodes_of_the_loop_share_a_core_and_addresses(tmp_path, composed):
+    cores = os.sched_getaffinity(0)
+    found = where(tmp_path, Arrangement(composed=composed))
+    for node in LOOP_NODES:
+        assert found[node] == ({min(cores)}, True)
+    assert found["recorder"] == (cores - {min(cores)}, False)
+    assert os.sched_getaffinity(0) == cores
+
+
+def test_what_is_not_pinned_runs_anywhere_and_at_random_addresses(tmp_path):
+    found = where(tmp_path, Arrangement(pin=False))
+    assert found == dict.fromkeys(NODES, (os.sched_getaffinity(0), False))
