@@ -171,6 +171,14 @@ def test_lateness_and_period_are_judged_by_half_a_period_and_a_hundredth():
     assert timing(1.05 * due)["period"] == "failed"
 
 
+def test_a_rig_may_wait_for_its_first_answer():
+    times = np.arange(1000) * DT
+    times[1:] += 5 * DT
+    assert timing(times) == {"period": "passed", "late states": "passed"}
+    times[2:] += 5 * DT
+    assert timing(times)["late states"] == "failed"
+
+
 def test_what_this_host_was_late_with_is_not_the_rigs():
     times = np.arange(1000) * DT
     times[400:440] = times[440]

@@ -67,6 +67,8 @@ def quiet_windows(times: Floats, late: Floats, stalls: Stalls) -> tuple[npt.NDAr
 def check_timing(samples: Samples, dt: float, stalls: Stalls) -> list[Finding]:
     """See that the rig's clock has the experiment's rate, and states come at their deadlines.
 
+    A rig may wait for the answer to its first state before its time begins.
+
     Parameters
     ----------
     samples : Samples
@@ -77,11 +79,12 @@ def check_timing(samples: Samples, dt: float, stalls: Stalls) -> list[Finding]:
         When this host stood still.
     """
     names = ("period", "late states")
-    if len(samples.times) < ENOUGH * WINDOW:
-        return [not_run(name, f"{len(samples.times)} states, too few to tell") for name in names]
-    late = lateness(samples.times, dt)
-    chosen, left_out = quiet_windows(samples.times, late, stalls)
-    windows = samples.times[: late.size].reshape(late.shape)[chosen]
+    times = samples.times[1:]
+    if len(times) < ENOUGH * WINDOW:
+        return [not_run(name, f"{len(times)} states, too few to tell") for name in names]
+    late = lateness(times, dt)
+    chosen, left_out = quiet_windows(times, late, stalls)
+    windows = times[: late.size].reshape(late.shape)[chosen]
     period = float(np.median((windows[:, -1] - windows[:, 0]) / (WINDOW - 1)))
     told = f"{1e3 * period:.4f} ms, {1e3 * dt:g} ms wanted{left_out}"
     mend = "sample at absolute deadlines, start + k periods; a sleep of a period adds up"
