@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import time
+from collections import defaultdict
 
 from graph_tools import JHU, MISSES_ALLOWED, PATIENCE, STALLS_ALLOWED, THOROUGH, children, wait_for
 from seft_msgs_py.messages import decode_diagnostics
@@ -84,7 +85,7 @@ def refusals(bag):
 
 def statuses(observer):
     """Node -> the values of its last status, as they come in while the observer spins."""
-    told = {}
+    told = defaultdict(dict)
 
     def listen(message):
         for status in message.status:
@@ -145,7 +146,7 @@ def test_true_messages_come_through_a_flood(seft_json, start, hostile, observer,
             hostile.flood(topic, 2000)
         observer.spin(0.05)
         assert process.poll() is None, "the test was over before the flood was"
-        return all(int(told.get(node, {}).get("refused", 0)) > 500 for node in READERS)
+        return all(int(told[node].get("refused", 0)) > 500 for node in READERS)
 
     wait_for(have_refused_many, "500 refused messages at each node")
     assert "Traceback" not in ending(process)

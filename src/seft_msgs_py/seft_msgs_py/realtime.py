@@ -82,7 +82,7 @@ def take_equal_addresses() -> None:
     addresses each finds the processor prepared by the one before it. Where a container's filter
     denies it, it changes nothing.
     """
-    _LIBC.personality(_LIBC.personality(_ASK) | _ADDR_NO_RANDOMIZE)
+    _LIBC.personality(_personality() | _ADDR_NO_RANDOMIZE)
 
 
 def granted() -> dict[str, Any]:
@@ -100,7 +100,7 @@ def granted() -> dict[str, Any]:
         "priority": os.sched_getparam(0).sched_priority if is_realtime else 0,
         "locked_kb": _locked_kb(),
         "cores": sorted(os.sched_getaffinity(0)),
-        "equal_addresses": bool(_LIBC.personality(_ASK) & _ADDR_NO_RANDOMIZE),
+        "equal_addresses": bool(_personality() & _ADDR_NO_RANDOMIZE),
         "boot": boot(),
     }
 
@@ -108,6 +108,11 @@ def granted() -> dict[str, Any]:
 def boot() -> str:
     """Tell one machine, from its start to its end, from all others; names no host."""
     return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+
+
+def _personality() -> int:
+    """Give this process's flags of `personality(2)`; none where even asking is denied."""
+    return max(0, int(_LIBC.personality(_ASK)))
 
 
 def _keep_to_core(core: int) -> str:

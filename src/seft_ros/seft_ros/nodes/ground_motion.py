@@ -19,8 +19,8 @@ TIMER_PERIOD = 0.02  # s
 class GroundMotionNode:
     """Moves chunks of a `GroundMotion` to its topic, a lead ahead of the rig's time.
 
-    That time is read from /clock, ten times a second: following every rig/state would wake one
-    more process in each step.
+    That time is read from /clock, every 0.1 s of the test: following every rig/state would wake
+    one more process in each step.
     """
 
     def __init__(self, shell: NodeShell) -> None:

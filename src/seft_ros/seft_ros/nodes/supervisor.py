@@ -274,7 +274,7 @@ class SupervisorNode:
         return parameters
 
     def _step(self) -> int:
-        """Step that the test has reached, as /clock tells it ten times a second."""
+        """Step that the test has reached, as /clock tells it every 0.1 s of the test."""
         return round(self._test_s * self._shell.experiment.timebase.rate)
 
 

@@ -23,8 +23,8 @@ def end_with_parent() -> None:
 def prefer_throughput(pid: int) -> None:
     """Let who is woken wait until who runs has done its work.
 
-    A message to several readers then goes out to all before the first of them runs: a quarter
-    more steps a second in lockstep (`bench/loop.py`), at the price of latency.
+    A message to several readers then goes out to all before the first of them runs: more steps a
+    second in lockstep, at the price of latency.
     """
     os.sched_setscheduler(pid, os.SCHED_BATCH, os.sched_param(0))
 
