@@ -15,6 +15,9 @@ publisher has sent with it (0: unknown); tells whether it was acted upon."""
 class Mailbox:
     """Messages of the loop between nodes of one process, delivered in the order they were sent.
 
+    Outside they are sent when those inside have been handed out, and what these have given rise
+    to: sending takes longer than a node's answer, and several in a row less than each by itself.
+
     Parameters
     ----------
     nodes : collection of str
@@ -25,6 +28,7 @@ class Mailbox:
         self._nodes = frozenset(nodes)
         self._listeners: dict[str, list[tuple[str, Receive]]] = {}
         self._posted: deque[tuple[str, bytes]] = deque()
+        self._outward: deque[tuple[Callable[[bytes], None], bytes]] = deque()
 
     def serves(self, topic: Topic) -> bool:
         """Whether the topic's messages come from a node of this process."""
@@ -41,12 +45,14 @@ class Mailbox:
 
     def sender(self, name: str, send: Callable[[bytes], None]) -> Callable[[bytes], None]:
         """Give what sends a message to the listeners in this process, and outside by ``send``."""
-        post = self._posted.append
+        post, put_out = self._posted.append, self._outward.append
 
         def send_to_all(raw: bytes) -> None:
             if name in self._listeners:
                 post((name, raw))
-            send(raw)
+                put_out((send, raw))
+            else:
+                send(raw)
 
         return send_to_all
 
@@ -55,8 +61,17 @@ class Mailbox:
         posted = self._posted
         if not posted:
             return False
-        while posted:
-            name, raw = posted.popleft()
-            for _, receive in self._listeners[name]:
-                receive(raw, time.time_ns(), 0)
+        try:
+            while posted:
+                name, raw = posted.popleft()
+                for _, receive in self._listeners[name]:
+                    receive(raw, time.time_ns(), 0)
+        finally:
+            self.send_outside()
         return True
+
+    def send_outside(self) -> None:
+        """Send outside what waits for it."""
+        while self._outward:
+            send, raw = self._outward.popleft()
+            send(raw)

@@ -7,7 +7,7 @@ takes a tenth of a second. Python types are checked here, for the wire and the b
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 from rosbags.serde import SerdeError
@@ -80,12 +80,21 @@ def encode_status(status: Status) -> bytes:
 def decode_status(raw: bytes) -> Status:
     """Read a diagnostic_msgs/msg/DiagnosticStatus; of keys that come twice the last counts.
 
+    A sign of life repeats a message, which is read once; nobody may change what is given.
+
     Raises
     ------
     WireError
         If the bytes are no such message.
     """
+    return _known_status(raw) if isinstance(raw, bytes) else _read_status(raw)
+
+
+def _read_status(raw: bytes) -> Status:
     return _status(_decode(DIAGNOSTIC_STATUS, raw))
+
+
+_known_status = lru_cache(maxsize=16)(_read_status)
 
 
 def encode_diagnostics(stamp_ns: int, statuses: Sequence[Status]) -> bytes:
@@ -108,7 +117,7 @@ def encode_diagnostics(stamp_ns: int, statuses: Sequence[Status]) -> bytes:
 
 
 def restamp(message: bytearray, stamp_ns: int) -> None:
-    """Give a message that begins with a header another stamp; encoding anew costs 100 times."""
+    """Give a message that begins with a time another one; encoding anew costs 100 times as much."""
     struct.pack_into("<iI", message, 4, *divmod(stamp_ns, NANOSECONDS_PER_SECOND))
 
 

@@ -209,6 +209,11 @@ class NodeShell:
         self._status = replace(status, name=self.name, values=values)
         self._publish_status()
 
+    def note(self, status: Status) -> None:
+        """Make this the node's status, to be published when the next one is due."""
+        values = {**self._status.values, **status.values}
+        self._status = replace(status, name=self.name, values=values)
+
     def matched(self) -> dict[str, str]:
         """Who is connected: names of the nodes that listen to each topic, number of its senders.
 

@@ -114,7 +114,7 @@ class Outcome:
     trip : Trip or None
         Why and when it was ended early; None if finished.
     overruns : int
-        Times the rig's own clock was held up for more than a period.
+        Times the rig's own clock was held up for more than half a period.
     saturation : Saturation
         What was at the end of its range.
     """
@@ -178,7 +178,7 @@ def rig_status(
     trip : Trip, optional
         Needed where the phase is ``tripped``.
     overruns : int
-        Times the rig's own clock was held up for more than a period.
+        Times the rig's own clock was held up for more than half a period.
     saturation : Saturation, optional
         What was at the end of its range; default nothing.
 

@@ -1,10 +1,11 @@
-"""Real-time priority, locked memory and a core of one's own, as far as the system grants them.
+"""Priority, locked memory, awake cores and one of one's own, as far as the system grants them.
 
 The parameters are called as those of ros2_control's controller manager.
 """
 
 import ctypes
 import os
+import struct
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,12 @@ PARAMETERS = (
         minimum=-1,
         maximum=4095,
     ),
+    Parameter(
+        "keep_awake",
+        "bool",
+        False,
+        "whether the machine's cores stay awake while they wait, as long as the node runs",
+    ),
 )
 
 _REMEDY = (
@@ -40,7 +47,10 @@ _REMEDY = (
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _PR_SET_TIMERSLACK, _SLACK_NS = 29, 1
 _ADDR_NO_RANDOMIZE, _ASK = 0x0040000, 0xFFFFFFFF
+_AWAKE = Path("/dev/cpu_dma_latency")
 _LIBC = ctypes.CDLL(None, use_errno=True)
+_held: list[int] = []
+"""Open files that keep cores awake; the kernel lets go when they are closed."""
 
 
 def apply(section: Mapping[str, Any]) -> list[str]:
@@ -59,6 +69,8 @@ def apply(section: Mapping[str, Any]) -> list[str]:
     denied = []
     if section["cpu_core"] >= 0:
         denied.append(_keep_to_core(section["cpu_core"]))
+    if section["keep_awake"]:
+        denied.append(_keep_awake())
     if section["lock_memory"]:
         denied.append(_lock_memory())
     if section["thread_priority"] > 0:
@@ -85,14 +97,19 @@ def take_equal_addresses() -> None:
     _LIBC.personality(_personality() | _ADDR_NO_RANDOMIZE)
 
 
+def may_keep_awake() -> bool:
+    """Whether `PARAMETERS`' ``keep_awake`` would be granted."""
+    return os.access(_AWAKE, os.W_OK)
+
+
 def granted() -> dict[str, Any]:
     """Tell what this process has.
 
     Returns
     -------
     dict
-        ``priority`` (real-time; 0: none), ``locked_kb``, ``cores``, ``equal_addresses``, and
-        ``boot``, which is the same for all processes of a machine.
+        ``priority`` (real-time; 0: none), ``locked_kb``, ``cores``, ``keeps_awake``,
+        ``equal_addresses``, and ``boot``, which is the same for all processes of a machine.
     """
     policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     is_realtime = policy in (os.SCHED_FIFO, os.SCHED_RR)
@@ -100,6 +117,7 @@ def granted() -> dict[str, Any]:
         "priority": os.sched_getparam(0).sched_priority if is_realtime else 0,
         "locked_kb": _locked_kb(),
         "cores": sorted(os.sched_getaffinity(0)),
+        "keeps_awake": bool(_held),
         "equal_addresses": bool(_personality() & _ADDR_NO_RANDOMIZE),
         "boot": boot(),
     }
@@ -115,9 +133,35 @@ def _personality() -> int:
     return max(0, int(_LIBC.personality(_ASK)))
 
 
+def side_threads(pid: int | str = "self") -> list[int]:
+    """Find the threads of a process through which no message of the loop passes.
+
+    FastDDS names its threads: ``dds.udp.`` and a port are those that receive, and of its ports the
+    odd ones are for messages, the even ones for who is there (RTPS 2.3, 9.6.1.1); ``dds.ev`` and
+    ``dds.asyn`` tell others who is here, for a quarter of a millisecond at a time.
+
+    Parameters
+    ----------
+    pid : int or str
+        Of the process; default this one.
+
+    Raises
+    ------
+    OSError
+        If there is no such process.
+    """
+    found = []
+    for thread in _threads(pid):
+        name = Path(f"/proc/{pid}/task/{thread}/comm").read_text(encoding="utf-8").strip()
+        _, _, port = name.partition("dds.udp.")
+        if name.startswith(("dds.ev", "dds.asyn")) or (port.isdigit() and int(port) % 2 == 0):
+            found.append(thread)
+    return found
+
+
 def _keep_to_core(core: int) -> str:
     try:
-        for thread in _threads():
+        for thread in set(_threads()).difference(side_threads()):
             os.sched_setaffinity(thread, {core})
     except OSError:
         allowed = ", ".join(str(each) for each in sorted(os.sched_getaffinity(0)))
@@ -125,15 +169,37 @@ def _keep_to_core(core: int) -> str:
     return ""
 
 
+def _keep_awake() -> str:
+    """Ask the kernel for no latency at all: a core with nothing to do then polls.
+
+    To wake one that sleeps takes long, and who wakes it pays, too (Documentation/power/
+    pm_qos_interface of the kernel).
+    """
+    try:
+        held = os.open(_AWAKE, os.O_WRONLY)
+        os.write(held, struct.pack("=i", 0))
+    except OSError:
+        return (
+            f'to keep the cores awake is denied: a udev rule `KERNEL=="{_AWAKE.name}", '
+            'GROUP="realtime", MODE="0660"` and a user in that group allow it; the test goes on '
+            "without"
+        )
+    _held.append(held)
+    return ""
+
+
 def _take_priority(priority: int) -> str:
     """Raise all threads, those of DDS too: a message must not wait behind other processes.
 
-    Threads that are made later, such as that of the services, have no priority.
+    Side threads only wait for those of the loop, which may need what they hold. Threads that are
+    made later, such as that of the services, have no priority.
     """
+    policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
     try:
+        aside = side_threads()
         for thread in _threads():
-            policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
-            os.sched_setscheduler(thread, policy, os.sched_param(priority))
+            own = max(1, priority - 1) if thread in aside else priority
+            os.sched_setscheduler(thread, policy, os.sched_param(own))
     except OSError:
         return f"real-time priority {priority} is denied: " + _REMEDY.format(
             user="USER", item="rtprio", value=98
@@ -149,8 +215,8 @@ def _lock_memory() -> str:
     return ""
 
 
-def _threads() -> list[int]:
-    return [int(entry.name) for entry in Path("/proc/self/task").iterdir()]
+def _threads(pid: int | str = "self") -> list[int]:
+    return [int(entry.name) for entry in Path(f"/proc/{pid}/task").iterdir()]
 
 
 def _locked_kb() -> int:

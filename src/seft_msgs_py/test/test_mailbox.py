@@ -1,5 +1,6 @@
 """Messages between nodes of one process: in order, to all, also those sent meanwhile."""
 
+import pytest
 from seft_msgs_py.mailbox import Mailbox
 from seft_msgs_py.topics import DIAGNOSTICS, RIG_STATE, VALVE_COMMAND
 
@@ -21,10 +22,10 @@ def test_a_message_goes_to_all_listeners_and_outside():
     for node in ("one", "two"):
         box.subscribe("/rig/state", node, listener(heard, node))
     box.sender("/rig/state", outside.append)(b"a")
-    assert outside == [b"a"]
     assert heard == []
     assert box.deliver() is True
     assert heard == [("one", b"a"), ("two", b"a")]
+    assert outside == [b"a"]
     assert box.deliver() is False
     assert box.listeners("/rig/state") == ["one", "two"]
 
@@ -40,6 +41,32 @@ def test_what_is_sent_while_messages_are_handed_out_is_handed_out_too():
     box.deliver()
     assert [name for name, _ in heard] == ["controller", "controller", "rig", "rig"]
     assert [raw for _, raw in heard] == [b"1", b"2", b"1", b"2"]
+
+
+def test_outside_messages_go_when_those_inside_have_been_answered_and_in_order():
+    box, seen = Mailbox(["rig", "controller"]), []
+    answer = box.sender("/valve_command", lambda raw: seen.append(("outside", raw)))
+    box.subscribe("/rig/state", "controller", listener(seen, "controller", lambda _: answer(b"b")))
+    box.subscribe("/valve_command", "rig", listener(seen, "rig"))
+    box.sender("/rig/state", lambda raw: seen.append(("outside", raw)))(b"a")
+    box.deliver()
+    assert seen == [("controller", b"a"), ("rig", b"b"), ("outside", b"a"), ("outside", b"b")]
+
+
+def test_what_waits_goes_outside_also_where_a_listener_fails_or_the_process_ends():
+    box, outside = Mailbox(["rig"]), []
+
+    def fail(raw, received_ns, number):
+        raise RuntimeError
+
+    box.subscribe("/rig/state", "one", fail)
+    publish = box.sender("/rig/state", outside.append)
+    publish(b"a")
+    with pytest.raises(RuntimeError):
+        box.deliver()
+    publish(b"b")
+    box.send_outside()
+    assert outside == [b"a", b"b"]
 
 
 def test_without_listeners_inside_a_message_only_goes_outside():

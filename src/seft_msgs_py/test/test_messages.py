@@ -180,3 +180,9 @@ def test_a_wrong_python_type_is_refused_not_corrupted(encode):
 def test_only_bytes_are_decoded(decode, raw):
     with pytest.raises(WireError):
         decode(raw)
+
+
+def test_a_sign_of_life_is_read_once():
+    raw = encode_status(Status("experiment", 0, "running", values={"steps": "7"}))
+    assert decode_status(raw) is decode_status(bytes(bytearray(raw)))
+    assert decode_status(bytearray(raw)) == decode_status(raw)

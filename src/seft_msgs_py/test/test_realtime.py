@@ -12,7 +12,7 @@ EQUAL_ADDRESSES = pytest.mark.skipif(
     subprocess.run(["setarch", "-R", "true"], stderr=subprocess.DEVNULL).returncode != 0,
     reason="a container's filter denies equal addresses",
 )
-WISH = {"cpu_core": -1, "lock_memory": False, "thread_priority": 0}
+WISH = {"cpu_core": -1, "keep_awake": False, "lock_memory": False, "thread_priority": 0}
 PROGRAM = """
 import ctypes, json, os, resource, sys
 from seft_msgs_py import realtime
@@ -26,6 +26,47 @@ if sys.argv[2] == "deny":
 denied = realtime.apply(json.loads(sys.argv[1]))
 print(json.dumps({"denied": denied, "granted": realtime.granted()}))
 """
+
+OF_THE_LOOP = ("dds.udp.7411", "another")
+ASIDE = ("dds.ev.0", "dds.asyn.0.0", "dds.udp.7410")
+THREADS = """
+import ctypes, json, os, sys, threading
+from seft_msgs_py import realtime
+names, ids, named, over = sys.argv[2:], [], threading.Semaphore(0), threading.Event()
+def live(name):
+    ctypes.CDLL(None).prctl(15, name.encode())  # PR_SET_NAME
+    ids.append((name, threading.get_native_id()))
+    named.release()
+    over.wait()
+for name in names:
+    threading.Thread(target=live, args=[name], daemon=True).start()
+    named.acquire()
+assert realtime.apply(json.loads(sys.argv[1])) == []
+print(json.dumps({
+    name: [os.sched_getparam(each).sched_priority, sorted(os.sched_getaffinity(each))]
+    for name, each in ids
+}))
+"""
+GRAPH = """
+from pathlib import Path
+import rclpy
+from rclpy.node import Node
+from seft_msgs_py.middleware import prepare_on_this_host
+from seft_msgs_py.realtime import side_threads
+prepare_on_this_host()
+rclpy.init(args=[])
+node = Node("somebody")
+names = [each.joinpath("comm").read_text() for each in Path("/proc/self/task").iterdir()]
+print(len(side_threads()), sum(name.startswith("dds.") for name in names))
+"""
+
+
+def threads(wish):
+    """Priority and cores of each thread of a process that has applied a wish."""
+    names = (*OF_THE_LOOP, *ASIDE)
+    words = [sys.executable, "-c", THREADS, json.dumps({**WISH, **wish}), *names]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    return json.loads(done.stdout)
 
 
 def ask(wish, how="as we are"):
@@ -41,6 +82,7 @@ def test_without_wishes_nothing_changes():
     assert told["granted"]["priority"] == 0
     assert told["granted"]["locked_kb"] == 0
     assert told["granted"]["cores"] == sorted(os.sched_getaffinity(0))
+    assert told["granted"]["keeps_awake"] is False
 
 
 def test_a_core_is_kept_to_and_one_that_is_not_there_is_told():
@@ -53,13 +95,23 @@ def test_a_core_is_kept_to_and_one_that_is_not_there_is_told():
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="rights can only be given up by root")
 def test_what_is_denied_is_told_with_its_remedy_and_the_process_goes_on():
-    told = ask({"thread_priority": 40, "lock_memory": True}, "deny")
-    memory, priority = told["denied"]
+    told = ask({"thread_priority": 40, "lock_memory": True, "keep_awake": True}, "deny")
+    awake, memory, priority = told["denied"]
+    assert "to keep the cores awake is denied" in awake
+    assert 'udev rule `KERNEL=="cpu_dma_latency"' in awake
     assert "locked memory is denied" in memory
     assert "memlock unlimited` in /etc/security/limits.conf" in memory
     assert "real-time priority 40 is denied" in priority
     assert "rtprio 98` in /etc/security/limits.conf" in priority
     assert told["granted"]["priority"] == 0
+    assert told["granted"]["keeps_awake"] is False
+
+
+@pytest.mark.skipif(not realtime.may_keep_awake(), reason="cores may not be kept awake here")
+def test_cores_are_kept_awake():
+    told = ask({"keep_awake": True})
+    assert told["denied"] == []
+    assert told["granted"]["keeps_awake"] is True
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="rights are root's")
@@ -68,6 +120,25 @@ def test_what_is_granted_is_told():
     assert told["denied"] == []
     assert told["granted"]["priority"] == 40
     assert told["granted"]["locked_kb"] > 0
+
+
+def test_threads_of_the_middleware_that_no_message_passes_stay_off_the_core():
+    cores = sorted(os.sched_getaffinity(0))
+    found = {name: where for name, (_, where) in threads({"cpu_core": cores[0]}).items()}
+    assert found == dict.fromkeys(OF_THE_LOOP, cores[:1]) | dict.fromkeys(ASIDE, cores)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="rights are root's")
+@pytest.mark.parametrize(("priority", "aside"), [(40, 39), (1, 1)])
+def test_threads_of_the_middleware_that_no_message_passes_give_way(priority, aside):
+    found = {name: own for name, (own, _) in threads({"thread_priority": priority}).items()}
+    assert found == dict.fromkeys(OF_THE_LOOP, priority) | dict.fromkeys(ASIDE, aside)
+
+
+def test_the_middleware_names_its_threads_as_is_read_here():
+    done = subprocess.run([sys.executable, "-c", GRAPH], stdout=subprocess.PIPE, check=True)
+    aside, named = map(int, done.stdout.split())
+    assert 0 < aside < named
 
 
 @EQUAL_ADDRESSES

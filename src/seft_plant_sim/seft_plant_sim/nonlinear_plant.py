@@ -43,8 +43,8 @@ class NonlinearPlant:
         Shape (4n, s + n + r): takes (z, drive, residuals) to the outputs.
     parts : tuple of Part
         What makes the residuals, in order.
-    drive_limit : float or ndarray
-        Drive beyond which the actuator takes no notice.
+    drive_limit : ndarray
+        Drive beyond which the actuator takes no notice, shape (n,).
 
     Raises
     ------
@@ -58,8 +58,10 @@ class NonlinearPlant:
         parts = nonlinearity.parts
         self.parts: tuple[Part, ...] = parts
         self._residuals = parts[0].residuals if len(parts) == 1 else self._all_residuals
+        self._settling = [part for part in parts if part.settles]
         self._axes = model.b.shape[1]
-        self.drive_limit = nonlinearity.drive_limit
+        self.drive_limit = np.broadcast_to(nonlinearity.drive_limit, (self._axes,))
+        self._least_drive = -self.drive_limit
         size, residuals = len(model.a), nonlinearity.inputs.shape[1]
         self.dead_time = DeadTime(model.delay, dt, self._axes)
         part = self.dead_time.part
@@ -68,6 +70,7 @@ class NonlinearPlant:
         self.output = np.hstack([model.c, model.d, nonlinearity.outputs])
         self._work = np.zeros(size + self._axes + residuals)  # z, drive, residuals
         self._state = self._work[:size]
+        self._predicted = np.zeros(size)
         self._drive = self._work[size : size + self._axes]
         self._residual = self._work[size + self._axes :]
         self.reset()
@@ -80,7 +83,7 @@ class NonlinearPlant:
 
     def step(self, command: Floats) -> Floats:
         """Advance by one sample, see `Plant.step`."""
-        command = np.minimum(np.maximum(command, -self.drive_limit), self.drive_limit)
+        command = np.minimum(np.maximum(command, self._least_drive), self.drive_limit)
         before, after, now = self.dead_time.step(command)
         self._integrate(self.before, before)
         self._integrate(self.after, after)
@@ -93,26 +96,25 @@ class NonlinearPlant:
         return [name for part in self.parts for name in part.saturated(z)]
 
     def _integrate(self, stretch: "Stretch", drive: Floats) -> None:
-        work, state, residual = self._work, self._state, self._residual
-        residuals, settled = self._residuals, self._settled
-        predict, correct = stretch.predict, stretch.correct
+        work, state, residual, predicted = self._work, self._state, self._residual, self._predicted
+        residuals, settling = self._residuals, self._settling
+        predict, correct = stretch.predict.dot, stretch.correct.dot
         self._drive[:] = drive
         for _ in range(stretch.steps):
-            predicted = predict.dot(work)
+            predict(work, predicted)
             change = np.array(residuals(predicted.tolist()))
             change -= residual
-            predicted += correct.dot(change)
-            z = settled(predicted.tolist())
-            state[:] = z
+            correct(change, state)
+            state += predicted
+            z = state.tolist()
+            if settling:
+                for part in settling:
+                    part.settle(z)
+                state[:] = z
             residual[:] = residuals(z)
 
     def _all_residuals(self, z: list[float]) -> list[float]:
         return [value for part in self.parts for value in part.residuals(z)]
-
-    def _settled(self, z: list[float]) -> list[float]:
-        for part in self.parts:
-            part.settle(z)
-        return z
 
 
 @dataclass(frozen=True)

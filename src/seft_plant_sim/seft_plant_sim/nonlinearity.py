@@ -28,9 +28,12 @@ class Part(Protocol):
     ----------
     fastest : float
         Largest rate at which they answer a state, 1/s: a step must be shorter.
+    settles : bool
+        Whether a state may have to be brought back to where it may be.
     """
 
     fastest: float
+    settles: bool
 
     def residuals(self, z: list[float]) -> list[float]:
         """Residuals at a state."""
@@ -113,6 +116,8 @@ class PistonAndValve:
         velocity, stiffness of the stops; as `lost_opening` and `holding_force` take them.
     """
 
+    settles = False
+
     def __init__(self, hydraulics: Hydraulics, mass: Floats) -> None:
         h = hydraulics
         stop = STOP_STIFFNESS * h.oil_stiffness
@@ -156,6 +161,8 @@ class Springs:
     force less the elastic one (N), the rate of the hysteretic displacement less that of the
     deformation (m/s), and the rate of the work.
     """
+
+    settles = True
 
     def __init__(self, specimen: Specimen, first_state: int) -> None:
         n, p = specimen.axes, len(specimen.springs)

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from seft_msgs_py.awake_clock import AwakeClock
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.messages import Status, decode_status, encode_clock
+from seft_msgs_py.messages import Status, decode_status, encode_clock, restamp
 from seft_msgs_py.node_main import NodeKind, run_node
 from seft_msgs_py.node_shell import WARM_UP_STEPS, NodeShell
 from seft_msgs_py.outcome import FINISHED, LISTED_STEPS, STOPPED, TRIPPED, Trip, rig_status
@@ -62,6 +62,7 @@ class RigNode:
         self._publish_time: Callable[[bytes], None] | None = None
         if shell.rig.axes[0] == experiment.axes[0]:
             self._publish_time = shell.publisher(CLOCK_TOPIC)
+        self._time_message = bytearray(encode_clock(0))
         self._is_alone = len(experiment.rigs) == 1
         self._round_trip = RoundTrip()
         valve = VALVE_COMMAND.of(shell.rig)
@@ -180,6 +181,11 @@ class RigNode:
         return None
 
     def _tell(self, phase: str, trip: Trip | None = None, stopped: Stopped | None = None) -> None:
+        self._shell.report(self._status(phase, trip, stopped))
+
+    def _status(
+        self, phase: str, trip: Trip | None = None, stopped: Stopped | None = None
+    ) -> Status:
         self._told_at = time.monotonic()
         status = rig_status(
             phase,
@@ -200,12 +206,12 @@ class RigNode:
             }
             status = replace(status, values={**status.values, **rest})
         margins = self._rig.limits.margins()
-        self._shell.report(with_health(status, margins, self._answered_at, self._round_trip))
+        return with_health(status, margins, self._answered_at, self._round_trip)
 
     def _tell_if_due(self) -> None:
         """Tell how the test goes, when its commands are there and there is time for it."""
         if time.monotonic() - self._told_at >= TELL_PERIOD:
-            self._tell("running")
+            self._shell.note(self._status("running"))
 
     def _lockstep(self, steps: int) -> str | None:
         """Each step waits for its commands; return why the test ended early, if it did."""
@@ -259,8 +265,7 @@ class RigNode:
                 clock.fall_back(self._wait_for_answer(0, timeout) + BREATH)
             deadline = clock.deadline(step + 1)
             while (left := deadline - time.monotonic()) > 0:
-                shell.spin_once(left)
-                if drive.step >= step:
+                if shell.spin_once(left) and drive.step >= step:
                     self._tell_if_due()
             clock.awake(-left)
             late = time.monotonic() + period
@@ -312,7 +317,8 @@ class RigNode:
 
     def _publish_clock(self, step: int) -> None:
         if self._publish_time is not None:
-            self._publish_time(encode_clock(self._timebase.stamp_ns(step)))
+            restamp(self._time_message, self._timebase.stamp_ns(step))
+            self._publish_time(bytes(self._time_message))
 
     def _unwanted(self) -> str | None:
         """Say why the test must end here, if it must: no rig moves without a supervisor."""

@@ -1,10 +1,12 @@
 """Times from a state's publication to its command's arrival, in bounded memory."""
 
 import math
+from bisect import bisect_right
 
 SHORTEST = 1e-5  # s, lower edge of the first bin
 PER_DECADE = 20  # bins: a median is right within 6 %
 DECADES = 7
+EDGES = [SHORTEST * 10 ** (at / PER_DECADE) for at in range(1, PER_DECADE * DECADES)]
 
 
 class RoundTrip:
@@ -27,8 +29,7 @@ class RoundTrip:
 
     def add(self, time: float) -> None:
         """Count a time in seconds."""
-        at = int(PER_DECADE * math.log10(max(time, SHORTEST) / SHORTEST))
-        self._bins[min(at, len(self._bins) - 1)] += 1
+        self._bins[bisect_right(EDGES, time)] += 1
         self.count += 1
         self.last = time
         self.largest = time if self.count == 1 else max(self.largest, time)

@@ -1,13 +1,14 @@
 """When a simulated rig takes its samples in realtime."""
 
+HELD_UP = 0.5  # of a period, by which a deadline is missed: what is left is too short for an answer
 HURRY = 0.05  # of a period, by which steps are shorter while a rig makes up for what it is late
 
 
 class SampleClock:
     """Absolute deadlines, one a period.
 
-    A rig that was held up for more than a period goes on from there: hurrying through the steps it
-    is late for would leave the others no time to answer them.
+    A rig that was held up for more than half a period goes on from there: hurrying through the
+    steps it is late for would leave the others no time to answer them.
 
     Parameters
     ----------
@@ -21,7 +22,7 @@ class SampleClock:
     Attributes
     ----------
     overruns : int
-        Times it was held up for more than a period.
+        Times it was held up for more than half a period.
     """
 
     def __init__(self, period: float, start: float, *, makes_up: bool) -> None:
@@ -35,10 +36,9 @@ class SampleClock:
 
     def awake(self, late: float) -> None:
         """Take in by how many s a deadline was missed."""
-        periods = int(late / self._period)
-        if periods > 0:
+        if late > HELD_UP * self._period:
             self.overruns += 1
-            self._start += periods * self._period
+            self.fall_back(late)
         if self._makes_up and self._start > self._on_time:
             self._start -= min(HURRY * self._period, self._start - self._on_time)
 

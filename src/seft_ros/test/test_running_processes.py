@@ -46,6 +46,27 @@ def test_nodes_of_the_loop_share_a_core_and_addresses(tmp_path, composed):
     assert os.sched_getaffinity(0) == cores
 
 
+@pytest.mark.parametrize(
+    ("arrangement", "priorities"),
+    [
+        (Arrangement(priority=50), [50, 48, 49]),
+        (Arrangement(priority=2), [2, 1, 1]),
+        (Arrangement(priority=50, composed=True), [50, 50, 50]),
+    ],
+)
+def test_who_comes_earlier_in_a_step_gives_way(arrangement, priorities):
+    wishes = [arrangement.wishes(node) for node in LOOP_NODES]
+    assert [wish["thread_priority"] for wish in wishes] == priorities
+    assert all(wish["lock_memory"] and wish["keep_awake"] for wish in wishes)
+
+
+@pytest.mark.parametrize("may", [False, True])
+def test_cores_stay_awake_without_being_asked_for_where_that_is_allowed(monkeypatch, may):
+    monkeypatch.setattr("seft_ros.running.arrangement.may_keep_awake", lambda: may)
+    assert Arrangement().wishes("rig") == ({"keep_awake": True} if may else {})
+    assert Arrangement(pin=False).wishes("rig") == {}
+
+
 def test_what_is_not_pinned_runs_anywhere_and_at_random_addresses(tmp_path):
     found = where(tmp_path, Arrangement(pin=False))
     assert found == dict.fromkeys(NODES, (os.sched_getaffinity(0), False))

@@ -20,7 +20,8 @@ class Stalls:
     late_s, longest_s : float
         What counts as late, and the largest, s.
     attributed : int
-        Of the listed steps without a command in time, those in whose period it was late.
+        Of the listed steps without a command in time, those in whose period it was late; that
+        begins when the state was due, a period after the one before.
     listed : int
         Steps that could be looked at.
     """
@@ -62,10 +63,13 @@ def stalls_of(record: Record) -> Stalls | None:
         period_ns = record.experiment.timebase.period_ns
         known = np.isin(record.missed_steps, states.steps)
         steps = np.asarray(record.missed_steps, dtype=np.int64)[known]
-        begin = np.asarray(states.received_ns)[np.searchsorted(states.steps, steps)]
-        overlaps = (intervals[:, 0] < begin[:, np.newaxis] + period_ns) & (
-            intervals[:, 1] > begin[:, np.newaxis]
-        )
+        received = np.asarray(states.received_ns)
+        at = np.searchsorted(states.steps, steps)
+        end = received[at] + period_ns
+        follows = (at > 0) & (states.steps[at - 1] == steps - 1)
+        due = np.where(follows, received[at - 1] + period_ns, received[at])
+        begin = np.minimum(due, received[at])
+        overlaps = (intervals[:, 0] < end[:, np.newaxis]) & (intervals[:, 1] > begin[:, np.newaxis])
         listed, attributed = len(steps), int(overlaps.any(axis=1).sum())
     return Stalls(
         int(seen["beats"]),

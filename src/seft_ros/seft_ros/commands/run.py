@@ -42,7 +42,8 @@ def run(
         bool,
         typer.Option(
             "--pin/--no-pin",
-            help="Keep the loop's nodes on one processor core and the others off it.",
+            help="Keep the loop's nodes on one processor core and the others off it; all cores "
+            "stay awake, where that is allowed.",
         ),
     ] = True,
     composed: Annotated[
@@ -60,7 +61,8 @@ def run(
             min=0,
             max=98,
             metavar="N",
-            help="Real-time priority of the loop's nodes, their memory locked; 0: none.",
+            help="Real-time priority of the loop's nodes, their memory locked, cores awake; "
+            "0: none.",
         ),
     ] = 0,
     accept_unstable: Annotated[

@@ -62,7 +62,7 @@ def plant_arrays(rig: Rig) -> PlantArrays:
         (_c(stretches[0].correct), _c(stretches[1].correct)),
         (stretches[0].steps, stretches[1].steps),
         _c(plant.output),
-        np.broadcast_to(plant.drive_limit, (n,)).astype(np.float64),
+        plant.drive_limit.astype(np.float64),
         plant.dead_time.whole,
         int(plant.dead_time.part > 0),
         _c(piston),

@@ -1,8 +1,9 @@
 """What the machine itself does to timing: a bare process that only sleeps to deadlines.
 
 Run as a program, with nothing but the standard library. On stdin it takes one line of JSON,
-``{"cores": [0], "period": 0.002, "priority": 0}``, and sleeps to absolute deadlines of that
-period until the next line comes or stdin ends; then it prints what it saw as one line of JSON.
+``{"cores": [0], "period": 0.0005, "late_s": 0.001, "priority": 0}``, and sleeps to absolute
+deadlines of that period until the next line comes or stdin ends; then it prints which of them it
+met more than ``late_s`` late, as one line of JSON.
 """
 
 import contextlib
@@ -12,21 +13,22 @@ import select
 import sys
 import time
 
-LATE = 0.5  # periods; a deadline met later than that is a stall
 KEPT = 10_000  # stalls
 
 
-def watch(period: float) -> dict[str, object]:
-    """Sleep to deadlines until there is something on stdin; tell of those that were met late."""
+def watch(period: float, most: float) -> dict[str, object]:
+    """Sleep to deadlines until there is something on stdin; tell of those that were met late.
+
+    Late is by more than ``most`` seconds.
+    """
     stalls: list[tuple[int, int]] = []
     beats = count = 0
     longest = 0.0
     deadline = time.monotonic() + period
-    while not select.select([sys.stdin], [], [], 0.0)[0]:
-        time.sleep(max(0.0, deadline - time.monotonic()))
+    while not select.select([0], [], [], max(0.0, deadline - time.monotonic()))[0]:
         late = time.monotonic() - deadline
         beats += 1
-        if late > LATE * period:
+        if late > most:
             count += 1
             longest = max(longest, late)
             if len(stalls) < KEPT:
@@ -47,8 +49,8 @@ def main() -> int:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(wanted["priority"]))
         except OSError:
             wanted["priority"] = 0
-    seen = watch(wanted["period"])
-    told = json.dumps({**wanted, "late_s": LATE * wanted["period"], **seen}).encode()
+    seen = watch(wanted["period"], wanted["late_s"])
+    told = json.dumps({**wanted, **seen}).encode()
     with contextlib.suppress(BrokenPipeError):  # who asked may have been killed
         while told:
             told = told[os.write(sys.stdout.fileno(), told) :]

@@ -93,7 +93,7 @@ class Record:
     missed_steps : list of int
         The first of these steps (the rig lists a bounded number).
     overruns : int or None
-        Times the rig's own clock was held up for more than a period, and went on from there;
+        Times the rig's own clock was held up for more than half a period, and went on from there;
         None if unknown.
     saturation : Saturation
         What the rig says was at the end of its range.

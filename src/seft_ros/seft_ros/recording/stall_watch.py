@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any
 
 SLEEPER = Path(__file__).with_name("bare_sleeper.py")
-SHORTEST_PERIOD = 0.001  # s: a shorter one would be a load of its own
+LATE = 0.5  # of the loop's period; a deadline met later than that is a stall
+BEATS = 4  # a period: so a stall of three quarters of a period can't fall between two of them
+SHORTEST_BEAT = 0.00025  # s: a shorter one would be a load of its own
 PATIENCE = 2.0  # s
 
 
@@ -45,8 +47,12 @@ class StallWatch:
             Real-time priority of the loop; the watch takes the next higher one, else it would
             take the loop's work for a stall. 0: none.
         """
-        period = max(period, SHORTEST_PERIOD)
-        wanted = {"cores": cores, "period": period, "priority": priority and priority + 1}
+        wanted = {
+            "cores": cores,
+            "period": max(period / BEATS, SHORTEST_BEAT),
+            "late_s": LATE * period,
+            "priority": priority and priority + 1,
+        }
         self._write(json.dumps(wanted))
 
     def end(self) -> dict[str, Any] | None:
@@ -55,8 +61,8 @@ class StallWatch:
         Returns
         -------
         dict or None
-            ``period`` and ``late_s`` (s), ``priority``, ``cores``, ``beats`` (deadlines),
-            ``count`` (of those met more than ``late_s`` late), ``longest_s`` and
+            ``period`` of the deadlines and ``late_s`` (s), ``priority``, ``cores``, ``beats``
+            (deadlines), ``count`` (of those met more than ``late_s`` late), ``longest_s`` and
             ``intervals_ns`` (wall clock, of the first stalls). None if it watched nothing, or
             has died.
         """

@@ -15,7 +15,7 @@ from seft_ros.replay.reference_force import ReferenceForcePart
 from seft_ros.replay.rig import RigPart
 
 PARTS = {part.node: part for part in (ReferenceForcePart, ForceControllerPart, RigPart)}
-_UNTIMED = {"thread_priority": 0, "lock_memory": False, "cpu_core": -1}
+_UNTIMED = {"thread_priority": 0, "lock_memory": False, "cpu_core": -1, "keep_awake": False}
 """A replay keeps no time."""
 
 

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
-from seft_msgs_py.realtime import take_equal_addresses
+from seft_msgs_py.realtime import side_threads, take_equal_addresses
 from seft_msgs_py.rigs import bare, rig_name
 
 from seft_ros.running.arrangement import LOOP_NODES, Arrangement
@@ -100,6 +100,16 @@ class NodeProcesses:
     def pids(self) -> dict[str, int]:
         """Process numbers by node."""
         return {node: process.pid for node, process in self._processes.items()}
+
+    def clear_the_loops_cores(self) -> None:
+        """Move off them what no message of the loop passes through; to be called before a test."""
+        if not self._pin:
+            return
+        for node, process in self._processes.items():
+            if bare(node) in LOOP_NODES:
+                with contextlib.suppress(OSError):  # it has ended, as others will tell
+                    for thread in side_threads(process.pid):
+                        os.sched_setaffinity(thread, self._other_cores)
 
     def stop(self, patience: float = 10.0) -> None:
         """Ask all processes to end, and kill what has not after ``patience`` seconds."""

@@ -95,11 +95,9 @@ def run_experiment(
     prepare_on_this_host()
     experiment["recorder"].update(directory=str(bag.parent.resolve()), name=bag.name)
     arrangement = arrangement or Arrangement()
-    if arrangement.priority:
-        for node in LOOP_NODES:
-            if node in experiment.sections:
-                wishes = {"thread_priority": arrangement.priority, "lock_memory": True}
-                experiment[node].update(wishes)
+    for node in LOOP_NODES:
+        if node in experiment.sections:
+            experiment[node].update(arrangement.wishes(node))
     wanted = {*experiment["supervisor"]["peers"], "supervisor"}
     every = with_rigs([node for node in MODULES if node in wanted], experiment.rigs)
     external = [node for node in every if node in external or bare(node) in external]
@@ -187,6 +185,7 @@ def _start(
     deadline = time.monotonic() + READY_TIMEOUT
     _wait_until_ready(observer, processes, progress, deadline)
     _refuse_twins(observer, topics)
+    processes.clear_the_loops_cores()
     while True:
         _wait_until_ready(observer, processes, progress, deadline)
         accepted, answer = observer.call("start")
