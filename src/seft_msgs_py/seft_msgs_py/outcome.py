@@ -1,7 +1,8 @@
 """How a test ended: what the rig's last status says of it, written and read here alone."""
 
 import json
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from seft_msgs_py.errors import WireError
@@ -16,6 +17,14 @@ STOPPED = "stopped"
 """Reason of a rig that only did what the supervisor said: that one knows why."""
 LISTED_STEPS = 100
 """Missed steps that a status lists; all are counted."""
+ROUND_TRIPS = {
+    "p50": "round trip median (ms)",
+    "p90": "round trip 90 % (ms)",
+    "p99": "round trip 99 % (ms)",
+    "p99.9": "round trip 99.9 % (ms)",
+    "largest": "round trip largest (ms)",
+}
+"""Quantiles of the time from a sample to its command, and how a status names them."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +126,9 @@ class Outcome:
         Times the rig's own clock was held up for more than half a period.
     saturation : Saturation
         What was at the end of its range.
+    round_trips : dict
+        From a sample to its command as the rig measured it, s, by the keys of `ROUND_TRIPS`;
+        empty where it did not.
     """
 
     phase: str
@@ -127,12 +139,14 @@ class Outcome:
     trip: Trip | None
     overruns: int = 0
     saturation: Saturation = field(default_factory=Saturation)
+    round_trips: dict[str, float] = field(default_factory=dict)
 
     @classmethod
     def of_all(cls, outcomes: Sequence["Outcome"]) -> "Outcome":
         """Put together how a test ended for each of its rigs; the first trip with a cause counts.
 
-        The steps are those that all rigs have sampled; what they missed is added up.
+        The steps are those that all rigs have sampled; what they missed is added up; of the round
+        trips the longest are told.
         """
         if len(outcomes) == 1:
             return outcomes[0]
@@ -149,6 +163,11 @@ class Outcome:
             trip=min(causes, key=lambda trip: trip.step, default=None),
             overruns=sum(outcome.overruns for outcome in outcomes),
             saturation=Saturation.of_all([outcome.saturation for outcome in outcomes]),
+            round_trips={
+                key: max(found)
+                for key in ROUND_TRIPS
+                if (found := [o.round_trips[key] for o in outcomes if key in o.round_trips])
+            },
         )
 
 
@@ -162,6 +181,7 @@ def rig_status(
     *,
     overruns: int = 0,
     saturation: Saturation | None = None,
+    round_trips: Mapping[str, float] | None = None,
 ) -> Status:
     """Status of the rig in any phase; in the last, `read_outcome` understands it.
 
@@ -181,6 +201,8 @@ def rig_status(
         Times the rig's own clock was held up for more than half a period.
     saturation : Saturation, optional
         What was at the end of its range; default nothing.
+    round_trips : mapping, optional
+        As `Outcome` has them.
 
     Raises
     ------
@@ -197,6 +219,8 @@ def rig_status(
         "missed_steps": ",".join(str(int(step)) for step in missed_steps[:LISTED_STEPS]),
         "saturated": (saturation or Saturation()).to_json(),
     }
+    for key, seconds in (round_trips or {}).items():
+        values[ROUND_TRIPS[key]] = f"{seconds * 1e3:.3f}"
     if wall_s is not None:
         values["wall_s"] = repr(float(wall_s))
     message = f"{phase}: {steps} steps, {missed} missed"
@@ -246,8 +270,19 @@ def read_outcome(status: Status, timebase: Timebase) -> Outcome | None:
             wall_s=float(values["wall_s"]) if "wall_s" in values else None,
             trip=trip,
             saturation=Saturation.from_json(values.get("saturated", "{}")),
+            round_trips={
+                key: _finite(values[name]) * 1e-3
+                for key, name in ROUND_TRIPS.items()
+                if name in values
+            },
         )
     except KeyError as error:
         raise WireError(f"status of the {phase} rig: {error.args[0]} is missing") from None
     except ValueError as error:
         raise WireError(f"status of the {phase} rig: {error}") from None
+
+
+def _finite(text: str) -> float:
+    if not math.isfinite(number := float(text)):
+        raise ValueError(f"{text} is not finite")
+    return number

@@ -28,6 +28,8 @@ class Command:
         Last step whose command is settled; -1 where none is.
     current : int
         Step of the rig's last sample: no later one can have been answered.
+    answered : int
+        Step of the sample that the newest message answers; -1 where none has come.
     """
 
     def __init__(
@@ -46,7 +48,7 @@ class Command:
 
     def reset(self) -> None:
         """Back to no drive, before the first sample of a test."""
-        self._message = self.current = -1
+        self.answered = self.current = -1
         self.step = self._loop_delay - 1
         self._points: Floats = np.zeros((1 + self._loop_delay, len(self._rig.axes)))
 
@@ -56,7 +58,7 @@ class Command:
 
         Of a message that tells of coming steps it is the point of that sample's step, or the last.
         """
-        value: Floats = self._points[min(self.current - self._message, len(self._points) - 1)]
+        value: Floats = self._points[min(self.current - self.answered, len(self._points) - 1)]
         return value
 
     def take(self, raw: bytes) -> None:
@@ -72,9 +74,9 @@ class Command:
         name = self.codec.topic.name
         if step > self.current:
             raise WireError(f"{name} of step {step}, but the rig is at step {self.current}")
-        if step <= self._message:
+        if step <= self.answered:
             raise WireError(
-                f"{name} of step {step} after that of step {self._message}: stale, duplicated or "
+                f"{name} of step {step} after that of step {self.answered}: stale, duplicated or "
                 "out of order"
             )
         points = values[:, 0] if self._places is None else values[:, 0, self._places]
@@ -86,5 +88,5 @@ class Command:
                     f"{name} of step {step} is {number:g} {unit} on axis {axis}, beyond the "
                     f"limit of {self._limit:g} {unit}"
                 )
-        self._message, self._points = step, points
+        self.answered, self._points = step, points
         self.step = step + self._loop_delay

@@ -1,18 +1,17 @@
 """What the rig tells the diagnostics of a test while it runs and at its end."""
 
+import math
 import time
 from collections.abc import Mapping
 from dataclasses import replace
 
 from seft_msgs_py.messages import WARN, Status
 
-from seft_plant_sim.round_trip import RoundTrip
-
 NARROW = 0.1  # of a limit: a smaller margin is warned of
 
 
 def with_health(
-    status: Status, margins: Mapping[str, float], answered_at: float, round_trip: RoundTrip
+    status: Status, margins: Mapping[str, float], answered_at: float, last_trip: float
 ) -> Status:
     """Add to a status how well the test goes, under names that tools for diagnostics show.
 
@@ -24,20 +23,15 @@ def with_health(
         As `Limits.margins` gives them.
     answered_at : float
         When the newest command came, s, monotonic; 0 where none has come.
-    round_trip : RoundTrip
-        From a state to its command.
+    last_trip : float
+        From a state to its command, s; nan where there was none.
     """
     values = {f"margin {name.replace('_', ' ')}": f"{left:.3f}" for name, left in margins.items()}
     narrow = [name.replace("_", " ") for name, left in margins.items() if not left >= NARROW]
     if answered_at:
         values["command age (ms)"] = f"{(time.monotonic() - answered_at) * 1e3:.2f}"
-    if round_trip.count:
-        for name, seconds in (
-            ("last", round_trip.last),
-            ("median", round_trip.median()),
-            ("largest", round_trip.largest),
-        ):
-            values[f"round trip {name} (ms)"] = f"{seconds * 1e3:.3f}"
+    if not math.isnan(last_trip):
+        values["round trip last (ms)"] = f"{last_trip * 1e3:.3f}"
     message, level = status.message, status.level
     if narrow and level < WARN:
         level = WARN

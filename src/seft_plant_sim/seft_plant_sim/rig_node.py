@@ -36,6 +36,7 @@ from seft_plant_sim.sample_clock import SampleClock
 
 CLOCK_PERIOD = 0.1  # s of the test's time
 BREATH = 0.005  # s from the first answer in realtime to the time of step 0
+LATEST = 256  # steps: an answer that is older has no round trip
 FALL_BACK = 0.25  # of a period, by which a rig that is ahead of others delays each next sample
 MOVING = ("running", "ramping_down")  # states of a test in which the rig obeys
 TELL_PERIOD = 1.0  # s, of the diagnostics of a running test
@@ -80,7 +81,8 @@ class RigNode:
         self._awake = AwakeClock()
         self._heard_at = self._awake.time()
         self._clock_steps = max(1, round(CLOCK_PERIOD * self._timebase.rate))
-        self._told_at = self._published_at = self._answered_at = 0.0
+        self._told_at = self._answered_at = 0.0
+        self._published_at = [0.0] * LATEST  # the last states, by step
         self._refused_before = 0  # messages, until the newest command came
         self._warm_up()
 
@@ -116,8 +118,9 @@ class RigNode:
             if command is self._drive:
                 self._answered_at = time.monotonic()
                 self._refused_before = self._shell.refused
-                if command.step == command.current:
-                    self._round_trip.add(self._answered_at - self._published_at)
+                if command.current - command.answered < LATEST:
+                    published_at = self._published_at[command.answered % LATEST]
+                    self._round_trip.add(self._answered_at - published_at)
 
         self._shell.subscribe(topic, receive, reliable=False)
         return command
@@ -196,6 +199,7 @@ class RigNode:
             trip,
             overruns=self._clock.overruns if self._clock else 0,
             saturation=self._rig.saturation,
+            round_trips=self._round_trip.numbers(),
         )
         if phase == "running":
             status = replace(status, message="running")
@@ -206,7 +210,7 @@ class RigNode:
             }
             status = replace(status, values={**status.values, **rest})
         margins = self._rig.limits.margins()
-        return with_health(status, margins, self._answered_at, self._round_trip)
+        return with_health(status, margins, self._answered_at, self._round_trip.last)
 
     def _tell_if_due(self) -> None:
         """Tell how the test goes, when its commands are there and there is time for it."""
@@ -309,7 +313,7 @@ class RigNode:
             raw = self._state_codec.encode(step, state)
         except WireError:
             return False
-        self._published_at = time.monotonic()
+        self._published_at[step % LATEST] = time.monotonic()
         self._publish_state(raw)
         if step % self._clock_steps == 0:
             self._publish_clock(step)

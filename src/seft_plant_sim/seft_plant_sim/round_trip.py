@@ -6,6 +6,7 @@ from bisect import bisect_right
 SHORTEST = 1e-5  # s, lower edge of the first bin
 PER_DECADE = 20  # bins: a median is right within 6 %
 DECADES = 7
+QUANTILES = {"p50": 0.5, "p90": 0.9, "p99": 0.99, "p99.9": 0.999}
 EDGES = [SHORTEST * 10 ** (at / PER_DECADE) for at in range(1, PER_DECADE * DECADES)]
 
 
@@ -34,11 +35,21 @@ class RoundTrip:
         self.last = time
         self.largest = time if self.count == 1 else max(self.largest, time)
 
-    def median(self) -> float:
-        """Middle of the bin that holds the median, s; nan where there was no time."""
+    def quantile(self, share: float) -> float:
+        """Middle of the bin that holds a quantile, s; nan where there was no time.
+
+        At most the largest time.
+        """
         seen = 0
         for at, count in enumerate(self._bins):
             seen += count
-            if 2 * seen >= self.count and seen:
-                return float(SHORTEST * 10 ** ((at + 0.5) / PER_DECADE))
+            if seen >= share * self.count and seen:
+                return float(min(SHORTEST * 10 ** ((at + 0.5) / PER_DECADE), self.largest))
         return math.nan
+
+    def numbers(self) -> dict[str, float]:
+        """Give quantiles and the largest, s, by the keys of `ROUND_TRIPS`; empty without a time."""
+        if not self.count:
+            return {}
+        quantiles = {key: self.quantile(share) for key, share in QUANTILES.items()}
+        return {**quantiles, "largest": self.largest}

@@ -1,3 +1,5 @@
+import dataclasses
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -65,6 +67,19 @@ def test_a_value_that_is_no_number_is_refused():
     status = rig_status("finished", 9, 0, [], 1.0)
     status.values["steps"] = "many"
     with pytest.raises(WireError, match="many"):
+        read_outcome(status, TIMEBASE)
+
+
+def test_round_trips_are_read_back_and_of_several_rigs_the_longest_are_told():
+    trips = {"p50": 2e-4, "p99.9": 1.5e-3, "largest": 2e-3}
+    status = rig_status("finished", 9, 0, [], 1.0, round_trips=trips)
+    outcome = read_outcome(decode_status(encode_status(status)), TIMEBASE)
+    assert outcome.round_trips == pytest.approx(trips)
+    other = dataclasses.replace(outcome, round_trips={"p50": 3e-4, "largest": 1e-3})
+    both = Outcome.of_all([outcome, other])
+    assert both.round_trips == pytest.approx({"p50": 3e-4, "p99.9": 1.5e-3, "largest": 2e-3})
+    status.values["round trip largest (ms)"] = "inf"
+    with pytest.raises(WireError, match="inf is not finite"):
         read_outcome(status, TIMEBASE)
 
 

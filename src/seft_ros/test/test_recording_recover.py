@@ -199,6 +199,17 @@ def test_what_sqlite3_had_not_committed_is_rolled_back_and_the_original_kept(tmp
     assert (tmp_path / "killed.cut" / "killed.db3-journal").exists()
 
 
+@pytest.mark.parametrize("name", [b"offered_qos_profiles", b"serialization_format"])
+def test_names_of_a_damaged_sqlite3_file_may_be_anything(tmp_path, name):
+    path = write_bag(tmp_path / "bag", "sqlite3")
+    file = path / "bag.db3"
+    raw = file.read_bytes()
+    assert name in raw
+    file.write_bytes(raw.replace(name, b"\xe4" + name[1:]))
+    with pytest.raises(InputError, match="no whole message"):
+        recover(path)
+
+
 def test_of_a_damaged_sqlite3_file_the_reachable_messages_are_kept(tmp_path):
     path = tmp_path / "bag"
     texts = [encode_string(f"{k:900}") for k in range(200)]

@@ -2,8 +2,8 @@
 
 Times are those at which the recorder received them, which is what a bag holds: on one host some
 tens of microseconds after the nodes did, and more where the recorder had to wait for its core, so
-that the longest round trips are rather shorter than they seem. What the rig itself measured is in
-its diagnostics. A test of the offline loop has no times.
+that the longest round trips are rather shorter than they seem. What the rig itself measured comes
+with them. A test of the offline loop has no times.
 """
 
 from dataclasses import dataclass
@@ -60,6 +60,8 @@ class Timing:
     round_trip_s : ndarray
         From a step's state to the command that answers it, shape (M,), s; of the steps that
         have both.
+    at_the_rig_s : dict
+        The same as the rig measured it, s, by the keys of `ROUND_TRIPS`; empty where it did not.
     gaps : list of Gaps
         By topic.
     stalls : Stalls or None
@@ -69,6 +71,7 @@ class Timing:
     paced: bool
     period_s: float
     round_trip_s: Floats
+    at_the_rig_s: dict[str, float]
     gaps: list[Gaps]
     stalls: Stalls | None
 
@@ -85,6 +88,7 @@ class Timing:
                 "over_a_period": int((trips > self.period_s).sum()),
                 "steps": len(trips),
             },
+            "round_trip_at_the_rig_s": self.at_the_rig_s,
             "gaps": {
                 row.topic: {
                     "median_s": row.median_s,
@@ -117,7 +121,8 @@ def timing_of(record: Record) -> Timing | None:
     trips = (commands.received_ns[at_command] - states.received_ns[at_state]) * 1e-9
     dt = record.experiment.timebase.dt
     pace = record.experiment.sections.get("rig", {}).get("pace")
-    return Timing(pace != "lockstep", dt, trips, _gaps(record, dt), stalls_of(record))
+    gaps, stalls = _gaps(record, dt), stalls_of(record)
+    return Timing(pace != "lockstep", dt, trips, record.round_trips, gaps, stalls)
 
 
 def _gaps(record: Record, dt: float) -> list[Gaps]:

@@ -123,6 +123,7 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         missed_steps=outcome.missed_steps if outcome else [],
         overruns=outcome.overruns if outcome else None,
         saturation=outcome.saturation if outcome else Saturation(),
+        round_trips=outcome.round_trips if outcome else {},
         link=statuses.link(),
         events=log.events(start_ns),
         wall_s=outcome.wall_s if outcome else None,

@@ -97,6 +97,9 @@ class Record:
         None if unknown.
     saturation : Saturation
         What the rig says was at the end of its range.
+    round_trips : dict
+        From a sample to its command as the rig measured it, s, by the keys of `ROUND_TRIPS`;
+        empty where it did not.
     link : LinkRecord or None
         How reference forces came over a link, as the force controller told; None if it told
         nothing.
@@ -120,6 +123,7 @@ class Record:
     missed_steps: list[int] = field(default_factory=list)
     overruns: int | None = 0
     saturation: Saturation = field(default_factory=Saturation)
+    round_trips: dict[str, float] = field(default_factory=dict)
     link: LinkRecord | None = None
     events: list[Event] = field(default_factory=list)
     wall_s: float | None = None

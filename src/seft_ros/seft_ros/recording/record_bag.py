@@ -120,6 +120,7 @@ def write_record(
                 record.trip,
                 overruns=record.overruns or 0,
                 saturation=record.saturation,
+                round_trips=record.round_trips,
             )
             # what is of the rigs together is told of the first
             statuses = [replace(status, name=rig.node(RIG)) for rig in rigs]

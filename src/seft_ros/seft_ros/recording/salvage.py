@@ -88,10 +88,10 @@ def sqlite_messages(path: Path) -> Iterator[Found]:
             sources = _sqlite_sources(database)
             rows = database.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY id")
             for topic, time_ns, data in rows:
-                if topic in sources:
-                    yield sources[topic], time_ns, _plain(bytes(data))
-    except sqlite3.DatabaseError:
-        return
+                if topic in sources and isinstance(time_ns, int) and isinstance(data, bytes):
+                    yield sources[topic], time_ns, _plain(data)
+    except (sqlite3.DatabaseError, UnicodeDecodeError, IndexError, TypeError):
+        return  # of a damaged file sqlite gives any names, and values of any type
 
 
 def _plain(data: bytes) -> bytes:

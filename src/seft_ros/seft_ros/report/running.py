@@ -40,11 +40,15 @@ def timing_section(findings: Findings) -> Section:
     if timing.stalls is not None:
         rows += _stall_rows(timing.stalls, bool(missed))
     rows += [
-        (f"round trip, {key}", _milliseconds(value))
+        (f"round trip at the rig, {key}", _milliseconds(value))
+        for key, value in timing.at_the_rig_s.items()
+    ]
+    rows += [
+        (f"round trip, as recorded, {key}", _milliseconds(value))
         for key, value in numbers.items()
         if key.startswith("p") or key == "largest"
     ]
-    rows.append(("round trips longer than a period", str(numbers["over_a_period"])))
+    rows.append(("of these longer than a period", str(numbers["over_a_period"])))
     blocks: list[Block] = [Table((), rows, numbers=False)]
     trips = timing.round_trip_s * 1e3
     if len(trips):
@@ -53,8 +57,8 @@ def timing_section(findings: Findings) -> Section:
         bars(panel, edges, counts.astype(float))
         mark(panel, timing.period_s * 1e3)
         caption = (
-            "From a step's state to the command that answers it, as the recorder received them; "
-            "dashed: one period."
+            "From a step's state to the command that answers it, as the recorder received them, "
+            "which may have to wait for its core longer than the loop does; dashed: one period."
         )
         blocks.append(Plot(panel, caption))
     if not timing.paced:
