@@ -138,7 +138,7 @@ def side_threads(pid: int | str = "self") -> list[int]:
 
     FastDDS names its threads: ``dds.udp.`` and a port are those that receive, and of its ports the
     odd ones are for messages, the even ones for who is there (RTPS 2.3, 9.6.1.1); ``dds.ev`` and
-    ``dds.asyn`` tell others who is here, for a quarter of a millisecond at a time.
+    ``dds.asyn`` tell others who is here, which can take longer than a step's answer.
 
     Parameters
     ----------
@@ -152,7 +152,10 @@ def side_threads(pid: int | str = "self") -> list[int]:
     """
     found = []
     for thread in _threads(pid):
-        name = Path(f"/proc/{pid}/task/{thread}/comm").read_text(encoding="utf-8").strip()
+        try:
+            name = Path(f"/proc/{pid}/task/{thread}/comm").read_text(encoding="utf-8").strip()
+        except OSError:  # it has ended meanwhile
+            continue
         _, _, port = name.partition("dds.udp.")
         if name.startswith(("dds.ev", "dds.asyn")) or (port.isdigit() and int(port) % 2 == 0):
             found.append(thread)
