@@ -27,8 +27,8 @@ from seft_msgs_py.realtime import wake_on_time
 from seft_msgs_py.wait_set import WaitSet, take
 
 OUTSIDE_LOOK = 0.002  # s between looks for messages from outside while those inside keep coming
-LOOK_PERIOD = 0.01  # s between looks at what else falls due, after messages were handled
-IDLE_LOOK_PERIOD = 0.05  # s, where none came: a wait may have ended because a sample is due
+CHORE_PERIOD = 0.01  # s between chores, after messages were handled
+IDLE_CHORE_PERIOD = 0.05  # s, where none came: a wait may have ended because a sample is due
 MOST_AT_ONCE = 4096  # messages of a topic, as many as the longest queue holds
 MOST_REFUSED = 200  # a few ms of nonsense
 
@@ -74,8 +74,9 @@ class NodeProcess:
         self._waking: dict[Subscription, Callable[[], bool | None]] = {}
         self._quiet: list[Callable[[], bool | None]] = []
         self._looks: list[Callable[[], None]] = []
+        self._chores: list[Callable[[], None]] = []
         self._wait_set: WaitSet | None = None
-        self._looked_outside_at = self._looked_at = 0.0
+        self._looked_outside_at = self._chores_at = 0.0
         self._executor = SingleThreadedExecutor()
         self._thread = threading.Thread(target=self._spin_executor, daemon=True)
 
@@ -115,8 +116,12 @@ class NodeProcess:
         return read_one
 
     def every_turn(self, look: Callable[[], None]) -> None:
-        """Have ``look`` called now and then, when what was due has been answered."""
+        """Have ``look`` called after each turn, when what was due has been answered."""
         self._looks.append(look)
+
+    def now_and_then(self, chore: Callable[[], None]) -> None:
+        """Have ``chore`` called after some turns: it can wait, and must not be waited for."""
+        self._chores.append(chore)
 
     def start(self) -> None:
         """Begin to serve: all that is slow has been done."""
@@ -144,11 +149,13 @@ class NodeProcess:
             for read_one in self._quiet:
                 drain(read_one)
             self.mailbox.deliver()
-        pause = LOOK_PERIOD if handled else IDLE_LOOK_PERIOD
-        if (now := time.monotonic()) - self._looked_at >= pause:
-            self._looked_at = now
-            for look in self._looks:
-                look()
+        for look in self._looks:
+            look()
+        pause = CHORE_PERIOD if handled else IDLE_CHORE_PERIOD
+        if (now := time.monotonic()) - self._chores_at >= pause:
+            self._chores_at = now
+            for chore in self._chores:
+                chore()
         return handled
 
     def close(self) -> None:

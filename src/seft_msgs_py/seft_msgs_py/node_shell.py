@@ -178,7 +178,7 @@ class NodeShell:
                 self.node.get_logger().warning(denied)
             self._facts["realtime"] = realtime.granted()
         self._describe()
-        self._process.every_turn(self._look_after_status)
+        self._process.now_and_then(self._look_after_status)
 
     def spin_once(self, timeout: float = IDLE_WAIT) -> bool:
         """Let the process wait for messages and handle them, see `NodeProcess.spin_once`."""

@@ -10,7 +10,7 @@ from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.continuous_model import ContinuousModel
 from seft_plant_sim.dead_time import DeadTime
-from seft_plant_sim.nonlinearity import Nonlinearity, Part
+from seft_plant_sim.nonlinearity import Nonlinearity, Part, Springs
 
 Floats = npt.NDArray[np.float64]
 
@@ -58,7 +58,7 @@ class NonlinearPlant:
         parts = nonlinearity.parts
         self.parts: tuple[Part, ...] = parts
         self._residuals = parts[0].residuals if len(parts) == 1 else self._all_residuals
-        self._settling = [part for part in parts if part.settles]
+        self._springs = [part for part in parts if isinstance(part, Springs)]
         self._axes = model.b.shape[1]
         self.drive_limit = np.broadcast_to(nonlinearity.drive_limit, (self._axes,))
         self._least_drive = -self.drive_limit
@@ -97,7 +97,7 @@ class NonlinearPlant:
 
     def _integrate(self, stretch: "Stretch", drive: Floats) -> None:
         work, state, residual, predicted = self._work, self._state, self._residual, self._predicted
-        residuals, settling = self._residuals, self._settling
+        residuals, all_springs = self._residuals, self._springs
         predict, correct = stretch.predict.dot, stretch.correct.dot
         self._drive[:] = drive
         for _ in range(stretch.steps):
@@ -107,9 +107,8 @@ class NonlinearPlant:
             correct(change, state)
             state += predicted
             z = state.tolist()
-            if settling:
-                for part in settling:
-                    part.settle(z)
+            for springs in all_springs:
+                springs.settle(z)
                 state[:] = z
             residual[:] = residuals(z)
 

@@ -28,18 +28,12 @@ class Part(Protocol):
     ----------
     fastest : float
         Largest rate at which they answer a state, 1/s: a step must be shorter.
-    settles : bool
-        Whether a state may have to be brought back to where it may be.
     """
 
     fastest: float
-    settles: bool
 
     def residuals(self, z: list[float]) -> list[float]:
         """Residuals at a state."""
-
-    def settle(self, z: list[float]) -> None:
-        """Bring a state, in place, back to where it may be."""
 
     def saturated(self, z: list[float]) -> list[str]:
         """Name what is at the end of its range."""
@@ -116,8 +110,6 @@ class PistonAndValve:
         velocity, stiffness of the stops; as `lost_opening` and `holding_force` take them.
     """
 
-    settles = False
-
     def __init__(self, hydraulics: Hydraulics, mass: Floats) -> None:
         h = hydraulics
         stop = STOP_STIFFNESS * h.oil_stiffness
@@ -136,9 +128,6 @@ class PistonAndValve:
             flows.append(lost_opening(z[3 * n + i], z[2 * n + i], limit, capacity))
             forces.append(holding_force(z[i], z[n + i], stroke, friction, over, stop))
         return flows + forces
-
-    def settle(self, z: list[float]) -> None:
-        """Nothing to be settled."""
 
     def saturated(self, z: list[float]) -> list[str]:
         """Name what is at the end of its range: stroke, force capacity, valve."""
@@ -161,8 +150,6 @@ class Springs:
     force less the elastic one (N), the rate of the hysteretic displacement less that of the
     deformation (m/s), and the rate of the work.
     """
-
-    settles = True
 
     def __init__(self, specimen: Specimen, first_state: int) -> None:
         n, p = specimen.axes, len(specimen.springs)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from seft_msgs_py import realtime
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.parameter_file import EVERY_NODE, Override
@@ -15,7 +16,7 @@ from seft_ros.replay.reference_force import ReferenceForcePart
 from seft_ros.replay.rig import RigPart
 
 PARTS = {part.node: part for part in (ReferenceForcePart, ForceControllerPart, RigPart)}
-_UNTIMED = {"thread_priority": 0, "lock_memory": False, "cpu_core": -1, "keep_awake": False}
+_UNTIMED = {row.name: row.default for row in realtime.PARAMETERS}
 """A replay keeps no time."""
 
 
