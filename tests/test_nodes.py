@@ -47,12 +47,66 @@ def test_nodes_start_in_any_order_and_run_two_tests_in_a_row(start_node, observe
         record = read_bag(bags[-1])
         assert record.complete
         assert len(record.series["rig/state"].steps) == 851
+    end(nodes)
+
+
+def test_tests_that_follow_one_another_at_once_have_a_whole_bag_each(
+    start_node, observer, tmp_path
+):
+    nodes = {node: start_node(node, *SHORT, "rig:pace:=lockstep") for node in MODULES}
+    for _ in range(3):
+        wait_for(is_in_state(observer, "ready"), "ready")
+        assert observer.call("start")[0]
+        wait_for(is_in_state(observer, "done"), "done")
+        assert observer.call("reset")[0]
+        wait_for(is_in_state(observer, "ready"), "ready")
+        assert observer.call("start")[0]
+        assert observer.call("estop")[0]  # it takes a while until all is known about it
+        wait_for(is_in_state(observer, "tripped"), "the trip")
+        wait_for(lambda: observer.call("reset")[0], "the rig at rest")
+    wait_for(is_in_state(observer, "ready"), "the last bag")
+    records = [read_bag(bag) for bag in sorted((tmp_path / "bags").iterdir())]
+    assert len(records) == 6
+    assert all(record.complete for record in records)
+    assert {record.trip.reason for record in records[1::2]} == {"emergency stop"}
+    first, *others = records[::2]
+    assert len(first.series["rig/state"].steps) == 851
+    for other in others:
+        for topic, series in first.series.items():
+            np.testing.assert_array_equal(other.series[topic].steps, series.steps)
+            np.testing.assert_array_equal(other.series[topic].values, series.values)
+    end(nodes)
+
+
+def test_a_name_that_is_taken_is_told_before_the_start(start_node, observer, tmp_path):
+    bag = tmp_path / "bags" / "taken"
+    bag.mkdir(parents=True)
+    words = (*SHORT, "rig:pace:=lockstep", "recorder:name:=taken")
+    nodes = {node: start_node(node, *words) for node in MODULES}
+    wait_for(
+        lambda: (observer.spin(0.05), "taken" in observer.values.get("detail", ""))[1],
+        "the supervisor's words",
+    )
+    assert observer.values["detail"] == (
+        "waiting for the recorder, as bags/taken exists already; set its parameter name to another"
+    )
+    assert observer.call("start")[0] is False
+    bag.rmdir()
+    wait_for(is_in_state(observer, "ready"), "ready")
+    assert observer.call("start")[0]
+    wait_for(is_in_state(observer, "done"), "done")
+    wait_for(lambda: (observer.spin(0.05), observer.recorder_phase == "saved")[1], "saved")
+    assert read_bag(bag).complete
+    end(nodes)
+
+
+def end(nodes):
+    """End nodes as Ctrl-C does."""
     for node in nodes.values():
         node.send_signal(signal.SIGINT)
     for name, node in nodes.items():
         _, errors = node.communicate(timeout=PATIENCE)
-        assert node.returncode == 0, (name, errors)
-        assert "Traceback" not in errors
+        assert (node.returncode, "Traceback" in errors) == (0, False), (name, errors)
 
 
 def test_the_supervisor_names_what_is_missing_and_refuses_to_start(start_node, observer):

@@ -206,6 +206,20 @@ def test_the_reference_force_must_have_left_the_last_test(phase):
     )
 
 
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ({"phase": "recording"}, "the recorder to save the last test"),
+        ({"phase": "saved", "waits": "it is full"}, "the recorder, as it is full"),
+        ({"phase": "saved", "waits": ""}, ""),
+    ],
+)
+def test_the_recorder_must_be_done_with_the_last_test_and_able_to_record_the_next(values, expected):
+    heard, descriptions = graph()
+    heard["recorder"].status.values.update(values)
+    assert missing(PEERS, heard, descriptions, NOW) == expected
+
+
 def test_the_silent_are_named_with_the_time_of_their_last_sign_of_life():
     heard, _ = graph()
     heard["rig"] = Heard(heard["rig"].status, NOW - 1.01, 12.341)

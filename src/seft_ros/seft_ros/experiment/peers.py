@@ -14,6 +14,10 @@ ALL_ANSWERED = "ended"
 """Its phase when the test has ended and it has answered the last state."""
 SILENT = "silent"
 """Key of a trip's values: the nodes that had fallen silent, once that is known; may be empty."""
+RECORDING = "recording"
+"""Phase of the recorder as long as the bag of a test is open, also after that test's end."""
+WAITS = "waits"
+"""Key of the recorder's values: why it can't record a test now; empty if it can."""
 CONFLICT = "one "
 """Start of what is missing where nodes were started with parameters that contradict."""
 _IN_A_TEST = ("running", FINISHED, TRIPPED)  # phases of the rig
@@ -96,6 +100,11 @@ def missing(
     phase = force.status.values.get("phase") if force is not None else ""
     if phase in (RAMPING_DOWN, AT_REST, ALL_ANSWERED):
         return "the reference force to leave the last test"
+    recorder = heard["recorder"].status.values if "recorder" in peers else {}
+    if recorder.get("phase") == RECORDING:
+        return "the recorder to save the last test"
+    if recorder.get(WAITS):
+        return f"the recorder, as {recorder[WAITS]}"
     motion = heard.get("ground_motion")
     if motion is None or motion.status.values.get("phase") != "primed":
         return "the first of the ground motion"

@@ -60,7 +60,9 @@ class GroundMotionNode:
 
     def _on_experiment_state(self, raw: bytes, _: int) -> None:
         phase = decode_status(raw).message
-        if self._phase in ENDED and phase not in ENDED:
+        if self._phase not in ENDED and phase in ENDED:
+            self._report("ended")
+        elif self._phase in ENDED and phase not in ENDED:
             self._next_chunk = self._published_until = self._rig_step = 0  # for the next test
         self._phase = phase
 

@@ -1,7 +1,8 @@
 """Node ``recorder``: writes every message of a test, as it came, into a bag.
 
 It keeps what is needed from before the start (descriptions, ground motion ahead), opens a bag
-when the test runs, and closes it when the test has ended and the topics have fallen silent.
+when the test runs, and closes it when the test has ended and the topics have fallen silent. The
+next test waits for that.
 """
 
 import json
@@ -30,7 +31,7 @@ from seft_msgs_py.topics import (
 )
 from seft_msgs_py.trajectory import TrajectoryCodec
 
-from seft_ros.experiment.peers import ALL_ANSWERED, SILENT
+from seft_ros.experiment.peers import ALL_ANSWERED, RECORDING, SILENT, WAITS
 from seft_ros.experiment.state_machine import ENDED, MOVING, State
 from seft_ros.experiment.tables import TABLES
 from seft_ros.experiment.watching import RECORDER
@@ -61,6 +62,8 @@ class RecorderNode:
         self._bag: BagWriter | None = None
         self._phase = "idle"
         self._ended_at: float | None = None
+        self._next_began = False  # ground motion of the next test has come
+        self._values = {"phase": "idle"}
         self._told_in_full = True  # how the test ended
         self._force_phase = ""  # of the reference force
         self._step_message_at = 0.0
@@ -87,6 +90,7 @@ class RecorderNode:
     def look(self) -> None:
         """Keep the bag flushed, and close it when the test has ended."""
         if self._bag is None:
+            self._look_at_the_place()
             return
         self._bag.flush_if_due()
         if self._ended_at is not None:
@@ -110,7 +114,9 @@ class RecorderNode:
                 self._descriptions[node] = (topic, raw, now)
             if topic == EXPERIMENT_STATE:
                 self._follow(decode_status(raw))
-            if self._bag is not None:
+            if topic == GROUND_MOTION and self._is_of_the_next_test(raw):
+                self._keep(topic, raw, now)
+            elif self._bag is not None:
                 self._bag.write(topic, raw, now)
                 self._samples += topic in self._rig_states
             elif of_a_step:
@@ -128,11 +134,19 @@ class RecorderNode:
             self._before.clear()
         self._before.append((topic, raw, now))
 
+    def _is_of_the_next_test(self, motion: bytes) -> bool:
+        """Tell whether a chunk belongs to a test that comes after the one of the open bag."""
+        if self._ended_at is None or self._bag is None:
+            return False
+        self._next_began |= self._motion_codec.decode(motion)[0] == 0
+        return self._next_began
+
     def _follow(self, test: Status) -> None:
         phase = test.message
         if phase == State.READY and self._watch is None:
             self._watch = StallWatch()
-        if phase in MOVING and self._bag is None and self._phase not in MOVING:
+        if phase in MOVING and self._phase not in MOVING:
+            self._close()  # of a test whose successor did not wait
             self._open()
         elif phase in ENDED and self._bag is not None:
             # a trip is only told in full when it is known who has fallen silent
@@ -148,10 +162,8 @@ class RecorderNode:
         self._phase = phase
 
     def _open(self) -> None:
-        directory = Path(self._section["directory"])
-        name = self._section["name"] or datetime.now().strftime("seft_%Y-%m-%d_%H-%M-%S")
-        self._bag = BagWriter(directory / name, self._section["storage"])
-        self._ended_at = None
+        self._bag = BagWriter(self._place(), self._section["storage"])
+        self._ended_at, self._next_began = None, False
         now = time.time_ns()
         self._environment = describe_environment("run")
         self._write_environment(self._bag)
@@ -162,7 +174,7 @@ class RecorderNode:
         while self._before:
             self._bag.write(*self._before.popleft())
         self._bag.flush()
-        self._report("recording")
+        self._report(RECORDING)
 
     def _close(self) -> None:
         bag, self._bag = self._bag, None
@@ -172,7 +184,7 @@ class RecorderNode:
                 self._watch = None
                 self._write_environment(bag)
             bag.close({})
-            self._report("saved", bag.path)
+            self._report("saved", bag=str(bag.path))
 
     def _write_environment(self, bag: BagWriter) -> None:
         text = json.dumps({"environment": self._environment})
@@ -188,9 +200,28 @@ class RecorderNode:
             period = self._shell.experiment.timebase.dt
             self._watch.begin(there["cores"], period, there["priority"])
 
-    def _report(self, phase: str, path: Path | None = None) -> None:
-        values = {"phase": phase, **({"bag": str(path)} if path else {})}
-        self._shell.report(Status("recorder", 0, phase, values=values))
+    def _place(self) -> Path:
+        """Folder of the next bag; one that has no name of its own takes none that is taken."""
+        directory = Path(self._section["directory"])
+        if self._section["name"]:
+            return directory / self._section["name"]
+        name = datetime.now().strftime("seft_%Y-%m-%d_%H-%M-%S")
+        number = 1
+        while (place := directory / (f"{name}_{number}" if number > 1 else name)).exists():
+            number += 1
+        return place
+
+    def _look_at_the_place(self) -> None:
+        """Have the next test wait as long as its bag can't be made."""
+        place = self._place() if self._section["name"] else None
+        is_taken = place is not None and place.exists()
+        why = f"{place} exists already; set its parameter name to another" if is_taken else ""
+        if why != self._values.get(WAITS, ""):
+            self._report(**{**self._values, WAITS: why})
+
+    def _report(self, phase: str, **values: str) -> None:
+        self._values = {"phase": phase, **values}
+        self._shell.report(Status("recorder", 0, phase, values=self._values))
 
 
 def _build(shell: NodeShell) -> RecorderNode:
