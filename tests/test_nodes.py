@@ -39,9 +39,9 @@ def test_nodes_start_in_any_order_and_run_two_tests_in_a_row(start_node, observe
         accepted, answer = observer.call("start")
         assert accepted, answer
         wait_for(is_in_state(observer, "done"), "done")
-        wait_for(lambda: (observer.spin(0.05), observer.recorder_phase == "saved")[1], "saved")
         assert observer.call("start")[0] is False
         assert observer.call("reset")[0] is True
+        wait_for(is_in_state(observer, "ready"), "the bag")
         bags = sorted((tmp_path / "bags").iterdir())
         assert len(bags) == test
         record = read_bag(bags[-1])

@@ -1,4 +1,4 @@
-"""Priority, locked memory, awake cores and one of one's own, as far as the system grants them.
+"""Precedence, locked memory, awake cores and one of one's own, as far as the system grants them.
 
 The parameters are called as those of ros2_control's controller manager.
 """
@@ -6,6 +6,7 @@ The parameters are called as those of ros2_control's controller manager.
 import ctypes
 import os
 import struct
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,9 @@ PARAMETERS = (
     ),
 )
 
+FIRST = -20
+"""The nice value of who goes before all others (`nice(1)`)."""
+_TRIES = 20
 _REMEDY = (
     "a line `{user} - {item} {value}` in /etc/security/limits.conf and a new login allow it; "
     "the test goes on without"
@@ -97,6 +101,39 @@ def take_equal_addresses() -> None:
     _LIBC.personality(_personality() | _ADDR_NO_RANDOMIZE)
 
 
+def take_precedence(pid: int) -> bool:
+    """Let a process go before all others without real-time priority, where that is allowed.
+
+    Linux weighs sessions against each other first, and the processes of each then (`sched(7)`,
+    autogroup): so the process must be alone in its session, which is raised, too.
+
+    Parameters
+    ----------
+    pid : int
+        Of a process that has no threads yet; those that it starts have the same precedence.
+
+    Returns
+    -------
+    bool
+        Whether it was allowed.
+    """
+    try:
+        os.setpriority(os.PRIO_PROCESS, pid, FIRST)
+    except OSError:
+        return False
+    session = Path(f"/proc/{pid}/autogroup")
+    for _ in range(_TRIES):
+        try:
+            session.write_text(str(FIRST))
+        except BlockingIOError:  # the kernel takes ten a second
+            time.sleep(0.1)
+        except OSError:
+            break  # it has none, or the process has ended
+        else:
+            break
+    return True
+
+
 def may_keep_awake() -> bool:
     """Whether `PARAMETERS`' ``keep_awake`` would be granted."""
     return os.access(_AWAKE, os.W_OK)
@@ -108,13 +145,14 @@ def granted() -> dict[str, Any]:
     Returns
     -------
     dict
-        ``priority`` (real-time; 0: none), ``locked_kb``, ``cores``, ``keeps_awake``,
+        ``priority`` (real-time; 0: none), ``nice``, ``locked_kb``, ``cores``, ``keeps_awake``,
         ``equal_addresses``, and ``boot``, which is the same for all processes of a machine.
     """
     policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     is_realtime = policy in (os.SCHED_FIFO, os.SCHED_RR)
     return {
         "priority": os.sched_getparam(0).sched_priority if is_realtime else 0,
+        "nice": os.getpriority(os.PRIO_PROCESS, 0),
         "locked_kb": _locked_kb(),
         "cores": sorted(os.sched_getaffinity(0)),
         "keeps_awake": bool(_held),

@@ -163,6 +163,33 @@ def test_equal_addresses_are_told(equal):
     assert json.loads(done.stdout)["granted"]["equal_addresses"] is equal
 
 
+PRECEDENCE = """
+import os, subprocess, sys
+from pathlib import Path
+from seft_msgs_py.realtime import take_precedence
+if sys.argv[1] == "deny":
+    os.setgroups([])
+    os.setgid(65534)
+    os.setuid(65534)
+child = subprocess.Popen(["sleep", "600"], start_new_session=True)
+print(take_precedence(child.pid), os.getpriority(os.PRIO_PROCESS, child.pid))
+session = Path(f"/proc/{child.pid}/autogroup")
+print(session.read_text().split()[-1] if session.exists() else "none")
+child.kill()
+child.wait()
+"""
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="rights are root's")
+@pytest.mark.parametrize(("how", "allowed", "nice"), [("", "True", "-20"), ("deny", "False", "0")])
+def test_precedence_is_taken_for_process_and_session_where_it_is_allowed(how, allowed, nice):
+    words = [sys.executable, "-c", PRECEDENCE, how]
+    done = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True)
+    told, own, of_its_session = done.stdout.split()
+    assert (told, own) == (allowed, nice)
+    assert of_its_session in (nice, "none")
+
+
 def test_threads_are_woken_on_time():
     program = (
         "import ctypes, threading; from seft_msgs_py.realtime import wake_on_time\n"

@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.realtime import FIRST
 from seft_ros.analysis.stalls import stalls_of
 from seft_ros.analysis.timing import timing_of
 from seft_ros.recording.record import Record, Series
@@ -102,9 +103,12 @@ def test_where_nobody_watched_the_machine_nothing_is_said_of_it():
     assert stalls_of(make_record(np.full(5, 1))) is None
 
 
-def test_a_stall_watch_sees_its_own_process_stopped():
+@pytest.mark.parametrize("first", [False, True])
+def test_a_stall_watch_sees_its_own_process_stopped(first):
     watch = StallWatch()
-    watch.begin(sorted(os.sched_getaffinity(0)), 0.002, 0)
+    watch.begin(sorted(os.sched_getaffinity(0)), 0.002, 0, first=first)
+    if os.geteuid() == 0:  # whose right it is
+        assert os.getpriority(os.PRIO_PROCESS, watch.pid) == (FIRST if first else 0)
     time.sleep(0.3)
     os.kill(watch.pid, signal.SIGSTOP)
     time.sleep(0.2)

@@ -17,7 +17,7 @@ from seft_msgs_py.messages import Status, decode_diagnostics, decode_status, enc
 from seft_msgs_py.node_main import NodeKind, run_node
 from seft_msgs_py.node_shell import Handler, NodeShell
 from seft_msgs_py.outcome import RIG
-from seft_msgs_py.realtime import boot
+from seft_msgs_py.realtime import FIRST, boot
 from seft_msgs_py.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
@@ -198,7 +198,8 @@ class RecorderNode:
         there = rig.get("realtime", {})
         if rig["parameters"].get("pace") == "realtime" and there.get("boot") == boot():
             period = self._shell.experiment.timebase.dt
-            self._watch.begin(there["cores"], period, there["priority"])
+            first = there.get("nice") == FIRST
+            self._watch.begin(there["cores"], period, there["priority"], first=first)
 
     def _place(self) -> Path:
         """Folder of the next bag; one that has no name of its own takes none that is taken."""

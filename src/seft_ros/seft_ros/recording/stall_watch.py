@@ -7,6 +7,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from seft_msgs_py.realtime import take_precedence
+
 SLEEPER = Path(__file__).with_name("bare_sleeper.py")
 LATE = 0.5  # of the loop's period; a deadline met later than that is a stall
 BEATS = 4  # a period: so a stall of three quarters of a period can't fall between two of them
@@ -27,6 +29,7 @@ class StallWatch:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
+            start_new_session=True,
         )
 
     @property
@@ -34,7 +37,7 @@ class StallWatch:
         """Of the process that sleeps."""
         return self._sleeper.pid
 
-    def begin(self, cores: list[int], period: float, priority: int) -> None:
+    def begin(self, cores: list[int], period: float, priority: int, *, first: bool = False) -> None:
         """Watch from now on.
 
         Parameters
@@ -46,7 +49,11 @@ class StallWatch:
         priority : int
             Real-time priority of the loop; the watch takes the next higher one, else it would
             take the loop's work for a stall. 0: none.
+        first : bool
+            Whether the loop goes before all others without priority; so does the watch then.
         """
+        if first:
+            take_precedence(self.pid)
         wanted = {
             "cores": cores,
             "period": max(period / BEATS, SHORTEST_BEAT),

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
-from seft_msgs_py.realtime import side_threads, take_equal_addresses
+from seft_msgs_py.realtime import side_threads, take_equal_addresses, take_precedence
 from seft_msgs_py.rigs import bare, rig_name
 
 from seft_ros.running.arrangement import LOOP_NODES, Arrangement
@@ -151,6 +151,7 @@ class NodeProcesses:
                 prefer_throughput(process.pid)
             else:
                 prefer_latency(process.pid)
+                take_precedence(process.pid)
         elif self._pin:
             os.sched_setaffinity(process.pid, self._other_cores)
         return process
