@@ -105,7 +105,7 @@ def take_precedence(pid: int) -> bool:
     """Let a process go before all others without real-time priority, where that is allowed.
 
     Linux weighs sessions against each other first, and the processes of each then (`sched(7)`,
-    autogroup): so the process must be alone in its session, which is raised, too.
+    autogroup): so the session of a process that has its own is raised, too.
 
     Parameters
     ----------
@@ -119,8 +119,11 @@ def take_precedence(pid: int) -> bool:
     """
     try:
         os.setpriority(os.PRIO_PROCESS, pid, FIRST)
+        has_its_own = os.getsid(pid) == pid
     except OSError:
         return False
+    if not has_its_own:
+        return True
     session = Path(f"/proc/{pid}/autogroup")
     for _ in range(_TRIES):
         try:

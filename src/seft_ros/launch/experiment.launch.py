@@ -7,15 +7,19 @@ All end when one does, and at Ctrl-C, which ends a running test at once; to brin
 call /stop first.
 """
 
+import contextlib
+
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, RegisterEventHandler, Shutdown
+from launch.event_handlers import OnProcessStart
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.rigs import bare, rig_name, with_rigs
 from seft_ros.experiment.tables import TABLES
-from seft_ros.running.arrangement import Arrangement
+from seft_ros.running.arrangement import LOOP_NODES, Arrangement
+from seft_ros.running.placement import Placement
 from seft_ros.running.processes import MODULES
 
 YES_OR_NO = ["true", "false"]
@@ -46,6 +50,12 @@ ARGUMENTS = (
         description="put the loop's nodes into one process",
     ),
     DeclareLaunchArgument(
+        "pin",
+        default_value="true",
+        choices=YES_OR_NO,
+        description="keep the loop's nodes on one core and the others off it",
+    ),
+    DeclareLaunchArgument(
         "rig",
         default_value="simulated",
         choices=["simulated", "hardware"],
@@ -72,8 +82,30 @@ def nodes(context):
     if said["rig"] == "hardware":
         wanted.remove("rig")
     wanted = with_rigs(wanted, experiment.rigs)
-    groups = Arrangement(composed=said["composed"] == "true").groups(wanted)
-    return [_process(group, said["config"], overrides) for group in groups]
+    lockstep = experiment["rig"]["pace"] == "lockstep"
+    arrangement = Arrangement(pin=said["pin"] == "true", composed=said["composed"] == "true")
+    placement = Placement.where_it_helps(wanted, lockstep=lockstep) if arrangement.pin else None
+    for node in LOOP_NODES:
+        overrides += [(node, name, value) for name, value in arrangement.wishes(node).items()]
+        if placement is not None and len(placement.loop) == 1:
+            overrides.append((node, "cpu_core", min(placement.loop)))
+    actions = []
+    for group in arrangement.groups(wanted):
+        process = _process(group, said["config"], overrides)
+        if placement is not None:
+            actions.append(_put(placement, group[0], process))
+        actions.append(process)
+    return actions
+
+
+def _put(placement, node, process):
+    """Put a process on its core when it has been started."""
+
+    def put(event, _):
+        with contextlib.suppress(OSError):  # it has ended, as launch tells
+            placement.put(node, event.pid)
+
+    return RegisterEventHandler(OnProcessStart(target_action=process, on_start=put))
 
 
 def _process(group, config, overrides):
@@ -93,7 +125,11 @@ def _process(group, config, overrides):
 
 
 def _written(node, name, value):
-    text = f"[{', '.join(value)}]" if isinstance(value, list) else value
+    text = value
+    if isinstance(value, list):
+        text = f"[{', '.join(value)}]"
+    elif isinstance(value, bool):
+        text = str(value).lower()
     return f"{node}:{name}:={text}"
 
 

@@ -9,11 +9,12 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
-from seft_msgs_py.realtime import side_threads, take_equal_addresses, take_precedence
+from seft_msgs_py.realtime import take_equal_addresses
 from seft_msgs_py.rigs import bare, rig_name
 
 from seft_ros.running.arrangement import LOOP_NODES, Arrangement
-from seft_ros.running.scheduling import end_with_parent, prefer_latency, prefer_throughput
+from seft_ros.running.placement import Placement
+from seft_ros.running.scheduling import end_with_parent
 
 MODULES = {
     "ground_motion": "seft_ros.nodes.ground_motion",
@@ -54,15 +55,12 @@ class NodeProcesses:
         lockstep: bool,
     ) -> None:
         self._logs = logs
-        cores = sorted(os.sched_getaffinity(0))
         nodes = list(nodes)
-        self._pin = arrangement.pin and len(cores) > 1
-        self._lockstep = lockstep
-        places = max(1, sum(bare(node) == "rig" for node in nodes))  # rigs work side by side
-        self._cores, self._loop_cores = set(cores), set(cores[:places])
-        self._other_cores = set(cores[places:]) or self._cores
-        if self._pin:
-            os.sched_setaffinity(0, self._other_cores)  # this process keeps off it, too
+        self._cores = os.sched_getaffinity(0)
+        pin = arrangement.pin
+        self._placement = Placement.where_it_helps(nodes, lockstep=lockstep) if pin else None
+        if self._placement is not None:
+            os.sched_setaffinity(0, self._placement.others)  # this process keeps off it, too
         self._logs_of: dict[str, Path] = {}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         try:
@@ -103,13 +101,11 @@ class NodeProcesses:
 
     def clear_the_loops_cores(self) -> None:
         """Move off them what no message of the loop passes through; to be called before a test."""
-        if not self._pin:
+        if self._placement is None:
             return
         for node, process in self._processes.items():
             if bare(node) in LOOP_NODES:
-                with contextlib.suppress(OSError):  # it has ended, as others will tell
-                    for thread in side_threads(process.pid):
-                        os.sched_setaffinity(thread, self._other_cores)
+                self._placement.clear(process.pid)
 
     def stop(self, patience: float = 10.0) -> None:
         """Ask all processes to end, and kill what has not after ``patience`` seconds."""
@@ -132,7 +128,7 @@ class NodeProcesses:
         command = [sys.executable, "-m", *what, "--ros-args", "--params-file", str(parameters)]
         if rig:
             command += ["-r", f"__ns:=/{rig}"]
-        shares_a_core = self._pin and names[0] in LOOP_NODES
+        shares_a_core = self._placement is not None and names[0] in LOOP_NODES
         path = self._logs / ("_".join(node.replace("/", "_") for node in group) + ".log")
         self._logs_of.update(dict.fromkeys(group, path))
         with path.open("wb") as log:
@@ -145,15 +141,8 @@ class NodeProcesses:
                 preexec_fn=_begin_in_the_loop if shares_a_core else end_with_parent,
                 env=os.environ | {"ROS_LOG_DIR": str(self._logs)},
             )
-        if shares_a_core:
-            os.sched_setaffinity(process.pid, self._loop_cores)
-            if self._lockstep:
-                prefer_throughput(process.pid)
-            else:
-                prefer_latency(process.pid)
-                take_precedence(process.pid)
-        elif self._pin:
-            os.sched_setaffinity(process.pid, self._other_cores)
+        if self._placement is not None:
+            self._placement.put(names[0], process.pid)
         return process
 
     def _last_line(self, node: str) -> str:
