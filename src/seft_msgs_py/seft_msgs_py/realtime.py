@@ -3,6 +3,7 @@
 The parameters are called as those of ros2_control's controller manager.
 """
 
+import contextlib
 import ctypes
 import os
 import struct
@@ -110,7 +111,7 @@ def take_precedence(pid: int) -> bool:
     Parameters
     ----------
     pid : int
-        Of a process that has no threads yet; those that it starts have the same precedence.
+        Of the process; the threads that it will start have the same precedence.
 
     Returns
     -------
@@ -118,7 +119,9 @@ def take_precedence(pid: int) -> bool:
         Whether it was allowed.
     """
     try:
-        os.setpriority(os.PRIO_PROCESS, pid, FIRST)
+        for thread in threads_of(pid):
+            with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
+                os.setpriority(os.PRIO_PROCESS, thread, FIRST)
         has_its_own = os.getsid(pid) == pid
     except OSError:
         return False
@@ -192,7 +195,7 @@ def side_threads(pid: int | str = "self") -> list[int]:
         If there is no such process.
     """
     found = []
-    for thread in _threads(pid):
+    for thread in threads_of(pid):
         try:
             name = Path(f"/proc/{pid}/task/{thread}/comm").read_text(encoding="utf-8").strip()
         except OSError:  # it has ended meanwhile
@@ -205,7 +208,7 @@ def side_threads(pid: int | str = "self") -> list[int]:
 
 def _keep_to_core(core: int) -> str:
     try:
-        for thread in set(_threads()).difference(side_threads()):
+        for thread in set(threads_of()).difference(side_threads()):
             os.sched_setaffinity(thread, {core})
     except OSError:
         allowed = ", ".join(str(each) for each in sorted(os.sched_getaffinity(0)))
@@ -241,7 +244,7 @@ def _take_priority(priority: int) -> str:
     policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
     try:
         aside = side_threads()
-        for thread in _threads():
+        for thread in threads_of():
             own = max(1, priority - 1) if thread in aside else priority
             os.sched_setscheduler(thread, policy, os.sched_param(own))
     except OSError:
@@ -259,7 +262,8 @@ def _lock_memory() -> str:
     return ""
 
 
-def _threads(pid: int | str = "self") -> list[int]:
+def threads_of(pid: int | str = "self") -> list[int]:
+    """Numbers of the threads of a process."""
     return [int(entry.name) for entry in Path(f"/proc/{pid}/task").iterdir()]
 
 

@@ -5,6 +5,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from seft_msgs_py.realtime import FIRST
 from seft_ros.running.arrangement import LOOP_NODES, Arrangement
 from seft_ros.running.processes import NodeProcesses
 
@@ -65,6 +66,27 @@ def test_cores_stay_awake_without_being_asked_for_where_that_is_allowed(monkeypa
     monkeypatch.setattr("seft_ros.running.arrangement.may_keep_awake", lambda: may)
     assert Arrangement().wishes("rig") == ({"keep_awake": True} if may else {})
     assert Arrangement(pin=False).wishes("rig") == {}
+
+
+@SEVERAL_CORES
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_nodes_are_hurried_once_it_is_known_that_a_rig_keeps_a_pace(tmp_path, lockstep):
+    arrangement = Arrangement()
+    processes = NodeProcesses(NODES, Path(os.devnull), tmp_path, arrangement, lockstep=True)
+    try:
+        pids = processes.pids()
+        assert {os.sched_getscheduler(pids[n]) for n in LOOP_NODES} == {os.SCHED_BATCH}
+        processes.settle(lockstep=lockstep)
+        treated = {(os.sched_getscheduler(pids[n]), nice(pids[n])) for n in LOOP_NODES}
+        first = FIRST if os.geteuid() == 0 else 0  # whose right it is
+        assert treated == {(os.SCHED_BATCH, 0) if lockstep else (os.SCHED_OTHER, first)}
+        assert (os.sched_getscheduler(pids["recorder"]), nice(pids["recorder"])) == (0, 0)
+    finally:
+        processes.stop(0.0)
+
+
+def nice(pid):
+    return os.getpriority(os.PRIO_PROCESS, pid)
 
 
 def test_what_is_not_pinned_runs_anywhere_and_at_random_addresses(tmp_path):

@@ -20,7 +20,7 @@ class Placement:
     nodes : iterable of str
         Names of the nodes that run on this machine.
     lockstep : bool
-        Schedule the loop's nodes for throughput rather than for latency.
+        Schedule the loop's nodes for throughput rather than for latency, until told otherwise.
 
     Attributes
     ----------
@@ -55,11 +55,20 @@ class Placement:
         if self._lockstep:
             prefer_throughput(pid)
         else:
-            prefer_latency(pid)
-            take_precedence(pid)
+            _hurry(pid)
 
-    def clear(self, pid: int) -> None:
-        """Move off the loop's cores what no message of the loop passes through."""
+    def settle(self, pid: int, *, lockstep: bool) -> None:
+        """Prepare a process of the loop for a test, whose pace is known by now.
+
+        What no message of the loop passes through is moved off the loop's cores.
+        """
         with contextlib.suppress(OSError):  # it has ended, as others will tell
             for thread in side_threads(pid):
                 os.sched_setaffinity(thread, self.others)
+            if self._lockstep and not lockstep:
+                _hurry(pid)
+
+
+def _hurry(pid: int) -> None:
+    prefer_latency(pid)
+    take_precedence(pid)

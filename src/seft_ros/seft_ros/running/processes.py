@@ -42,7 +42,7 @@ class NodeProcesses:
     arrangement : Arrangement
         Where they run.
     lockstep : bool
-        Schedule the loop's nodes for throughput rather than for latency.
+        Schedule the loop's nodes for throughput rather than for latency, until told otherwise.
     """
 
     def __init__(
@@ -99,13 +99,13 @@ class NodeProcesses:
         """Process numbers by node."""
         return {node: process.pid for node, process in self._processes.items()}
 
-    def clear_the_loops_cores(self) -> None:
-        """Move off them what no message of the loop passes through; to be called before a test."""
+    def settle(self, *, lockstep: bool) -> None:
+        """Prepare the loop's nodes for a test; to be called when its pace is known."""
         if self._placement is None:
             return
         for node, process in self._processes.items():
             if bare(node) in LOOP_NODES:
-                self._placement.clear(process.pid)
+                self._placement.settle(process.pid, lockstep=lockstep)
 
     def stop(self, patience: float = 10.0) -> None:
         """Ask all processes to end, and kill what has not after ``patience`` seconds."""

@@ -17,7 +17,7 @@ from seft_msgs_py.rigs import bare, with_rigs
 from seft_msgs_py.topics import NODES, LoopTopic, Topic, topics_of
 
 from seft_ros.experiment.peers import CONFLICT
-from seft_ros.experiment.state_machine import State
+from seft_ros.experiment.state_machine import PACE, State
 from seft_ros.running.arrangement import LOOP_NODES, Arrangement
 from seft_ros.running.following import LOOK, Following, Progress
 from seft_ros.running.observer import Observer
@@ -111,13 +111,9 @@ def run_experiment(
         try:
             refuse_company(observer, external)
             progress("starting the nodes", 0)
-            processes = NodeProcesses(
-                nodes,
-                parameters,
-                folder,
-                arrangement,
-                lockstep=experiment.sections.get("rig", {}).get("pace") == "lockstep",
-            )
+            # the pace is the rig's own; that of one which runs elsewhere is told later
+            lockstep = "rig" not in map(bare, nodes) or experiment["rig"]["pace"] == "lockstep"
+            processes = NodeProcesses(nodes, parameters, folder, arrangement, lockstep=lockstep)
             tidying.watch(processes.pids().values())
             try:
                 _start(observer, processes, progress, _of_the_loop(experiment))
@@ -185,7 +181,7 @@ def _start(
     deadline = time.monotonic() + READY_TIMEOUT
     _wait_until_ready(observer, processes, progress, deadline)
     _refuse_twins(observer, topics)
-    processes.clear_the_loops_cores()
+    processes.settle(lockstep=observer.values.get(PACE) == "lockstep")
     while True:
         _wait_until_ready(observer, processes, progress, deadline)
         accepted, answer = observer.call("start")

@@ -1,10 +1,13 @@
 """How the kernel treats the processes of a test; none of this needs privileges."""
 
+import contextlib
 import ctypes
 import os
 import platform
 import signal
 import struct
+
+from seft_msgs_py.realtime import threads_of
 
 LATENCY_SLICE_NS = 100_000
 """The shortest slice that Linux grants."""
@@ -33,10 +36,13 @@ def prefer_latency(pid: int) -> None:
     """Ask for short slices, and so to run soon after being woken.
 
     Linux 6.12 and later heed this (`sched_setattr(2)`, EEVDF); to others, and on processors
-    whose call number is not known here, it changes nothing.
+    whose call number is not known here, it changes nothing. Nor to threads of real-time priority.
     """
     if _SYS_SCHED_SETATTR is not None:
         attributes = _SCHED_ATTR.pack(
             _SCHED_ATTR.size, os.SCHED_OTHER, 0, 0, 0, LATENCY_SLICE_NS, 0, 0
         )
-        _LIBC.syscall(_SYS_SCHED_SETATTR, pid, attributes, 0)
+        for thread in threads_of(pid):
+            with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
+                if os.sched_getscheduler(thread) in (os.SCHED_OTHER, os.SCHED_BATCH):
+                    _LIBC.syscall(_SYS_SCHED_SETATTR, thread, attributes, 0)
