@@ -288,7 +288,4 @@ def test_what_the_next_bag_is_called_may_be_set_and_what_a_node_was_started_with
     wait_for(lambda: (observer.spin(0.05), observer.recorder_phase == "saved")[1], "saved")
     record = read_bag(tmp_path / "bags" / "named")
     assert record.complete
-    for node in nodes.values():
-        node.send_signal(signal.SIGINT)
-    for node in nodes.values():
-        node.communicate(timeout=PATIENCE)
+    end(nodes)

@@ -57,8 +57,9 @@ class NodeProcesses:
         self._logs = logs
         nodes = list(nodes)
         self._cores = os.sched_getaffinity(0)
-        pin = arrangement.pin
-        self._placement = Placement.where_it_helps(nodes, lockstep=lockstep) if pin else None
+        self._placement = (
+            Placement.where_it_helps(nodes, lockstep=lockstep) if arrangement.pin else None
+        )
         if self._placement is not None:
             os.sched_setaffinity(0, self._placement.others)  # this process keeps off it, too
         self._logs_of: dict[str, Path] = {}
