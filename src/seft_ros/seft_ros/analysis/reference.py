@@ -63,6 +63,14 @@ def reference_of(record: Record) -> ReferenceResponse | None:
         ) from None
 
 
+def reference_specimen(record: Record) -> str:
+    """Tell of which specimen `reference_of` is: the ``simulated`` one, or its ``model``.
+
+    Where no rig is simulated the response of the linear model is no truth to judge a test by.
+    """
+    return "simulated" if "specimen.mass" in record.experiment.sections.get("rig", {}) else "model"
+
+
 def quantity(reference: ReferenceResponse, name: str) -> Floats:
     """Pick the reference of a quantity in `COMPARED`, shape (N, n)."""
     values: Floats = getattr(reference, name)

@@ -12,9 +12,10 @@ from seft_ros.analysis.energy import balance_of, energy_numbers
 from seft_ros.analysis.estimates import summarise_estimates
 from seft_ros.analysis.link import link_numbers
 from seft_ros.analysis.metrics import Floats, agreement, peak
-from seft_ros.analysis.reference import COMPARED, quantity, reference_of
+from seft_ros.analysis.motion_difference import MotionDifference, motion_difference
+from seft_ros.analysis.reference import COMPARED, quantity, reference_of, reference_specimen
 from seft_ros.analysis.timing import timing_of
-from seft_ros.analysis.tracking import tracking_of
+from seft_ros.analysis.tracking import tracking_error_of, tracking_of
 from seft_ros.recording.record import Record
 
 __all__ = ["json_safe", "reference_of", "summarise", "summarise_briefly"]
@@ -26,6 +27,7 @@ def summarise(
     record: Record,
     reference: ReferenceResponse | None = None,
     balance: EnergyBalance | None = None,
+    difference: MotionDifference | None = None,
 ) -> dict[str, Any]:
     """Summarise a test.
 
@@ -37,6 +39,8 @@ def summarise(
         As `reference_of` gives it; computed if not given.
     balance : EnergyBalance, optional
         As `balance_of` gives it; likewise.
+    difference : MotionDifference, optional
+        As `motion_difference` gives it; likewise.
 
     Returns
     -------
@@ -53,7 +57,11 @@ def summarise(
         lacks, by topic), ``energy`` (of the
         specimen at the end, and how the balance closes; see `energy_numbers`), ``estimates`` (what
         the compensation identified on line: name -> axis -> first, last, least and largest, SI
-        units), ``tracking`` (of the reference force by the measured force: axis -> frequency
+        units), ``equivalent_motion`` (the ground motion that was tested against the one asked for,
+        see `MotionDifference.numbers`), ``tracking_error`` (of displacement against a target: rms,
+        peak, nrmse; null without one), ``reference_specimen`` (of the exact response:
+        ``simulated``, or the ``model``; null if there is none), ``tracking`` (of the force that was
+        meant by the measured force: axis -> frequency
         evaluation index, tracking indicator, energy error, J1-J9; see `tracking_of`), and for
         displacement (m), acceleration (m/s^2) and force (N) nrmse, nrmse_aligned, peak,
         reference_peak and delay_s over all axes; ``axes`` has the same
@@ -69,6 +77,7 @@ def summarise(
         axis: _three(record, reference, slice(column, column + 1))
         for column, axis in enumerate(axes)
     }
+    difference = difference or motion_difference(record)
     summary = {
         **_course(record),
         "first_step": int(recorded[0]) if len(recorded) else None,
@@ -84,6 +93,9 @@ def summarise(
         "lost": {topic.name: _lost(record, topic.name, steps) for topic in LOOP_TOPICS},
         "energy": energy_numbers(balance or balance_of(record)),
         "estimates": summarise_estimates(record.estimates, axes),
+        "equivalent_motion": difference and difference.numbers(),
+        "tracking_error": tracking_error_of(record),
+        "reference_specimen": reference_specimen(record) if reference else None,
         "tracking": tracking_of(record, reference),
         **(by_axis[axes[0]] if len(axes) == 1 else _three(record, reference, slice(None))),
         "axes": by_axis,

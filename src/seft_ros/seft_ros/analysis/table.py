@@ -29,7 +29,8 @@ def summary_table(record: Record, summary: dict[str, Any]) -> Table:
     summary : dict
         As `seft_ros.analysis.summary.summarise` gives it.
     """
-    title = "\n".join([title_of(record), _pace(summary), *estimate_lines(summary)])
+    lines = [title_of(record), _pace(summary), *_trust_lines(summary), *estimate_lines(summary)]
+    title = "\n".join(lines)
     table = _table(title, verdict(summary), _colour(summary))
     for heading in ("", "peak", "exact peak", "NRMSE", "NRMSE aligned", "delay"):
         table.add_column(heading, justify="right" if heading else "left", no_wrap=True)
@@ -78,8 +79,12 @@ def verdict(summary: dict[str, Any]) -> str:
         text = "NOTHING KNOWN: the record has no rig/state"
     elif not summary["complete"]:
         text = "CUT OFF: the record ends before the test did"
-    elif error is not None:
+    elif error is not None and summary["reference_specimen"] == "simulated":
         text = f"done: displacement error {percent(error)}, {percent(aligned)} without its delay"
+    elif (worst := _worst_response(summary)) is not None:
+        text = (
+            f"done: response to the ground motion that was tested off by {percent(worst)} at most"
+        )
     else:
         text = "done, with nothing to hold it against"
     if missed:
@@ -96,6 +101,24 @@ def verdict(summary: dict[str, Any]) -> str:
     if lost:
         text += f"; samples lost: {', '.join(f'{n} of {topic}' for topic, n in lost.items())}"
     return text
+
+
+def _worst_response(summary: dict[str, Any]) -> float | None:
+    found = summary["equivalent_motion"]
+    return found and found["worst_response_nrmse"]
+
+
+def _trust_lines(summary: dict[str, Any]) -> list[str]:
+    """Say what tells without a model whether a test is right."""
+    found, tracking, lines = summary["equivalent_motion"], summary["tracking_error"], []
+    if found is not None:
+        lines.append(
+            "ground motion tested against the one asked for: response differs by "
+            f"{percent(found['response_nrmse'])}, at worst {percent(found['worst_response_nrmse'])}"
+        )
+    if tracking is not None:
+        lines.append(f"displacement off its target by {percent(tracking['nrmse'])}")
+    return lines
 
 
 def _in_a_stall(timing: dict[str, Any] | None, missed: int) -> str:
@@ -130,7 +153,8 @@ def _colour(summary: dict[str, Any]) -> str:
     """Red: the test did not run to its end; yellow: it did, and is wrong or not as timed."""
     if not (summary["stable"] and summary["complete"]):
         return "red"
-    error = summary["displacement"]["nrmse"]
+    simulated = summary["reference_specimen"] == "simulated"
+    error = summary["displacement"]["nrmse"] if simulated else _worst_response(summary)
     right = error is not None and error <= GOOD_ERROR
     return "green" if right and not summary["missed"] else "yellow"
 

@@ -1,30 +1,37 @@
-"""How well the actuators' force followed the reference force in a test."""
+"""How well the actuators followed in a test: the force that was meant, and a target's motion."""
 
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from seft_msgs_py.topics import REFERENCE_FORCE, RIG_STATE
 from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.benchmark_criteria import benchmark_criteria
+from seft_ros.analysis.columns import paired_columns
 from seft_ros.analysis.common_steps import common_steps
 from seft_ros.analysis.energy_error import energy_error, relative_energy_error
 from seft_ros.analysis.frequency_evaluation import frequency_evaluation_index
+from seft_ros.analysis.metrics import nrmse, peak
 from seft_ros.analysis.reference import at_steps
-from seft_ros.analysis.tracked import FORCE, tracked_of
+from seft_ros.analysis.tracked import tracked_of
 from seft_ros.analysis.tracking_indicator import relative_tracking_indicator
 from seft_ros.recording.record import Record
 
+Floats = npt.NDArray[np.float64]
+
 _DISPLACEMENT = RIG_STATE.quantities.index("positions")
+_TARGET = ("positions", "velocities", "effort")  # of a reference force with a target
 
 
 def tracking_of(record: Record, reference: ReferenceResponse | None) -> dict[str, dict[str, Any]]:
     """Tracking of each axis; formulas and signs are in docs/metrics.md.
 
-    Reference force and measured force are those of the same step: the rig measures at step k
-    what commands before it did, so even an ideal actuator is one period late. Samples between the
-    first and the last step that both topics have count; of the lost ones errors are left out, and
-    what needs every sample (spectra, areas, integrals, J1) interpolates them.
+    The force that was meant is that of `tracked_of`. Where it is the reference force of the same
+    step, even an ideal actuator is one period late: the rig measures at step k what commands
+    before it did. Samples between the first and the last step that both topics have count; of the
+    lost ones errors are left out, and what needs every sample (spectra, areas, integrals, J1)
+    interpolates them.
 
     Parameters
     ----------
@@ -37,19 +44,21 @@ def tracking_of(record: Record, reference: ReferenceResponse | None) -> dict[str
     -------
     dict
         Axis -> ``fei_amplitude``, ``fei_delay_s``, ``fei_frequency_hz``,
-        ``tracking_indicator_end`` (over the square of the reference force's peak),
+        ``tracking_indicator_end`` (over the square of the largest
+        force that was meant),
         ``energy_error`` (over the largest input energy), ``energy_error_j`` (J), and ``J``: J1
         (ms), J2, J3 and the axis's displacement criteria (%).
     """
     commands, states = record.series[REFERENCE_FORCE.name], record.series[RIG_STATE.name]
     dt = record.experiment.timebase.dt
-    steps, at_commands, at_states = common_steps(commands.steps, states.steps)
+    steps, _, _ = common_steps(commands.steps, states.steps)
     signals = tracked_of(record)
+    counted = steps - steps[0] if len(steps) else steps
     command, force, velocity = signals.command, signals.force, signals.velocity
     displacement = states.values[:, _DISPLACEMENT]
     criteria = benchmark_criteria(
-        commands.values[at_commands, 0],
-        states.values[at_states, FORCE],
+        signals.command[counted],
+        signals.force[counted],
         np.full_like(displacement, np.nan)
         if reference is None
         else at_steps(reference.displacement, states.steps),
@@ -76,3 +85,45 @@ def tracking_of(record: Record, reference: ReferenceResponse | None) -> dict[str
         }
         for column, axis in enumerate(record.experiment.axes)
     }
+
+
+def tracking_error_of(record: Record) -> dict[str, float] | None:
+    """Tracking error of a test whose reference force carries a target's motion, else None.
+
+    Such a topic has three quantities: the target's displacement, velocity and force.
+    """
+    targets, states = record.series[REFERENCE_FORCE.name], record.series[RIG_STATE.name]
+    if targets.values.shape[1] < len(_TARGET):
+        return None
+    _, at_targets, at_states = common_steps(targets.steps, states.steps)
+    return tracking_error(states.values[at_states, _DISPLACEMENT], targets.values[at_targets, 0])
+
+
+def tracking_error(displacement: Floats, target: Floats | None) -> dict[str, float] | None:
+    """Tell how far a specimen was from its target.
+
+    Parameters
+    ----------
+    displacement : ndarray
+        As measured, shape (N, n), m.
+    target : ndarray or None
+        Of the same steps; None: there is none.
+
+    Returns
+    -------
+    dict or None
+        ``rms`` and ``peak`` of x - x_target, m, over all axes, and ``nrmse``, that RMS over the
+        RMS of x. None without a target.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ.
+    """
+    if target is None:
+        return None
+    wanted, x = paired_columns(target, displacement)
+    with np.errstate(invalid="ignore", over="ignore"):
+        error = wanted - x
+        rms = float(np.sqrt(np.mean(np.square(error)))) if error.size else np.nan
+    return {"rms": rms, "peak": peak(error), "nrmse": nrmse(wanted, x)}

@@ -10,7 +10,7 @@ from seft_ros.ground_motion.block import GroundMotion
 from seft_ros.ground_motion.units import STANDARD_GRAVITY
 
 Floats = npt.NDArray[np.float64]
-_BLOCK = 1024
+_BLOCK = 256
 
 
 def response_spectrum(
@@ -46,30 +46,72 @@ def response_spectrum(
         If damping, a period or dt is out of range.
     """
     a = np.asarray(accelerations, dtype=float)
-    periods = np.asarray(periods, dtype=float)
-    if not 0 <= damping < 1:
-        raise InputError(f"damping is {damping:g}, but must be at least 0 and below 1")
-    if not (np.isfinite(periods) & (periods >= 0)).all():
-        raise InputError("periods must be positive numbers, or 0")
-    if not 0 < dt < np.inf or a.ndim != 1 or not a.size:
-        raise InputError(f"a motion needs samples (N,) and a positive dt, not {a.shape}, {dt} s")
-    spectrum = np.full(periods.shape, np.abs(a).max())
-    w = 2 * np.pi / periods[periods > 0]
-    damped = w * np.sqrt(1 - damping**2)
-    # with q = x' - conj(s) x:  q' = s q - a,  Im q = damped x
-    z = dt * (-damping * w + 1j * damped)
-    decay, first, second = np.exp(z), _phi1(z) - _phi2(z), _phi2(z)
-    q = np.zeros_like(z)
-    largest = np.zeros(len(w))
-    for start in range(0, len(a) - 1, _BLOCK):
-        part = a[start : start + _BLOCK + 1, np.newaxis]
-        forced = -dt * (part[:-1] * first + part[1:] * second)
-        for row in forced:  # in place: forced becomes the response
-            row += decay * q
-            q = row
-        np.maximum(largest, np.abs(forced.imag).max(axis=0), out=largest)
-    spectrum[periods > 0] = w**2 / damped * largest
-    return spectrum
+    if a.ndim != 1 or not a.size:
+        raise InputError(f"a motion needs samples (N,), not {a.shape}")
+    running = RunningSpectrum(periods, dt, damping)
+    running.advance(a[:, np.newaxis])
+    return running.spectrum[:, 0]
+
+
+class RunningSpectrum:
+    """The response spectra of some motions, of `response_spectrum`, piece by piece.
+
+    Parameters
+    ----------
+    periods, dt, damping
+        As of `response_spectrum`.
+
+    Attributes
+    ----------
+    spectrum : ndarray
+        Shape (P, S) over the samples so far, in m/s^2; of no samples (P, 0).
+
+    Raises
+    ------
+    InputError
+        If damping, a period or dt is out of range.
+    """
+
+    def __init__(self, periods: npt.ArrayLike, dt: float, damping: float = 0.05) -> None:
+        periods = np.asarray(periods, dtype=float)
+        if not 0 <= damping < 1:
+            raise InputError(f"damping is {damping:g}, but must be at least 0 and below 1")
+        if not (np.isfinite(periods) & (periods >= 0)).all():
+            raise InputError("periods must be positive numbers, or 0")
+        if not 0 < dt < np.inf:
+            raise InputError(f"a motion needs a positive dt, not {dt} s")
+        self.spectrum = np.zeros((len(periods), 0))
+        self._moving = periods > 0
+        w = 2 * np.pi / periods[self._moving]
+        damped = w * np.sqrt(1 - damping**2)
+        # with q = x' - conj(s) x:  q' = s q - a,  Im q = damped x
+        z = dt * (-damping * w + 1j * damped)
+        self._decay = np.exp(z)[:, np.newaxis]
+        self._first = -dt * (_phi1(z) - _phi2(z))[:, np.newaxis]
+        self._second = -dt * _phi2(z)[:, np.newaxis]
+        self._scale = (w**2 / damped)[:, np.newaxis]
+        self._last: Floats | None = None
+
+    def advance(self, accelerations: Floats) -> None:
+        """Take in the next samples of S motions, shape (N, S), N at least 1, in m/s^2."""
+        a = accelerations
+        if self._last is None:
+            self._q = np.zeros((len(self._decay), a.shape[1]), complex)
+            self.spectrum = np.zeros((len(self._moving), a.shape[1]))
+        else:
+            a = np.vstack([self._last, a])
+        q, largest = self._q, np.zeros(self._q.shape)
+        for start in range(0, len(a) - 1, _BLOCK):
+            part = a[start : start + _BLOCK + 1, np.newaxis]
+            forced = part[:-1] * self._first + part[1:] * self._second
+            for row in forced:  # in place: forced becomes the response
+                row += self._decay * q
+                q = row
+            np.maximum(largest, np.abs(forced.imag).max(axis=0), out=largest)
+        self._q, self._last = q.copy(), a[-1:].copy()
+        found = np.broadcast_to(np.abs(accelerations).max(axis=0), self.spectrum.shape).copy()
+        found[self._moving] = self._scale * largest
+        np.maximum(self.spectrum, found, out=self.spectrum)
 
 
 def _phi1(z: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex128]:

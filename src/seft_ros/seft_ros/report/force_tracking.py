@@ -1,4 +1,4 @@
-"""How the measured force followed the reference force."""
+"""How the measured force followed the one that was meant."""
 
 import numpy as np
 
@@ -14,11 +14,14 @@ from seft_ros.report.numbers import Findings
 COHERENT = 0.9
 """Coherence below which amplitude and delay mean little, and are not drawn."""
 
-_NOTE = (
-    "The reference force is what the force controller is told. A compensation method that sends "
-    "it ahead of time leaves these figures as they are: they are those of the force loop, and say "
-    "what there is to compensate. Both forces are of the same step, so even an ideal actuator is "
-    "one period late."
+_SENT = (
+    "The force that was meant is the reference force of the same step, so even an ideal actuator "
+    "is one period late."
+)
+_DERIVED = (
+    "The compensation method sends the reference force ahead of time, so the force that was meant "
+    "is derived from what was measured: -M_e a_g + S r, with r = f - M_e a the specimen's "
+    "restoring force."
 )
 
 
@@ -26,7 +29,8 @@ def tracking_section(findings: Findings, column: int, title: str) -> Section:
     """Tracking of an axis: numbers, time history, synchronisation plot, delay by frequency."""
     record = findings.record
     signals = tracked_of(record)
-    blocks: list[Block] = [Text(_NOTE), _table(findings, record.experiment.axes[column])]
+    note = _DERIVED if signals.derived else _SENT
+    blocks: list[Block] = [Text(note), _table(findings, record.experiment.axes[column])]
     if len(signals.steps) > 1:
         dt = record.experiment.timebase.dt
         blocks += [
@@ -61,13 +65,15 @@ def _table(findings: Findings, axis: str) -> Table:
 def _over_time(signals: Tracked, column: int, dt: float) -> list[Block]:
     panel = plot("time / s", "force / N")
     time = signals.steps * dt
-    line(panel, time, signals.command[:, column], "reference force", color=REFERENCE, width=3.0)
+    line(
+        panel, time, signals.command[:, column], "force that was meant", color=REFERENCE, width=3.0
+    )
     line(panel, time, signals.force[:, column], "measured force", color=FIRST)
-    return [Plot(panel, "What the controller was told, and what the load cell measured.")]
+    return [Plot(panel, "What was meant, and what the load cell measured.")]
 
 
 def _synchronisation(signals: Tracked, column: int) -> Plot:
-    panel = plot("reference force / N", "measured force / N", height=380)
+    panel = plot("force that was meant / N", "measured force / N", height=380)
     command, force = signals.command[:, column], signals.force[:, column]
     ends = np.array([command.min(), command.max()])
     line(panel, ends, ends, "", color=REFERENCE, width=2.0)
@@ -83,7 +89,7 @@ def _by_frequency(signals: Tracked, column: int, dt: float) -> list[Block]:
     found = delay_by_frequency(signals.command[:, column], signals.force[:, column], dt)
     means = np.nan_to_num(found.coherence) >= COHERENT
     if not means.any():
-        return [Text("No frequency at which the reference force explains the measured force.")]
+        return [Text("No frequency at which the force that was meant explains the measured force.")]
     delay = plot("frequency / Hz", "delay / ms", log_x=True)
     amplitude = plot("frequency / Hz", "amplitude", log_x=True, x_range=delay.x_range)
     x = found.frequency_hz
@@ -94,5 +100,5 @@ def _by_frequency(signals: Tracked, column: int, dt: float) -> list[Block]:
     note = f"where the coherence is {COHERENT:g} or more."
     return [
         Plot(delay, f"Delay of the measured force by frequency, {note}"),
-        Plot(amplitude, f"Measured over reference force by frequency, {note}"),
+        Plot(amplitude, f"Measured over meant force by frequency, {note}"),
     ]

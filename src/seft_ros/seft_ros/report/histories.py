@@ -12,12 +12,16 @@ from seft_ros.analysis.reference import COMPARED, quantity
 from seft_ros.analysis.shown import UNITS, number
 from seft_ros.analysis.table import percent
 from seft_ros.drawing.style import FIRST, REFERENCE
-from seft_ros.page.content import Plot, Section, Table
+from seft_ros.page.content import Block, Plot, Section, Table, Text
 from seft_ros.page.plots import line, mark, plot, time_range
 from seft_ros.report.numbers import Findings
 
 Floats = npt.NDArray[np.floating[Any]]
 
+_MODEL = (
+    "The exact response is that of the linear model that reference_force was told: how the "
+    "specimen differs from it is in these numbers, too."
+)
 WINDOW = 1.0
 """Length of a zoom window, s."""
 
@@ -41,7 +45,10 @@ def agreement_section(findings: Findings) -> Section:
                 )
             )
     headings = ("", "peak", "exact peak", "NRMSE", "aligned", "delay")
-    return Section("Agreement with the exact response", [Table(headings, rows)])
+    blocks: list[Block] = [Table(headings, rows)]
+    if summary["reference_specimen"] == "model":
+        blocks.insert(0, Text(_MODEL))
+    return Section("Agreement with the exact response", blocks)
 
 
 def history_sections(findings: Findings, column: int, title: str) -> Iterator[Section]:

@@ -8,7 +8,8 @@ from seft_ros.analysis.table import GOOD_ERROR, percent
 from seft_ros.page.content import Cell, Mark
 
 BAD_ERROR = 0.15
-"""Displacement error (nrmse), and error of its peak, from which a test is worth nothing."""
+"""Displacement error (nrmse), and error of its peak, from which a test is worth nothing; of the
+response to its own ground motion, and of a target's displacement, likewise."""
 GOOD_VIBRATION, BAD_VIBRATION = 0.1, 0.3
 """Acceleration in the instability band beyond the exact one's, over all of that."""
 BAD_MISSED = 0.05
@@ -101,9 +102,13 @@ def _findings(summary: dict[str, Any]) -> Iterator[Finding]:
     if summary["first_step"]:
         yield _beginning(summary["first_step"])
     yield _ending(summary)
-    yield _error(summary)
-    if summary["displacement"]["nrmse"] is not None:
-        yield _peak(summary)
+    if summary["reference_specimen"] == "simulated":
+        yield _error(summary)
+        if summary["displacement"]["nrmse"] is not None:
+            yield _peak(summary)
+    yield _equivalent_motion(summary)
+    if summary["tracking_error"] is not None:
+        yield _tracking_error(summary)
     if summary["vibration"]["ratio"] is not None:
         yield _vibration(summary)
     if summary["uncompensated_delay_s"] is not None:
@@ -147,8 +152,7 @@ def _ending(summary: dict[str, Any]) -> Finding:
 def _error(summary: dict[str, Any]) -> Finding:
     error = summary["displacement"]["nrmse"]
     if error is None:
-        text = "there is no exact response to hold it against"
-        return Finding(Mark.DOUBT, "displacement_error", text)
+        return Finding(Mark.DOUBT, "displacement_error", "its displacement error is not known")
     text = (
         f"displacement error {percent(error)} against the exact response of the whole structure "
         f"(good: up to {percent(GOOD_ERROR)})"
@@ -163,6 +167,37 @@ def _peak(summary: dict[str, Any]) -> Finding:
     off = abs(ratio - 1)
     text = f"peak displacement {percent(off)} {word} than the exact one (good: {GOOD_ERROR:.0%})"
     return Finding(_grade(off, GOOD_ERROR, BAD_ERROR), "displacement_peak", text)
+
+
+def _equivalent_motion(summary: dict[str, Any]) -> Finding:
+    found, simulated = summary["equivalent_motion"], summary["reference_specimen"] == "simulated"
+    error = found and found["worst_response_nrmse"]
+    if error is None:
+        text = "the ground motion that was tested can't be told from the record"
+        mark = Mark.NONE if simulated else Mark.DOUBT
+        return Finding(mark, "equivalent_motion", text)
+    low, high = found["structure"]["band_hz"]
+    text = (
+        f"linear structures answer the ground motion that was tested up to {percent(error)} "
+        f"differently from the one asked for (worst at {found['worst_frequency_hz']:.3g} Hz of "
+        f"{low:.3g} to {high:.3g} Hz; {percent(found['response_nrmse'])} with the stiffness of the "
+        f"model; good: up to {percent(GOOD_ERROR)})"
+    )
+    mark = Mark.NONE if simulated else _grade(error, GOOD_ERROR, BAD_ERROR)
+    return Finding(mark, "equivalent_motion", text)
+
+
+def _tracking_error(summary: dict[str, Any]) -> Finding:
+    found, simulated = summary["tracking_error"], summary["reference_specimen"] == "simulated"
+    error = found["nrmse"]
+    if error is None:
+        return Finding(Mark.DOUBT, "tracking_error", "how far it was from its target is not known")
+    text = (
+        f"displacement off its target by {percent(error)} (RMS {found['rms'] * 1e3:.3g} mm, at "
+        f"most {found['peak'] * 1e3:.3g} mm; good: up to {percent(GOOD_ERROR)})"
+    )
+    mark = Mark.NONE if simulated else _grade(error, GOOD_ERROR, BAD_ERROR)
+    return Finding(mark, "tracking_error", text)
 
 
 def _vibration(summary: dict[str, Any]) -> Finding:

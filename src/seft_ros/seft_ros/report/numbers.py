@@ -12,6 +12,7 @@ from seft_plant_sim.energy import EnergyBalance
 from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.energy import PARTS, balance_of
+from seft_ros.analysis.motion_difference import MotionDifference, motion_difference
 from seft_ros.analysis.reference import COMPARED, quantity, reference_of
 from seft_ros.analysis.spectrum import Spectrum, spectrum_of, vibration
 from seft_ros.analysis.summary import json_safe, summarise
@@ -48,6 +49,8 @@ class Findings:
         Where instability would start, Hz.
     band_note : str
         Why there is no band; empty if there is.
+    difference : MotionDifference or None
+        The ground motion that was tested against the one asked for.
     timing : Timing or None
         None of a test that was not recorded message by message.
     summary : dict
@@ -62,6 +65,7 @@ class Findings:
     spectra: dict[str, list[tuple[Spectrum, Spectrum | None]]]
     band: Band | None
     band_note: str
+    difference: MotionDifference | None
     timing: Timing | None
     summary: dict[str, Any]
     judgement: Judgement
@@ -85,7 +89,8 @@ def report_numbers(record: Record) -> Findings:
     """
     reference = reference_of(record)
     balance = balance_of(record)
-    summary = summarise(record, reference, balance)
+    difference = motion_difference(record)
+    summary = summarise(record, reference, balance, difference)
     energies = _thinned(balance)
     del balance  # as long as the record, and drawn from a few points
     spectra = {name: _spectra(record, reference, name) for name in _SPECTRA}
@@ -100,7 +105,16 @@ def report_numbers(record: Record) -> Findings:
     judgement = judge(summary)
     summary |= {"verdict": judgement.numbers()}
     return Findings(
-        record, reference, energies, spectra, band, note, timing, json_safe(summary), judgement
+        record,
+        reference,
+        energies,
+        spectra,
+        band,
+        note,
+        difference,
+        timing,
+        json_safe(summary),
+        judgement,
     )
 
 

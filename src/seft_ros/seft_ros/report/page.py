@@ -7,6 +7,7 @@ from seft_ros.analysis.title import title_of
 from seft_ros.page.content import Section, Verdict
 from seft_ros.page.write import write_page
 from seft_ros.report.force_tracking import tracking_section
+from seft_ros.report.ground_motion import ground_motion_section
 from seft_ros.report.histories import agreement_section, history_sections
 from seft_ros.report.numbers import Findings
 from seft_ros.report.running import estimates_section, events_section, timing_section
@@ -41,6 +42,7 @@ def _sections(findings: Findings) -> Iterator[Section]:
     yield Section("Verdict", [Verdict(judgement.mark, judgement.text, cells)])
     yield tested_section(findings)
     yield agreement_section(findings)
+    yield ground_motion_section(findings)
     for column, axis in enumerate(axes):
         title = f" of {axis}" if len(axes) > 1 else ""
         yield from history_sections(findings, column, title)

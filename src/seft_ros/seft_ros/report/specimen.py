@@ -65,7 +65,7 @@ def _error(findings: Findings) -> list[Block]:
         line(panel, signals.steps * dt, work[:, column], label, color=OTHERS[column])
     level(panel, 0.0)
     caption = (
-        "Work of measured less reference force: where it grows, the force loop's error adds "
+        "Work of measured less meant force: where it grows, the force loop's error adds "
         "energy (as damping taken away); where it falls, it takes energy out."
     )
     return [Plot(panel, caption)]
