@@ -14,11 +14,12 @@ LINES = {
     "displacement": ("displacement / mm", ("reference", "measured")),
     "acceleration": ("acceleration / (m/s²)", ("reference", "measured")),
     "force": ("force / kN", ("reference", "measured")),
+    "spectrum": ("pseudo-acceleration / (m/s²)", ("natural", "reference", "measured")),
     "timing": ("time / ms", ("answer", "largest", "median", "period")),
     "missed": ("missed commands", ("missed",)),
 }
 """Of each figure: the vertical axis, and its lines, the last on top."""
-WIDTHS = {"reference": 3.0, "answer": 1.0, "period": 1.0, "median": 2.0}
+WIDTHS = {"natural": 1.0, "reference": 3.0, "answer": 1.0, "period": 1.0, "median": 2.0}
 STEPPED = ("largest", "median", "missed")
 """What is told once a second, of the second before."""
 
@@ -32,8 +33,14 @@ def figures() -> dict[str, Any]:
 
 
 def _figure(name: str, label: str, lines: tuple[str, ...]) -> figure:
+    spectrum = name == "spectrum"
     panel = plot(
-        "time / s", label, x_range=Range1d(0.0, 20.0), height=HEIGHT, log_y=name == "timing"
+        "frequency / Hz" if spectrum else "time / s",
+        label,
+        x_range=Range1d(1.0, 50.0) if spectrum else Range1d(0.0, 20.0),
+        height=HEIGHT,
+        log_x=spectrum,
+        log_y=name == "timing",
     )
     panel.y_range = Range1d(0.1, 10.0) if name == "timing" else Range1d(-1.0, 1.0)
     if name == "timing":

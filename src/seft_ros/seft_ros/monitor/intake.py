@@ -17,6 +17,7 @@ from seft_plant_sim.running_response import RunningResponse
 
 from seft_ros.monitor.envelope import Samples
 from seft_ros.monitor.history import History, Stretch
+from seft_ros.monitor.live_motion import LiveMotion
 from seft_ros.monitor.live_reference import LiveReference
 from seft_ros.monitor.rig_batches import Batch, RigBatches
 from seft_ros.monitor.signals import MEASURED, ROWS, Signals
@@ -57,6 +58,8 @@ class Intake:
         Messages that were not understood.
     reference_note : str
         Why there is no exact response, in a sentence; empty if there is one.
+    own_motion : dict
+        What the test's own ground motion is so far, as `LiveMotion.told` gives it, once a second.
     """
 
     def __init__(self, axes: tuple[str, ...], timebase: Timebase, number: int = 0) -> None:
@@ -69,6 +72,10 @@ class Intake:
         self._new: list[Stretch] = []
         self._sections: dict[str, dict[str, Any]] = {}
         self._reference = LiveReference()
+        self.own_motion: dict[str, Any] = {}
+        self._live_motion: LiveMotion | None = None
+        self._recent = np.full((2**14, 4, len(axes)), np.nan)  # states of the last steps
+        self._next_told = 0
         self.rigs = rigs_of(axes)
         self._states = [TrajectoryCodec(RIG_STATE, rig.axes, timebase) for rig in self.rigs]
         self._forces = TrajectoryCodec(REFERENCE_FORCE, axes, timebase)
@@ -82,6 +89,7 @@ class Intake:
         self._sections = sections
         if self.number and self._reference.response is None:
             self._reference.response = self._response()  # of who came up in the middle of a test
+            self._follow_motion()
 
     def expect(self) -> None:
         """Take in that a test begins: the next sample is its first that is seen."""
@@ -167,6 +175,7 @@ class Intake:
             self.history.write(steps, self.signals.measured[name], part)
         slots = steps % len(self._sent)
         self._sent[slots], self._sent_step[slots] = sent, steps
+        self._recent[slots] = values
 
     def _take_forces(self, steps: Steps, forces: Samples, sent: Steps) -> None:
         near = steps < self.history.head  # those ahead are of a state that is not here
@@ -185,6 +194,12 @@ class Intake:
         self._new = []
         self._sent_step[:] = -1
         self._reference.begin(self._response())
+        self._follow_motion()
+
+    def _follow_motion(self) -> None:
+        self.own_motion, self._next_told = {}, 0
+        known = self._reference.response is not None
+        self._live_motion = LiveMotion.of(Experiment(self._sections)) if known else None
 
     def _response(self) -> RunningResponse | None:
         """Make the model of the whole structure, of what the nodes say of themselves."""
@@ -208,7 +223,19 @@ class Intake:
         new = self._reference.advance(self.history.head)
         if new is None:
             return
-        first, displacement, acceleration = new
+        first, motion, displacement, acceleration = new
         steps = np.arange(first, first + len(displacement))
+        self._advance_motion(steps, motion)
         for name, values in (("displacement", displacement), ("acceleration", acceleration)):
             self.history.write(steps, self.signals.reference[name], values.astype(np.float32))
+
+    def _advance_motion(self, steps: Steps, motion: Floats) -> None:
+        if self._live_motion is None:
+            return
+        slots = steps % len(self._sent)
+        known = self._sent_step[slots] == steps
+        states = np.where(known[:, np.newaxis, np.newaxis], self._recent[slots], np.nan)
+        self._live_motion.advance(motion, states)
+        if steps[-1] >= self._next_told:
+            self._next_told = int(steps[-1]) + round(1 / self.timebase.dt)
+            self.own_motion = self._live_motion.told()

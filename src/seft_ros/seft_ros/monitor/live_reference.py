@@ -80,15 +80,16 @@ class LiveReference:
         if target is not None and not hopeless:
             target.add(first, values)
 
-    def advance(self, until: int) -> tuple[int, Floats, Floats] | None:
+    def advance(self, until: int) -> tuple[int, Floats, Floats, Floats] | None:
         """Go on to a step, as far as the motion is known and time allows.
 
         Returns
         -------
         first : int
             Step from which the response is new.
-        displacement, acceleration : ndarray
-            Shape (N, n), m and m/s^2; None if there is nothing new.
+        motion, displacement, acceleration : ndarray
+            Ground motion and response to it, shape (N, n), m and m/s^2; None if there is nothing
+            new.
         """
         now = self._now
         if now is None or self.response is None:
@@ -97,4 +98,4 @@ class LiveReference:
         motion = now.take(min(until, first + MOST_AT_ONCE))
         if motion is None:
             return None
-        return (first, *self.response.advance(motion))
+        return (first, motion, *self.response.advance(motion))

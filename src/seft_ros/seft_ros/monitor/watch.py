@@ -127,6 +127,7 @@ class Watch:
             "test": self._test(),
             "status": {**self.session.told(), "refused": self._refused_messages()},
             "events": {"events": self.session.events()},
+            "motion": {"motion": self.intake.own_motion if self.intake else {}},
             "round_trips": {"round_trips": self.session.round_trips},
         }
         news: list[Frame] = []

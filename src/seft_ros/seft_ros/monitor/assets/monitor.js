@@ -12,7 +12,7 @@ const SHARE = FEW ? 0.08 : 0.12; // of the time may go into them
 
 const element = (id) => document.getElementById(id);
 const buttons = new Buttons();
-const known = { test: { domain: "" }, status: null, trips: [] };
+const known = { test: { domain: "" }, status: null, trips: [], motion: {} };
 let history = null, plots = null, planned = false, held = null, interval = LEAST, drawnAt = 0;
 
 function connect() {
@@ -42,6 +42,7 @@ function tell({ kind, ...content }) {
     show.showParameters(content.parameters);
     buttons.follow(content);
   } else if (kind === "events") show.showEvents(content.events);
+  else if (kind === "motion") known.motion = content.motion;
   else if (kind === "round_trips") known.trips = content.round_trips;
   renew();
 }
@@ -86,9 +87,10 @@ function draw() {
   if (!plots || !known.status || !history || !known.test.dt) return;
   const now = performance.now();
   drawnAt = now;
-  show.showNumbers(known.status, known.test, history.head);
-  const [from, to] = times();
-  plots.draw(history, known.test, Number(element("axis").value) || 0, from, to, known.trips);
+  show.showNumbers(known.status, known.test, history.head, known.motion);
+  const [from, to] = times(), axis = Number(element("axis").value) || 0;
+  plots.draw(history, known.test, axis, from, to, known.trips);
+  plots.drawMotion(known.motion, axis);
   interval = Math.min(MOST, Math.max(LEAST, (performance.now() - now) / SHARE));
 }
 

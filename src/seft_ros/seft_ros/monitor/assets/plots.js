@@ -3,10 +3,10 @@
 const SCALES = { displacement: 1e3, acceleration: 1, force: 1e-3 };
 const LIGHT = { text: "#33383d", grid: "#e3e7ea", axis: "#aab1b8", measured: "#0b5fa5",
   median: "#0b5fa5", reference: "#98a1ab", largest: "#98a1ab", answer: "#2f8034",
-  period: "#c1272d", missed: "#c1272d" };
+  period: "#c1272d", missed: "#c1272d", natural: "#c1272d" };
 const DARK = { text: "#d5dade", grid: "#2d3439", axis: "#5c666e", measured: "#63b3f2",
   median: "#63b3f2", reference: "#8b959e", largest: "#8b959e", answer: "#6cc070",
-  period: "#ff7b72", missed: "#ff7b72" };
+  period: "#ff7b72", missed: "#ff7b72", natural: "#ff7b72" };
 const PIECES = 500; // of a line: as many as one can see
 const LEAST_TIME = 0.05; // ms, where the logarithmic axis may begin
 
@@ -55,7 +55,7 @@ export class Plots {
     element.addEventListener("pointerleave", () => view.pause());
     // a finger that drags scrolls the page; who wants to zoom by it picks the tool
     if (matchMedia("(pointer: coarse)").matches) figure.toolbar.active_drag = null;
-    figure.x_range.change.connect(() => this.follow(figure.x_range));
+    if (name !== "spectrum") figure.x_range.change.connect(() => this.follow(figure.x_range));
     this.panels[name] = panel;
   }
 
@@ -118,6 +118,19 @@ export class Plots {
     this.drawing = false;
   }
 
+  /** Draw response spectra of the ground motion that is tested and of the one asked for. */
+  drawMotion({ frequency_hz: x, natural_hz, asked, tested }, axis) {
+    const panel = this.panels.spectrum;
+    const drawn = JSON.stringify([asked?.[axis], tested?.[axis]]);
+    if (!x || !panel.seen || panel.drawn === drawn) return;
+    panel.drawn = drawn;
+    const reference = { x, y: asked[axis] }, measured = { x, y: tested[axis] };
+    const top = Math.max(...reference.y, ...measured.y);
+    const natural = { x: natural_hz.flatMap((hz) => [hz, hz, NaN]),
+      y: natural_hz.flatMap(() => [0, top, NaN]) };
+    this.show("spectrum", x[0], x[x.length - 1], { natural, reference, measured }, upwards);
+  }
+
   show(name, from, to, lines, range) {
     const panel = this.panels[name], { view, figure, sources } = panel;
     let low = Infinity, high = -Infinity;
@@ -158,6 +171,10 @@ function decades(low, high) {
   const decade = (value, round) => 10 ** round(Math.log10(Math.max(value, LEAST_TIME)));
   if (!(high >= low)) return [0.1, 10];
   return [decade(low, Math.floor), 2 * decade(high, Math.ceil)];
+}
+
+function upwards(_, high) {
+  return [0, even(0, high)[1]];
 }
 
 function counted(_, high) {

@@ -40,13 +40,15 @@ export function showState(status, domain) {
   document.title = `${NAMES[key] ?? key} – seft monitor`;
 }
 
-export function showNumbers(status, test, head) {
+export function showNumbers(status, test, head, motion) {
   const running = head > 0;
   set("time", running ? `${((head - 1) * test.dt).toFixed(1)} s` : "–");
   set("step", running ? `${head}${status.steps ? ` of ${status.steps}` : ""}` : "–");
   element("progress").value = status.steps ? Math.min(1, head / status.steps) : 0;
   set("missed", status.missed === null ? "–" : String(status.missed));
   set("overruns", status.overruns === null ? "–" : `${status.overruns} times`);
+  const error = motion.response_nrmse;
+  set("motion-error", error === undefined ? "–" : `${(100 * error).toPrecision(3)} %`);
   set("trip-median", milliseconds(status.round_trip["median (ms)"]));
   set("trip-largest", milliseconds(status.round_trip["largest (ms)"]));
   const margins = Object.entries(status.margins).sort((a, b) => a[1] - b[1]);

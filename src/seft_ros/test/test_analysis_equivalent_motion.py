@@ -1,0 +1,297 @@
+"""The ground motion of which a test is the exact one, whatever was tested."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.topics import LOOP_TOPICS
+from seft_plant_sim.whole_structure import reference_response, whole_structure
+from seft_ros.analysis.equivalent_motion import EquivalentMotion, told_structure
+from seft_ros.analysis.metrics import delayed
+from seft_ros.analysis.motion_difference import motion_difference, secant_stiffness
+from seft_ros.analysis.summary import summarise
+from seft_ros.analysis.table import verdict
+from seft_ros.analysis.tracked import tracked_of
+from seft_ros.analysis.tracking import tracking_error, tracking_error_of, tracking_of
+from seft_ros.experiment.tables import TABLES
+from seft_ros.page.content import Mark
+from seft_ros.recording.bag_reader import read_bag
+from seft_ros.recording.record import Record, Series
+from seft_ros.report.numbers import report_numbers
+from seft_ros.report.page import write_report
+
+ROOT = Path(__file__).parents[3]
+COUNT = 1500
+CONFIGS = ("jhu", "three_storey_frame", "water_tower", "two_pier_bridge")
+FRICTION = {  # 45 times as stiff until it slips, at some 100 N
+    "specimen.kind": "bilinear",
+    "specimen.stiffness": 45 * 2.11e5,
+    "specimen.hardening_ratio": 1 / 45,
+    "specimen.yield_displacement": 1.1e-5,
+}
+
+
+def experiment(config="jhu", mass_ratio=1.0, **changes):
+    loaded = Experiment.load(TABLES, [ROOT / "config" / f"{config}.yaml"]).sections
+    loaded["reference_force"]["mass_ratio"] = mass_ratio
+    for name, value in changes.items():
+        node, _, parameter = name.partition("__")
+        loaded[node][parameter.replace("__", ".")] = value
+    return Experiment(loaded)
+
+
+def ground(test, seed=1):
+    """Ground acceleration up to some 10 Hz, from rest to rest."""
+    time = np.arange(COUNT) * test.timebase.dt
+    hill = np.sin(np.pi * time / time[-1])[:, np.newaxis] ** 2
+    noise = np.random.default_rng(seed).normal(size=(COUNT, len(test.axes)))
+    low = np.exp(-((np.fft.rfftfreq(COUNT, test.timebase.dt) / 6.0) ** 2))[:, np.newaxis]
+    return 20.0 * hill * np.fft.irfft(np.fft.rfft(noise, axis=0) * low, COUNT, axis=0)
+
+
+def states_of(test, motion):
+    """States of a perfect test under a ground motion."""
+    exact = reference_response(test, motion)
+    names = ("displacement", "velocity", "acceleration", "force")
+    return np.stack([getattr(exact, name) for name in names], axis=1)
+
+
+def make_record(test, asked, states, forces=None):
+    """A test that was asked for one ground motion and has these states."""
+    steps = np.arange(len(states))
+    none = np.zeros((len(states), 1, len(test.axes)))
+    series = {
+        "ground_motion": Series(steps, asked[:, np.newaxis]),
+        "rig/state": Series(steps, states),
+        "reference_force": Series(steps, none if forces is None else forces),
+        "valve_command": Series(steps, none.copy()),
+    }
+    assert set(series) == {topic.name for topic in LOOP_TOPICS}
+    return Record(test, series)
+
+
+def equivalent_of(test, states):
+    told = told_structure(test)
+    return EquivalentMotion(whole_structure(told), test.timebase.dt).advance(states)
+
+
+@pytest.mark.parametrize("config", CONFIGS)
+def test_an_exact_test_is_of_the_ground_motion_that_was_asked_for(config):
+    test = experiment(config)
+    motion = ground(test)
+    found = equivalent_of(test, states_of(test, motion))
+    # internal degrees of freedom see the measured motion as linear between samples
+    np.testing.assert_allclose(found, motion, atol=1e-4 * np.abs(motion).max())
+
+
+def test_so_it_is_in_an_eft_test():
+    test = experiment(reference_force__method="eft")
+    motion = ground(test)
+    np.testing.assert_allclose(equivalent_of(test, states_of(test, motion)), motion, atol=1e-12)
+
+
+@pytest.mark.parametrize("law", [FRICTION, {"specimen.kind": "bouc_wen"}])
+def test_of_the_specimen_nothing_but_the_mass_counts(law):
+    sections = experiment().sections
+    law = {"specimen.yield_displacement": 0.002, **law}
+    test = Experiment(sections | {"rig": sections["rig"] | law})
+    motion = ground(test)
+    found = equivalent_of(test, states_of(test, motion))
+    np.testing.assert_allclose(found, motion, atol=1e-9 * np.abs(motion).max())
+
+
+def test_a_known_error_of_force_is_a_known_error_of_ground_motion():
+    test = experiment("three_storey_frame")
+    states = states_of(test, ground(test))
+    error = np.random.default_rng(3).normal(size=(COUNT, 3))
+    wrong = states.copy()
+    wrong[:, 3] += error
+    whole = whole_structure(test)
+    wanted = -np.linalg.solve(whole.structure.mass, error.T).T
+    found = equivalent_of(test, wrong) - equivalent_of(test, states)
+    np.testing.assert_allclose(found, wanted, atol=1e-12)
+
+
+@pytest.mark.parametrize("config", CONFIGS)
+def test_piece_by_piece_it_is_the_same(config):
+    test = experiment(config)
+    states = states_of(test, ground(test))
+    running = EquivalentMotion(whole_structure(told_structure(test)), test.timebase.dt)
+    cuts = np.split(states, [1, 2, 700])
+    found = np.concatenate([running.advance(piece) for piece in cuts])
+    np.testing.assert_allclose(found, equivalent_of(test, states), atol=1e-9)
+
+
+@pytest.mark.parametrize("config", CONFIGS)
+def test_the_difference_is_the_error_of_a_linear_test(config):
+    test = experiment(config)
+    motion = ground(test)
+    wrong = motion + 0.2 * ground(test, seed=2)
+    record = make_record(test, motion, states_of(test, wrong))
+    summary = summarise(record)
+    true, found = summary["displacement"]["nrmse"], summary["equivalent_motion"]
+    assert true > 0.05
+    assert found["response_nrmse"] == pytest.approx(true, rel=1e-3)
+    assert found["worst_response_nrmse"] >= 0.9 * true
+
+
+def test_a_larger_motion_differs_as_much_everywhere():
+    test = experiment("three_storey_frame")
+    motion = ground(test)
+    found = motion_difference(make_record(test, motion, states_of(test, 1.1 * motion)))
+    np.testing.assert_allclose(found.tried_nrmse, 0.1, rtol=1e-9)
+    np.testing.assert_allclose(found.deviation, 0.1, rtol=1e-9)
+    assert found.numbers()["spectrum_deviation"] == pytest.approx(0.1)
+    low, high = found.band_hz
+    assert low < found.natural_hz[0] and found.natural_hz[-1] < high
+
+
+def test_in_other_units_it_is_the_same():
+    test = experiment()
+    motion, wrong = ground(test), ground(test) + 0.3 * ground(test, seed=2)
+    one = motion_difference(make_record(test, motion, states_of(test, wrong))).numbers()
+    scaled = make_record(test, 1e-3 * motion, 1e-3 * states_of(test, wrong))
+    other = motion_difference(scaled).numbers()
+    one.pop("structure"), other.pop("structure")
+    assert other == pytest.approx(one)
+
+
+def test_half_cycles_tell_the_stiffness_that_a_specimen_had():
+    sections = experiment().sections
+    sections["reference_force"]["model.stiffness"] = 2 * 2.11e5  # twice what it is
+    test = Experiment(sections)
+    states = states_of(test, ground(test))
+    mass, stiffness = np.array([[52.7]]), np.array([[2 * 2.11e5]])
+    np.testing.assert_allclose(secant_stiffness(states, mass, stiffness), 0.5, rtol=0.02)
+    found = motion_difference(make_record(test, ground(test), states))
+    np.testing.assert_allclose(found.factors[[0, -1]], [0.25, 1.0], rtol=0.02)
+
+
+def test_friction_widens_the_band_to_stiffer_structures():
+    sections = experiment().sections
+    test = Experiment(sections | {"rig": sections["rig"] | FRICTION})
+    record = make_record(test, ground(test), states_of(test, ground(test)))
+    linear = make_record(experiment(), ground(test), states_of(experiment(), ground(test)))
+    assert motion_difference(record).factors[-1] > 1.3 * motion_difference(linear).factors[-1]
+
+
+def test_samples_that_are_lost_are_bridged():
+    test = experiment()
+    motion = ground(test)
+    record = make_record(test, motion, states_of(test, motion))
+    series = record.series["rig/state"]
+    kept = ~np.isin(series.steps, [300, 301, 900])
+    lost = Series(series.steps[kept], series.values[kept])
+    record = dataclasses.replace(record, series={**record.series, "rig/state": lost})
+    assert motion_difference(record).response_nrmse < 0.01
+
+
+@pytest.mark.parametrize("what", ["no step 0", "no motion", "no structure", "not finite", "empty"])
+def test_what_can_not_be_known_is_null(what):
+    test = experiment()
+    motion = ground(test)
+    record = make_record(test, motion, states_of(test, motion))
+    series = dict(record.series)
+    topic = "ground_motion" if what == "no motion" else "rig/state"
+    cut = slice(COUNT, None) if what == "empty" else slice(1, None)
+    if what in ("no step 0", "no motion", "empty"):
+        series[topic] = Series(series[topic].steps[cut], series[topic].values[cut])
+    elif what == "not finite":
+        series[topic].values[-1, 2] = np.inf
+    else:
+        test = Experiment({"rig": test["rig"]})
+    summary = summarise(dataclasses.replace(record, series=series, experiment=test))
+    assert summary["equivalent_motion"] is None
+    json.dumps(summary, allow_nan=False)
+
+
+def test_a_motion_of_zeros_has_no_difference_but_no_error_either():
+    test = experiment()
+    record = make_record(test, np.zeros((COUNT, 1)), np.zeros((COUNT, 4, 1)))
+    found = summarise(record)["equivalent_motion"]
+    assert found["response_nrmse"] is found["spectrum_deviation"] is None
+    json.dumps(found, allow_nan=False)
+
+
+@pytest.mark.parametrize("config", CONFIGS)
+def test_a_method_that_sends_ahead_is_held_against_what_it_meant(config):
+    test = experiment(config, reference_force__compensation__method="preview_inverse")
+    motion = ground(test)
+    states = states_of(test, motion)
+    force = states[:, 3]
+    ahead = np.stack([delayed(y, -0.014, test.timebase.dt) for y in force.T], axis=1)
+    record = make_record(test, motion, states, ahead[:, np.newaxis])
+    assert tracked_of(record).derived
+    found = tracking_of(record, None)
+    for axis in test.axes:
+        assert found[axis]["J"]["J2"] < 0.02  # %
+        assert abs(found[axis]["energy_error"]) < 1e-4
+    sent = experiment(config, reference_force__compensation__method="none")
+    record = dataclasses.replace(record, experiment=sent)
+    assert not tracked_of(record).derived
+    assert tracking_of(record, None)[test.axes[0]]["J"]["J1"] == pytest.approx(14.0, abs=0.5)
+
+
+def test_the_force_that_was_meant_is_that_of_theory():
+    test = experiment(reference_force__compensation__method="preview_inverse")
+    motion = ground(test)
+    states = states_of(test, motion)
+    states[:, 3] += np.random.default_rng(4).normal(size=(COUNT, 1))
+    meant = tracked_of(make_record(test, motion, states)).command
+    restoring = states[:, 3] - 52.7 * states[:, 2]
+    np.testing.assert_allclose(meant, -52.7 * motion + 0.5 * restoring, atol=1e-9)
+
+
+def test_the_tracking_error_is_of_the_target_s_displacement():
+    x = np.sin(np.arange(1000) * 0.1)[:, np.newaxis]
+    found = tracking_error(x, 1.1 * x)
+    assert found["nrmse"] == pytest.approx(0.1)
+    assert found["peak"] == pytest.approx(0.1 * np.abs(x).max())
+    assert found["rms"] == pytest.approx(0.1 * np.sqrt(np.mean(x**2)))
+    assert tracking_error(x, None) is None
+
+
+def test_a_reference_force_with_a_target_tells_both_motion_and_force():
+    test = experiment(reference_force__compensation__method="none")
+    states = states_of(test, ground(test))
+    targets = np.stack([0.9 * states[:, 0], states[:, 1], states[:, 3]], axis=1)
+    record = make_record(test, ground(test), states, targets)
+    assert tracking_error_of(record)["nrmse"] == pytest.approx(0.1)
+    assert tracking_of(record, None)["x"]["J"]["J2"] == 0.0
+    assert summarise(record)["tracking_error"]["nrmse"] == pytest.approx(0.1)
+    assert tracking_error_of(make_record(test, ground(test), states)) is None
+
+
+SHORT = ("-p", "ground_motion:synthetic.duration:=8.0", "-p", "ground_motion:peak_force:=300.0")
+
+
+def test_a_simulated_test_tells_what_it_was_of(seft):
+    words = ("simulate", ROOT / "config" / "jhu.yaml", *SHORT, "--json")
+    status, out, _ = seft(*words, "-p", "reference_force:mass_ratio:=0.5")
+    summary = json.loads(out)
+    found, true = summary["equivalent_motion"], summary["displacement"]["nrmse"]
+    assert status == 0 and true > 0.2
+    assert found["response_nrmse"] == pytest.approx(true, rel=0.05)
+    assert found["worst_response_nrmse"] >= found["response_nrmse"]
+    assert abs(found["spectrum_deviation"]) > 0.1
+    assert found["structure"]["frequency_hz"] == pytest.approx([10.07 / 1.5**0.5], rel=0.01)
+    assert summary["tracking_error"] is None
+    assert summary["reference_specimen"] == "simulated"
+
+
+def test_a_rig_of_which_nothing_is_known_is_judged_all_the_same(seft, tmp_path):
+    recorded = tmp_path / "bag"
+    words = ("simulate", ROOT / "config" / "jhu.yaml", *SHORT, "--out", recorded, "--no-figure")
+    seft(*words, "-p", "reference_force:mass_ratio:=0.5")
+    record = read_bag(recorded)
+    rig = {name: record.experiment["rig"][name] for name in ("rate", "axes")}
+    bare = Experiment(record.experiment.sections | {"rig": rig})
+    findings = report_numbers(dataclasses.replace(record, experiment=bare))
+    assert findings.judgement.mark is Mark.BAD
+    assert "ground motion that was tested" in findings.judgement.text
+    assert "ground motion that was tested" in verdict(findings.summary)
+    write_report(findings, "bare", tmp_path / "bare.html")
+    assert "The ground motion that was tested" in (tmp_path / "bare.html").read_text()
