@@ -7,9 +7,13 @@ import pytest
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
 from seft_msgs_py.trajectory import TrajectoryCodec
-from seft_plant_sim.whole_structure import reference_response
+from seft_plant_sim.whole_structure import reference_response, whole_structure
+from seft_ros.analysis.equivalent_motion import EquivalentMotion, told_structure
+from seft_ros.analysis.motion_difference import motion_difference
 from seft_ros.experiment.tables import TABLES
+from seft_ros.ground_motion.spectrum import response_spectrum
 from seft_ros.monitor.intake import Intake
+from seft_ros.recording.record import Record, Series
 
 CONFIG = Path(__file__).parents[3] / "config" / "jhu.yaml"
 EXPERIMENT = Experiment.load(TABLES, [CONFIG])
@@ -88,6 +92,40 @@ def test_the_exact_response_comes_with_the_motion(intake):
         exact = getattr(wanted, name)[:, 0]
         np.testing.assert_allclose(found, exact, atol=1e-5 * np.abs(exact).max())
     assert intake.reference_note == ""
+
+
+def test_the_motion_that_is_tested_is_told_as_the_report_tells_it(intake):
+    exact = reference_response(EXPERIMENT, MOTION)
+    rows = [getattr(exact, name) for name in ("displacement", "velocity", "acceleration", "force")]
+    values = np.stack(rows, axis=1)
+    values[:, 3] *= 1.2
+    steps = np.arange(400)
+    none = Series(steps, np.zeros((400, 1, 1)))
+    series = {"ground_motion": Series(steps, MOTION[:, np.newaxis])}
+    series |= {"rig/state": Series(steps, values), "reference_force": none, "valve_command": none}
+    wanted = motion_difference(Record(EXPERIMENT, series))
+    intake.motion(motion(0, MOTION))
+    encode = codec(RIG_STATE).encode
+    for start in range(0, 400, 57):
+        part = [(encode(step, values[step]), 0) for step in steps[start : start + 57]]
+        intake.samples([part], [])
+    assert intake.own_motion["asked"]  # told once a second, so from its first samples alone
+    found = intake._live_motion.told()
+    assert found["response_nrmse"] == pytest.approx(wanted.response_nrmse, rel=1e-6)
+    told = told_structure(EXPERIMENT)
+    own = EquivalentMotion(whole_structure(told), TIMEBASE.dt).advance(values)[:, 0]
+    tested = response_spectrum(own, TIMEBASE.dt, 1 / np.array(found["frequency_hz"]))
+    np.testing.assert_allclose(found["tested"][0], tested, rtol=1e-3)
+
+
+def test_steps_that_the_monitor_missed_count_as_right(intake):
+    exact = reference_response(EXPERIMENT, MOTION)
+    rows = [getattr(exact, name) for name in ("displacement", "velocity", "acceleration", "force")]
+    encode = codec(RIG_STATE).encode
+    intake.motion(motion(0, MOTION))
+    values = np.stack(rows, axis=1)
+    intake.samples([[(encode(k, values[k]), 0) for k in range(400) if k not in (5, 77, 78)]], [])
+    assert intake._live_motion.told()["response_nrmse"] < 1e-6
 
 
 def test_who_comes_in_the_middle_shows_the_rest(intake):
