@@ -20,7 +20,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
     ],
-    install_requires=["numpy", "scipy", "seft_msgs_py"],
+    install_requires=["numba", "numpy", "scipy", "seft_msgs_py"],
     extras_require={"test": ["hypothesis", "pytest"]},
     entry_points={"console_scripts": ["rig = seft_plant_sim.rig_node:main"]},
     zip_safe=False,

@@ -8,14 +8,11 @@ servo-hydraulic actuator is driven by its valve, so that the loop closes over th
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
-from seft_plant_sim.continuous_model import ContinuousModel
+from seft_plant_sim.continuous_model import ContinuousModel, with_springs
 from seft_plant_sim.hydraulics import Hydraulics
-from seft_plant_sim.nonlinearity import Nonlinearity, PistonAndValve, Springs
+from seft_plant_sim.piston import piston_rows
 from seft_plant_sim.specimen import Specimen
-
-Floats = npt.NDArray[np.float64]
 
 
 def delayed_force(specimen: Specimen, delay: float) -> ContinuousModel:
@@ -27,7 +24,7 @@ def delayed_force(specimen: Specimen, delay: float) -> ContinuousModel:
     a, b = specimen.state_matrices()
     c = np.vstack([np.eye(2 * n), a[n:], np.zeros((n, 2 * n))])
     d = np.vstack([np.zeros((2 * n, n)), b[n:], np.eye(n)])
-    return _with_springs(ContinuousModel(a, b, c, d, delay, "reference_force"), specimen)
+    return with_springs(ContinuousModel.linear(a, b, c, d, delay, "reference_force"), specimen)
 
 
 def servo_hydraulic(
@@ -59,21 +56,17 @@ def servo_hydraulic(
     """
     n = specimen.axes
     a_specimen, b_specimen = specimen.state_matrices()
+    by_force = b_specimen[n:]
     viscous = np.diag(hydraulics.viscous_friction)
-    a_specimen[n:, n:] -= b_specimen[n:] @ viscous
+    a_specimen[n:, n:] -= by_force @ viscous
     wv = 2 * np.pi * hydraulics.valve_frequency
     zero, one = np.zeros((n, n)), np.eye(n)
     oil = hydraulics.oil_stiffness
+    flow = np.diag(oil * hydraulics.flow_gain)
     a = np.block(
         [
             [a_specimen, b_specimen, np.zeros((2 * n, 2 * n))],
-            [
-                zero,
-                -np.diag(oil),
-                -np.diag(hydraulics.leakage),
-                np.diag(oil * hydraulics.flow_gain),
-                zero,
-            ],
+            [zero, -np.diag(oil), -np.diag(hydraulics.leakage), flow, zero],
             [zero, zero, zero, zero, one],
             [zero, zero, zero, -np.diag(wv**2), -np.diag(2 * hydraulics.valve_damping * wv)],
         ]
@@ -85,41 +78,15 @@ def servo_hydraulic(
     c[3 * n :, n : 2 * n] = -viscous
     c[3 * n :, 2 * n : 3 * n] = one
     d = np.zeros((4 * n, n))
-    model = ContinuousModel(a, b, c, d, hydraulics.dead_time, "valve_command")
+    model = ContinuousModel.linear(a, b, c, d, hydraulics.dead_time, "valve_command")
     if not linear:
-        # residuals: flow (as opening, V), then what holds the piston back (N)
-        inputs = np.zeros((5 * n, 2 * n))
-        inputs[n : 2 * n, n:] = -b_specimen[n:]
-        inputs[2 * n : 3 * n, :n] = np.diag(oil * hydraulics.flow_gain)
-        outputs = np.zeros((4 * n, 2 * n))
-        outputs[2 * n : 3 * n, n:] = -b_specimen[n:]
-        outputs[3 * n :, n:] = -one
-        piston = PistonAndValve(hydraulics, np.diag(specimen.mass))
-        limit = hydraulics.opening_limit
-        model = replace(model, nonlinearity=Nonlinearity(inputs, outputs, (piston,), limit))
-    return _with_springs(model, specimen)
-
-
-def _with_springs(model: ContinuousModel, specimen: Specimen) -> ContinuousModel:
-    """Add the springs' hysteresis to a model whose first states are x and v."""
-    p, n = len(specimen.springs), specimen.axes
-    if not p:
-        return model
-    size = len(model.a)
-    inputs = np.zeros((size + 2 * p, 3 * p))
-    outputs = np.zeros((4 * n, 3 * p))
-    acceleration = -np.linalg.solve(specimen.mass, specimen.deformation.T)
-    inputs[n : 2 * n, :p] = acceleration
-    outputs[2 * n : 3 * n, :p] = acceleration
-    inputs[size:, p:] = np.eye(2 * p)
-    springs = Nonlinearity(inputs, outputs, (Springs(specimen, first_state=size),))
-    a = np.pad(model.a, ((0, 2 * p), (0, 2 * p)))
-    a[size : size + p, n : 2 * n] = specimen.deformation  # as long as they are elastic
-    widened = replace(
-        model,
-        a=a,
-        b=np.pad(model.b, ((0, 2 * p), (0, 0))),
-        c=np.pad(model.c, ((0, 0), (0, 2 * p))),
-    )
-    known = model.nonlinearity
-    return replace(widened, nonlinearity=known.beside(springs) if known else springs)
+        model = replace(
+            model,
+            drive_limit=hydraulics.opening_limit,
+            pistons=piston_rows(hydraulics, np.diag(specimen.mass)),
+            inputs=np.block(
+                [[zero, zero], [zero, -by_force], [flow, zero], [zero, zero], [zero, zero]]
+            ),
+            outputs=np.block([[zero, zero], [zero, zero], [zero, -by_force], [zero, -one]]),
+        )
+    return with_springs(model, specimen)

@@ -134,13 +134,10 @@ def _springs(specimen: Specimen, path: Floats, per_sample: int) -> tuple[Floats,
     elastic, samples = specimen.stiffness.copy(), path[::per_sample]
     strain, hysteretic = np.zeros((2, len(samples)))
     for spring, row in zip(specimen.springs, specimen.deformation, strict=True):
-        e = path @ row
-        z = spring.follow(e)
         elastic -= spring.stiffness * np.outer(row, row)
-        strain += spring.strain_energy(e[::per_sample], z[::per_sample])
-        # (1 - a) k z is the hysteretic part's force; e - z, what it does not give back
-        middle = (1 - spring.hardening_ratio) * spring.stiffness * (z[1:] + z[:-1]) / 2
-        hysteretic += _so_far(middle * np.diff(e - z))[::per_sample]
+        _, stored, dissipated = spring.follow(path @ row)[:, ::per_sample]
+        strain += stored
+        hysteretic += dissipated
     return strain + _quadratic(elastic, samples), hysteretic
 
 

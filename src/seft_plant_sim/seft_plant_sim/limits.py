@@ -8,6 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.parameters import Parameter
 
+from seft_plant_sim.compiled import compiled
+
 Floats = npt.NDArray[np.float64]
 
 NAMES = ("displacement", "velocity", "acceleration", "force")
@@ -57,6 +59,35 @@ def limit_rows(default_from: str = "") -> list[Parameter]:
     return [replace(row, default_from=f"{default_from}:{row.name}") for row in rows]
 
 
+@compiled
+def exceeds(limits: Floats, step: int, last: Floats, measured: Floats, largest: Floats) -> bool:
+    """Say whether a sample breaks a limit; NaN breaks every limit.
+
+    Parameters
+    ----------
+    limits : ndarray
+        `Limits.values`, shape (8,).
+    step : int
+        Step of the sample; that of step 0 has none before it.
+    last, measured : ndarray
+        The sample before it, and the sample: displacement, velocity, acceleration and force,
+        shape (4, n).
+    largest : ndarray
+        Largest magnitudes so far, shape (8,): brought up to date.
+    """
+    broken = False
+    for row in range(4):
+        for i in range(measured.shape[1]):
+            size = abs(measured[row, i])
+            change = abs(measured[row, i] - last[row, i]) if step else 0.0
+            broken |= not (size <= limits[row] and change <= limits[4 + row])
+            if size > largest[row]:
+                largest[row] = size
+            if change > largest[4 + row]:
+                largest[4 + row] = change
+    return broken
+
+
 class Limits:
     """Largest magnitudes of a sample, and of its change since the sample before.
 
@@ -72,8 +103,10 @@ class Limits:
 
     Attributes
     ----------
-    limits : ndarray
-        Shape (8, 1): of the state, and of its change in a step.
+    values : ndarray
+        Shape (8,): of the state, and of its change in a step.
+    largest : ndarray
+        Shape (8,): the largest magnitudes since the reset, as `exceeds` keeps them.
     """
 
     def __init__(self, limits: Mapping[str, Any], axes: Sequence[str], dt: float) -> None:
@@ -81,57 +114,32 @@ class Limits:
         self._dt = dt
         values = [limits[name] for name in NAMES]
         values += [limits.get(f"{name}_rate", np.inf) * dt for name in NAMES]
-        self.limits = np.array(values, dtype=np.float64)[:, np.newaxis]
-        self._scale = np.repeat(1.0 / self.limits, len(self._axes), axis=1)
-        self._work = np.zeros_like(self._scale)
-        self._state, self._change = self._work[:4], self._work[4:]  # views
-        self._scaled = np.zeros_like(self._scale)
-        self._flat = self._scaled.ravel()  # a view
-        self._largest = np.zeros_like(self._scale)
-        self._is_first = True
+        self.values = np.array(values, dtype=np.float64)
+        self.largest = np.zeros(8)
 
-    def reset(self) -> None:
-        """Forget the test so far: the next sample has none before it."""
-        self._is_first = True
-        self._largest[:] = 0.0
-
-    def violation(self, state: Floats) -> str | None:
-        """Say which limit the next measured state breaks, if any; NaN breaks every limit.
+    def describe(self, measured: Floats, change: Floats) -> str:
+        """Say which limit a sample breaks.
 
         Parameters
         ----------
-        state : ndarray
-            Displacement, velocity, acceleration and force, shape (4, n).
+        measured, change : ndarray
+            Displacement, velocity, acceleration and force, and their change since the sample
+            before, shape (4, n).
 
         Returns
         -------
-        str or None
+        str
             One line with limit, value and axis.
         """
-        if self._is_first:
-            self._is_first = False
-            self._change[:] = 0.0
-        else:
-            np.subtract(state, self._state, self._change)
-        self._state[:] = state
-        np.multiply(self._work, self._scale, self._scaled)
-        if self._flat.dot(self._flat) < 0.99:  # well inside the ellipsoid, and so inside the box
-            return None
-        within = np.abs(self._work) <= self.limits
-        if within.all():
-            return None
-        row, column = np.argwhere(~within)[0]
+        found = np.vstack([measured, change])
+        row, column = np.argwhere(~(np.abs(found) <= self.values[:, np.newaxis]))[0]
         per = self._dt if row >= len(NAMES) else 1.0
         name, unit = ROWS[row].replace("_", " "), _ALL_UNITS[row]
         return (
-            f"{name} {self._work[row, column] / per:.5g} {unit} on axis {self._axes[column]} "
-            f"is beyond the limit of {self.limits[row, 0] / per:g} {unit}"
+            f"{name} {found[row, column] / per:.5g} {unit} on axis {self._axes[column]} "
+            f"is beyond the limit of {self.values[row] / per:g} {unit}"
         )
-
-    def note_margins(self) -> None:
-        """Take the last sample into `margins`; the loop offline, in a hurry, does without."""
-        np.fmax(self._largest, np.abs(self._scaled), self._largest)
 
     def margins(self) -> dict[str, float]:
         """Smallest distance to each limit since the reset, over the limit; 0 and below: broken."""
-        return dict(zip(ROWS, (1.0 - self._largest.max(axis=1)).tolist(), strict=True))
+        return dict(zip(ROWS, (1.0 - self.largest / self.values).tolist(), strict=True))

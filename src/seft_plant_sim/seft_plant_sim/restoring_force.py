@@ -1,68 +1,90 @@
-"""Restoring-force laws of a specimen's springs, in one place.
+"""Springs of a specimen: ours by their compiled laws, and those of other packages."""
 
-A spring of elastic stiffness k and hardening ratio a carries
-
-    s = a k e + (1 - a) k z
-
-where e is its deformation and z its hysteretic displacement, which follows e as long as the
-spring is elastic. What it stores is (a k e^2 + (1 - a) k z^2) / 2; the rest of the work done on
-it is dissipated. All laws are independent of the rate of loading.
-"""
-
+import ctypes
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
+from seft_plant_sim import spring_laws
+from seft_plant_sim.spring_laws import MEMORY, MOST_STEPS, STIFFNESS, WIDTH
+
 Floats = npt.NDArray[np.float64]
 
-PATH_STEP = 0.02  # of the yield displacement: longest step of a law along a given path
-MOST_STEPS = 20_000  # from one point of a path to the next: a jump beyond is followed roughly
+PATH_STEP = 0.02  # of the yield displacement: longest step of a law along a path
+_Memory = ctypes.c_double * MEMORY
+_Law = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_int64, ctypes.c_double)
 
 
-def bounded(z: float, limit: float) -> float:
-    """Bring ``z`` back between -limit and limit."""
-    return limit if z > limit else -limit if z < -limit else z
+@dataclass(frozen=True)
+class Spring:
+    """One spring.
 
+    Attributes
+    ----------
+    law : tuple of float
+        Row of `seft_plant_sim.spring_laws`.
+    own : _Called, optional
+        What the row refers to, of a law of another package.
+    """
 
-def spring_force(e: float, z: float, stiffness: float, hardening_ratio: float) -> float:
-    """Force s of a spring, N, at a deformation e and a hysteretic displacement z, both in m."""
-    return stiffness * (hardening_ratio * e + (1.0 - hardening_ratio) * z)
+    law: tuple[float, ...]
+    own: "_Called | None" = field(default=None, compare=False)
 
+    @classmethod
+    def of_law(cls, kind: int, stiffness: float, *numbers: float) -> "Spring":
+        """Make it of a kind, the elastic stiffness in N/m, and the columns that follow."""
+        row = (float(kind), stiffness, *numbers)
+        return cls(row + (0.0,) * (WIDTH - len(row)))
 
-def hysteretic_work_rate(z: float, velocity: float, hardening_ratio: float, z_y: float) -> float:
-    """Rate of the work on the hysteretic part in units of k z_y^2, see `HystereticSpring`."""
-    return (1.0 - hardening_ratio) * z * velocity / z_y**2
+    @classmethod
+    def of(cls, own: "HystereticSpring") -> "Spring":
+        """Make it of a law of another package."""
+        called, a = _Called(own), own.hardening_ratio
+        parts = (a * own.stiffness, (1.0 - a) * own.stiffness, own.yield_displacement)
+        made = cls.of_law(spring_laws.CALLED, own.stiffness, *parts, float(called.address))
+        return cls(made.law, called)
 
+    @property
+    def stiffness(self) -> float:
+        """Elastic stiffness, N/m."""
+        return self.law[STIFFNESS]
 
-def bouc_wen_rate(
-    z: float,
-    velocity: float,
-    work: float,
-    z_y: float,
-    limit: float,
-    exponent: float,
-    beta: float,
-    gamma: float,
-    amplitude_loss: float,
-    strength_loss: float,
-    stiffness_loss: float,
-) -> float:
-    """Rate of the hysteretic displacement, m/s, by the law of `BoucWenSpring`."""
-    amplitude = max(0.0, 1.0 - amplitude_loss * work)
-    strength = 1.0 + strength_loss * work
-    stiffness = 1.0 + stiffness_loss * work
-    power = abs(bounded(z, limit) / z_y) ** exponent
-    shape = gamma + (beta if z * velocity >= 0.0 else -beta)
-    return velocity * (amplitude - strength * power * shape) / stiffness
+    def follow(self, path: npt.ArrayLike) -> Floats:
+        """Follow a path of deformations, not loaded before it, straight between its points.
+
+        Parameters
+        ----------
+        path : array_like
+            Shape (N,), m.
+
+        Returns
+        -------
+        ndarray
+            Force (N), stored and dissipated energy (J) at each point, shape (3, N).
+        """
+        points = np.array(path, dtype=np.float64)
+        found = np.empty((3, len(points)))
+        spring_laws.follow(np.array([self.law]), np.zeros((1, MEMORY)), points, found)
+        self.check()
+        return found
+
+    def check(self) -> None:
+        """Raise what a law of another package has raised, if it has."""
+        if self.own is not None and self.own.raised is not None:
+            raise self.own.raised
 
 
 @dataclass(frozen=True)
 class HystereticSpring(ABC):
-    """One spring with hysteresis.
+    """A law of hysteresis of one's own.
+
+    The spring carries s = a k e + (1 - a) k z, where e is its deformation and z its hysteretic
+    displacement, which follows e as long as the spring is elastic. The law must be independent of
+    the rate of loading.
 
     Attributes
     ----------
@@ -92,54 +114,24 @@ class HystereticSpring(ABC):
             Work done on the hysteretic part so far, in units of k z_y^2, see `work_rate`.
         """
 
-    def trial_rate(self, z: float, velocity: float, work: float) -> float:
-        """Rate for an integrator that settles z after each step, see `rate`."""
-        return self.rate(z, velocity, work)
-
     def settle(self, z: float) -> float:
         """Bring z back to where the law allows it to be, after a step of an integrator."""
         return z
 
     def force(self, deformation: float, z: float) -> float:
         """Force, N, at a deformation and a hysteretic displacement, both in m."""
-        return spring_force(deformation, self.settle(z), self.stiffness, self.hardening_ratio)
+        a = self.hardening_ratio
+        return self.stiffness * (a * deformation + (1.0 - a) * self.settle(z))
 
     def work_rate(self, z: float, velocity: float) -> float:
         """Rate of the work on the hysteretic part, 1/s: (1 - a) z v / z_y^2 (Baber & Wen 1981)."""
-        return hysteretic_work_rate(z, velocity, self.hardening_ratio, self.yield_displacement)
+        return (1.0 - self.hardening_ratio) * z * velocity / self.yield_displacement**2
 
-    def strain_energy(self, deformation: Floats, z: Floats) -> Floats:
-        """Energy that can be had back, J; arrays of m."""
-        a = self.hardening_ratio
-        return 0.5 * self.stiffness * (a * deformation**2 + (1.0 - a) * z**2)
-
-    def follow(self, deformation: npt.ArrayLike) -> Floats:
-        """Hysteretic displacement along a path of deformation, straight between its points.
-
-        Parameters
-        ----------
-        deformation : array_like
-            Shape (N,), m. The spring has not been loaded before the first point.
-
-        Returns
-        -------
-        ndarray
-            z, shape (N,), m.
-        """
-        path = np.asarray(deformation, dtype=np.float64).tolist()
-        found, z, work, last = [], 0.0, 0.0, 0.0
-        for point in path:
-            z, work = self._advance(z, work, point - last)
-            last = point
-            found.append(z)
-        return np.array(found)
-
-    def _advance(self, z: float, work: float, change: float) -> tuple[float, float]:
+    def advance(self, z: float, work: float, change: float) -> tuple[float, float]:
         """Hysteretic displacement and work after a change of deformation (Runge-Kutta)."""
         wanted = abs(change) / (PATH_STEP * self.yield_displacement)
         steps = 1 + int(min(wanted, MOST_STEPS))
-        h = change / steps
-        sign = 1.0 if change > 0 else -1.0
+        h, sign = change / steps, math.copysign(1.0, change)
 
         def slopes(z: float, work: float) -> tuple[float, float]:
             return sign * self.rate(z, sign, work), sign * self.work_rate(z, sign)
@@ -154,81 +146,30 @@ class HystereticSpring(ABC):
         return z, work
 
 
-@dataclass(frozen=True)
-class BilinearSpring(HystereticSpring):
-    """Bilinear law with kinematic hardening: the hysteretic part is elastic, perfectly plastic."""
-
-    def rate(self, z: float, velocity: float, work: float) -> float:
-        """Rate of the hysteretic displacement, m/s; see `HystereticSpring.rate`."""
-        del work
-        limit = self.yield_displacement
-        yielding = (z >= limit and velocity > 0.0) or (z <= -limit and velocity < 0.0)
-        return 0.0 if yielding else velocity
-
-    def trial_rate(self, z: float, velocity: float, work: float) -> float:
-        """As if it did not yield: a step that ends beyond is brought back to the knee itself."""
-        del z, work
-        return velocity
-
-    def settle(self, z: float) -> float:
-        """Bring z back between the yield displacements."""
-        return bounded(z, self.yield_displacement)
-
-    def _advance(self, z: float, work: float, change: float) -> tuple[float, float]:
-        """Exactly: the law is elastic, then perfectly plastic."""
-        return self.settle(z + change), work  # the law does not depend on the work
-
-
-@dataclass(frozen=True)
-class BoucWenSpring(HystereticSpring):
-    """Bouc-Wen law (Wen 1976), with the degradation of Baber & Wen (1981) where wished for.
-
-    With v the rate of deformation and E the work on the hysteretic part::
-
-        z' = [A v - nu (beta |v| |z/z_y|^(n-1) z/z_y + gamma v |z/z_y|^n)] / eta
-        A = 1 - d_A E,  nu = 1 + d_nu E,  eta = 1 + d_eta E
-
-    beta + gamma = 1 makes z_y the largest hysteretic displacement of the spring as new.
+class _Called:
+    """A law of another package as a C function, which compiled code calls.
 
     Attributes
     ----------
-    exponent : float
-        n, sharpness of yielding; at least 1.
-    beta, gamma : float
-        Shape of unloading.
-    amplitude_loss, strength_loss, stiffness_loss : float
-        d_A, d_nu, d_eta, for E in units of k z_y^2.
+    address : int
+        Of the function; it is there as long as this object is.
+    raised : BaseException or None
+        What the law raised first: it can't go through compiled code, which gets NaN.
     """
 
-    exponent: float = 1.0
-    beta: float = 0.5
-    gamma: float = 0.5
-    amplitude_loss: float = 0.0
-    strength_loss: float = 0.0
-    stiffness_loss: float = 0.0
+    def __init__(self, law: HystereticSpring) -> None:
+        self._law = law
+        self._function: Callable[[int, float], float] = _Law(self._force)
+        self.address = ctypes.cast(self._function, ctypes.c_void_p).value or 0
+        self.raised: BaseException | None = None
 
-    @cached_property
-    def limit(self) -> float:
-        """Largest hysteretic displacement that the law leads to, m."""
-        shape = self.beta + self.gamma
-        return self.yield_displacement * shape ** (-1.0 / self.exponent) if shape > 0 else math.inf
-
-    def settle(self, z: float) -> float:
-        """Bring z back to the law's limit, where a step of an integrator was too long for it."""
-        return bounded(z, self.limit)
-
-    def rate(self, z: float, velocity: float, work: float) -> float:
-        """Rate of the hysteretic displacement, m/s; see `HystereticSpring.rate`."""
-        return bouc_wen_rate(
-            z,
-            velocity,
-            work,
-            self.yield_displacement,
-            self.limit,
-            self.exponent,
-            self.beta,
-            self.gamma,
-            self.amplitude_loss,
-            self.strength_loss,
-            self.stiffness_loss,
-        )
+    def _force(self, place: int, e: float) -> float:
+        memory = _Memory.from_address(place)
+        try:
+            change, memory[0] = e - memory[0], e
+            if change:
+                memory[1], memory[2] = self._law.advance(memory[1], memory[2], change)
+            return float(self._law.force(e, memory[1]))
+        except BaseException as error:
+            self.raised = self.raised or error
+            return math.nan

@@ -11,16 +11,18 @@ from seft_msgs_py.timebase import Timebase
 from seft_msgs_py.topics import VALVE_COMMAND
 
 from seft_plant_sim.actuator import delayed_force, servo_hydraulic
+from seft_plant_sim.compiled import entry_point
 from seft_plant_sim.continuous_model import ContinuousModel, Drive, with_low_pass
 from seft_plant_sim.hydraulics import Hydraulics
 from seft_plant_sim.limits import Limits
-from seft_plant_sim.plant import make_plant
+from seft_plant_sim.rig_step import BLIND, ENDS, LIMIT, move, rig_arrays, rig_step
 from seft_plant_sim.safe_stop import AT_REST, RESTS, Safe, Stopped
 from seft_plant_sim.saturated_time import SaturatedTime
 from seft_plant_sim.sensors import Sensors
 from seft_plant_sim.specimen import Specimen
 
 Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
 
 
 class Rig:
@@ -45,16 +47,14 @@ class Rig:
     ----------
     drive : str
         Topic that drives the actuator: ``valve_command`` or ``reference_force``.
-    limits : Limits
+    parameters, state : RigParameters, RigState
+        What `rig_step` takes, here and in a compiled loop.
+    sensors, limits : Sensors, Limits
         As given.
     step_index : int
         Step of the last sample.
     violation : str or None
         The limit that the last sample breaks; the test must end with that sample.
-    sample : ndarray
-        The true state at the last step, shape (4, n).
-    plant, sensors, saturated_time : Plant, Sensors, SaturatedTime
-        As given, the plant sampled.
     saturation : Saturation
         What has been at the end of its range since the reset: stroke, force capacity, valve,
         and the sensors' ranges.
@@ -70,15 +70,19 @@ class Rig:
         safe: Safe | None = None,
     ) -> None:
         self.drive: Drive = model.drive
-        self.plant = make_plant(model, dt)
         self.sensors = sensors
         self.limits = limits
-        self.saturated_time = saturated_time
+        self.parameters, self.state = rig_arrays(
+            model, sensors.channels, limits, saturated_time, dt
+        )
         self.step_index = 0
         self.violation: str | None = None
         self.saturation = Saturation()
-        self.sample: Floats = np.empty((4, 0))
-        self._safe = safe
+        self._model, self._saturated_time, self._safe = model, saturated_time, safe
+        self._command = np.zeros(model.b.shape[1])
+        noise, measured = np.zeros((2, *self.state.measured.shape))
+        arguments = (self.parameters, self.state, 0, self._command, noise, measured)
+        self._step = entry_point(rig_step, *arguments)
 
     @classmethod
     def from_parameters(
@@ -118,14 +122,15 @@ class Rig:
             Safe.from_parameters(group(section, "safe"), axes, dt).part(own.places),
         )
 
+    @property
+    def sample(self) -> Floats:
+        """The true state at the last step, shape (4, n)."""
+        return self.state.true.reshape(4, -1)
+
     def reset(self) -> Floats:
         """Bring the rig to rest and take the sample of step 0, shape (4, n)."""
-        self.step_index = 0
         self.saturation = Saturation()
-        self.sensors.reset()
-        self.limits.reset()
-        self.saturated_time.reset()
-        return self._measure(self.plant.reset())
+        return self._sample(0)
 
     def step(self, command: Floats) -> Floats:
         """Apply a command and take the next sample.
@@ -142,8 +147,8 @@ class Rig:
             Measured displacement (m), velocity (m/s), acceleration (m/s^2), force (N); shape
             (4, n).
         """
-        self.step_index += 1
-        return self._measure(self.plant.step(command))
+        self._command[:] = command
+        return self._sample(self.step_index + 1)
 
     def stop(self) -> Stopped:
         """Bring the valve to its safe position and follow the rig until it rests.
@@ -154,27 +159,48 @@ class Rig:
         """
         if self._safe is None:
             return Stopped(0, 0.0)
-        command = self._safe.command
-        if self.drive != VALVE_COMMAND.name:
-            command = np.zeros_like(command)
+        valve_driven = self.drive == VALVE_COMMAND.name
+        command = self._safe.command if valve_driven else np.zeros_like(self._command)
         steps, resting, peak = 0, 0, 0.0
         while steps < self._safe.longest and resting < RESTS:
-            self.sample = self.plant.step(command)
+            move(self.parameters, self.state, command)
             peak = max(peak, float(np.abs(self.sample[3]).max()))
             steps += 1
             resting = resting + 1 if np.abs(self.sample[1]).max() < AT_REST else 0
         return Stopped(steps, peak)
 
-    def _measure(self, state: Floats) -> Floats:
-        self.sample = state
-        measured = self.sensors.measure(self.step_index, state)
-        self.violation = self.limits.violation(measured)
-        step, blind, at_end = self.step_index, self.sensors.saturated, self.plant.saturated()
-        if blind and self.violation is None:
-            self.violation = self.saturated_time.violation(step, blind)
-        if blind or at_end:
-            self.saturation.add(step, blind + at_end)
+    def violation_of(self, found: int) -> str | None:
+        """Say why the test must end with the last sample, of which `rig_step` gave ``found``."""
+        if found & LIMIT:
+            return self.limits.describe(self.state.measured, self.state.change)
+        if found & BLIND:
+            names = [name for name, bit in ENDS.items() if found & bit and bit < 16]
+            return self._saturated_time.describe([name.replace("_range", "") for name in names])
+        return None
+
+    def _sample(self, step: int) -> Floats:
+        self.step_index = step
+        measured = np.empty_like(self.state.measured)
+        noise = self.sensors.noise_of(step)
+        found = self._step(self.parameters, self.state, step, self._command, noise, measured)
+        self.violation = None
+        if found:
+            for spring in self._model.springs:
+                spring.check()
+            self.violation = self.violation_of(found)
+            self.saturation.add(step, [name for name, bit in ENDS.items() if found & bit])
         return measured
+
+
+def saturation_of(found: Ints) -> Saturation:
+    """Count what was at the end of its range, of what `rig_step` gave by step, shape (N,)."""
+    saturation = Saturation()
+    for name, bit in ENDS.items():
+        steps = np.flatnonzero(found & bit)
+        if len(steps):
+            saturation.samples[name] = len(steps)
+            saturation.first_step[name] = int(steps[0])
+    return saturation
 
 
 def continuous_model(

@@ -133,7 +133,6 @@ class RigNode:
         state = self._rig.reset()
         for step in range(WARM_UP_STEPS):
             self._state_codec.decode(self._state_codec.encode(step, state))
-            self._rig.limits.note_margins()
             state = self._rig.step(self._drive.value)
 
     def _run_test(self, steps: int) -> None:
@@ -308,7 +307,6 @@ class RigNode:
     def _publish(self, step: int, state: Floats) -> bool:
         """Publish a sample; False if it is no number, which no message may carry."""
         self._valve.current = self._drive.current = step
-        self._rig.limits.note_margins()
         try:
             raw = self._state_codec.encode(step, state)
         except WireError:

@@ -3,6 +3,13 @@
 from collections import deque
 from collections.abc import Sequence
 
+import numpy as np
+import numpy.typing as npt
+
+from seft_plant_sim.compiled import compiled
+
+Ints = npt.NDArray[np.int64]
+
 
 class TimeWithinSecond:
     """Steps of the last second at which something was so, against the longest time allowed.
@@ -38,8 +45,25 @@ class TimeWithinSecond:
         return len(steps) > self.allowed
 
 
+@compiled
+def is_exceeded(times: Ints, count: int, step: int, window: int) -> bool:
+    """Count a step at which something is so, as `TimeWithinSecond` does.
+
+    Parameters
+    ----------
+    times : ndarray
+        The last of such steps in turn, shape (allowed + 1,): brought up to date.
+    count : int
+        How many there have been before.
+    step, window : int
+        The step, and the steps of a second.
+    """
+    times[count % len(times)] = step
+    return count + 1 >= len(times) and times[(count + 1) % len(times)] > step - window
+
+
 class SaturatedTime:
-    """How long sensors have been at the end of their range within the last second.
+    """How long sensors may be at the end of their range within the last second.
 
     Parameters
     ----------
@@ -50,38 +74,22 @@ class SaturatedTime:
 
     Attributes
     ----------
-    time : TimeWithinSecond
-        Counts it.
+    window : int
+        Steps of a second.
     """
 
     def __init__(self, longest: float, dt: float) -> None:
         self._longest = longest
-        self.time = TimeWithinSecond(longest, dt)
+        self._allowed = int(longest / dt * (1 + 1e-9))
+        self.window = round(1.0 / dt)
 
-    def reset(self) -> None:
-        """Forget the test so far."""
-        self.time.reset()
-
-    def violation(self, step: int, sensors: Sequence[str]) -> str | None:
-        """Say whether sensors have been blind for too long.
-
-        Parameters
-        ----------
-        step : int
-            Step of the sample.
-        sensors : sequence of str
-            Which are at the end of their range, one at least.
-
-        Returns
-        -------
-        str or None
-            One line with the sensors and the time.
-        """
-        return self.describe(sensors) if self.time.is_exceeded(step) else None
+    def times(self) -> Ints:
+        """Room for the steps that `is_exceeded` counts."""
+        return np.zeros(min(self._allowed, self.window) + 1, dtype=np.int64)
 
     def describe(self, sensors: Sequence[str]) -> str:
         """Say that sensors, one at least, have been blind for too long."""
-        names = " and ".join(sorted(set(sensors))).replace("_range", "")
+        names = " and ".join(sorted(sensors))
         return (
             f"{names} at the end of the sensor's range for more than {self._longest:g} s within "
             "one second: the test is blind"

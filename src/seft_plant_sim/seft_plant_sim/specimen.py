@@ -13,7 +13,8 @@ from seft_msgs_py.parameters import group
 from seft_msgs_py.registered import Registered
 from seft_msgs_py.rigs import RigAxes
 
-from seft_plant_sim.restoring_force import BilinearSpring, BoucWenSpring, HystereticSpring
+from seft_plant_sim.restoring_force import HystereticSpring, Spring
+from seft_plant_sim.spring_laws import BOUC_WEN, SLIDER
 
 Floats = npt.NDArray[np.float64]
 
@@ -36,7 +37,7 @@ class Specimen:
     ----------
     mass, damping, stiffness : ndarray
         M, C and K, shape (n, n), in kg, N s/m and N/m.
-    springs : tuple of HystereticSpring
+    springs : tuple of Spring
         p of them; none: the specimen is linear.
     deformation : ndarray
         D, shape (p, n): deformation of each spring per displacement of each axis.
@@ -45,7 +46,7 @@ class Specimen:
     mass: Floats
     damping: Floats
     stiffness: Floats
-    springs: tuple[HystereticSpring, ...] = ()
+    springs: tuple[Spring, ...] = ()
     deformation: Floats = field(default_factory=lambda: np.zeros((0, 0)))
 
     @classmethod
@@ -139,25 +140,31 @@ class Specimen:
 
 def _spring(
     kind: str, section: dict[str, Any], where: str, values: tuple[float, float, float]
-) -> HystereticSpring:
+) -> Spring:
     """One spring of a stiffness, a yield displacement and a hardening ratio."""
     if kind in KINDS:
-        spring = KINDS.make(kind, section.get("settings", ""), f"{where}.kind", *values)
-        if not isinstance(spring, HystereticSpring):
+        made = KINDS.make(kind, section.get("settings", ""), f"{where}.kind", *values)
+        if not isinstance(made, HystereticSpring):
             raise InputError(
-                f"{where}.kind is {kind}, but it makes a {type(spring).__name__}; it must be "
+                f"{where}.kind is {kind}, but it makes a {type(made).__name__}; it must be "
                 "a seft_plant_sim.restoring_force.HystereticSpring"
             )
-        return spring
+        return Spring.of(made)
+    stiffness, z_y, a = values
+    parts = (a * stiffness, (1.0 - a) * stiffness, z_y)
     if kind == "bilinear":
-        return BilinearSpring(*values)
+        return Spring.of_law(SLIDER, stiffness, *parts, -z_y)
     shape = group(section, "bouc_wen")
-    if shape and shape["beta"] + shape["gamma"] <= 0.0:
+    total = shape["beta"] + shape["gamma"]
+    if total <= 0.0:
         raise InputError(
             f"{where}.bouc_wen: beta {shape['beta']} and gamma {shape['gamma']} must add up "
             "to more than 0, or the spring never yields"
         )
-    return BoucWenSpring(*values, **shape)
+    limit = z_y * total ** (-1.0 / shape["exponent"])
+    names = ("exponent", "beta", "gamma", "amplitude_loss", "strength_loss", "stiffness_loss")
+    own = (shape[name] for name in names)
+    return Spring.of_law(BOUC_WEN, stiffness, *parts, limit, *own)
 
 
 def deformations(value: float | Sequence[float], axes: Sequence[str], where: str) -> Floats:

@@ -11,8 +11,7 @@ from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.parameters import group
 
 from seft_plant_sim.computed_substructure import ComputedSubstructure
-from seft_plant_sim.first_order_hold import first_order_hold
-from seft_plant_sim.hysteretic_response import hysteretic_response
+from seft_plant_sim.response import response
 from seft_plant_sim.specimen import Specimen
 
 Floats = npt.NDArray[np.float64]
@@ -56,16 +55,14 @@ def reference_response(experiment: Experiment, ground_motion: Floats) -> Referen
     n, whole = specimen.axes, WholeStructure.of_test(specimen, section, experiment.axes)
     structure, computed = whole.structure, whole.computed
     motion = whole.motion(ground_motion)
-    respond = hysteretic_response if specimen.springs else _linear_response
-    displacement, velocity, elastic = respond(structure, motion, experiment.timebase.dt)
-    restoring = elastic + velocity @ structure.damping.T
-    acceleration = -motion - np.linalg.solve(structure.mass, restoring.T).T
+    x, v, a, r = response(structure, motion, experiment.timebase.dt)
     if section["method"] == "eft":
         force = -motion @ structure.mass.T
     else:
-        own = restoring - displacement @ computed.stiffness.T - velocity @ computed.damping.T
-        force = acceleration[:, :n] @ specimen.mass.T + own[:, :n]
-    return ReferenceResponse(displacement[:, :n], velocity[:, :n], acceleration[:, :n], force)
+        # f = M_e a + C v + r(x) of the specimen alone
+        own = r - x @ computed.stiffness.T + v @ (structure.damping - computed.damping).T
+        force = a[:, :n] @ specimen.mass.T + own[:, :n]
+    return ReferenceResponse(x[:, :n], v[:, :n], a[:, :n], force)
 
 
 @dataclass(frozen=True)
@@ -140,57 +137,3 @@ def tested_specimen(experiment: Experiment) -> Specimen:
     else:
         source, where = group(experiment["reference_force"], "model"), "reference_force: model"
     return Specimen.from_parameters(source, experiment.axes, where)
-
-
-def _linear_response(
-    structure: Specimen, ground_motion: Floats, dt: float
-) -> tuple[Floats, Floats, Floats]:
-    """Displacement, velocity and force of the springs under ground motion, from rest.
-
-    Exact where the motion is linear between samples.
-    """
-    n = structure.axes
-    free, start, change = sampled_motion(structure, dt)
-    states = np.zeros((len(ground_motion), 2 * n))
-    states[1:] = ground_motion[:-1] @ start.T
-    states[1:] += np.diff(ground_motion, axis=0) @ change.T
-    _recur(free, states)
-    displacement, velocity = states[:, :n], states[:, n:]
-    return displacement, velocity, displacement @ structure.stiffness.T
-
-
-def sampled_motion(structure: Specimen, dt: float) -> tuple[Floats, Floats, Floats]:
-    """Take a linear structure's motion over one step, see `first_order_hold`.
-
-    Returns
-    -------
-    free, start, change : ndarray
-        Shapes (2n, 2n), (2n, n), (2n, n): the next (x, v) is free (x, v) + start a_g + change
-        (next a_g - a_g).
-    """
-    a, b = structure.state_matrices()
-    return first_order_hold(a, b @ -structure.mass, dt)
-
-
-def _recur(free: Floats, states: Floats) -> None:
-    """Solve s[k] = F s[k - 1] + d[k] for k from 1 on, in place of d; s[0] is given.
-
-    A step of all pieces of a record at a time, twice: first from rest, for the states in which
-    the pieces start, and then from these.
-    """
-    length = max(1, round(np.sqrt(len(states))))
-    pieces = (len(states) - 1) // length
-    driven = states[1 : 1 + pieces * length].reshape(pieces, length, len(free))
-    ends = np.zeros((pieces, len(free)))
-    for step in range(length):
-        ends = ends @ free.T + driven[:, step]
-    through = np.linalg.matrix_power(free, length)
-    state, starts = states[0], np.empty_like(ends)
-    for piece in range(pieces):
-        starts[piece] = state
-        state = through @ state + ends[piece]
-    for step in range(length):
-        starts = starts @ free.T + driven[:, step]
-        driven[:, step] = starts
-    for step in range(1 + pieces * length, len(states)):
-        states[step] += free @ states[step - 1]

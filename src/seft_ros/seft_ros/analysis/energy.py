@@ -3,7 +3,7 @@
 import numpy as np
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.topics import RIG_STATE
-from seft_plant_sim.dead_time import DeadTime
+from seft_plant_sim.dead_time import split_dead_time
 from seft_plant_sim.energy import EnergyBalance, energy_balance
 from seft_plant_sim.whole_structure import tested_specimen
 
@@ -60,5 +60,5 @@ def _held(experiment: Experiment) -> float | None:
         return None
     delay = rig["actuator.delay"] if rig["actuator.kind"] == "delay" else 0.0
     dt = experiment.timebase.dt
-    part = DeadTime(delay, dt, len(experiment.axes)).part
+    _, part = split_dead_time(delay, dt)
     return part / dt if part else 1.0

@@ -1,20 +1,13 @@
 """The loop's steps as machine code, kept on disk from one use to the next."""
 
-import hashlib
-import os
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import numba
-from seft_plant_sim import nonlinearity, restoring_force
+from seft_plant_sim.compiled import code_folder, numba
 
-from seft_ros.ensemble import loop_steps, rig_step
-from seft_ros.interlock import instability, ramp_down
-
-_SOURCES = (loop_steps, rig_step, nonlinearity, restoring_force, instability, ramp_down)
-"""Modules whose text is in the machine code: another text, another code."""
+from seft_ros.ensemble import loop_steps
 
 
 @lru_cache(maxsize=1)
@@ -23,17 +16,15 @@ def compiled_run() -> Callable[..., tuple[int, int, int, int, int]]:
 
     It holds no lock of the interpreter, so that threads run tests side by side.
     """
-    text = b"".join(Path(str(module.__file__)).read_bytes() for module in _SOURCES)
-    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    # numba itself looks at the file of the function alone, not at what that calls
-    place = Path(home) / "seft" / hashlib.sha256(text).hexdigest()[:16]
-    numba.config.CACHE_DIR = str(place)  # type: ignore[attr-defined]
+    known = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(code_folder(Path(__file__).parent))
     found: Callable[..., tuple[int, int, int, int, int]] = _compile(loop_steps.run)
+    numba.config.CACHE_DIR = known
     return found
 
 
 def _compile(function: Callable[..., Any]) -> Any:
     try:
-        return numba.njit(nogil=True, cache=True, **rig_step.OPTIONS)(function)
+        return numba.njit(nogil=True, cache=True, **loop_steps.OPTIONS)(function)
     except RuntimeError:  # nowhere to be kept
-        return numba.njit(nogil=True, **rig_step.OPTIONS)(function)
+        return numba.njit(nogil=True, **loop_steps.OPTIONS)(function)

@@ -4,14 +4,14 @@ The order of the steps, and of the layers of the interlock within each, is that 
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 from numba.extending import register_jitable
+from seft_plant_sim.rig_step import BLIND, LIMIT, RigParameters, RigState, rig_step
 
-from seft_ros.ensemble.rig_step import OPTIONS, PlantArrays, integrate, multiply
 from seft_ros.interlock import instability, ramp_down
 
 Floats = npt.NDArray[np.float64]
@@ -20,48 +20,13 @@ Ints = npt.NDArray[np.int64]
 time_above = register_jitable(instability.time_above)
 ramp_factor = register_jitable(ramp_down.ramp_factor)
 
-STROKE, FORCE_CAPACITY, VALVE = 16, 32, 64
-"""Bits of what is at the end of its range; the first four are the sensors' channels."""
+OPTIONS: dict[str, Any] = {"fastmath": {"reassoc", "contract"}, "error_model": "numpy"}
+"""Sums of the loop but not of the rig may be taken in any order: that makes them fast."""
 NOTHING = 0
-LIMIT, BLIND = 1, 2
-"""What the rig trips by."""
 NONSENSE, SATURATION = 1, 2
 """What the force controller trips by."""
 FORCE, STATE, INSTABILITY = 1, 2, 3
 """What the reference force comes down by."""
-
-
-class SensorArrays(NamedTuple):
-    """Sensors of n axes over N steps, and what of them trips the rig.
-
-    Attributes
-    ----------
-    noise : ndarray
-        Shape (N, 4, n).
-    bias, range, resolution, per_resolution : ndarray
-        Shape (4, n), see `Channels`; ``per_resolution`` is 1 / resolution.
-    converts, derives : bool
-        Whether there are converters, and whether the velocity is derived.
-    pole, gain : float
-        Of the `Differentiator`.
-    limits : ndarray
-        `Limits.limits`, shape (8,).
-    allowed, window : int
-        Of the `SaturatedTime`.
-    """
-
-    noise: Floats
-    bias: Floats
-    range: Floats
-    resolution: Floats
-    per_resolution: Floats
-    converts: bool
-    derives: bool
-    pole: float
-    gain: float
-    limits: Floats
-    allowed: int
-    window: int
 
 
 class ForceArrays(NamedTuple):
@@ -120,7 +85,7 @@ class Course(NamedTuple):
     states, forces, commands : ndarray
         Shapes (N, 4, n), (N, n), (N, n).
     flags : ndarray
-        What is at the end of its range, as bits, shape (N,).
+        What `rig_step` gave, shape (N,).
     odd_force : ndarray
         The first force that was not plausible, shape (n,).
     squares : ndarray
@@ -135,42 +100,12 @@ class Course(NamedTuple):
     squares: Floats
 
 
-def _measure(
-    sensors: SensorArrays, step: int, true: Floats, before: Floats, measured: Floats
-) -> int:
-    """`Sensors.measure` of (4n,) values; ``before`` is the last sample. Gives the bits."""
-    flags = 0
-    n = sensors.bias.shape[1]
-    for row in range(4):
-        for i in range(n):
-            value = true[row * n + i] + sensors.noise[step, row, i] + sensors.bias[row, i]
-            limit = sensors.range[row, i]
-            if sensors.converts:
-                value *= sensors.per_resolution[row, i]
-                limit *= sensors.per_resolution[row, i]
-            if abs(value) >= limit:
-                flags |= 1 << row
-                value = limit if value > 0 else -limit
-            if sensors.converts:
-                value = np.rint(value) * sensors.resolution[row, i]
-            measured[row, i] = value
-    if sensors.derives:
-        for i in range(n):
-            v = 0.0
-            if step:
-                change = measured[0, i] - before[0, i]
-                v = sensors.pole * before[1, i] + sensors.gain * change
-            measured[1, i] = v
-    return flags
-
-
-def _breaks_limit(limits: Floats, step: int, before: Floats, measured: Floats) -> bool:
-    for row in range(4):
-        for i in range(measured.shape[1]):
-            change = measured[row, i] - before[row, i] if step else 0.0
-            if not (abs(measured[row, i]) <= limits[row] and abs(change) <= limits[4 + row]):
-                return True
-    return False
+def _multiply(matrix: Floats, vector: Floats, result: Floats) -> None:
+    for row in range(matrix.shape[0]):
+        total = 0.0
+        for column in range(matrix.shape[1]):
+            total += matrix[row, column] * vector[column]
+        result[row] = total
 
 
 def _watch(
@@ -201,8 +136,8 @@ def _exceeds(times: Ints, count: int, window: int, allowed: int) -> bool:
 
 
 def run(
-    plant: PlantArrays, sensors: SensorArrays, force: ForceArrays, control: ControlArrays,
-    course: Course,
+    parameters: RigParameters, state: RigState, noise: Floats, force: ForceArrays,
+    control: ControlArrays, course: Course,
 ) -> tuple[int, int, int, int, int]:  # fmt: skip
     """Run a test.
 
@@ -215,14 +150,7 @@ def run(
         step the last of them began to.
     """
     total, n = course.forces.shape
-    linear = len(plant.linear) > 0
-    size = plant.linear.shape[0] - 4 * n if linear else len(plant.predict[0])
-    rig_work = np.zeros(plant.linear.shape[1] if linear else plant.predict[0].shape[1])
-    rig_result, z = np.zeros(size + 4 * n), np.zeros(size)
-    residuals = np.zeros(plant.correct[0].shape[1])
-    true = np.zeros(4 * n)
-    line = plant.whole + 2
-    drives = np.zeros((total + line, n))  # of every step, after those from before the test
+    command = np.zeros(n)
     force_work = np.zeros(force.matrix.shape[1])
     force_result = np.zeros(force.matrix.shape[0])
     filter_states = len(force_result) - n
@@ -231,32 +159,16 @@ def run(
     watch_work, watch_result = np.zeros(len(force.watch)), np.zeros(len(force.watch))
     course.squares[:2] = 0.0
     course.squares[2] = force.least
-    blind_at, limited_at = np.zeros(total, np.int64), np.zeros(total, np.int64)
-    blind_count = limited_count = 0
+    limited_at = np.zeros(total, np.int64)
+    limited_count = 0
     plausible, drive = np.zeros(n), np.zeros(n)
     above, holding, taken = 0.0, False, 0
     violation = interlock = cause = cause_step = NOTHING
     step = 0
     while True:
         measured = course.states[step]
-        before = course.states[step - 1] if step else measured
-        # ---- the rig measures
-        flags = measure(sensors, step, true, before, measured)
-        if breaks_limit(sensors.limits, step, before, measured):
-            violation = LIMIT
-        elif flags:
-            blind_at[blind_count] = step
-            blind_count += 1
-            if exceeds(blind_at, blind_count, sensors.window, sensors.allowed):
-                violation = BLIND
-        for i in range(len(plant.piston)):
-            if abs(rig_work[i]) >= plant.piston[i, 2]:
-                flags |= STROKE
-            if abs(rig_work[2 * n + i]) >= plant.piston[i, 1]:
-                flags |= FORCE_CAPACITY
-            if abs(rig_work[3 * n + i]) >= plant.piston[i, 0]:
-                flags |= VALVE
-        course.flags[step] = flags
+        course.flags[step] = rig_step(parameters, state, step, command, noise[step], measured)
+        violation = course.flags[step] & (LIMIT | BLIND)
         # ---- reference force
         for row in range(4):
             for i in range(n):
@@ -333,29 +245,10 @@ def run(
         step += 1
         if step == total or violation or interlock or taken >= force.ramp_steps:
             return step, violation, interlock, cause, cause_step
-        # ---- the rig moves
         for i in range(n):
-            value, limit = drive[i] if control.drives_valve else asked[i], plant.drive_limit[i]
-            drives[line + step - 1, i] = min(max(value, -limit), limit)
-        first, now = drives[step - 1], drives[step + 1]
-        if plant.part:
-            now = drives[step]
-        if linear:
-            for i in range(n):
-                rig_work[size + i] = first[i]
-                rig_work[size + n + i] = drives[step, i]
-                rig_work[size + 2 * n + i] = now[i]
-            multiply(plant.linear, rig_work, rig_result)
-            rig_work[:size] = rig_result[:size]
-            true[:] = rig_result[size:]
-        else:
-            integrate(plant, n, drives, step - 1, rig_work, z, residuals)
-            for i in range(n):
-                rig_work[size + i] = now[i]
-            multiply(plant.output, rig_work, true)
+            command[i] = drive[i] if control.drives_valve else asked[i]
 
 
-measure = njit(forceinline=True, **OPTIONS)(_measure)
-breaks_limit = njit(forceinline=True, **OPTIONS)(_breaks_limit)
+multiply = njit(forceinline=True, **OPTIONS)(_multiply)
 watch = njit(forceinline=True, **OPTIONS)(_watch)
 exceeds = njit(forceinline=True, **OPTIONS)(_exceeds)

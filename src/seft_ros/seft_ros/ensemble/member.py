@@ -9,32 +9,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.outcome import Saturation
 from seft_msgs_py.parameters import Section
-from seft_plant_sim.rig import Rig
-from seft_plant_sim.sensors import CHANNELS
+from seft_plant_sim.rig import Rig, saturation_of
 
 from seft_ros.ensemble.arrays import (
     NotLinearError,
     control_arrays,
     force_arrays,
-    plant_arrays,
-    sensor_arrays,
 )
 from seft_ros.ensemble.compiler import compiled_run
-from seft_ros.ensemble.loop_steps import (
-    BLIND,
-    FORCE,
-    FORCE_CAPACITY,
-    INSTABILITY,
-    LIMIT,
-    NONSENSE,
-    STATE,
-    STROKE,
-    VALVE,
-    Course,
-    ForceArrays,
-)
+from seft_ros.ensemble.loop_steps import FORCE, INSTABILITY, NONSENSE, STATE, Course, ForceArrays
 from seft_ros.experiment.blocks import check_lead
 from seft_ros.experiment.offline import loop_series, trip_of
 from seft_ros.force_controller.interlock import Interlock
@@ -46,9 +30,6 @@ from seft_ros.recording.environment import describe_environment
 from seft_ros.recording.record import Record
 
 Floats = npt.NDArray[np.float64]
-
-_ENDS = [*((1 << row, f"{name}_range") for row, name in enumerate(CHANNELS))]
-_ENDS += [(STROKE, "stroke"), (FORCE_CAPACITY, "force_capacity"), (VALVE, "valve")]
 
 
 @dataclass(frozen=True)
@@ -95,17 +76,17 @@ class Workshop:
             np.zeros(n),
             np.empty((3, n)),
         )
-        ran, violation, stopped, cause, begun = self._run(
-            plant_arrays(rig),
-            sensor_arrays(rig, steps),
+        ran, _, stopped, cause, begun = self._run(
+            rig.parameters,
+            rig.state,
+            rig.sensors.noise(steps),
             loop.force_arrays,
             control_arrays(loop.interlock, rig),
             course,
         )
         last = ran - 1
         trip = trip_of(
-            _violation(rig, course, last, violation)
-            or _stop(loop.interlock, course, last, stopped),
+            rig.violation_of(int(course.flags[last])) or _stop(loop.interlock, course, last, stopped),
             _cause(loop.force, course, begun, cause),
             last,
             begun,
@@ -120,7 +101,7 @@ class Workshop:
                 course.commands[:ran],
             ),
             trip=trip,
-            saturation=_saturation(course.flags[:ran]),
+            saturation=saturation_of(course.flags[:ran]),
             environment=self._environment(),
         )
 
@@ -133,9 +114,7 @@ class Workshop:
             As `run`.
         """
         try:
-            rig = _rig(experiment)
-            plant_arrays(rig)
-            control_arrays(self.loop(experiment).interlock, rig)
+            control_arrays(self.loop(experiment).interlock, _rig(experiment))
         except NotLinearError as error:
             return str(error)
         return ""
@@ -183,20 +162,6 @@ def _key(section: Section) -> str:
     return repr(sorted(section.items()))
 
 
-def _violation(rig: Rig, course: Course, last: int, violation: int) -> str | None:
-    """Let the rig's own blocks say what it tripped by."""
-    if violation == LIMIT:
-        rig.limits.reset()
-        if last:
-            rig.limits.violation(course.states[last - 1])
-        return rig.limits.violation(course.states[last])
-    if violation == BLIND:
-        return rig.saturated_time.describe(
-            [f"{name}_range" for row, name in enumerate(CHANNELS) if course.flags[last] >> row & 1]
-        )
-    return None
-
-
 def _stop(interlock: Interlock, course: Course, last: int, stopped: int) -> str | None:
     """Let the force controller's interlock say what it tripped by."""
     if not stopped:
@@ -221,13 +186,3 @@ def _cause(force: ProtectedForce, course: Course, begun: int, cause: int) -> str
         assert isinstance(watch, InstabilityWatch)
         return watch.fault(course.squares[1].tolist(), course.squares[2].tolist())
     return None
-
-
-def _saturation(flags: npt.NDArray[np.int64]) -> Saturation:
-    found = Saturation()
-    if flags.any():
-        for bit, name in _ENDS:
-            steps = np.flatnonzero(flags & bit)
-            if len(steps):
-                found.samples[name], found.first_step[name] = len(steps), int(steps[0])
-    return found

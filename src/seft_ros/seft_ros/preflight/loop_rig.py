@@ -119,7 +119,7 @@ def _simulated(section: dict[str, Any], experiment: Experiment) -> LoopRig:
         model.drive,
         tested_specimen(experiment),
         section["sensors.velocity_cutoff"] if derived else None,
-        model.nonlinearity is not None,
+        not model.is_linear,
     )
 
 

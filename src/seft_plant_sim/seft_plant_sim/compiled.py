@@ -1,0 +1,63 @@
+"""Machine code of the steps, kept on disk from one use to the next."""
+
+import hashlib
+import os
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numba as typed_numba
+
+numba: Any = typed_numba  # older ones have no types
+OPTIONS = {"error_model": "numpy", "forceinline": True, "_nrt": False}
+
+
+def compiled[F: Callable[..., Any]](function: F, *, nogil: bool = False) -> F:
+    """Compile a function of arrays and numbers at its first call, or read it from the disk.
+
+    No operation is reordered or fused, so that the function gives the same bits wherever it is
+    called from. It can't make arrays: counting who holds them takes longer than a step. Where the
+    disk can't be written to, it is compiled anew in each process.
+
+    Parameters
+    ----------
+    function : callable
+        The function.
+    nogil : bool
+        Whether it lets go of the interpreter's lock when Python calls it.
+    """
+    # numba looks at the file of a function alone, not at what that calls: another text of the
+    # package, another place
+    place, known = code_folder(Path(function.__code__.co_filename).parent), numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(place)
+    try:
+        return numba.njit(cache=True, nogil=nogil, **OPTIONS)(function)
+    except RuntimeError:
+        return numba.njit(nogil=nogil, **OPTIONS)(function)
+    finally:
+        numba.config.CACHE_DIR = known
+
+
+def entry_point(function: Any, *arguments: Any) -> Callable[..., Any]:
+    """Give the machine code of a compiled function for arguments of these types.
+
+    Called directly, it does without numba's look at each argument's type, which takes longer than
+    a step does. It trusts its arguments to be of the same types, arrays to be contiguous.
+    """
+    signature = tuple(numba.typeof(argument) for argument in arguments)
+    function.compile(signature)
+    return function.overloads[signature].entry_point
+
+
+@lru_cache
+def code_folder(folder: Path) -> Path:
+    """Where the machine code of a folder's package is kept, which may use this package's too."""
+    while (folder.parent / "__init__.py").exists():
+        folder = folder.parent
+    texts = hashlib.sha256()
+    for package in {folder, Path(__file__).parent}:
+        for file in sorted(package.rglob("*.py")):
+            texts.update(file.read_bytes())
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return home / "seft" / texts.hexdigest()[:16]
