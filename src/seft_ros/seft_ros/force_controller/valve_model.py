@@ -1,0 +1,105 @@
+"""A servo-valve from the held command to its flow: its response, its inverse, what is under way."""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+
+INVERTED_TO = 0.85
+"""Highest frequency that is inverted, over the valve's own: what is above costs too much drive."""
+LEAST_SAMPLES = 4.0
+"""Samples in a cycle of the highest frequency that is inverted."""
+OUTSIDE_WEIGHT, GAIN_WEIGHT = 0.02, 1e-4
+"""Weights of errors beyond that frequency, and of the inverse's own size, in least squares."""
+SPAN = 4.0
+"""Length of the inverse over the mean delay from command to flow: beyond, it has died out."""
+SETTLED = 1e-3
+"""Part of a command's flow that may be neglected."""
+
+
+class ValveModel:
+    """Second-order valve with dead time, driven by commands that are held for a period.
+
+    A command that answers the sample of step k is held from step k + 1 on.
+
+    Parameters
+    ----------
+    frequency, damping : float
+        Of the valve, Hz and damping ratio.
+    dead_time : float
+        s.
+    dt : float
+        Sampling period, s.
+
+    Attributes
+    ----------
+    delay : float
+        Mean delay from a sample to the flow of the command that answers it, s.
+    """
+
+    def __init__(self, frequency: float, damping: float, dead_time: float, dt: float) -> None:
+        self._w, self._zeta = 2 * math.pi * frequency, damping
+        self._late, self._dt = dead_time + dt, dt
+        self.delay = self._late + dt / 2 + 2 * damping / self._w
+        self._highest = min(INVERTED_TO * frequency, 1 / (LEAST_SAMPLES * dt))
+        decay = min(damping, 1 / damping) * self._w  # of the slower part
+        self.memory = math.ceil((self._late + dt - math.log(SETTLED) / decay) / dt)
+
+    def flow(self, time: Floats) -> Floats:
+        """Flow per command at times after the sample that it answers, s; without dimension."""
+        return self._after(time - self._late) - self._after(time - self._late - self._dt)
+
+    def volume(self, time: Floats) -> Floats:
+        """Integral of `flow` until then, s."""
+        late = time - self._late
+        return self._after(late, integrated=True) - self._after(
+            late - self._dt, integrated=True
+        )
+
+    def _after(self, time: Floats, integrated: bool = False) -> Floats:
+        """Response of the valve to a step, or its integral."""
+        t, w, zeta = np.maximum(time, 0.0), self._w, self._zeta
+        root = np.emath.sqrt(zeta * zeta - 1.0 + 0j) * w
+        root = root if abs(root) > 1e-6 * w else 1e-6 * w + 0j
+        poles = -zeta * w + root, -zeta * w - root
+        first, second = poles[1] / (poles[0] - poles[1]), -poles[0] / (poles[0] - poles[1])
+        parts = (first, poles[0]), (second, poles[1])
+        if integrated:
+            result = t + sum(c / p * (np.exp(p * t) - 1.0) for c, p in parts)
+        else:
+            result = 1.0 + sum(c * np.exp(p * t) for c, p in parts)
+        return np.where(time > 0, result.real, 0.0)
+
+    def inverse(self, taps: int) -> Floats:
+        """Weights h of the coming flows, so that sum_j h_j flow[k + j] makes this flow; (taps,).
+
+        By least squares over frequency, regularised: a delay has no causal inverse, but the
+        flow is known ahead.
+        """
+        f = np.linspace(0.0, 0.5 / self._dt, 400)
+        s = 2j * math.pi * f
+        hold = np.exp(-s * (self._late + self._dt / 2)) * np.sinc(f * self._dt)
+        valve = hold * self._w**2 / (s * s + 2 * self._zeta * self._w * s + self._w**2)
+        weight = np.where(f <= self._highest, 1.0, OUTSIDE_WEIGHT)
+        a = (weight * valve)[:, np.newaxis] * np.exp(np.outer(s, np.arange(taps) * self._dt))
+        size = math.sqrt(GAIN_WEIGHT * len(f))
+        a = np.vstack([a.real, a.imag, size * np.eye(taps)])
+        wanted = np.concatenate([weight, np.zeros(len(f) + taps)])
+        return np.linalg.lstsq(a, wanted, rcond=None)[0]
+
+    def taps(self) -> int:
+        """Length of the inverse that suffices."""
+        return max(4, math.ceil(SPAN * self.delay / self._dt))
+
+    def under_way(self) -> Floats:
+        """Part of the flow of past commands that is still to come, the newest first; (memory,).
+
+        The newest is the one that answered the last sample.
+        """
+        return 1.0 - self.volume(self._dt * np.arange(1, self.memory + 1)) / self._dt
+
+    def past(self, late: float = 0.0) -> Floats:
+        """Flow now of past commands, the newest first, of a valve that is late by so many s."""
+        return self.flow(self._dt * np.arange(1, self.memory + 1) - late)

@@ -1,0 +1,320 @@
+"""Force control through the motion that belongs to the force: the valve sets the piston's velocity.
+
+The oil obeys f' = k_oil (q w - v) - lambda f, with the valve's flow w. So the flow that belongs to
+a coming motion v* and force f* is
+
+    q w = v* + (f*' + lambda f*) / k_oil                                                    (4)
+
+whatever the specimen is: the velocity feedback compensation of effective force testing (Dimig et
+al. 1999) with the velocity that the structure is going to have. A loaded valve lets less oil
+through, by the root of what the load leaves of the supply pressure (Merritt 1967). The valve's own
+response is inverted (`ValveModel.inverse`).
+
+What remains is fed back as oil: the oil between where the piston will be when all commands have
+taken effect, and where the target will be (a Smith predictor)::
+
+    e = x* - x + volume of the coming flow - volume of the commands under way               (5)
+
+Gain and delay of the valve are followed by recursive least squares on Eq. (4) as measured.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from seft_msgs_py.errors import InputError
+from seft_plant_sim.compiled import compiled, entry_point
+
+from seft_ros.force_controller.valve_model import ValveModel
+from seft_ros.target.motion_observer import observe, observer_gains
+
+Floats = npt.NDArray[np.float64]
+
+FEEDBACK = math.pi / 8
+"""Gain of the feedback times the valve's mean delay: a quarter of what would oscillate without
+the prediction of Eq. (5)."""
+LEAST_PRESSURE = 0.2
+"""Part of the supply pressure that is always reckoned to be left for the flow."""
+UNCERTAIN_GAIN, UNCERTAIN_DELAY = 0.15, 2e-3
+"""Standard deviation of the flow gain as told, relative, and of the valve's delay, s."""
+LARGEST_GAIN_ERROR, LARGEST_DELAY_ERROR = 0.5, 5e-3
+"""Bounds of what is followed."""
+ONE_SAMPLE = 0.1
+"""Time over which what Eq. (4) leaves out persists, s: so long, samples count as one."""
+BEGIN = 10
+"""Samples before the valve is followed: its model must know the commands under way."""
+DERIVATIVE_STEP = 1e-4  # s, by which the valve's response is differentiated
+
+
+class FeedforwardParameters(NamedTuple):
+    """What does not change of a controller of n valves.
+
+    Attributes
+    ----------
+    dt, limit : float
+        Sampling period, s, and largest command, V.
+    gains : ndarray
+        Of the observer, shape (n, 2, 2).
+    actuator : ndarray
+        Flow gain (m/s/V), oil stiffness (N/m), leakage (1/s) and force capacity (N) of each axis,
+        shape (n, 4).
+    feedback : ndarray
+        1/s, shape (n,).
+    inverse : ndarray
+        Weights of this and the coming flows, shape (n, taps).
+    coming : ndarray
+        Their volume that is under way before them, s; first ``before`` past flows, (n, ...).
+    before : int
+        Their number.
+    under_way, past, later : ndarray
+        Of past commands: volume still to come, s, flow now, and its change per delay, 1/s; the
+        newest first, shape (n, memory).
+    doubt : ndarray
+        Variance of Eq. (4) as measured, shape (n,), (m/s)^2.
+    """
+
+    dt: float
+    limit: float
+    gains: Floats
+    actuator: Floats
+    feedback: Floats
+    inverse: Floats
+    coming: Floats
+    before: int
+    under_way: Floats
+    past: Floats
+    later: Floats
+    doubt: Floats
+
+
+class FeedforwardState(NamedTuple):
+    """What changes of it.
+
+    Attributes
+    ----------
+    measured : ndarray
+        As of `observe`, shape (3, n).
+    force : ndarray
+        Last measured force, shape (n,).
+    sent : ndarray
+        Past commands as they act under load, the newest first, shape (n, memory), V.
+    flows : ndarray
+        Past flows of the target, the newest first, shape (n, before), m/s.
+    flow, shifted : ndarray
+        Room for the coming flows, shape (h + 1,).
+    errors : ndarray
+        Relative error of the flow gain and error of the delay in s, shape (n, 2).
+    covariance : ndarray
+        Of these: variances, then the covariance; shape (n, 3).
+    steps : ndarray
+        Samples taken, shape (1,).
+    """
+
+    measured: Floats
+    force: Floats
+    sent: Floats
+    flows: Floats
+    flow: Floats
+    shifted: Floats
+    errors: Floats
+    covariance: Floats
+    steps: Floats
+
+
+@compiled
+def begin_feedforward(parameters: FeedforwardParameters, state: FeedforwardState) -> None:
+    """Begin a test, with what is known of the valves as told."""
+    state.measured[:] = 0.0
+    state.force[:] = 0.0
+    state.sent[:] = 0.0
+    state.flows[:] = 0.0
+    state.errors[:] = 0.0
+    state.steps[0] = 0.0
+    for i in range(len(state.force)):
+        state.covariance[i, 0] = UNCERTAIN_GAIN**2
+        state.covariance[i, 1] = UNCERTAIN_DELAY**2
+        state.covariance[i, 2] = 0.0
+
+
+@compiled
+def feedforward_step(
+    parameters: FeedforwardParameters,
+    state: FeedforwardState,
+    points: Floats,
+    measured: Floats,
+    command: Floats,
+) -> bool:
+    """Find the valve commands that answer a sample.
+
+    Parameters
+    ----------
+    parameters, state
+        The state is brought up to date.
+    points : ndarray
+        Displacement, velocity and force of the target at this step and the coming ones, shape
+        (taps + 1 or more, 3, n).
+    measured : ndarray
+        Displacement, velocity, acceleration and force, shape (4, n).
+    command : ndarray
+        The result, shape (n,), V.
+
+    Returns
+    -------
+    bool
+        Whether one of them is at its limit.
+    """
+    p, taps, limited = parameters, parameters.inverse.shape[1], False
+    observe(p.gains, p.dt, state.steps[0] == 0.0, measured, state.measured)
+    flow, shifted = state.flow, state.shifted
+    for i in range(len(command)):
+        gain, oil, leakage = p.actuator[i, 0], p.actuator[i, 1], p.actuator[i, 2]
+        capacity, force = p.actuator[i, 3], measured[3, i]
+        for j in range(taps + 1):
+            # Eq. (4)
+            if j == 0:
+                rise = (points[1, 2, i] - points[0, 2, i]) / p.dt
+            elif j == taps:
+                rise = (points[j, 2, i] - points[j - 1, 2, i]) / p.dt
+            else:
+                rise = (points[j + 1, 2, i] - points[j - 1, 2, i]) / (2.0 * p.dt)
+            needed = points[j, 1, i] + (rise + leakage * points[j, 2, i]) / oil
+            flow[j] = needed / under_load(needed, points[j, 2, i], capacity)
+        if state.steps[0] >= BEGIN:
+            follow_valve(p, state, i, force)
+        late = state.errors[i, 1]
+        for j in range(taps):
+            before = flow[0] if j == 0 else flow[j - 1]
+            span = p.dt if j == 0 else 2.0 * p.dt
+            shifted[j] = flow[j] + late * (flow[j + 1] - before) / span
+        real = gain * (1.0 + state.errors[i, 0])
+        # Eq. (5)
+        error = points[0, 0, i] - state.measured[0, i]
+        drive = 0.0
+        for j in range(taps):
+            drive += p.inverse[i, j] * shifted[j]
+            error += p.coming[i, p.before + j] * shifted[j]
+        for j in range(p.before):
+            error += p.coming[i, p.before - 1 - j] * state.flows[i, j]
+        for j in range(state.sent.shape[1]):
+            error -= p.under_way[i, j] * real * state.sent[i, j]
+        drive = (drive + p.feedback[i] * error) / real
+        if abs(drive) >= p.limit:
+            limited = True
+            drive = p.limit if drive > 0.0 else -p.limit
+        command[i] = drive
+        for j in range(state.sent.shape[1] - 1, 0, -1):
+            state.sent[i, j] = state.sent[i, j - 1]
+        state.sent[i, 0] = drive * under_load(drive, force, capacity)
+        for j in range(p.before - 1, 0, -1):
+            state.flows[i, j] = state.flows[i, j - 1]
+        state.flows[i, 0] = shifted[0]
+        state.force[i] = force
+    state.steps[0] += 1.0
+    return limited
+
+
+@compiled
+def under_load(direction: float, force: float, capacity: float) -> float:
+    """Flow of a valve that opens in a direction, over that without load."""
+    left = 1.0 - force / capacity if direction > 0.0 else 1.0 + force / capacity
+    return math.sqrt(max(left, LEAST_PRESSURE))
+
+
+@compiled
+def follow_valve(p: FeedforwardParameters, state: FeedforwardState, i: int, force: float) -> None:
+    """Follow gain and delay of a valve by Eq. (4): the flow as measured against the model's."""
+    gain, oil, leakage = p.actuator[i, 0], p.actuator[i, 1], p.actuator[i, 2]
+    rise = (force - state.force[i]) / p.dt
+    seen = state.measured[1, i] + (rise + leakage * force) / oil
+    flow = later = 0.0
+    for j in range(state.sent.shape[1]):
+        flow += p.past[i, j] * state.sent[i, j]
+        later += p.later[i, j] * state.sent[i, j]
+    flow, later = gain * flow, gain * later
+    errors, c = state.errors[i], state.covariance[i]
+    by_flow, by_later = c[0] * flow + c[2] * later, c[2] * flow + c[1] * later
+    variance = p.doubt[i] + flow * by_flow + later * by_later
+    innovation = seen - flow - errors[0] * flow - errors[1] * later
+    found = errors[0] + by_flow / variance * innovation
+    errors[0] = min(max(found, -LARGEST_GAIN_ERROR), LARGEST_GAIN_ERROR)
+    found = errors[1] + by_later / variance * innovation
+    errors[1] = min(max(found, -LARGEST_DELAY_ERROR), LARGEST_DELAY_ERROR)
+    c[0] -= by_flow * by_flow / variance
+    c[1] -= by_later * by_later / variance
+    c[2] -= by_flow * by_later / variance
+
+
+def feedforward_arrays(
+    valves: list[ValveModel],
+    actuator: Floats,
+    noise: Floats,
+    limit: float,
+    dt: float,
+    horizon: int,
+) -> tuple[FeedforwardParameters, FeedforwardState]:
+    """Put a controller into arrays.
+
+    Parameters
+    ----------
+    valves : list of ValveModel
+        n of them.
+    actuator : ndarray
+        As in `FeedforwardParameters`.
+    noise : ndarray
+        RMS noise of displacement, velocity, acceleration and force, shape (4, n), positive.
+    limit, dt : float
+        Largest command, V, and sampling period, s.
+    horizon : int
+        Coming steps of the target that are told.
+
+    Raises
+    ------
+    InputError
+        If the horizon is too short for the valves.
+    """
+    n, needed = len(valves), max(valve.taps() for valve in valves)
+    if horizon < needed + 1:
+        raise InputError(
+            f"force_controller: the valves need {(needed + 1) * dt:g} s of the coming motion, but "
+            f"reference_force: compensation.horizon is {horizon * dt:g} s; make it longer"
+        )
+    memory = max(valve.memory for valve in valves)
+    for valve in valves:
+        valve.memory = memory
+    inverse = np.array([valve.inverse(needed) for valve in valves])
+    under_way = dt * np.array([valve.under_way() for valve in valves])
+    past = np.array([valve.past() for valve in valves])
+    later = np.array([valve.past(DERIVATIVE_STEP) for valve in valves]) - past
+    # volume under way of commands that the inverse has made of the flows: their convolution
+    coming = np.zeros((n, memory + needed))
+    for row, own, h in zip(coming, under_way, inverse, strict=True):
+        row[:-1] = np.convolve(own[::-1], h)
+    gains, _ = observer_gains(noise, dt)
+    seen = noise[1] ** 2 + 2.0 * (noise[3] / (actuator[:, 1] * dt)) ** 2
+    parameters = FeedforwardParameters(
+        dt=dt,
+        limit=limit,
+        gains=gains,
+        actuator=np.ascontiguousarray(actuator),
+        feedback=np.array([FEEDBACK / valve.delay for valve in valves]),
+        inverse=inverse,
+        coming=coming,
+        before=memory,
+        under_way=under_way,
+        past=past,
+        later=later / DERIVATIVE_STEP,
+        doubt=seen * max(1.0, ONE_SAMPLE / dt),
+    )
+    state = FeedforwardState(
+        measured=np.zeros((3, n)),
+        force=np.zeros(n),
+        sent=np.zeros((n, memory)),
+        flows=np.zeros((n, memory)),
+        flow=np.zeros(needed + 1),
+        shifted=np.zeros(needed + 1),
+        errors=np.zeros((n, 2)),
+        covariance=np.zeros((n, 3)),
+        steps=np.zeros(1),
+    )
+    return parameters, state

@@ -1,0 +1,282 @@
+"""The restoring force near where the specimen is: a line, a damper and sliders, followed on line.
+
+In coordinates of the specimen's springs, with deformations e = D x and forces s = D^-T r, each
+spring j is
+
+    s_j = p_j + sum_l K_jl e_l + sum_l C_jl e_l' + sum_i w_ji z_i(e_j)
+
+p is an offset, K and C are stiffness and damping. z_i is the stop operator with threshold y_i: it
+moves with the deformation, and stays between -y_i and y_i. Sums of them are the hysteresis of
+Prandtl and Ishlinskii (Visintin, Differential Models of Hysteresis, 1994, ch. III), which friction,
+yielding and unloading are made of. The model is linear in p, K, C and w, so a Kalman filter
+follows them.
+
+It is never believed beyond the sample: the measured force itself is p plus the rest, so what the
+model does not know stands in p, and the model serves to go from where the specimen is to where
+the target is, and a few steps ahead.
+
+While the innovations are noise, the filter averages. When their recent sum is what chance would
+make once in `ONCE_IN` samples, the specimen has changed: the covariance grows by the prior's,
+scaled to explain what was seen (Zhou & Frank 1996), in directions that leave the force of the last
+sample as it was, as a force does not jump when a stiffness does. What was taken for noise until then
+was an impulse on the structure, and is made good.
+"""
+
+import math
+from statistics import NormalDist
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from seft_plant_sim.compiled import compiled
+
+Floats = npt.NDArray[np.float64]
+
+THRESHOLDS = 12
+"""Stop operators of a spring; each has twice the threshold of the one before."""
+ONCE_IN = 10_000
+"""Samples in which chance makes one sum of innovations that is taken for a change."""
+RECENT = 0.008
+"""Time constant of that sum, s: what persists for longer than a valve takes to answer matters."""
+UNEXPLAINED = 0.04
+"""Time constant with which an impulse that was never explained is taken for noise, s."""
+UNCERTAIN_STIFFNESS, UNCERTAIN_DAMPING = 0.3, 0.3
+"""Standard deviation of what is told, relative to it."""
+CHANGING_STIFFNESS, CHANGING_DAMPING, CHANGING_SLIDER = 1.0, 0.5, 1.5
+"""Standard deviation of a change: of K and C relative to them, of w to its prior."""
+SLIDER_TO_NOISE, OFFSET_TO_NOISE = 0.5, 7.0
+"""Prior of a slider's force and of the offset, over the noise of the restoring force."""
+MOST_EVIDENCE = math.log(1e4)
+"""Largest logarithm of the likelihoods' ratio, either way."""
+DRIFT = 0.003
+"""Change in a second that goes unnoticed, relative to the prior's or what is told."""
+LEAST_DAMPING = 0.02
+"""Damping ratio that a spring may have even where no damping is told."""
+
+
+class ModelParameters(NamedTuple):
+    """What does not change of the models of n springs with q parameters and m thresholds each.
+
+    Attributes
+    ----------
+    thresholds : ndarray
+        y, shape (n, m), m.
+    start : ndarray
+        Parameters (p, K, C, w) of each spring at the beginning, shape (n, q), q = 1 + 2n + m.
+    prior, drift, change : ndarray
+        Their variance at the beginning, per step, and of a change; shape (n, q).
+    noise : ndarray
+        Variance of the restoring force by the sensors, of one sample and as it counts in a sum;
+        shape (n, 2), N^2.
+    recent, unexplained : float
+        Factors per step with which sums of innovations fade.
+    surprise : float
+        Square of the normalised sum that is no chance.
+    """
+
+    thresholds: Floats
+    start: Floats
+    prior: Floats
+    drift: Floats
+    change: Floats
+    noise: Floats
+    recent: float
+    unexplained: float
+    surprise: float
+
+
+class ModelState(NamedTuple):
+    """What changes of them.
+
+    Attributes
+    ----------
+    values, before : ndarray
+        Parameters as used, now and at the last sample; shape (n, q).
+    found : ndarray
+        As the filter has them, shape (n, q).
+    covariance : ndarray
+        Shape (n, q, q).
+    regressors, last : ndarray
+        What they multiply now, and at the last sample, shape (n, q).
+    stops : ndarray
+        z of the specimen, shape (n, m), m.
+    sums : ndarray
+        Of each spring: recent innovations, their variance, the impulse over a period that was not
+        explained, what of it acts now (N), and the evidence for what is told; shape (n, 5).
+    work : ndarray
+        Shape (q,).
+    """
+
+    values: Floats
+    before: Floats
+    found: Floats
+    covariance: Floats
+    regressors: Floats
+    last: Floats
+    stops: Floats
+    sums: Floats
+    work: Floats
+
+
+def model_arrays(
+    mass: Floats, damping: Floats, stiffness: Floats, noise: Floats, resolved: Floats, dt: float
+) -> tuple[ModelParameters, ModelState]:
+    """Make models of what is told of a specimen, all in coordinates of its springs.
+
+    Parameters
+    ----------
+    mass, damping, stiffness : ndarray
+        Shape (n, n), kg, N s/m and N/m.
+    noise : ndarray
+        RMS noise of the restoring force, of one sample and as it counts in a sum of samples;
+        shape (n, 2), N.
+    resolved : ndarray
+        Deformation that stands out of the noise, shape (n,), m.
+    dt : float
+        Sampling period, s.
+    """
+    n = len(mass)
+    thresholds = resolved[:, np.newaxis] * 2.0 ** np.arange(THRESHOLDS)
+    force = SLIDER_TO_NOISE * noise[:, :1] / thresholds
+    least = 2.0 * LEAST_DAMPING * np.sqrt(np.abs(np.diag(mass) * np.diag(stiffness)))
+    damps = np.abs(damping) + np.diag(least / UNCERTAIN_DAMPING)
+    offset = OFFSET_TO_NOISE * noise[:, :1]
+    stiff = np.abs(stiffness)
+
+    def variance(p: float, k: float, c: float, w: float) -> Floats:
+        return np.hstack([p * offset, k * stiff, c * damps, w * force]) ** 2
+
+    parameters = ModelParameters(
+        thresholds=thresholds,
+        start=np.hstack([np.zeros((n, 1)), stiffness, damping, np.zeros_like(thresholds)]),
+        prior=variance(1.0, UNCERTAIN_STIFFNESS, UNCERTAIN_DAMPING, 1.0),
+        drift=variance(0.0, DRIFT, DRIFT, DRIFT) * dt,
+        change=variance(1.0, CHANGING_STIFFNESS, CHANGING_DAMPING, CHANGING_SLIDER),
+        noise=noise**2,
+        recent=math.exp(-dt / RECENT),
+        unexplained=math.exp(-dt / UNEXPLAINED),
+        surprise=NormalDist().inv_cdf(1.0 - 0.5 / ONCE_IN) ** 2,
+    )
+    q = parameters.start.shape[1]
+    state = ModelState(
+        *np.zeros((3, n, q)),
+        np.zeros((n, q, q)),
+        *np.zeros((2, n, q)),
+        np.zeros((n, THRESHOLDS)),
+        np.zeros((n, 5)),
+        np.zeros(q),
+    )
+    return parameters, state
+
+
+@compiled
+def begin_model(parameters: ModelParameters, state: ModelState) -> None:
+    """Begin a test with what is told."""
+    n, q = parameters.start.shape
+    state.covariance[:] = 0.0
+    state.stops[:] = 0.0
+    state.sums[:] = 0.0
+    for j in range(n):
+        for i in range(q):
+            start = parameters.start[j, i]
+            state.values[j, i] = state.before[j, i] = state.found[j, i] = start
+            state.covariance[j, i, i] = parameters.prior[j, i]
+            state.last[j, i] = 0.0
+
+
+@compiled
+def move_stops(thresholds: Floats, change: Floats, stops: Floats) -> None:
+    """Move stop operators by a change of each deformation, shape (n,), m."""
+    for j in range(len(change)):
+        for i in range(stops.shape[1]):
+            y = thresholds[j, i]
+            z = stops[j, i] + change[j]
+            stops[j, i] = y if z > y else -y if z < -y else z
+
+
+@compiled
+def spring_force(values: Floats, j: int, e: Floats, rate: Floats, stops: Floats) -> float:
+    """Force of spring j by its parameters, at deformations, rates and stops of all; N."""
+    n = len(e)
+    force = values[j, 0]
+    for i in range(n):
+        force += values[j, 1 + i] * e[i] + values[j, 1 + n + i] * rate[i]
+    for i in range(stops.shape[1]):
+        force += values[j, 1 + 2 * n + i] * stops[j, i]
+    return force
+
+
+@compiled
+def follow(
+    parameters: ModelParameters, state: ModelState, e: Floats, rate: Floats, measured: Floats
+) -> None:
+    """Take in the measured restoring force of each spring, shape (n,), N.
+
+    The stops have moved to the deformations e before; ``sums[:, 3]`` then holds the force that is
+    to act on the structure over this step beside the model's, to make good for what was not seen.
+    """
+    n, q = parameters.start.shape
+    for j in range(n):
+        phi, last, gain, p = state.regressors[j], state.last[j], state.work, state.covariance[j]
+        found, change, sums = state.found[j], parameters.change[j], state.sums[j]
+        phi[0] = 1.0
+        for i in range(n):
+            phi[1 + i] = e[i]
+            phi[1 + n + i] = rate[i]
+        for i in range(1 + 2 * n, q):
+            phi[i] = state.stops[j, i - 1 - 2 * n]
+        innovation, variance = measured[j], parameters.noise[j, 0]
+        told = used = measured[j]
+        for i in range(q):
+            state.before[j, i] = state.values[j, i]
+            innovation -= found[i] * phi[i]
+            told -= parameters.start[j, i] * phi[i]
+            p[i, i] += parameters.drift[j, i]
+        for i in range(q):
+            total = 0.0
+            for l in range(q):
+                total += p[i, l] * phi[l]
+            gain[i] = total
+            variance += phi[i] * total
+        # logarithm of the likelihoods' ratio, of what is told over what is found
+        gained = innovation**2 / variance + math.log(variance / parameters.noise[j, 0])
+        gained -= told**2 / parameters.noise[j, 0]
+        was_right = sums[4] > 0.0
+        sums[4] = min(max(sums[4] + 0.5 * gained, -MOST_EVIDENCE), MOST_EVIDENCE)
+        sums[0] = parameters.recent * sums[0] + innovation
+        persistent = parameters.noise[j, 1] - parameters.noise[j, 0]
+        sums[1] = parameters.recent**2 * sums[1] + variance + persistent
+        surprise = sums[0] * sums[0] / sums[1]
+        is_change = surprise > parameters.surprise
+        if is_change:
+            # P += g T diag(change) T', where T leaves the force of the last sample as it was
+            explained = change[0]
+            for i in range(1, q):
+                explained += change[i] * (phi[i] - last[i]) ** 2
+            grown = min((surprise - 1.0) * variance / explained, 1.0)
+            variance += grown * explained
+            p[0, 0] += grown * change[0]
+            gain[0] += grown * change[0]
+            for i in range(1, q):
+                added = grown * change[i]
+                if added > 0.0:
+                    p[i, i] += added
+                    p[0, i] -= added * last[i]
+                    p[i, 0] -= added * last[i]
+                    p[0, 0] += added * last[i] ** 2
+                    gain[i] += added * (phi[i] - last[i])
+                    gain[0] -= added * last[i] * (phi[i] - last[i])
+        weight = 1.0 / (1.0 + math.exp(-sums[4]))
+        for i in range(q):
+            found[i] += gain[i] / variance * innovation
+            start = parameters.start[j, i]
+            state.values[j, i] = found[i] + weight * (start - found[i])
+            used -= state.values[j, i] * phi[i]
+            last[i] = phi[i]
+            for l in range(i + 1):
+                p[i, l] -= gain[i] * gain[l] / variance
+                p[l, i] = p[i, l]
+        impulse, is_wrong = parameters.unexplained * sums[2] + used, was_right and sums[4] <= 0.0
+        acts = is_wrong or (is_change and sums[4] <= 0.0)
+        sums[2] = 0.0 if acts else impulse
+        sums[3] = impulse if acts else 0.0

@@ -1,0 +1,196 @@
+"""Compensation method ``target_motion``: the motion that the whole structure is going to have."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import eigh
+from seft_msgs_py.arrays import per_axis
+from seft_plant_sim.compiled import entry_point
+from seft_plant_sim.first_order_hold import first_order_hold
+
+from seft_ros.reference_force.compensation.compensator import Knowledge
+from seft_ros.target.motion_observer import observer_gains
+from seft_ros.target.restoring_model import model_arrays
+from seft_ros.target.target_step import (
+    TargetParameters,
+    TargetState,
+    begin_target,
+    target_step,
+)
+
+Floats = npt.NDArray[np.float64]
+
+LONGEST_SUBSTEP = 0.001
+"""s: a slider that sticks, 50 times as stiff as the paper's specimen, swings at 48 Hz."""
+LEAST_NOISE = np.array([1e-6, 1e-4, 5e-3, 0.3])
+"""Noise that every sensor has: displacement (m), velocity, acceleration and force (N)."""
+STANDS_OUT = 2.0
+"""Least threshold of a slider over the noise of the observed deformation."""
+CHANNELS = ("position", "velocity", "acceleration", "force")
+
+
+class TargetMotion:
+    """Target of n axes, predicted over a horizon, as a compensation method.
+
+    Parameters
+    ----------
+    known : Knowledge
+        Of the test; its damping and stiffness are where the model of the restoring force starts.
+
+    Attributes
+    ----------
+    preview : int
+        Steps of the horizon.
+    parameters, state : TargetParameters, TargetState
+        What `target_step` takes, here and in a compiled loop.
+    pace : float
+        See `target_step`.
+    """
+
+    def __init__(self, known: Knowledge) -> None:
+        self.preview = known.loop_delay + math.ceil(
+            known.options["compensation.horizon"] / known.dt - 1e-9
+        )
+        self.parameters, self.state = target_arrays(known)
+        n = known.axes
+        self._points = np.zeros((1 + self.preview, 3, n))
+        self._ground, self._measured = np.zeros((1 + self.preview, n)), np.zeros((4, n))
+        self.pace = 1.0
+        arguments = self._ground, self._measured, self.pace, self._points
+        self._step = entry_point(target_step, self.parameters, self.state, *arguments)
+        self._begin = entry_point(begin_target, self.parameters, self.state)
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin a new test."""
+        self.pace = 1.0
+        self._begin(self.parameters, self.state)
+
+    def step(self, ground_motion: Floats, state: Floats) -> Floats:
+        """Bring the target up to a sample, see `target_step`; points of shape (1 + preview, 3, n)."""
+        self._ground[:] = ground_motion
+        self._measured[:] = state
+        self._step(
+            self.parameters, self.state, self._ground, self._measured, self.pace, self._points
+        )
+        return self._points.copy()
+
+    def estimates(self) -> dict[str, Floats]:
+        """Local stiffness, damping and sliders' force of each spring."""
+        values, n = self.state.model.values, len(self.parameters.mass)
+        axes = np.arange(n)
+        sliders = values[:, 1 + 2 * n :]
+        return {
+            "stiffness": values[axes, 1 + axes],
+            "damping": values[axes, 1 + n + axes],
+            "friction": (sliders * self.parameters.model.thresholds).sum(axis=1),
+        }
+
+
+def target_arrays(known: Knowledge) -> tuple[TargetParameters, TargetState]:
+    """Put a target into arrays, at what is known of a test."""
+    n, computed, dt = known.axes, known.computed, known.dt
+    size = n + computed.internal
+    noise = sensor_noise(known.options, n)
+    gains, left = observer_gains(noise, dt)
+
+    deformation = spring_deformations(known)
+    to_springs = np.linalg.inv(deformation.T)
+    own_mass, own_damping, own_stiffness = (
+        to_springs @ matrix @ to_springs.T for matrix in (known.mass, known.damping, known.stiffness)
+    )
+
+    def through(matrix: Floats, values: Floats) -> Floats:  # variances of a sum of noises
+        return matrix**2 @ values**2
+
+    white = through(to_springs, noise[3]) + through(to_springs @ known.mass, noise[2])
+    observed = through(to_springs @ known.stiffness, left[0])
+    observed += through(to_springs @ known.damping, left[1])
+    # what the observer leaves of the noise persists: so many samples count as one
+    alike = 2.0 / gains[:, 0, 0].min() - 1.0
+    restoring = np.sqrt(np.transpose([white + observed, white + alike * observed]))
+    resolved = STANDS_OUT * np.sqrt(through(deformation, left[0]))
+    model, model_state = model_arrays(
+        own_mass, own_damping, own_stiffness, restoring, resolved, dt
+    )
+
+    specimen = [(0, computed.internal)] * 2
+    mass, damping, stiffness = (
+        np.pad(own, specimen) + part
+        for own, part in (
+            (known.mass, computed.mass),
+            (known.damping, computed.damping),
+            (known.stiffness, computed.stiffness),
+        )
+    )
+    inverse = np.linalg.inv(mass)
+    a, b = np.zeros((2 * size, 2 * size)), np.zeros((2 * size, size))
+    a[:size, size:], b[size:] = np.eye(size), np.eye(size)
+    a[size:, :size], a[size:, size:] = -inverse @ stiffness, -inverse @ damping
+    substeps = max(1, math.ceil(dt / LONGEST_SUBSTEP - 1e-9))
+    free, start, change = (
+        np.ascontiguousarray(part) for part in first_order_hold(a, b, dt / substeps)
+    )
+    squares = np.linalg.eigvals(inverse @ stiffness).real
+    parameters = TargetParameters(
+        dt=dt,
+        substeps=substeps,
+        gains=gains,
+        mass=np.ascontiguousarray(known.mass, dtype=np.float64),
+        deformation=np.ascontiguousarray(deformation),
+        to_springs=np.ascontiguousarray(to_springs),
+        elastic=np.hstack([known.stiffness, known.damping]),
+        free=free,
+        start=start,
+        change=change,
+        acceleration=np.ascontiguousarray(a[size : size + n]),
+        influence=np.vstack([np.eye(n), computed.influence]),
+        by_force=np.ascontiguousarray(inverse[:, :n]),
+        damper=2.0 * math.sqrt(max(float(squares.min()), 0.0)),  # critical for the slowest mode
+        model=model,
+    )
+    thresholds = model.thresholds.shape
+    state = TargetState(
+        model=model_state,
+        measured=np.zeros((3, n)),
+        target=np.zeros(2 * size),
+        coming=np.zeros(2 * size),
+        stops=np.zeros(thresholds),
+        coming_stops=np.zeros(thresholds),
+        ground=np.zeros(n),
+        is_running=np.zeros(1),
+        axes=np.zeros((4, n)),
+        dofs=np.zeros((3, 2 * size)),
+        springs=np.zeros((6, n)),
+    )
+    return parameters, state
+
+
+def spring_deformations(known: Knowledge) -> Floats:
+    """Deformations in which the specimen's springs do not feel each other, shape (n, n).
+
+    They are those of the springs as told, where these tell the displacements; else the modal
+    displacements of the elastic specimen, each in m of the axis that moves most.
+    """
+    springs = known.springs
+    if springs is not None and springs.shape == known.mass.shape:
+        own = np.linalg.solve(springs.T, np.linalg.solve(springs.T, known.stiffness).T)
+        if np.allclose(own, np.diag(np.diag(own)), rtol=0.0, atol=1e-6 * np.abs(own).max()):
+            return springs
+    _, modes = eigh(known.stiffness, known.mass)
+    return np.linalg.inv(modes / np.abs(modes).max(axis=0))
+
+
+def sensor_noise(options: Mapping[str, Any], axes: int) -> Floats:
+    """RMS noise of each sensor, at least `LEAST_NOISE`, shape (4, axes)."""
+    names = tuple(f"axis {index + 1}" for index in range(axes))
+    given = np.array(
+        [
+            per_axis(options[f"compensation.noise.{name}"], names, f"compensation.noise.{name}")
+            for name in CHANNELS
+        ]
+    )
+    return np.maximum(given, LEAST_NOISE[:, np.newaxis])

@@ -1,0 +1,336 @@
+"""The whole structure's motion under the measured restoring force, and how it will go on.
+
+With the force r of the specimen at the target (x*, v*), that of the computed part's springs and
+dampers in A, and L the ground acceleration of each degree of freedom::
+
+    (M_e + M_c) (a* + L a_g) + C_c v* + K_c x* + r(x*, v*) = 0                             (1)
+
+The elastic specimen as told is in A, too, so that this part is integrated exactly (`whole_system`);
+what r differs from it by acts like the ground motion does, linear in between (ETD2RK, Cox &
+Matthews 2002, Eq. 22).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from seft_plant_sim.compiled import compiled
+
+from seft_ros.target.motion_observer import observe
+from seft_ros.target.restoring_model import (
+    ModelParameters,
+    ModelState,
+    begin_model,
+    follow,
+    move_stops,
+    spring_force,
+)
+
+Floats = npt.NDArray[np.float64]
+
+POSITION, SPEED, FORCE = range(3)
+"""Rows of a point: displacement (m), velocity (m/s) and actuator force (N) of the target."""
+
+
+class TargetParameters(NamedTuple):
+    """What does not change of a target of n axes, with N degrees of freedom in all.
+
+    Attributes
+    ----------
+    dt : float
+        Sampling period, s.
+    substeps : int
+        Steps of the integration in it.
+    gains : ndarray
+        Of the observer, shape (n, 2, 2).
+    mass : ndarray
+        M_e on the rig, shape (n, n), kg.
+    deformation, to_springs : ndarray
+        D, and D^-T, which makes springs' forces of the axes'; shape (n, n).
+    elastic : ndarray
+        Force of the specimen as told per displacement and velocity, shape (n, 2n), N/m, N s/m.
+    free, start, change : ndarray
+        Integration over a substep, see `first_order_hold`: shapes (2N, 2N), (2N, N), (2N, N). The
+        states are displacements, then velocities; the input is an acceleration.
+    acceleration : ndarray
+        Of the axes by the states, shape (n, 2N).
+    influence, by_force : ndarray
+        Accelerations per ground acceleration, and per force of the specimen: shape (N, n).
+    damper : float
+        Rate at which the target's motion dies out where a test is brought down, 1/s.
+    model : ModelParameters
+        Of the restoring force.
+    """
+
+    dt: float
+    substeps: int
+    gains: Floats
+    mass: Floats
+    deformation: Floats
+    to_springs: Floats
+    elastic: Floats
+    free: Floats
+    start: Floats
+    change: Floats
+    acceleration: Floats
+    influence: Floats
+    by_force: Floats
+    damper: float
+    model: ModelParameters
+
+
+class TargetState(NamedTuple):
+    """What changes of it.
+
+    Attributes
+    ----------
+    model : ModelState
+        Of the restoring force.
+    measured : ndarray
+        Displacement and velocity as observed, and the last acceleration, shape (3, n).
+    target, coming : ndarray
+        Displacements and velocities of the target now, and while it is predicted; shape (2N,).
+    stops, coming_stops : ndarray
+        Its stop operators, likewise; shape (n, m).
+    ground : ndarray
+        Last ground acceleration, shape (n,).
+    is_running : ndarray
+        Whether a sample has been taken, shape (1,).
+    axes, dofs, springs : ndarray
+        Room for vectors, shapes (4, n), (5, 2N) and (6, n).
+    """
+
+    model: ModelState
+    measured: Floats
+    target: Floats
+    coming: Floats
+    stops: Floats
+    coming_stops: Floats
+    ground: Floats
+    is_running: Floats
+    axes: Floats
+    dofs: Floats
+    springs: Floats
+
+
+@compiled
+def begin_target(parameters: TargetParameters, state: TargetState) -> None:
+    """Begin a test: the target will start where the specimen is."""
+    begin_model(parameters.model, state.model)
+    state.target[:] = 0.0
+    state.stops[:] = 0.0
+    state.is_running[0] = 0.0
+
+
+@compiled
+def target_step(
+    parameters: TargetParameters,
+    state: TargetState,
+    ground: Floats,
+    measured: Floats,
+    pace: float,
+    points: Floats,
+) -> None:
+    """Bring the target up to a sample, and predict it.
+
+    Parameters
+    ----------
+    parameters, state
+        The state is brought up to date.
+    ground : ndarray
+        Ground acceleration of this step and the coming ones, shape (h + 1, n), m/s^2.
+    measured : ndarray
+        Displacement, velocity, acceleration and force of the specimen, shape (4, n).
+    pace : float
+        1 in a test. On the way down to 0 the ground motion fades and the target comes to rest.
+    points : ndarray
+        The target at this step and the coming ones: displacement, velocity and force of each axis,
+        shape (h + 1, 3, n). The result.
+    """
+    n, p, first = len(parameters.mass), parameters, state.is_running[0] == 0.0
+    before, e, rate, force = state.springs[0], state.springs[1], state.springs[2], state.springs[3]
+    if not first:
+        times(p.deformation, state.measured[0], before)
+    observe(p.gains, p.dt, first, measured, state.measured)
+    times(p.deformation, state.measured[0], e)
+    times(p.deformation, state.measured[1], rate)
+    # r = f - M_e a (2)
+    times(p.mass, measured[2], state.axes[0])
+    for i in range(n):
+        state.axes[0, i] = measured[3, i] - state.axes[0, i]
+    times(p.to_springs, state.axes[0], force)
+    if first:  # at rest, wherever the specimen is
+        for i in range(n):
+            state.target[i] = state.measured[0, i]
+        before[:] = 0.0
+        for i in range(n):
+            state.springs[4, i] = e[i]
+        move_stops(p.model.thresholds, state.springs[4], state.stops)
+    for i in range(n):
+        state.springs[4, i] = e[i] - before[i]
+    move_stops(p.model.thresholds, state.springs[4], state.model.stops)
+    follow(p.model, state.model, e, rate, force)
+    if not first:
+        advance(p, state, state.ground, ground[0], pace)
+    state.is_running[0] = 1.0
+    for i in range(n):
+        state.ground[i] = ground[0, i]
+    predict(p, state, ground, pace, points)
+
+
+@compiled
+def times(matrix: Floats, vector: Floats, result: Floats) -> None:
+    """Multiply a matrix by a vector."""
+    for i in range(matrix.shape[0]):
+        total = 0.0
+        for l in range(matrix.shape[1]):
+            total += matrix[i, l] * vector[l]
+        result[i] = total
+
+
+@compiled
+def specimen_force(
+    p: TargetParameters, state: TargetState, values: Floats, y: Floats, stops: Floats, r: Floats
+) -> None:
+    """Force of the specimen at the state y by its model: r = D^T s, shape (n,), N."""
+    n, half = len(r), len(y) // 2
+    e, rate = state.springs[1], state.springs[2]
+    for j in range(n):
+        e[j] = rate[j] = 0.0
+        for i in range(n):
+            e[j] += p.deformation[j, i] * y[i]
+            rate[j] += p.deformation[j, i] * y[half + i]
+    r[:] = 0.0
+    for j in range(n):
+        s = spring_force(values, j, e, rate, stops)
+        for i in range(n):
+            r[i] += p.deformation[j, i] * s
+
+
+@compiled
+def push(
+    p: TargetParameters, y: Floats, r: Floats, ground: Floats, pace: float, result: Floats
+) -> None:
+    """What acts on the elastic whole structure, as an acceleration, shape (N,).
+
+    It is the ground motion, and the force r by which the specimen is not the elastic one told.
+    """
+    n, half = len(r), len(y) // 2
+    for i in range(half):
+        result[i] = -(1.0 - pace) * p.damper * y[half + i]
+    for l in range(n):
+        rest = r[l]
+        for i in range(n):
+            rest -= p.elastic[l, i] * y[i] + p.elastic[l, n + i] * y[half + i]
+        for i in range(half):
+            result[i] -= p.influence[i, l] * pace * ground[l] + p.by_force[i, l] * rest
+
+
+@compiled
+def move(
+    p: TargetParameters, state: TargetState, y: Floats, stops: Floats, begin: Floats
+) -> None:
+    """Move the state y over a substep under the push at its beginning; the stops move along."""
+    n, size = len(p.mass), len(y)
+    new = state.dofs[2]
+    for i in range(size):
+        total = 0.0
+        for l in range(size):
+            total += p.free[i, l] * y[l]
+        for l in range(size // 2):
+            total += p.start[i, l] * begin[l]
+        new[i] = total
+    for j in range(n):
+        change = 0.0
+        for i in range(n):
+            change += p.deformation[j, i] * (new[i] - y[i])
+        state.springs[4, j] = change
+    move_stops(p.model.thresholds, state.springs[4], stops)
+    for i in range(size):
+        y[i] = new[i]
+
+
+@compiled
+def correct(p: TargetParameters, y: Floats, begin: Floats, end: Floats) -> None:
+    """Mend the state y at the end of a substep by how much the push has changed in it."""
+    for i in range(len(y)):
+        total = y[i]
+        for l in range(len(y) // 2):
+            total += p.change[i, l] * (end[l] - begin[l])
+        y[i] = total
+
+
+@compiled
+def advance(
+    p: TargetParameters, state: TargetState, before: Floats, now: Floats, pace: float
+) -> None:
+    """Integrate Eq. (1) from the last sample to this one; the model changes linearly."""
+    n, y = len(now), state.target
+    old, new, ground = state.axes[0], state.axes[1], state.axes[2]
+    begin, end = state.dofs[0], state.dofs[1]
+    # what was not seen of the restoring force in time acts in this step
+    p_t = state.springs[5]
+    for j in range(n):
+        p_t[j] = state.model.sums[j, 3]
+    for step in range(p.substeps):
+        for side in range(2):
+            part = (step + side) / p.substeps
+            specimen_force(p, state, state.model.before, y, state.stops, old)
+            specimen_force(p, state, state.model.values, y, state.stops, new)
+            for i in range(n):
+                ground[i] = before[i] + part * (now[i] - before[i])
+                new[i] = old[i] + part * (new[i] - old[i])
+                for j in range(n):
+                    new[i] += p.deformation[j, i] * p_t[j]
+            if side == 0:
+                push(p, y, new, ground, pace, begin)
+                move(p, state, y, state.stops, begin)
+            else:
+                push(p, y, new, ground, pace, end)
+                correct(p, y, begin, end)
+
+
+@compiled
+def predict(
+    p: TargetParameters, state: TargetState, known: Floats, pace: float, points: Floats
+) -> None:
+    """Integrate Eq. (1) over the coming steps, and write the points, see `target_step`."""
+    n, y, half = points.shape[2], state.coming, len(state.target) // 2
+    r, ground, begin, end = state.axes[0], state.axes[2], state.dofs[0], state.dofs[1]
+    values, stops = state.model.values, state.coming_stops
+    for i in range(len(y)):
+        y[i] = state.target[i]
+    for j in range(n):
+        for i in range(stops.shape[1]):
+            stops[j, i] = state.stops[j, i]
+    specimen_force(p, state, values, y, stops, r)
+    for point in range(len(points)):
+        for i in range(n):
+            ground[i] = known[point, i]
+        push(p, y, r, ground, pace, begin)
+        for i in range(n):
+            a = begin[i]  # and what the elastic structure makes of its state
+            for l in range(len(y)):
+                a += p.acceleration[i, l] * y[l]
+            state.axes[3, i] = a
+        for i in range(n):  # f* = M_e a* + r (3), which is f_r of Eq. 2.5 with a*
+            force = r[i]
+            for l in range(n):
+                force += p.mass[i, l] * state.axes[3, l]
+            points[point, 0, i] = y[i]
+            points[point, 1, i] = y[half + i]
+            points[point, 2, i] = force
+        if point + 1 == len(points):
+            break
+        for step in range(p.substeps):
+            part = (step + 1) / p.substeps
+            for i in range(n):
+                ground[i] = known[point, i] + part * (known[point + 1, i] - known[point, i])
+            move(p, state, y, stops, begin)
+            specimen_force(p, state, values, y, stops, r)
+            push(p, y, r, ground, pace, end)
+            correct(p, y, begin, end)
+            if step + 1 < p.substeps:
+                specimen_force(p, state, values, y, stops, r)
+                push(p, y, r, ground, pace, begin)
+        specimen_force(p, state, values, y, stops, r)
