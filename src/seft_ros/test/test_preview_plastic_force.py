@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_plant_sim.spring_laws import MEMORY, spring_force
-from springs_at_hand import spring as made
 from seft_ros.reference_force.compensation.compensator import Knowledge
 from seft_ros.reference_force.compensation.preview.force_error import ForceErrorCorrection
 from seft_ros.reference_force.compensation.preview.plastic_force import PlasticForce
 from seft_ros.reference_force.compensation.preview.tangent_filter import TangentFilter
 from seft_ros.reference_force.compensation.preview.target_prediction import TargetPrediction
+from springs_at_hand import spring as made
 
 DT, HORIZON = 0.002, 37
 M, C, K, YIELD, NOISE = 52.7, 800.3, 2.11e5, 0.004, 16.0
