@@ -86,16 +86,18 @@ class Motion(NamedTuple):
 
 
 def dynamics_of(
-    model: ContinuousModel, before: float, after: float, longest: float = LONGEST_STEP
+    model: ContinuousModel, before: float, after: float, longest: float = 0.0
 ) -> Dynamics:
     """Make it of a model, for two stretches of time in s, in steps of at most ``longest`` s.
+
+    0 stands for `LONGEST_STEP`.
 
     Raises
     ------
     InputError
         If a residual is too fast to be followed.
     """
-    fastest = _fastest(model)
+    fastest, longest = _fastest(model), longest or LONGEST_STEP
     if fastest * longest > STEP_TIMES_RATE:
         longest = STEP_TIMES_RATE / fastest
         if max(before, after) > MAX_STEPS * longest:

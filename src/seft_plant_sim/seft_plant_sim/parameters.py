@@ -3,8 +3,8 @@
 from seft_msgs_py import realtime
 from seft_msgs_py.parameters import Parameter, Table
 
+from seft_plant_sim import spring_kinds
 from seft_plant_sim.limits import limit_rows
-from seft_plant_sim.specimen import KINDS
 
 PACE = (
     Parameter(
@@ -37,60 +37,23 @@ PACE = (
 )
 
 SPECIMEN = (
-    Parameter(
-        "specimen.kind",
-        "string",
-        "linear",
-        "restoring force: linear, bilinear with kinematic hardening, or Bouc-Wen",
-        choices=KINDS.names,
-    ),
-    KINDS.settings_row("specimen.settings", "a restoring force"),
     Parameter("specimen.mass", "floats", None, "mass: one number, a diagonal, or a matrix", "kg"),
     Parameter("specimen.damping", "floats", 0.0, "viscous damping, likewise", "N s/m"),
     Parameter(
-        "specimen.stiffness", "floats", None, "stiffness, likewise; as new where it yields", "N/m"
+        "specimen.stiffness",
+        "floats",
+        None,
+        "stiffness, likewise; as new where it yields, without friction and beyond no gap",
+        "N/m",
     ),
     Parameter(
         "specimen.springs",
         "floats",
         0.0,
-        "springs that yield: deformation of each per displacement of each axis, spring by "
-        "spring; 0: one between each axis and the ground",
+        "springs that are not linear: deformation of each per displacement of each axis, spring "
+        "by spring; 0: one between each axis and the ground",
     ),
-    Parameter(
-        "specimen.yield_displacement",
-        "floats",
-        0.0,
-        "deformation at which a spring yields, for all or per spring",
-        "m",
-        minimum=0.0,
-    ),
-    Parameter(
-        "specimen.hardening_ratio",
-        "floats",
-        0.05,
-        "stiffness after yielding over the elastic one, likewise",
-        minimum=0.0,
-        maximum=0.999,
-    ),
-    Parameter("specimen.bouc_wen.exponent", "float", 1.0, "sharpness of yielding, n", minimum=1.0),
-    Parameter("specimen.bouc_wen.beta", "float", 0.5, "shape of unloading, beta"),
-    Parameter("specimen.bouc_wen.gamma", "float", 0.5, "shape of unloading, gamma"),
-    *(
-        Parameter(
-            f"specimen.bouc_wen.{name}_loss",
-            "float",
-            0.0,
-            f"degradation of {name} per work of yield force times yield displacement "
-            f"(Baber & Wen 1981, {symbol})",
-            minimum=0.0,
-        )
-        for name, symbol in (
-            ("amplitude", "delta_A"),
-            ("strength", "delta_nu"),
-            ("stiffness", "delta_eta"),
-        )
-    ),
+    *spring_kinds.PARAMETERS,
 )
 
 ACTUATOR = (

@@ -125,7 +125,7 @@ class Rig:
     @property
     def sample(self) -> Floats:
         """The true state at the last step, shape (4, n)."""
-        return self.state.true.reshape(4, -1)
+        return self.state.true.reshape(4, -1).copy()
 
     def reset(self) -> Floats:
         """Bring the rig to rest and take the sample of step 0, shape (4, n)."""

@@ -9,29 +9,20 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.arrays import mass_matrix, symmetric_matrix
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.parameters import group
-from seft_msgs_py.registered import Registered
 from seft_msgs_py.rigs import RigAxes
 
-from seft_plant_sim.restoring_force import HystereticSpring, Spring
-from seft_plant_sim.spring_laws import BOUC_WEN, SLIDER
+from seft_plant_sim.restoring_force import Spring
+from seft_plant_sim.spring_kinds import make_springs
 
 Floats = npt.NDArray[np.float64]
-
-KINDS = Registered("seft.restoring_force", ("linear", "bilinear", "bouc_wen"))
-"""Of other packages: a kind -> what makes a `HystereticSpring`.
-
-It is given elastic stiffness in N/m, yield displacement in m, and hardening ratio, and may take
-settings.
-"""
 
 
 @dataclass(frozen=True)
 class Specimen:
     """Mass, damping and restoring force of a specimen: M a + C v + r(x) = f (Eq. 2.4).
 
-    Linear, r = K x. With hysteretic springs, r = D^T s, where the springs' deformations are
-    e = D x; as long as they are elastic this is K x again.
+    Linear, r = K x. With springs that are not linear, r = D^T s, where their deformations are
+    e = D x; as long as they are elastic this is K x again (friction acts beside it).
 
     Attributes
     ----------
@@ -71,20 +62,7 @@ class Specimen:
             return linear
         deformation = deformations(section["springs"], axes, where)
         stiffness = _spring_stiffness(linear.stiffness, deformation, where)
-        count = len(deformation)
-        yields, hardening = (
-            _per_spring(section[name], count, f"{where}.{name}")
-            for name in ("yield_displacement", "hardening_ratio")
-        )
-        if min(yields) <= 0.0:
-            raise InputError(
-                f"{where}.yield_displacement is {section['yield_displacement']}, but a "
-                f"{kind} specimen yields: give the displacement in m"
-            )
-        springs = tuple(
-            _spring(kind, section, where, values)
-            for values in zip(stiffness, yields, hardening, strict=True)
-        )
+        springs = make_springs(kind, section, stiffness, where)
         return replace(linear, springs=springs, deformation=deformation)
 
     @property
@@ -138,35 +116,6 @@ class Specimen:
         return a, b
 
 
-def _spring(
-    kind: str, section: dict[str, Any], where: str, values: tuple[float, float, float]
-) -> Spring:
-    """One spring of a stiffness, a yield displacement and a hardening ratio."""
-    if kind in KINDS:
-        made = KINDS.make(kind, section.get("settings", ""), f"{where}.kind", *values)
-        if not isinstance(made, HystereticSpring):
-            raise InputError(
-                f"{where}.kind is {kind}, but it makes a {type(made).__name__}; it must be "
-                "a seft_plant_sim.restoring_force.HystereticSpring"
-            )
-        return Spring.of(made)
-    stiffness, z_y, a = values
-    parts = (a * stiffness, (1.0 - a) * stiffness, z_y)
-    if kind == "bilinear":
-        return Spring.of_law(SLIDER, stiffness, *parts, -z_y)
-    shape = group(section, "bouc_wen")
-    total = shape["beta"] + shape["gamma"]
-    if total <= 0.0:
-        raise InputError(
-            f"{where}.bouc_wen: beta {shape['beta']} and gamma {shape['gamma']} must add up "
-            "to more than 0, or the spring never yields"
-        )
-    limit = z_y * total ** (-1.0 / shape["exponent"])
-    names = ("exponent", "beta", "gamma", "amplitude_loss", "strength_loss", "stiffness_loss")
-    own = (shape[name] for name in names)
-    return Spring.of_law(BOUC_WEN, stiffness, *parts, limit, *own)
-
-
 def deformations(value: float | Sequence[float], axes: Sequence[str], where: str) -> Floats:
     """Matrix D over n axes, shape (p, n): deformation of each spring per displacement.
 
@@ -204,10 +153,3 @@ def _spring_stiffness(stiffness: Floats, deformation: Floats, where: str) -> lis
             f"but must be positive; mend {where}.springs or the stiffness"
         )
     return found.tolist()
-
-
-def _per_spring(value: float | Sequence[float], count: int, where: str) -> list[float]:
-    numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
-    if numbers.size not in (1, count):
-        raise InputError(f"{where}: {numbers.size} values for {count} springs; give 1 or {count}")
-    return np.broadcast_to(numbers, count).tolist()

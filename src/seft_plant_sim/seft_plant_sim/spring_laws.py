@@ -40,7 +40,7 @@ WIDTH = 15
 MEMORY = 3
 """Numbers that a spring remembers."""
 
-PATH_STEP = 0.05  # of z_y: longest step of `BOUC_WEN` along a path..
+PATH_STEP = 0.03  # of z_y: longest step of `BOUC_WEN` along a path..
 STEP_TIMES_EXPONENT = 0.4  # ..and shorter where it yields sharply
 MOST_STEPS = 20_000  # of one path: a jump beyond is followed roughly
 
@@ -75,7 +75,7 @@ def spring_force(laws: Floats, j: int, memory: Floats, e: float) -> float:
         beyond = max(abs(e) - z_y, 0.0)
         return laws[j, BESIDE] * e + laws[j, HYSTERETIC] * math.copysign(beyond, e)
     if kind == DUFFING:
-        held = min(max(e, -z_y), z_y)
+        held = _bounded(e, z_y)
         return (laws[j, BESIDE] + laws[j, HYSTERETIC] * held * held) * held
     if kind == SLIDER:
         # z = min(max(z + e - e_last, low(e)), high(e)): exact, as the bounds rise no faster than e
@@ -137,9 +137,14 @@ def follow(law: Floats, memory: Floats, path: Floats, found: Floats) -> None:
 
 
 @compiled
+def _bounded(z: float, limit: float) -> float:
+    return min(max(z, -limit), limit)
+
+
+@compiled
 def _slip(laws: Floats, j: int, work: float) -> float:
     """Give s sqrt(2 / pi), m: the slip grows with the work (Foliente 1995)."""
-    grown = 1.0 - math.exp(-laws[j, SLIP_RATE] * work)
+    grown = 1.0 - math.exp(-laws[j, SLIP_RATE] * max(work, 0.0))
     return math.sqrt(2.0 / math.pi) * laws[j, SLIP] * laws[j, Z_Y] * grown
 
 
@@ -149,7 +154,6 @@ def _bouc_wen_slope(laws: Floats, j: int, sign: float, z: float, work: float) ->
     amplitude = max(0.0, 1.0 - laws[j, AMPLITUDE_LOSS] * work)
     strength = 1.0 + laws[j, STRENGTH_LOSS] * work
     stiffness = 1.0 + laws[j, STIFFNESS_LOSS] * work
-    z = min(max(z, -laws[j, LIMIT]), laws[j, LIMIT])
     power = abs(z / laws[j, Z_Y])
     if laws[j, EXPONENT] != 1.0:
         power = power ** laws[j, EXPONENT]
@@ -177,13 +181,13 @@ def _follow_bouc_wen(laws: Floats, j: int, memory: Floats, change: float) -> Non
     per_z = laws[j, HYSTERETIC] / (laws[j, STIFFNESS] * z_y * z_y)  # of k z_y^2, per z and e
     for _ in range(steps):
         z1, w1 = _bouc_wen_slope(laws, j, sign, z, work), per_z * z
-        middle = z + 0.5 * h * z1
-        z2, w2 = _bouc_wen_slope(laws, j, sign, middle, work + 0.5 * h * w1), per_z * middle
-        middle = z + 0.5 * h * z2
-        z3, w3 = _bouc_wen_slope(laws, j, sign, middle, work + 0.5 * h * w2), per_z * middle
-        end = z + h * z3
-        z4, w4 = _bouc_wen_slope(laws, j, sign, end, work + h * w3), per_z * end
-        z = min(max(z + h / 6.0 * (z1 + 2.0 * z2 + 2.0 * z3 + z4), -limit), limit)
+        y = _bounded(z + 0.5 * h * z1, limit)
+        z2, w2 = _bouc_wen_slope(laws, j, sign, y, work + 0.5 * h * w1), per_z * y
+        y = _bounded(z + 0.5 * h * z2, limit)
+        z3, w3 = _bouc_wen_slope(laws, j, sign, y, work + 0.5 * h * w2), per_z * y
+        y = _bounded(z + h * z3, limit)
+        z4, w4 = _bouc_wen_slope(laws, j, sign, y, work + h * w3), per_z * y
+        z = _bounded(z + h / 6.0 * (z1 + 2.0 * z2 + 2.0 * z3 + z4), limit)
         work += h / 6.0 * (w1 + 2.0 * w2 + 2.0 * w3 + w4)
     memory[j, 1], memory[j, 2] = z, work
 

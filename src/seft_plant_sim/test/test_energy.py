@@ -4,10 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
+from bare_rig import BareRig
 from seft_msgs_py.parameters import group, resolve
 from seft_plant_sim.energy import energy_balance
 from seft_plant_sim.parameters import TABLE
-from seft_plant_sim.plant import make_plant
 from seft_plant_sim.rig import continuous_model
 from seft_plant_sim.specimen import Specimen
 
@@ -40,7 +40,7 @@ def shaken_rig(commands, law, kind="servo_hydraulic", specimen=None, **actuator)
     given |= {f"actuator.{name}": value for name, value in actuator.items()}
     section = resolve({"rig": TABLE}, {"rig": TABLE.check(given)})["rig"]
     axes = ("x", "y")[: commands.shape[1]]
-    plant = make_plant(continuous_model(section, axes), DT)
+    plant = BareRig(continuous_model(section, axes), DT)
     samples = np.array([plant.reset(), *(plant.step(command) for command in commands)])
     return Specimen.from_parameters(group(section, "specimen"), axes, "rig: specimen"), samples
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from bare_rig import BareRig
 from seft_msgs_py.parameters import resolve
 from seft_plant_sim.actuator import delayed_force
 from seft_plant_sim.continuous_model import with_low_pass
 from seft_plant_sim.parameters import TABLE
-from seft_plant_sim.plant import LinearPlant
 from seft_plant_sim.rig import continuous_model
 from seft_plant_sim.specimen import Specimen
 
@@ -61,7 +61,7 @@ def test_a_sampled_sine_has_the_gain_and_phase_of_the_filter(kind):
         given = {"specimen.mass": 52.7, "specimen.damping": 2000.0, "specimen.stiffness": 2.11e5}
         given |= {"actuator.kind": kind, "sensors.anti_alias": cutoff, "actuator.leakage": 3e3}
         section = resolve({"rig": TABLE}, {"rig": TABLE.check(given)})["rig"]
-        plant = LinearPlant(continuous_model(section, ("x",)), dt)
+        plant = BareRig(continuous_model(section, ("x",)), dt, linear=True)
         plant.reset()
         samples = np.array([plant.step(np.array([u])) for u in amplitude * turn.imag])
         return 2 * np.mean(samples[2000:, :, 0] * turn[2000:, np.newaxis].conj(), axis=0)

@@ -8,12 +8,12 @@ import itertools
 
 import numpy as np
 import pytest
+from bare_rig import BareRig
 from scipy.integrate import solve_ivp
 from seft_msgs_py.parameters import resolve
-from seft_plant_sim import nonlinear_plant
-from seft_plant_sim.nonlinearity import STOP_DAMPING, STOP_STIFFNESS
+from seft_plant_sim import integration
 from seft_plant_sim.parameters import TABLE
-from seft_plant_sim.plant import make_plant
+from seft_plant_sim.piston import STOP_DAMPING, STOP_STIFFNESS
 from seft_plant_sim.rig import continuous_model
 
 DT = 0.002
@@ -52,7 +52,7 @@ def sampled(specimen, actuator, commands, cutoff=0.0):
     values |= {f"actuator.{name}": value for name, value in actuator.items()}
     values["sensors.anti_alias"] = cutoff
     section = resolve({"rig": TABLE}, {"rig": TABLE.check(values)})["rig"]
-    plant = make_plant(continuous_model(section, ("x", "y")[: commands.shape[1]]), DT)
+    plant = BareRig(continuous_model(section, ("x", "y")[: commands.shape[1]]), DT)
     return np.array([plant.reset(), *(plant.step(command) for command in commands)])
 
 
@@ -187,7 +187,7 @@ def test_where_it_gets_rough_the_error_falls_as_the_step_does(actuator, commands
     expected = solved(specimen, SERVO | actuator, commands)
     coarse = error(specimen, SERVO | actuator, commands, expected)
     for name in ("LONGEST_STEP", "STEP_TIMES_RATE"):
-        monkeypatch.setattr(nonlinear_plant, name, getattr(nonlinear_plant, name) / 4)
+        monkeypatch.setattr(integration, name, getattr(integration, name) / 4)
     fine = error(specimen, SERVO | actuator, commands, expected)
     assert coarse < 0.03
     assert fine < max(coarse / 6, 1e-4)

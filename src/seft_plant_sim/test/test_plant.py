@@ -4,11 +4,11 @@ import itertools
 
 import numpy as np
 import pytest
+from bare_rig import BareRig
 from scipy.integrate import solve_ivp
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.actuator import delayed_force, servo_hydraulic
 from seft_plant_sim.hydraulics import Hydraulics
-from seft_plant_sim.plant import LinearPlant
 from seft_plant_sim.specimen import Specimen
 
 DT = 0.002
@@ -91,12 +91,12 @@ def test_samples_are_those_of_the_continuous_system(kind, delay, specimen):
     model = hydraulic(specimen, delay) if valve else delayed_force(specimen, delay)
     expected = solved(specimen, commands, delay, valve)
     scale = np.abs(expected).max(axis=(0, 2), keepdims=True)
-    ours = run(LinearPlant(model, DT), commands)
+    ours = run(BareRig(model, DT), commands)
     np.testing.assert_allclose(ours / scale, expected / scale, rtol=0, atol=1e-9)
 
 
 def test_free_decay_has_the_frequency_and_damping_of_the_paper():
-    plant = LinearPlant(delayed_force(PAPER, 0.0), DT)
+    plant = BareRig(delayed_force(PAPER, 0.0), DT)
     samples = run(plant, np.array([[1000.0]] * 50 + [[0.0]] * 500))
     x = samples[60:, 0, 0]
     # free vibration obeys x[k+1] = 2 e^-d cos(p) x[k] - e^-2d x[k-1]
@@ -110,7 +110,7 @@ def test_free_decay_has_the_frequency_and_damping_of_the_paper():
 
 def test_an_undamped_specimen_swings_on_without_loss():
     specimen = Specimen(PAPER.mass, np.zeros((1, 1)), PAPER.stiffness)
-    plant = LinearPlant(delayed_force(specimen, 0.0), DT)
+    plant = BareRig(delayed_force(specimen, 0.0), DT)
     run(plant, np.full((100, 1), 1000.0))
     samples = np.array([plant.step(np.zeros(1)) for _ in range(50_000)])[1:, :, 0]
     energy = 52.7 * samples[:, 1] ** 2 / 2 + 2.11e5 * samples[:, 0] ** 2 / 2
@@ -122,21 +122,21 @@ def test_static_deflection_is_force_over_stiffness():
     for specimen in (PAPER, COUPLED):
         f = forces[: specimen.axes]
         for delay in (0.0, 0.0027):
-            last = run(LinearPlant(delayed_force(specimen, delay), DT), np.tile(f, (3000, 1)))[-1]
+            last = run(BareRig(delayed_force(specimen, delay), DT), np.tile(f, (3000, 1)))[-1]
             np.testing.assert_allclose(last[0], np.linalg.solve(specimen.stiffness, f), rtol=1e-9)
             np.testing.assert_allclose(last[1:3], 0.0, atol=1e-9)
             np.testing.assert_array_equal(last[3], f)
 
 
 def test_a_held_valve_ends_where_flow_and_leakage_balance():
-    last = run(LinearPlant(hydraulic(PAPER, 0.001), 0.02), np.full((6000, 1), 0.01))[-1, :, 0]
+    last = run(BareRig(hydraulic(PAPER, 0.001), 0.02), np.full((6000, 1), 0.01))[-1, :, 0]
     force = 1.664e7 * 0.038527 * 0.01 / 20.0
     np.testing.assert_allclose(last, [force / 2.11e5, 0.0, 0.0, force], rtol=1e-6, atol=1e-6)
 
 
 def test_an_ideal_actuator_applies_each_command_at_the_next_sample():
     commands = np.random.default_rng(3).normal(size=(50, 3))
-    samples = run(LinearPlant(delayed_force(COUPLED, 0.0), DT), commands)
+    samples = run(BareRig(delayed_force(COUPLED, 0.0), DT), commands)
     np.testing.assert_array_equal(samples[1:, 3], commands)
     x, v, a, f = np.moveaxis(samples, 1, 0)
     balance = a @ COUPLED.mass + v @ COUPLED.damping + x @ COUPLED.stiffness
@@ -149,7 +149,7 @@ def test_an_ideal_actuator_applies_each_command_at_the_next_sample():
 )
 def test_a_delayed_force_is_the_command_of_one_step_and_the_delay_before(delay, steps):
     commands = np.random.default_rng(4).normal(size=(40, 1))
-    force = run(LinearPlant(delayed_force(PAPER, delay), DT), commands)[:, 3]
+    force = run(BareRig(delayed_force(PAPER, delay), DT), commands)[:, 3]
     np.testing.assert_array_equal(force[1 + steps :], commands[: len(commands) - steps])
     np.testing.assert_array_equal(force[: 1 + steps], 0.0)
 
@@ -158,21 +158,21 @@ def test_a_delayed_force_is_the_command_of_one_step_and_the_delay_before(delay, 
 def test_a_delay_of_whole_samples_is_whole_at_any_rate(rate):
     dt = 1 / rate
     for steps in (1, 3, 29, 300):
-        plant = LinearPlant(delayed_force(PAPER, steps * dt), dt)
+        plant = BareRig(delayed_force(PAPER, steps * dt), dt)
         force = run(plant, np.arange(1.0, 400.0)[:, np.newaxis])[:, 3, 0]
         assert np.flatnonzero(force)[0] == 1 + steps
 
 
 def test_reset_brings_back_the_very_same_samples():
     commands = np.random.default_rng(5).normal(size=(30, 3))
-    plant = LinearPlant(hydraulic(COUPLED, 0.0113), DT)
+    plant = BareRig(hydraulic(COUPLED, 0.0113), DT)
     first = run(plant, commands)
     run(plant, commands[::-1])
     np.testing.assert_array_equal(run(plant, commands), first)
 
 
 def test_a_sample_is_not_changed_by_later_steps_nor_by_the_command_array():
-    plant = LinearPlant(hydraulic(PAPER, 0.001), DT)
+    plant = BareRig(hydraulic(PAPER, 0.001), DT)
     command = np.ones(1)
     sample = plant.step(command)
     kept = sample.copy()
@@ -180,4 +180,4 @@ def test_a_sample_is_not_changed_by_later_steps_nor_by_the_command_array():
         plant.step(np.full(1, 9.0))
     np.testing.assert_array_equal(sample, kept)
     with pytest.raises(InputError, match="a delay of 2001 s is 1000500 samples long"):
-        LinearPlant(delayed_force(PAPER, 2001.0), DT)
+        BareRig(delayed_force(PAPER, 2001.0), DT)

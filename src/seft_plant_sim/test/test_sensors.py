@@ -12,11 +12,27 @@ from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.parameters import group, resolve
 from seft_plant_sim.parameters import TABLE
-from seft_plant_sim.sensors import Channels, Sensors
+from seft_plant_sim.sensors import CHANNELS, Channels, Sensors, measure
 
 DT = 0.002
 RMS = np.array([[5e-6, 1e-5], [0.01, 0.02], [0.05, 0.1], [3.0, 0.0]])
 STATE = np.arange(8.0).reshape(4, 2)
+
+
+class Measured:
+    """Sensors, sample by sample, and which are at their range."""
+
+    def __init__(self, sensors):
+        self.sensors, self.saturated = sensors, []
+        self._last = np.zeros(sensors.channels.noise.shape)
+
+    def measure(self, step, state):
+        channels, measured = self.sensors.channels, np.empty_like(self._last)
+        noise = self.sensors.noise_of(step)
+        found = measure(channels, step, np.ravel(state) * 1.0, noise, self._last, measured)
+        self.saturated = [f"{c}_range" for i, c in enumerate(CHANNELS) if found >> i & 1]
+        self._last = measured
+        return measured
 
 
 def sensors(rms=RMS, seed=1, **rows):
@@ -24,7 +40,7 @@ def sensors(rms=RMS, seed=1, **rows):
     rms = np.asarray(rms, dtype=float)
     values = {"bias": 0.0, "range": np.inf, "resolution": 0.0} | rows
     full = {name: np.broadcast_to(value, rms.shape).astype(float) for name, value in values.items()}
-    return Sensors(Channels(rms, **full), seed)
+    return Measured(Sensors(Channels(rms, **full), seed))
 
 
 def from_parameters(seed=1, axes=("x", "y"), **values):
@@ -32,7 +48,9 @@ def from_parameters(seed=1, axes=("x", "y"), **values):
     given = {"specimen.mass": 1.0, "specimen.stiffness": 1.0}
     given |= {f"sensors.{name}": value for name, value in values.items()}
     section = resolve({"rig": TABLE}, {"rig": TABLE.check(given)})["rig"]
-    return Sensors.from_parameters(group(section, "sensors"), seed, DT, axes, "rig: sensors")
+    return Measured(
+        Sensors.from_parameters(group(section, "sensors"), seed, DT, axes, "rig: sensors")
+    )
 
 
 def noise(steps, rms=RMS, seed=1):

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from bare_rig import BareRig
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.experiment import Experiment
-from seft_plant_sim.plant import LinearPlant
 from seft_plant_sim.rig import continuous_model
 from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.block import ForceController
@@ -42,7 +42,7 @@ def experiment(rate=500.0, axes=("x",), controller=None, **changed):
 
 def rig_forces(test, commands):
     """Actuator forces of the simulated rig, (N, n), when command k answers sample k."""
-    rig = LinearPlant(continuous_model(test["rig"], test.axes), test.timebase.dt)
+    rig = BareRig(continuous_model(test["rig"], test.axes), test.timebase.dt, linear=True)
     state, forces = rig.reset(), []
     for k in range(len(commands)):
         forces.append(state[3].copy())
@@ -160,7 +160,7 @@ def test_a_sine_runs_through_the_blocks_as_the_closed_loop_says(frequency):
     test = experiment()
     dt, count, kept = test.timebase.dt, 6000, 2000  # 12 s; the last 4 s hold whole periods
     controller = ForceController([(PAPER.numerator, PAPER.denominator)], 1e9, dt)
-    rig = LinearPlant(continuous_model(test["rig"], test.axes), dt)
+    rig = BareRig(continuous_model(test["rig"], test.axes), dt, linear=True)
     reference = np.sin(2 * np.pi * frequency * dt * np.arange(count))
     state, forces = rig.reset(), []
     for value in reference:
@@ -190,7 +190,7 @@ def test_the_dominant_pole_is_how_the_blocks_grow_or_die_out(axes, gain):
     controller = PAPER.scaled(gain)
     pole = dominant_pole(choose_plant(test), controller, dt)
     block = ForceController([(controller.numerator, controller.denominator)] * len(axes), 1e150, dt)
-    rig = LinearPlant(continuous_model(test["rig"], test.axes), dt)
+    rig = BareRig(continuous_model(test["rig"], test.axes), dt, linear=True)
     state, forces = rig.reset(), []
     for k in range(1500):
         state = rig.step(block.step(np.eye(len(axes))[0] * (k == 0), state))

@@ -3,21 +3,22 @@
 import numpy as np
 import pytest
 from seft_plant_sim.computed_substructure import ComputedSubstructure
-from seft_plant_sim.restoring_force import BilinearSpring, BoucWenSpring
+from seft_plant_sim.spring_laws import MEMORY, spring_force
 from seft_ros.reference_force.compensation.compensator import Knowledge
 from seft_ros.reference_force.compensation.preview.force_error import ForceErrorCorrection
 from seft_ros.reference_force.compensation.preview.plastic_force import PlasticForce
 from seft_ros.reference_force.compensation.preview.tangent_filter import TangentFilter
 from seft_ros.reference_force.compensation.preview.target_prediction import TargetPrediction
+from springs_at_hand import spring as made
 
 DT, HORIZON = 0.002, 37
 M, C, K, YIELD, NOISE = 52.7, 800.3, 2.11e5, 0.004, 16.0
-SPRINGS = [BilinearSpring(K, YIELD, 0.1), BoucWenSpring(K, YIELD, 0.1)]
+SPRINGS = [made("bilinear"), made("bouc_wen")]  # K, YIELD, hardening ratio 0.1
 
 
 def plastic_part(spring, x):
     """p along a path of displacements."""
-    return (1 - spring.hardening_ratio) * K * (spring.follow(x) - x)
+    return spring.follow(x)[0] - K * x
 
 
 def knowledge(alpha=1.0, n=1):
@@ -42,18 +43,18 @@ def response(spring, alpha, steps=4000):
     hz, phase = rng.uniform(1.0, 7.0, 25), rng.uniform(0, 2 * np.pi, 25)
     a_g = np.minimum(1.0, t / 2) * np.sin(2 * np.pi * hz * t[:, None] + phase).sum(axis=1)
     a_g *= 14.0 / np.abs(a_g).max()
-    x = v = z = work = 0.0
+    x = v = s = 0.0
     h, path = DT / inner, []
+    law, memory = np.array([spring.law]), np.zeros((1, MEMORY))
     for k in range(steps):
-        r = spring.force(x, z) + C * v
+        r = s + C * v
         path.append([x, v, r - K * x - C * v])
         for i in range(inner):  # velocity Verlet
             ground = a_g[k] + (i + 0.5) / inner * (a_g[k + 1] - a_g[k])
-            a = -ground - (spring.force(x, z) + C * v) / (M * (1 + alpha))
-            step = h * (v + h * a / 2)
-            z, work = spring._advance(z, work, step)
-            x += step
-            ahead = -ground - (spring.force(x, z) + C * (v + h * a)) / (M * (1 + alpha))
+            a = -ground - (s + C * v) / (M * (1 + alpha))
+            x += h * (v + h * a / 2)
+            s = spring_force(law, 0, memory, x)
+            ahead = -ground - (s + C * (v + h * a)) / (M * (1 + alpha))
             v += h * (a + ahead) / 2
     path = np.array(path)
     return a_g[:, None], path[:, :2], path[:, 2]
@@ -250,7 +251,7 @@ def test_without_force_errors_nothing_is_mended():
 
 def test_a_spring_that_vibrates_while_it_yields_is_not_taken_for_elastic():
     """Small turns back, and its slope is known at once when it loads again."""
-    spring = BoucWenSpring(K, YIELD, 0.1)
+    spring = SPRINGS[1]
     t = DT * np.arange(1200)
     x = 0.012 * t / t[-1] + 1.2e-4 * np.sin(2 * np.pi * 30.0 * t)
     v, p = np.gradient(x, DT), plastic_part(spring, x)

@@ -86,7 +86,8 @@ class Workshop:
         )
         last = ran - 1
         trip = trip_of(
-            rig.violation_of(int(course.flags[last])) or _stop(loop.interlock, course, last, stopped),
+            rig.violation_of(int(course.flags[last]))
+            or _stop(loop.interlock, course, last, stopped),
             _cause(loop.force, course, begun, cause),
             last,
             begun,

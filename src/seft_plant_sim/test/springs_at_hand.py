@@ -1,0 +1,38 @@
+"""Springs as the rig's parameters make them, and paths for them."""
+
+import itertools
+
+import numpy as np
+from seft_msgs_py.parameters import group, resolve
+from seft_plant_sim.parameters import TABLE
+from seft_plant_sim.spring_kinds import make_springs
+
+K, Y, A = 2.11e5, 0.004, 0.1
+
+
+def spring(kind, **values):
+    """Spring of the table's defaults with changes; a double underscore stands for a dot."""
+    values = {"yield_displacement": Y, "hardening_ratio": A} | values
+    given = {"specimen.mass": 1.0, "specimen.stiffness": K}
+    given |= {f"specimen.{name.replace('__', '.')}": value for name, value in values.items()}
+    section = resolve({"rig": TABLE}, {"rig": TABLE.check(given)})["rig"]
+    (made,) = make_springs(kind, group(section, "specimen"), [K], "rig: specimen")
+    return made
+
+
+def through(*turns, points=4000):
+    """Path of deformation from one turning point to the next, in yield displacements."""
+    parts = [np.linspace(a, b, points)[1:] for a, b in itertools.pairwise(turns)]
+    return Y * np.concatenate([[turns[0]], *parts])
+
+
+def hysteretic(made, path):
+    """z along a path, m: s = a k e + (1 - a) k z."""
+    force = made.follow(path)[0]
+    return (force / K - A * path) / (1 - A)
+
+
+def work(force, path):
+    """Work done so far, J, by the trapezoidal rule."""
+    done = np.cumsum((force[1:] + force[:-1]) / 2 * np.diff(path))
+    return np.concatenate([[0.0], done])

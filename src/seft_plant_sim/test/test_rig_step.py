@@ -1,0 +1,117 @@
+"""The compiled step: the same bits alone and in a loop, and the laws in the rig."""
+
+import itertools
+
+import numpy as np
+import pytest
+from bare_rig import BareRig
+from seft_msgs_py.experiment import Experiment
+from seft_plant_sim.compiled import compiled
+from seft_plant_sim.parameters import TABLE
+from seft_plant_sim.response import ShakenStructure
+from seft_plant_sim.rig import Rig, continuous_model, saturation_of
+from seft_plant_sim.rig_step import rig_step
+
+JHU = "config/jhu.yaml"
+YIELDS = {"yield_displacement": 0.003}
+KINDS = {
+    "linear": {},
+    "bilinear": YIELDS,
+    "bouc_wen": YIELDS | {"bouc_wen.exponent": 1.5, "bouc_wen.strength_loss": 0.02},
+    "pinching": YIELDS,
+    "flag": YIELDS,
+    "friction": {"friction.force": 150.0},
+    "gap": {"gap.width": 0.003, "gap.stiffness": 8e5},
+    "duffing": {"duffing.cubic": 4e9},
+}
+FILTERED = {"sensors.anti_alias": 200.0, "sensors.velocity": "derived"}
+RIGS = [
+    *(
+        {"specimen.kind": k} | {f"specimen.{n}": v for n, v in own.items()}
+        for k, own in KINDS.items()
+    ),
+    {"actuator.kind": "ideal"},
+    {"actuator.kind": "delay", "actuator.delay": 0.0113},
+    {"actuator.kind": "servo_hydraulic_linear", "actuator.dead_time": 0.0037},
+    {"sensors.acceleration_range": 5.0, "limits.saturated_time": 0.1} | FILTERED,
+]
+
+
+@compiled
+def run(parameters, state, commands, noise, states, found):
+    """Take all steps of a rig."""
+    for step in range(len(noise)):
+        command = commands[max(step - 1, 0)]
+        found[step] = rig_step(parameters, state, step, command, noise[step], states[step])
+
+
+def rig(values, axes=("x",), rate=500.0):
+    overrides = [("rig", name, value) for name, value in values.items()]
+    overrides += [("/**", "axes", list(axes)), ("/**", "rate", rate)]
+    experiment = Experiment.load([TABLE], [JHU], overrides, nodes=["rig"])
+    return experiment, Rig.from_parameters(experiment["rig"], axes, experiment.timebase)
+
+
+@pytest.mark.parametrize("axes", [("x",), ("x", "y")], ids=len)
+@pytest.mark.parametrize("values", RIGS, ids=lambda v: "-".join(map(str, v.values())))
+def test_a_rig_alone_and_in_a_compiled_loop_gives_the_same_bits(values, axes):
+    steps, (_, one) = 600, rig(values, axes)
+    amplitude = 400.0 if one.drive == "reference_force" else 4.0
+    time = 0.002 * np.arange(steps)[:, np.newaxis] + np.arange(len(axes))
+    commands = amplitude * np.sin(2 * np.pi * 6.0 * time)
+    states, found = np.empty((steps, 4, len(axes))), np.empty(steps, dtype=np.int64)
+    run(one.parameters, one.state, commands, one.sensors.noise(steps), states, found)
+    told = one.violation_of(int(found[-1]))
+    alone = np.array([one.reset(), *(one.step(command) for command in commands[:-1])])
+    np.testing.assert_array_equal(alone, states)
+    assert one.saturation == saturation_of(found)
+    assert one.violation == told
+    assert np.abs(states[:, 0]).max() > 0.002
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_exact_force_gives_the_reference_the_nearer_the_finer_it_is_sampled(kind):
+    """The force of a held sample is that of its middle: -M a_g, of which M x'' + r = f knows."""
+    values = {"specimen.kind": kind, "actuator.kind": "ideal"}
+    values |= {f"specimen.{name}": value for name, value in KINDS[kind].items()}
+
+    def ground(time):
+        return 13.0 * np.sin(40.0 * time) * np.exp(-(((time - 0.3) / 0.15) ** 2))
+
+    errors = []
+    for rate in (1000.0, 4000.0):
+        experiment, _ = rig(values, rate=rate)
+        dt, model = 1.0 / rate, continuous_model(experiment["rig"], ("x",))
+        time = dt * np.arange(int(0.7 * rate) + 1)
+        force = -52.7 * ground(time[:-1] + dt / 2)[:, np.newaxis]
+        bare = BareRig(model, dt)
+        bare.reset()
+        x = np.array([bare.step(f)[0, 0] for f in force])
+        # the first command acts from the second sample on
+        wanted = reference(experiment, ground, time, 256 if kind != "linear" else 1)
+        errors.append(np.abs(x[1:] - wanted[1:-1]).max() / np.abs(wanted).max())
+    assert np.abs(wanted).max() > 0.0035
+    assert errors[1] < 2e-4
+    assert errors[1] < errors[0] / 3
+
+
+def reference(experiment, ground, time, steps):
+    from seft_plant_sim.whole_structure import tested_specimen
+
+    specimen = tested_specimen(experiment)
+    shaken = ShakenStructure(specimen, time[1] - time[0], steps)
+    return shaken.advance(ground(time)[:, np.newaxis])[0][:, 0]
+
+
+def test_rigs_do_not_share_what_they_remember():
+    """Two at once, step by step, and each for itself."""
+    command = np.full(1, 3.0)
+    (_, one), (_, other) = rig(RIGS[1]), rig(RIGS[1])
+    one.reset()
+    alone = np.array([one.step(command) for _ in range(50)])
+    one.reset()
+    other.reset()
+    pairs = [(one.step(command), other.step(-command)) for _ in range(50)]
+    np.testing.assert_array_equal([first for first, _ in pairs], alone)
+    for first, second in itertools.islice(pairs, 5):
+        assert first is not second
