@@ -7,8 +7,14 @@ from seft_msgs_py.timebase import Timebase
 
 from seft_ros.force_controller.block import ForceController
 from seft_ros.force_controller.force_control import ControlKnowledge, ForceControl
-from seft_ros.force_controller.names import DECOUPLING, REGISTERED, TRANSFER_FUNCTION
+from seft_ros.force_controller.names import (
+    DECOUPLING,
+    REGISTERED,
+    TRANSFER_FUNCTION,
+    VELOCITY_FEEDFORWARD,
+)
 from seft_ros.force_controller.registered_control import RegisteredControl
+from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 
 
 def force_control(
@@ -39,6 +45,8 @@ def force_control(
     name = section.get("method", TRANSFER_FUNCTION)  # not in an older record
     if name in (TRANSFER_FUNCTION, DECOUPLING):
         return ForceController.from_parameters(section, axes, timebase, own)
+    if name == VELOCITY_FEEDFORWARD:
+        return VelocityFeedforward.from_parameters(section, axes, timebase, own)
     knowledge = ControlKnowledge(len(own.axes), timebase.dt, section["voltage_limit"])
     made = REGISTERED.make(name, section["settings"], "force_controller: method", knowledge)
     return RegisteredControl(made, name, knowledge)

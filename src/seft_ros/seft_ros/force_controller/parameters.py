@@ -3,7 +3,12 @@
 from seft_msgs_py import realtime
 from seft_msgs_py.parameters import Parameter, Table
 
-from seft_ros.force_controller.names import DECOUPLING, REGISTERED, TRANSFER_FUNCTION
+from seft_ros.force_controller.names import (
+    DECOUPLING,
+    REGISTERED,
+    TRANSFER_FUNCTION,
+    VELOCITY_FEEDFORWARD,
+)
 
 TABLE = Table(
     "force_controller",
@@ -73,6 +78,63 @@ TABLE = Table(
             f"{DECOUPLING}: valve drive for each m that the specimen would move under the force "
             "error; default Eq. 3.1's for its 52.7 kg",
             "V/m",
+        ),
+        *(
+            Parameter(
+                f"actuator.{name}",
+                "floats",
+                default,
+                f"{VELOCITY_FEEDFORWARD}: {what}",
+                unit,
+                minimum=0.0,
+            )
+            for name, default, what, unit in (
+                (
+                    "flow_gain",
+                    0.0,
+                    "piston velocity for one volt, as seft identify finds it; 0: not known",
+                    "m/s/V",
+                ),
+                ("oil_stiffness", 0.0, "stiffness of the oil column, likewise", "N/m"),
+                ("leakage", 0.0, "rate at which leakage lets a force decay", "1/s"),
+                (
+                    "force_capacity",
+                    0.0,
+                    "force at which the supply pressure is used up; 0: so much "
+                    "that the valve does not feel the load",
+                    "N",
+                ),
+                ("valve_frequency", 0.0, "natural frequency of the valve; 0: not known", "Hz"),
+                ("valve_damping", 0.7, "damping ratio of the valve", ""),
+                ("dead_time", 0.0, "dead time of the valve, without the loop's own step", "s"),
+            )
+        ),
+        *(
+            Parameter(
+                f"noise.{name}",
+                "floats",
+                0.0,
+                f"{VELOCITY_FEEDFORWARD}: RMS noise of the measured {quantity}",
+                unit,
+                minimum=0.0,
+                default_from=f"reference_force:compensation.noise.{name}",
+            )
+            for name, quantity, unit in (
+                ("position", "displacement", "m"),
+                ("velocity", "velocity", "m/s"),
+                ("acceleration", "acceleration", "m/s^2"),
+                ("force", "force", "N"),
+            )
+        ),
+        Parameter(
+            "horizon",
+            "float",
+            0.03,
+            f"{VELOCITY_FEEDFORWARD}: time ahead for which the coming motion is used",
+            "s",
+            positive=True,
+            maximum=1.0,
+            default_from="reference_force:compensation.horizon",
         ),
         Parameter(
             "voltage_limit", "float", 10.0, "largest valve drive, either way", "V", positive=True

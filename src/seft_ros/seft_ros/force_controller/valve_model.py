@@ -54,9 +54,7 @@ class ValveModel:
     def volume(self, time: Floats) -> Floats:
         """Integral of `flow` until then, s."""
         late = time - self._late
-        return self._after(late, integrated=True) - self._after(
-            late - self._dt, integrated=True
-        )
+        return self._after(late, integrated=True) - self._after(late - self._dt, integrated=True)
 
     def _after(self, time: Floats, integrated: bool = False) -> Floats:
         """Response of the valve to a step, or its integral."""

@@ -19,15 +19,18 @@ Gain and delay of the valve are followed by recursive least squares on Eq. (4) a
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.arrays import per_axis
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.rigs import RigAxes
+from seft_msgs_py.timebase import Timebase
 from seft_plant_sim.compiled import compiled, entry_point
 
 from seft_ros.force_controller.valve_model import ValveModel
-from seft_ros.target.motion_observer import observe, observer_gains
+from seft_ros.target.motion_observer import observe, observer_gains, sensor_noise
 
 Floats = npt.NDArray[np.float64]
 
@@ -44,6 +47,8 @@ ONE_SAMPLE = 0.1
 """Time over which what Eq. (4) leaves out persists, s: so long, samples count as one."""
 BEGIN = 10
 """Samples before the valve is followed: its model must know the commands under way."""
+ACTUATOR = ("flow_gain", "oil_stiffness", "leakage", "force_capacity")
+"""Columns of `FeedforwardParameters.actuator`."""
 DERIVATIVE_STEP = 1e-4  # s, by which the valve's response is differentiated
 
 
@@ -243,6 +248,96 @@ def follow_valve(p: FeedforwardParameters, state: FeedforwardState, i: int, forc
     c[0] -= by_flow * by_flow / variance
     c[1] -= by_later * by_later / variance
     c[2] -= by_flow * by_later / variance
+
+
+class VelocityFeedforward:
+    """Force controller of n axes that opens the valves as the coming motion needs it.
+
+    Parameters
+    ----------
+    parameters, state : FeedforwardParameters, FeedforwardState
+        As of `feedforward_arrays`.
+    horizon : int
+        Coming steps of the target that `step` is given.
+
+    Attributes
+    ----------
+    limited : bool
+        Whether the last drive was at its limit on any axis.
+    parameters, state
+        What `feedforward_step` takes, here and in a compiled loop.
+    """
+
+    def __init__(
+        self, parameters: FeedforwardParameters, state: FeedforwardState, horizon: int
+    ) -> None:
+        self.parameters, self.state, self.limited = parameters, state, False
+        n = len(state.force)
+        self._points, self._measured = np.zeros((1 + horizon, 3, n)), np.zeros((4, n))
+        self._command = np.zeros(n)
+        arguments = parameters, state, self._points, self._measured, self._command
+        self._step = entry_point(feedforward_step, *arguments)
+        self._begin = entry_point(begin_feedforward, parameters, state)
+        self.reset()
+
+    @classmethod
+    def from_parameters(
+        cls,
+        section: dict[str, Any],
+        axes: tuple[str, ...],
+        timebase: Timebase,
+        rig: RigAxes | None = None,
+    ) -> "VelocityFeedforward":
+        """Make it of its section of an experiment, see `force_control`.
+
+        Raises
+        ------
+        InputError
+            If the actuators are not known, or the horizon is too short for the valves.
+        """
+        own, dt = list((rig or RigAxes.whole(axes)).places), timebase.dt
+        where = "force_controller: actuator"
+        known = {
+            name: per_axis(section[f"actuator.{name}"], axes, f"{where}.{name}")[own]
+            for name in (*ACTUATOR, "valve_frequency", "valve_damping", "dead_time")
+        }
+        for name in ("flow_gain", "oil_stiffness", "valve_frequency", "valve_damping"):
+            if not known[name].all():
+                raise InputError(
+                    f"{where}.{name} is not known, which velocity_feedforward needs: find it with "
+                    "seft identify CONFIG, and give its model.yaml with --params-file"
+                )
+        capacity = known["force_capacity"]
+        known["force_capacity"] = np.where(capacity > 0.0, capacity, np.inf)
+        valves = [
+            ValveModel(*values, dt)
+            for values in zip(
+                *(known[name] for name in ("valve_frequency", "valve_damping", "dead_time")),
+                strict=True,
+            )
+        ]
+        noise = sensor_noise(section, axes, "noise", "force_controller")[:, own]
+        horizon = section["horizon"]
+        steps = math.ceil(horizon / dt - 1e-9)
+        actuator = np.transpose([known[name] for name in ACTUATOR])
+        return cls(
+            *feedforward_arrays(valves, actuator, noise, section["voltage_limit"], dt, steps),
+            steps,
+        )
+
+    def reset(self) -> None:
+        """Begin a new test."""
+        self.limited = False
+        self._begin(self.parameters, self.state)
+
+    def step(self, points: Floats, state: Floats) -> Floats:
+        """Find the valve commands that answer a sample, see `feedforward_step`; (n,), V."""
+        self._points[:] = points[: len(self._points)]
+        self._measured[:] = state
+        self.limited = self._step(
+            self.parameters, self.state, self._points, self._measured, self._command
+        )
+        return self._command.copy()
 
 
 def feedforward_arrays(

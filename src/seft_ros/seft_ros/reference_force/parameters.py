@@ -165,6 +165,16 @@ TABLE = Table(
             "identify stiffness, damping, and gain and delay of the force loop while the test "
             "runs, and follow yielding; of `preview_inverse`",
         ),
+        Parameter(
+            "compensation.horizon",
+            "float",
+            0.03,
+            "`target_motion`: time ahead for which the coming motion is told; as long as four times "
+            "the delay of the valves, or of the force loop",
+            "s",
+            positive=True,
+            maximum=1.0,
+        ),
         *(
             Parameter(
                 f"compensation.noise.{name}",

@@ -1,16 +1,43 @@
 """Displacement and velocity with less noise: what all three motion sensors say together."""
 
+from collections.abc import Mapping, Sequence
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_discrete_are
+from seft_msgs_py.arrays import per_axis
 from seft_plant_sim.compiled import compiled
+from seft_plant_sim.sensors import CHANNELS
 
 Floats = npt.NDArray[np.float64]
 
 BETWEEN_SAMPLES = 3.0
 """Noise of the acceleration that is integrated, over that of the sensor: it changes in between."""
-DISPLACEMENT, VELOCITY, ACCELERATION = range(3)
-"""Rows of what an observer estimates."""
+LEAST_NOISE = np.array([1e-6, 1e-4, 5e-3, 0.3])
+"""Noise that every sensor is taken to have: displacement (m), velocity, acceleration, force (N)."""
+
+
+def sensor_noise(section: Mapping[str, Any], axes: Sequence[str], group: str, where: str) -> Floats:
+    """RMS noise of each sensor, at least `LEAST_NOISE`.
+
+    Parameters
+    ----------
+    section : mapping
+        With parameters ``{group}.position`` and so on.
+    axes : sequence of str
+        Names of the n axes.
+    group, where : str
+        Of the parameters, for errors.
+
+    Returns
+    -------
+    ndarray
+        Shape (4, n), m, m/s, m/s^2, N.
+    """
+    names = [f"{group}.{channel}" for channel in CHANNELS]
+    given = [per_axis(section[name], tuple(axes), f"{where}: {name}") for name in names]
+    return np.maximum(np.array(given), LEAST_NOISE[:, np.newaxis])
 
 
 def observer_gains(noise: Floats, dt: float) -> tuple[Floats, Floats]:

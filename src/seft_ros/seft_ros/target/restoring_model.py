@@ -234,8 +234,8 @@ def follow(
             p[i, i] += parameters.drift[j, i]
         for i in range(q):
             total = 0.0
-            for l in range(q):
-                total += p[i, l] * phi[l]
+            for k in range(q):
+                total += p[i, k] * phi[k]
             gain[i] = total
             variance += phi[i] * total
         # logarithm of the likelihoods' ratio, of what is told over what is found
@@ -273,9 +273,9 @@ def follow(
             state.values[j, i] = found[i] + weight * (start - found[i])
             used -= state.values[j, i] * phi[i]
             last[i] = phi[i]
-            for l in range(i + 1):
-                p[i, l] -= gain[i] * gain[l] / variance
-                p[l, i] = p[i, l]
+            for k in range(i + 1):
+                p[i, k] -= gain[i] * gain[k] / variance
+                p[k, i] = p[i, k]
         impulse, is_wrong = parameters.unexplained * sums[2] + used, was_right and sums[4] <= 0.0
         acts = is_wrong or (is_change and sums[4] <= 0.0)
         sums[2] = 0.0 if acts else impulse

@@ -1,18 +1,15 @@
 """Compensation method ``target_motion``: the motion that the whole structure is going to have."""
 
 import math
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import eigh
-from seft_msgs_py.arrays import per_axis
 from seft_plant_sim.compiled import entry_point
 from seft_plant_sim.first_order_hold import first_order_hold
 
 from seft_ros.reference_force.compensation.compensator import Knowledge
-from seft_ros.target.motion_observer import observer_gains
+from seft_ros.target.motion_observer import observer_gains, sensor_noise
 from seft_ros.target.restoring_model import model_arrays
 from seft_ros.target.target_step import (
     TargetParameters,
@@ -25,11 +22,8 @@ Floats = npt.NDArray[np.float64]
 
 LONGEST_SUBSTEP = 0.001
 """s: a slider that sticks, 50 times as stiff as the paper's specimen, swings at 48 Hz."""
-LEAST_NOISE = np.array([1e-6, 1e-4, 5e-3, 0.3])
-"""Noise that every sensor has: displacement (m), velocity, acceleration and force (N)."""
 STANDS_OUT = 2.0
 """Least threshold of a slider over the noise of the observed deformation."""
-CHANNELS = ("position", "velocity", "acceleration", "force")
 
 
 class TargetMotion:
@@ -94,13 +88,15 @@ def target_arrays(known: Knowledge) -> tuple[TargetParameters, TargetState]:
     """Put a target into arrays, at what is known of a test."""
     n, computed, dt = known.axes, known.computed, known.dt
     size = n + computed.internal
-    noise = sensor_noise(known.options, n)
+    names = tuple(f"axis {index + 1}" for index in range(n))
+    noise = sensor_noise(known.options, names, "compensation.noise", "reference_force")
     gains, left = observer_gains(noise, dt)
 
     deformation = spring_deformations(known)
     to_springs = np.linalg.inv(deformation.T)
     own_mass, own_damping, own_stiffness = (
-        to_springs @ matrix @ to_springs.T for matrix in (known.mass, known.damping, known.stiffness)
+        to_springs @ matrix @ to_springs.T
+        for matrix in (known.mass, known.damping, known.stiffness)
     )
 
     def through(matrix: Floats, values: Floats) -> Floats:  # variances of a sum of noises
@@ -113,9 +109,7 @@ def target_arrays(known: Knowledge) -> tuple[TargetParameters, TargetState]:
     alike = 2.0 / gains[:, 0, 0].min() - 1.0
     restoring = np.sqrt(np.transpose([white + observed, white + alike * observed]))
     resolved = STANDS_OUT * np.sqrt(through(deformation, left[0]))
-    model, model_state = model_arrays(
-        own_mass, own_damping, own_stiffness, restoring, resolved, dt
-    )
+    model, model_state = model_arrays(own_mass, own_damping, own_stiffness, restoring, resolved, dt)
 
     specimen = [(0, computed.internal)] * 2
     mass, damping, stiffness = (
@@ -182,15 +176,3 @@ def spring_deformations(known: Knowledge) -> Floats:
             return springs
     _, modes = eigh(known.stiffness, known.mass)
     return np.linalg.inv(modes / np.abs(modes).max(axis=0))
-
-
-def sensor_noise(options: Mapping[str, Any], axes: int) -> Floats:
-    """RMS noise of each sensor, at least `LEAST_NOISE`, shape (4, axes)."""
-    names = tuple(f"axis {index + 1}" for index in range(axes))
-    given = np.array(
-        [
-            per_axis(options[f"compensation.noise.{name}"], names, f"compensation.noise.{name}")
-            for name in CHANNELS
-        ]
-    )
-    return np.maximum(given, LEAST_NOISE[:, np.newaxis])

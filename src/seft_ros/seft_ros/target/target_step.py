@@ -183,8 +183,8 @@ def times(matrix: Floats, vector: Floats, result: Floats) -> None:
     """Multiply a matrix by a vector."""
     for i in range(matrix.shape[0]):
         total = 0.0
-        for l in range(matrix.shape[1]):
-            total += matrix[i, l] * vector[l]
+        for k in range(matrix.shape[1]):
+            total += matrix[i, k] * vector[k]
         result[i] = total
 
 
@@ -218,27 +218,25 @@ def push(
     n, half = len(r), len(y) // 2
     for i in range(half):
         result[i] = -(1.0 - pace) * p.damper * y[half + i]
-    for l in range(n):
-        rest = r[l]
+    for k in range(n):
+        rest = r[k]
         for i in range(n):
-            rest -= p.elastic[l, i] * y[i] + p.elastic[l, n + i] * y[half + i]
+            rest -= p.elastic[k, i] * y[i] + p.elastic[k, n + i] * y[half + i]
         for i in range(half):
-            result[i] -= p.influence[i, l] * pace * ground[l] + p.by_force[i, l] * rest
+            result[i] -= p.influence[i, k] * pace * ground[k] + p.by_force[i, k] * rest
 
 
 @compiled
-def move(
-    p: TargetParameters, state: TargetState, y: Floats, stops: Floats, begin: Floats
-) -> None:
+def move(p: TargetParameters, state: TargetState, y: Floats, stops: Floats, begin: Floats) -> None:
     """Move the state y over a substep under the push at its beginning; the stops move along."""
     n, size = len(p.mass), len(y)
     new = state.dofs[2]
     for i in range(size):
         total = 0.0
-        for l in range(size):
-            total += p.free[i, l] * y[l]
-        for l in range(size // 2):
-            total += p.start[i, l] * begin[l]
+        for k in range(size):
+            total += p.free[i, k] * y[k]
+        for k in range(size // 2):
+            total += p.start[i, k] * begin[k]
         new[i] = total
     for j in range(n):
         change = 0.0
@@ -255,8 +253,8 @@ def correct(p: TargetParameters, y: Floats, begin: Floats, end: Floats) -> None:
     """Mend the state y at the end of a substep by how much the push has changed in it."""
     for i in range(len(y)):
         total = y[i]
-        for l in range(len(y) // 2):
-            total += p.change[i, l] * (end[l] - begin[l])
+        for k in range(len(y) // 2):
+            total += p.change[i, k] * (end[k] - begin[k])
         y[i] = total
 
 
@@ -310,13 +308,13 @@ def predict(
         push(p, y, r, ground, pace, begin)
         for i in range(n):
             a = begin[i]  # and what the elastic structure makes of its state
-            for l in range(len(y)):
-                a += p.acceleration[i, l] * y[l]
+            for k in range(len(y)):
+                a += p.acceleration[i, k] * y[k]
             state.axes[3, i] = a
         for i in range(n):  # f* = M_e a* + r (3), which is f_r of Eq. 2.5 with a*
             force = r[i]
-            for l in range(n):
-                force += p.mass[i, l] * state.axes[3, l]
+            for k in range(n):
+                force += p.mass[i, k] * state.axes[3, k]
             points[point, 0, i] = y[i]
             points[point, 1, i] = y[half + i]
             points[point, 2, i] = force

@@ -11,10 +11,12 @@ from seft_ros.reference_force.compensation.polynomial import polynomial
 from seft_ros.reference_force.compensation.preview_inverse import preview_inverse
 from seft_ros.reference_force.compensation.restoring import restoring
 from seft_ros.reference_force.compensation.smith import smith
+from seft_ros.target.target_motion import TargetMotion
 
 _METHODS: tuple[Method, ...] = (
     *(none, polynomial, linear_acceleration, model, smith, inverse, ats, restoring),
     preview_inverse,
+    TargetMotion,
 )
 
 

@@ -15,6 +15,7 @@ OWN = (
     "ats",
     "restoring",
     "preview_inverse",
+    "target_motion",
 )
 REGISTERED = Registered("seft.compensation", OWN)
 """Of other packages: name of a method -> `compensator.Method`, which may take settings."""
