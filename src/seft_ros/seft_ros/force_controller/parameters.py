@@ -129,7 +129,7 @@ TABLE = Table(
         Parameter(
             "horizon",
             "float",
-            0.03,
+            0.05,
             f"{VELOCITY_FEEDFORWARD}: time ahead for which the coming motion is used",
             "s",
             positive=True,
