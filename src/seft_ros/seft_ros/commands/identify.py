@@ -2,7 +2,7 @@
 
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 from rich.console import Console
@@ -48,7 +48,7 @@ def identify(
     ] = "random",
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the random signal.")] = 1,
     band: Annotated[
-        tuple[float, float] | None,
+        Optional[tuple[float, float]],
         typer.Option(
             "--band",
             metavar="LO HI",
@@ -59,7 +59,7 @@ def identify(
         float, typer.Option("--duration", metavar="S", help="Duration of each test in s.")
     ] = 120.0,
     amplitude: Annotated[
-        float | None,
+        Optional[float],
         typer.Option(
             "--amplitude",
             metavar="V",
@@ -68,7 +68,7 @@ def identify(
         ),
     ] = None,
     force: Annotated[
-        float | None,
+        Optional[float],
         typer.Option(
             "--force",
             metavar="N",
@@ -77,7 +77,7 @@ def identify(
         ),
     ] = None,
     out: Annotated[
-        Path | None,
+        Optional[Path],
         typer.Option(
             "--out", metavar="DIR", help="Folder of what is made, must be new; default by the time."
         ),
