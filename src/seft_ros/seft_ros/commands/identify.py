@@ -1,5 +1,6 @@
 """``seft identify``: what rig is this? Two tests, and the models fitted to them."""
 
+import math
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
@@ -29,6 +30,7 @@ if TYPE_CHECKING:  # scipy and all: other commands start without
 
 PILOT, OPEN_LOOP, CLOSED_LOOP = "pilot", "open_loop", "closed_loop"
 EXCITATION, MODEL = "excitation.csv", "model.yaml"
+_BY_RATE = (math.nan, math.nan)
 
 
 def identify(
@@ -48,13 +50,14 @@ def identify(
     ] = "random",
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the random signal.")] = 1,
     band: Annotated[
-        Optional[tuple[float, float]],
+        tuple[float, float],
         typer.Option(
             "--band",
             metavar="LO HI",
+            show_default=False,
             help="Band of the excitation in Hz; default 0.3 to 0.45 times the rate, at most 200.",
         ),
-    ] = None,
+    ] = _BY_RATE,
     duration: Annotated[
         float, typer.Option("--duration", metavar="S", help="Duration of each test in s.")
     ] = 120.0,
@@ -128,7 +131,8 @@ def identify(
     check_levels(experiment, levels)
     own = experiment["force_controller"]
     controller = Controller.from_parameters(own) if is_one_controller(own) else None
-    used = band or (0.3, min(0.45 * experiment.timebase.rate, 200.0))
+    by_rate = (0.3, min(0.45 * experiment.timebase.rate, 200.0))
+    used = by_rate if all(map(math.isnan, band)) else band
     folder = out or Path(datetime.now().strftime("identify_%Y-%m-%d_%H-%M-%S"))
     motions = Motions(experiment, levels.force, signal, used, seed)
     motions.check(duration)
