@@ -139,7 +139,7 @@ def test_the_same_seed_gives_the_same_samples_and_numbers(identify, seft):
     for test in ("open_loop", "closed_loop"):
         assert seft("compare", f"a/{test}", f"b/{test}", "--json")[0] == 0  # bit for bit
     assert first.keys() == second.keys()
-    for name, value in first.items():  # numpy 1.26's sums are not the same bits twice
+    for name, value in first.items():  # numpy 1.26 is not exact to the bit in every run
         if isinstance(value, float | int):
             assert value == pytest.approx(second[name], rel=1e-5), name
     assert first["plant_zero_hz"] != other["plant_zero_hz"]
