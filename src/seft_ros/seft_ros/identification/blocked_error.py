@@ -46,7 +46,9 @@ def blocked_error(fit: PlantFit, controller: Controller, dt: float) -> tuple[flo
     columns = scale[:, np.newaxis] * np.vander(1j * f / highest, _DEGREE + 1)  # of even size
     error = scale * error
     found = np.linalg.lstsq(
-        np.concatenate([columns.real, columns.imag]), np.concatenate([error.real, error.imag])
+        np.concatenate([columns.real, columns.imag]),
+        np.concatenate([error.real, error.imag]),
+        rcond=None,
     )[0]
     units = (2 * np.pi * highest) ** np.arange(_DEGREE, -1, -1)
     return tuple((found / units).tolist())
