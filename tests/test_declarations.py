@@ -17,6 +17,7 @@ NAMES = {  # module: name for pip, rosdep key
     "control": ("control", None),
     "hypothesis": ("hypothesis", "python3-hypothesis"),
     "jinja2": ("jinja2", "python3-jinja2"),
+    "llvmlite": ("numba", "python3-numba"),  # which brings it, in the version that it needs
     "lz4": ("lz4", None),
     "matplotlib": ("matplotlib", "python3-matplotlib"),
     "mcap": ("mcap", None),
@@ -39,15 +40,15 @@ ROS = {  # what ROS 2 brings: no name for pip
 
 
 def imports(folder: Path) -> set[str]:
-    """Modules that the files of a folder import, without Python's own."""
-    found = set()
+    """Modules that the files of a folder import, without Python's and the tests' own."""
+    found, own = set(), {file.stem for file in ROOT.glob("src/*/test/*.py")}
     for file in folder.rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.Import):
                 found |= {alias.name.split(".")[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 found.add(node.module.split(".")[0])
-    return found - set(sys.stdlib_module_names)
+    return found - own - set(sys.stdlib_module_names)
 
 
 def required(package: str) -> tuple[set[str], set[str]]:
