@@ -34,6 +34,8 @@ Floats = npt.NDArray[np.float64]
 
 THRESHOLDS = 12
 """Stop operators of a spring; each has twice the threshold of the one before."""
+SMALLEST_SLIDER = 2.0
+"""Least threshold over the noise of the deformation."""
 ONCE_IN = 1_000
 """Samples in which chance makes one sum of innovations that is taken for a change."""
 RECENT = 0.008
@@ -48,6 +50,9 @@ SLIDER_TO_NOISE, OFFSET_TO_NOISE = 0.5, 7.0
 """Prior of a slider's force and of the offset, over the noise of the restoring force."""
 MOST_EVIDENCE = math.log(1e4)
 """Largest logarithm of the likelihoods' ratio, either way."""
+STANDS_OUT = 20.0
+"""Motion over its noise from which on it tells of stiffness and damping: what is regressed on a
+noisy motion comes out too small, by the square of the noise over the motion."""
 DRIFT = 0.003
 """Change in a second that goes unnoticed, relative to the prior's or what is told."""
 LEAST_DAMPING = 0.02
@@ -68,6 +73,8 @@ class ModelParameters(NamedTuple):
     noise : ndarray
         Variance of the restoring force by the sensors, of one sample and as it counts in a sum;
         shape (n, 2), N^2.
+    least : ndarray
+        Deformation (m) and its rate (m/s) that stand out of the noise, shape (n, 2).
     recent, unexplained : float
         Factors per step with which sums of innovations fade.
     surprise : float
@@ -80,6 +87,7 @@ class ModelParameters(NamedTuple):
     drift: Floats
     change: Floats
     noise: Floats
+    least: Floats
     recent: float
     unexplained: float
     surprise: float
@@ -119,7 +127,12 @@ class ModelState(NamedTuple):
 
 
 def model_arrays(
-    mass: Floats, damping: Floats, stiffness: Floats, noise: Floats, resolved: Floats, dt: float
+    mass: Floats,
+    damping: Floats,
+    stiffness: Floats,
+    noise: Floats,
+    observed: Floats,
+    dt: float,
 ) -> tuple[ModelParameters, ModelState]:
     """Make models of what is told of a specimen, all in coordinates of its springs.
 
@@ -130,13 +143,13 @@ def model_arrays(
     noise : ndarray
         RMS noise of the restoring force, of one sample and as it counts in a sum of samples;
         shape (n, 2), N.
-    resolved : ndarray
-        Deformation that stands out of the noise, shape (n,), m.
+    observed : ndarray
+        RMS noise of deformations (m) and their rates (m/s), shape (n, 2).
     dt : float
         Sampling period, s.
     """
     n = len(mass)
-    thresholds = resolved[:, np.newaxis] * 2.0 ** np.arange(THRESHOLDS)
+    thresholds = SMALLEST_SLIDER * observed[:, :1] * 2.0 ** np.arange(THRESHOLDS)
     force = SLIDER_TO_NOISE * noise[:, :1] / thresholds
     least = 2.0 * LEAST_DAMPING * np.sqrt(np.abs(np.diag(mass) * np.diag(stiffness)))
     damps = np.abs(damping) + np.diag(least / UNCERTAIN_DAMPING)
@@ -153,6 +166,7 @@ def model_arrays(
         drift=variance(0.0, DRIFT, DRIFT, DRIFT) * dt,
         change=variance(1.0, CHANGING_STIFFNESS, CHANGING_DAMPING, CHANGING_SLIDER),
         noise=noise**2,
+        least=STANDS_OUT * observed,
         recent=math.exp(-dt / RECENT),
         unexplained=math.exp(-dt / UNEXPLAINED),
         surprise=NormalDist().inv_cdf(1.0 - 0.5 / ONCE_IN) ** 2,
@@ -238,11 +252,12 @@ def follow(
                 total += p[i, k] * phi[k]
             gain[i] = total
             variance += phi[i] * total
-        # logarithm of the likelihoods' ratio, of what is told over what is found
-        gained = innovation**2 / variance + math.log(variance / parameters.noise[j, 0])
-        gained -= told**2 / parameters.noise[j, 0]
+        moves = (e[j] / parameters.least[j, 0]) ** 2 + (rate[j] / parameters.least[j, 1]) ** 2 > 1.0
         was_right = sums[4] > 0.0
-        sums[4] = min(max(sums[4] + 0.5 * gained, -MOST_EVIDENCE), MOST_EVIDENCE)
+        if moves:  # logarithm of the likelihoods' ratio, of what is told over what is found
+            gained = innovation**2 / variance + math.log(variance / parameters.noise[j, 0])
+            gained -= told**2 / parameters.noise[j, 0]
+            sums[4] = min(max(sums[4] + 0.5 * gained, -MOST_EVIDENCE), MOST_EVIDENCE)
         sums[0] = parameters.recent * sums[0] + innovation
         persistent = parameters.noise[j, 1] - parameters.noise[j, 0]
         sums[1] = parameters.recent**2 * sums[1] + variance + persistent
@@ -268,14 +283,16 @@ def follow(
                     gain[0] -= added * last[i] * (phi[i] - last[i])
         weight = 1.0 / (1.0 + math.exp(-sums[4]))
         for i in range(q):
-            found[i] += gain[i] / variance * innovation
+            # what does not move tells of the offset alone (Schmidt-Kalman)
+            taken = gain[i] / variance if moves or i == 0 else 0.0
+            found[i] += taken * innovation
+            for k in range(q):
+                other = gain[k] / variance if moves or k == 0 else 0.0
+                p[i, k] += taken * other * variance - taken * gain[k] - gain[i] * other
             start = parameters.start[j, i]
             state.values[j, i] = found[i] + weight * (start - found[i])
             used -= state.values[j, i] * phi[i]
             last[i] = phi[i]
-            for k in range(i + 1):
-                p[i, k] -= gain[i] * gain[k] / variance
-                p[k, i] = p[i, k]
         impulse, is_wrong = parameters.unexplained * sums[2] + used, was_right and sums[4] <= 0.0
         acts = is_wrong or (is_change and sums[4] <= 0.0)
         sums[2] = 0.0 if acts else impulse

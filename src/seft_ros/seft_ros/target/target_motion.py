@@ -24,8 +24,6 @@ Floats = npt.NDArray[np.float64]
 
 LONGEST_SUBSTEP = 0.001
 """s: a slider that sticks, 50 times as stiff as the paper's specimen, swings at 48 Hz."""
-STANDS_OUT = 2.0
-"""Least threshold of a slider over the noise of the observed deformation."""
 
 
 class TargetMotion:
@@ -117,8 +115,8 @@ def target_arrays(known: Knowledge) -> tuple[TargetParameters, TargetState]:
     # what the observer leaves of the noise persists: so many samples count as one
     alike = 2.0 / gains[:, 0, 0].min() - 1.0
     restoring = np.sqrt(np.transpose([white + observed, white + alike * observed]))
-    resolved = STANDS_OUT * np.sqrt(through(deformation, left[0]))
-    model, model_state = model_arrays(own_mass, own_damping, own_stiffness, restoring, resolved, dt)
+    deformed = np.sqrt(np.transpose([through(deformation, left[0]), through(deformation, left[1])]))
+    model, model_state = model_arrays(own_mass, own_damping, own_stiffness, restoring, deformed, dt)
 
     specimen = [(0, computed.internal)] * 2
     mass, damping, stiffness = (
