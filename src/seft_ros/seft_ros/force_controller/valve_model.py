@@ -1,11 +1,13 @@
 """A servo-valve from the held command to its flow: its response, its inverse, what is under way."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
 
 INVERTED_TO = 0.85
 """Highest frequency that is inverted, over the valve's own: what is above costs too much drive."""
@@ -73,19 +75,14 @@ class ValveModel:
     def inverse(self, taps: int) -> Floats:
         """Weights h of the coming flows, so that sum_j h_j flow[k + j] makes this flow; (taps,).
 
-        By least squares over frequency, regularised: a delay has no causal inverse, but the
-        flow is known ahead.
+        By `noncausal_inverse`.
         """
-        f = np.linspace(0.0, 0.5 / self._dt, 400)
-        s = 2j * math.pi * f
-        hold = np.exp(-s * (self._late + self._dt / 2)) * np.sinc(f * self._dt)
-        valve = hold * self._w**2 / (s * s + 2 * self._zeta * self._w * s + self._w**2)
-        weight = np.where(f <= self._highest, 1.0, OUTSIDE_WEIGHT)
-        a = (weight * valve)[:, np.newaxis] * np.exp(np.outer(s, np.arange(taps) * self._dt))
-        size = math.sqrt(GAIN_WEIGHT * len(f))
-        a = np.vstack([a.real, a.imag, size * np.eye(taps)])
-        wanted = np.concatenate([weight, np.zeros(len(f) + taps)])
-        return np.linalg.lstsq(a, wanted, rcond=None)[0]
+
+        def response(s: Complexes) -> Complexes:
+            hold = np.exp(-s * (self._late + self._dt / 2)) * np.sinc(s.imag * self._dt / math.tau)
+            return hold * self._w**2 / (s * s + 2 * self._zeta * self._w * s + self._w**2)
+
+        return noncausal_inverse(response, self._highest, taps, self._dt)
 
     def taps(self) -> int:
         """Length of the inverse that suffices."""
@@ -101,3 +98,32 @@ class ValveModel:
     def past(self, late: float = 0.0) -> Floats:
         """Flow now of past commands, the newest first, of a valve that is late by so many s."""
         return self.flow(self._dt * np.arange(1, self.memory + 1) - late)
+
+
+def noncausal_inverse(
+    response: Callable[[Complexes], Complexes], highest: float, taps: int, dt: float
+) -> Floats:
+    """Weights h of coming samples, so that sum_j h_j y[k + j], through the response, gives y[k].
+
+    By least squares over frequency, regularised: what is late has no causal inverse, but y is
+    known ahead.
+
+    Parameters
+    ----------
+    response : callable
+        Frequency response at values of s, 1/s, from samples to what they make.
+    highest : float
+        Frequency up to which it is inverted, Hz.
+    taps : int
+        Number of weights.
+    dt : float
+        Sampling period, s.
+    """
+    f = np.linspace(0.0, 0.5 / dt, 400)
+    s = 2j * math.pi * f
+    weight = np.where(f <= highest, 1.0, OUTSIDE_WEIGHT)
+    a = (weight * response(s))[:, np.newaxis] * np.exp(np.outer(s, np.arange(taps) * dt))
+    size = math.sqrt(GAIN_WEIGHT * len(f))
+    a = np.vstack([a.real, a.imag, size * np.eye(taps)])
+    wanted = np.concatenate([weight, np.zeros(len(f) + taps)])
+    return np.linalg.lstsq(a, wanted, rcond=None)[0]

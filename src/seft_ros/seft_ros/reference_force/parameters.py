@@ -166,6 +166,15 @@ TABLE = Table(
             "runs, and follow yielding; of `preview_inverse`",
         ),
         Parameter(
+            "compensation.actuator_kind",
+            "string",
+            "servo_hydraulic",
+            "`target_motion`: kind of the rig's actuators; ideal and delay are driven by "
+            "reference_force, which is then sent ahead by their response (tracking.*)",
+            choices=("ideal", "delay", "servo_hydraulic", "servo_hydraulic_linear"),
+            default_from="rig:actuator.kind",
+        ),
+        Parameter(
             "compensation.horizon",
             "float",
             0.05,

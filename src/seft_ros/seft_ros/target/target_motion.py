@@ -11,6 +11,14 @@ from seft_plant_sim.first_order_hold import first_order_hold
 
 from seft_ros.reference_force.compensation.compensator import Knowledge
 from seft_ros.reference_force.compensation.linear_filter import LinearFilter
+from seft_ros.target.force_command import (
+    FORCE_DRIVEN,
+    CommandParameters,
+    CommandState,
+    begin_command,
+    command_arrays,
+    command_step,
+)
 from seft_ros.target.motion_observer import observer_gains, sensor_noise
 from seft_ros.target.restoring_model import model_arrays
 from seft_ros.target.target_step import (
@@ -40,6 +48,8 @@ class TargetMotion:
         Steps of the horizon.
     parameters, state : TargetParameters, TargetState
         What `target_step` takes, here and in a compiled loop.
+    command : tuple of CommandParameters and CommandState, or None
+        Of a rig that is driven by forces, see `command_step`.
     pace : float
         See `target_step`.
     """
@@ -51,6 +61,13 @@ class TargetMotion:
         self.parameters, self.state = target_arrays(known)
         n = known.axes
         self._points = np.zeros((1 + self.preview, 3, n))
+        self.command: tuple[CommandParameters, CommandState] | None = None
+        if known.options["compensation.actuator_kind"] in FORCE_DRIVEN:
+            self.command = command_arrays(known, self.preview)
+            self._command_step = entry_point(
+                command_step, *self.command, self.parameters, self.state, self._points
+            )
+            self._begin_command = entry_point(begin_command, self.command[1])
         self._ground, self._measured = np.zeros((1 + self.preview, n)), np.zeros((4, n))
         self.pace = 1.0
         arguments = self._ground, self._measured, self.pace, self._points
@@ -62,6 +79,8 @@ class TargetMotion:
         """Begin a new test."""
         self.pace = 1.0
         self._begin(self.parameters, self.state)
+        if self.command is not None:
+            self._begin_command(self.command[1])
 
     def step(self, ground_motion: Floats, state: Floats) -> Floats:
         """Bring the target up to a sample, see `target_step`; points of shape (1 + preview, 3, n)."""
@@ -70,6 +89,8 @@ class TargetMotion:
         self._step(
             self.parameters, self.state, self._ground, self._measured, self.pace, self._points
         )
+        if self.command is not None:
+            self._command_step(*self.command, self.parameters, self.state, self._points)
         return self._points.copy()
 
     def linear(self) -> LinearFilter:

@@ -332,3 +332,55 @@ def predict(
                 specimen_force(p, state, values, y, stops, r)
                 push(p, y, r, ground, pace, begin)
         specimen_force(p, state, values, y, stops, r)
+
+
+@compiled
+def move_by_force(
+    p: TargetParameters,
+    state: TargetState,
+    by_force: Floats,
+    force: Floats,
+    span: float,
+    y: Floats,
+    stops: Floats,
+) -> None:
+    """Move the specimen alone, by its model, under a constant force: M_e a = f - r (velocity Verlet).
+
+    Parameters
+    ----------
+    p, state
+        Of the target; the state gives the model of the specimen.
+    by_force : ndarray
+        M_e^-1, shape (n, n), 1/kg.
+    force : ndarray
+        Shape (n,), N.
+    span : float
+        Time, s.
+    y, stops : ndarray
+        Displacements, then velocities, and stop operators; shapes (2n,), (n, m). Brought up to
+        date.
+    """
+    n, h = len(force), span / p.substeps
+    r, new, change = state.axes[0], state.axes[1], state.springs[4]
+    for _ in range(p.substeps):
+        specimen_force(p, state, state.model.values, y, stops, r)
+        for i in range(n):
+            a = 0.0
+            for k in range(n):
+                a += by_force[i, k] * (force[k] - r[k])
+            y[n + i] += 0.5 * h * a
+        for i in range(n):
+            new[i] = y[i] + h * y[n + i]
+        for j in range(n):
+            change[j] = 0.0
+            for i in range(n):
+                change[j] += p.deformation[j, i] * (new[i] - y[i])
+        move_stops(p.model.thresholds, change, stops)
+        for i in range(n):
+            y[i] = new[i]
+        specimen_force(p, state, state.model.values, y, stops, r)
+        for i in range(n):
+            a = 0.0
+            for k in range(n):
+                a += by_force[i, k] * (force[k] - r[k])
+            y[n + i] += 0.5 * h * a

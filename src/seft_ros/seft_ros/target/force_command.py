@@ -1,0 +1,180 @@
+"""The force to ask for, where the actuator takes forces and is late.
+
+Its response T from the force asked for to the force that acts is inverted on the target's force,
+which is known ahead. What remains is fed back where it can still be mended: the specimen is
+predicted by its model under the forces that are on their way, up to when a new one acts, and
+drawn to the target there like a mass on a critically damped spring::
+
+    f_r = sum_j h_j f*[k + j] + M_e (w^2 (x* - x) + 2 w (v* - v)) / T(0)                    (6)
+
+The feedback is as fast as the delay allows: w is its inverse.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from seft_msgs_py.errors import InputError
+from seft_plant_sim.compiled import compiled
+
+from seft_ros.force_controller.valve_model import LEAST_SAMPLES, noncausal_inverse
+from seft_ros.reference_force.compensation.compensator import Knowledge
+from seft_ros.target.restoring_model import THRESHOLDS
+from seft_ros.target.target_step import TargetParameters, TargetState, move_by_force
+
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+
+FORCE_DRIVEN = ("ideal", "delay")
+"""Kinds of actuators that are driven by the reference force."""
+
+
+class CommandParameters(NamedTuple):
+    """What does not change of a force command.
+
+    Attributes
+    ----------
+    inverse : ndarray
+        h, shape (taps,).
+    static : float
+        T(0).
+    steps, part : int, float
+        Delay of T in whole steps, and the part of a step beyond.
+    rate : float
+        w, 1/s.
+    dt : float
+        Sampling period, s.
+    by_force : ndarray
+        M_e^-1, shape (n, n), 1/kg.
+    """
+
+    inverse: Floats
+    static: float
+    steps: int
+    part: float
+    rate: float
+    dt: float
+    by_force: Floats
+
+
+class CommandState(NamedTuple):
+    """What changes of it.
+
+    Attributes
+    ----------
+    sent : ndarray
+        Past commands, the newest first, shape (steps + 1, n), N.
+    motion, stops : ndarray
+        Displacements, then velocities, and stop operators of the specimen while it is predicted;
+        shapes (2n,), (n, m).
+    """
+
+    sent: Floats
+    motion: Floats
+    stops: Floats
+
+
+def command_arrays(known: Knowledge, horizon: int) -> tuple[CommandParameters, CommandState]:
+    """Put a force command into arrays.
+
+    Raises
+    ------
+    InputError
+        If T is not known, or the horizon is too short for it.
+    """
+    numerator, denominator = (
+        np.atleast_1d(np.asarray(known.options[f"tracking.{name}"], dtype=np.float64))
+        for name in ("numerator", "denominator")
+    )
+    dt, late = known.dt, float(known.options["tracking.dead_time"])
+    if not numerator.any():  # a pure delay, which is told with the half step of the hold
+        numerator = denominator = np.ones(1)
+        late = known.options["compensation.delay"] - dt / 2
+        if late < dt / 2:
+            raise InputError(
+                "reference_force: target_motion needs the response of a rig that is driven by "
+                "forces: find it with seft identify CONFIG, or give compensation.delay (the "
+                "actuator's delay and 1.5 steps)"
+            )
+    static = numerator[-1] / denominator[-1]
+    slopes = [part[-2] / part[-1] if len(part) > 1 else 0.0 for part in (numerator, denominator)]
+    delay = late + slopes[1] - slopes[0]
+    steps = max(int(delay / dt + 1e-6), 1)
+    if steps + 2 > horizon:
+        raise InputError(
+            f"reference_force: the rig's force is {delay:g} s late, but compensation.horizon is "
+            f"{horizon * dt:g} s; make it longer"
+        )
+
+    def response(s: Complexes) -> Complexes:
+        hold = np.exp(-s * (late + dt / 2)) * np.sinc(s.imag * dt / math.tau)
+        return hold * np.polyval(numerator, s) / np.polyval(denominator, s)
+
+    taps = min(horizon, 3 * steps + 4)
+    n = known.axes
+    parameters = CommandParameters(
+        inverse=noncausal_inverse(response, 1 / (LEAST_SAMPLES * dt), taps, dt),
+        static=static,
+        steps=steps,
+        part=delay / dt - steps,
+        rate=1.0 / delay,
+        dt=dt,
+        by_force=np.linalg.inv(known.mass),
+    )
+    state = CommandState(np.zeros((steps + 1, n)), np.zeros(2 * n), np.zeros((n, THRESHOLDS)))
+    return parameters, state
+
+
+@compiled
+def begin_command(state: CommandState) -> None:
+    """Begin a test: no force has been asked for."""
+    state.sent[:] = 0.0
+
+
+@compiled
+def command_step(
+    parameters: CommandParameters,
+    state: CommandState,
+    target: TargetParameters,
+    running: TargetState,
+    points: Floats,
+) -> None:
+    """Put Eq. (6) in place of the target's force of this step.
+
+    Parameters
+    ----------
+    parameters, state
+        The state is brought up to date.
+    target, running
+        Of the target at this step.
+    points : ndarray
+        As of `target_step`, shape (taps or more, 3, n); the force of the first is replaced.
+    """
+    p, n = parameters, points.shape[2]
+    y, stops, known = state.motion, state.stops, running.model.stops
+    for i in range(n):
+        y[i], y[n + i] = running.measured[0, i], running.measured[1, i]
+        for k in range(known.shape[1]):
+            stops[i, k] = known[i, k]
+    # first the force of the command that acts now goes on for a part of a step, then the others'
+    for age in range(p.steps, -1, -1):
+        span = p.part * p.dt if age == p.steps else p.dt
+        move_by_force(target, running, p.by_force, state.sent[age], span, y, stops)
+    for age in range(p.steps, 0, -1):
+        for i in range(n):
+            state.sent[age, i] = state.sent[age - 1, i]
+    # Eq. (6)
+    here, there = p.steps, p.steps + 1
+    for i in range(n):
+        force = 0.0
+        for j in range(len(p.inverse)):
+            force += p.inverse[j] * points[j, 2, i]
+        for k in range(n):
+            x = points[here, 0, k] + p.part * (points[there, 0, k] - points[here, 0, k])
+            v = points[here, 1, k] + p.part * (points[there, 1, k] - points[here, 1, k])
+            pull = p.rate * p.rate * (x - y[k]) + 2.0 * p.rate * (v - y[n + k])
+            force += target.mass[i, k] * pull / p.static
+        state.sent[0, i] = force
+    for i in range(n):
+        points[0, 2, i] = state.sent[0, i]
