@@ -89,6 +89,14 @@ TABLE = Table(
             )
         ),
         Parameter(
+            "noise.velocity_source",
+            "string",
+            "measured",
+            f"{VELOCITY_FEEDFORWARD}: whether the velocity is measured, or derived",
+            choices=("measured", "derived"),
+            default_from="reference_force:compensation.noise.velocity_source",
+        ),
+        Parameter(
             "horizon",
             "float",
             0.05,

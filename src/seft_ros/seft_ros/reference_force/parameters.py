@@ -202,6 +202,14 @@ TABLE = Table(
             )
         ),
         Parameter(
+            "compensation.noise.velocity_source",
+            "string",
+            "measured",
+            "whether the velocity is measured, or derived from the displacement and so late",
+            choices=("measured", "derived"),
+            default_from="rig:sensors.velocity",
+        ),
+        Parameter(
             "tracking.numerator",
             "floats",
             [0.0],

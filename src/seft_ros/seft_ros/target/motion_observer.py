@@ -16,6 +16,8 @@ BETWEEN_SAMPLES = 3.0
 """Noise of the acceleration that is integrated, over that of the sensor: it changes in between."""
 LEAST_NOISE = np.array([1e-6, 1e-4, 5e-3, 0.3])
 """Noise that every sensor is taken to have: displacement (m), velocity, acceleration, force (N)."""
+UNKNOWN_VELOCITY = 100.0
+"""Noise of a velocity that is no measurement of its own, m/s: it is not used."""
 
 
 def sensor_noise(section: Mapping[str, Any], axes: Sequence[str], group: str, where: str) -> Floats:
@@ -36,8 +38,11 @@ def sensor_noise(section: Mapping[str, Any], axes: Sequence[str], group: str, wh
         Shape (4, n), m, m/s, m/s^2, N.
     """
     names = [f"{group}.{channel}" for channel in CHANNELS]
-    given = [per_axis(section[name], tuple(axes), f"{where}: {name}") for name in names]
-    return np.maximum(np.array(given), LEAST_NOISE[:, np.newaxis])
+    given = np.array([per_axis(section[n], tuple(axes), f"{where}: {n}") for n in names])
+    noise = np.maximum(given, LEAST_NOISE[:, np.newaxis])
+    if section[f"{group}.velocity_source"] == "derived":
+        noise[1] = UNKNOWN_VELOCITY
+    return noise
 
 
 def observer_gains(noise: Floats, dt: float) -> tuple[Floats, Floats]:

@@ -16,7 +16,7 @@ model does not know stands in p, and the model serves to go from where the speci
 the target is, and a few steps ahead.
 
 While the innovations are noise, the filter averages. When their recent sum is what chance would
-make once in `ONCE_IN` samples, the specimen has changed: the covariance grows by the prior's,
+make once in `ONCE_IN` s, the specimen has changed: the covariance grows by the prior's,
 scaled to explain what was seen (Zhou & Frank 1996), in directions that leave the force of the last
 sample as it was, as a force does not jump when a stiffness does. What was taken for noise until then
 was an impulse on the structure, and is made good.
@@ -36,8 +36,8 @@ THRESHOLDS = 12
 """Stop operators of a spring; each has twice the threshold of the one before."""
 SMALLEST_SLIDER = 2.0
 """Least threshold over the noise of the deformation."""
-ONCE_IN = 1_000
-"""Samples in which chance makes one sum of innovations that is taken for a change."""
+ONCE_IN = 2.0
+"""Time in which chance makes one sum of innovations that is taken for a change, s."""
 RECENT = 0.008
 """Time constant of that sum, s: what persists for longer than a valve takes to answer matters."""
 UNEXPLAINED = 0.04
@@ -169,7 +169,7 @@ def model_arrays(
         least=STANDS_OUT * observed,
         recent=math.exp(-dt / RECENT),
         unexplained=math.exp(-dt / UNEXPLAINED),
-        surprise=NormalDist().inv_cdf(1.0 - 0.5 / ONCE_IN) ** 2,
+        surprise=NormalDist().inv_cdf(1.0 - 0.5 * min(dt / ONCE_IN, 0.5)) ** 2,
     )
     q = parameters.start.shape[1]
     state = ModelState(
