@@ -52,6 +52,10 @@ class ActuatorFit:
     unsure : tuple of str
         Of these values, those that the test shows poorly (but for the leakage and the force
         capacity).
+    largest_force : float
+        In the test, N.
+    dt : float
+        Sampling period, s.
     measured, modelled : ndarray
         Flow over each sampling period within the band of the test: v + (f' + lambda f) / k_oil
         as measured (and the piston's friction), and q w of the commands; shape (N - 1,), m/s.
@@ -66,6 +70,8 @@ class ActuatorFit:
     dead_time: float
     explained: float
     unsure: tuple[str, ...]
+    largest_force: float
+    dt: float
     measured: Floats
     modelled: Floats
 
@@ -135,7 +141,7 @@ def fit_actuator(
     lost = leaking * oil.between + friction * oil.slip(math.exp(p[4]))
     measured = oil.within(oil.velocity + compliance * oil.rise + lost)
     modelled = oil.within(q * oil.flow(p[:4])[0])
-    power = float(np.sum(measured**2))
+    total = float(np.sum(measured**2))
     relative = {
         "flow_gain": linear_deviations[0] / max(abs(q), 1e-30),
         "oil_stiffness": linear_deviations[1] / max(abs(compliance), 1e-30),
@@ -151,8 +157,10 @@ def fit_actuator(
         valve_frequency=math.exp(p[0]),
         valve_damping=math.exp(p[1]),
         dead_time=float(p[2]) / 1e3,
-        explained=1.0 - float(np.sum((measured - modelled) ** 2)) / power if power else 0.0,
+        explained=1.0 - float(np.sum((measured - modelled) ** 2)) / total if total else 0.0,
         unsure=tuple(name for name, value in relative.items() if value > _UNSURE),
+        largest_force=oil.largest_force,
+        dt=dt,
         measured=measured,
         modelled=modelled,
     )

@@ -56,6 +56,7 @@ class OilBalance:
         band: tuple[float, float],
     ) -> None:
         self._n, self._dt = len(commands) - 1, dt
+        self._times: Floats = np.arange(math.ceil(MEMORY / dt) + 1) * dt
         self._size = scipy.fft.next_fast_len(self._n + math.ceil(MEMORY / dt), real=True)
         self._hz: Floats = scipy.fft.rfftfreq(self._size, dt)
         self._used = (self._hz >= band[0]) & (self._hz <= band[1])
@@ -133,7 +134,7 @@ class OilBalance:
             the largest force over the force capacity.
         """
         valve = ValveModel(math.exp(p[0]), math.exp(p[1]), p[2] / 1e3, self._dt)
-        volume = valve.volume(self._dt * np.arange(math.ceil(MEMORY / self._dt) + 1))
+        volume = valve.volume(self._times)
         spectrum = self._commands * self._spectrum(np.diff(volume) / self._dt)
         flow = self._back(spectrum)
         if p[3]:
