@@ -1,8 +1,11 @@
-# Everything lands in .venv; nothing is installed outside this folder.
+# Everything lands in .venv (and .venv-ubuntu); nothing is installed outside this folder.
 
 BIN := .venv/bin
 READY := .venv/seft-ready
 PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
+UBUNTU := .venv-ubuntu
+UBUNTU_READY := $(UBUNTU)/seft-ready
+UBUNTU_PIP := $(UBUNTU)/bin/python -m pip --disable-pip-version-check -qq
 PACKAGES := src/seft_msgs_py src/seft_plant_sim src/seft_ros
 DOCS = $(BIN)/sphinx-build -q -W --keep-going -c docs . build/docs
 BUILD_FILES := $(wildcard $(foreach p,$(PACKAGES),$(p)/setup.py $(p)/setup.cfg $(p)/pyproject.toml))
@@ -14,14 +17,19 @@ unexport LD_LIBRARY_PATH
 endif
 
 # Ready is an environment that was finished, in this very folder, and whose Python still runs.
-HEALTHY := $(shell [ "$$(cat $(READY) 2>/dev/null)" = "$$(pwd -P)" ] && [ -x $(BIN)/seft ] \
-	&& $(BIN)/python -I -S -c '' 2>/dev/null && echo yes)
+healthy = $(shell [ "$$(cat $(1)/seft-ready 2>/dev/null)" = "$$(pwd -P)" ] && [ -x $(1)/bin/seft ] \
+	&& $(1)/bin/python -I -S -c '' 2>/dev/null && echo yes)
+HEALTHY := $(call healthy,.venv)
+HEALTHY_UBUNTU := $(call healthy,$(UBUNTU))
 
-.PHONY: help setup demo test docs thorough bench clean unfinished
+# A test that hangs ends, and the others go on; pytest 7, which Ubuntu 24.04 has, does not know this.
+PYTEST := $(BIN)/pytest -o faulthandler_exit_on_timeout=true
+
+.PHONY: help setup demo test test-ubuntu docs thorough bench clean unfinished
 .DELETE_ON_ERROR:
 
 help: ## this list
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-8s %s\n", $$1, $$2}' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-11s %s\n", $$1, $$2}' Makefile
 
 setup: $(READY) ## make .venv with the pinned libraries and the three packages
 	@:
@@ -34,23 +42,26 @@ test: $(READY) ## all checks: lint, format, types, docs, tests (CI runs the same
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(DOCS)
-	$(BIN)/pytest src -n 2 --durations 10
-	$(BIN)/pytest tests -n 2 -m "not thorough and not alone" --durations 15
-	$(BIN)/pytest tests -m "alone and not thorough"
+	$(PYTEST) src -n 2 --durations 10
+	$(PYTEST) tests -n 2 -m "not thorough and not alone" --durations 15
+	$(PYTEST) tests -m "alone and not thorough"
+
+test-ubuntu: $(UBUNTU_READY) ## the packages' tests with the oldest libraries: Ubuntu 24.04's
+	$(UBUNTU)/bin/pytest src -n 2
 
 docs: $(READY) ## the pages as HTML in build/docs, every link between them checked
 	$(DOCS)
 
 thorough: $(READY) ## the tests that take long: the tutorial, every fault in every state
-	$(BIN)/pytest src tests -m thorough
+	$(PYTEST) src tests -m thorough
 
 bench: $(READY) ## every benchmark in bench, one after another
 	@failed=; for file in $(sort $(wildcard bench/[!_]*.py)); do \
 		echo "== $$file"; $(BIN)/python "$$file" || failed="$$failed $$file"; \
 	done; [ -z "$$failed" ] || { echo "failed:$$failed" >&2; exit 1; }
 
-clean: ## remove .venv, caches and what colcon built (recorded bags stay)
-	rm -rf $(READY) .venv build install log
+clean: ## remove .venv, .venv-ubuntu, caches and what colcon built (recorded bags stay)
+	rm -rf $(READY) .venv $(UBUNTU_READY) $(UBUNTU) build install log
 	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache $(PACKAGES:%=%/build) src/*/*.egg-info
 	find . -name .git -prune -o -name __pycache__ -prune -exec rm -rf {} +
 
@@ -72,3 +83,23 @@ endif
 	@$(PIP) install --no-deps --no-build-isolation $(PACKAGES:%=-e %)
 	@pwd -P > $(READY)
 	@echo "seft: .venv is ready"
+
+ifneq ($(HEALTHY_UBUNTU),yes)
+$(UBUNTU_READY): unfinished
+endif
+
+# What tools/ubuntu-24.04.txt does not name is as in requirements.txt. Which libraries there are is
+# up to the packages' setup.py files, as anywhere but here.
+$(UBUNTU_READY): tools/ubuntu-24.04.txt requirements.txt $(BUILD_FILES)
+	@python=$$(sh tools/find_python.sh) || exit 2; \
+	echo "seft: making $(UBUNTU) with $$python"; \
+	rm -rf $(UBUNTU) && "$$python" -m venv $(UBUNTU)
+	@sed 's/ *#.*//; s/\[.*\]//' tools/ubuntu-24.04.txt requirements.txt \
+		| awk -F == 'NF == 2 && !seen[$$1]++' > $(UBUNTU)/constraints.txt
+	@echo "seft: installing what Ubuntu 24.04 has (a minute or two)"
+	@$(UBUNTU_PIP) install -c $(UBUNTU)/constraints.txt setuptools wheel
+	@$(UBUNTU_PIP) install -c $(UBUNTU)/constraints.txt --no-build-isolation \
+		"ros-jazzy-rclpy[fastrtps]" ros-jazzy-common-interfaces pytest-xdist \
+		$(PACKAGES:%=-e %[test])
+	@pwd -P > $(UBUNTU_READY)
+	@echo "seft: $(UBUNTU) is ready"

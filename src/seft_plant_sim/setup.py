@@ -20,8 +20,8 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
     ],
-    install_requires=["numba", "numpy", "scipy", "seft_msgs_py"],
-    extras_require={"test": ["hypothesis", "pytest"]},
+    install_requires=["numba>=0.59", "numpy>=1.26", "scipy>=1.11", "seft_msgs_py"],
+    extras_require={"test": ["hypothesis>=6.98", "pytest>=7.4"]},
     entry_points={"console_scripts": ["rig = seft_plant_sim.rig_node:main"]},
     zip_safe=False,
 )

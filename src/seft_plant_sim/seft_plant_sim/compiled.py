@@ -55,7 +55,7 @@ def code_folder(folder: Path) -> Path:
     """Where the machine code of a folder's package is kept, which may use this package's too."""
     while (folder.parent / "__init__.py").exists():
         folder = folder.parent
-    texts = hashlib.sha256()
+    texts = hashlib.sha256(numba.__version__.encode())
     for package in {folder, Path(__file__).parent}:
         for file in sorted(package.rglob("*.py")):
             texts.update(file.read_bytes())

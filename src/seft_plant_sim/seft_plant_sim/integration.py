@@ -20,8 +20,8 @@ from seft_plant_sim.spring_laws import (
     SLIDER,
     STIFFNESS,
     WIDTH,
+    spring_force,
 )
-from seft_plant_sim.spring_laws import spring_force as force_of_spring
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -128,13 +128,6 @@ def at_rest(dynamics: Dynamics) -> Motion:
 
 
 @compiled
-def rest(motion: Motion) -> None:
-    """Bring it back to where it has not been driven."""
-    motion.work[:] = 0.0
-    motion.springs[:] = 0.0
-
-
-@compiled
 def multiply(transposed: Floats, vector: Floats, result: Floats) -> None:
     """Multiply a matrix, given transposed, by a vector."""
     columns, rows = transposed.shape
@@ -201,8 +194,8 @@ def _residuals(dynamics: Dynamics, period: float, motion: Motion, memory: Floats
             v_1 += factor * z[n + i]
         if v_0 * v_1 < 0.0:  # it turns where the velocity, taken as linear, is 0
             turn = memory[j, 0] + 0.5 * period * v_0 * v_0 / (v_0 - v_1)
-            force_of_spring(dynamics.laws, j, memory, turn)
-        force = force_of_spring(dynamics.laws, j, memory, e)
+            spring_force(dynamics.laws, j, memory, turn)
+        force = spring_force(dynamics.laws, j, memory, e)
         residuals[2 * m + j] = force - dynamics.laws[j, STIFFNESS] * e
 
 

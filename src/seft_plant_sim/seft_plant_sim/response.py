@@ -1,5 +1,7 @@
 """Response of a structure to ground motion from rest: exact, or as near as one likes."""
 
+from functools import partial
+
 import numpy as np
 import numpy.typing as npt
 
@@ -94,7 +96,7 @@ class ShakenStructure:
         return np.moveaxis(samples.reshape(len(motion), 4, -1), 1, 0)
 
 
-@compiled
+@partial(compiled, nogil=True)
 def _respond(
     dynamics: Dynamics,
     motion: Motion,

@@ -83,6 +83,7 @@ class Rig:
         noise, measured = np.zeros((2, *self.state.measured.shape))
         arguments = (self.parameters, self.state, 0, self._command, noise, measured)
         self._step = entry_point(rig_step, *arguments)
+        self._move = entry_point(move, self.parameters, self.state, self._command)
 
     @classmethod
     def from_parameters(
@@ -163,15 +164,20 @@ class Rig:
         command = self._safe.command if valve_driven else np.zeros_like(self._command)
         steps, resting, peak = 0, 0, 0.0
         while steps < self._safe.longest and resting < RESTS:
-            move(self.parameters, self.state, command)
+            self._move(self.parameters, self.state, command)
             peak = max(peak, float(np.abs(self.sample[3]).max()))
             steps += 1
             resting = resting + 1 if np.abs(self.sample[1]).max() < AT_REST else 0
         return Stopped(steps, peak)
 
     def violation_of(self, found: int) -> str | None:
-        """Say why the test must end with the last sample, of which `rig_step` gave ``found``."""
+        """Say why the test must end with the last sample, of which `rig_step` gave ``found``.
+
+        What a spring of another package has raised, this raises.
+        """
         if found & LIMIT:
+            for spring in self._model.springs:
+                spring.check()
             return self.limits.describe(self.state.measured, self.state.change)
         if found & BLIND:
             names = [name for name, bit in ENDS.items() if found & bit and bit < 16]
@@ -185,8 +191,6 @@ class Rig:
         found = self._step(self.parameters, self.state, step, self._command, noise, measured)
         self.violation = None
         if found:
-            for spring in self._model.springs:
-                spring.check()
             self.violation = self.violation_of(found)
             self.saturation.add(step, [name for name, bit in ENDS.items() if found & bit])
         return measured

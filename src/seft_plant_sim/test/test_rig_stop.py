@@ -1,11 +1,13 @@
 """What the simulated rig does when its valve goes to its safe position."""
 
+from pathlib import Path
+
 import numpy as np
 from seft_msgs_py.experiment import Experiment
 from seft_plant_sim.parameters import TABLE
 from seft_plant_sim.rig import Rig
 
-JHU = "config/jhu.yaml"
+JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"  # wherever it runs, as by colcon test
 
 
 def moving_rig(*overrides):

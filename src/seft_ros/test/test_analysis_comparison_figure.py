@@ -56,6 +56,6 @@ def test_where_there_is_no_difference_the_panel_says_so():
 
 def test_the_first_axis_that_all_have_is_drawn():
     figure, _ = drawn(make_record(axes=("x", "y")), make_record(axes=("y", "z")))
-    assert figure.get_suptitle().startswith("axis y")
+    assert figure.texts[0].get_text().startswith("axis y")
     with pytest.raises(InputError, match="no axis is in all"):
         drawn(make_record(), make_record(axes=("x",)), make_record(axes=("y",)))

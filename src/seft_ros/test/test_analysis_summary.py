@@ -285,8 +285,8 @@ def test_a_figure_has_a_column_for_each_axis_up_to_three(axes):
     assert labels == ["exact response", "test"]
     for panel in drawn.axes:
         assert len(panel.lines) == 2
-    assert "mass ratio 0.5" in drawn.get_suptitle()
-    assert "500 Hz" in drawn.get_suptitle()
+    assert "mass ratio 0.5" in drawn.texts[0].get_text()
+    assert "500 Hz" in drawn.texts[0].get_text()
 
 
 def test_a_figure_holds_the_samples_in_units_for_people_against_time():
@@ -305,7 +305,7 @@ def test_a_trip_is_a_line_across_all_panels_and_stands_in_the_title():
     drawn = figure.test_figure(record, reference_of(record))
     for panel in drawn.axes:
         assert list(panel.lines[-1].get_xdata()) == [3.998, 3.998]
-    assert "tripped at 3.998 s: force of $5 on axis $x" in drawn.get_suptitle()
+    assert "tripped at 3.998 s: force of $5 on axis $x" in drawn.texts[0].get_text()
 
 
 def test_figures_are_saved_as_png_without_touching_the_users_pyplot(tmp_path):

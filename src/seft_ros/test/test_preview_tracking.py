@@ -33,7 +33,7 @@ def responses(model, tracking, hz, dt=DT):
     """Responses of reference force and of measured force to the target."""
     z = np.exp(2j * np.pi * hz[:, None] * dt)
     matrices = z[..., None] * np.eye(len(model.a)) - model.a
-    states = np.linalg.solve(matrices, model.b[:, None])[..., 0]
+    states = np.linalg.solve(matrices, model.b[None, :, None])[..., 0]
     past = z ** -np.arange(1.0, 1 + len(tracking.past)) @ tracking.past
     target = z ** np.arange(len(tracking.target)) @ tracking.target
     force = target / (1 - states @ tracking.state - past)
@@ -44,7 +44,7 @@ def wiener(model, corner, order, hz):
     """The same with all of the target known: the non-causal minimiser, frequency by frequency."""
     z = np.exp(2j * np.pi * hz * DT)
     matrices = z[:, None, None] * np.eye(len(model.a)) - model.a
-    loop = np.linalg.solve(matrices, model.b[:, None])[..., 0] @ model.c
+    loop = np.linalg.solve(matrices, model.b[None, :, None])[..., 0] @ model.c
     cost = (np.abs(1 - z) / (2 * np.sin(np.pi * corner))) ** (2 * order)
     inverse = loop.conj() / (np.abs(loop) ** 2 + cost)
     return inverse, loop * inverse

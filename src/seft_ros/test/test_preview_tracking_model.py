@@ -15,7 +15,7 @@ def response(model, hz, dt=DT):
     """Frequency response of the sampled loop."""
     z = np.exp(2j * np.pi * hz * dt)
     matrices = z[:, None, None] * np.eye(len(model.a)) - model.a
-    return np.linalg.solve(matrices, model.b[:, None])[..., 0] @ model.c
+    return np.linalg.solve(matrices, model.b[None, :, None])[..., 0] @ model.c
 
 
 def held(numerator, denominator, dead_time, hz, dt=DT, aliases=3000):

@@ -15,7 +15,7 @@ from seft_msgs_py.topics import RIG_STATE
 from seft_ros.analysis.alignment import Alignment
 from seft_ros.analysis.reference import COMPARED
 from seft_ros.analysis.shown import UNITS
-from seft_ros.drawing.style import MARK, OTHERS, REFERENCE, TEXT, tidy
+from seft_ros.drawing.style import MARK, OTHERS, REFERENCE, TEXT, legend_below, tidy
 from seft_ros.recording.record import Record
 
 Floats = npt.NDArray[np.floating[Any]]
@@ -68,9 +68,7 @@ def comparison_figure(
         for panel in panels[:2]
         for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)
     }
-    figure.legend(
-        entries.values(), entries.keys(), loc="outside lower center", ncols=4, frameon=False
-    )
+    legend_below(figure, entries, 4)
     title = f"axis {axis}: difference from {names[0]}"
     figure.suptitle(title, fontsize=11, color=TEXT, parse_math=False)
     return figure

@@ -13,7 +13,7 @@ from seft_ros.analysis.metrics import nrmse
 from seft_ros.analysis.reference import COMPARED, quantity
 from seft_ros.analysis.shown import UNITS
 from seft_ros.analysis.title import title_of
-from seft_ros.drawing.style import FIRST, MARK, REFERENCE, SECOND, TEXT, tidy
+from seft_ros.drawing.style import FIRST, MARK, REFERENCE, SECOND, TEXT, legend_below, tidy
 from seft_ros.drawing.thinning import thinned
 from seft_ros.recording.record import Estimates, Record
 
@@ -61,7 +61,7 @@ def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
         panels[-1, column].set_xlabel("time / s", color=TEXT)
     figure.align_ylabels()
     handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    legend_below(figure, dict(zip(labels, handles, strict=True)), len(labels))
     figure.suptitle(_title(record), fontsize=11, color=TEXT, parse_math=False)
     return figure
 

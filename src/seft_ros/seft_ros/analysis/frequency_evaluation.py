@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.fft import prev_fast_len, rfft
+from scipy.fft import next_fast_len, rfft
 
 from seft_ros.analysis.columns import paired_columns, peaks
 
@@ -69,7 +69,7 @@ def frequency_evaluation_index(
     """
     c, m = paired_columns(commanded, measured)
     if len(c) > LONG:
-        kept = prev_fast_len(len(c), real=True)
+        kept = next(n for n in range(len(c), 0, -1) if next_fast_len(n, real=True) == n)
         c, m = c[:kept], m[:kept]
     if not power > 0:
         raise ValueError(f"the power is {power}, not positive")

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 from string import ascii_lowercase
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 from seft_msgs_py.errors import InputError
@@ -22,7 +22,7 @@ def compare(
         ),
     ],
     figure: Annotated[
-        Path | None,
+        Optional[Path],
         typer.Option("--figure", metavar="FILE", help="Draw the tests on one another."),
     ] = None,
     json: JsonOption = False,

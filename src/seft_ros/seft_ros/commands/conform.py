@@ -1,7 +1,7 @@
 """``seft conform``: whether a rig's driver keeps the contract of a test."""
 
 import sys
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 from seft_msgs_py.errors import InputError
@@ -30,7 +30,7 @@ def conform(
         ),
     ] = False,
     amplitude: Annotated[
-        float | None,
+        Optional[float],
         typer.Option(
             "--amplitude",
             metavar="V",

@@ -1,7 +1,7 @@
 """``seft design``: shape the force loop."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 from seft_msgs_py.errors import InputError
@@ -17,6 +17,7 @@ from seft_ros.commands.options import (
     load_experiment,
     print_json,
 )
+from seft_ros.loop_shaping.source import Source
 
 if TYPE_CHECKING:  # scipy and all: other commands start without
     from seft_ros.loop_shaping.design import LoopDesign
@@ -26,13 +27,13 @@ def design(
     config: ConfigArgument,
     param: OverrideOption = None,
     params_file: ParamsFileOption = None,
-    plant: PlantOption = "auto",
+    plant: PlantOption = Source.AUTO,
     axis: Annotated[
-        str | None,
+        Optional[str],
         typer.Option("--axis", metavar="NAME", help="Axis to be shown; default the first."),
     ] = None,
     crossover: Annotated[
-        float | None,
+        Optional[float],
         typer.Option("--crossover", metavar="HZ", help="Propose a controller for this crossover."),
     ] = None,
     gain_margin: Annotated[
@@ -40,11 +41,11 @@ def design(
         typer.Option("--gain-margin", metavar="DB", help="Least gain margin of a proposal in dB."),
     ] = 6.0,
     gain: Annotated[
-        float | None,
+        Optional[float],
         typer.Option("--gain", help="Try gain * product(s - zeros) / product(s - poles)."),
     ] = None,
     zero: Annotated[
-        list[str] | None,
+        Optional[list[str]],
         typer.Option(
             "--zero",
             metavar="HZ[,DAMPING]",
@@ -53,18 +54,18 @@ def design(
         ),
     ] = None,
     pole: Annotated[
-        list[str] | None,
+        Optional[list[str]],
         typer.Option("--pole", metavar="HZ[,DAMPING]", help="Its poles; 0 is an integrator."),
     ] = None,
     numerator: Annotated[
-        str | None,
+        Optional[str],
         typer.Option("--numerator", help='Or its coefficients in s, highest power first: "37".'),
     ] = None,
     denominator: Annotated[
-        str | None, typer.Option("--denominator", help='Likewise: "1 17.14 4002".')
+        Optional[str], typer.Option("--denominator", help='Likewise: "1 17.14 4002".')
     ] = None,
     out: Annotated[
-        Path | None,
+        Optional[Path],
         typer.Option("--out", metavar="FILE", help="Write the controller to a new parameter file."),
     ] = None,
     figure: Annotated[Path, typer.Option("--figure", metavar="PNG", help="Where to draw.")] = Path(

@@ -1,8 +1,9 @@
 """``seft identify``: what rig is this? Tests of it, and the models fitted to them."""
 
+import math
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 from rich.console import Console
@@ -29,6 +30,7 @@ if TYPE_CHECKING:  # scipy and all: other commands start without
 
 PILOT, OPEN_LOOP, CLOSED_LOOP = "pilot", "open_loop", "closed_loop"
 EXCITATION, MODEL = "excitation.csv", "model.yaml"
+_BY_RATE = (math.nan, math.nan)
 
 
 def identify(
@@ -48,18 +50,19 @@ def identify(
     ] = "random",
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the random signal.")] = 1,
     band: Annotated[
-        tuple[float, float] | None,
+        tuple[float, float],
         typer.Option(
             "--band",
             metavar="LO HI",
+            show_default=False,
             help="Band of the excitation in Hz; default 0.3 to 0.45 times the rate, at most 200.",
         ),
-    ] = None,
+    ] = _BY_RATE,
     duration: Annotated[
         float, typer.Option("--duration", metavar="S", help="Duration of each test in s.")
     ] = 120.0,
     amplitude: Annotated[
-        float | None,
+        Optional[float],
         typer.Option(
             "--amplitude",
             metavar="V",
@@ -68,7 +71,7 @@ def identify(
         ),
     ] = None,
     force: Annotated[
-        float | None,
+        Optional[float],
         typer.Option(
             "--force",
             metavar="N",
@@ -77,7 +80,7 @@ def identify(
         ),
     ] = None,
     out: Annotated[
-        Path | None,
+        Optional[Path],
         typer.Option(
             "--out", metavar="DIR", help="Folder of what is made, must be new; default by the time."
         ),
@@ -141,7 +144,8 @@ def identify(
     check_levels(experiment, levels)
     own = experiment["force_controller"]
     controller = Controller.from_parameters(own) if is_one_controller(own) else None
-    used = band or (0.3, min(0.45 * experiment.timebase.rate, 200.0))
+    by_rate = (0.3, min(0.45 * experiment.timebase.rate, 200.0))
+    used = by_rate if all(map(math.isnan, band)) else band
     folder = out or Path(datetime.now().strftime("identify_%Y-%m-%d_%H-%M-%S"))
     motions = Motions(experiment, levels.force, signal, used, seed)
     motions.check(duration)

@@ -1,7 +1,7 @@
 """``seft link``: self-test of the link between two hosts."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Optional
 
 import typer
 from seft_msgs_py.errors import InputError
@@ -24,7 +24,7 @@ RATE, SIZE = 500.0, 1000  # Hz and bytes, where no experiment tells them
 
 def link(
     config: Annotated[
-        Path | None,
+        Optional[Path],
         typer.Argument(
             metavar="[CONFIG]",
             help="Experiment whose rate and message size are used, and which preflight looks at.",
@@ -42,7 +42,7 @@ def link(
         float, typer.Option("--duration", metavar="S", help="Time for which the link is measured.")
     ] = 10.0,
     out: Annotated[
-        Path | None,
+        Optional[Path],
         typer.Option(
             "--out",
             metavar="FILE",

@@ -1,6 +1,7 @@
 """The `seft` command."""
 
 import sys
+from contextlib import redirect_stdout
 
 import typer
 from seft_msgs_py.errors import SeftError
@@ -30,7 +31,6 @@ APP = typer.Typer(
     "seft simulate does the same in one process, without ROS. "
     "seft COMMAND --help shows examples.",
     add_completion=False,
-    no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -39,6 +39,15 @@ for command in (
     *(preflight, link, conform, monitor, paper, parameters),
 ):
     APP.command()(command)
+
+
+@APP.callback(invoke_without_command=True)
+def seft(context: typer.Context) -> None:
+    """Print the help to stderr, where no command is given."""
+    if context.invoked_subcommand is None:
+        with redirect_stdout(sys.stderr):  # typer before 0.10 prints the help itself
+            print(context.get_help())
+        raise typer.Exit(2)
 
 
 def main() -> int:
@@ -52,16 +61,15 @@ def main() -> int:
         return end.exit_code
     except typer.Abort:
         return 1
-    except typer.TyperException as error:
-        text = error.format_message()
-        if "\n" in text:  # help, where no command is given
-            print(text, file=sys.stderr)
-        else:
-            complain(f"{text} (seft --help shows what there is)")
-        return 2
     except KeyboardInterrupt:
         complain("interrupted")
         return 1
+    except Exception as error:
+        if not hasattr(error, "format_message"):
+            raise
+        # wrong use; whose class this is, typer's or click's, depends on typer's version
+        complain(f"{error.format_message()} (seft --help shows what there is)")
+        return 2
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """``seft motion``: look at a ground motion before it moves anything."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 from seft_msgs_py.timebase import Timebase
@@ -12,7 +12,7 @@ from seft_ros.commands.options import JsonOption, print_json
 def motion(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="PEER AT2, columns or csv.")],
     column: Annotated[
-        list[int] | None,
+        Optional[list[int]],
         typer.Option("--column", help="Column, from 0; once for each axis to be shown."),
     ] = None,
     unit: Annotated[str, typer.Option("--unit", help="g, m/s2 or cm/s2.")] = "g",
@@ -22,7 +22,7 @@ def motion(
     time_scale: Annotated[float, typer.Option("--time-scale", help="0.5: twice as fast.")] = 1.0,
     rate: Annotated[float, typer.Option("--rate", help="Rate of the loop in Hz.")] = 500.0,
     figure: Annotated[
-        Path | None,
+        Optional[Path],
         typer.Option("--figure", metavar="PNG", help="Where to draw; default FILE's name + .png."),
     ] = None,
     json: JsonOption = False,

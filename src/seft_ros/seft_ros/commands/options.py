@@ -4,7 +4,7 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Optional
 
 import typer
 from rich.console import Console
@@ -16,12 +16,13 @@ from seft_msgs_py.rigs import with_rigs
 from seft_msgs_py.topics import NODES
 
 from seft_ros.experiment.tables import TABLES
+from seft_ros.loop_shaping.source import Source
 
 ConfigArgument = Annotated[
     Path, typer.Argument(metavar="CONFIG", help="Experiment: a ROS 2 parameter file.")
 ]
 OverrideOption = Annotated[
-    list[str] | None,
+    Optional[list[str]],
     typer.Option(
         "-p",
         "--param",
@@ -30,7 +31,7 @@ OverrideOption = Annotated[
     ),
 ]
 ParamsFileOption = Annotated[
-    list[Path] | None,
+    Optional[list[Path]],
     typer.Option(
         "--params-file",
         metavar="FILE",
@@ -38,7 +39,7 @@ ParamsFileOption = Annotated[
     ),
 ]
 PlantOption = Annotated[
-    Literal["auto", "rig", "identified"],
+    Source,
     typer.Option(
         "--plant",
         help="rig: the simulated rig's linear model; identified: plant.* of force_controller; "
@@ -47,7 +48,7 @@ PlantOption = Annotated[
 ]
 
 ExternalOption = Annotated[
-    list[str] | None,
+    Optional[list[str]],
     typer.Option(
         "--external",
         metavar="NODE",

@@ -2,7 +2,7 @@
 
 import signal
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Optional
 
 import typer
 from seft_msgs_py.errors import ExperimentError, InputError
@@ -20,7 +20,7 @@ from seft_ros.commands.progress import step_progress
 
 def paper(
     config: Annotated[
-        Path | None,
+        Optional[Path],
         typer.Argument(
             metavar="[CONFIG]",
             help="Experiment: a ROS 2 parameter file; default the paper's rig, config/jhu.yaml, as "
@@ -29,7 +29,7 @@ def paper(
         ),
     ] = None,
     file: Annotated[
-        Path | None,
+        Optional[Path],
         typer.Option(
             "--file",
             metavar="MOTION",
@@ -37,18 +37,21 @@ def paper(
             "CONFIG's motion, which is synthetic.",
         ),
     ] = None,
-    unit: Annotated[str | None, typer.Option("--unit", help="g, m/s2 or cm/s2; default g.")] = None,
+    unit: Annotated[
+        Optional[str], typer.Option("--unit", help="g, m/s2 or cm/s2; default g.")
+    ] = None,
     dt: Annotated[
-        float | None, typer.Option("--dt", help="Sampling period in s, where the file has none.")
+        Optional[float], typer.Option("--dt", help="Sampling period in s, where the file has none.")
     ] = None,
     column: Annotated[
-        int | None, typer.Option("--column", help="Column of the file, from 0; default the first.")
+        Optional[int],
+        typer.Option("--column", help="Column of the file, from 0; default the first."),
     ] = None,
     out: Annotated[Path, typer.Option("--out", metavar="HTML", help="The page.")] = Path(
         "paper.html"
     ),
     workers: Annotated[
-        int | None,
+        Optional[int],
         typer.Option(
             "--workers", min=1, help="Processes that calculate; default one for each core."
         ),

@@ -1,6 +1,6 @@
 """``seft parameters``: the parameter tables, as text for people and for docs."""
 
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 from seft_msgs_py.errors import InputError
@@ -11,7 +11,7 @@ from seft_ros.experiment.tables import TABLES
 
 def parameters(
     node: Annotated[
-        str | None, typer.Argument(metavar="NODE", help="One node; default all.")
+        Optional[str], typer.Argument(metavar="NODE", help="One node; default all.")
     ] = None,
 ) -> int:
     """Print every parameter with type, default, unit, bounds and meaning, as Markdown.

@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 
@@ -20,6 +20,7 @@ from seft_ros.commands.options import (
     print_json,
     stderr_console,
 )
+from seft_ros.loop_shaping.source import Source
 
 PATIENCE = 1.0  # s without a word
 
@@ -29,9 +30,9 @@ def preflight(
     param: OverrideOption = None,
     params_file: ParamsFileOption = None,
     external: ExternalOption = None,
-    plant: PlantOption = "auto",
+    plant: PlantOption = Source.AUTO,
     figure: Annotated[
-        Path | None,
+        Optional[Path],
         typer.Option(
             "--figure",
             metavar="FILE",
@@ -111,4 +112,5 @@ def _late_progress() -> Iterator[Callable[[str, int, int], None]]:
     try:
         yield show
     finally:
-        bar.stop()
+        if bar.live.is_started:
+            bar.stop()

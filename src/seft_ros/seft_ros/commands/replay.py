@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 from seft_msgs_py.errors import InputError
@@ -21,7 +21,7 @@ def replay(
         Path, typer.Argument(metavar="BAG", help="Folder (or file) of a recorded test.")
     ],
     node: Annotated[
-        list[str] | None,
+        Optional[list[str]],
         typer.Option(
             "--node",
             metavar="NODE",
@@ -35,7 +35,7 @@ def replay(
         typer.Option("--offline", help="Feed the node's block in this process, without ROS."),
     ] = False,
     out: Annotated[
-        Path | None,
+        Optional[Path],
         typer.Option(
             "--out",
             metavar="DIR",

@@ -1,7 +1,7 @@
 """``seft report``: how a recorded test went."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
@@ -19,7 +19,7 @@ def report(
         Path, typer.Argument(metavar="BAG", help="Folder (or file) of a recorded test.")
     ],
     out: Annotated[
-        Path | None,
+        Optional[Path],
         typer.Option("--out", metavar="FILE", help="The page; default report.html in BAG."),
     ] = None,
     json: JsonOption = False,

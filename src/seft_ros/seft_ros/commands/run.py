@@ -1,7 +1,7 @@
 """``seft run``: the experiment as separate node processes over DDS."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 from seft_msgs_py.errors import InputError
@@ -31,7 +31,7 @@ def run(
     params_file: ParamsFileOption = None,
     external: ExternalOption = None,
     out: Annotated[
-        Path | None,
+        Optional[Path],
         typer.Option(
             "--out",
             metavar="DIR",

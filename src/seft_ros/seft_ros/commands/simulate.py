@@ -1,7 +1,7 @@
 """``seft simulate``: the experiment in one process, without ROS."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 
@@ -23,7 +23,7 @@ def simulate(
     param: OverrideOption = None,
     params_file: ParamsFileOption = None,
     out: Annotated[
-        Path | None,
+        Optional[Path],
         typer.Option(
             "--out",
             metavar="DIR",

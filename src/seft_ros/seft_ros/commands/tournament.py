@@ -2,7 +2,7 @@
 
 import signal
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Optional
 
 import typer
 from seft_msgs_py.errors import ExperimentError
@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # scipy and all: other commands start without
 def tournament(
     config: ConfigArgument,
     method: Annotated[
-        list[str] | None,
+        Optional[list[str]],
         typer.Option(
             "--method",
             metavar="NAME",
@@ -34,7 +34,7 @@ def tournament(
         ),
     ] = None,
     mass_ratio: Annotated[
-        list[float] | None,
+        Optional[list[float]],
         typer.Option(
             "--mass-ratio",
             metavar="ALPHA",
@@ -56,7 +56,7 @@ def tournament(
     ] = 0.1,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of what is drawn for them.")] = 1,
     workers: Annotated[
-        int | None,
+        Optional[int],
         typer.Option(
             "--workers",
             min=1,
@@ -64,7 +64,8 @@ def tournament(
         ),
     ] = None,
     figure: Annotated[
-        Path | None, typer.Option("--figure", metavar="FILE", help="Draw the errors of all tests.")
+        Optional[Path],
+        typer.Option("--figure", metavar="FILE", help="Draw the errors of all tests."),
     ] = None,
     param: OverrideOption = None,
     params_file: ParamsFileOption = None,

@@ -1,10 +1,13 @@
 """Look of the figures, and their way into a file."""
 
 from pathlib import Path
+from typing import Any
 
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from seft_msgs_py.errors import InputError
 
 REFERENCE = "#9aa3ad"  # what should be
@@ -23,6 +26,37 @@ def tidy(panel: Axes) -> None:
     panel.set_axisbelow(True)
     panel.tick_params(colors=TEXT, labelsize=9)
     panel.spines[["top", "right"]].set_visible(False)
+
+
+def legend_below(figure: Figure, entries: dict[str, Artist], columns: int, **font: Any) -> None:
+    """Put a legend below all panels of a constrained layout, which makes room for it.
+
+    (matplotlib before 3.7 has no place "outside lower center".)
+
+    Parameters
+    ----------
+    figure : Figure
+        With its panels.
+    entries : dict
+        What is drawn, by its label.
+    columns : int
+        Of the legend.
+    **font : Any
+        ``fontsize`` of the legend.
+    """
+    legend = figure.legend(
+        list(entries.values()),
+        list(entries),
+        loc="lower center",
+        ncols=columns,
+        frameon=False,
+        borderaxespad=0.2,
+        **font,
+    )
+    height = legend.get_window_extent().height / figure.bbox.height
+    layout = figure.get_layout_engine()
+    assert isinstance(layout, ConstrainedLayoutEngine)
+    layout.set(rect=(0.0, height, 1.0, 1.0 - height))
 
 
 def check_figure(path: Path) -> Path:

@@ -47,6 +47,8 @@ class ActuatorFit:
         Hz, and damping ratio.
     dead_time : float
         Of the valve, without the loop's own step, s.
+    drag : float
+        Viscous friction that the piston's friction amounts to in the test, N s/m.
     explained : float
         Share of the flow's variance that the balance explains, up to 1.
     unsure : tuple of str
@@ -68,6 +70,7 @@ class ActuatorFit:
     valve_frequency: float
     valve_damping: float
     dead_time: float
+    drag: float
     explained: float
     unsure: tuple[str, ...]
     largest_force: float
@@ -157,6 +160,7 @@ def fit_actuator(
         valve_frequency=math.exp(p[0]),
         valve_damping=math.exp(p[1]),
         dead_time=float(p[2]) / 1e3,
+        drag=max(friction / compliance, 0.0) * oil.drag(math.exp(p[4])) if compliance else 0.0,
         explained=1.0 - float(np.sum((measured - modelled) ** 2)) / total if total else 0.0,
         unsure=tuple(name for name, value in relative.items() if value > _UNSURE),
         largest_force=oil.largest_force,

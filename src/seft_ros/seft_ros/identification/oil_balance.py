@@ -56,7 +56,7 @@ class OilBalance:
         band: tuple[float, float],
     ) -> None:
         self._n, self._dt = len(commands) - 1, dt
-        self._times: Floats = np.arange(math.ceil(MEMORY / dt) + 1) * dt
+        self._times = np.arange(math.ceil(MEMORY / dt) + 1, dtype=np.float64) * np.float64(dt)
         self._size = scipy.fft.next_fast_len(self._n + math.ceil(MEMORY / dt), real=True)
         self._hz: Floats = scipy.fft.rfftfreq(self._size, dt)
         self._used = (self._hz >= band[0]) & (self._hz <= band[1])
@@ -146,6 +146,11 @@ class OilBalance:
         """Rate of a friction of 1 N that builds up over a velocity in m/s; N/s, (N - 1,)."""
         rate: Floats = np.diff(np.tanh(self._at_samples / over), append=0.0) / self._dt
         return rate
+
+    def drag(self, over: float) -> float:
+        """Viscous friction that a friction of 1 N amounts to in this test, N s/m."""
+        v = self._at_samples
+        return float(v @ np.tanh(v / over)) / max(float(v @ v), 1e-30)
 
     def solve(
         self, p: Floats, over: float, deviation: Floats, step: int = 1

@@ -131,7 +131,8 @@ class _Equation:
             target = f / np.abs(f)
             scale = np.linalg.norm(columns, axis=0)
             split = np.concatenate([columns.real, columns.imag]) / scale
-            solution = np.linalg.lstsq(split, np.concatenate([target.real, target.imag]))[0]
+            wanted = np.concatenate([target.real, target.imag])
+            solution = np.linalg.lstsq(split, wanted, rcond=None)[0]
             found[:, axis] = solution / scale
         return [np.diag(np.abs(values)) for values in found]
 

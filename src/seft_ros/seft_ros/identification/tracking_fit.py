@@ -141,6 +141,7 @@ class _Data:
         numerator = np.linalg.lstsq(
             np.concatenate([columns.real, columns.imag]),
             np.concatenate([target.real, target.imag]),
+            rcond=None,
         )[0]
         return numerator, denominator
 

@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 
-from seft_ros.drawing.style import FIRST, MARK, REFERENCE, TEXT, tidy
+from seft_ros.drawing.style import FIRST, MARK, REFERENCE, TEXT, legend_below, tidy
 from seft_ros.loop_shaping.design import LoopDesign
 from seft_ros.loop_shaping.margins import BAND_HZ, FLATNESS_DB
 
@@ -53,7 +53,7 @@ def design_figure(design: LoopDesign, title: str) -> Figure:
         panel.xaxis.set_major_formatter("{x:g}")
     figure.align_ylabels()
     handles, labels = plant[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
+    legend_below(figure, dict(zip(labels, handles, strict=True)), 2)
     figure.suptitle(title, fontsize=11, color=TEXT, parse_math=False)
     return figure
 

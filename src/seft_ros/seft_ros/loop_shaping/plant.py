@@ -11,10 +11,10 @@ from seft_msgs_py.experiment import Experiment
 
 from seft_ros.loop_shaping.companion import companion_form
 from seft_ros.loop_shaping.roots import Root, lightly_damped, roots_of, uncancelled
+from seft_ros.loop_shaping.source import Source
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
-Source = Literal["auto", "rig", "identified"]
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Plant:
         """Frequency response H_fu(jw) of the first axis, shape (N,), N/V."""
         s = 2j * np.pi * frequencies_hz
         states = np.linalg.solve(
-            s[:, np.newaxis, np.newaxis] * np.eye(len(self.a)) - self.a, self.b
+            s[:, np.newaxis, np.newaxis] * np.eye(len(self.a)) - self.a, self.b[np.newaxis]
         )
         forces = np.asarray(self.c @ states + self.d, dtype=np.complex128)
         return forces[:, 0, 0] * np.exp(-s * self.delay)
@@ -106,7 +106,7 @@ class Plant:
         return system.poles(), system.zeros()
 
 
-def choose_plant(experiment: Experiment, source: Source = "auto") -> Plant:
+def choose_plant(experiment: Experiment, source: Source = Source.AUTO) -> Plant:
     """Plant that an experiment describes.
 
     Parameters

@@ -21,8 +21,8 @@ class Guarded(RequestHandler):
 
     def set_default_headers(self) -> None:
         """Let the page load what is its own, be shown in no other page, and be kept nowhere."""
-        known = self.application.settings["access"].is_host(self.request.host)
-        host = self.request.host if known else ""  # what is no name does not go into a header
+        known = self.application.settings["access"].is_host(self.host)
+        host = self.host if known else ""  # what is no name does not go into a header
         self.clear_header("Server")
         policy = (
             "default-src 'none'; script-src 'self'; img-src 'self' data: blob:; "
@@ -43,11 +43,10 @@ class Guarded(RequestHandler):
 
     async def prepare(self) -> None:
         """Refuse who asks under a foreign name, from a foreign page, or without the token."""
-        host = self.request.host
-        if not self.access.is_host(host):
+        if not self.access.is_host(self.host):
             raise HTTPError(403, reason="this page is served to its own host alone")
         acts = self.request.method != "GET" or "Upgrade" in self.request.headers
-        if acts and not self.access.is_own_page(self.request.headers.get("Origin", ""), host):
+        if acts and not self.access.is_own_page(self.request.headers.get("Origin", ""), self.host):
             raise HTTPError(403, reason="a request of another page")
         if self.access.needs_token and not self._knows_token():
             if self._given_token():
@@ -62,6 +61,11 @@ class Guarded(RequestHandler):
             return
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish(f"{status_code}: {self._reason}\n")
+
+    @property
+    def host(self) -> str:
+        """Name that was asked; Tornado's own may be a name for none."""
+        return self.request.headers.get("Host", "")
 
     @property
     def cookie(self) -> str:

@@ -9,7 +9,7 @@ from seft_plant_sim.running_response import RunningResponse
 Floats = npt.NDArray[np.float64]
 
 MOST_AT_ONCE = 4000
-"""Steps: 20 ms of work, 100 where a specimen yields, also while it catches up with a test."""
+"""Steps: some milliseconds of work, also while it catches up with a test."""
 
 
 class _Motion:

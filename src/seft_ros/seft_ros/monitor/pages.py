@@ -72,7 +72,7 @@ class Live(Guarded, WebSocketHandler):
 
     def check_origin(self, origin: str) -> bool:
         """Look at the page that asks."""
-        return self.access.is_own_page(origin, self.request.host)
+        return self.access.is_own_page(origin, self.host)
 
     def open(self, *_: str, **__: str) -> None:
         """Begin to tell."""

@@ -8,6 +8,7 @@ from seft_msgs_py.experiment import Experiment
 
 from seft_ros.ground_motion.block import GroundMotion
 from seft_ros.identification.identified import Identified
+from seft_ros.loop_shaping.source import Source
 from seft_ros.paper.experiments import (
     BEYOND_SHARE,
     DELAY,
@@ -175,6 +176,6 @@ def _banded(experiment: Experiment, identified: Identified) -> dict[Key, Experim
 
 
 def _growth(experiment: Experiment) -> Growth:
-    loop = Plan(experiment, "rig").loop()
+    loop = Plan(experiment, Source.RIG).loop()
     hz = float(np.angle(loop.dominant()) / (2 * np.pi * loop.dt))
     return Growth(float(loop.growth_rate()), hz)

@@ -65,7 +65,7 @@ def preflight_figure(
     right.yaxis.set_minor_locator(FixedLocator([]))
     right.yaxis.set_major_formatter("{x:g}")
     bar = figure.colorbar(
-        ScalarMappable(norm, colours), ax=(left, right), pad=0.01, aspect=32, spacing="uniform"
+        ScalarMappable(norm, colours), ax=[left, right], pad=0.01, aspect=32, spacing="uniform"
     )
     bar.set_ticks(list(LEVELS), labels=[f"{level:g}" for level in LEVELS])
     bar.set_label("growth rate of the slowest mode / (1/s)", color=TEXT)

@@ -12,8 +12,9 @@ from seft_plant_sim.rig import continuous_model
 from seft_plant_sim.specimen import Specimen
 from seft_plant_sim.whole_structure import tested_specimen
 
-from seft_ros.loop_shaping.plant import Plant, Source, choose_plant
+from seft_ros.loop_shaping.plant import Plant, choose_plant
 from seft_ros.loop_shaping.sampling import SampledPlant
+from seft_ros.loop_shaping.source import Source
 
 Floats = npt.NDArray[np.float64]
 
@@ -77,7 +78,7 @@ class LoopRig:
         return a, b, c
 
 
-def choose_rig(experiment: Experiment, source: Source = "auto") -> LoopRig:
+def choose_rig(experiment: Experiment, source: Source = Source.AUTO) -> LoopRig:
     """Rig that an experiment describes.
 
     Parameters
@@ -103,7 +104,7 @@ def choose_rig(experiment: Experiment, source: Source = "auto") -> LoopRig:
             "force_controller: plant.numerator is not given and the rig is not simulated here, so "
             "there is no model of it; let seft identify write one"
         )
-    plant = choose_plant(experiment, "identified" if section is None else source)
+    plant = choose_plant(experiment, Source.IDENTIFIED if section is None else source)
     if plant.source == "rig" and section is not None:
         return _simulated(section, experiment)
     specimen = tested_specimen(experiment)

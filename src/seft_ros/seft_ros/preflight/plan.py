@@ -10,7 +10,7 @@ from seft_msgs_py.topics import VALVE_COMMAND
 
 from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.methods import force_control
-from seft_ros.loop_shaping.plant import Source
+from seft_ros.loop_shaping.source import Source
 from seft_ros.preflight.closed_loop import ClosedLoop, Matrices, closed_loop, loop_matrix
 from seft_ros.preflight.loop_rig import choose_rig
 from seft_ros.reference_force.block import compensator, knowledge
@@ -43,7 +43,7 @@ class Plan:
         If there is no model of the rig, or parameters make no sense together.
     """
 
-    def __init__(self, experiment: Experiment, source: Source = "auto") -> None:
+    def __init__(self, experiment: Experiment, source: Source = Source.AUTO) -> None:
         for node in ("reference_force", "force_controller"):
             if node not in experiment.sections:
                 raise InputError(f"{node}: runs elsewhere, so its parameters are not known here")

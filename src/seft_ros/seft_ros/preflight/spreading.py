@@ -10,7 +10,7 @@ from typing import Any
 
 from seft_msgs_py.experiment import Experiment
 
-from seft_ros.loop_shaping.plant import Source
+from seft_ros.loop_shaping.source import Source
 from seft_ros.preflight.plan import Plan
 
 POOL_WORTH = 5.0

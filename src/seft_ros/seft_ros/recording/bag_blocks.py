@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 
-from backports import zstd
+import zstandard
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.storage_mcap import McapReader
@@ -13,6 +13,7 @@ from seft_ros.recording.chunk_reader import read_chunks
 from seft_ros.recording.message_block import MessageBlock
 
 _ROWS = 2048  # messages that are joined to a block
+_UNPACKER = zstandard.ZstdDecompressor()
 Row = tuple[int, int, bytes]  # connection, log time in ns, message
 
 
@@ -47,8 +48,17 @@ def bag_blocks(reader: Reader, connections: Sequence[Connection]) -> Iterator[Me
             wanted = [item for item in storage.connections if item.id in sources]
             messages = ((item.id, time, raw) for item, time, raw in storage.messages(wanted))
             if unpack:
-                messages = ((item, time, zstd.decompress(raw)) for item, time, raw in messages)
+                messages = ((item, time, _unpacked(raw)) for item, time, raw in messages)
             yield from _joined(messages, sources)
+
+
+def _unpacked(raw: bytes) -> bytes:
+    """Message that the recorder packed; its frame need not tell the size."""
+    unpacking = _UNPACKER.decompressobj()
+    message: bytes = unpacking.decompress(raw)
+    if not unpacking.eof:
+        raise zstandard.ZstdError("a packed message ends early")
+    return message
 
 
 def _rows(storage: Sqlite3Reader, sources: Mapping[int, int]) -> Iterator[Row]:

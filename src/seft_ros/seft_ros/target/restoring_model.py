@@ -34,7 +34,7 @@ Floats = npt.NDArray[np.float64]
 
 THRESHOLDS = 12
 """Stop operators of a spring; each has twice the threshold of the one before."""
-ONCE_IN = 10_000
+ONCE_IN = 1_000
 """Samples in which chance makes one sum of innovations that is taken for a change."""
 RECENT = 0.008
 """Time constant of that sum, s: what persists for longer than a valve takes to answer matters."""

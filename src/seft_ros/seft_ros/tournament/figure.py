@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FixedLocator, LogLocator, NullLocator
 
-from seft_ros.drawing.style import FIRST, MARK, REFERENCE, TEXT, tidy
+from seft_ros.drawing.style import FIRST, MARK, REFERENCE, TEXT, legend_below, tidy
 from seft_ros.tournament.runs import Run
 from seft_ros.tournament.standings import Standing
 
@@ -65,9 +65,7 @@ def tournament_figure(standings: Sequence[Standing], runs: Sequence[Run], title:
         panel.remove()
     for panel in panels[: len(ratios)][-columns:]:
         panel.set_xlabel("NRMSE of displacement / %", color=TEXT)
-    figure.legend(
-        *_legend(panels[0]), loc="outside lower center", ncols=4, frameon=False, fontsize=9
-    )
+    legend_below(figure, _legend(panels[0]), 4, fontsize=9)
     figure.suptitle(title, fontsize=11, color=TEXT, parse_math=False)
     return figure
 
@@ -149,9 +147,8 @@ def _limits(runs: Sequence[Run]) -> _Limits:
     return _Limits(*(float(10**end) for end in (low, edge, high)))
 
 
-def _legend(panel: Axes) -> tuple[list[Any], list[str]]:
-    handles = [panel.plot([], [], label=name, **style)[0] for name, style in _STYLES.items()]
-    return handles, list(_STYLES)
+def _legend(panel: Axes) -> dict[str, Any]:
+    return {name: panel.plot([], [], label=name, **style)[0] for name, style in _STYLES.items()}
 
 
 def _percent(nrmse: float) -> float:

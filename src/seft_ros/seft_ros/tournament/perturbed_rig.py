@@ -30,6 +30,10 @@ UNCERTAINTY = {
     "actuator.valve_damping": 1.0,
     "actuator.dead_time": 1.0,
     "actuator.friction": 3.0,
+    "specimen.friction.force": 1.0,
+    "specimen.gap.width": 1.0,
+    "specimen.gap.stiffness": 1.0,
+    "specimen.duffing.cubic": 1.0,
 }
 """How uncertain each parameter of a rig is, in units of the spread; new ones go to the end."""
 

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
-from functools import partial
 from typing import Any
 
 from seft_msgs_py.errors import ExperimentError, SeftError
@@ -12,7 +11,6 @@ from seft_msgs_py.topics import RIG_STATE
 from seft_plant_sim.whole_structure import (
     ReferenceResponse,
     reference_response,
-    tested_specimen,
 )
 
 from seft_ros.analysis.summary import summarise_briefly
@@ -108,9 +106,7 @@ def run_all(
     reasons = obstacles(tournament, shop)
     with parallel_map(min(workers, len(entries))) as map_:
         titles = [f"mass ratio {ratio:g}, rig {rig}, exact" for ratio, rig in structures]
-        yields = bool(tested_specimen(experiments[0]).springs)  # then it takes seconds each
-        solve = map_ if yields else partial(thread_map, workers)
-        responses = solve(_exact_response, titles, structures.values())
+        responses = thread_map(workers, _exact_response, titles, structures.values())
         for key, title, response in zip(structures, titles, responses, strict=True):
             references[key] = response
             told(title)

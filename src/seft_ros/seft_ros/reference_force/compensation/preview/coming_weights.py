@@ -43,5 +43,6 @@ def coming_weights(polynomial: Floats, dt: float) -> Floats:
     weights: Floats = np.linalg.lstsq(
         np.vstack([steps.real, steps.imag, others.real, others.imag, effort]),
         np.concatenate([wanted.real, wanted.imag, np.zeros(2 * _POINTS + count)]),
+        rcond=None,
     )[0]
     return weights

@@ -1,0 +1,11 @@
+"""Where the plant of a force loop comes from."""
+
+from enum import StrEnum
+
+
+class Source(StrEnum):
+    """The simulated rig's linear model, or what was identified; auto: the latter, where given."""
+
+    AUTO = "auto"
+    RIG = "rig"
+    IDENTIFIED = "identified"
