@@ -1,4 +1,4 @@
-"""``seft identify``: what rig is this? Two tests, and the models fitted to them."""
+"""``seft identify``: what rig is this? Tests of it, and the models fitted to them."""
 
 import math
 from datetime import datetime
@@ -85,14 +85,26 @@ def identify(
             "--out", metavar="DIR", help="Folder of what is made, must be new; default by the time."
         ),
     ] = None,
+    specimen: Annotated[
+        bool,
+        typer.Option(
+            "--specimen",
+            help="Write the specimen's mass, damping and stiffness to model.yaml, too, as "
+            "reference_force's model.*.",
+        ),
+    ] = False,
     json: JsonOption = False,
 ) -> int:
-    """Identify a rig: specimen, valve-to-force response, margins, closed loop and its delay.
+    """Identify a rig: its actuators, and the force loop that they make with the specimen.
 
-    Ordinary tests, with all limits and bags: open loop, where the excitation drives the valve
+    Ordinary tests, with all limits and bags. Open loop, the excitation drives the valves
     (force_controller's feedback is off), before it a short pilot at a low level that finds the
-    amplitude, and closed loop, where the excitation is the reference force. The folder then
-    holds the excitation, the bags, a figure, and model.yaml: a parameter file for
+    amplitude. It shows the actuators: what velocity_feedforward needs, whatever the specimen is,
+    so that another specimen needs no new identification. Closed loop, where the force controller
+    follows a force, the excitation is the reference force. It shows that loop with this specimen:
+    what the other methods of compensation need.
+
+    The folder then holds the excitation, the bags, a figure, and model.yaml: a parameter file for
     reference_force and force_controller, to be given as --params-file.
 
     Rigs without a valve (actuator.kind ideal or delay) have the closed loop only.
@@ -114,6 +126,7 @@ def identify(
         check_levels,
         closed_loop,
         default_force,
+        has_force_loop,
         has_valve,
         open_loop,
         pilot_voltage,
@@ -158,7 +171,8 @@ def identify(
             levels = Levels(voltage_after(tests[PILOT], levels.voltage), levels.force)
     if valve:
         valve = done(OPEN_LOOP, open_loop(experiment, record, levels), duration)
-    if not any(test.trip for test in tests.values()):
+    followed = has_force_loop(experiment) or not valve
+    if followed and not any(test.trip for test in tests.values()):
         done(CLOSED_LOOP, closed_loop(experiment, record), duration)
 
     whole = {name: test for name, test in tests.items() if test.trip is None and name != PILOT}
@@ -167,7 +181,7 @@ def identify(
     identified = None
     if whole:
         identified = identify_rig(whole.get(OPEN_LOOP), whole.get(CLOSED_LOOP), used, controller)
-    _present(identified, tests, levels, folder, str(config), json)
+    _present(identified, tests, levels, folder, str(config), specimen, json)
     for name, test in tests.items():
         if test.trip is not None:
             at = f"{name.replace('_', ' ')} tripped at {test.trip.time_s:.3f} s"
@@ -185,6 +199,7 @@ def _present(
     levels: "Levels",
     folder: Path,
     source: str,
+    specimen: bool,
     as_json: bool,
 ) -> None:
     """Write the model, draw the figure and show the numbers."""
@@ -199,7 +214,7 @@ def _present(
 
         summary = summarise_identified(identified)
         files |= {"model": str(folder / MODEL), "figure": str(folder / FIGURE)}
-        write_model(identified, folder / MODEL, source)
+        write_model(identified, folder / MODEL, source, specimen)
         save_figure(identified_figure(identified, f"seft identify {source}"), folder / FIGURE)
     trips = {name: test.trip.reason if test.trip else None for name, test in tests.items()}
     summary |= {

@@ -15,6 +15,7 @@ from seft_msgs_py.topics import RIG_STATE
 from seft_plant_sim.limits import NAMES
 
 from seft_ros.force_controller.kinds import one_controller
+from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
 from seft_ros.recording.record import Record
 
 Floats = npt.NDArray[np.float64]
@@ -137,6 +138,12 @@ def open_loop(experiment: Experiment, record: Path, levels: Levels) -> Experimen
 def closed_loop(experiment: Experiment, record: Path) -> Experiment:
     """Test that follows the record's reference force by the experiment's own controller."""
     return _with(experiment, record, {"feedback": True})
+
+
+def has_force_loop(experiment: Experiment) -> bool:
+    """Whether the force controller follows a reference force, without a target's motion."""
+    method = experiment["force_controller"].get("method")  # not in an older record
+    return method != VELOCITY_FEEDFORWARD
 
 
 def _with(experiment: Experiment, record: Path, controller: dict[str, Any]) -> Experiment:

@@ -1,4 +1,4 @@
-"""A figure of an identification: plant with its fit, coherence, closed loop and its delay."""
+"""A figure of an identification: flow, plant with its model, coherence, closed loop and delay."""
 
 from typing import Any
 
@@ -10,6 +10,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from seft_ros.drawing.style import FIRST, MARK, SECOND, TEXT, tidy
+from seft_ros.identification.actuator_fit import ActuatorFit
 from seft_ros.identification.identified import ClosedLoop, Identified, ValveResponse
 from seft_ros.identification.measurement import Measurement
 from seft_ros.loop_shaping.margins import FLATNESS_DB
@@ -19,7 +20,9 @@ _SHADES = LinearSegmentedColormap.from_list("coherence", ["#dfe4e8", FIRST])
 _SHOWN_DB = (-12.0, 6.0)
 _COHERENT = 0.5  # below, a delay is noise
 _NOTE: dict[str, Any] = {"fontsize": 8, "color": MARK, "va": "bottom"}
-_ROWS = ("force per valve drive / N/V", "coherence", "force per reference / dB", "delay / ms")
+_SHOWN_S = 0.5  # of the flow
+_OF_VALVE = ("flow / mm/s", "force per valve drive / N/V")
+_OF_CLOSED_LOOP = ("force per reference / dB", "delay / ms")
 
 
 def identified_figure(identified: Identified, title: str) -> Figure:
@@ -33,32 +36,41 @@ def identified_figure(identified: Identified, title: str) -> Figure:
         Heading.
     """
     axes = identified.axes[:MOST_AXES]
-    figure = Figure(
-        figsize=(9.5 if len(axes) == 1 else 5.5 * len(axes), 11.0), layout="constrained"
-    )
+    valves, closed_loops = identified.valves, identified.closed_loops
+    rows = [
+        *(_OF_VALVE if valves else ()),
+        "coherence",
+        *(_OF_CLOSED_LOOP if closed_loops else ()),
+    ]
+    width = 9.5 if len(axes) == 1 else 5.5 * len(axes)
+    figure = Figure(figsize=(width, 2.6 * len(rows) + 0.5), layout="constrained")
     FigureCanvasAgg(figure)
-    heights = [1.6, 0.8, 1.2, 1.2]
-    panels = figure.subplots(4, len(axes), sharex=True, squeeze=False, height_ratios=heights)
+    panels = figure.subplots(len(rows), len(axes), squeeze=False)
     dots: PathCollection | None = None
     for column, axis in enumerate(axes):
-        plant, coherence, tracking, delay = panels[:, column]
-        for panel in panels[:, column]:
-            _dress(panel, identified.band)
-        if identified.valves:
-            valve = identified.valves[column]
-            dots = _draw_plant(plant, valve)
-            _draw_coherence(coherence, valve.measured, FIRST, "valve to force")
-        if identified.closed_loops:
-            closed = identified.closed_loops[column]
-            _draw_coherence(coherence, closed.measured, SECOND, "reference to force")
-            _draw_tracking(tracking, delay, closed)
+        named = dict(zip(rows, panels[:, column], strict=True))
+        for row, panel in named.items():
+            tidy(panel)
+            if row != _OF_VALVE[0]:
+                _dress(panel, identified.band)
+        if valves:
+            _draw_flow(named[_OF_VALVE[0]], valves[column].actuator)
+            dots = _draw_plant(named[_OF_VALVE[1]], valves[column])
+            _draw_coherence(named["coherence"], valves[column].measured, FIRST, "valve to force")
+        if closed_loops:
+            closed = closed_loops[column]
+            _draw_coherence(named["coherence"], closed.measured, SECOND, "reference to force")
+            magnitude, delay = (named[row] for row in _OF_CLOSED_LOOP)
+            _draw_tracking(magnitude, delay, closed)
         if len(identified.axes) > 1:
-            plant.set_title(f"axis {axis}", loc="left", fontsize=11, color=TEXT, parse_math=False)
-        delay.set_xlabel("frequency / Hz", color=TEXT)
-    for panel, label in zip(panels[:, 0], _ROWS, strict=True):
+            panels[0, column].set_title(
+                f"axis {axis}", loc="left", fontsize=11, color=TEXT, parse_math=False
+            )
+        panels[-1, column].set_xlabel("frequency / Hz", color=TEXT)
+    for panel, label in zip(panels[:, 0], rows, strict=True):
         panel.set_ylabel(label, color=TEXT)
     if dots is not None:
-        bar = figure.colorbar(dots, ax=list(panels[0]), aspect=15, pad=0.01)
+        bar = figure.colorbar(dots, ax=list(panels[1]), aspect=15, pad=0.01)
         bar.set_label("coherence", color=TEXT)
         bar.outline.set_visible(False)
     figure.align_ylabels()
@@ -66,8 +78,21 @@ def identified_figure(identified: Identified, title: str) -> Figure:
     return figure
 
 
+def _draw_flow(panel: Axes, actuator: ActuatorFit) -> None:
+    """Draw the flow about its peak."""
+    half = round(_SHOWN_S / 2 / actuator.dt)
+    middle = max(int(np.abs(actuator.modelled).argmax()), half)
+    shown = slice(middle - half, middle + half)
+    time = actuator.dt * np.arange(len(actuator.modelled))[shown]
+    panel.plot(time, 1e3 * actuator.measured[shown], color=FIRST, lw=1.4, label="measured")
+    text = f"of the commands: explains {100 * actuator.explained:.3g} %, {actuator.verdict}"
+    panel.plot(time, 1e3 * actuator.modelled[shown], color=MARK, lw=0.9, ls="--", label=text)
+    panel.set_xlabel("time / s", color=TEXT)
+    panel.legend(loc="lower left", frameon=False, fontsize=9)
+
+
 def _draw_plant(panel: Axes, valve: ValveResponse) -> PathCollection:
-    measured, model = valve.measured, valve.fit.model
+    measured, loop = valve.measured, valve.loop
     dots = panel.scatter(
         measured.frequencies_hz,
         np.abs(measured.response),
@@ -79,21 +104,17 @@ def _draw_plant(panel: Axes, valve: ValveResponse) -> PathCollection:
         lw=0,
         label="measured",
     )
-    loop = valve.loop
     shown = loop.frequencies_hz >= measured.frequencies_hz[0]
     f = loop.frequencies_hz[shown]
     fitted = np.abs(loop.sampled.plant[shown])
-    text = f"fit, {100 * valve.fit.error:.2g} % off"
+    text = f"actuator and specimen, {100 * valve.error:.2g} % off"
     panel.plot(f, fitted, color=MARK, lw=1.1, label=text)
     panel.set_yscale("log")
-    for root, name in ((model.zeros[0], "zero"), (model.poles[0], "oil column")):
-        if f[0] <= root.hz <= measured.frequencies_hz[-1]:
+    for root, name in ((loop.plant.antiresonance(), "zero"), (loop.plant.oil_column(), "oil")):
+        if root and f[0] <= root.hz <= measured.frequencies_hz[-1]:
             panel.axvline(root.hz, color=MARK, lw=0.8, ls="--")
-            _note(
-                panel,
-                root.hz,
-                f"{name} {root.hz:.4g} Hz\ndamping {100 * (root.damping or 0):.2g} %",
-            )
+            percent = 100 * (root.damping or 0)
+            _note(panel, root.hz, f"{name} {root.hz:.4g} Hz\ndamping {percent:.2g} %")
     panel.legend(loc="lower left", frameon=False, fontsize=9)
     return dots
 
@@ -133,7 +154,6 @@ def _dress(panel: Axes, band: tuple[float, float]) -> None:
     panel.set_xscale("log")
     panel.set_xlim(*band)
     panel.xaxis.set_major_formatter("{x:g}")
-    tidy(panel)
 
 
 def _note(panel: Axes, hz: float, text: str, height: float = 0.03) -> None:

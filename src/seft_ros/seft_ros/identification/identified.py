@@ -1,4 +1,4 @@
-"""What two tests say of a rig: specimen, valve-to-force response, force loop, closed loop."""
+"""What tests say of a rig: its actuators, its specimen, the force loop, and how it follows."""
 
 from dataclasses import dataclass
 
@@ -6,8 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import ExperimentError
 
-from seft_ros.identification.blocked_compliance import BlockedCompliance
-from seft_ros.identification.blocked_error import blocked_error
+from seft_ros.identification.actuator_fit import ActuatorFit, fit_actuator
 from seft_ros.identification.measured_test import (
     FORCE,
     MOTION,
@@ -17,47 +16,45 @@ from seft_ros.identification.measured_test import (
     MeasuredTest,
 )
 from seft_ros.identification.measurement import Measurement
-from seft_ros.identification.nominal_axis import NominalAxis
-from seft_ros.identification.plant_fit import PlantFit, fit_plant
+from seft_ros.identification.plant_model import plants
 from seft_ros.identification.specimen_fit import SpecimenFit, fit_specimen
 from seft_ros.identification.tracking_fit import TrackingFit, fit_tracking
 from seft_ros.loop_shaping.controller import Controller
 from seft_ros.loop_shaping.design import LoopDesign, shape_loop
 from seft_ros.loop_shaping.margins import Tracking, tracking_measures
-from seft_ros.loop_shaping.plant import identified_plant
+from seft_ros.loop_shaping.plant import Plant
+from seft_ros.loop_shaping.sampling import SampledPlant
 from seft_ros.recording.record import Record
 
 Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
 
 _COHERENT = 0.8  # up to there the closed loop is fitted
-_TRACKING_FLOOR = 0.01
+_FLOOR = 0.01  # of a response: what a model is asked to explain
 
 
 @dataclass(frozen=True)
 class ValveResponse:
-    """Open loop of one axis: what was measured, the model, and the loop that it makes.
+    """Open loop of one axis: the actuator, and the loop that it makes with the specimen.
 
     Attributes
     ----------
+    actuator : ActuatorFit
+        The actuator, whatever the specimen is.
     measured : Measurement
         Valve command u_k to force f_k, N/V.
-    fit : PlantFit
-        The continuous plant.
+    error : float
+        RMS of what actuator and specimen, as fitted, leave of it, relative, 0 to 1.
     loop : LoopDesign
-        That plant, sampled, with the experiment's controller.
+        Their plant, sampled, with the experiment's controller.
     controller_known : bool
         Whether that is a transfer function; else the loop is of the plant alone.
-    blocked_error : tuple of float
-        Error over force of the loop where the piston is held still, in s, highest power first;
-        empty where the controller is not known.
     """
 
+    actuator: ActuatorFit
     measured: Measurement
-    fit: PlantFit
+    error: float
     loop: LoopDesign
     controller_known: bool
-    blocked_error: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -99,14 +96,6 @@ class Identified:
         Why a test could not be used, one line each.
     faults : tuple of str
         What else was wrong, likewise.
-    nominal : NominalAxis or None
-        Of several axes: the uncoupled specimen of `tracking`. None where the force controller
-        inverts the specimen: all axes have one force loop then, with the specimen as it is.
-    tracking : ClosedLoop or None
-        Of several axes, or where the force controller inverts the specimen: the force loop of all
-        of them, as it would be with that specimen, or without the compliance.
-    compliance : BlockedCompliance or None
-        Where the force controller inverts the specimen, and valves were driven.
     """
 
     axes: tuple[str, ...]
@@ -116,9 +105,6 @@ class Identified:
     closed_loops: tuple[ClosedLoop, ...]
     unusable: tuple[str, ...] = ()
     faults: tuple[str, ...] = ()
-    nominal: NominalAxis | None = None
-    tracking: ClosedLoop | None = None
-    compliance: BlockedCompliance | None = None
 
 
 def identify(
@@ -127,7 +113,7 @@ def identify(
     band: tuple[float, float],
     controller: Controller | None,
 ) -> Identified:
-    """Identify a rig from the records of its two tests.
+    """Identify a rig from the records of its tests.
 
     Parameters
     ----------
@@ -141,75 +127,80 @@ def identify(
     Raises
     ------
     ExperimentError
-        If the coherence is too low to say anything.
+        If no test says anything.
     """
-    named = ((open_loop, "open loop", "--amplitude"), (closed_loop, "closed loop", "--force"))
-    tests, unusable, faults = [], [], []
-    for record, what, option in named:
-        if record is None:
-            continue
-        test = MeasuredTest(record, band)
-        incoherent = test.incoherent()
-        if incoherent:
-            unusable.append(f"{what}: {incoherent}; raise {option} or --duration")
-        else:
-            tests.append(test)
-        if test.at_limit():
-            faults.append(
-                f"{what}: a valve command was at its limit in {test.at_limit()} of {test.steps} "
-                f"steps, which bends what is linear; lower {option}, or mend an unstable loop"
-            )
+    unusable: list[str] = []
+    faults: list[str] = []
+    opened = _usable(open_loop, band, "open loop", "--amplitude", unusable, faults)
+    closed = _usable(closed_loop, band, "closed loop", "--force", unusable, faults)
+    actuators: list[ActuatorFit] = []
+    if opened:
+        actuators = [
+            fit_actuator(*opened.of_actuator(axis), opened.dt, band)
+            for axis in range(len(opened.axes))
+        ]
+        bad = [
+            f"open loop: axis {axis}: {actuator.fault()}"
+            for axis, actuator in zip(opened.axes, actuators, strict=True)
+            if actuator.fault()
+        ]
+        unusable += bad
+        opened, actuators = (None, []) if bad else (opened, actuators)
+    tests = [test for test in (opened, closed) if test]
     if not tests:
         raise ExperimentError(unusable[0])
-    axes, dt = tests[0].axes, tests[0].dt
     specimen = fit_specimen([test.response(REFERENCE, MOTION, MOTION_TO) for test in tests])
-    several = len(axes) > 1
-    nominal = NominalAxis.of(specimen) if several else None
-    tracking: ClosedLoop | None = None
-    compliance: BlockedCompliance | None = None
     valves: list[ValveResponse] = []
-    closed_loops: list[ClosedLoop] = []
-    for test in tests:
-        if test.record is closed_loop and nominal is not None:
-            tracking = _closed_loop(test.as_of(nominal.on_each(len(axes)), compliance), dt)
-        for axis in range(len(axes)):
-            if test.record is closed_loop:
-                closed_loops.append(_closed_loop(test.of(REFERENCE, FORCE, axis), dt))
-            else:
-                measured = test.of(VALVE, FORCE, axis)
-                valves.append(_valve(measured, dt, specimen, axis, controller))
+    if opened:
+        for axis, plant in enumerate(plants(specimen, actuators)):
+            measured = opened.of(VALVE, FORCE, axis)
+            loop = shape_loop(plant, controller or _ALONE, opened.dt)
+            error = _relative_error(plant, measured, opened.dt)
+            valves.append(
+                ValveResponse(actuators[axis], measured, error, loop, controller is not None)
+            )
+    loops: list[ClosedLoop] = []
+    if closed:
+        each = range(len(closed.axes))
+        loops = [_closed_loop(closed.of(REFERENCE, FORCE, axis), closed.dt) for axis in each]
+    axes = tests[0].axes
     return Identified(
-        axes,
-        band,
-        specimen,
-        tuple(valves),
-        tuple(closed_loops),
-        tuple(unusable),
-        tuple(faults),
-        nominal,
-        tracking,
-        compliance,
+        axes, band, specimen, tuple(valves), tuple(loops), tuple(unusable), tuple(faults)
     )
 
 
-def _valve(
-    measured: Measurement,
-    dt: float,
-    specimen: SpecimenFit,
-    axis: int,
-    controller: Controller | None,
-) -> ValveResponse:
-    fit = fit_plant(measured, dt, specimen.axis_root(axis), len(specimen.mass))
-    model = fit.model.rational()
-    section = {
-        "plant.numerator": model.numerator,
-        "plant.denominator": model.denominator,
-        "plant.dead_time": model.dead_time,
-    }
-    alone = Controller.from_coefficients(1.0, 1.0)
-    loop = shape_loop(identified_plant(section, 1), controller or alone, dt)
-    blocked = blocked_error(fit, controller, dt) if controller else ()
-    return ValveResponse(measured, fit, loop, controller is not None, blocked)
+_ALONE = Controller.from_coefficients(1.0, 1.0)
+
+
+def _usable(
+    record: Record | None,
+    band: tuple[float, float],
+    what: str,
+    option: str,
+    unusable: list[str],
+    faults: list[str],
+) -> MeasuredTest | None:
+    """Take a test unless it is mostly noise; say what is wrong with it."""
+    if record is None:
+        return None
+    test = MeasuredTest(record, band)
+    if test.at_limit():
+        faults.append(
+            f"{what}: a valve command was at its limit in {test.at_limit()} of {test.steps} "
+            f"steps, which bends what is linear; lower {option}, or mend an unstable loop"
+        )
+    incoherent = test.incoherent()
+    if incoherent:
+        unusable.append(f"{what}: {incoherent}; raise {option} or --duration")
+        return None
+    return test
+
+
+def _relative_error(plant: Plant, measured: Measurement, dt: float) -> float:
+    error = SampledPlant.of(plant, dt).response(measured.frequencies_hz) - measured.response
+    size = np.abs(measured.response)
+    deviation = np.hypot(measured.deviation, _FLOOR * size)
+    return float(np.linalg.norm(error / deviation) / np.linalg.norm(size / deviation))
 
 
 def _closed_loop(measured: Measurement, dt: float) -> ClosedLoop:
@@ -217,6 +208,6 @@ def _closed_loop(measured: Measurement, dt: float) -> ClosedLoop:
     # to the end of what is known: a pole beyond would be made up
     coherent = np.flatnonzero(measured.coherence >= _COHERENT)
     known = slice(0, int(coherent[-1]) + 1)
-    weight = 1.0 / np.hypot(measured.deviation, _TRACKING_FLOOR)[known]
+    weight = 1.0 / np.hypot(measured.deviation, _FLOOR)[known]
     fit = fit_tracking(f[known], tracking[known], weight, least_dead_time=dt)  # the loop's latency
     return ClosedLoop(measured, tracking_measures(f, tracking), fit)

@@ -4,9 +4,7 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 
-from seft_ros.identification.blocked_compliance import BlockedCompliance
 from seft_ros.identification.measurement import Measurement
-from seft_ros.identification.specimen_fit import SpecimenFit
 from seft_ros.identification.spectral import Response, response, segment_duration, spectra
 from seft_ros.loop_shaping.margins import BAND_HZ
 from seft_ros.recording.record import Record
@@ -49,13 +47,13 @@ class MeasuredTest:
             values = series.values[:, row].T
             return np.stack([np.interp(every, series.steps, value) for value in values], axis=1)
 
-        signals = [
+        self._signals = [
             columns(REFERENCE_FORCE.name, 0),
             columns(VALVE_COMMAND.name, 0),
             *(columns(RIG_STATE.name, row) for row in (0, 2, 3)),
         ]
         segment = segment_duration(len(every) * self.dt)
-        self._spectra = spectra(np.hstack(signals), 1.0 / self.dt, segment)
+        self._spectra = spectra(np.hstack(self._signals), 1.0 / self.dt, segment)
         self._band = max(band[0], _LEAST_PERIODS / segment), band[1]
 
     def at_limit(self) -> int:
@@ -89,33 +87,10 @@ class MeasuredTest:
         band = self._band[0], min(self._band[1], share / self.dt)
         return response(self._spectra, these, those, band)
 
-    def as_of(
-        self, nominal: SpecimenFit, compliance: BlockedCompliance | None = None
-    ) -> Measurement:
-        """Response of the force loop on every axis, as it would be with another specimen.
-
-        A specimen moves as the nominal one (M_0, C_0, K_0) does under a force that is larger by
-        d = M_0 a + C_0 v + K_0 x - f, which the force loop feels as part of reference and force:
-        f + d = T (f_r + d), as far as actuators and controllers are the same and the loop's gain
-        is high (see `blocked_error`). Of a controller that inverts the specimen, whose compliance
-        is known, the response is that without it: f_r = T^-1 (f + d) - d + E f.
-        """
-        n = len(self.axes)
-        found = self.response(REFERENCE, MOTION)
-        s = 2j * np.pi * found.frequencies_hz[:, np.newaxis, np.newaxis]
-        x, a, force = (found.response[:, n * row : n * (row + 1)] for row in range(3))
-        felt = nominal.mass @ a + (nominal.damping * s + nominal.stiffness) @ x
-        asked = np.eye(n) - force + felt
-        if compliance is not None:
-            asked = asked - compliance.error(nominal, found.frequencies_hz) @ force
-        power = np.sum(np.abs(asked) ** 2, axis=(1, 2))
-        variance = np.trace(found.variance()[:, 2 * n :], axis1=1, axis2=2) / power
-        return Measurement(
-            found.frequencies_hz,
-            np.sum(asked.conj() * felt, axis=(1, 2)) / power,
-            np.sqrt(np.maximum(variance, 0.0)),
-            found.coherence[:, 2 * n :].min(axis=1),
-        )
+    def of_actuator(self, axis: int) -> tuple[Floats, Floats, Floats, Floats]:
+        """Valve command, displacement, acceleration and force of one axis, shape (N,) each."""
+        command, position, acceleration, force = (part[:, axis] for part in self._signals[1:])
+        return command, position, acceleration, force
 
     def of(self, inputs: tuple[int, int], outputs: tuple[int, int], axis: int) -> Measurement:
         """Response of one axis to its own input."""

@@ -11,7 +11,7 @@ from seft_plant_sim.rig import Rig
 from seft_ros.force_controller.methods import force_control
 from seft_ros.ground_motion.resample import check_size
 from seft_ros.identification.excitation import excitation, shortest_duration, write_excitation
-from seft_ros.identification.experiments import TAIL, ground_accelerations
+from seft_ros.identification.experiments import TAIL, ground_accelerations, has_force_loop
 from seft_ros.reference_force.block import ReferenceForce
 
 Floats = npt.NDArray[np.float64]
@@ -58,7 +58,8 @@ class Motions:
         self._unit(duration)
         sections, axes = self._experiment.sections, self._axes
         ReferenceForce.from_parameters(sections["reference_force"], axes, self._timebase)
-        force_control(sections["force_controller"], axes, self._timebase)
+        if has_force_loop(self._experiment):
+            force_control(sections["force_controller"], axes, self._timebase)
         if "rig" in sections:
             Rig.from_parameters(sections["rig"], axes, self._timebase)
 

@@ -1,69 +1,70 @@
 """What was identified as a ROS 2 parameter file of its own."""
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from seft_msgs_py.parameter_file import write_parameter_file
 
 from seft_ros.identification.identified import Identified
+from seft_ros.identification.plant_model import transfer_function
 from seft_ros.identification.rational import Rational
 
-_WITH_NOMINAL = "with the uncoupled specimen of tracking.mass, tracking.damping, tracking.stiffness"
+ACTUATOR = (
+    "flow_gain",
+    "oil_stiffness",
+    "leakage",
+    "force_capacity",
+    "valve_frequency",
+    "valve_damping",
+    "dead_time",
+)
+"""Names of an actuator's parameters, as of `ActuatorFit`."""
 _LONGEST_DELAY = 1.0  # s, as the table has it
 
 
-def model_parameters(identified: Identified) -> dict[str, dict[str, Any]]:
+def model_parameters(identified: Identified, specimen: bool) -> dict[str, dict[str, Any]]:
     """Parameters of `reference_force` and `force_controller`, by node.
 
-    The specimen's matrices are those of all axes; the plant, of which the table holds one, is
-    that of the first axis. The specimen that the tracking was identified with is told beside it
-    where a valve drives the rig, of several axes the nominal one unless the force controller
-    inverts the specimen; the tracking of a rig without a valve does not feel it. There is also
-    what the loop's pistons, held still, do to a specimen that departs from it.
-    """
-    specimen = identified.specimen
-    reference: dict[str, Any] = {
-        f"model.{name}": getattr(specimen, name).ravel().tolist()
-        for name in ("mass", "damping", "stiffness")
-    }
-    controller: dict[str, Any] = {}
-    if identified.closed_loops:
-        closed = identified.closed_loops[0]
-        if closed.tracking.delay_s is not None:
-            delay = min(max(closed.tracking.delay_s, 0.0), _LONGEST_DELAY)
-            reference["compensation.delay"] = float(delay)
-        feels = identified.valves or identified.unusable  # a valve's test that was not usable
-        if feels and identified.nominal is not None and identified.tracking is not None:
-            reference |= _response("tracking", identified.tracking.fit.model)
-            reference |= {f"tracking.{k}": [v] for k, v in asdict(identified.nominal).items()}
-            if identified.valves and identified.valves[0].blocked_error:
-                reference["tracking.blocked_error"] = list(identified.valves[0].blocked_error)
-        else:
-            of_all = identified.tracking if feels else None
-            reference |= _response("tracking", (of_all or closed).fit.model)
-            if of_all:  # what a nominal specimen would need, and this one not
-                reference |= {"tracking.mass": [0.0], "tracking.blocked_error": [0.0]}
-            if of_all and identified.compliance is not None:
-                reference |= {
-                    "tracking.blocked_compliance": list(identified.compliance.polynomial),
-                    "tracking.actuator_size": list(identified.compliance.sizes),
-                }
-            for name in ("stiffness", "damping"):  # copies: ROS 2 reads no YAML aliases
-                reference[f"tracking.{name}"] = list(reference[f"model.{name}"]) if feels else [0.0]
-    if identified.valves:
-        controller = _response("plant", identified.valves[0].fit.model.rational())
-    sections = {"reference_force": reference, "force_controller": controller}
-    return {node: section for node, section in sections.items() if section}
-
-
-def write_model(identified: Identified, path: Path, source: str) -> None:
-    """Write the parameters, to be read after the experiment's own file.
+    The actuators are those of all axes; of a force capacity that the test does not show on every
+    axis there is no word, so that what is configured counts. Force loop and plant, of which the
+    tables hold one, are those of the first axis, with the specimen of the tests.
 
     Parameters
     ----------
     identified : Identified
         What was identified.
+    specimen : bool
+        Whether the specimen's matrices are wanted, too.
+    """
+    reference: dict[str, Any] = {}
+    controller: dict[str, Any] = {}
+    if specimen:
+        for name in ("mass", "damping", "stiffness"):
+            reference[f"model.{name}"] = getattr(identified.specimen, name).ravel().tolist()
+    if identified.closed_loops:
+        closed = identified.closed_loops[0]
+        if closed.tracking.delay_s is not None:
+            delay = min(max(closed.tracking.delay_s, 0.0), _LONGEST_DELAY)
+            reference["compensation.delay"] = float(delay)
+        reference |= _response("tracking", closed.fit.model)
+    if identified.valves:
+        for name in ACTUATOR:
+            values = [float(getattr(valve.actuator, name)) for valve in identified.valves]
+            if name != "force_capacity" or all(values):
+                controller[f"actuator.{name}"] = values
+        first = identified.valves[0]
+        controller |= _response("plant", transfer_function(first.loop.plant, first.actuator))
+    sections = {"reference_force": reference, "force_controller": controller}
+    return {node: section for node, section in sections.items() if section}
+
+
+def write_model(identified: Identified, path: Path, source: str, specimen: bool) -> None:
+    """Write the parameters, to be read after the experiment's own file.
+
+    Parameters
+    ----------
+    identified, specimen
+        See `model_parameters`.
     path : Path
         The file.
     source : str
@@ -75,13 +76,10 @@ def write_model(identified: Identified, path: Path, source: str) -> None:
         If it can't be written.
     """
     comments = [f"Identified by seft identify from {source}", f"Axes: {identified.axes}"]
-    if len(identified.axes) > 1:
-        plant = f"plant.* is that of axis {identified.axes[0]}; tracking.* that of all axes"
-        if identified.nominal is not None:
-            comments += [f"{plant}, as it is", _WITH_NOMINAL]
-        else:
-            comments.append(plant)
-    write_parameter_file(path, model_parameters(identified), comments)
+    if identified.valves:
+        comments.append("actuator.*: of the actuators alone; another specimen needs no new ones")
+        comments.append(f"plant.* and tracking.*: with this specimen, of axis {identified.axes[0]}")
+    write_parameter_file(path, model_parameters(identified, specimen), comments)
 
 
 def _response(prefix: str, model: Rational) -> dict[str, Any]:

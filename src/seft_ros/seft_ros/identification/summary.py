@@ -5,22 +5,20 @@ from typing import Any
 import numpy as np
 
 from seft_ros.analysis.summary import json_safe
+from seft_ros.identification.actuator_fit import ActuatorFit
 from seft_ros.identification.identified import ClosedLoop, Identified, ValveResponse
 from seft_ros.identification.measurement import Measurement
-from seft_ros.loop_shaping.roots import Root
 
 LISTED_HZ = (1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
 """Frequencies of the table of delays."""
-
-_PLANT = (
-    ("plant_zero_hz", "plant_zero_damping"),
-    ("plant_pole_hz", "plant_pole_damping"),
-    ("valve_frequency_hz", "valve_damping"),
+ANY_SPECIMEN = (
+    "actuator.* is of the actuators alone: another specimen needs no new identification (plant.* "
+    "and tracking.* are with this specimen)"
 )
+
 _VALVE_KEYS = (
-    *(key for pair in _PLANT for key in pair),
-    *("leakage_pole_hz", "leakage_per_s", "gain", "dead_time_s", "fit_error", "blocked_error"),
-    *("crossover_hz", "phase_margin_deg", "gain_margin_db", "sensitivity_peak"),
+    *("actuator", "plant_zero_hz", "plant_zero_damping", "plant_pole_hz", "plant_pole_damping"),
+    *("fit_error", "crossover_hz", "phase_margin_deg", "gain_margin_db", "sensitivity_peak"),
 )
 _CLOSED_LOOP_KEYS = (
     *("closed_loop_flat_to_hz", "bandwidth_hz", "delay_s", "dip_db", "dip_hz"),
@@ -34,12 +32,13 @@ def summarise_identified(identified: Identified) -> dict[str, Any]:
     Returns
     -------
     dict
-        Of the first axis ``plant_zero_hz``, ``plant_zero_damping``, ``plant_pole_hz``,
-        ``plant_pole_damping`` (oil column), ``valve_frequency_hz``, ``valve_damping``,
-        ``leakage_pole_hz``, ``leakage_per_s``, ``gain`` (N/s/V), ``dead_time_s``,
-        ``fit_error``, ``blocked_error`` (force error over force of the loop with its piston held
-        still, in s, highest power first), ``crossover_hz``, ``phase_margin_deg``,
-        ``gain_margin_db``, ``sensitivity_peak`` of the model in the digital loop;
+        Of the first axis ``actuator`` (flow_gain_m_per_s_per_v, oil_stiffness_n_per_m,
+        leakage_per_s, force_capacity_n, null where the test does not show it,
+        valve_frequency_hz, valve_damping, dead_time_s; flow_explained, the share of the flow's
+        variance that the oil's balance explains, with a verdict; largest_force_n);
+        of the plant that it makes with the specimen ``plant_zero_hz``, ``plant_zero_damping``,
+        ``plant_pole_hz``, ``plant_pole_damping`` (oil column), ``fit_error``, and in the digital
+        loop ``crossover_hz``, ``phase_margin_deg``, ``gain_margin_db``, ``sensitivity_peak``;
         ``closed_loop_flat_to_hz``, ``bandwidth_hz``, ``delay_s``, ``dip_db``, ``dip_hz``,
         ``tracking_fit_error``, ``delay_by_frequency`` (hz, delay_s, magnitude_db, coherence)
         of the measured closed loop; ``coherence`` of both tests. ``axes`` has these for each
@@ -69,24 +68,25 @@ def summarise_identified(identified: Identified) -> dict[str, Any]:
 def notes(identified: Identified) -> list[str]:
     """List what a reader must know about the numbers, one line each."""
     found = [*identified.unusable, *identified.faults]
-    if not identified.valves:
-        found.append("without a good open-loop test, by a valve, plant and margins are not known")
+    if identified.valves:
+        found.append(ANY_SPECIMEN)
+    else:
+        found.append("without a good open-loop test, by a valve, the actuators are not known")
     for axis, valve in zip(identified.axes, identified.valves, strict=False):
-        model = valve.fit.model
-        for name, root in (("oil column", model.poles[0]), ("valve", model.valve)):
-            if not _within(root, identified.band):
-                found.append(
-                    f"axis {axis}: the {name}'s resonance lies beyond the band of "
-                    f"{identified.band[1]:g} Hz; the model covers its effect within"
-                )
-        if not valve.controller_known:
+        actuator = valve.actuator
+        if actuator.unsure:
+            found.append(f"axis {axis}: the test shows poorly: {', '.join(actuator.unsure)}")
+        if not actuator.force_capacity:
             found.append(
-                f"axis {axis}: margins are known of one transfer function for all axes alone"
+                f"axis {axis}: forces to {actuator.largest_force:.3g} N do not show at which force "
+                "the valve lets no oil through: force_capacity stays as configured (0: not felt)"
             )
-        elif not valve.loop.stable:
+        if valve.controller_known and not valve.loop.stable:
             found.append(f"axis {axis}: by this model the loop is unstable with its controller")
+    if identified.valves and not identified.valves[0].controller_known:
+        found.append("margins are known of one transfer function for all axes alone")
     if not identified.closed_loops:
-        found.append("without a good closed-loop test the tracking is not known")
+        found.append("no good closed-loop test: compensation by tracking.* is not provided for")
     if len(identified.axes) > 1:
         found.append("margins are of each axis by itself, the valves of the others closed")
     return found
@@ -99,46 +99,45 @@ def _axis(identified: Identified, index: int) -> dict[str, Any]:
     measured = {"open_loop": valve, "closed_loop": closed}
     return {
         "axis": identified.axes[index],
-        **(_of_valve(valve, identified.band) if valve else dict.fromkeys(_VALVE_KEYS)),
+        **(_of_valve(valve) if valve else dict.fromkeys(_VALVE_KEYS)),
         **(_of_closed_loop(closed) if closed else dict.fromkeys(_CLOSED_LOOP_KEYS)),
         "coherence": {k: _coherence(v.measured) if v else None for k, v in measured.items()},
     }
 
 
-def _of_valve(valve: ValveResponse, band: tuple[float, float]) -> dict[str, Any]:
-    model = valve.fit.model
-    margins = valve.loop.margins if valve.controller_known else None
-    values: dict[str, Any] = {}
-    roots = (model.zeros[0], model.poles[0], model.valve)
-    for (frequency, damping), root in zip(_PLANT, roots, strict=True):
-        known = _within(root, band)
-        values |= {frequency: root.hz if known else None, damping: root.damping if known else None}
+def _of_actuator(actuator: ActuatorFit) -> dict[str, Any]:
     return {
-        **values,
-        "leakage_pole_hz": model.leakage.hz,
-        "leakage_per_s": valve.fit.leakage,
-        "gain": model.gain,
-        "dead_time_s": model.dead_time,
-        "fit_error": valve.fit.error,
-        "blocked_error": list(valve.blocked_error) or None,
-        "crossover_hz": margins.crossover_hz if margins else None,
-        "phase_margin_deg": margins.phase_margin_deg if margins else None,
-        "gain_margin_db": margins.gain_margin_db if margins else None,
-        "sensitivity_peak": margins.sensitivity_peak if margins else None,
+        "flow_gain_m_per_s_per_v": actuator.flow_gain,
+        "oil_stiffness_n_per_m": actuator.oil_stiffness,
+        "leakage_per_s": actuator.leakage,
+        "force_capacity_n": actuator.force_capacity or None,
+        "valve_frequency_hz": actuator.valve_frequency,
+        "valve_damping": actuator.valve_damping,
+        "dead_time_s": actuator.dead_time,
+        "flow_explained": actuator.explained,
+        "verdict": actuator.verdict,
+        "largest_force_n": actuator.largest_force,
     }
+
+
+def _of_valve(valve: ValveResponse) -> dict[str, Any]:
+    margins = valve.loop.margins if valve.controller_known else None
+    zero, pole = valve.loop.plant.antiresonance(), valve.loop.plant.oil_column()
+    values = (
+        *(_of_actuator(valve.actuator), zero and zero.hz, zero and zero.damping),
+        *(pole and pole.hz, pole and pole.damping, valve.error),
+        *(getattr(margins, key) if margins else None for key in _VALVE_KEYS[6:]),
+    )
+    return dict(zip(_VALVE_KEYS, values, strict=True))
 
 
 def _of_closed_loop(closed: ClosedLoop) -> dict[str, Any]:
     tracking = closed.tracking
-    return {
-        "closed_loop_flat_to_hz": tracking.flat_to_hz,
-        "bandwidth_hz": tracking.bandwidth_hz,
-        "delay_s": tracking.delay_s,
-        "dip_db": tracking.dip_db,
-        "dip_hz": tracking.dip_hz,
-        "tracking_fit_error": closed.fit.error,
-        "delay_by_frequency": _delays(closed),
-    }
+    values = (
+        *(tracking.flat_to_hz, tracking.bandwidth_hz, tracking.delay_s),
+        *(tracking.dip_db, tracking.dip_hz, closed.fit.error, _delays(closed)),
+    )
+    return dict(zip(_CLOSED_LOOP_KEYS, values, strict=True))
 
 
 def _delays(closed: ClosedLoop) -> list[dict[str, float]]:
@@ -163,7 +162,3 @@ def _coherence(measured: Measurement) -> dict[str, float]:
         "lowest": float(measured.coherence[lowest]),
         "lowest_hz": float(measured.frequencies_hz[lowest]),
     }
-
-
-def _within(root: Root, band: tuple[float, float]) -> bool:
-    return band[0] <= root.hz <= band[1]

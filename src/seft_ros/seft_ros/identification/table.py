@@ -7,17 +7,21 @@ from rich.table import Table
 from rich.text import Text
 
 _ROWS: tuple[tuple[str, str, str, float], ...] = (  # what, key, unit, scale
+    ("actuator: flow gain", "flow_gain_m_per_s_per_v", "mm/s/V", 1e3),
+    ("  oil stiffness", "oil_stiffness_n_per_m", "kN/m", 1e-3),
+    ("  leakage", "leakage_per_s", "1/s", 1.0),
+    ("  force capacity", "force_capacity_n", "kN", 1e-3),
+    ("  valve", "valve_frequency_hz", "Hz", 1.0),
+    ("    damping", "valve_damping", "%", 100.0),
+    ("  dead time", "dead_time_s", "ms", 1e3),
+    ("  flow explained", "flow_explained", "% of its variance", 100.0),
+    ("    that is", "verdict", "", 1.0),
+    ("", "", "", 1.0),
     ("zero (specimen)", "plant_zero_hz", "Hz", 1.0),
     ("  damping", "plant_zero_damping", "%", 100.0),
     ("oil column", "plant_pole_hz", "Hz", 1.0),
     ("  damping", "plant_pole_damping", "%", 100.0),
-    ("valve", "valve_frequency_hz", "Hz", 1.0),
-    ("  damping", "valve_damping", "%", 100.0),
-    ("leakage pole", "leakage_pole_hz", "Hz", 1.0),
-    ("dead time", "dead_time_s", "ms", 1e3),
-    ("gain", "gain", "N/s/V", 1.0),
-    ("error of the fit", "fit_error", "%", 100.0),
-    ("", "", "", 1.0),
+    ("model's error", "fit_error", "%", 100.0),
     ("crossover", "crossover_hz", "Hz", 1.0),
     ("phase margin", "phase_margin_deg", "deg", 1.0),
     ("gain margin", "gain_margin_db", "dB", 1.0),
@@ -43,7 +47,7 @@ def identified_table(title: str, axes: tuple[str, ...], summary: Mapping[str, An
     summary : mapping
         As `seft_ros.identification.summary.summarise_identified` gives it.
     """
-    columns = summary.get("axes", [summary])
+    columns = [{**axis, **(axis["actuator"] or {})} for axis in summary.get("axes", [summary])]
     table = Table(
         title=Text(title),
         title_justify="left",
@@ -60,7 +64,7 @@ def identified_table(title: str, axes: tuple[str, ...], summary: Mapping[str, An
         if not key:
             table.add_section()
             continue
-        table.add_row(what, *(_number(column[key], scale) for column in columns), unit)
+        table.add_row(what, *(_number(column.get(key), scale) for column in columns), unit)
     table.add_section()
     for name, unit in _SPECIMEN:
         value = summary["specimen"][name]
@@ -74,5 +78,7 @@ def identified_table(title: str, axes: tuple[str, ...], summary: Mapping[str, An
     return table
 
 
-def _number(value: float | None, scale: float) -> str:
+def _number(value: float | str | None, scale: float) -> str:
+    if isinstance(value, str):
+        return value
     return "-" if value is None else f"{value * scale:.4g}"

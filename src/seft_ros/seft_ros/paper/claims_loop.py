@@ -47,7 +47,7 @@ def _rig(experiment: Experiment, identified: Identified) -> Iterator[Claim]:
 
 def _open_loop(experiment: Experiment, identified: Identified, loop: ForceLoop) -> Iterator[Claim]:
     valve = identified.valves[0]
-    zero, pole = valve.fit.model.zeros[0].hz, valve.fit.model.poles[0].hz
+    zero, pole = loop.roots_hz()
     natural = identified.specimen.axis_root(0).hz
     where = f"{FIGURE_3} (a)"
     yield near(where, "valve-to-force response has a zero at 10 Hz", 10, zero, 0.5, "Hz")
@@ -65,7 +65,7 @@ def _open_loop(experiment: Experiment, identified: Identified, loop: ForceLoop) 
         where,
         "the rational curve captures the measured response",
         "captured",
-        valve.fit.error,
+        valve.error,
         _FIT,
         shown=".1%",
         noun="error",

@@ -27,7 +27,7 @@ def open_loop_figure(found: Findings) -> Grid:
     shared = Range1d(*_RANGE_HZ)
     f, own = loop.plant.frequencies_hz, loop.model.frequencies_hz
     model = loop.model.sampled
-    zero, pole = _roots(found)
+    zero, pole = loop.roots_hz()
     columns = [
         ("(a) valve to force, N/V", [(f, loop.plant.response, MEASURED), (own, model.plant, MODEL)],
          f"Zero at {zero:.3g} Hz, the specimen's natural frequency; pole at {pole:.3g} Hz, the oil "
@@ -84,11 +84,6 @@ def closed_loop_figure(found: Findings) -> Grid:
         ],
         columns=2,
     )
-
-
-def _roots(found: Findings) -> tuple[float, float]:
-    model = found.identified.valves[0].fit.model
-    return model.zeros[0].hz, model.poles[0].hz
 
 
 def _panel(label: str, shared: Range1d) -> figure:

@@ -45,6 +45,12 @@ class ForceLoop:
         """C_f H_fu at the frequencies of ``plant``."""
         return self.controller(self.plant.frequencies_hz) * self.plant.response
 
+    def roots_hz(self) -> tuple[float, float]:
+        """Zero of the model's plant and its oil column, Hz; NaN where there is none."""
+        roots = self.model.plant.antiresonance(), self.model.plant.oil_column()
+        zero, pole = (root.hz if root else float("nan") for root in roots)
+        return zero, pole
+
     def least_hz(self) -> float:
         """Frequency at which the measured plant answers least about its zero, Hz."""
         f = self.plant.frequencies_hz

@@ -1,0 +1,189 @@
+"""The balance of an actuator's oil in one test, as spectra: what came in, and where it went."""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+import scipy.fft
+from scipy.optimize import nnls
+
+from seft_ros.force_controller.valve_model import ValveModel
+
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+
+MEMORY = 0.2
+"""Time in which the flow of a command has come, s."""
+_WIDTH, _LEAST_WIDTH = 0.05, 2.0  # over which spectra are smoothed: of the frequency, and Hz
+_BINS = 80
+_ROUGH = 0.03  # of the flow: what a first fit may leave
+
+
+class OilBalance:
+    """One axis of a test, from rest to rest: q w = v + (f' + friction' + lambda f) / k_oil.
+
+    It is taken over each sampling period. The mean of a rate over a period is a difference of
+    samples, so that what lies beyond half the sampling rate does not spoil it.
+
+    Parameters
+    ----------
+    commands, positions, accelerations, forces : ndarray
+        Valve command (V), and displacement (m), acceleration (m/s^2) and force (N) as measured,
+        shape (N,).
+    dt : float
+        Sampling period, s.
+    band : tuple of float
+        Lowest and highest frequency that counts, Hz.
+
+    Attributes
+    ----------
+    velocity, rise, between : ndarray
+        Mean over each period of the piston's velocity (m/s), of the force's rate (N/s), and of
+        the force (N), shape (N - 1,).
+    largest_force : float
+        N.
+    rough : ndarray
+        Error that a first fit may leave at each frequency within the band, shape (F,), m/s.
+    """
+
+    def __init__(
+        self,
+        commands: Floats,
+        positions: Floats,
+        accelerations: Floats,
+        forces: Floats,
+        dt: float,
+        band: tuple[float, float],
+    ) -> None:
+        self._n, self._dt = len(commands) - 1, dt
+        self._times = np.arange(math.ceil(MEMORY / dt) + 1, dtype=np.float64) * np.float64(dt)
+        self._size = scipy.fft.next_fast_len(self._n + math.ceil(MEMORY / dt), real=True)
+        self._hz: Floats = scipy.fft.rfftfreq(self._size, dt)
+        self._used = (self._hz >= band[0]) & (self._hz <= band[1])
+        f = self._hz[self._used]
+        half = np.maximum(_WIDTH * f, _LEAST_WIDTH)
+        self._around = np.searchsorted(f, f - half), np.searchsorted(f, f + half, "right")
+        self._commands = self._spectrum(commands[:-1])
+        self.rise, self.between = np.diff(forces) / dt, (forces[:-1] + forces[1:]) / 2
+        self.largest_force = float(np.abs(forces).max())
+        self._at_samples, self.velocity, noise = self._motion(positions, accelerations)
+        self._of_motion = self.of(self.velocity)
+        self._of_force = np.stack([self.of(self.rise), self.of(self.between)], axis=1)
+        drive = np.abs(self._commands[self._used])
+        gain = self.smooth(np.abs(self._of_motion) ** 2) / np.maximum(self.smooth(drive**2), 1e-30)
+        self.rough: Floats = np.sqrt(noise + _ROUGH**2 * gain.max() * drive**2)
+
+    def _spectrum(self, signal: Floats) -> Complexes:
+        spectrum: Complexes = scipy.fft.rfft(signal, self._size)
+        return spectrum
+
+    def _back(self, spectrum: Complexes) -> Floats:
+        signal: Floats = scipy.fft.irfft(spectrum, self._size)[: self._n]
+        return signal
+
+    def of(self, signal: Floats) -> Complexes:
+        """Spectrum within the band, shape (F,)."""
+        return self._spectrum(signal)[self._used]
+
+    def within(self, signal: Floats) -> Floats:
+        """Take the part of a signal that lies within the band."""
+        return self._back(np.where(self._used, self._spectrum(signal), 0.0))
+
+    def smooth(self, power: Floats) -> Floats:
+        """Mean over the frequencies around each one."""
+        total, (low, high) = np.concatenate([[0.0], np.cumsum(power)]), self._around
+        smoothed: Floats = (total[high] - total[low]) / (high - low)
+        return smoothed
+
+    def _motion(self, positions: Floats, accelerations: Floats) -> tuple[Floats, Floats, Floats]:
+        """Velocity from displacement and acceleration, each where it has the less noise.
+
+        Both have white noise, whose powers their difference tells.
+
+        Returns
+        -------
+        at_samples, mean : ndarray
+            Velocity at the beginning of each period, and over it; shape (N - 1,), m/s.
+        noise : ndarray
+            Power of what is left of the noise within the band, shape (F,).
+        """
+        s = 2j * np.pi * np.maximum(self._hz, self._hz[1])
+        change = np.expm1(s * self._dt)
+        gains = np.stack([change / self._dt, change / (self._dt * s * s)])  # of x and a
+        by_position = self._spectrum(np.diff(positions) / self._dt)
+        both = np.stack([by_position, gains[1] * self._spectrum(accelerations[:-1])])
+        powers = np.abs(gains) ** 2
+        bins = np.unique(np.geomspace(1, self._used.sum(), _BINS).astype(int)) - 1
+        off = np.add.reduceat(np.abs(both[0] - both[1])[self._used] ** 2, bins)
+        rows = np.stack([np.add.reduceat(power[self._used], bins) for power in powers], axis=1)
+        rows = rows / np.maximum(off, 1e-30)[:, np.newaxis]
+        sizes = np.linalg.norm(rows, axis=0)
+        sensors = np.maximum(nnls(rows / sizes, np.ones(len(off)))[0] / sizes, 1e-30)
+        weights = 1.0 / (sensors[:, np.newaxis] * powers)
+        total = weights.sum(axis=0)
+        mean = (weights * both).sum(axis=0) / total
+        return self._back(mean * s * self._dt / change), self._back(mean), 1.0 / total[self._used]
+
+    def flow(self, p: Floats) -> tuple[Floats, Complexes]:
+        """Flow of the commands over q, V: the signal, shape (N - 1,), and its spectrum, (F,).
+
+        Parameters
+        ----------
+        p : ndarray
+            Logarithms of the valve's frequency (Hz) and damping ratio, its dead time in ms, and
+            the largest force over the force capacity.
+        """
+        valve = ValveModel(math.exp(p[0]), math.exp(p[1]), p[2] / 1e3, self._dt)
+        volume = valve.volume(self._times)
+        spectrum = self._commands * self._spectrum(np.diff(volume) / self._dt)
+        flow = self._back(spectrum)
+        if p[3]:
+            flow *= np.sqrt(1.0 - np.sign(flow) * p[3] / self.largest_force * self.between)
+            spectrum = self._spectrum(flow)
+        return flow, spectrum[self._used]
+
+    def slip(self, over: float) -> Floats:
+        """Rate of a friction of 1 N that builds up over a velocity in m/s; N/s, (N - 1,)."""
+        rate: Floats = np.diff(np.tanh(self._at_samples / over), append=0.0) / self._dt
+        return rate
+
+    def drag(self, over: float) -> float:
+        """Viscous friction that a friction of 1 N amounts to in this test, N s/m."""
+        v = self._at_samples
+        return float(v @ np.tanh(v / over)) / max(float(v @ v), 1e-30)
+
+    def solve(
+        self, p: Floats, over: float, deviation: Floats, step: int = 1
+    ) -> tuple[Floats, Floats, Floats]:
+        """Solve v = q w - (f' + lambda f + friction') / k_oil for what is linear in it.
+
+        Parameters
+        ----------
+        p : ndarray
+            See `flow`.
+        over : float
+            See `slip`.
+        deviation : ndarray
+            Expected error at each frequency, shape (F,).
+        step : int
+            Only every such frequency counts.
+
+        Returns
+        -------
+        solution, deviations : ndarray
+            q, 1 / k_oil, lambda / k_oil and friction / k_oil, and their standard deviations.
+        errors : ndarray
+            What is left, over its deviation, real parts, then imaginary parts.
+        """
+        flow, slip = self.flow(p)[1], self.of(self.slip(over))
+        terms = np.column_stack([flow, -self._of_force, -slip, self._of_motion])
+        terms = (terms / deviation[:, np.newaxis])[::step]
+        split = np.concatenate([terms.real, terms.imag])
+        columns, target = split[:, :4], split[:, 4]
+        scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-30)
+        columns = columns / scale
+        inverse = np.linalg.pinv(columns.T @ columns)
+        solution = inverse @ (columns.T @ target)
+        errors = columns @ solution - target
+        variance = inverse.diagonal() * float(np.mean(errors**2))
+        return solution / scale, np.sqrt(np.maximum(variance, 0.0)) / scale, errors
