@@ -34,7 +34,8 @@ def _margins(plan: Plan, found: Preflight, title: str) -> Table:
         )
     for label, part, scale, unit in (
         ("actuator's gain", margins.gain, 1.0, ""),
-        ("model stiffness / true", margins.stiffness, 1.0, ""),
+        ("local stiffness / told", margins.stiffness, 1.0, ""),
+        ("likewise, followed", margins.followed, 1.0, ""),
         ("error of the told delay", margins.told_delay, 1e3, " ms"),
     ):
         if part is None:
