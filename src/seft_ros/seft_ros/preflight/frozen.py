@@ -12,6 +12,8 @@ import numpy.typing as npt
 
 from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.velocity_feedforward import (
+    LARGEST_DELAY_ERROR,
+    LARGEST_GAIN_ERROR,
     VelocityFeedforward,
     begin_feedforward,
     feedforward_step,
@@ -24,6 +26,12 @@ Floats = npt.NDArray[np.float64]
 
 CERTAIN = 1e30
 """Variance, or evidence, beside which all others are nothing."""
+BOUNDS = [
+    (gain, delay)
+    for gain in (-LARGEST_GAIN_ERROR, LARGEST_GAIN_ERROR)
+    for delay in (-LARGEST_DELAY_ERROR, LARGEST_DELAY_ERROR)
+]
+"""Errors of a valve that are as large as the controller may take them for."""
 
 
 def frozen_target(method: TargetMotion, measured: bool) -> LinearFilter:
@@ -68,10 +76,19 @@ def frozen_target(method: TargetMotion, measured: bool) -> LinearFilter:
     return LinearFilter(a, b, h, c, d, e)
 
 
-def frozen_feedforward(control: VelocityFeedforward) -> LinearControl:
+def frozen_feedforward(
+    control: VelocityFeedforward, errors: tuple[float, float] = (0.0, 0.0)
+) -> LinearControl:
     """Linear controller from points and what is measured to the valves; begins anew.
 
     In place of the reference force its input holds the points that it reads.
+
+    Parameters
+    ----------
+    control : VelocityFeedforward
+        The controller.
+    errors : tuple of float
+        What it takes for the error of each valve: of the flow gain, relative, and of the delay, s.
     """
     parameters, state = control.parameters, control.state
     actuator = parameters.actuator.copy()
@@ -83,6 +100,7 @@ def frozen_feedforward(control: VelocityFeedforward) -> LinearControl:
 
     def begin() -> None:
         begin_feedforward(parameters, state)
+        state.errors[:] = errors
         state.covariance[:] = 0.0
         state.steps[0] = 1.0
 
@@ -95,7 +113,7 @@ def frozen_feedforward(control: VelocityFeedforward) -> LinearControl:
     return LinearControl(a, np.hstack(b), c, np.hstack(d))
 
 
-def read_of_points(control: LinearControl, axes: int) -> tuple[Floats, LinearControl]:
+def read_of_points(control: LinearControl) -> tuple[Floats, LinearControl]:
     """Part a controller of points: what it makes of them, and a controller that takes only that.
 
     Returns
@@ -105,6 +123,7 @@ def read_of_points(control: LinearControl, axes: int) -> tuple[Floats, LinearCon
     rest : LinearControl
         Its input is these q values in place of the points.
     """
+    axes = len(control.d)
     known = control.d.shape[1] - 4 * axes
     by_points = np.vstack([control.d[:, :known], control.b[:, :known]])
     used = np.flatnonzero(by_points.any(axis=1))

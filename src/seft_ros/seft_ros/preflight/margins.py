@@ -87,6 +87,11 @@ class Margins:
         the plan up where the plan is stable, else from the plan down (0: unstable with none).
     gain : Range or None
         Factor on what the drive does; None where the plan is unstable.
+    sure_dead_time : Critical or None
+        Dead time up to which the test is stable whatever a controller that follows the valves
+        takes them for, within its bounds. None where it does not, or no end was found.
+    sure_gain : Range or None
+        Likewise.
     stiffness : Range or None
         Local stiffness of the specimen over the one that the method is told. None where the plan
         is unstable, or the plant is identified as a whole.
@@ -99,6 +104,8 @@ class Margins:
     mass_ratio: Critical | None
     dead_time: Critical | None
     gain: Range | None
+    sure_dead_time: Critical | None
+    sure_gain: Range | None
     stiffness: Range | None
     followed: Range | None
     told_delay: Range | None
@@ -125,6 +132,8 @@ def find_margins(plan: Plan, progress: Progress | None = None) -> Margins:
     }
     ranges: dict[str, Callable[[Plan], Any]] = {
         "gain": gain_range,
+        "sure_dead_time": sure_dead_time,
+        "sure_gain": sure_gain,
         "stiffness": stiffness_range,
         "followed": followed_range,
         "told_delay": told_delay_range,
@@ -165,6 +174,22 @@ def highest_gain(plan: Plan) -> Critical | None:
 def gain_range(plan: Plan) -> Range:
     """Find the factor on the drive within which the test is stable."""
     return _range(plan, "gain", 1.0, FACTORS, 1.0 / FACTORS)
+
+
+def sure_dead_time(plan: Plan) -> Critical | None:
+    """Find the dead time up to which it is stable with all that is believed of the valves."""
+    if not plan.follows_valves:
+        return None
+    if plan.growth_rate(any_valve=True) > NEUTRAL:
+        return _critical(plan, "dead_time", plan.dead_time, plan.dead_time, any_valve=True)
+    return _end(plan, "dead_time", plan.dead_time + added_delays(plan), any_valve=True)
+
+
+def sure_gain(plan: Plan) -> Range | None:
+    """Find the factor on the drive within which it is, likewise."""
+    if not plan.follows_valves:
+        return None
+    return _range(plan, "gain", 1.0, FACTORS, 1.0 / FACTORS, any_valve=True)
 
 
 def stiffness_range(plan: Plan) -> Range | None:
@@ -236,8 +261,8 @@ def _possible(plan: Plan, delays: Sequence[float]) -> list[float]:
 
 def _range(plan: Plan, name: str, planned: float, up: Floats, down: Floats, **fixed: Any) -> Range:
     searched = float(down[-1]), float(up[-1])
-    ends = (_end(plan, name, points, **fixed) for points in (down, up))
-    return Range(planned, *ends, searched)
+    low, high = (_end(plan, name, points, **fixed) for points in (down, up))
+    return Range(planned, low, high, searched)
 
 
 def _end(plan: Plan, name: str, points: Floats, **fixed: Any) -> Critical | None:

@@ -1,6 +1,5 @@
 """A planned test as a loop, and as it would be were something else than planned."""
 
-from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -16,11 +15,12 @@ from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 from seft_ros.loop_shaping.plant import Source
 from seft_ros.preflight.closed_loop import ClosedLoop, closed_loop, growth_rate
-from seft_ros.preflight.frozen import frozen_feedforward, frozen_target, read_of_points
+from seft_ros.preflight.frozen import BOUNDS, frozen_feedforward, frozen_target, read_of_points
 from seft_ros.preflight.loop_rig import LoopRig, choose_rig
 from seft_ros.reference_force.block import compensator, knowledge
 from seft_ros.reference_force.compensation.compensator import Compensator
 from seft_ros.reference_force.compensation.linear_filter import LinearFilter
+from seft_ros.target.target_motion import TargetMotion
 from seft_ros.target.target_step import FORCE
 
 Floats = npt.NDArray[np.float64]
@@ -61,7 +61,7 @@ class Plan:
         self.section = experiment["reference_force"]
         self.mass_ratio = float(self.section["mass_ratio"])
         self.dead_time = self.rig.plant.delay
-        self._read, self._control = self._controller()
+        self._controllers = self._as_it_may_be()
         self._filter = lru_cache(maxsize=256)(self.compensation)
 
     @property
@@ -73,6 +73,11 @@ class Plan:
     def follows(self) -> bool:
         """Whether the method follows the specimen's local stiffness."""
         return self.section["compensation.method"] == TARGET_MOTION
+
+    @property
+    def follows_valves(self) -> bool:
+        """Whether the controller follows the valves."""
+        return len(self._controllers) > 1
 
     def compensator(
         self,
@@ -117,13 +122,12 @@ class Plan:
         ----------
         measured : bool
             Of a method that follows the specimen: as it is when it takes the restoring force as
-            measured, see `frozen_target`.
+            measured. Its output then is all points, see `frozen_target`.
         """
         made = self.compensator(mass_ratio, stiffness, told_delay, follow_delay=False)
-        if not self.follows:
-            return made.linear()
-        target = frozen_target(made, measured)
-        return replace(target, **{part: self._read @ getattr(target, part) for part in "cde"})
+        if isinstance(made, TargetMotion):
+            return frozen_target(made, measured)
+        return made.linear()
 
     def loops(
         self,
@@ -133,6 +137,7 @@ class Plan:
         told_delay: float = 0.0,
         stiffness: float = 1.0,
         followed: bool = False,
+        any_valve: bool = False,
     ) -> list[ClosedLoop]:
         """Close the loop, as planned where nothing is given.
 
@@ -150,6 +155,9 @@ class Plan:
             Factor on the stiffness of the specimen on the rig.
         followed : bool
             Whether the method knows of that factor.
+        any_valve : bool
+            Whether a controller that follows the valves is at the bounds of what it may take them
+            for, too.
 
         Returns
         -------
@@ -166,12 +174,16 @@ class Plan:
             self.dt, self.dead_time if dead_time is None else dead_time, gain
         )
         told = stiffness if followed else 1.0
-        filters = [
-            self._filter(mass_ratio, told, told_delay, measured)
-            for measured in ((False, True) if self.follows else (False,))
-        ]
-        delay = self.section["loop_delay"]
-        return [closed_loop(rig, f.delayed(delay), self._control, self.dt) for f in filters]
+        loops = []
+        for read, control in self._controllers if any_valve else self._controllers[:1]:
+            for measured in (False, True) if self.follows else (False,):
+                part = self._filter(mass_ratio, told, told_delay, measured)
+                if read is not None:
+                    c, d, e = read @ part.c, read @ part.d, read @ part.e
+                    part = LinearFilter(part.a, part.b, part.h, c, d, e)
+                part = part.delayed(self.section["loop_delay"])
+                loops.append(closed_loop(rig, part, control, self.dt))
+        return loops
 
     def loop(self, **changes: Any) -> ClosedLoop:
         """Close the loop as the test starts, see `loops`."""
@@ -185,23 +197,29 @@ class Plan:
         """Rate at which it grows, 1/s: positive where the test is unstable."""
         return growth_rate(self.worst(**changes), self.dt)
 
-    def _controller(self) -> tuple[Floats, LinearControl]:
-        """What is read of the target's points, if the method has some, and the controller."""
+    def _as_it_may_be(self) -> list[tuple[Floats | None, LinearControl]]:
+        """Make the controller as it starts, then as it may become; and what it reads of points.
+
+        A method without points has None there.
+        """
         n, section = len(self.axes), self.experiment["force_controller"]
-        read, rest = np.eye(n, 3 * n, k=FORCE * n), LinearControl.none(n)
+        first_force, known = np.eye(n, 3 * n, k=FORCE * n), LinearControl.none(n)
         if self.rig.drive == VALVE_COMMAND.name:
             control = force_control(section, self.axes, self.timebase)
-            if not isinstance(control, VelocityFeedforward):
-                rest = control.linear()
-            elif not self.follows:
-                raise InputError(
-                    f"force_controller: method {VELOCITY_FEEDFORWARD} needs the coming motion: set "
-                    f"reference_force: compensation.method to {TARGET_MOTION}"
-                )
-            else:
-                read, rest = read_of_points(frozen_feedforward(control), n)
-        if self.follows:
-            points = 1 + self.compensator().preview
-            skipped = 3 * n * self.section["loop_delay"]
-            read = np.pad(read, ((0, 0), (skipped, 3 * n * points - skipped - read.shape[1])))
-        return read, rest
+            if isinstance(control, VelocityFeedforward):
+                if not self.follows:
+                    raise InputError(
+                        f"force_controller: {VELOCITY_FEEDFORWARD} needs the coming motion: set "
+                        f"reference_force: compensation.method to {TARGET_MOTION}"
+                    )
+                made = [frozen_feedforward(control, errors) for errors in ((0.0, 0.0), *BOUNDS)]
+                return [(self._of_points(read), rest) for read, rest in map(read_of_points, made)]
+            known = control.linear()
+        return [(self._of_points(first_force) if self.follows else None, known)]
+
+    def _of_points(self, read: Floats) -> Floats:
+        """Let a matrix of the first points take all, the first of which the loop's delay skips."""
+        n = len(self.axes)
+        before = 3 * n * self.section["loop_delay"]
+        after = 3 * n * (1 + self.compensator().preview) - before - read.shape[1]
+        return np.pad(read, ((0, 0), (before, after)))

@@ -54,15 +54,16 @@ def _thin(plan: Plan, margins: Margins) -> Iterator[str]:
             f"the critical mass ratio {critical.value:.3g} is less than {MASS_RATIO_RESERVE:g} "
             f"times the planned {alpha:g}"
         )
-    if margins.dead_time is not None:
-        added = margins.dead_time.value - plan.dead_time
+    dead_time = margins.sure_dead_time or margins.dead_time
+    if dead_time is not None:
+        added = dead_time.value - plan.dead_time
         if added < DELAY_RESERVE_STEPS * plan.dt:
             yield (
                 f"{1e3 * added:.3g} ms of further dead time make it unstable, less than "
                 f"{DELAY_RESERVE_STEPS:g} sample"
             )
     for name, found, reserve in (
-        ("gain of the actuator's path", margins.gain, GAIN_RESERVE),
+        ("gain of the actuator's path", margins.sure_gain or margins.gain, GAIN_RESERVE),
         ("local stiffness", margins.stiffness, STIFFNESS_RESERVE),
     ):
         if found is None:
