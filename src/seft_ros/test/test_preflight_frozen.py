@@ -9,6 +9,8 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.experiment import Experiment
 from seft_plant_sim.limits import ROWS
 from seft_plant_sim.rig import Rig
+from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.velocity_feedforward import (
     LARGEST_GAIN_ERROR,
@@ -199,6 +201,21 @@ def test_a_usual_test_is_stable_within_the_sure_margins_whatever_it_learns():
         _, found = test_motion(experiment(change), USUAL, 4000)
         quiet, last = (np.abs(part).max() for part in (found[2000:3000, 3], found[3000:, 3]))
         assert last < 1.5 * quiet < 100.0
+
+
+@pytest.mark.parametrize(("part", "tripped"), [(0.97, False), (10.0, True)])
+def test_so_it_is_in_the_offline_loop_with_all_that_is_not_linear(part, tripped):
+    """`config/demo.yaml` itself."""
+    margins = planned()[1]
+    late = part * margins.sure_dead_time.value
+    words = [("rig", "actuator.dead_time", late), ("ground_motion", "peak_force", 200.0)]
+    test = Experiment.load(TABLES, [DEMO], words)
+    assert (simulate(test, build_blocks(test)).trip is not None) is tripped
+    if tripped:
+        return
+    strong = 0.0403 * part * margins.sure_gain.highest.value
+    test = Experiment.load(TABLES, [DEMO], [("rig", "actuator.flow_gain", strong)])
+    assert simulate(test, build_blocks(test)).trip is None
 
 
 @pytest.mark.parametrize("factor", [0.001, 0.3, 2.0, 3.0])

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import eig
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from seft_ros.force_controller.force_control import LinearControl
@@ -46,9 +47,12 @@ class ClosedLoop:
         """
         if len(self.matrix) < LARGE:
             return np.linalg.eigvals(self.matrix).astype(np.complex128)
-        count, block = connected_components(self.matrix != 0, connection="strong")
-        members = [np.flatnonzero(block == index) for index in range(count)]
-        found = [np.linalg.eigvals(self.matrix[np.ix_(part, part)]) for part in members]
+        _, block = connected_components(csr_array(self.matrix), connection="strong")
+        sizes = np.bincount(block)
+        found = [np.diag(self.matrix)[sizes[block] == 1]]
+        for index in np.flatnonzero(sizes > 1):
+            part = np.flatnonzero(block == index)
+            found.append(np.linalg.eigvals(self.matrix[np.ix_(part, part)]))
         return np.concatenate(found).astype(np.complex128)
 
     def dominant(self) -> complex:

@@ -20,11 +20,11 @@ from seft_ros.preflight.loop_rig import LoopRig, choose_rig
 from seft_ros.reference_force.block import compensator, knowledge
 from seft_ros.reference_force.compensation.compensator import Compensator
 from seft_ros.reference_force.compensation.linear_filter import LinearFilter
+from seft_ros.reference_force.compensation.names import TARGET_MOTION
 from seft_ros.target.target_motion import TargetMotion
 from seft_ros.target.target_step import FORCE
 
 Floats = npt.NDArray[np.float64]
-TARGET_MOTION = "target_motion"
 
 
 class Plan:
