@@ -1,5 +1,6 @@
 """The simulated rig: actuator, specimen, sensors and limits, stepped by commands."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -208,15 +209,20 @@ def saturation_of(found: Ints) -> Saturation:
 
 
 def continuous_model(
-    section: dict[str, Any], axes: tuple[str, ...], rig: RigAxes | None = None
+    section: dict[str, Any],
+    axes: tuple[str, ...],
+    rig: RigAxes | None = None,
+    stiffness: float = 1.0,
 ) -> ContinuousModel:
     """Model of actuator, specimen and anti-aliasing filters that a rig's parameters describe.
 
-    As `Rig.from_parameters` is given them.
+    As `Rig.from_parameters` is given them; ``stiffness`` is a factor on the elastic specimen's,
+    the actuators being the same.
     """
     own = rig or RigAxes.whole(axes)
     whole = Specimen.from_parameters(group(section, "specimen"), axes, "rig: specimen")
     specimen = whole.part(own, "rig: specimen")
+    specimen = replace(specimen, stiffness=stiffness * specimen.stiffness)
     actuator = group(section, "actuator")
     kind = actuator["kind"]
     if kind in ("ideal", "delay"):

@@ -37,7 +37,7 @@ def preflight(
             "--figure",
             metavar="FILE",
             help="Draw where the test would be stable: mass ratio against dead time, and against "
-            "the model's error.",
+            "the specimen's local stiffness.",
         ),
     ] = None,
     json: JsonOption = False,
@@ -45,9 +45,9 @@ def preflight(
     """Tell whether a planned test is stable, and how far from its limits, without moving anything.
 
     Takes the eigenvalues of the sampled closed loop of rig, compensation and force controller:
-    critical mass ratio, critical delay, margins against wrong gain, stiffness and delay, and the
-    false damping that the test will show. Exact where the loop is linear; the table says what
-    that does not promise.
+    critical mass ratio, critical delay, margins against a wrong gain and a wrong delay, and the
+    false damping that the test will show; and sweeps the specimen's local stiffness from 0 to 3
+    times the told one. Exact where the loop is linear; the table says what that does not promise.
 
     Exit status 1: the plan is unstable.
 
@@ -55,8 +55,7 @@ def preflight(
 
         seft preflight config/jhu.yaml -p reference_force:mass_ratio:=1.0
 
-        seft preflight config/jhu.yaml -p reference_force:mass_ratio:=3.0
-        -p reference_force:compensation.method:=restoring --figure preflight.png
+        seft preflight config/demo.yaml --figure preflight.png
 
         seft preflight config/jhu.yaml --params-file identified/model.yaml --plant identified
     """

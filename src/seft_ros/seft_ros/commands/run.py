@@ -162,7 +162,7 @@ def _check_stable(experiment: Experiment, accept_unstable: bool) -> None:
 
     try:
         plan = Plan(experiment)
-        stable = plan.loop().growth_rate() <= NEUTRAL
+        stable = plan.growth_rate() <= NEUTRAL
     except InputError as error:  # what the nodes themselves can't use has been refused before
         complain(f"preflight could not be done: {error}")
         return

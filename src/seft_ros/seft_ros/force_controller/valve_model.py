@@ -1,5 +1,6 @@
 """A servo-valve from the held command to its flow: its response, its inverse, what is under way."""
 
+import cmath
 import math
 from collections.abc import Callable
 
@@ -7,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
+Complexes = npt.NDArray[np.complexfloating]
 
 INVERTED_TO = 0.85
 """Highest frequency that is inverted, over the valve's own: what is above costs too much drive."""
@@ -49,20 +50,21 @@ class ValveModel:
         decay = min(damping, 1 / damping) * self._w  # of the slower part
         self.memory = math.ceil((self._late + dt - math.log(SETTLED) / decay) / dt)
 
-    def flow(self, time: Floats) -> Floats:
+    def flow(self, time: npt.NDArray[np.floating]) -> Floats:
         """Flow per command at times after the sample that it answers, s; without dimension."""
         return self._after(time - self._late) - self._after(time - self._late - self._dt)
 
-    def volume(self, time: Floats) -> Floats:
+    def volume(self, time: npt.NDArray[np.floating]) -> Floats:
         """Integral of `flow` until then, s."""
         late = time - self._late
         return self._after(late, integrated=True) - self._after(late - self._dt, integrated=True)
 
-    def _after(self, time: Floats, integrated: bool = False) -> Floats:
+    def _after(self, time: npt.NDArray[np.floating], integrated: bool = False) -> Floats:
         """Response of the valve to a step, or its integral."""
         t, w, zeta = np.maximum(time, 0.0), self._w, self._zeta
-        root = np.emath.sqrt(zeta * zeta - 1.0 + 0j) * w
-        root = root if abs(root) > 1e-6 * w else 1e-6 * w + 0j
+        root = w * cmath.sqrt(zeta * zeta - 1.0)
+        if abs(root) < 1e-6 * w:  # critically damped: the poles must differ
+            root = complex(1e-6 * w)
         poles = -zeta * w + root, -zeta * w - root
         first, second = poles[1] / (poles[0] - poles[1]), -poles[0] / (poles[0] - poles[1])
         parts = (first, poles[0]), (second, poles[1])

@@ -281,6 +281,32 @@ class VelocityFeedforward:
         self._begin = entry_point(begin_feedforward, parameters, state)
         self.reset()
 
+    @staticmethod
+    def told(
+        section: dict[str, Any], axes: tuple[str, ...], rig: RigAxes | None = None
+    ) -> dict[str, Floats]:
+        """Give what a section says of each actuator, by name, see `from_parameters`; (n,) each.
+
+        Raises
+        ------
+        InputError
+            If the actuators are not known.
+        """
+        where, own = "force_controller: actuator", list((rig or RigAxes.whole(axes)).places)
+        known = {
+            name: per_axis(section[f"actuator.{name}"], axes, f"{where}.{name}")[own]
+            for name in (*ACTUATOR, "valve_frequency", "valve_damping", "dead_time")
+        }
+        for name in ("flow_gain", "oil_stiffness", "valve_frequency", "valve_damping"):
+            if not known[name].all():
+                raise InputError(
+                    f"{where}.{name} is not known, which velocity_feedforward needs: find it with "
+                    "seft identify CONFIG, and give its model.yaml with --params-file"
+                )
+        capacity = known["force_capacity"]
+        known["force_capacity"] = np.where(capacity > 0.0, capacity, np.inf)
+        return known
+
     @classmethod
     def from_parameters(
         cls,
@@ -297,22 +323,10 @@ class VelocityFeedforward:
             If the actuators are not known, or the horizon is too short for the valves.
         """
         own, dt = list((rig or RigAxes.whole(axes)).places), timebase.dt
-        where = "force_controller: actuator"
-        known = {
-            name: per_axis(section[f"actuator.{name}"], axes, f"{where}.{name}")[own]
-            for name in (*ACTUATOR, "valve_frequency", "valve_damping", "dead_time")
-        }
-        for name in ("flow_gain", "oil_stiffness", "valve_frequency", "valve_damping"):
-            if not known[name].all():
-                raise InputError(
-                    f"{where}.{name} is not known, which velocity_feedforward needs: find it with "
-                    "seft identify CONFIG, and give its model.yaml with --params-file"
-                )
-        capacity = known["force_capacity"]
-        known["force_capacity"] = np.where(capacity > 0.0, capacity, np.inf)
+        known = cls.told(section, axes, rig)
         valves = [
-            ValveModel(*values, dt)
-            for values in zip(
+            ValveModel(frequency, damping, dead_time, dt)
+            for frequency, damping, dead_time in zip(
                 *(known[name] for name in ("valve_frequency", "valve_damping", "dead_time")),
                 strict=True,
             )

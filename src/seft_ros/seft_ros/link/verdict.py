@@ -81,7 +81,7 @@ def allowed(experiment: Experiment, loop_delay: int) -> Allowed:
     planned = float(experiment["reference_force"]["mass_ratio"])
     try:
         plan = Plan(with_loop_delay(experiment, loop_delay))
-        growing = plan.loop().growth_rate() > NEUTRAL
+        growing = plan.growth_rate() > NEUTRAL
         critical = critical_mass_ratio(plan)
     except InputError as error:
         return Allowed(planned, None, growing=False, unknown=str(error))

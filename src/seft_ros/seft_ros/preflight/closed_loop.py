@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import eig
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from seft_ros.force_controller.force_control import LinearControl
@@ -12,7 +13,6 @@ from seft_ros.reference_force.compensation.linear_filter import LinearFilter
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
-Matrices = tuple[Floats, Floats, Floats, Floats]
 
 LARGE = 60
 """States from which on it pays to take a loop apart."""
@@ -47,9 +47,12 @@ class ClosedLoop:
         """
         if len(self.matrix) < LARGE:
             return np.linalg.eigvals(self.matrix).astype(np.complex128)
-        count, block = connected_components(self.matrix != 0, connection="strong")
-        members = [np.flatnonzero(block == index) for index in range(count)]
-        found = [np.linalg.eigvals(self.matrix[np.ix_(part, part)]) for part in members]
+        _, block = connected_components(csr_array(self.matrix), connection="strong")
+        sizes = np.bincount(block)
+        found = [np.diag(self.matrix)[sizes[block] == 1]]
+        for index in np.flatnonzero(sizes > 1):
+            part = np.flatnonzero(block == index)
+            found.append(np.linalg.eigvals(self.matrix[np.ix_(part, part)]))
         return np.concatenate(found).astype(np.complex128)
 
     def dominant(self) -> complex:
@@ -96,68 +99,39 @@ def closed_loop(
 ) -> ClosedLoop:
     """Close the loop as the blocks run it.
 
-    Sample k, y = (x, v, a, f), gives f_r = c s + d y + e g, the controller makes the drive u of
-    f_r and y, and u acts on the rig from sample k+1 on. The states are the rig's, the
-    compensation's s and the controller's.
+    Sample k, y = (x, v, a, f), gives p = c s + d y + e g, the controller makes the drive u of
+    p and y, and u acts on the rig from sample k+1 on. The states are the rig's, the
+    compensation's s and the controller's. p is the reference force, or what else the
+    compensation tells the controller.
 
     Parameters
     ----------
     rig : tuple of ndarray
         a, b, c from the drive to y, see `LoopRig.sampled`.
     compensation : LinearFilter
-        From y and g to f_r.
+        From y and g to p.
     control : LinearControl
-        From f_r and y to u.
+        From p and y to u.
     dt : float
         Sampling period, s.
     """
-    _, b, c = rig
-    n = compensation.axes
-    matrix = loop_matrix(
-        rig, (compensation.a, compensation.b, compensation.c, compensation.d), control
-    )
-    by_ground = compensation.e
-    ground = np.vstack(
-        [b @ control.d[:, :n] @ by_ground, compensation.h, control.b[:, :n] @ by_ground]
-    )
-    displacement = np.pad(c[:n], ((0, 0), (0, len(matrix) - len(b))))
-    return ClosedLoop(matrix, ground, displacement, dt)
-
-
-def loop_matrix(
-    rig: tuple[Floats, Floats, Floats], compensation: Matrices, control: LinearControl
-) -> Floats:
-    """Matrix of `closed_loop`; stacks of rigs and of compensations give a stack of matrices.
-
-    Parameters
-    ----------
-    rig : tuple of ndarray
-        a, b, c, see `closed_loop`; shapes (..., r, r) and so on.
-    compensation : tuple of ndarray
-        a, b, c, d of a `LinearFilter`; shapes (..., s, s) and so on.
-    control : LinearControl
-        See `closed_loop`.
-
-    Returns
-    -------
-    ndarray
-        Shape (..., N, N).
-    """
     a, b, c = rig
-    filter_a, filter_b, filter_c, filter_d = compensation
-    n = filter_d.shape[-2]
-    by_force, by_state = control.b[:, :n], control.b[:, n:]
-    driven_by_force, driven_by_state = b @ control.d[:, :n], b @ control.d[:, n:]
-    asked = filter_d @ c
-    first, second = a.shape[-1], a.shape[-1] + filter_a.shape[-1]
-    size = second + len(control.a)
-    matrix = np.zeros((*asked.shape[:-2], size, size))
-    matrix[..., :first, :first] = a + driven_by_force @ asked + driven_by_state @ c
-    matrix[..., :first, first:second] = driven_by_force @ filter_c
-    matrix[..., :first, second:] = b @ control.c
-    matrix[..., first:second, :first] = filter_b @ c
-    matrix[..., first:second, first:second] = filter_a
-    matrix[..., second:, :first] = by_force @ asked + by_state @ c
-    matrix[..., second:, first:second] = by_force @ filter_c
-    matrix[..., second:, second:] = control.a
-    return matrix
+    told, axes = len(compensation.d), b.shape[1]
+    by_told, by_state = control.b[:, :told], control.b[:, told:] @ c
+    driven_by_told, driven_by_state = b @ control.d[:, :told], b @ control.d[:, told:] @ c
+    asked = compensation.d @ c
+    none = np.zeros((len(compensation.a), len(control.a)))
+    matrix = np.block(
+        [
+            [
+                a + driven_by_told @ asked + driven_by_state,
+                driven_by_told @ compensation.c,
+                b @ control.c,
+            ],
+            [compensation.b @ c, compensation.a, none],
+            [by_told @ asked + by_state, by_told @ compensation.c, control.a],
+        ]
+    )
+    ground = np.vstack([driven_by_told @ compensation.e, compensation.h, by_told @ compensation.e])
+    displacement = np.pad(c[:axes], ((0, 0), (0, len(matrix) - len(b))))
+    return ClosedLoop(matrix, ground, displacement, dt)

@@ -7,13 +7,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator
 from scipy.ndimage import distance_transform_edt
 
 from seft_ros.drawing.style import TEXT
 from seft_ros.preflight.plan import Plan
 from seft_ros.preflight.result import Preflight
-from seft_ros.preflight.search import NEUTRAL
 from seft_ros.preflight.stability_map import StabilityMap
 
 Floats = npt.NDArray[np.float64]
@@ -27,13 +25,15 @@ _COLOURS = (
     "#8fb8d8", "#abcae2", "#c6dbec", "#dceaf4", "#eef5fa",
     "#fbe6de", "#f6cbbb", "#efac96", "#e58a70", "#d6684f",
 )  # fmt: skip
+_PANELS = (
+    ("against dead time, the method not told", "dead time of the actuator's path / ms", 1e3),
+    ("against local stiffness, the method not told", "local stiffness / told stiffness", 1.0),
+)
 _PLAN = {"stable": "#2e7d32", "marginal": "#e08a00", "unstable": "#b00020"}
 
 
-def preflight_figure(
-    plan: Plan, found: Preflight, maps: tuple[StabilityMap, StabilityMap]
-) -> Figure:
-    """Draw the growth rate over mass ratio and dead time, and over mass ratio and model error.
+def preflight_figure(plan: Plan, found: Preflight, maps: list[StabilityMap]) -> Figure:
+    """Draw the growth rate over mass ratio and dead time, and over mass ratio and stiffness.
 
     Parameters
     ----------
@@ -41,31 +41,20 @@ def preflight_figure(
         The test.
     found : Preflight
         Its preflight.
-    maps : tuple of StabilityMap
+    maps : list of StabilityMap
         Of `seft_ros.preflight.stability_map.stability_maps`.
     """
-    figure = Figure(figsize=(12.0, 5.6), layout="constrained")
+    figure = Figure(figsize=(6.0 * len(maps), 5.6), layout="constrained")
     FigureCanvasAgg(figure)
-    left, right = figure.subplots(1, 2)
-    delays, model = maps
+    panels = figure.subplots(1, len(maps), squeeze=False)[0]
     norm = BoundaryNorm(LEVELS, len(_COLOURS), extend="both")
     colours = ListedColormap(_COLOURS)
-    verdict = found.verdict
-    _draw(left, delays, 1e3, norm, colours, verdict)
-    _draw(right, model, 1.0, norm, colours, verdict)
-    left.set_title("against dead time, the method not told", loc="left", fontsize=11, color=TEXT)
-    left.set_ylabel("dead time of the actuator's path / ms", color=TEXT)
-    used = "" if _matters(model) else ": the method does not use the model"
-    right.set_title(f"against model error{used}", loc="left", fontsize=11, color=TEXT)
-    right.set_ylabel("model stiffness / true stiffness", color=TEXT)
-    right.set_yscale("log")
-    low, high = model.others[[0, -1]]
-    ticks = [t for t in (0.1, 0.2, 0.5, 0.7, 0.8, 1.0, 1.25, 1.5, 2.0, 5.0) if low <= t <= high]
-    right.yaxis.set_major_locator(FixedLocator(ticks))
-    right.yaxis.set_minor_locator(FixedLocator([]))
-    right.yaxis.set_major_formatter("{x:g}")
+    for axes, area, (title, label, scale) in zip(panels, maps, _PANELS, strict=False):
+        _draw(axes, area, scale, found.verdict)
+        axes.set_title(title, loc="left", fontsize=11, color=TEXT)
+        axes.set_ylabel(label, color=TEXT)
     bar = figure.colorbar(
-        ScalarMappable(norm, colours), ax=[left, right], pad=0.01, aspect=32, spacing="uniform"
+        ScalarMappable(norm, colours), ax=panels.tolist(), pad=0.01, aspect=32, spacing="uniform"
     )
     bar.set_ticks(list(LEVELS), labels=[f"{level:g}" for level in LEVELS])
     bar.set_label("growth rate of the slowest mode / (1/s)", color=TEXT)
@@ -75,10 +64,7 @@ def preflight_figure(
     return figure
 
 
-def _draw(
-    axes: Axes, area: StabilityMap, scale: float, norm: BoundaryNorm, colours: ListedColormap,
-    verdict: str,
-) -> None:  # fmt: skip
+def _draw(axes: Axes, area: StabilityMap, scale: float, verdict: str) -> None:
     x, y = area.mass_ratios, scale * area.others
     # interpolated on a scale on which it is nearly straight across the critical line
     bent, levels = np.arcsinh(area.growth), np.arcsinh(LEVELS)
@@ -106,10 +92,6 @@ def _draw(
     axes.set_xlabel("mass ratio $\\alpha$", color=TEXT)
     axes.tick_params(colors=TEXT, labelsize=9)
     axes.spines[["top", "right"]].set_visible(False)
-
-
-def _matters(area: StabilityMap) -> bool:
-    return bool(np.ptp(area.growth, axis=0).max() > NEUTRAL)
 
 
 def _name_region(axes: Axes, name: str, area: StabilityMap, y: Floats, inside: Bools) -> None:

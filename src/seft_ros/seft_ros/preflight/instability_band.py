@@ -29,12 +29,11 @@ def instability_band(plan: Plan) -> tuple[float, float] | None:
         Lowest and highest frequency, Hz, up to Nyquist's; None if it stays stable as far as was
         looked, or what grows does not oscillate.
     """
-    loop = plan.loop()
-    stable = loop.growth_rate() <= NEUTRAL
+    stable = plan.growth_rate() <= NEUTRAL
     ends = [highest_gain(plan), critical_dead_time(plan)] if stable else [critical_dead_time(plan)]
     found = [end.hz for end in ends if end is not None]
     if not stable:
-        found.append(abs(cmath.phase(loop.dominant())) / math.tau / plan.dt)
+        found.append(abs(cmath.phase(plan.worst())) / math.tau / plan.dt)
     oscillating = [hz for hz in found if hz > 0]
     if not oscillating:
         return None

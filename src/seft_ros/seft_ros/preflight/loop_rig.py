@@ -1,17 +1,21 @@
 """The rig as the loop of a test sees it: linear, from its drive to all that is measured."""
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.experiment import Experiment
-from seft_plant_sim.continuous_model import Drive
+from seft_plant_sim.actuator import servo_hydraulic
+from seft_plant_sim.continuous_model import ContinuousModel, Drive
+from seft_plant_sim.hydraulics import Hydraulics
 from seft_plant_sim.rig import continuous_model
 from seft_plant_sim.specimen import Specimen
 from seft_plant_sim.whole_structure import tested_specimen
 
+from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
+from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 from seft_ros.loop_shaping.plant import Plant, choose_plant
 from seft_ros.loop_shaping.sampling import SampledPlant
 from seft_ros.loop_shaping.source import Source
@@ -36,6 +40,8 @@ class LoopRig:
         velocity is measured.
     small_signal : bool
         Whether the rig is not linear and this is its limit for small motions.
+    swept : bool
+        Whether the specimen in it can be another: what is identified as a whole has one.
     """
 
     plant: Plant
@@ -43,6 +49,7 @@ class LoopRig:
     specimen: Specimen
     velocity_cutoff: float | None = None
     small_signal: bool = False
+    swept: bool = False
 
     def sampled(
         self, dt: float, dead_time: float, gain: float = 1.0
@@ -78,7 +85,9 @@ class LoopRig:
         return a, b, c
 
 
-def choose_rig(experiment: Experiment, source: Source = Source.AUTO) -> LoopRig:
+def choose_rig(
+    experiment: Experiment, source: Source = Source.AUTO, stiffness: float = 1.0
+) -> LoopRig:
     """Rig that an experiment describes.
 
     Parameters
@@ -87,8 +96,12 @@ def choose_rig(experiment: Experiment, source: Source = Source.AUTO) -> LoopRig:
         Its sections `rig`, `force_controller` and `reference_force`.
     source : str
         ``rig``: the simulated one; ``identified``: `force_controller: plant.*` for the force, and
-        the specimen for the motion that follows from it; ``auto``: the identified plant where the
-        experiment gives one and the rig has a valve, else the rig.
+        the specimen for the motion that follows from it, or `force_controller: actuator.*` with
+        the specimen, if the controller is `velocity_feedforward`; ``auto``: the identified plant
+        where the experiment gives one and the rig has a valve, else the rig. Beside
+        `velocity_feedforward` it is the rig where that is simulated.
+    stiffness : float
+        Factor on the specimen's stiffness, the actuators being the same.
 
     Raises
     ------
@@ -97,8 +110,11 @@ def choose_rig(experiment: Experiment, source: Source = Source.AUTO) -> LoopRig:
     """
     section = experiment.sections.get("rig")
     ideal = section is not None and section["actuator.kind"] in ("ideal", "delay")
-    if section is not None and (source == "rig" or (source == "auto" and ideal)):
-        return _simulated(section, experiment)
+    by_motion = experiment["force_controller"].get("method") == VELOCITY_FEEDFORWARD
+    if section is not None and (source == "rig" or (source == "auto" and (ideal or by_motion))):
+        return _simulated(section, experiment, stiffness)
+    if by_motion:
+        return _told(experiment, stiffness)
     if section is None and not np.any(experiment["force_controller"]["plant.numerator"]):
         raise InputError(
             "force_controller: plant.numerator is not given and the rig is not simulated here, so "
@@ -106,22 +122,44 @@ def choose_rig(experiment: Experiment, source: Source = Source.AUTO) -> LoopRig:
         )
     plant = choose_plant(experiment, Source.IDENTIFIED if section is None else source)
     if plant.source == "rig" and section is not None:
-        return _simulated(section, experiment)
+        return _simulated(section, experiment, stiffness)
     specimen = tested_specimen(experiment)
     return LoopRig(_with_specimen(plant, specimen), "valve_command", specimen)
 
 
-def _simulated(section: dict[str, Any], experiment: Experiment) -> LoopRig:
-    model = continuous_model(section, experiment.axes)
-    plant = Plant("rig", model.a, model.b, model.c, model.d, model.delay).without_idle_states()
+def _simulated(section: dict[str, Any], experiment: Experiment, stiffness: float) -> LoopRig:
+    model = continuous_model(section, experiment.axes, stiffness=stiffness)
     derived = section["sensors.velocity"] == "derived"
     return LoopRig(
-        plant,
+        _plant("rig", model),
         model.drive,
         tested_specimen(experiment),
         section["sensors.velocity_cutoff"] if derived else None,
         not model.is_linear,
+        True,
     )
+
+
+def _told(experiment: Experiment, stiffness: float) -> LoopRig:
+    """Rig of the actuators that `velocity_feedforward` is told, and the specimen."""
+    section, axes = experiment["force_controller"], experiment.axes
+    told = VelocityFeedforward.told(section, axes)
+    specimen, n = tested_specimen(experiment), len(axes)
+    hydraulics = Hydraulics(
+        opening_limit=np.full(n, np.inf),
+        friction=np.zeros(n),
+        friction_velocity=np.ones(n),
+        viscous_friction=np.zeros(n),
+        stroke=np.full(n, np.inf),
+        **told | {"dead_time": float(told["dead_time"].max())},  # type: ignore[arg-type]
+    )
+    swept = replace(specimen, stiffness=stiffness * specimen.stiffness)
+    model = servo_hydraulic(swept, hydraulics, linear=True)
+    return LoopRig(_plant("identified", model), model.drive, specimen, swept=True)
+
+
+def _plant(source: Literal["rig", "identified"], model: ContinuousModel) -> Plant:
+    return Plant(source, model.a, model.b, model.c, model.d, model.delay).without_idle_states()
 
 
 def _with_specimen(plant: Plant, specimen: Specimen) -> Plant:

@@ -12,7 +12,6 @@ from seft_msgs_py.errors import InputError
 from seft_ros.loop_shaping.sampling import MAX_DELAY_STEPS
 from seft_ros.preflight.plan import Plan
 from seft_ros.preflight.search import NEUTRAL, stability_change
-from seft_ros.preflight.spreading import spread, time_of_one
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -20,10 +19,10 @@ Progress = Callable[[str, int, int], None]
 HIGHEST_MASS_RATIO = 50.0
 LONGEST_DELAY = 0.1
 """Dead time up to which more of it is tried, s: several times that of any test rig."""
-GROWTHS = 50
-"""About as many growth rates does a margin take."""
 FACTORS: Floats = np.geomspace(1.0, 10.0, 17)
-"""Factors by which stiffness and gain are tried, either way."""
+"""Factors by which the gain is tried, either way."""
+STIFFEST = 3.0
+"""Local stiffness over the told one up to which it is tried: a specimen that sticks or hardens."""
 
 
 @dataclass(frozen=True)
@@ -88,9 +87,16 @@ class Margins:
         the plan up where the plan is stable, else from the plan down (0: unstable with none).
     gain : Range or None
         Factor on what the drive does; None where the plan is unstable.
+    sure_dead_time : Critical or None
+        Dead time up to which the test is stable whatever a controller that follows the valves
+        takes them for, within its bounds. None where it does not, or no end was found.
+    sure_gain : Range or None
+        Likewise.
     stiffness : Range or None
-        Stiffness that the method is told over the true one. None where the plan is unstable, or
-        the method does not use it; likewise:
+        Local stiffness of the specimen over the one that the method is told. None where the plan
+        is unstable, or the plant is identified as a whole.
+    followed : Range or None
+        Likewise, if the method has followed it. None where it does not; likewise:
     told_delay : Range or None
         Delay that the method is told, less the planned one, s.
     """
@@ -98,7 +104,10 @@ class Margins:
     mass_ratio: Critical | None
     dead_time: Critical | None
     gain: Range | None
+    sure_dead_time: Critical | None
+    sure_gain: Range | None
     stiffness: Range | None
+    followed: Range | None
     told_delay: Range | None
 
 
@@ -117,20 +126,26 @@ def find_margins(plan: Plan, progress: Progress | None = None) -> Margins:
     InputError
         If the method can't be made for the plan.
     """
-    stable = plan.loop().growth_rate() <= NEUTRAL
-    names = [name for name, (_, of_unstable) in _SEARCHES.items() if stable or of_unstable]
-    expected = GROWTHS * len(names) * time_of_one(plan)
-    found: dict[str, Any] = dict.fromkeys(_SEARCHES)
-    for done, margin in enumerate(spread(plan, _margin, names, expected)):
-        found[names[done]] = margin
+    searches: dict[str, Callable[[Plan], Any]] = {
+        "mass_ratio": critical_mass_ratio,
+        "dead_time": critical_dead_time,
+    }
+    ranges: dict[str, Callable[[Plan], Any]] = {
+        "gain": gain_range,
+        "sure_dead_time": sure_dead_time,
+        "sure_gain": sure_gain,
+        "stiffness": stiffness_range,
+        "followed": followed_range,
+        "told_delay": told_delay_range,
+    }
+    found: dict[str, Any] = dict.fromkeys(ranges)
+    if plan.growth_rate() <= NEUTRAL:
+        searches |= ranges
+    for done, (name, search) in enumerate(searches.items()):
+        found[name] = search(plan)
         if progress is not None:
-            progress("margins", done + 1, len(names))
+            progress("margins", done + 1, len(searches))
     return Margins(**found)
-
-
-def _margin(plan: Plan, name: str) -> Critical | Range | None:
-    search, _ = _SEARCHES[name]
-    return search(plan)
 
 
 def critical_mass_ratio(plan: Plan) -> Critical | None:
@@ -138,14 +153,14 @@ def critical_mass_ratio(plan: Plan) -> Critical | None:
     tried = np.geomspace(0.01, HIGHEST_MASS_RATIO, 36)
     own = plan.mass_ratio * np.array([1.0, 1.1, 1.2])
     points = np.union1d(tried, own[(own > tried[0]) & (own < tried[-1])])
-    if plan.loop(mass_ratio=points[0]).growth_rate() > NEUTRAL:
+    if plan.growth_rate(mass_ratio=points[0]) > NEUTRAL:
         return _critical(plan, "mass_ratio", points[0], 0.0)
     return _end(plan, "mass_ratio", points)
 
 
 def critical_dead_time(plan: Plan) -> Critical | None:
     """Find the dead time at which the test turns unstable, or stable again, see `Margins`."""
-    if plan.loop().growth_rate() <= NEUTRAL:
+    if plan.growth_rate() <= NEUTRAL:
         return _end(plan, "dead_time", plan.dead_time + added_delays(plan))
     less = np.linspace(plan.dead_time, 0.0, 1 + max(8, int(2 * plan.dead_time / plan.dt)))
     return _end(plan, "dead_time", less) or _critical(plan, "dead_time", 0.0, 0.0)
@@ -161,39 +176,47 @@ def gain_range(plan: Plan) -> Range:
     return _range(plan, "gain", 1.0, FACTORS, 1.0 / FACTORS)
 
 
-def stiffness_range(plan: Plan) -> Range | None:
-    """Find the model stiffness over the true one within which the test is stable."""
-    if not _uses(plan, "stiffness", (1.1,)):
+def sure_dead_time(plan: Plan) -> Critical | None:
+    """Find the dead time up to which it is stable with all that is believed of the valves."""
+    if not plan.follows_valves:
         return None
-    found = _range(plan, "stiffness", 1.0, FACTORS, 1.0 / FACTORS)
-    return found.scaled(planned_stiffness(plan))
+    if plan.growth_rate(any_valve=True) > NEUTRAL:
+        return _critical(plan, "dead_time", plan.dead_time, plan.dead_time, any_valve=True)
+    return _end(plan, "dead_time", plan.dead_time + added_delays(plan), any_valve=True)
+
+
+def sure_gain(plan: Plan) -> Range | None:
+    """Find the factor on the drive within which it is, likewise."""
+    if not plan.follows_valves:
+        return None
+    return _range(plan, "gain", 1.0, FACTORS, 1.0 / FACTORS, any_valve=True)
+
+
+def stiffness_range(plan: Plan) -> Range | None:
+    """Find the local stiffness over the told one within which the test is stable."""
+    return _local_stiffness(plan, followed=False)
+
+
+def followed_range(plan: Plan) -> Range | None:
+    """Find the same for a method that has followed the local stiffness."""
+    return _local_stiffness(plan, followed=True) if plan.follows else None
 
 
 def told_delay_range(plan: Plan) -> Range | None:
-    """Find the error of the delays that the method is told within which the test is stable."""
-    if not _uses(plan, "told_delay", (0.1 * plan.dt, -0.1 * plan.dt)):
+    """Find the error of the delay that the method is told within which the test is stable."""
+    if not _uses_delay(plan):
         return None
-    told = max(plan.section["compensation.delay"], plan.section["tracking.dead_time"])
-    less = np.linspace(0.0, -told, 17)[:-1]
-    return _range(plan, "told_delay", 0.0, added_delays(plan), less)
+    less = np.linspace(0.0, -plan.section["compensation.delay"], 17)[:-1]
+    up, down = (_possible(plan, part.tolist()) for part in (added_delays(plan), less))
+    return _range(plan, "told_delay", 0.0, np.array(up), np.array(down))
 
 
-_SEARCHES: dict[str, tuple[Callable[[Plan], Critical | Range | None], bool]] = {
-    "mass_ratio": (critical_mass_ratio, True),
-    "dead_time": (critical_dead_time, True),
-    "gain": (gain_range, False),
-    "stiffness": (stiffness_range, False),
-    "told_delay": (told_delay_range, False),
-}
-"""How each margin is found, and whether an unstable plan has it, too."""
-
-
-def planned_stiffness(plan: Plan) -> float:
-    """Give the model's stiffness over the true one; over several axes the mean of the diagonal."""
+def local_stiffness(plan: Plan) -> float:
+    """Give the specimen's stiffness over the told one; over several axes the diagonals' sums'."""
     model = symmetric_matrix(
         plan.section["model.stiffness"], plan.axes, "reference_force: model.stiffness"
     )
-    return float(np.trace(model) / np.trace(plan.rig.specimen.stiffness))
+    return float(np.trace(plan.rig.specimen.stiffness) / np.trace(model))
 
 
 def added_delays(plan: Plan) -> Floats:
@@ -204,40 +227,51 @@ def added_delays(plan: Plan) -> Floats:
     return np.concatenate([[0.0], np.geomspace(min(plan.dt / 8, longest / 2), longest, 28)])
 
 
-def _uses(plan: Plan, name: str, values: Sequence[float]) -> bool:
-    """Tell whether the filter changes with what a method is told."""
+def _local_stiffness(plan: Plan, followed: bool) -> Range | None:
+    """Sweep it from 0 to `STIFFEST` times the told one."""
+    if not plan.rig.swept:
+        return None
+    own = local_stiffness(plan)
+    up, down = np.linspace(own, max(STIFFEST, own), 17), np.linspace(own, 0.0, 17)
+    found = _range(plan, "stiffness", 1.0, up / own, down / own, followed=followed)
+    return found.scaled(own)
+
+
+def _uses_delay(plan: Plan) -> bool:
+    """Tell whether the filter changes with the delay that a method is told."""
     before = plan.compensation()
     return any(
-        not np.array_equal(getattr(before, part), getattr(plan.compensation(**{name: value}), part))
-        for value in _possible(plan, name, values)
+        not np.array_equal(getattr(before, part), getattr(plan.compensation(told_delay=v), part))
+        for v in _possible(plan, (0.1 * plan.dt, -0.1 * plan.dt))
         for part in ("a", "b", "c", "d")
     )
 
 
-def _possible(plan: Plan, name: str, values: Sequence[float]) -> list[float]:
+def _possible(plan: Plan, delays: Sequence[float]) -> list[float]:
     """Leave out, from the first on, what the method refuses to be told."""
     made = []
-    for value in values:
+    for delay in delays:
         try:
-            plan.compensation(**{name: value})
+            plan.compensation(told_delay=delay)
         except InputError:
             break
-        made.append(value)
+        made.append(delay)
     return made
 
 
-def _range(plan: Plan, name: str, planned: float, up: Floats, down: Floats) -> Range:
-    if name in ("stiffness", "told_delay"):
-        up, down = (np.array(_possible(plan, name, part.tolist())) for part in (up, down))
+def _range(plan: Plan, name: str, planned: float, up: Floats, down: Floats, **fixed: Any) -> Range:
     searched = float(down[-1]), float(up[-1])
-    return Range(planned, _end(plan, name, down), _end(plan, name, up), searched)
+    low, high = (_end(plan, name, points, **fixed) for points in (down, up))
+    return Range(planned, low, high, searched)
 
 
-def _end(plan: Plan, name: str, points: Floats) -> Critical | None:
-    value = stability_change(lambda x: plan.loop(**{name: x}).growth_rate(), points.tolist())
-    return None if value is None else _critical(plan, name, value, value)
+def _end(plan: Plan, name: str, points: Floats, **fixed: Any) -> Critical | None:
+    value = stability_change(
+        lambda x: plan.growth_rate(**{name: float(x)}, **fixed), points.tolist()
+    )
+    return None if value is None else _critical(plan, name, value, value, **fixed)
 
 
-def _critical(plan: Plan, name: str, place: float, value: float) -> Critical:
-    z = plan.loop(**{name: place}).dominant()
+def _critical(plan: Plan, name: str, place: float, value: float, **fixed: Any) -> Critical:
+    z = plan.worst(**{name: float(place)}, **fixed)
     return Critical(float(value), float(np.angle(z)) / (2 * np.pi * plan.dt))

@@ -52,7 +52,7 @@ def predicted_modes(plan: Plan) -> list[Mode]:
     In place of a mode stands the eigenvalue of the loop, near it in frequency, through which
     the ground motion moves the mode's shape most: the residue over the distance from the unit
     circle; none stands for two. Overdamped modes, and those that the loop does not show, are
-    left out.
+    left out. Of a method that follows the specimen it is the loop with the force as measured.
     """
     whole = WholeStructure.of_test(plan.rig.specimen, plan.section, plan.axes).structure
     n = len(plan.axes)
@@ -60,7 +60,7 @@ def predicted_modes(plan: Plan) -> list[Mode]:
     exact = _upper(np.linalg.eigvals(whole.state_matrices()[0]).astype(np.complex128))
     if len(exact) < whole.axes:  # then shapes can't be matched by order
         return []
-    z, residues = plan.loop().modes()
+    z, residues = plan.loops()[-1].modes()
     upper = (z.imag > 0) & (np.abs(z) > 0.1)
     z, residues = z[upper], residues[upper]
     s = np.log(z) / plan.dt

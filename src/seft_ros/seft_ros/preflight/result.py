@@ -20,8 +20,12 @@ IDENTIFIED = (
 ADAPTIVE = (
     "The method adapts: this holds for the filter as it is at the start, and as long as its "
     "estimates stay near. It does not promise that the estimates stay there, nor that the test "
-    "is stable while they move; the margins against wrong stiffness and delay are those without "
-    "adaptation."
+    "is stable while they move."
+)
+FOLLOWS = (
+    "The method follows the specimen: all numbers are the worse of the loop as it starts, and of "
+    "the loop with the restoring force as measured. What happens while an estimate moves is not "
+    "in them."
 )
 
 
@@ -42,9 +46,9 @@ class Preflight:
     modes : list of Mode
         Of the whole structure as the test will show them, lowest first.
     dominant : complex
-        Eigenvalue of the loop that dies out last.
+        Eigenvalue that dies out last or grows fastest.
     states : int
-        States of the loop.
+        States of the loop, or loops.
     """
 
     verdict: Verdict
@@ -67,7 +71,6 @@ def preflight(plan: Plan, progress: Callable[[str, int, int], None] | None = Non
     progress : callable, optional
         See `seft_ros.preflight.margins.find_margins`.
     """
-    loop = plan.loop()
     margins = find_margins(plan, progress)
     verdict, reasons = judge(plan, margins)
     return Preflight(
@@ -77,8 +80,8 @@ def preflight(plan: Plan, progress: Callable[[str, int, int], None] | None = Non
         promise(plan),
         margins,
         predicted_modes(plan),
-        loop.dominant(),
-        len(loop.matrix),
+        plan.worst(),
+        sum(len(loop.matrix) for loop in plan.loops()),
     )
 
 
@@ -87,6 +90,8 @@ def promise(plan: Plan) -> str:
     parts = [SMALL_SIGNAL if plan.rig.small_signal else LINEAR]
     if plan.rig.plant.source == "identified":
         parts = [IDENTIFIED]
-    if plan.compensator().estimates():
+    if plan.follows:
+        parts.append(FOLLOWS)
+    elif plan.compensator().estimates():
         parts.append(ADAPTIVE)
     return " ".join(parts)

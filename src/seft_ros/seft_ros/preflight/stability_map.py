@@ -1,30 +1,25 @@
-"""Growth of a test over mass ratio and delay, and over mass ratio and model error."""
+"""Growth of a test over mass ratio and dead time, and over mass ratio and local stiffness."""
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import batched, groupby
 
 import numpy as np
 import numpy.typing as npt
 
-from seft_ros.preflight.filter_grid import filters_over
-from seft_ros.preflight.growth_rates import growth_rates
 from seft_ros.preflight.margins import (
+    STIFFEST,
     Margins,
     Progress,
     added_delays,
-    planned_stiffness,
+    local_stiffness,
 )
 from seft_ros.preflight.plan import Plan
 
 Floats = npt.NDArray[np.float64]
 
-PATIENCE = 60.0
-"""Time of a processor that the maps may take, s; they get coarser where a loop is large."""
-FINEST, COARSEST = 100, 15
-ROWS = 20
-"""Of a map that are calculated together: more of them take more memory."""
+PATIENCE = 6.0
+"""Time that the maps may take, s; they get coarser where a loop is large."""
+FINEST, COARSEST = 40, 10
 
 
 @dataclass(frozen=True)
@@ -49,7 +44,7 @@ class StabilityMap:
 
 def stability_maps(
     plan: Plan, margins: Margins, progress: Progress | None = None
-) -> tuple[StabilityMap, StabilityMap]:
+) -> list[StabilityMap]:
     """Map a plan's growth rate.
 
     Parameters
@@ -63,28 +58,30 @@ def stability_maps(
 
     Returns
     -------
-    tuple of StabilityMap
-        Over the dead time of the actuator's path in s, and over the model's stiffness over the
-        true one.
+    list of StabilityMap
+        Over the dead time of the actuator's path in s, and, unless the plant is identified as a
+        whole, over the specimen's local stiffness over the told one, which the method believes.
     """
-    longest = _longest_dead_time(plan, margins)
-    size = _size(plan, longest)
+    longest, own = _longest_dead_time(plan, margins), local_stiffness(plan)
+    swept = {"dead_time": (0.0, longest, 1.0, plan.dead_time)}
+    if plan.rig.swept:
+        swept["stiffness"] = (0.0, max(STIFFEST, 1.2 * own), own, own)
+    size = _size(plan, longest, len(swept))
     mass_ratios = np.linspace(0.0, _highest_mass_ratio(plan, margins), size)
-    dead_times = np.linspace(0.0, longest, size)
-    true = planned_stiffness(plan)
-    factors = np.geomspace(min(0.5, true / 2), max(2.0, 2 * true), size)
+    maps = []
+    for done, (name, (low, high, unit, planned)) in enumerate(swept.items()):
+        others, rows = np.linspace(low, high, size), []
+        for value in others / unit:
+            rows.append(growth_rates(plan, mass_ratios, {name: float(value)}))
+            if progress is not None:
+                progress("map", done * size + len(rows), len(swept) * size)
+        maps.append(StabilityMap(mass_ratios, others, np.array(rows), (plan.mass_ratio, planned)))
+    return maps
 
-    def told(rows: int) -> None:
-        if progress is not None:
-            progress("map", rows, 2 * size)
 
-    by_dead_time = over_dead_time(plan, mass_ratios, dead_times, told)
-    by_stiffness = over_stiffness(plan, mass_ratios, factors / true)
-    told(2 * size)
-    return (
-        StabilityMap(mass_ratios, dead_times, by_dead_time, (plan.mass_ratio, plan.dead_time)),
-        StabilityMap(mass_ratios, factors, by_stiffness, (plan.mass_ratio, true)),
-    )
+def growth_rates(plan: Plan, mass_ratios: Floats, changes: dict[str, float]) -> Floats:
+    """Growth rates at some mass ratios, see `Plan.loops`; shape (p,), 1/s."""
+    return np.array([plan.growth_rate(mass_ratio=float(ratio), **changes) for ratio in mass_ratios])
 
 
 def _highest_mass_ratio(plan: Plan, margins: Margins) -> float:
@@ -99,40 +96,9 @@ def _longest_dead_time(plan: Plan, margins: Margins) -> float:
     return min(longest, plan.dead_time + float(added_delays(plan)[-1]))
 
 
-def over_dead_time(
-    plan: Plan, mass_ratios: Floats, dead_times: Floats, told: Callable[[int], None] | None = None
-) -> Floats:
-    """Growth rates in 1/s over mass ratio and dead time of the rig's drive, shape (q, p).
-
-    ``told`` is called with the number of rows that are done.
-    """
-    filters = filters_over(plan, mass_ratios, np.ones(1))
-    rows: list[Floats] = []
-    # every sampling period more of dead time adds a state: rows of one size go together
-    loops = (plan.loop_matrices(filters, float(dead_time))[0] for dead_time in dead_times)
-    for _, alike in groupby(loops, lambda matrices: matrices.shape):
-        for together in batched(alike, ROWS):
-            rows.extend(growth_rates(np.array(together), plan.dt))
-            if told is not None:
-                told(len(rows))
-    return np.array(rows)
-
-
-def over_stiffness(plan: Plan, mass_ratios: Floats, factors: Floats) -> Floats:
-    """Growth rates in 1/s over mass ratio and factor on the model's stiffness, shape (q, p)."""
-    ends = filters_over(plan, mass_ratios[-1:], factors[[0, -1]])
-    if all(np.array_equal(*part) for part in ends):  # the method does not use the stiffness
-        filters = filters_over(plan, mass_ratios, np.ones(1))
-        row = growth_rates(plan.loop_matrices(filters), plan.dt)
-        return np.repeat(row, len(factors), axis=0)
-    filters = filters_over(plan, mass_ratios, factors)
-    return growth_rates(plan.loop_matrices(filters), plan.dt)
-
-
-def _size(plan: Plan, longest: float) -> int:
+def _size(plan: Plan, longest: float, maps: int) -> int:
     """Points along a side of each map: fewer where the loop is large."""
-    loop = plan.loop(dead_time=longest)
     start = time.perf_counter()
-    loop.growth_rate()
+    plan.growth_rate(dead_time=longest)
     each = time.perf_counter() - start
-    return int(np.clip(np.sqrt(PATIENCE / 2 / each), COARSEST, FINEST))
+    return int(np.clip(np.sqrt(PATIENCE / maps / each), COARSEST, FINEST))

@@ -18,7 +18,9 @@ def summarise(plan: Plan, found: Preflight) -> dict[str, Any]:
     unstable, all of it: of an actuator of kind `delay` the delay itself, of a valve that of the
     valve. ``critical_added_delay_s`` is what it is more than planned. None: no end was found as
     far as was looked (``searched``), or, of a whole range, the method does not use the quantity
-    or the plan is unstable.
+    or the plan is unstable. ``local_stiffness`` is the specimen's over the told one, while the
+    method believes the told one, ``local_stiffness_followed`` the same once it has followed it.
+    ``sure_delay_s`` and ``sure_gain`` hold whatever the controller takes the valves for.
     """
     margins = found.margins
     critical, dead_time = margins.mass_ratio, margins.dead_time
@@ -38,7 +40,10 @@ def summarise(plan: Plan, found: Preflight) -> dict[str, Any]:
         "critical_added_delay_s": dead_time.value - plan.dead_time if dead_time else None,
         "delay_crossing_hz": dead_time.hz if dead_time else None,
         "gain": _range(margins.gain),
-        "stiffness": _range(margins.stiffness),
+        "sure_delay_s": _value(margins.sure_dead_time),
+        "sure_gain": _range(margins.sure_gain),
+        "local_stiffness": _range(margins.stiffness),
+        "local_stiffness_followed": _range(margins.followed),
         "told_delay_error_s": _range(margins.told_delay),
         "false_damping_ratio": first.false_damping if first else None,
         "frequency_error": first.frequency_error if first else None,

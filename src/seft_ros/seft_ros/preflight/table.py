@@ -25,18 +25,24 @@ def _margins(plan: Plan, found: Preflight, title: str) -> Table:
         table.add_column(heading, justify="right" if heading else "left", no_wrap=True)
     margins = found.margins
     added = 1e3 * float(added_delays(plan)[-1] + plan.dead_time)
-    for label, planned, end, beyond, scale, unit in (
+    sure = "whatever it takes the valve for"
+    ends = [
         ("mass ratio", plan.mass_ratio, margins.mass_ratio, HIGHEST_MASS_RATIO, 1.0, ""),
         ("actuator's dead time", plan.dead_time, margins.dead_time, added, 1e3, " ms"),
-    ):
+    ]
+    ranges = [("actuator's gain", margins.gain, 1.0, "")]
+    if plan.follows_valves:
+        ends.append((sure, plan.dead_time, margins.sure_dead_time, added, 1e3, " ms"))
+        ranges.append((sure, margins.sure_gain, 1.0, ""))
+    ranges.append(("local stiffness / told", margins.stiffness, 1.0, ""))
+    if plan.follows:
+        ranges.append(("likewise, followed", margins.followed, 1.0, ""))
+    ranges.append(("error of the told delay", margins.told_delay, 1e3, " ms"))
+    for label, planned, end, beyond, scale, unit in ends:
         table.add_row(
             label, f"{scale * planned:.3g}{unit}", *_end(end, f"> {beyond:.3g}", scale, unit)
         )
-    for label, part, scale, unit in (
-        ("actuator's gain", margins.gain, 1.0, ""),
-        ("model stiffness / true", margins.stiffness, 1.0, ""),
-        ("error of the told delay", margins.told_delay, 1e3, " ms"),
-    ):
+    for label, part, scale, unit in ranges:
         if part is None:
             unstable = found.verdict == "unstable"
             table.add_row(label, "", "" if unstable else "not used", "")

@@ -22,7 +22,8 @@ DELAY_RESERVE_STEPS = 1.0
 """Added delay in samples: in pace `realtime` one missed command holds the last for one."""
 
 STIFFNESS_RESERVE = 1.1
-"""Factor on the model's stiffness, either way: as well as a quick identification knows it."""
+"""Factor on the specimen's stiffness, either way: as well as a quick identification knows it. A
+method that follows it is to be stable at any that is tried."""
 
 TOLD_DELAY_RESERVE_STEPS = 0.5
 """Error of the delay that the method is told in samples, either way: half a sample is what is
@@ -39,7 +40,7 @@ def judge(plan: Plan, margins: Margins) -> tuple[Verdict, list[str]]:
     reasons : list of str
         Why it is not ``stable``; empty where it is.
     """
-    if plan.loop().growth_rate() > NEUTRAL:
+    if plan.growth_rate() > NEUTRAL:
         return "unstable", [instability(plan)]
     reasons = list(_thin(plan, margins))
     return ("marginal" if reasons else "stable"), reasons
@@ -53,22 +54,25 @@ def _thin(plan: Plan, margins: Margins) -> Iterator[str]:
             f"the critical mass ratio {critical.value:.3g} is less than {MASS_RATIO_RESERVE:g} "
             f"times the planned {alpha:g}"
         )
-    if margins.dead_time is not None:
-        added = margins.dead_time.value - plan.dead_time
+    dead_time = margins.sure_dead_time or margins.dead_time
+    if dead_time is not None:
+        added = dead_time.value - plan.dead_time
         if added < DELAY_RESERVE_STEPS * plan.dt:
             yield (
                 f"{1e3 * added:.3g} ms of further dead time make it unstable, less than "
                 f"{DELAY_RESERVE_STEPS:g} sample"
             )
     for name, found, reserve in (
-        ("gain of the actuator's path", margins.gain, GAIN_RESERVE),
-        ("model stiffness", margins.stiffness, STIFFNESS_RESERVE),
+        ("gain of the actuator's path", margins.sure_gain or margins.gain, GAIN_RESERVE),
+        ("local stiffness", margins.stiffness, STIFFNESS_RESERVE),
     ):
         if found is None:
             continue
         for factor in (end.value / found.planned for end in found.ends()):
             if 1 / reserve < factor < reserve:
                 yield f"{factor:.3g} times the {name} makes it unstable"
+    for end in margins.followed.ends() if margins.followed else ():
+        yield f"a local stiffness of {end.value:.3g} times the told one makes it unstable"
     for end in margins.told_delay.ends() if margins.told_delay else ():
         if abs(end.value) < TOLD_DELAY_RESERVE_STEPS * plan.dt:
             yield (
@@ -79,6 +83,5 @@ def _thin(plan: Plan, margins: Margins) -> Iterator[str]:
 
 def instability(plan: Plan) -> str:
     """Say in a few words how an unstable plan grows."""
-    loop = plan.loop()
-    hz = cmath.phase(loop.dominant()) / (2 * cmath.pi * loop.dt)
-    return f"oscillates at {hz:.3g} Hz, growing e-fold in {1 / loop.growth_rate():.2g} s"
+    hz = abs(cmath.phase(plan.worst())) / (2 * cmath.pi * plan.dt)
+    return f"oscillates at {hz:.3g} Hz, growing e-fold in {1 / plan.growth_rate():.2g} s"

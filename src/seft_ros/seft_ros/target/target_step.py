@@ -211,7 +211,7 @@ def specimen_force(
 def push(
     p: TargetParameters, y: Floats, r: Floats, ground: Floats, pace: float, result: Floats
 ) -> None:
-    """What acts on the elastic whole structure, as an acceleration, shape (N,).
+    """Find what acts on the elastic whole structure, as an acceleration, shape (N,).
 
     It is the ground motion, and the force r by which the specimen is not the elastic one told.
     """
@@ -344,7 +344,9 @@ def move_by_force(
     y: Floats,
     stops: Floats,
 ) -> None:
-    """Move the specimen alone, by its model, under a constant force: M_e a = f - r (velocity Verlet).
+    """Move the specimen alone, by its model, under a constant force (velocity Verlet).
+
+    M_e a = f - r.
 
     Parameters
     ----------

@@ -1,0 +1,278 @@
+"""The loop of `target_motion` and `velocity_feedforward`: its matrix and margins hold in tests."""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.experiment import Experiment
+from seft_plant_sim.limits import ROWS
+from seft_plant_sim.rig import Rig
+from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.offline import simulate
+from seft_ros.experiment.tables import TABLES
+from seft_ros.force_controller.velocity_feedforward import (
+    LARGEST_GAIN_ERROR,
+    VelocityFeedforward,
+)
+from seft_ros.preflight.frozen import frozen_target
+from seft_ros.preflight.margins import HIGHEST_MASS_RATIO, find_margins
+from seft_ros.preflight.plan import Plan
+from seft_ros.preflight.result import preflight
+from seft_ros.preflight.summary import summarise
+from seft_ros.reference_force.block import knowledge
+from seft_ros.target.target_motion import TargetMotion
+
+DEMO = Path(__file__).parents[3] / "config" / "demo.yaml"
+K, OIL = 2.11e5, 1.664e7
+QUIET = {f"sensors.{name}_noise": 0.0 for name in ("position", "velocity", "acceleration", "force")}
+BASE = {
+    "rig": {f"limits.{name}": 1e12 for name in ROWS}
+    | {
+        "actuator.kind": "servo_hydraulic_linear",
+        "actuator.oil_column_frequency": 0.0,
+        "actuator.oil_stiffness": OIL,
+    },
+    "reference_force": {"compensation.method": "target_motion"},
+    "force_controller": {
+        "method": "velocity_feedforward",
+        "voltage_limit": 1e9,
+        "actuator.flow_gain": 0.0403,
+        "actuator.oil_stiffness": OIL,
+        "actuator.leakage": 50.0,
+        "actuator.valve_frequency": 70.0,
+        "actuator.valve_damping": 0.6,
+        "actuator.dead_time": 0.001,
+    },
+}
+COUPLED = {
+    "/**": {"axes": ["x", "y"]},
+    "rig": {
+        "specimen.mass": [52.7, 40.0],
+        "specimen.stiffness": [2.0e5, -3.0e4, -3.0e4, 2.4e5],
+    },
+    "reference_force": {
+        "model.mass": [52.7, 40.0],
+        "model.stiffness": [2.1e5, -2.0e4, -2.0e4, 2.4e5],
+    },
+}
+SMALL, USUAL = 1e-6, 1.0
+"""RMS ground acceleration, m/s^2: nothing stands out of the noise that sensors are believed to
+have, and a usual test."""
+
+
+def experiment(*parts):
+    sections = {node: dict(values) for node, values in BASE.items()}
+    for part in parts:
+        for node, values in part.items():
+            sections[node] = sections.get(node, {}) | values
+    words = [(node, *item) for node, values in sections.items() for item in values.items()]
+    return Experiment.load(TABLES, [DEMO], words)
+
+
+def test_motion(test, size, steps=2000, held=None, noise=True):
+    """Ground motion, and samples of shape (steps, 4, n); ``held``: what valves are taken for."""
+    rig = test["rig"] | ({} if noise else QUIET | {"sensors.adc_bits": 0})
+    rig = Rig.from_parameters(rig, test.axes, test.timebase)
+    target = TargetMotion(knowledge(test["reference_force"], test.axes, test.timebase))
+    control = VelocityFeedforward.from_parameters(
+        test["force_controller"], test.axes, test.timebase
+    )
+    if held is not None:
+        control.state.errors[:] = held
+        control.state.covariance[:] = 0.0
+    ground = np.zeros((steps + target.preview + 1, len(test.axes)))
+    motion = np.random.default_rng(1).standard_normal((200, len(test.axes)))
+    ground[20:220] = size * motion
+    state, found = rig.reset(), []
+    for k in range(steps):
+        found.append(state.copy())
+        state = rig.step(
+            control.step(target.step(ground[k : k + 1 + target.preview], state), state)
+        )
+        if not np.abs(state).max() < 1e9:
+            found += [np.full_like(state, np.inf)] * (steps - 1 - k)
+            break
+    return ground, np.array(found)
+
+
+test_motion.__test__ = False
+
+
+def grows(test, size, **options):
+    force = test_motion(test, size, **options)[1][:, 3]
+    middle, last = (np.abs(part).max() for part in np.array_split(force[300:], 2))
+    return bool(not np.isfinite(last) or last > middle)
+
+
+@cache
+def planned():
+    plan = Plan(experiment())
+    return plan, find_margins(plan)
+
+
+def slower(part):
+    return {"rig": {"actuator.dead_time": 0.001 + part * (planned()[1].dead_time.value - 0.001)}}
+
+
+def stronger(factor):
+    return {"rig": {"actuator.flow_gain": 0.0403 * factor}}
+
+
+@pytest.mark.parametrize("parts", [(), (COUPLED,)], ids=["one axis", "two axes"])
+def test_powers_of_the_matrix_are_what_a_small_test_does(parts):
+    """The steps themselves, with all that they learn of it."""
+    test = experiment(*parts)
+    ground, found = test_motion(test, SMALL, 600, noise=False)
+    loop = Plan(test).loop()
+    q, expected = np.zeros(len(loop.matrix)), []
+    for k in range(600):
+        expected.append(loop.displacement @ q)
+        q = loop.matrix @ q + loop.ground @ ground[k:].ravel()[: loop.ground.shape[1]]
+    largest = np.abs(expected).max()
+    np.testing.assert_allclose(found[:, 0], expected, rtol=0, atol=1e-3 * largest)
+
+
+@pytest.mark.parametrize("parts", [(), (COUPLED,)], ids=["one axis", "two axes"])
+def test_the_frozen_steps_are_met_to_rounding(parts):
+    """Of a target with the force as told, on any measured motion."""
+    test = experiment(*parts)
+    plan, n = Plan(test), len(test.axes)
+    method = plan.compensator()
+    told = frozen_target(method, measured=False)
+    model = method.parameters.model
+    zero = np.zeros_like(model.prior)
+    model = model._replace(prior=zero, drift=zero, change=zero, surprise=np.inf)
+    method.parameters = method.parameters._replace(model=model)
+    method.reset()
+    s, random = np.zeros(len(told.a)), np.random.default_rng(3)
+    scale = np.array([1e-2, 1e-1, 1.0, 1e3])[:, np.newaxis]
+    ground = random.standard_normal((60 + method.preview, n))
+    for k in range(50):
+        y = scale * random.standard_normal((4, n)) * (k > 0)
+        coming = ground[k : k + 1 + method.preview] * (k > 0)
+        points = method.step(coming, y)
+        expected = told.c @ s + told.d @ y.ravel() + told.e @ coming.ravel()
+        s = told.a @ s + told.b @ y.ravel() + told.h @ coming.ravel()
+        size = np.abs(points).max(axis=(0, 2))[:, np.newaxis]
+        np.testing.assert_allclose(
+            points / size.clip(1e-300),
+            expected.reshape(points.shape) / size.clip(1e-300),
+            atol=1e-9,
+        )
+
+
+def test_a_measured_force_moves_the_target_by_what_the_stiffness_makes_of_it():
+    """r* = f + K x* = 0 at rest; one part in 10,000 is what is told."""
+    target = frozen_target(planned()[0].compensator(), measured=True)
+    still = np.linalg.solve(np.eye(len(target.a)) - target.a, target.b)
+    by_force = (target.c @ still + target.d)[0, 3]
+    assert by_force == pytest.approx(-1.0 / K, rel=2e-4)
+    told = frozen_target(planned()[0].compensator(), measured=False)
+    still = np.linalg.solve(np.eye(len(told.a)) - told.a, told.b)
+    assert np.abs((told.c @ still + told.d)[0]).max() < 1e-12
+
+
+@pytest.mark.parametrize(("part", "unstable"), [(0.97, False), (1.03, True)])
+def test_critical_dead_time_and_gain_are_those_of_a_small_test(part, unstable):
+    assert grows(experiment(slower(part)), SMALL, steps=4000, noise=False) is unstable
+    highest = planned()[1].gain.highest.value
+    assert grows(experiment(stronger(part * highest)), SMALL, noise=False) is unstable
+
+
+@pytest.mark.parametrize(("part", "unstable"), [(0.97, False), (1.03, True)])
+def test_the_sure_ones_are_those_of_a_controller_that_takes_the_valves_for_the_worst(
+    part, unstable
+):
+    margins = planned()[1]
+    added = part * (margins.sure_dead_time.value - 0.001)
+    late = {"rig": {"actuator.dead_time": 0.001 + added}}
+    strong = stronger(part * margins.sure_gain.highest.value)
+    for change in (late, strong):
+        worst = (-LARGEST_GAIN_ERROR, -0.005)
+        assert grows(experiment(change), USUAL, held=worst, noise=False) is unstable
+
+
+def test_a_usual_test_is_stable_within_the_sure_margins_whatever_it_learns():
+    margins = planned()[1]
+    late = {"rig": {"actuator.dead_time": 0.97 * margins.sure_dead_time.value}}
+    for change in (late, stronger(0.97 * margins.sure_gain.highest.value)):
+        _, found = test_motion(experiment(change), USUAL, 4000)
+        quiet, last = (np.abs(part).max() for part in (found[2000:3000, 3], found[3000:, 3]))
+        assert last < 1.5 * quiet < 100.0
+
+
+@pytest.mark.parametrize(("part", "tripped"), [(0.97, False), (10.0, True)])
+def test_so_it_is_in_the_offline_loop_with_all_that_is_not_linear(part, tripped):
+    """`config/demo.yaml` itself."""
+    margins = planned()[1]
+    late = part * margins.sure_dead_time.value
+    words = [("rig", "actuator.dead_time", late), ("ground_motion", "peak_force", 200.0)]
+    test = Experiment.load(TABLES, [DEMO], words)
+    assert (simulate(test, build_blocks(test)).trip is not None) is tripped
+    if tripped:
+        return
+    strong = 0.0403 * part * margins.sure_gain.highest.value
+    test = Experiment.load(TABLES, [DEMO], [("rig", "actuator.flow_gain", strong)])
+    assert simulate(test, build_blocks(test)).trip is None
+
+
+@pytest.mark.parametrize("factor", [0.001, 0.3, 2.0, 3.0])
+def test_so_it_is_with_any_local_stiffness_from_0_to_3_times_the_told_one(factor):
+    margins = planned()[1]
+    assert margins.stiffness.ends() == margins.followed.ends() == []
+    assert margins.stiffness.searched == (0.0, 3.0)
+    local = {"rig": {"specimen.stiffness": factor * K}}
+    for size in (SMALL, USUAL):
+        assert not grows(experiment(local), size, steps=4000, noise=False)
+
+
+def test_so_it_is_at_any_mass_ratio():
+    assert planned()[1].mass_ratio is None
+    heavy = {"reference_force": {"mass_ratio": HIGHEST_MASS_RATIO}}
+    for size in (SMALL, USUAL):
+        assert not grows(experiment(heavy), size, steps=6000, noise=False)
+
+
+def test_the_verdict_and_its_numbers():
+    plan, margins = planned()
+    found = preflight(plan)
+    assert found.verdict == "stable"
+    assert "follows the specimen" in found.promise
+    numbers = summarise(plan, found)
+    assert numbers["basis"] == "exact"
+    assert numbers["critical_mass_ratio"] is None
+    assert 0.03 < numbers["critical_delay_s"] < 0.033
+    assert 0.004 < numbers["sure_delay_s"] == margins.sure_dead_time.value < 0.005
+    assert numbers["gain"]["highest"] == pytest.approx(4.09, abs=0.01)
+    assert numbers["sure_gain"]["highest"] == pytest.approx(2.04, abs=0.01)
+    assert abs(numbers["false_damping_ratio"]) < 1e-4
+
+
+def test_a_rig_that_is_not_simulated_is_what_the_controller_is_told_of_it():
+    test = experiment()
+    told = Experiment({node: part for node, part in test.sections.items() if node != "rig"})
+    for changes in ({}, {"stiffness": 0.5}, {"dead_time": 0.01, "any_valve": True}):
+        exact = Plan(test).growth_rate(**changes)
+        assert Plan(told).growth_rate(**changes) == pytest.approx(exact, rel=1e-6)
+    assert Plan(told).rig.plant.source == "identified"
+
+
+def test_with_a_delay_of_the_loop_the_margins_shrink():
+    late = experiment({"reference_force": {"loop_delay": 2, "compensation.horizon": 0.05}})
+    plan = Plan(late)
+    assert len(plan.loop().matrix) < 80
+    assert plan.growth_rate() < 0
+
+
+def test_a_transfer_function_takes_the_force_of_the_first_point():
+    plan = Plan(experiment({"force_controller": {"method": "transfer_function"}}))
+    filters = plan.compensation()
+    assert filters.d.shape[0] == 3 * (1 + plan.compensator().preview)
+    assert not plan.follows_valves and np.isfinite(plan.growth_rate())
+
+
+def test_a_controller_of_the_coming_motion_needs_one():
+    with pytest.raises(InputError, match="needs the coming motion"):
+        Plan(experiment({"reference_force": {"compensation.method": "none"}}))
