@@ -49,7 +49,6 @@ def experiment(*parts, rate=500.0, axes=("x",), **reference):
         "rig": RIG | WIDE,
         "reference_force": {
             "compensation.delay": 0.012,
-            "compensation.adaptive": False,
             "tracking.numerator": [1.0],
             "tracking.dead_time": 0.012,
         },

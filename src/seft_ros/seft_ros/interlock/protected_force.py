@@ -47,8 +47,6 @@ class ProtectedForce:
     ----------
     preview : int
         Steps of coming ground motion that `step` wants to see.
-    learn : callable
-        As the block's: to be called when the answer is out.
     cause : str or None
         The first fault of this test; latched until `reset`.
     reference_force, plausible, guards, ramp
@@ -64,7 +62,7 @@ class ProtectedForce:
         loop_delay: int = 0,
     ) -> None:
         self.preview = reference_force.preview
-        self.estimates, self.learn = reference_force.estimates, reference_force.learn
+        self.estimates = reference_force.estimates
         self.cause: str | None = None
         self.reference_force = reference_force
         self.plausible, self.guards, self.ramp = plausible, tuple(guards), ramp

@@ -14,7 +14,6 @@ from seft_plant_sim.specimen import deformations
 from seft_ros.reference_force.compensation.compensator import (
     Compensator,
     Knowledge,
-    learning,
     tells_motion,
 )
 from seft_ros.reference_force.compensation.methods import METHODS
@@ -42,9 +41,6 @@ class ReferenceForce:
     ----------
     preview : int
         Steps of coming ground motion that `step` wants to see.
-    learn : callable
-        To be called, without arguments, when the answer is out: what can wait until then need
-        not hold up the loop. Nothing but time depends on whether it is.
     tells_motion : bool
         Whether it gives the motion of a target, and not the force alone.
     shape : (int, int)
@@ -57,7 +53,6 @@ class ReferenceForce:
         self.preview = compensator.preview
         self.tells_motion = tells_motion(compensator)
         self.shape = (1 + self.preview, 3) if self.tells_motion else (1, 1)
-        self.learn = learning(compensator)
         self.compensator = compensator
 
     @classmethod
