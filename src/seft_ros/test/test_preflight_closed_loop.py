@@ -73,13 +73,13 @@ def blocks_displacements(test, motion, steps):
     )
     ground = np.vstack([motion, np.zeros((steps + reference.preview + 1, len(axes)))])
     state, found = rig.reset(), []
-    coming = deque([np.zeros(len(axes))] * test["reference_force"]["loop_delay"])
+    coming = deque([np.zeros((1, 1, len(axes)))] * test["reference_force"]["loop_delay"])
     for k in range(steps):
         found.append(state[0].copy())
         coming.append(reference.step(ground[k : k + 1 + reference.preview], state))
-        force = coming.popleft()
-        drive = control.step(force, state)
-        state = rig.step(drive if rig.drive == "valve_command" else force)
+        points = coming.popleft()
+        drive = control.step(points, state)
+        state = rig.step(drive if rig.drive == "valve_command" else points[0, -1])
     return np.array(found)
 
 
