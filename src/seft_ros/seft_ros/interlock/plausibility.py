@@ -59,10 +59,12 @@ class PlausibleForce:
         The last force that was plausible; zero before the first.
     largest, most : float
         Largest magnitude, and largest change in a step, N.
+    dt : float
+        As given.
     """
 
     def __init__(self, largest: float, fastest: float, axes: Sequence[str], dt: float) -> None:
-        self.largest, self._fastest, self._dt = largest, fastest, dt
+        self.largest, self._fastest, self.dt = largest, fastest, dt
         self.most = fastest * dt * (1 + 1e-12)
         self._axes = tuple(axes)
         self.reset()
@@ -103,7 +105,7 @@ class PlausibleForce:
                 )
             if abs(value - last) > self.most:
                 return (
-                    f"reference force changes by {(value - last) / self._dt:.5g} N/s on axis "
+                    f"reference force changes by {(value - last) / self.dt:.5g} N/s on axis "
                     f"{axis}, beyond the limit of {self._fastest:g} N/s"
                 )
         raise ValueError("nothing is wrong with the force")

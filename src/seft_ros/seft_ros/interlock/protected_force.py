@@ -13,6 +13,7 @@ from seft_ros.interlock.instability import InstabilityWatch
 from seft_ros.interlock.plausibility import PlausibleForce, PlausibleState
 from seft_ros.interlock.ramp_down import RampDown
 from seft_ros.reference_force.block import ReferenceForce
+from seft_ros.target.braking import continued
 
 Floats = npt.NDArray[np.float64]
 
@@ -23,7 +24,7 @@ class ProtectedForce:
     While nothing is wrong and nobody asks for the ramp, it gives the very force of the block.
     In the ramp the force goes on following the test, scaled down; a target is slowed down to rest
     instead. A force that is not plausible is never given: from there on the last plausible one
-    stands in for it, and the target stands still, scaled down, too.
+    stands in for it, `continued` and scaled down.
 
     In a loop with a delay of d steps, the force that is computed from the state of step k is for
     step k + d, and the points are the forces of the steps k to k + d, which do not change any
@@ -116,7 +117,7 @@ class ProtectedForce:
         self.plausible.reset()
         axes = len(self.plausible.last)
         self._last = np.zeros((*self.reference_force.shape, axes))
-        self._last_factor = 1.0
+        self._last_factor, self._age = 1.0, 0
         self._state: Floats | None = None
         if self._settled is not None:
             self._settled.extend([np.zeros((1, 1, axes))] * (self._settled.maxlen or 0))
@@ -175,16 +176,16 @@ class ProtectedForce:
                 factor = self.ramp.next()
         if self._holding:
             return self._held(factor)
-        self._last = points
+        self._last, self._age = points, 0
         if block.tells_motion:
             self._last_factor = pace
             return points
         return points * factor if self.ramp.begun else points
 
     def _held(self, factor: float) -> Floats:
-        """Last plausible point, standing still and scaled down from there."""
-        points = np.repeat(self._last[:1], len(self._last), axis=0)
-        points[:, 1:-1] = 0.0  # the velocity of a target
+        """Go on from the last plausible point, scaled down from there."""
+        self._age += 1
+        points = continued(self._last[:1], self._age, len(self._last), self.plausible.dt)
         return points * (factor / self._last_factor if self._last_factor else 0.0)
 
     def _asked_for(self, ground_motion: Floats, state: Floats) -> str | None:

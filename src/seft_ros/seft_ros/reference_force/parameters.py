@@ -169,8 +169,8 @@ TABLE = Table(
             "compensation.horizon",
             "float",
             0.03,
-            "`target_motion`: time ahead for which the coming motion is told; as long as four times "
-            "the delay of the valves, or of the force loop",
+            "`target_motion`: time ahead for which the coming motion is told; as long as four "
+            "times the delay of the valves, or of the force loop",
             "s",
             positive=True,
             maximum=1.0,
