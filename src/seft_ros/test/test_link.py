@@ -41,13 +41,7 @@ def test_the_delay_covers_nearly_all_round_trips_and_one_step_more():
 
 
 def test_the_delay_of_the_loop_lowers_the_mass_ratio_that_preflight_allows():
-<<<<<<< HEAD
-    plain = experiment(
-        "reference_force:compensation.method:=none", "force_controller:method:=transfer_function"
-    )
-=======
     plain = experiment()
->>>>>>> wire
     far, near = (allowed(plain, steps) for steps in (10, 1))
     assert far.critical_mass_ratio < near.critical_mass_ratio
     assert allowed(plain, 10) == far  # the experiment is left as it was
