@@ -19,8 +19,8 @@ class NewestPreview:
     """The newest message of a reference force whose loop has a delay of d steps.
 
     The message of step k tells what is asked for at the steps to k + d; of a target also the
-    motion that comes then. Where it is older, the points are `continued`. Where messages fail to
-    come for too long, both come down to zero by themselves.
+    motion that comes then. Where it is older, its points are `continued`. Where messages fail to
+    come for too long, the force comes down to zero by itself, a target to where it began.
 
     Parameters
     ----------
