@@ -12,7 +12,7 @@ from seft_ros.identification.oil_balance import OilBalance
 
 Floats = npt.NDArray[np.float64]
 
-LEAST_EXPLAINED, GOOD_EXPLAINED = 0.5, 0.95
+LEAST_EXPLAINED, GOOD_EXPLAINED = 0.5, 0.9
 """Share of the flow's variance that a fit must explain, and that a good one does."""
 
 _STARTS = tuple(itertools.product((25.0, 50.0, 100.0, 200.0), (0.0, 2.0, 5.0, 10.0, 20.0)))
@@ -21,7 +21,8 @@ _DAMPING, _LOAD, _OVER = 0.7, 0.02, 0.005  # first guesses
 _COARSE = 2000  # frequencies of the first fit
 _MOST_STEPS = 30
 _TOLERANCE = 0.01  # of the flow at a frequency: no actuator is like the model beyond
-_SURE, _UNSURE = 4.0, 0.1  # standard deviations from none; relative standard deviation
+_LEAST_LOAD = 0.15  # of the force capacity: below, friction can be taken for it
+_UNSURE = 0.1  # relative standard deviation
 # logarithms of the valve's frequency and damping, dead time in ms, largest force over force
 # capacity, logarithm of the velocity over which friction builds up
 _LOWEST = np.array([math.log(3.0), math.log(0.1), 0.0, 0.0, math.log(2e-4)])
@@ -156,7 +157,7 @@ def fit_actuator(
         flow_gain=q,
         oil_stiffness=1.0 / compliance if compliance else 0.0,
         leakage=max(leaking / compliance, 0.0) if compliance else 0.0,
-        force_capacity=oil.largest_force / float(p[3]) if p[3] > _SURE * deviations[3] else 0.0,
+        force_capacity=oil.largest_force / float(p[3]) if p[3] > _LEAST_LOAD else 0.0,
         valve_frequency=math.exp(p[0]),
         valve_damping=math.exp(p[1]),
         dead_time=float(p[2]) / 1e3,
