@@ -71,7 +71,7 @@ def notes(identified: Identified) -> list[str]:
     if identified.valves:
         found.append(ANY_SPECIMEN)
     else:
-        found.append("without a good open-loop test, by a valve, actuators and margins are not known")
+        found.append("without a good test of a valve, actuators and margins are not known")
     for axis, valve in zip(identified.axes, identified.valves, strict=False):
         actuator = valve.actuator
         if actuator.unsure:
