@@ -73,7 +73,6 @@ def identified_figure(identified: Identified, title: str) -> Figure:
         bar = figure.colorbar(dots, ax=list(panels[1]), aspect=15, pad=0.01)
         bar.set_label("coherence", color=TEXT)
         bar.outline.set_visible(False)
-    figure.align_ylabels()
     figure.suptitle(title, fontsize=11, color=TEXT, parse_math=False)
     return figure
 
