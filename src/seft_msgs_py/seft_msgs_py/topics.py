@@ -114,6 +114,12 @@ REFERENCE_FORCE = LoopTopic(
     quantities=("effort",),
     units=("N",),
 )
+TARGET = replace(
+    REFERENCE_FORCE,
+    quantities=("positions", "velocities", "effort"),
+    units=("m", "m/s", "N"),
+)
+"""The reference force with the motion that belongs to it, of this step and the coming ones."""
 VALVE_COMMAND = LoopTopic(
     "valve_command",
     JOINT_TRAJECTORY,

@@ -17,13 +17,13 @@ import numpy.typing as npt
 
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.timebase import NANOSECONDS_PER_SECOND, Timebase
-from seft_msgs_py.topics import LoopTopic
+from seft_msgs_py.topics import TARGET, LoopTopic
 from seft_msgs_py.trajectory_layout import STAMP, Layout
 from seft_msgs_py.trajectory_message import ENCAPSULATION, parse_trajectory
 
 Floats = npt.NDArray[np.float64]
 
-_COUNT = struct.Struct("<I")
+_COUNTS = struct.Struct("<II")  # of points, and of the first's positions
 _FLOAT64 = np.dtype(np.float64)
 
 
@@ -45,7 +45,7 @@ class TrajectoryCodec:
         self.axes = tuple(axes)
         self.timebase = timebase
         self._period_ns = timebase.period_ns
-        self._layouts: dict[int, Layout] = {}
+        self._layouts: dict[tuple[int, tuple[str, ...]], Layout] = {}
         self._single = single = self._layout(1)
         shape = single.values.shape
         self._single_shapes = (shape, shape[1:], *(((shape[2],),) if shape[1] == 1 else ()))
@@ -167,22 +167,31 @@ class TrajectoryCodec:
         np.frombuffer(message, "<f8", layout.words, 4)[layout.values] = values
         return bytes(message)
 
-    def _layout(self, count: int) -> Layout:
-        layout = self._layouts.get(count)
+    def _layout(self, count: int, carried: tuple[str, ...] = ()) -> Layout:
+        carried = carried or self.topic.quantities
+        layout = self._layouts.get((count, carried))
         if layout is None:
             if len(self._layouts) > 64:
                 self._layouts.clear()
-            layout = Layout.of(self.topic, self.axes, self.timebase, count)
-            self._layouts[count] = layout
+            layout = Layout.of(self.topic, self.axes, self.timebase, count, carried)
+            self._layouts[count, carried] = layout
         return layout
 
     def layout_of(self, raw: bytes) -> Layout:
-        """Layout of as many points as a message claims; of one, if that number makes no sense."""
+        """Layout of as many points as a message claims; of one, if that number makes no sense.
+
+        A message may carry a target where the reference force alone is read.
+        """
         single = self._single
-        if len(raw) < single.points_at + 4:
+        at = single.points_at
+        if len(raw) < at + 8:
             return single
-        (count,) = _COUNT.unpack_from(raw, single.points_at)
-        return single if count == 1 or not 1 <= count <= len(raw) // 24 else self._layout(count)
+        count, first = _COUNTS.unpack_from(raw, at)
+        if not 1 <= count <= len(raw) // 24:
+            return single
+        if first and self.topic.name == TARGET.name:
+            return self._layout(count, TARGET.quantities)
+        return single if count == 1 else self._layout(count)
 
     def _decode_slowly(self, raw: bytes) -> tuple[int, Floats]:
         message = parse_trajectory(raw, self.topic.name)

@@ -46,9 +46,17 @@ class Layout:
 
     @classmethod
     def of(
-        cls, topic: LoopTopic, axes: tuple[str, ...], timebase: Timebase, count: int
+        cls,
+        topic: LoopTopic,
+        axes: tuple[str, ...],
+        timebase: Timebase,
+        count: int,
+        carried: tuple[str, ...],
     ) -> "Layout":
-        """Lay out a message of ``count`` points, a period apart."""
+        """Lay out a message of ``count`` points, a period apart.
+
+        Its points carry the quantities of the topic, and perhaps others, which are not looked at.
+        """
         message, known = bytearray(ENCAPSULATION), bytearray(4)
 
         def put(data: bytes, align: int = 4, fixed: bool = True) -> int:
@@ -71,14 +79,14 @@ class Layout:
         values = np.empty((count, len(topic.quantities), len(axes)), np.intp)
         for point in range(count):
             for quantity in QUANTITIES:
-                if quantity not in topic.quantities:
+                if quantity not in carried:
                     put(struct.pack("<I", 0))
                     continue
                 put(struct.pack("<I", len(axes)))
-                row = topic.quantities.index(quantity)
-                for column in range(len(axes)):
-                    at = put(bytes(8), align=8, fixed=False)
-                    values[point, row, column] = (at - 4) // 8
+                at = [put(bytes(8), align=8, fixed=False) for _ in axes]
+                if quantity in topic.quantities:
+                    row = topic.quantities.index(quantity)
+                    values[point, row] = (np.array(at) - 4) // 8
             put(STAMP.pack(*divmod(point * timebase.period_ns, NANOSECONDS_PER_SECOND)))
         size = len(message)
         words = (size - 4) // 8

@@ -79,7 +79,8 @@ class Command:
                 f"{name} of step {step} after that of step {self.answered}: stale, duplicated or "
                 "out of order"
             )
-        points = values[:, 0] if self._places is None else values[:, 0, self._places]
+        settled = values[: 1 + self._loop_delay, 0]  # beyond, a target tells of what may come
+        points = settled if self._places is None else settled[:, self._places]
         worst = points[0] if len(points) == 1 else points[np.abs(points).max(axis=1).argmax()]
         for axis, number in zip(self._rig.axes, worst.tolist(), strict=True):
             if not abs(number) <= self._limit:

@@ -1,12 +1,13 @@
 """Whether records are the same test, bit for bit, and where they first differ."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.timebase import NANOSECONDS_PER_SECOND
-from seft_msgs_py.topics import ESTIMATES, LOOP_TOPICS, RIG_STATE
+from seft_msgs_py.topics import ESTIMATES, LOOP_TOPICS, REFERENCE_FORCE, RIG_STATE, TARGET
 
 from seft_ros.analysis.alignment import Alignment
 from seft_ros.analysis.summary import json_safe
@@ -124,7 +125,13 @@ def length_s(record: Record) -> float:
 def _pairs(a: Record, b: Record) -> Iterator[tuple[str, Sequence[str], Series, Series]]:
     """Topic, its fields, and the samples in either record."""
     for topic in LOOP_TOPICS:
-        yield topic.name, topic.quantities, a.series[topic.name], b.series[topic.name]
+        one, other = a.series[topic.name], b.series[topic.name]
+        quantities = topic.quantities
+        if topic == REFERENCE_FORCE:  # perhaps of a target, then with its motion before
+            count = min(one.values.shape[1], other.values.shape[1])
+            quantities = TARGET.quantities[-count:]
+            one, other = (replace(s, values=s.values[:, -count:]) for s in (one, other))
+        yield topic.name, quantities, one, other
     found = [record.estimates for record in (a, b)]
     names = tuple(dict.fromkeys(name for some in found if some for name in some.names))
     if names:

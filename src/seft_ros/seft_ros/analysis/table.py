@@ -5,7 +5,7 @@ from typing import Any
 from rich.console import Group, JustifyMethod
 from rich.table import Table
 from rich.text import Text
-from seft_msgs_py.topics import LOOP_TOPICS
+from seft_msgs_py.topics import LOOP_TOPICS, TARGET
 
 from seft_ros.analysis.difference_text import difference_lines
 from seft_ros.analysis.estimates import estimate_lines
@@ -142,7 +142,7 @@ def _saturated(summary: dict[str, Any]) -> str:
 
 def _unit(topic: str, row: dict[str, Any]) -> str:
     """Look up the unit of the field that differs most; empty if it has no fixed one."""
-    units = {t.name: dict(zip(t.quantities, t.units, strict=True)) for t in LOOP_TOPICS}
+    units = {t.name: dict(zip(t.quantities, t.units, strict=True)) for t in (*LOOP_TOPICS, TARGET)}
     for field, errors in row["fields"].items():
         if errors["max_abs"] == row["max_abs"] != 0:
             return units.get(topic, {}).get(field, "")

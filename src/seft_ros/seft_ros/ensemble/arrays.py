@@ -70,7 +70,7 @@ def control_arrays(interlock: Interlock, rig: Rig) -> ControlArrays:
     """Arrays of a force controller and its interlock."""
     controller, limited = interlock.controller, interlock.saturated
     if not isinstance(controller, ForceController):
-        raise NotLinearError("a force controller of another package")
+        raise NotLinearError("a force controller that is no transfer function")
     return ControlArrays(
         _c(controller.matrix),
         _c(controller.from_drive),

@@ -98,7 +98,7 @@ class Workshop:
             series=loop_series(
                 motion.samples[:ran],
                 course.states[:ran],
-                course.forces[:ran],
+                course.forces[:ran, np.newaxis],
                 course.commands[:ran],
             ),
             trip=trip,
@@ -168,7 +168,8 @@ def _stop(interlock: Interlock, course: Course, last: int, stopped: int) -> str 
     if not stopped:
         return None
     if stopped == NONSENSE:
-        return interlock.nonsense_in(course.forces[last], course.states[last])
+        points = course.forces[last : last + 1, np.newaxis]
+        return interlock.nonsense_in(points, course.states[last])
     return interlock.saturation()
 
 

@@ -11,7 +11,6 @@ from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.interlocks import Interlocks, interlock_of
 from seft_ros.ground_motion.block import GroundMotion
 from seft_ros.interlock.protected_force import ProtectedForce
-from seft_ros.reference_force.continuation import Continuation
 
 
 @dataclass(frozen=True)
@@ -58,10 +57,7 @@ def check_lead(experiment: Experiment, motion: GroundMotion, force: ProtectedFor
     InputError
         If it is not.
     """
-    section, preview = experiment["reference_force"], force.preview
-    if section["loop_delay"]:
-        continuation = Continuation(section, experiment.axes, experiment.timebase)
-        preview = max(preview, continuation.preview)
+    preview = force.preview
     if preview > len(motion.known) - motion.steps:
         raise InputError(
             f"ground_motion: lead is {experiment['ground_motion']['lead']:g} s, but the "

@@ -47,7 +47,7 @@ def simulate(
     total, axes = motion.shape
     known, window = blocks.ground_motion.known, 1 + blocks.reference_force.preview
     states = np.empty((total, 4, axes))
-    forces = np.empty((total, axes))
+    forces = np.empty((total, blocks.reference_force.reference_force.shape[1], axes))
     commands = np.empty((total, axes))
     reference_force = blocks.reference_force
     reference_force.reset()
@@ -57,7 +57,7 @@ def simulate(
     estimates = EstimateBuffer()
     force_step, valve_step = reference_force.step, interlock.step
     loop_delay = experiment["reference_force"]["loop_delay"]
-    coming = deque([np.zeros(axes)] * loop_delay)  # forces that were computed before their step
+    under_way = deque([np.zeros((1 + loop_delay, 1, axes))] * loop_delay)
 
     valve_driven = rig.drive == VALVE_COMMAND.name
     environment = describe_environment("simulate")
@@ -66,11 +66,13 @@ def simulate(
     step = 0
     with np.errstate(over="ignore", invalid="ignore"):  # the limits see what is not finite
         while True:
-            coming.append(force_step(known[step : step + window], state))
-            force = coming.popleft()
-            command = valve_step(step, force, state)
+            points = force_step(known[step : step + window], state)
             states[step] = state
-            forces[step] = force
+            forces[step] = points[0]
+            if loop_delay:
+                under_way.append(points)
+                points = under_way.popleft()[loop_delay:]
+            command = valve_step(step, points, state)
             commands[step] = command
             if step >= sampler.due:
                 estimates.append(step, sampler.sample(step))
@@ -80,7 +82,7 @@ def simulate(
                 break
             if progress is not None and step % PROGRESS_STEPS == 0:
                 progress(step)
-            state = rig.step(command if valve_driven else force)
+            state = rig.step(command if valve_driven else points[0, -1])
     wall = time.perf_counter() - start
 
     return Record(
@@ -107,16 +109,16 @@ def loop_series(
 
     Parameters
     ----------
-    motion, forces, commands : ndarray
+    motion, commands : ndarray
         Shape (N, n).
-    states : ndarray
-        Shape (N, 4, n).
+    states, forces : ndarray
+        Shape (N, 4, n), and (N, q, n) as on the topic.
     """
     steps = np.arange(len(states), dtype=np.int64)
     return {
         GROUND_MOTION.name: Series(steps, motion[:, np.newaxis, :]),
         RIG_STATE.name: Series(steps, states),
-        REFERENCE_FORCE.name: Series(steps, forces[:, np.newaxis, :]),
+        REFERENCE_FORCE.name: Series(steps, forces),
         VALVE_COMMAND.name: Series(steps, commands[:, np.newaxis, :]),
     }
 

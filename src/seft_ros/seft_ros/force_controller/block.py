@@ -10,9 +10,7 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.rigs import RigAxes
 from seft_msgs_py.timebase import Timebase
 
-from seft_ros.force_controller.decoupling import own_part, specimen_modes
 from seft_ros.force_controller.force_control import LinearControl
-from seft_ros.force_controller.kinds import inverts_the_specimen
 
 Floats = npt.NDArray[np.float64]
 
@@ -22,8 +20,7 @@ class ForceController:
 
     C is a transfer function on each axis, the same or each its own; G mixes what they ask for,
     for valves of unlike gain or to decouple axes. Without feedback it is u = G C(s) f_r, which
-    drives the valves by a motion of one's own. Where C is not of axes but of modes, each sees
-    its part of the forces: u = G C(s) H (f_r - f).
+    drives the valves by a motion of one's own.
 
     C is discretised with the bilinear (Tustin) transform. Its recursion runs on the limited
     outputs, as the valve does, and so cannot wind up: the anti-windup of Astrom & Wittenmark
@@ -43,8 +40,6 @@ class ForceController:
         Whether the measured force is fed back.
     gain : ndarray, optional
         G, shape (n, n), invertible; default 1.
-    parts : ndarray, optional
-        H, shape (n, n); default 1.
 
     Attributes
     ----------
@@ -72,7 +67,6 @@ class ForceController:
         dt: float,
         feedback: bool = True,
         gain: Floats | None = None,
-        parts: Floats | None = None,
     ) -> None:
         axes = len(controllers)
         sampled = [bilinear(*each, dt) for each in controllers]
@@ -99,8 +93,6 @@ class ForceController:
         if gain is not None:
             self.matrix[:axes] = gain @ self.matrix[:axes]
             self.from_drive = self.from_drive @ _inverse(gain)
-        if parts is not None:
-            self.matrix[:, order * axes :] = self.matrix[:, order * axes :] @ parts
         self._axes = axes
         self.feedback = feedback
         self.limit = float(voltage_limit)
@@ -118,11 +110,13 @@ class ForceController:
         """Make it of its section of an experiment, see `force_control`."""
         own = (rig or RigAxes.whole(axes)).places
         gain = as_matrix(section.get("gain", 1.0), axes, "force_controller: gain")
-        gain = own_part(gain, own, f"force_controller: gain {gain.tolist()} mixes")
+        if np.delete(gain[list(own)], own, axis=1).any():
+            raise InputError(
+                f"force_controller: gain {gain.tolist()} mixes axes of different rigs, whose force "
+                "controllers do not know each other's forces"
+            )
+        gain = gain[np.ix_(own, own)]
         limits = section["voltage_limit"], timebase.dt, section["feedback"]
-        if inverts_the_specimen(section):
-            modes = specimen_modes(section, axes, own, timebase.dt)
-            return cls(modes.controllers, *limits, gain @ modes.shapes, modes.shapes.T)
         parts = [np.atleast_1d(section[name]).tolist() for name in ("numerator", "denominator")]
         if section.get("per_axis"):
             names = ("numerator", "denominator")
@@ -144,12 +138,12 @@ class ForceController:
             by_delays[n:], by_error[n:], by_delays[:n], by_error[:n], self.feedback
         )
 
-    def step(self, reference_force: Floats, state: Floats) -> Floats:
+    def step(self, points: Floats, state: Floats) -> Floats:
         """See `seft_ros.force_controller.force_control.ForceControl.step`."""
         if self.feedback:
-            np.subtract(reference_force, state[3], self._error)
+            np.subtract(points[0, -1], state[3], self._error)
         else:
-            self._error[:] = reference_force
+            self._error[:] = points[0, -1]
         result = self.matrix.dot(self._work)
         drive, delays = result[: self._axes], result[self._axes :]
         self.limited = False

@@ -85,13 +85,14 @@ class ForceControl(Protocol):
     def reset(self) -> None:
         """Forget the test so far."""
 
-    def step(self, reference_force: Floats, state: Floats) -> Floats:
+    def step(self, points: Floats, state: Floats) -> Floats:
         """Compute the valve drive of one step.
 
         Parameters
         ----------
-        reference_force : ndarray
-            Shape (n,), N.
+        points : ndarray
+            What is asked for at this step and coming ones, shape (p, q, n): the last quantity is
+            the reference force, N; of a target, displacement and velocity stand before it.
         state : ndarray
             Measured displacement (m), velocity (m/s), acceleration (m/s^2) and force (N),
             shape (4, n).

@@ -80,15 +80,15 @@ class Interlock:
         self.reason = ""
         self.step_index = -1
 
-    def step(self, index: int, reference_force: Floats, state: Floats) -> Floats:
+    def step(self, index: int, points: Floats, state: Floats) -> Floats:
         """Compute the valve drive of one step.
 
         Parameters
         ----------
         index : int
             The step.
-        reference_force : ndarray
-            Shape (n,), N.
+        points : ndarray
+            As to `ForceControl.step`.
         state : ndarray
             Measured displacement, velocity, acceleration and force, shape (4, n).
 
@@ -99,15 +99,16 @@ class Interlock:
         """
         if self.reason:
             return self._safe
-        force = state[3]
+        force, measured = points[0, -1], state[3]
+        if points.shape[1] > 1:  # a target is held against the motion, too
+            measured = state.ravel()
         # a product with what is no number is none
-        fits = reference_force.dot(reference_force) < self._safe_square
-        if not (fits and math.isfinite(force.dot(reference_force))):
-            nonsense = self.nonsense_in(reference_force, state)
+        if not (force.dot(force) < self._safe_square and math.isfinite(measured.dot(measured))):
+            nonsense = self.nonsense_in(points, state)
             if nonsense:
                 self.trip(index, nonsense)
                 return self._safe
-        drive = self.controller.step(reference_force, state)
+        drive = self.controller.step(points, state)
         if not math.isfinite(drive.dot(drive)):
             self.trip(index, self._not_a_number("valve command", drive))
             return self._safe
@@ -128,9 +129,13 @@ class Interlock:
             "second: the force is out of control"
         )
 
-    def nonsense_in(self, reference_force: Floats, state: Floats) -> str:
-        """Say what is wrong with a reference force, or with the measured; else empty."""
-        return self.nonsense(reference_force) or self._not_a_number("measured force", state[3])
+    def nonsense_in(self, points: Floats, state: Floats) -> str:
+        """Say what is wrong with a reference force, or with what is measured; else empty."""
+        found = self.nonsense(points[0, -1]) or self._not_a_number("measured force", state[3])
+        if points.shape[1] > 1:
+            for row, name in enumerate(("displacement", "velocity", "acceleration")):
+                found = found or self._not_a_number(f"measured {name}", state[row])
+        return found
 
     def nonsense(self, reference_force: Floats) -> str:
         """Say what is wrong with a reference force, shape (n,), if anything; else empty."""

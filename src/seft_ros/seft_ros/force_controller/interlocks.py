@@ -35,11 +35,11 @@ class Interlocks:
         for _, interlock in self._rigs:
             interlock.reset()
 
-    def step(self, index: int, reference_force: Floats, state: Floats) -> Floats:
+    def step(self, index: int, points: Floats, state: Floats) -> Floats:
         """Compute the valve drives of one step, see `Interlock.step`."""
-        drive = np.empty(len(reference_force))
+        drive = np.empty(state.shape[1])
         for places, interlock in self._rigs:
-            drive[places] = interlock.step(index, reference_force[places], state[:, places])
+            drive[places] = interlock.step(index, points[:, :, places], state[:, places])
         return drive
 
 

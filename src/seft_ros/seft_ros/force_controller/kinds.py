@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from seft_ros.force_controller.names import DECOUPLING, TRANSFER_FUNCTION
+from seft_ros.force_controller.names import TRANSFER_FUNCTION
 
 
 def one_controller(numerator: Sequence[float], denominator: Sequence[float]) -> dict[str, Any]:
@@ -23,8 +23,3 @@ def is_one_controller(section: dict[str, Any]) -> bool:
     """Whether a section is of one."""
     same = section.get("method", TRANSFER_FUNCTION) == TRANSFER_FUNCTION  # not in an older record
     return same and not section.get("per_axis") and np.size(section.get("gain", 1.0)) == 1
-
-
-def inverts_the_specimen(section: dict[str, Any]) -> bool:
-    """Whether a section is of the controller that does, see `specimen_modes`."""
-    return section.get("method") == DECOUPLING  # not in an older record

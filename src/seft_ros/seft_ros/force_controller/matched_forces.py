@@ -14,36 +14,36 @@ class MatchedForces:
     """Reference forces by step, for a loop without a delay of its own."""
 
     def __init__(self) -> None:
-        self._forces: dict[int, Floats] = {}
+        self._points: dict[int, Floats] = {}
 
     @property
     def pending(self) -> int:
         """Number of forces whose states have not come."""
-        return len(self._forces)
+        return len(self._points)
 
     def reset(self, in_lockstep: bool = False) -> None:
         """Begin a new test; in lockstep, too, each force is waited for."""
         del in_lockstep
-        self._forces.clear()
+        self._points.clear()
 
     def take(self, step: int, points: Floats) -> None:
-        """Take a message: the force of its step is the first of its points, shape (p, n), N.
+        """Take a message: the points of its step and coming ones, shape (p, q, n).
 
         Raises
         ------
         WireError
             If it has come before.
         """
-        if step in self._forces:
+        if step in self._points:
             raise WireError(f"{REFERENCE_FORCE.name} of step {step} a second time")
-        self._forces[step] = points[0]
-        if len(self._forces) > PENDING:
-            self._forces.pop(min(self._forces))
+        self._points[step] = points
+        if len(self._points) > PENDING:
+            self._points.pop(min(self._points))
 
-    def force(self, step: int) -> Floats | None:
-        """Force of a step, shape (n,), N; None if it is to be waited for."""
-        force = self._forces.get(step)
-        if force is not None:
-            for passed in [other for other in self._forces if other <= step]:
-                del self._forces[passed]
-        return force
+    def points(self, step: int) -> Floats | None:
+        """Points of a step and coming ones; None if they are to be waited for."""
+        points = self._points.get(step)
+        if points is not None:
+            for passed in [other for other in self._points if other <= step]:
+                del self._points[passed]
+        return points

@@ -7,12 +7,7 @@ from seft_msgs_py.timebase import Timebase
 
 from seft_ros.force_controller.block import ForceController
 from seft_ros.force_controller.force_control import ControlKnowledge, ForceControl
-from seft_ros.force_controller.names import (
-    DECOUPLING,
-    REGISTERED,
-    TRANSFER_FUNCTION,
-    VELOCITY_FEEDFORWARD,
-)
+from seft_ros.force_controller.names import REGISTERED, TRANSFER_FUNCTION, VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.registered_control import RegisteredControl
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 
@@ -43,7 +38,7 @@ def force_control(
     """
     own = rig or RigAxes.whole(axes)
     name = section.get("method", TRANSFER_FUNCTION)  # not in an older record
-    if name in (TRANSFER_FUNCTION, DECOUPLING):
+    if name == TRANSFER_FUNCTION:
         return ForceController.from_parameters(section, axes, timebase, own)
     if name == VELOCITY_FEEDFORWARD:
         return VelocityFeedforward.from_parameters(section, axes, timebase, own)

@@ -3,7 +3,6 @@
 from seft_msgs_py.registered import Registered
 
 TRANSFER_FUNCTION = "transfer_function"
-DECOUPLING = "decoupling"
 VELOCITY_FEEDFORWARD = "velocity_feedforward"
-REGISTERED = Registered("seft.force_control", (TRANSFER_FUNCTION, DECOUPLING, VELOCITY_FEEDFORWARD))
+REGISTERED = Registered("seft.force_control", (TRANSFER_FUNCTION, VELOCITY_FEEDFORWARD))
 """Of other packages: name -> what makes a controller of `ControlKnowledge`; may take settings."""

@@ -13,13 +13,17 @@ from seft_ros.interlock.ramp_down import RampDown
 
 Floats = npt.NDArray[np.float64]
 
+BRAKING = 0.03
+"""Time constant with which a target whose coming motion is not known loses its velocity, s."""
+
 
 class NewestPreview:
     """The newest message of a reference force whose loop has a delay of d steps.
 
-    The message of step k tells what was settled for the steps to k + d, and what is expected
-    beyond. A step that none tells of goes on with the last force. Where messages fail to come
-    for too long, the force comes down to zero by itself.
+    The message of step k tells what is asked for at the steps to k + d; of a target also the
+    motion that comes then. Where it is older, a force stays as it was last told, and a target
+    comes to rest within some `BRAKING`. Where messages fail to come for too long, both come down
+    to zero by themselves.
 
     Parameters
     ----------
@@ -31,6 +35,8 @@ class NewestPreview:
         Steps that a message may be old before the force comes down; in lockstep any number.
     ramp : RampDown
         How it comes down.
+    dt : float
+        Sampling period, s.
 
     Attributes
     ----------
@@ -38,9 +44,11 @@ class NewestPreview:
         Step of the newest message; -1 where none has come.
     """
 
-    def __init__(self, axes: int, loop_delay: int, patience: int, ramp: RampDown) -> None:
+    def __init__(
+        self, axes: int, loop_delay: int, patience: int, ramp: RampDown, dt: float
+    ) -> None:
         self._axes, self._loop_delay = axes, max(loop_delay, 0)
-        self._patience, self._ramp = patience, ramp
+        self._patience, self._ramp, self._dt = patience, ramp, dt
         self.reset()
 
     @classmethod
@@ -62,7 +70,7 @@ class NewestPreview:
             )
         patience = round(timeout * timebase.rate)
         ramp = RampDown.lasting(section["watchdog.ramp_down_time"], timebase.dt)
-        return cls(len(axes), loop_delay, patience, ramp)
+        return cls(len(axes), loop_delay, patience, ramp, timebase.dt)
 
     def reset(self, in_lockstep: bool = False) -> None:
         """Begin a new test: no force before the first that is told.
@@ -76,8 +84,7 @@ class NewestPreview:
         self.newest = -1
         self._ages: dict[int, int] = {}
         self._held = 0
-        self._points = np.zeros((1 + self._loop_delay, self._axes))
-        self._force = self._points[0]
+        self._points = np.zeros((1 + self._loop_delay, 1, self._axes))
         self._ramp.reset()
 
     @property
@@ -90,7 +97,7 @@ class NewestPreview:
         return LinkRecord(dict(sorted(self._ages.items())), self._held)
 
     def take(self, step: int, points: Floats) -> None:
-        """Take a message: forces of its step and the coming ones, shape (p, n), N.
+        """Take a message: points of its step and the coming ones, shape (p, q, n).
 
         Raises
         ------
@@ -104,18 +111,25 @@ class NewestPreview:
             )
         self.newest, self._points = step, points
 
-    def force(self, step: int) -> Floats | None:
-        """Force of a step, shape (n,), N; None if it is to be waited for."""
+    def points(self, step: int) -> Floats | None:
+        """Points of a step and coming ones, shape (p, q, n); None if they are to be waited for."""
         age = step - self.newest
         if self._in_lockstep and age > self._loop_delay:
             return None
         self._ages[age] = self._ages.get(age, 0) + 1
+        self._held += age >= len(self._points)
         if age > self._patience:
             self._ramp.begin()
-        if self._ramp.begun:
-            return self._force * self._ramp.next()
-        if age < len(self._points):
-            self._force = self._points[age]
-        else:
-            self._held += 1
-        return self._force
+        points = self._points[age:] if age <= self._loop_delay else self._continued(age)
+        return points * self._ramp.next() if self._ramp.begun else points
+
+    def _continued(self, age: int) -> Floats:
+        """Points of a message that is too old to tell all that it would in time."""
+        last = len(self._points) - 1
+        wanted = np.arange(age, age + max(len(self._points) - self._loop_delay, 1))
+        points = self._points[np.minimum(wanted, last)]
+        if points.shape[1] > 1:  # displacement and velocity of a target
+            left = np.exp(-np.maximum(wanted - last, 0) * self._dt / BRAKING)[:, np.newaxis]
+            points[:, 0] += BRAKING * (1.0 - left) * points[:, 1]
+            points[:, 1] *= left
+        return points

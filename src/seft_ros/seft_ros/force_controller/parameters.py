@@ -3,12 +3,7 @@
 from seft_msgs_py import realtime
 from seft_msgs_py.parameters import Parameter, Table
 
-from seft_ros.force_controller.names import (
-    DECOUPLING,
-    REGISTERED,
-    TRANSFER_FUNCTION,
-    VELOCITY_FEEDFORWARD,
-)
+from seft_ros.force_controller.names import REGISTERED, TRANSFER_FUNCTION, VELOCITY_FEEDFORWARD
 
 TABLE = Table(
     "force_controller",
@@ -17,8 +12,8 @@ TABLE = Table(
             "method",
             "string",
             TRANSFER_FUNCTION,
-            "the controller: numerator over denominator on each axis, the inverse of a specimen "
-            f"of several axes ({DECOUPLING}), or another package's",
+            "the controller: numerator over denominator on each axis, the flow that a target's "
+            f"motion needs ({VELOCITY_FEEDFORWARD}), or another package's",
             choices=REGISTERED.names,
         ),
         REGISTERED.settings_row("settings", "a controller"),
@@ -45,39 +40,6 @@ TABLE = Table(
             1.0,
             "what valves get of the controllers' outputs: one number, a diagonal, or a matrix that "
             "decouples the axes",
-        ),
-        Parameter(
-            "specimen.mass",
-            "floats",
-            0.0,
-            f"{DECOUPLING}: mass of the specimen that is inverted, a number, a diagonal or a "
-            "matrix; 0: not known",
-            "kg",
-            default_from="reference_force:model.mass",
-        ),
-        Parameter(
-            "specimen.damping",
-            "floats",
-            0.0,
-            "its damping, likewise",
-            "N s/m",
-            default_from="reference_force:model.damping",
-        ),
-        Parameter(
-            "specimen.stiffness",
-            "floats",
-            0.0,
-            "its stiffness, likewise",
-            "N/m",
-            default_from="reference_force:model.stiffness",
-        ),
-        Parameter(
-            "specimen.gain",
-            "float",
-            1949.9,
-            f"{DECOUPLING}: valve drive for each m that the specimen would move under the force "
-            "error; default Eq. 3.1's for its 52.7 kg",
-            "V/m",
         ),
         *(
             Parameter(

@@ -17,9 +17,10 @@ class RegisteredControl:
     Parameters
     ----------
     own : object
-        With ``step(reference_force, state)`` and ``reset()`` as of a `ForceControl`; its drive may
-        be beyond the limit. Where it has ``linear()``, preflight knows its stability. Where it has
-        ``limited(drive)``, it is told each drive that was cut off, so that it does not wind up.
+        With ``step(reference_force, state)``, the force of shape (n,), in N, and ``reset()`` as of
+        a `ForceControl`; its drive may be beyond the limit. Where it has ``linear()``, preflight
+        knows its stability. Where it has ``limited(drive)``, it is told each drive that was cut
+        off, so that it does not wind up.
     name : str
         As registered.
     knowledge : ControlKnowledge
@@ -54,9 +55,9 @@ class RegisteredControl:
         self._own.reset()
         self.limited = False
 
-    def step(self, reference_force: Floats, state: Floats) -> Floats:
+    def step(self, points: Floats, state: Floats) -> Floats:
         """See `ForceControl.step`."""
-        wanted: Floats = self._own.step(reference_force, state)
+        wanted: Floats = self._own.step(points[0, -1], state)
         drive = np.clip(wanted, -self._limit, self._limit)
         self.limited = bool((np.abs(drive) >= self._limit).any())
         if self.limited and self._tell is not None:

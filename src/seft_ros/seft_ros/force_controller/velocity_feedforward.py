@@ -29,6 +29,7 @@ from seft_msgs_py.rigs import RigAxes
 from seft_msgs_py.timebase import Timebase
 from seft_plant_sim.compiled import compiled, entry_point
 
+from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.valve_model import ValveModel
 from seft_ros.target.motion_observer import observe, observer_gains, sensor_noise
 
@@ -330,9 +331,17 @@ class VelocityFeedforward:
         self.limited = False
         self._begin(self.parameters, self.state)
 
+    def linear(self) -> LinearControl:
+        """Say that there is none."""
+        raise InputError(
+            "force_controller: velocity_feedforward is no linear controller: seft simulate tells "
+            "whether a test is stable"
+        )
+
     def step(self, points: Floats, state: Floats) -> Floats:
         """Find the valve commands that answer a sample, see `feedforward_step`; (n,), V."""
-        self._points[:] = points[: len(self._points)]
+        known = points[: len(self._points)]
+        self._points[: len(known)], self._points[len(known) :] = known, known[-1]
         self._measured[:] = state
         self.limited = self._step(
             self.parameters, self.state, self._points, self._measured, self._command

@@ -6,7 +6,6 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import ExperimentError
 
-from seft_ros.force_controller.kinds import inverts_the_specimen
 from seft_ros.identification.blocked_compliance import BlockedCompliance
 from seft_ros.identification.blocked_error import blocked_error
 from seft_ros.identification.measured_test import (
@@ -165,21 +164,14 @@ def identify(
     axes, dt = tests[0].axes, tests[0].dt
     specimen = fit_specimen([test.response(REFERENCE, MOTION, MOTION_TO) for test in tests])
     several = len(axes) > 1
-    inverting = closed_loop is not None and inverts_the_specimen(
-        closed_loop.experiment["force_controller"]
-    )
-    nominal = NominalAxis.of(specimen) if several and not inverting else None
+    nominal = NominalAxis.of(specimen) if several else None
     tracking: ClosedLoop | None = None
     compliance: BlockedCompliance | None = None
     valves: list[ValveResponse] = []
     closed_loops: list[ClosedLoop] = []
     for test in tests:
-        if test.record is closed_loop and (several or inverting):
-            known_with = specimen if nominal is None else nominal.on_each(len(axes))
-            if inverting and valves:
-                gain = test.record.experiment["force_controller"]["specimen.gain"]
-                compliance = BlockedCompliance.of([valve.fit for valve in valves], gain, dt)
-            tracking = _closed_loop(test.as_of(known_with, compliance), dt)
+        if test.record is closed_loop and nominal is not None:
+            tracking = _closed_loop(test.as_of(nominal.on_each(len(axes)), compliance), dt)
         for axis in range(len(axes)):
             if test.record is closed_loop:
                 closed_loops.append(_closed_loop(test.of(REFERENCE, FORCE, axis), dt))

@@ -92,24 +92,6 @@ class PlausibleForce:
         self.last = values
         return None
 
-    def held(self, coming: Floats) -> Floats:
-        """Hold the forces of coming steps from the first that is not plausible on.
-
-        Parameters
-        ----------
-        coming : ndarray
-            Shape (p, n), N, after the last one.
-
-        Returns
-        -------
-        ndarray
-            Likewise.
-        """
-        way = np.vstack([self.last, coming])
-        fits = (np.abs(way[1:]) <= self.largest) & (np.abs(np.diff(way, axis=0)) <= self.most)
-        plausible = np.logical_and.accumulate(fits.all(axis=1))
-        return way[np.where(plausible, np.arange(1, len(way)), plausible.sum())]
-
     def _describe(self, values: list[float]) -> str:
         for axis, value, last in zip(self._axes, values, self.last, strict=True):
             if not math.isfinite(value):

@@ -1,5 +1,6 @@
 """The reference force with its own layer of the interlock: guards, plausibility, ramp."""
 
+from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
@@ -20,8 +21,13 @@ class ProtectedForce:
     """A `ReferenceForce` that is looked at in each step, and comes down softly if it must.
 
     While nothing is wrong and nobody asks for the ramp, it gives the very force of the block.
-    In the ramp the force goes on following the test, scaled down. A force that is not plausible
-    is never given: from there on the last plausible one stands in for it.
+    In the ramp the force goes on following the test, scaled down; a target is slowed down to rest
+    instead. A force that is not plausible is never given: from there on the last plausible one
+    stands in for it, and the target stands still, scaled down, too.
+
+    In a loop with a delay of d steps, the force that is computed from the state of step k is for
+    step k + d, and the points are the forces of the steps k to k + d, which do not change any
+    more: what is late or lost is made good by the next. A target tells its coming motion anyway.
 
     Parameters
     ----------
@@ -33,6 +39,8 @@ class ProtectedForce:
         What else may ask for the ramp, asked in this order in each step until one does.
     ramp : RampDown
         The way to zero.
+    loop_delay : int
+        d.
 
     Attributes
     ----------
@@ -52,13 +60,17 @@ class ProtectedForce:
         plausible: PlausibleForce,
         guards: Sequence[Guard],
         ramp: RampDown,
+        loop_delay: int = 0,
     ) -> None:
         self.preview = reference_force.preview
         self.estimates, self.learn = reference_force.estimates, reference_force.learn
         self.cause: str | None = None
         self.reference_force = reference_force
         self.plausible, self.guards, self.ramp = plausible, tuple(guards), ramp
-        self._holding = False
+        self._settled: deque[Floats] | None = None  # of the last steps
+        if loop_delay and not reference_force.tells_motion:
+            self._settled = deque(maxlen=1 + loop_delay)
+        self.reset()
 
     @classmethod
     def from_parameters(
@@ -78,6 +90,7 @@ class ProtectedForce:
             ),
             [PlausibleState(axes), InstabilityWatch.from_parameters(section, axes, timebase)],
             RampDown.lasting(section["ramp_down_time"], timebase.dt, section["loop_delay"]),
+            section["loop_delay"],
         )
 
     @property
@@ -101,6 +114,12 @@ class ProtectedForce:
         self._holding = False
         self.reference_force.reset()
         self.plausible.reset()
+        axes = len(self.plausible.last)
+        self._last = np.zeros((*self.reference_force.shape, axes))
+        self._last_factor = 1.0
+        self._state: Floats | None = None
+        if self._settled is not None:
+            self._settled.extend([np.zeros((1, 1, axes))] * (self._settled.maxlen or 0))
         self.ramp.reset()
         for guard in self.guards:
             guard.reset()
@@ -109,47 +128,67 @@ class ProtectedForce:
         """Bring the force down from the next step on."""
         self.ramp.begin()
 
-    def step(self, ground_motion: Floats, state: Floats) -> Floats:
-        """Compute the reference force of one step, as `ReferenceForce.step` does."""
-        force = self.reference_force.step(ground_motion, state)
-        fault = None if self._holding else self.plausible.fault(force)
-        if fault is not None:
-            self._holding = True
-        if self.cause is None:
-            self.cause = fault or self._asked_for(ground_motion[0], state)
-            if self.cause is not None:
-                self.ramp.begin()
-        return self._scaled() if self.ramp.begun else force
+    def step(self, ground_motion: Floats | None, state: Floats) -> Floats:
+        """Compute the points of one step, as `ReferenceForce.step` does.
 
-    def step_without_motion(self) -> Floats:
-        """Force of a step of the ramp whose ground motion is missing: the last, scaled down."""
-        self._holding = True
-        return self._scaled()
+        Without ground motion, which may be missing in the ramp, a target takes it to be none, and
+        any other force is held while it is scaled down.
+        """
+        self._state = state
+        points = self._answer(ground_motion, state)
+        if self._settled is None:
+            return points
+        self._settled.append(points)
+        return np.concatenate(self._settled)
 
-    def coming(self, changes: Floats) -> Floats:
-        """Tell the forces to be expected after the last one: within its limits, and in its ramp.
+    def bridge(self, ground_motion: Sequence[Floats | None], state: Floats) -> None:
+        """Make good for the states of steps that were lost before this one, in a straight line.
 
         Parameters
         ----------
-        changes : ndarray
-            What is expected of coming steps beside the last force, shape (p, n), N.
-
-        Returns
-        -------
-        ndarray
-            Shape (p, n), N.
+        ground_motion : sequence of ndarray or None
+            What `step` would have been given for each of them.
+        state : ndarray
+            That has come after them, shape (4, n).
         """
-        last = np.array(self.plausible.last)
+        last = state if self._state is None else self._state
+        for index, motion in enumerate(ground_motion, 1):
+            part = index / (len(ground_motion) + 1)
+            self.step(motion, (1.0 - part) * last + part * state)
+
+    def _answer(self, ground_motion: Floats | None, state: Floats) -> Floats:
+        block, points, motion, fault = self.reference_force, self._last, ground_motion, None
+        pace = factor = self.ramp.next()
+        if motion is None:
+            self._holding |= not block.tells_motion
+            motion = np.zeros((1 + self.preview, state.shape[1]))
+        if not self._holding:
+            points = block.step(motion, state, pace)
+            fault = self.plausible.fault(points[0, -1])
+            self._holding = fault is not None
+        if self.cause is None:
+            self.cause = fault
+            if fault is None and ground_motion is not None:
+                self.cause = self._asked_for(motion[0], state)
+            if self.cause is not None and not self.ramp.begun:
+                self.ramp.begin()
+                factor = self.ramp.next()
         if self._holding:
-            changes = np.zeros_like(changes)
-        factors = np.array(self.ramp.coming(len(changes)))
-        return self.plausible.held(last + changes) * factors[:, np.newaxis]
+            return self._held(factor)
+        self._last = points
+        if block.tells_motion:
+            self._last_factor = pace
+            return points
+        return points * factor if self.ramp.begun else points
+
+    def _held(self, factor: float) -> Floats:
+        """Last plausible point, standing still and scaled down from there."""
+        points = np.repeat(self._last[:1], len(self._last), axis=0)
+        points[:, 1:-1] = 0.0  # the velocity of a target
+        return points * (factor / self._last_factor if self._last_factor else 0.0)
 
     def _asked_for(self, ground_motion: Floats, state: Floats) -> str | None:
         for guard in self.guards:
             if (cause := guard.step(ground_motion, state)) is not None:
                 return cause
         return None
-
-    def _scaled(self) -> Floats:
-        return np.array(self.plausible.last) * self.ramp.next()

@@ -60,15 +60,4 @@ class RampDown:
         if not self.begun:
             return 1.0
         self.taken += 1
-        return self._factor(self.taken)
-
-    def coming(self, count: int) -> list[float]:
-        """Factors that the next steps will be given, without taking them."""
-        if not self.begun:
-            return [1.0] * count
-        return [self._factor(self.taken + ahead) for ahead in range(1, count + 1)]
-
-    def _factor(self, taken: int) -> float:
-        if taken >= self.steps:
-            return 0.0
-        return ramp_factor(taken, self.steps)
+        return ramp_factor(self.taken, self.steps) if self.taken < self.steps else 0.0

@@ -1,17 +1,18 @@
 """What a link is good for, and what a test over it is."""
 
+import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.topics import REFERENCE_FORCE
+from seft_msgs_py.topics import TARGET
 from seft_msgs_py.trajectory import TrajectoryCodec
 
 from seft_ros.link.round_trips import RoundTrips
 from seft_ros.preflight.verdict import MASS_RATIO_RESERVE as RESERVE
-from seft_ros.reference_force.continuation import REACH
+from seft_ros.reference_force.topic import reference_force_topic
 
 Verdict = Literal["good", "marginal", "unusable"]
 
@@ -62,10 +63,13 @@ def with_loop_delay(experiment: Experiment, steps: int) -> Experiment:
 
 
 def message_size(experiment: Experiment) -> int:
-    """Size of a reference force with previews over a link of some ten steps, bytes."""
-    codec = TrajectoryCodec(REFERENCE_FORCE, experiment.axes, experiment.timebase)
-    points = 10 + max(1, round(REACH * experiment.timebase.rate))
-    return len(codec.encode_points(0, np.zeros((points, len(experiment.axes)))))
+    """Size of the messages of the reference force over a link of ten steps, bytes."""
+    section, axes = experiment["reference_force"], experiment.axes
+    topic, points = reference_force_topic(section), 11
+    if topic == TARGET:
+        points += math.ceil(section["compensation.horizon"] * experiment.timebase.rate)
+    codec = TrajectoryCodec(topic, axes, experiment.timebase)
+    return len(codec.encode_points(0, np.zeros((points, len(topic.quantities), len(axes)))))
 
 
 def allowed(experiment: Experiment, loop_delay: int) -> Allowed:

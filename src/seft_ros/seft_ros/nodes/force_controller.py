@@ -17,6 +17,7 @@ from seft_msgs_py.topics import (
     LINK_PONG,
     REFERENCE_FORCE,
     RIG_STATE,
+    TARGET,
     VALVE_COMMAND,
 )
 from seft_msgs_py.trajectory import Floats, TrajectoryCodec
@@ -27,6 +28,7 @@ from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.matched_forces import PENDING, MatchedForces
 from seft_ros.force_controller.methods import force_control
+from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.newest_preview import NewestPreview
 from seft_ros.force_controller.parameters import TABLE
 from seft_ros.force_controller.silence import Silence
@@ -70,22 +72,24 @@ class ForceControllerNode:
         if self._previews is not None:
             send_back = shell.publisher(LINK_PONG.of(rig))
             shell.subscribe(LINK_PING.of(rig), lambda raw, _: send_back(raw), reliable=False)
-        self._force_codec = TrajectoryCodec(REFERENCE_FORCE, experiment.axes, timebase)
+        topic = TARGET if section["method"] == VELOCITY_FEEDFORWARD else REFERENCE_FORCE
+        self._force_codec = TrajectoryCodec(topic, experiment.axes, timebase)
+        self._settled = 1 + max(section["loop_delay"], 0)
         self._state_codec = TrajectoryCodec(RIG_STATE.of(rig), axes, timebase)
         # the reference force is one message for all rigs
         self._places = list(rig.places) if rig.name else slice(None)
         # without a link the state of a step is nearly always there before the force that answers
         # it: only the force is worth waking up for
-        shell.subscribe(REFERENCE_FORCE, self._on_force, reliable=False)
+        shell.subscribe(topic, self._on_force, reliable=False)
         wake = self._previews is not None
-        state = self._state_codec.topic
-        self._read_state = shell.subscribe(state, self._on_state, wake=wake, reliable=False)
+        states = self._state_codec.topic
+        self._read_state = shell.subscribe(states, self._on_state, wake=wake, reliable=False)
 
     def _warm_up(self) -> None:
         axes = len(self._shell.rig.axes)
-        force, state = np.zeros(axes), np.zeros((4, axes))
+        points, state = np.zeros((1, 1, axes)), np.zeros((4, axes))
         for step in range(WARM_UP_STEPS):
-            raw = self._command_codec.encode(step, self._controller.step(step, force, state))
+            raw = self._command_codec.encode(step, self._controller.step(step, points, state))
             self._command_codec.decode(raw)
         self._controller.reset()
 
@@ -136,7 +140,7 @@ class ForceControllerNode:
         else:
             self._silence.end()  # of a test that is over, not known to run, or keeps no time
         if self._controller.reason:  # reference forces are not waited for any more
-            self._answer(step, np.zeros(state.shape[1]), state)
+            self._answer(step, np.zeros((1, 1, state.shape[1])), state)
             return
         self._states[step] = state
         self._answer_if_complete(step)
@@ -145,10 +149,10 @@ class ForceControllerNode:
 
     def _on_force(self, raw: bytes, _: int) -> None:
         step, values = self._force_codec.decode(raw)
-        points, name = values[:, 0, self._places], REFERENCE_FORCE.name
+        points, name = values[:, :, self._places], REFERENCE_FORCE.name
         if self._controller.reason and step <= self._order.last:
             return
-        for force in points:
+        for force in points[: self._settled, -1]:
             if nonsense := self._controller.nonsense(force):
                 raise WireError(f"{name} of step {step}: {nonsense}")
         if self._previews is None:
@@ -187,13 +191,13 @@ class ForceControllerNode:
     def _answer_if_complete(self, step: int) -> None:
         if step not in self._states:
             return
-        force = self._forces.force(step)
-        if force is not None:
-            self._answer(step, force, self._states[step])
+        points = self._forces.points(step)
+        if points is not None:
+            self._answer(step, points, self._states[step])
 
-    def _answer(self, step: int, force: Floats, state: Floats) -> None:
+    def _answer(self, step: int, points: Floats, state: Floats) -> None:
         was_tripped = bool(self._controller.reason)
-        command = self._controller.step(step, force, state)
+        command = self._controller.step(step, points, state)
         self._publish(self._command_codec.encode(step, command))
         self._order.last = step
         for passed in [other for other in self._states if other <= step]:

@@ -19,7 +19,6 @@ from seft_msgs_py.topics import (
     ESTIMATES,
     EXPERIMENT_STATE,
     GROUND_MOTION,
-    REFERENCE_FORCE,
     RIG_STATE,
 )
 from seft_msgs_py.trajectory import Floats, TrajectoryCodec
@@ -32,8 +31,8 @@ from seft_ros.interlock.protected_force import ProtectedForce
 from seft_ros.reference_force.estimate_sampler import EstimateSampler
 from seft_ros.reference_force.motion_buffer import MotionBuffer
 from seft_ros.reference_force.parameters import TABLE
-from seft_ros.reference_force.previewed_force import PreviewedForce
 from seft_ros.reference_force.state_gathering import StateGathering
+from seft_ros.reference_force.topic import reference_force_topic
 
 RIG_LOOK = 0.002  # s between looks for the state of a rig that is late
 
@@ -48,15 +47,12 @@ class ReferenceForceNode:
             experiment["reference_force"], experiment.axes, experiment.timebase
         )
         section = experiment["reference_force"]
-        self._previewed: PreviewedForce | None = None
-        if section["loop_delay"]:
-            self._previewed = PreviewedForce.from_parameters(
-                self._block, section, experiment.axes, experiment.timebase
-            )
-        self._window = 1 + (self._previewed or self._block).preview
+        self._window = 1 + self._block.preview
+        self._delay = max(section["loop_delay"], 0)
+        topic = reference_force_topic(section)
         self._motion_codec, self._force_codec = (
             TrajectoryCodec(topic, experiment.axes, experiment.timebase)
-            for topic in (GROUND_MOTION, REFERENCE_FORCE)
+            for topic in (GROUND_MOTION, topic)
         )
         self._state_codecs = [
             TrajectoryCodec(RIG_STATE.of(rig), rig.axes, experiment.timebase)
@@ -68,11 +64,11 @@ class ReferenceForceNode:
             self._gathering = StateGathering(experiment.rigs, timeout)
         self._sampler = EstimateSampler(self._block, experiment.timebase)
         self._estimates_codec = EstimatesCodec(experiment.axes, experiment.timebase)
-        self._publish = shell.publisher(REFERENCE_FORCE)
+        self._publish = shell.publisher(topic)
         self._publish_estimates = shell.publisher(ESTIMATES)
         self._motion = MotionBuffer(len(experiment.axes))
         self._waiting: dict[int, Floats] = {}
-        self._order = SampleOrder(experiment.timebase, max(section["loop_delay"], 0))
+        self._order = SampleOrder(experiment.timebase, self._delay)
         self._conflict = ""  # why this test is not answered
         self._test = ""  # state of the test, as the supervisor says
         self._phase = ""
@@ -81,8 +77,7 @@ class ReferenceForceNode:
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
         shell.subscribe(GROUND_MOTION, self._on_ground_motion)
         # behind a link, who is late bridges what is old rather than answer it
-        delay = max(section["loop_delay"], 0)
-        depth = 2 * (2 + delay) if delay else None
+        depth = 2 * (2 + self._delay) if self._delay else None
         for number, codec in enumerate(self._state_codecs):
             receive = partial(self._on_rig_state, number)
             shell.subscribe(codec.topic, receive, depth=depth, reliable=False)
@@ -124,15 +119,9 @@ class ReferenceForceNode:
         self._waiting.clear()
         if self._gathering is not None:
             self._gathering.reset()
-        self._rest()
+        self._block.reset()
         self._sampler.reset()
         self._follow_test()
-
-    def _rest(self) -> None:
-        """No force, and nothing remembered."""
-        self._block.reset()
-        if self._previewed is not None:
-            self._previewed.reset()
 
     def _on_ground_motion(self, raw: bytes, _: int) -> None:
         first, values = self._motion_codec.decode(raw)
@@ -189,7 +178,7 @@ class ReferenceForceNode:
             self._report(ALL_ANSWERED)
         elif self._test in (State.IDLE, State.READY) and self._phase != "ready":
             self._conflict = ""
-            self._rest()
+            self._block.reset()
             self._report("ready")
 
     def _trip_for(self, reason: str, step: int) -> None:
@@ -216,14 +205,10 @@ class ReferenceForceNode:
 
     def _message(self, step: int, motion: Floats | None, state: Floats) -> bytes:
         """Message that answers a state; of the states before it, lost ones are bridged."""
-        force = self._block if self._previewed is None else self._previewed
-        if self._previewed is not None and step > self._order.last + 1:
+        if self._delay and step > self._order.last + 1:
             lost = range(self._order.last + 1, step)
-            self._previewed.bridge([self._motion.window(s, self._window) for s in lost], state)
-        values = force.step_without_motion() if motion is None else force.step(motion, state)
-        if self._previewed is None:
-            return self._force_codec.encode(step, values)
-        return self._force_codec.encode_points(step, values)
+            self._block.bridge([self._motion.window(s, self._window) for s in lost], state)
+        return self._force_codec.encode_points(step, self._block.step(motion, state))
 
     def _tell_ramp(self, step: int) -> None:
         """Tell the supervisor at once that the force comes down by itself, and that it is down."""

@@ -38,6 +38,7 @@ from seft_ros.recording.gathering import (
 from seft_ros.recording.inference import infer_experiment
 from seft_ros.recording.record import Record
 from seft_ros.recording.samples import of_all_rigs, on_steps_of, until
+from seft_ros.reference_force.topic import reference_force_topic
 
 UNDECODABLE = "undecodable"
 """Key of a record's environment: messages that could not be understood, and were left out."""
@@ -79,7 +80,8 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
             for topic in RIG_TOPICS
             for rig in experiment.rigs
         }
-        for topic in (GROUND_MOTION, REFERENCE_FORCE):
+        forces = reference_force_topic(experiment.sections.get("reference_force", {}))
+        for topic in (GROUND_MOTION, forces):
             loop[topic] = SeriesGatherer(topic, experiment, bag.count(topic))
         log = EventLog()
         estimates = EstimatesGatherer(experiment)
@@ -99,7 +101,7 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         )
         for topic in RIG_TOPICS
     }
-    series |= {t.name: loop[t].series() for t in (GROUND_MOTION, REFERENCE_FORCE)}
+    series |= {t.name: loop[t].series() for t in (GROUND_MOTION, forces)}
     outcome = statuses.outcome(len(experiment.rigs))
     if outcome is not None and outcome.steps > 0:  # what is stamped later, the rig never sampled
         series = {name: until(one, outcome.steps - 1) for name, one in series.items()}

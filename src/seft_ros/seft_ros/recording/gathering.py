@@ -22,7 +22,7 @@ from seft_msgs_py.messages import (
 from seft_msgs_py.outcome import Outcome, read_outcome
 from seft_msgs_py.rigs import RigAxes, bare
 from seft_msgs_py.timebase import NANOSECONDS_PER_SECOND, Timebase
-from seft_msgs_py.topics import GROUND_MOTION, REFERENCE_FORCE, LoopTopic
+from seft_msgs_py.topics import GROUND_MOTION, REFERENCE_FORCE, TARGET, LoopTopic
 from seft_msgs_py.trajectory import TrajectoryCodec
 from seft_msgs_py.trajectory_batch import decode_batch
 
@@ -48,8 +48,8 @@ class Gatherer(Protocol):
 class SeriesGatherer:
     """Samples of a topic of the loop.
 
-    Of a reference force with previews, the forces that a message has settled count, not those
-    that it only expects.
+    Over a link, a message tells the reference force of later steps, too. Of a target, which goes
+    on changing, the first point of each message counts.
 
     Parameters
     ----------
@@ -76,9 +76,11 @@ class SeriesGatherer:
         self._samples = SampleBuffer(len(topic.quantities), len(axes), expected)
         self._timed = topic is not GROUND_MOTION  # which goes ahead, sooner or later
         self._ahead = inf
-        if topic is REFERENCE_FORCE:
+        if topic == REFERENCE_FORCE:
             section = experiment.sections.get("reference_force", {})
             self._ahead = max(section.get("loop_delay", 0), 0)
+        elif topic == TARGET:
+            self._ahead = 0
 
     def take(self, block: MessageBlock) -> None:
         """Take the next messages, all of the topic."""

@@ -18,10 +18,10 @@ from seft_msgs_py.topics import (
     DIAGNOSTICS,
     ESTIMATES,
     GROUND_MOTION,
-    LOOP_TOPICS,
     RIG_STATE,
     RIG_TOPICS,
     STEP_TOPICS,
+    VALVE_COMMAND,
 )
 from seft_msgs_py.trajectory import TrajectoryCodec
 
@@ -30,6 +30,7 @@ from seft_ros.recording.bag_writer import BagWriter
 from seft_ros.recording.description import write_description
 from seft_ros.recording.record import Record
 from seft_ros.recording.samples import Run, consecutive_runs
+from seft_ros.reference_force.topic import reference_force_topic
 
 CHUNK_STEPS = 100
 NOT_FINITE = "not_finite"
@@ -50,6 +51,7 @@ def write_record(
     The messages are those of a test over DDS, in the order of time: the description, then
     each step's rig state, reference force, valve command and estimates, with ground motion one
     message ahead, and how it ended. The log time of step k is the wall-clock start plus k periods.
+    Of a target, the coming motion is not in a record, and not in the bag then.
     Samples that are not finite are left out, as no node sends them, and counted in the
     environment.
 
@@ -75,12 +77,13 @@ def write_record(
     timebase, axes = record.experiment.timebase, record.experiment.axes
     start_ns, rigs = _start_ns(record), record.experiment.rigs
     whole = RigAxes.whole(axes)
+    forces = reference_force_topic(record.experiment.sections.get("reference_force", {}))
     codecs = {
         topic.name: [
             (rig.places, TrajectoryCodec(topic.of(rig), rig.axes, timebase))
             for rig in (rigs if topic in RIG_TOPICS else [whole])
         ]
-        for topic in LOOP_TOPICS
+        for topic in (GROUND_MOTION, RIG_STATE, forces, VALVE_COMMAND)
     }
     ((_, motion_codec),) = codecs[GROUND_MOTION.name]
     estimates_codec = EstimatesCodec(axes, timebase)

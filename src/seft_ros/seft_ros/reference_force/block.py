@@ -1,5 +1,6 @@
 """Reference force: what the actuators are asked to apply."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from seft_ros.reference_force.compensation.compensator import (
     Compensator,
     Knowledge,
     learning,
+    tells_motion,
 )
 from seft_ros.reference_force.compensation.methods import METHODS
 from seft_ros.reference_force.compensation.substructure import with_substructure
@@ -43,12 +45,18 @@ class ReferenceForce:
     learn : callable
         To be called, without arguments, when the answer is out: what can wait until then need
         not hold up the loop. Nothing but time depends on whether it is.
+    tells_motion : bool
+        Whether it gives the motion of a target, and not the force alone.
+    shape : (int, int)
+        Points and quantities that `step` gives.
     compensator : Compensator
         As given.
     """
 
     def __init__(self, compensator: Compensator) -> None:
         self.preview = compensator.preview
+        self.tells_motion = tells_motion(compensator)
+        self.shape = (1 + self.preview, 3) if self.tells_motion else (1, 1)
         self.learn = learning(compensator)
         self.compensator = compensator
 
@@ -71,7 +79,7 @@ class ReferenceForce:
         """Forget the test so far."""
         self.compensator.reset()
 
-    def step(self, ground_motion: Floats, state: Floats) -> Floats:
+    def step(self, ground_motion: Floats, state: Floats, pace: float = 1.0) -> Floats:
         """Compute the reference force of one step.
 
         Parameters
@@ -81,12 +89,22 @@ class ReferenceForce:
             (1 + preview, n), m/s^2.
         state : ndarray
             Measured displacement, velocity, acceleration and force, shape (4, n).
+        pace : float
+            Of a target: 1 in a test, on the way to rest it goes to 0.
 
         Returns
         -------
         ndarray
-            Shape (n,), N.
+            Points of this step and coming ones, shape (p, q, n). The last quantity is the force,
+            N; those of a target are displacement, velocity and force. All are NaN where a state
+            is not finite: what a target remembers would be so ever after.
         """
+        if not self.tells_motion:
+            return self.compensator.step(ground_motion, state)[np.newaxis, np.newaxis]
+        values = state.ravel()
+        if not math.isfinite(values.dot(values)):
+            return np.full((*self.shape, state.shape[1]), np.nan)
+        self.compensator.pace = pace  # type: ignore[attr-defined]
         return self.compensator.step(ground_motion, state)
 
     def estimates(self) -> dict[str, Floats]:
@@ -102,7 +120,8 @@ def compensator(method: str, known: Knowledge) -> Compensator:
     InputError
         If the method lacks something.
     """
-    return with_substructure(METHODS[method](known), known)
+    made = METHODS[method](known)
+    return made if tells_motion(made) else with_substructure(made, known)
 
 
 def knowledge(section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase) -> Knowledge:

@@ -54,7 +54,7 @@ class HeldCommands:
         topic = VALVE_COMMAND if rig.drive == VALVE_COMMAND.name else REFERENCE_FORCE
         series, record = recorded.series(topic), recorded.record
         self._rig, self._states = rig, states
-        self._values = dict(zip(series.steps.tolist(), series.values[:, 0], strict=True))
+        self._values = dict(zip(series.steps.tolist(), series.values[:, -1], strict=True))
         self._none = np.zeros(len(record.experiment.axes))
         self._missed = set(record.missed_steps)
         self._steps = int(self._states.steps[-1])

@@ -4,7 +4,6 @@ import numpy as np
 from seft_msgs_py.topics import REFERENCE_FORCE, RIG_STATE
 
 from seft_ros.interlock.protected_force import ProtectedForce
-from seft_ros.interlock.ramp_down import ramp_factor
 from seft_ros.replay.motion import Motion
 from seft_ros.replay.recorded import Recorded
 
@@ -14,8 +13,8 @@ def ramp_step(recorded: Recorded) -> tuple[int | None, bool]:
 
     No message says it: the supervisor's word came between two steps. Where the recorded forces
     are those of the block with the recorded parameters, the first that is not, but is the block's
-    times the ramp's first factor, tells it exactly; else the times at which messages were
-    recorded do, within some steps.
+    in the ramp, tells it exactly; else the times at which messages were recorded do, within some
+    steps.
 
     Returns
     -------
@@ -33,24 +32,27 @@ def ramp_step(recorded: Recorded) -> tuple[int | None, bool]:
 
 
 def _from_forces(recorded: Recorded) -> int | None:
+    first = _first_other(recorded)
+    return first if first is not None and _first_other(recorded, first) is None else None
+
+
+def _first_other(recorded: Recorded, ramp: int | None = None) -> int | None:
+    """First step, up to that of the ramp, whose message is not the block's."""
     experiment = recorded.record.experiment
     section = experiment["reference_force"]
     block = ProtectedForce.from_parameters(section, experiment.axes, experiment.timebase)
-    factor = ramp_factor(1, block.ramp.steps)
-    motion, ahead = Motion(recorded.chunks, len(experiment.axes)), max(section["loop_delay"], 0)
-    states, forces = recorded.series(RIG_STATE), recorded.series(REFERENCE_FORCE)
-    values = dict(zip(forces.steps.tolist(), forces.values[:, 0], strict=True))
+    motion, states = Motion(recorded.chunks, len(experiment.axes)), recorded.series(RIG_STATE)
     for step, state in zip(states.steps.tolist(), states.values, strict=True):
-        known = motion.window(step, 1 + block.preview)
-        if known is None or step + ahead not in values:
+        known, told = motion.window(step, 1 + block.preview), recorded.points.get(step)
+        if known is None or told is None:
             return None
-        force = block.step(known, state)
+        if step == ramp:
+            block.ramp_down()
+        points = block.step(known, state)[: len(told)]
+        if points.tobytes() != told.tobytes():
+            return int(step)
         if block.ramping:
             return None  # by itself, before anybody said so
-        told = values[step + ahead]
-        if force.tobytes() != told.tobytes():
-            scaled = np.array(block.plausible.last) * factor
-            return int(step) if scaled.tobytes() == told.tobytes() else None
     return None
 
 

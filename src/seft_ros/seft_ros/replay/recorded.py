@@ -3,8 +3,6 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-import numpy.typing as npt
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.messages import decode_status
@@ -21,8 +19,7 @@ from seft_msgs_py.trajectory import Floats, TrajectoryCodec
 from seft_ros.experiment.state_machine import State
 from seft_ros.recording.bag_reader import read_bag, read_messages
 from seft_ros.recording.record import Record, Series
-
-Steps = npt.NDArray[np.int64]
+from seft_ros.reference_force.topic import reference_force_topic
 
 
 @dataclass(frozen=True)
@@ -36,9 +33,8 @@ class Recorded:
     chunks : list of (int, ndarray)
         The messages of ground motion in their order: first step, and accelerations of shape
         (p, n), m/s^2. They go beyond the test's end, as far as the motion was sent ahead.
-    forces : ndarray of int64
-        Steps whose state reference_force has answered, shape (N,). With previews a message tells
-        forces of later steps, too, so that the series does not say this.
+    points : dict
+        Step -> points of the message of reference_force that answers its state, shape (p, q, n).
     ramped_ns : int or None
         When the supervisor's word to bring the force down was received, ns of the wall clock;
         None where it said no such thing.
@@ -46,7 +42,7 @@ class Recorded:
 
     record: Record
     chunks: list[tuple[int, Floats]]
-    forces: Steps
+    points: dict[int, Floats]
     ramped_ns: int | None
 
     def series(self, topic: LoopTopic) -> Series:
@@ -74,17 +70,13 @@ def read_recorded(path: str | Path) -> Recorded:
             "before is not in it; record from before the start on"
         )
     gatherer = _Gatherer(record.experiment)
-    topics: list[Topic] = [EXPERIMENT_STATE, GROUND_MOTION]
-    if _loop_delay(record.experiment):
-        topics.append(REFERENCE_FORCE)
+    topics: list[Topic] = [EXPERIMENT_STATE, GROUND_MOTION, REFERENCE_FORCE]
     for topic, received_ns, raw in read_messages(path, topics):
         gatherer.take(topic, received_ns, raw)
     if gatherer.tests > 1:
         raise InputError(f"{path}: the bag holds {gatherer.tests} tests; record one in a bag")
-    forces = record.series[REFERENCE_FORCE.name].steps
-    if REFERENCE_FORCE in topics:
-        forces = np.unique(np.array(gatherer.forces, np.int64))
-    return Recorded(record, gatherer.chunks, forces, gatherer.ramped_ns)
+    points = {step: told for step, told in sorted(gatherer.points.items()) if step <= states[-1]}
+    return Recorded(record, gatherer.chunks, points, gatherer.ramped_ns)
 
 
 class _Gatherer:
@@ -92,11 +84,12 @@ class _Gatherer:
         self.tests = 0
         self.ramped_ns: int | None = None
         self.chunks: list[tuple[int, Floats]] = []
-        self.forces: list[int] = []
+        self.points: dict[int, Floats] = {}
         self._state = ""
+        forces = reference_force_topic(experiment.sections.get("reference_force", {}))
         self._motion, self._force = (
             TrajectoryCodec(topic, experiment.axes, experiment.timebase)
-            for topic in (GROUND_MOTION, REFERENCE_FORCE)
+            for topic in (GROUND_MOTION, forces)
         )
 
     def take(self, topic: Topic, received_ns: int, raw: bytes) -> None:
@@ -106,7 +99,7 @@ class _Gatherer:
                 first, values = self._motion.decode(raw)
                 self.chunks.append((first, values[:, 0]))
             elif topic is REFERENCE_FORCE:
-                self.forces.append(self._force.decode(raw)[0])
+                self.points.setdefault(*self._force.decode(raw))
             else:
                 self._follow(decode_status(raw).message, received_ns)
         except WireError:
@@ -119,7 +112,3 @@ class _Gatherer:
         self.tests += state == State.RUNNING
         if state == State.RAMPING_DOWN and self.ramped_ns is None:
             self.ramped_ns = received_ns
-
-
-def _loop_delay(experiment: Experiment) -> int:
-    return int(experiment.sections.get("reference_force", {}).get("loop_delay", 0))

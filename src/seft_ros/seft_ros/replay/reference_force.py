@@ -7,7 +7,6 @@ import numpy as np
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.topics import (
     GROUND_MOTION,
-    REFERENCE_FORCE,
     RIG_STATE,
     VALVE_COMMAND,
     LoopTopic,
@@ -19,7 +18,7 @@ from seft_ros.interlock.protected_force import ProtectedForce
 from seft_ros.recording.record import Estimates, Series
 from seft_ros.recording.samples import EstimateBuffer
 from seft_ros.reference_force.estimate_sampler import EstimateSampler
-from seft_ros.reference_force.previewed_force import PreviewedForce
+from seft_ros.reference_force.topic import reference_force_topic
 from seft_ros.replay.answered import note_unanswered
 from seft_ros.replay.cue import FAR, Cue
 from seft_ros.replay.motion import Motion
@@ -46,7 +45,7 @@ class ReferenceForcePart:
     """
 
     node = "reference_force"
-    answer: LoopTopic = REFERENCE_FORCE
+    answer: LoopTopic
     sends: tuple[LoopTopic, ...] = (GROUND_MOTION, RIG_STATE)
     steps: int | None = None  # without that number the node keeps no time
 
@@ -55,6 +54,7 @@ class ReferenceForcePart:
         self._experiment = experiment = recorded.record.experiment
         self.fixed: dict[str, object] = {}
         self.notes: list[str] = []
+        self.answer = reference_force_topic(experiment["reference_force"])
         self._delay = int(experiment["reference_force"]["loop_delay"])
         self._motion = Motion(recorded.chunks, len(experiment.axes))
         self._ramp, exact = ramp_step(recorded)
@@ -64,7 +64,7 @@ class ReferenceForcePart:
                 "the forces do not tell it exactly"
             )
         states = recorded.series(RIG_STATE)
-        answered = recorded.forces
+        answered = np.array(list(recorded.points), np.int64)
         if not self._delay:  # who was commanded had a reference force, recorded or not
             commanded = recorded.series(VALVE_COMMAND).steps
             unrecorded = np.setdiff1d(commanded, answered)
@@ -96,17 +96,15 @@ class ReferenceForcePart:
 
     def expected(self) -> Series:
         """Give the recorded answers that replayed ones are held against."""
-        return self._recorded.series(REFERENCE_FORCE)
+        return self._recorded.series(self.answer)
 
     def computed(self, section: dict[str, Any]) -> tuple[Series, Estimates | None]:
         """Give the answers of the block without ROS, with a node's parameters."""
         axes, timebase = self._experiment.axes, self._experiment.timebase
         block = ProtectedForce.from_parameters(section, axes, timebase)
         delay = max(section["loop_delay"], 0)
-        force: ProtectedForce | PreviewedForce = block
-        if delay:
-            force = PreviewedForce.from_parameters(block, section, axes, timebase)
-        window, last = 1 + force.preview, -1
+        settled = 1 if block.reference_force.tells_motion else 1 + delay
+        window, last = 1 + block.preview, -1
         sampler, estimates = EstimateSampler(block, timebase), EstimateBuffer()
         told: dict[int, Floats] = {}
         for step, state in _rows(self._states):
@@ -115,16 +113,15 @@ class ReferenceForcePart:
             motion = self._motion.window(step, window)
             if motion is None and not block.ramping:
                 break  # the node would wait for it
-            if isinstance(force, PreviewedForce) and step > last + 1:
+            if delay and step > last + 1:
                 lost = [self._motion.window(at, window) for at in range(last + 1, step)]
-                force.bridge(lost, state)
-            points = force.step_without_motion() if motion is None else force.step(motion, state)
-            for ahead, settled in enumerate(np.atleast_2d(points)[: 1 + delay]):
-                told.setdefault(step + ahead, settled)
+                block.bridge(lost, state)
+            for ahead, point in enumerate(block.step(motion, state)[:settled]):
+                told.setdefault(step + ahead, point)
             last = step
             if step >= sampler.due:
                 estimates.append(step, sampler.sample(step))
-        values = np.array(list(told.values())).reshape(len(told), 1, len(axes))
+        values = np.array(list(told.values())).reshape(len(told), -1, len(axes))
         return Series(np.array(list(told), np.int64), values), estimates.series()
 
 

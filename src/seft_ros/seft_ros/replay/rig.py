@@ -5,12 +5,13 @@ from typing import Any
 
 import numpy as np
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND, LoopTopic, Topic
+from seft_msgs_py.topics import REFERENCE_FORCE, RIG_STATE, TARGET, VALVE_COMMAND, LoopTopic, Topic
 from seft_msgs_py.trajectory import TrajectoryCodec
 from seft_plant_sim.rig import Rig
 
 from seft_ros.recording.record import Estimates, Series
 from seft_ros.recording.samples import until
+from seft_ros.reference_force.topic import reference_force_topic
 from seft_ros.replay.cue import Cue
 from seft_ros.replay.held_commands import HeldCommands
 from seft_ros.replay.recorded import Recorded
@@ -54,6 +55,12 @@ class RigPart:
         self.sends: tuple[LoopTopic, ...] = (VALVE_COMMAND,)
         if self._driven_by is REFERENCE_FORCE:
             self.sends = (VALVE_COMMAND, REFERENCE_FORCE)
+            told = reference_force_topic(experiment.sections.get("reference_force", {}))
+            if experiment["rig"]["loop_delay"] and told == TARGET:
+                raise InputError(
+                    "the rig was driven by the coming motion of a target over a link (loop_delay): "
+                    "which message was the newest is not in a bag; replay reference_force"
+                )
         if record.missed is not None and record.missed > len(record.missed_steps):
             last = record.missed_steps[-1] if record.missed_steps else -1
             if last < 0:

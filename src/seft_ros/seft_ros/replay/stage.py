@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 from seft_msgs_py.errors import ExperimentError, InputError, WireError
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.outcome import TRIPPED
-from seft_msgs_py.topics import ESTIMATES, Topic
+from seft_msgs_py.topics import ESTIMATES, REFERENCE_FORCE, Topic
 from seft_msgs_py.trajectory import TrajectoryCodec
 
 from seft_ros.experiment.state_machine import State
 from seft_ros.recording.gathering import EstimatesGatherer, SeriesGatherer
 from seft_ros.recording.message_block import MessageBlock
+from seft_ros.reference_force.topic import reference_force_topic
 from seft_ros.replay.answers import Answers
 from seft_ros.replay.cue import Cue, Part
 from seft_ros.running.one_node import alone_on_the_graph, one_node
@@ -75,7 +76,11 @@ class _Stage:
     ) -> None:
         self._part, self._processes, self._progress = part, processes, progress
         self._experiment = experiment
-        self._codec = TrajectoryCodec(part.answer, experiment.axes, experiment.timebase)
+        # with other parameters, a reference force may be of a target, or not be
+        self._answer = part.answer
+        if part.answer.name == REFERENCE_FORCE.name:
+            self._answer = reference_force_topic(experiment["reference_force"])
+        self._codec = TrajectoryCodec(self._answer, experiment.axes, experiment.timebase)
         self._answers, self._estimates = _Heard(), _Heard()
         hears = {part.answer: self._on_answer, ESTIMATES: self._estimates.take}
         self.player = Player("seft_replay", part.sends, hears)
@@ -96,7 +101,7 @@ class _Stage:
         player.listen_for(LAST)
         player.say(State.DONE)
         experiment = self._experiment
-        gatherer = SeriesGatherer(self._part.answer, experiment, len(self._answers.raws))
+        gatherer = SeriesGatherer(self._answer, experiment, len(self._answers.raws))
         gatherer.take(_block(self._answers.raws))
         estimates = EstimatesGatherer(experiment)
         for raw in self._estimates.raws:

@@ -5,13 +5,13 @@ from typing import Any
 from rich.console import Group
 from rich.table import Table
 from rich.text import Text
-from seft_msgs_py.topics import LOOP_TOPICS
+from seft_msgs_py.topics import LOOP_TOPICS, TARGET
 
 from seft_ros.analysis.table import small_percent
 
 _UNITS = {
     (topic.name, quantity): unit
-    for topic in LOOP_TOPICS
+    for topic in (*LOOP_TOPICS, TARGET)
     for quantity, unit in zip(topic.quantities, topic.units, strict=True)
 }
 

@@ -5,10 +5,12 @@ import math
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import eigh
+from seft_msgs_py.errors import InputError
 from seft_plant_sim.compiled import entry_point
 from seft_plant_sim.first_order_hold import first_order_hold
 
 from seft_ros.reference_force.compensation.compensator import Knowledge
+from seft_ros.reference_force.compensation.linear_filter import LinearFilter
 from seft_ros.target.motion_observer import observer_gains, sensor_noise
 from seft_ros.target.restoring_model import model_arrays
 from seft_ros.target.target_step import (
@@ -71,6 +73,13 @@ class TargetMotion:
             self.parameters, self.state, self._ground, self._measured, self.pace, self._points
         )
         return self._points.copy()
+
+    def linear(self) -> LinearFilter:
+        """Say that there is none."""
+        raise InputError(
+            "reference_force: target_motion is no linear filter: seft simulate tells whether a "
+            "test is stable"
+        )
 
     def estimates(self) -> dict[str, Floats]:
         """Local stiffness, damping and sliders' force of each spring."""

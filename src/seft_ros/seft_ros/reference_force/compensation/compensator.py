@@ -79,6 +79,10 @@ class Compensator(Protocol):
     out. It need not be called: whatever is left of a step is to be made good by the next one, and
     by `estimates` and `linear`, so that nothing depends on when it was.
 
+    A method that tells the motion of a target returns points of it, see `ReferenceForce.step`,
+    1 + ``preview`` of them, and has ``pace`` beside: 1 in a test; as that goes to 0, the ground
+    motion fades and the target comes to rest.
+
     Attributes
     ----------
     preview : int
@@ -113,6 +117,11 @@ class Compensator(Protocol):
 
     def linear(self) -> LinearFilter:
         """Linear filter that the method is now: exactly, or as long as no estimate changes."""
+
+
+def tells_motion(compensator: Compensator) -> bool:
+    """Whether a method returns points of a target's motion, and has a pace."""
+    return hasattr(compensator, "pace")
 
 
 def learning(compensator: Compensator) -> Callable[[], None]:

@@ -5,6 +5,7 @@ What the methods compute with takes a third of a second to import.
 
 from seft_msgs_py.registered import Registered
 
+TARGET_MOTION = "target_motion"
 OWN = (
     "none",
     "polynomial",
@@ -15,7 +16,7 @@ OWN = (
     "ats",
     "restoring",
     "preview_inverse",
-    "target_motion",
+    TARGET_MOTION,
 )
 REGISTERED = Registered("seft.compensation", OWN)
 """Of other packages: name of a method -> `compensator.Method`, which may take settings."""
