@@ -6,6 +6,7 @@ import pytest
 from seft_ros.interlock.plausibility import PlausibleForce, PlausibleState
 from seft_ros.interlock.protected_force import ProtectedForce
 from seft_ros.interlock.ramp_down import RampDown
+from seft_ros.target.braking import continued
 
 DT = 0.002
 MOTION, STATE = np.zeros((1, 1)), np.zeros((4, 1))
@@ -27,22 +28,25 @@ class Guard:
         return "energy grows" if self.asked > self.at else None
 
 
-def protected(forces, guards=(), ramp=10, largest=1e4, fastest=1e9):
+def protected(forces, guards=(), ramp=10, largest=1e4, fastest=1e9, loop_delay=0):
     """A reference force that gives these one after the other, protected."""
     given = iter(forces)
     block = SimpleNamespace(
         preview=0,
+        tells_motion=False,
+        shape=(1, 1),
         estimates=dict,
         learn=lambda: None,
         reset=lambda: None,
-        step=lambda motion, state: np.array([next(given)]),
+        step=lambda motion, state, pace: np.array([[[next(given)]]]),
     )
     plausible = PlausibleForce(largest, fastest, ("x",), DT)
-    return ProtectedForce(block, plausible, [PlausibleState(("x",)), *guards], RampDown(ramp))
+    watching = [PlausibleState(("x",)), *guards]
+    return ProtectedForce(block, plausible, watching, RampDown(ramp, loop_delay), loop_delay)
 
 
-def run(force, steps, state=STATE):
-    return [float(force.step(MOTION, state)[0]) for _ in range(steps)]
+def run(force, steps, state=STATE, motion=MOTION):
+    return [force.step(motion, state).item() for _ in range(steps)]
 
 
 def ramp(steps):
@@ -108,9 +112,9 @@ def test_without_ground_motion_the_ramp_goes_on_without_a_jump():
     run(force, 1)
     force.ramp_down()
     way = [100.0, *run(force, 2)]
-    way += [float(force.step_without_motion()[0]) for _ in range(20)]
+    way += run(force, 20, motion=None)
     way += run(force, 1)  # motion that comes again does not bring the force back
-    way += [float(force.step_without_motion()[0]) for _ in range(27)]
+    way += run(force, 27, motion=None)
     assert way[-1] == 0.0
     assert max(abs(b - a) for a, b in itertools.pairwise(way)) < 105.0 * 1.6 / 50 + 5.0
     assert way[3:] == sorted(way[3:], reverse=True)
@@ -126,3 +130,113 @@ def test_the_cause_is_latched_until_the_next_test():
     assert (force.cause, force.ramping, force.at_rest, guard.asked) == (None, False, False, 0)
     guard.at = 5
     assert run(force, 1) == [1.0]
+
+
+def test_over_a_link_the_forces_that_are_settled_are_told_again():
+    force = protected([1.0, 2.0, 3.0, 4.0, 5.0, 6.0], ramp=2, loop_delay=2)
+    told = [force.step(MOTION, STATE).ravel().tolist() for _ in range(4)]
+    assert told == [[0, 0, 1], [0, 1, 2], [1, 2, 3], [2, 3, 4]]
+    force.ramp_down()
+    told = [force.step(MOTION, STATE).ravel().tolist() for _ in range(2)]
+    assert told == [[3, 4, pytest.approx(2.5)], [4, pytest.approx(2.5), 0]]
+    assert not force.at_rest  # the forces before are still to be applied
+    assert run_settled(force, 2) == [pytest.approx(2.5), 0.0]
+    assert force.at_rest
+
+
+def run_settled(force, steps):
+    return [force.step(None, STATE)[0].item() for _ in range(steps)]
+
+
+def test_states_that_were_lost_are_bridged_in_a_straight_line():
+    force, seen = protected([0.0] * 9, loop_delay=3), []
+    inner = force.reference_force.step
+
+    def step(motion, state, pace):
+        seen.append(state[0, 0])
+        return inner(motion, state, pace)
+
+    force.reference_force.step = step
+    force.step(MOTION, STATE)
+    force.bridge([MOTION] * 3, STATE + 8.0)
+    force.step(MOTION, STATE + 8.0)
+    assert seen == [0.0, 2.0, 4.0, 6.0, 8.0]
+
+
+class Target:
+    """A target that goes on at 1 m/s times the pace, with a force of 100 N times that."""
+
+    preview, tells_motion, shape = 4, True, (5, 3)
+
+    def __init__(self):
+        self.paces, self.motions, self.odd = [], [], None
+
+    def reset(self):
+        self.paces.clear()
+
+    estimates = dict
+
+    def learn(self):
+        pass
+
+    def step(self, motion, state, pace):
+        self.paces.append(pace)
+        self.motions.append(motion.copy())
+        points = np.empty((5, 3, 1))
+        points[:, 0, 0] = len(self.paces) + np.arange(5.0)
+        points[:, 1], points[:, 2] = pace, 100.0 * pace
+        if self.odd is not None:
+            points[:] = self.odd
+        return points
+
+
+def protected_target(ramp=10):
+    target = Target()
+    plausible = PlausibleForce(1e4, 1e9, ("x",), DT)
+    guards = [PlausibleState(("x",))]
+    return ProtectedForce(target, plausible, guards, RampDown(ramp, 2), loop_delay=2), target
+
+
+def test_a_target_is_slowed_down_and_its_points_are_not_scaled():
+    force, target = protected_target(ramp=4)
+    force.step(MOTION, STATE)
+    force.ramp_down()
+    given = [force.step(MOTION, STATE) for _ in range(4)]
+    assert target.paces == [1.0, *ramp(4)]
+    assert [points[0, :, 0].tolist() for points in given] == [
+        [step, pace, 100.0 * pace] for step, pace in zip(range(2, 6), ramp(4), strict=True)
+    ]
+    assert given[0].shape == (5, 3, 1)  # over a link, too, it tells the coming motion itself
+
+
+def test_a_target_without_ground_motion_goes_on_to_rest_as_if_there_were_none():
+    force, target = protected_target(ramp=4)
+    force.ramp_down()
+    for _ in range(4):
+        force.step(None, STATE)
+    assert target.paces == ramp(4)
+    assert not np.any(target.motions)
+    assert force.cause is None
+
+
+@pytest.mark.parametrize("odd", [np.nan, 2e4])
+def test_a_target_whose_force_is_not_plausible_brakes_and_is_scaled_down(odd):
+    force, target = protected_target(ramp=4)
+    force.step(MOTION, STATE)
+    last = force.step(MOTION, STATE)[:1]
+    target.odd = odd
+    given = [force.step(MOTION, STATE) for _ in range(4)]
+    for age, factor in enumerate(ramp(4), 1):
+        np.testing.assert_array_equal(given[age - 1], continued(last, age, 5, DT) * factor)
+    assert force.cause.startswith("reference force")
+    assert len(target.paces) == 3  # it is not asked again: what it remembers may be odd, too
+
+
+def test_a_target_that_fails_in_the_ramp_goes_on_from_where_it_is():
+    force, target = protected_target(ramp=8)
+    force.ramp_down()
+    last = [force.step(MOTION, STATE) for _ in range(4)][-1][:1]
+    target.odd = np.nan
+    for age, factor in enumerate(np.array(ramp(8)[4:]) / ramp(8)[3], 1):
+        found = force.step(MOTION, STATE)
+        np.testing.assert_allclose(found, continued(last, age, 5, DT) * factor, atol=1e-12)

@@ -1,3 +1,5 @@
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,20 +11,18 @@ from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.newest_preview import NewestPreview
 from seft_ros.interlock.ramp_down import RampDown
 
-D, EXPECTED = 4, 3
+D, DT = 4, 0.002
 
 
 def preview(patience=20, in_lockstep=False):
-    newest = NewestPreview(1, D, patience, RampDown(5))
+    newest = NewestPreview(1, D, patience, RampDown(5), DT)
     newest.reset(in_lockstep)
     return newest
 
 
 def message(step):
-    """Force of each step is its number: settled to step + D, and half of it more beyond."""
-    points = step + np.arange(1.0 + D + EXPECTED)
-    points[1 + D :] += 0.5
-    return step, points[:, np.newaxis]
+    """Force of each step is its number, settled to step + D."""
+    return step, step + np.arange(1.0 + D).reshape(-1, 1, 1)
 
 
 @given(st.lists(st.booleans(), min_size=30, max_size=60), st.integers(0, D))
@@ -32,24 +32,24 @@ def test_whatever_is_late_or_lost_within_the_delay_changes_nothing(arrives, late
     for step in range(len(arriving)):
         if step >= late and arriving[step - late]:
             newest.take(*message(step - late))
-        force = newest.force(step)
+        force = newest.points(step)
         assert force is not None
-        assert force.item() == (step if newest.newest >= 0 else 0.0)
+        assert force[0].item() == (step if newest.newest >= 0 else 0.0)
 
 
 def test_before_the_first_message_the_force_is_zero():
     newest = preview()
-    assert [newest.force(step).item() for step in range(D)] == [0.0] * D
+    assert [newest.points(step)[0].item() for step in range(D)] == [0.0] * D
     assert newest.record().held == 0
 
 
-def test_beyond_the_delay_goes_on_as_expected_and_then_holds():
+def test_beyond_the_delay_a_force_stays_as_it_was_last_told():
     newest = preview()
     newest.take(*message(0))
-    found = [newest.force(step).item() for step in range(10)]
-    assert found == [0, 1, 2, 3, 4, 5.5, 6.5, 7.5, 7.5, 7.5]
+    found = [newest.points(step)[0].item() for step in range(10)]
+    assert found == [0, 1, 2, 3, 4, 4, 4, 4, 4, 4]
     record = newest.record()
-    assert record.held == 2
+    assert record.held == 5
     assert record.older_than(D) == 5
     assert record.ages == dict.fromkeys(range(10), 1)
     assert not newest.is_lost
@@ -58,24 +58,65 @@ def test_beyond_the_delay_goes_on_as_expected_and_then_holds():
 def test_a_link_that_stays_silent_brings_the_force_down_softly():
     newest = preview(patience=9)
     newest.take(*message(0))
-    forces = [newest.force(step).item() for step in range(15)]
-    assert forces[9] == 7.5
+    forces = [newest.points(step)[0].item() for step in range(15)]
+    assert forces[9] == 4
     assert forces[9] > forces[10] > forces[11] > forces[12] > forces[13] > forces[14] == 0.0
     assert newest.is_lost
     newest.take(*message(12))  # too late: the ramp is not taken back
-    assert newest.force(15).item() == 0.0
+    assert newest.points(15)[0].item() == 0.0
     newest.reset()
     newest.take(*message(0))
-    assert newest.force(1).item() == 1.0
+    assert newest.points(1)[0].item() == 1.0
+
+
+HORIZON, SPEED = 3, 0.2
+
+
+def target(step):
+    """A target at 0.2 m/s, told for D + HORIZON steps ahead; its force is the step's number."""
+    steps = step + np.arange(1.0 + D + HORIZON)
+    rows = [SPEED * DT * steps, np.full(len(steps), SPEED), steps]
+    return step, np.stack(rows, axis=1)[:, :, np.newaxis]
+
+
+def test_of_a_target_the_points_of_the_horizon_are_told():
+    newest = preview()
+    newest.take(*target(0))
+    for step in range(1 + D):
+        points = newest.points(step)
+        assert points.shape == (1 + D - step + HORIZON, 3, 1)
+        np.testing.assert_array_equal(points[:, 2, 0], np.arange(step, 1 + D + HORIZON))
+
+
+def test_a_target_whose_coming_motion_is_not_known_brakes_without_a_jump():
+    newest = preview(patience=100)
+    newest.take(*target(0))
+    way = [newest.points(step) for step in range(80)]
+    for before, after in itertools.pairwise(way[D:]):
+        np.testing.assert_allclose(before[1:], after[:-1], rtol=1e-12)
+    x, v = np.array([points[0, :2, 0] for points in way]).T
+    assert (np.diff(v) <= 0).all()
+    assert 0.0 < v[-1] < 0.01 * SPEED
+    np.testing.assert_allclose(np.gradient(x, DT)[1:-1], v[1:-1], rtol=0.05)
+    assert way[-1][0, 2, 0] == D + HORIZON
+    assert newest.record().held == 80 - (1 + D + HORIZON)
+
+
+def test_a_target_that_is_lost_comes_down_to_where_it_began():
+    newest = preview(patience=9)
+    newest.take(*target(0))
+    way = [newest.points(step) for step in range(15)]
+    assert not way[-1].any()
+    assert newest.is_lost
 
 
 def test_in_lockstep_a_step_waits_until_its_force_is_settled():
     newest = preview(in_lockstep=True)
-    assert [newest.force(step).item() for step in range(D)] == [0.0] * D
-    assert newest.force(D) is None
+    assert [newest.points(step)[0].item() for step in range(D)] == [0.0] * D
+    assert newest.points(D) is None
     newest.take(*message(0))
-    assert newest.force(D).item() == D
-    assert newest.force(D + 1) is None
+    assert newest.points(D)[0].item() == D
+    assert newest.points(D + 1) is None
     assert newest.record().ages == {1: 1, 2: 1, 3: 1, 4: 2}  # what waited counts once
 
 

@@ -20,7 +20,7 @@ CASES = {
     "none": ("jhu.yaml", ()),
     "smith": ("jhu.yaml", (METHOD("smith"), DELAY)),
     "linear_acceleration": ("jhu.yaml", (METHOD("linear_acceleration"), DELAY)),
-    "preview_inverse": ("demo.yaml", ()),
+    "preview_inverse": ("jhu.yaml", (METHOD("preview_inverse"), "reference_force:mass_ratio:=1.5")),
     "two axes": ("jhu.yaml", (METHOD("linear_acceleration"), DELAY, *TWO)),
     "ideal": ("jhu.yaml", ("rig:actuator.kind:=delay", "rig:actuator.delay:=0.01")),
     "derived": ("jhu.yaml", ("rig:sensors.velocity:=derived",)),

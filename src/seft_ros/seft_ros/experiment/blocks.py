@@ -11,8 +11,10 @@ from seft_plant_sim.rigs import Rigs
 
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.interlocks import Interlocks, interlock_of
+from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
 from seft_ros.ground_motion.block import GroundMotion
 from seft_ros.interlock.protected_force import ProtectedForce
+from seft_ros.reference_force.compensation.names import TARGET_MOTION
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,13 @@ def build_blocks(experiment: Experiment, known: dict[str, Any] | None = None) ->
         _rigs(experiment),
     )
     check_lead(experiment, blocks.ground_motion, blocks.reference_force)
+    method = experiment["force_controller"]["method"]
+    if method == VELOCITY_FEEDFORWARD and not blocks.reference_force.reference_force.tells_motion:
+        raise InputError(
+            f"force_controller: method {method} follows the motion of a target, but "
+            f"reference_force: compensation.method is "
+            f"{experiment['reference_force']['compensation.method']}; make that {TARGET_MOTION}"
+        )
     return blocks
 
 

@@ -74,6 +74,9 @@ class LinearControl:
 class ForceControl(Protocol):
     """What the loop asks of a force controller.
 
+    One that identifies may have ``estimates()`` beside: each quantity by name, shape (n,). The
+    node tells them in its diagnostics.
+
     Attributes
     ----------
     limited : bool

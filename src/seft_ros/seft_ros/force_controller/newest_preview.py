@@ -10,20 +10,17 @@ from seft_msgs_py.topics import REFERENCE_FORCE
 
 from seft_ros.force_controller.link_record import LinkRecord
 from seft_ros.interlock.ramp_down import RampDown
+from seft_ros.target.braking import continued
 
 Floats = npt.NDArray[np.float64]
-
-BRAKING = 0.03
-"""Time constant with which a target whose coming motion is not known loses its velocity, s."""
 
 
 class NewestPreview:
     """The newest message of a reference force whose loop has a delay of d steps.
 
     The message of step k tells what is asked for at the steps to k + d; of a target also the
-    motion that comes then. Where it is older, a force stays as it was last told, and a target
-    comes to rest within some `BRAKING`. Where messages fail to come for too long, both come down
-    to zero by themselves.
+    motion that comes then. Where it is older, its points are `continued`. Where messages fail to
+    come for too long, the force comes down to zero by itself, a target to where it began.
 
     Parameters
     ----------
@@ -120,16 +117,8 @@ class NewestPreview:
         self._held += age >= len(self._points)
         if age > self._patience:
             self._ramp.begin()
-        points = self._points[age:] if age <= self._loop_delay else self._continued(age)
+        points = self._points[age:]
+        if age > self._loop_delay:
+            count = max(len(self._points) - self._loop_delay, 1)
+            points = continued(self._points, age, count, self._dt)
         return points * self._ramp.next() if self._ramp.begun else points
-
-    def _continued(self, age: int) -> Floats:
-        """Points of a message that is too old to tell all that it would in time."""
-        last = len(self._points) - 1
-        wanted = np.arange(age, age + max(len(self._points) - self._loop_delay, 1))
-        points = self._points[np.minimum(wanted, last)]
-        if points.shape[1] > 1:  # displacement and velocity of a target
-            left = np.exp(-np.maximum(wanted - last, 0) * self._dt / BRAKING)[:, np.newaxis]
-            points[:, 0] += BRAKING * (1.0 - left) * points[:, 1]
-            points[:, 1] *= left
-        return points

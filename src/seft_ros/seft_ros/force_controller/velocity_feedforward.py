@@ -331,6 +331,10 @@ class VelocityFeedforward:
         self.limited = False
         self._begin(self.parameters, self.state)
 
+    def estimates(self) -> dict[str, Floats]:
+        """Relative error of the flow gain and error of the delay (s) of each valve."""
+        return {"flow_gain_error": self.state.errors[:, 0], "delay_error": self.state.errors[:, 1]}
+
     def linear(self) -> LinearControl:
         """Say that there is none."""
         raise InputError(

@@ -61,12 +61,12 @@ class PlausibleForce:
     ----------
     limits, last : ndarray
         What `is_plausible` takes; the last plausible force is zero before the first.
-    axes : tuple of str
+    axes, dt
         As given.
     """
 
     def __init__(self, largest: float, fastest: float, axes: Sequence[str], dt: float) -> None:
-        self._fastest, self._dt, self.axes = fastest, dt, tuple(axes)
+        self._fastest, self.dt, self.axes = fastest, dt, tuple(axes)
         self.limits = np.array([largest, fastest * dt * (1 + 1e-12)])
         self.last = np.zeros(len(self.axes))
         self._fits = entry_point(is_plausible, self.limits, self.last, self.last)
@@ -104,7 +104,7 @@ class PlausibleForce:
                 )
             if abs(value - last) > self.limits[1]:
                 return (
-                    f"reference force changes by {(value - last) / self._dt:.5g} N/s on axis "
+                    f"reference force changes by {(value - last) / self.dt:.5g} N/s on axis "
                     f"{axis}, beyond the limit of {self._fastest:g} N/s"
                 )
         raise ValueError("nothing is wrong with the force")

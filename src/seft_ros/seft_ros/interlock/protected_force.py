@@ -36,7 +36,7 @@ class ProtectedForce:
     While nothing is wrong and nobody asks for the ramp, it gives the very force of the block.
     In the ramp the force goes on following the test, scaled down; a target is slowed down to rest
     instead. A force that is not plausible is never given: from there on the last plausible one
-    stands in for it, and the target stands still, scaled down, too.
+    stands in for it, `continued` and scaled down.
 
     In a loop with a delay of d steps, the force that is computed from the state of step k is for
     step k + d, and the points are the forces of the steps k to k + d, which do not change any
@@ -85,13 +85,13 @@ class ProtectedForce:
             self._settled = deque(maxlen=1 + loop_delay)
         self._points = np.zeros((*reference_force.shape, self._axes))
         self.parameters = ProtectionParameters(
-            plausible.limits, ramp.steps, tells_motion, watch.parameters
+            plausible.limits, ramp.steps, tells_motion, plausible.dt, watch.parameters
         )
         self.state = ProtectionState(
-            flags=np.zeros(2, dtype=np.int64),
+            flags=np.zeros(3, dtype=np.int64),
             ramp=ramp.state,
             last=plausible.last,
-            point=np.zeros_like(self._points[0]),
+            point=np.zeros_like(self._points[:1]),
             pace=np.zeros(1),
             odd_force=np.zeros(self._axes),
             odd_state=np.zeros((4, self._axes)),

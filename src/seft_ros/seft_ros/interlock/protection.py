@@ -9,12 +9,14 @@ from seft_plant_sim.compiled import compiled
 from seft_ros.interlock.instability import WatchParameters, WatchState, watch_step
 from seft_ros.interlock.plausibility import is_finite, is_plausible
 from seft_ros.interlock.ramp_down import BEGUN, next_factor
+from seft_ros.target.braking import go_on
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
-HOLDING, CAUSE = range(2)
-"""Places of the flags: whether the last plausible force stands in, and why it came down."""
+HOLDING, CAUSE, AGE = range(3)
+"""Places of the flags: whether the last plausible point stands in, why it came down, and how many
+steps ago that point was."""
 NOTHING, ODD_FORCE, ODD_STATE, INSTABILITY = range(4)
 """Causes."""
 
@@ -30,6 +32,8 @@ class ProtectionParameters(NamedTuple):
         `RampDown.steps`.
     tells_motion : bool
         Whether the points are of a target, which the ramp slows down.
+    dt : float
+        Sampling period, s.
     watch : WatchParameters
         Of the instability watch.
     """
@@ -37,6 +41,7 @@ class ProtectionParameters(NamedTuple):
     limits: Floats
     ramp_steps: int
     tells_motion: bool
+    dt: float
     watch: WatchParameters
 
 
@@ -46,13 +51,13 @@ class ProtectionState(NamedTuple):
     Attributes
     ----------
     flags : ndarray
-        See `HOLDING`, shape (2,).
+        See `HOLDING`, shape (3,).
     ramp : ndarray
         `RampDown.state`, shape (2,).
     last : ndarray
         The last plausible force, shape (n,), N.
     point : ndarray
-        The last plausible point, shape (q, n).
+        The last plausible point, shape (1, q, n).
     pace : ndarray
         Pace of a target then, shape (1,).
     odd_force, odd_state : ndarray
@@ -141,24 +146,24 @@ def protect(
                 state.ramp[BEGUN] = 1
                 factor = next_factor(p.ramp_steps, state.ramp)
     if flags[HOLDING]:
-        hold(state, factor, points)
+        flags[AGE] += 1
+        go_on(state.point, flags[AGE], p.dt, points)
+        scale_points(points, factor / state.pace[0] if state.pace[0] else 0.0)
         return
+    flags[AGE] = 0
     for row in range(last + 1):
         for i in range(n):
-            state.point[row, i] = points[0, row, i]
+            state.point[0, row, i] = points[0, row, i]
     if p.tells_motion:
         state.pace[0] = pace
     elif state.ramp[BEGUN]:
-        for i in range(n):
-            points[0, 0, i] *= factor
+        scale_points(points, factor)
 
 
 @compiled
-def hold(state: ProtectionState, factor: float, points: Floats) -> None:
-    """Give the last plausible point, standing still and scaled down from there."""
-    scale = factor / state.pace[0] if state.pace[0] else 0.0
+def scale_points(points: Floats, factor: float) -> None:
+    """Multiply points, shape (p, q, n), by a factor."""
     for point in range(points.shape[0]):
         for row in range(points.shape[1]):
-            moves = 0 < row < points.shape[1] - 1  # the velocity of a target
             for i in range(points.shape[2]):
-                points[point, row, i] = 0.0 if moves else state.point[row, i] * scale
+                points[point, row, i] *= factor

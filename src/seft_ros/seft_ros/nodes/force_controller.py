@@ -33,7 +33,7 @@ from seft_ros.force_controller.newest_preview import NewestPreview
 from seft_ros.force_controller.parameters import TABLE
 from seft_ros.force_controller.silence import Silence
 
-TELL_PERIOD = 1.0  # s, of what is told of the link while a test runs
+TELL_PERIOD = 1.0  # s, of what is told of the link and the valves while a test runs
 STATE_WAIT = 0.0005  # s between looks for a state that comes after its reference force
 
 
@@ -52,9 +52,9 @@ class ForceControllerNode:
         section, timebase = experiment["force_controller"], experiment.timebase
         rig, axes = shell.rig, shell.rig.axes
         self._shell = shell
-        self._controller = Interlock.from_parameters(
-            force_control(section, experiment.axes, timebase, rig), section, axes, timebase
-        )
+        controller = force_control(section, experiment.axes, timebase, rig)
+        self._controller = Interlock.from_parameters(controller, section, axes, timebase)
+        self._estimates = getattr(controller, "estimates", None)
         self._command_codec = TrajectoryCodec(VALVE_COMMAND.of(rig), axes, timebase)
         self._publish = shell.publisher(self._command_codec.topic)
         self._states: dict[int, Floats] = {}
@@ -62,6 +62,7 @@ class ForceControllerNode:
         if section["loop_delay"]:
             self._previews = NewestPreview.from_parameters(section, axes, timebase)
         self._forces = self._previews or MatchedForces()
+        self._tells_while_running = self._previews is not None or self._estimates is not None
         self._told_at = 0.0
         self._moving = False  # as the supervisor says
         self._order = SampleOrder(timebase)
@@ -120,7 +121,7 @@ class ForceControllerNode:
         moving, self._moving = self._moving, status.message in MOVING
         if not self._moving:
             self._silence.end()
-            if moving and self._previews is not None:
+            if moving and self._tells_while_running:
                 self._tell()  # how the link did, in full
         if status.message == "idle" and self._controller.reason:  # the operator knows
             self._controller.reset()
@@ -204,18 +205,14 @@ class ForceControllerNode:
             del self._states[passed]
         if self._controller.reason and not was_tripped:
             self._tell_trip()
-        if self._previews is not None:
-            self._look_after_link(self._previews, step)
-
-    def _look_after_link(self, previews: NewestPreview, step: int) -> None:
-        """Trip when the reference force is lost; tell how the link does, when there is time."""
-        if previews.is_lost and not self._controller.reason:
+        previews = self._previews
+        if previews is not None and previews.is_lost and not self._controller.reason:
             self._trip(
                 f"no {REFERENCE_FORCE.name} for {step - previews.newest} steps (the last is of "
                 f"step {previews.newest}); is the link to the reference_force node cut?"
             )
-        elif time.monotonic() - self._told_at >= TELL_PERIOD:
-            self._tell()
+        elif self._tells_while_running and time.monotonic() - self._told_at >= TELL_PERIOD:
+            self._tell()  # the answer is out, and there is time
 
     def _trip(self, reason: str) -> None:
         self._silence.end()
@@ -232,10 +229,11 @@ class ForceControllerNode:
         status = Status("force_controller", OK, "ready", values={"phase": "ready"})
         if reason:
             status = tripped_status("force_controller", reason, step)
-        if self._previews is not None:
-            told = {"link": self._previews.record().to_json()}
-            status = replace(status, values={**status.values, **told})
-        self._shell.report(status)
+        told = {} if self._previews is None else {"link": self._previews.record().to_json()}
+        for name, values in (self._estimates() if self._estimates else {}).items():
+            for axis, value in zip(self._shell.rig.axes, values.tolist(), strict=True):
+                told[f"{name} {axis}"] = f"{value:.4g}"
+        self._shell.report(replace(status, values={**status.values, **told}))
 
 
 def _build(shell: NodeShell) -> ForceControllerNode:

@@ -168,9 +168,9 @@ TABLE = Table(
         Parameter(
             "compensation.horizon",
             "float",
-            0.05,
-            "`target_motion`: time ahead for which the coming motion is told; as long as four times "
-            "the delay of the valves, or of the force loop",
+            0.03,
+            "`target_motion`: time ahead for which the coming motion is told; as long as four "
+            "times the delay of the valves, or of the force loop",
             "s",
             positive=True,
             maximum=1.0,

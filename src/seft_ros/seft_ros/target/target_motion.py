@@ -70,7 +70,7 @@ class TargetMotion:
         self._begin(self.parameters, self.state)
 
     def step(self, ground_motion: Floats, state: Floats) -> Floats:
-        """Bring the target up to a sample, see `target_step`; points of shape (1 + preview, 3, n)."""
+        """Bring the target up to a sample, see `target_step`; shape (1 + preview, 3, n)."""
         self._ground[:] = ground_motion
         self._measured[:] = state
         self._step(
