@@ -1,6 +1,5 @@
 """Reference force: what the actuators are asked to apply."""
 
-import math
 from typing import Any
 
 import numpy as np
@@ -91,14 +90,10 @@ class ReferenceForce:
         -------
         ndarray
             Points of this step and coming ones, shape (p, q, n). The last quantity is the force,
-            N; those of a target are displacement, velocity and force. All are NaN where a state
-            is not finite: what a target remembers would be so ever after.
+            N; those of a target are displacement, velocity and force.
         """
         if not self.tells_motion:
             return self.compensator.step(ground_motion, state)[np.newaxis, np.newaxis]
-        values = state.ravel()
-        if not math.isfinite(values.dot(values)):
-            return np.full((*self.shape, state.shape[1]), np.nan)
         self.compensator.pace = pace  # type: ignore[attr-defined]
         return self.compensator.step(ground_motion, state)
 
