@@ -22,7 +22,7 @@ _COHERENT = 0.5  # below, a delay is noise
 _NOTE: dict[str, Any] = {"fontsize": 8, "color": MARK, "va": "bottom"}
 _SHOWN_S = 0.5  # of the flow
 _OF_VALVE = ("flow / mm/s", "force per valve drive / N/V")
-_OF_CLOSED_LOOP = ("force per reference / dB", "delay / ms")
+_OF_CLOSED_LOOP = ("tracking / dB", "delay / ms")
 
 
 def identified_figure(identified: Identified, title: str) -> Figure:
