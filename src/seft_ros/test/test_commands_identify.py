@@ -195,33 +195,6 @@ def test_several_axes_have_their_numbers_each(identify, seft, tmp_path):
     assert json.loads(text)["displacement"]["nrmse"] < 0.03
 
 
-def test_of_axes_whose_controller_inverts_them_one_force_loop_is_found(identify, seft, tmp_path):
-    overrides = (
-        *LINEAR,
-        "axes:=[north, east]",
-        "rig:specimen.stiffness:=[2.1e6, -9.0e5, -9.0e5, 9.0e5]",  # 14 and 41 Hz
-        "rig:specimen.mass:=[52.7, 50.0]",
-        "force_controller:specimen.stiffness:=[2.1e6, -9.0e5, -9.0e5, 9.0e5]",
-        "force_controller:specimen.mass:=[52.7, 50.0]",
-        "force_controller:method:=decoupling",
-    )
-    status, found, _ = identify("--duration", "30", "--out", "out", overrides=overrides)
-    assert status == 0
-    for axis in found["axes"]:
-        assert axis["delay_s"] == pytest.approx(0.014, abs=1e-3)
-    section = read_parameter_file(tmp_path / "out" / "model.yaml")["reference_force"]
-    for name in ("stiffness", "damping"):
-        assert section[f"tracking.{name}"] == section[f"model.{name}"]
-    assert section["tracking.mass"] == section["tracking.blocked_error"] == [0.0]
-    assert section["tracking.actuator_size"] == [1.0, pytest.approx(1.0, abs=0.1)]
-    words = [word for override in overrides for word in ("-p", override)]
-    words += ["-p", "reference_force:mass_ratio:=1.0", "-p", "ground_motion:peak_force:=300.0"]
-    words += ["-p", "reference_force:compensation.method:=preview_inverse", "--json"]
-    status, text, _ = seft("simulate", JHU, "--params-file", tmp_path / "out/model.yaml", *words)
-    assert status == 0
-    assert json.loads(text)["displacement"]["nrmse"] < 0.02
-
-
 def test_a_trip_in_the_open_loop_ends_it_and_keeps_the_bag(identify, tmp_path):
     limit = "supervisor:limits.acceleration:=5.0"
     words = ("--amplitude", "0.3", *SHORT, "--out", "out")
