@@ -22,7 +22,7 @@ def test_every_node_answers_a_recorded_test_bit_for_bit(seft_json):
     assert result["replays"][0]["estimates"]["max_abs"] == 0.0
 
 
-def test_a_simulated_test_leaves_out_who_needs_the_coming_motion_of_its_target(seft, seft_json):
+def test_of_a_simulated_test_who_needs_the_coming_motion_is_left_out(seft, seft_json):
     seft_json("simulate", DEMO, *SHORT, "--out", "bag")
     done = seft("replay", "bag", "--offline", status=0)
     assert "force_controller is left out: force_controller needs the coming motion" in done.stderr

@@ -35,9 +35,8 @@ COUPLED = {
     "specimen.mass": [52.7, 40.0],
     "specimen.stiffness": [2.0e5, -3.0e4, -3.0e4, 2.4e5],
 }
+LINEAR = [name for name in METHODS if name != "target_motion"]  # test_preflight_frozen.py
 WIDE = {f"limits.{name}": 1e9 for name in ROWS}
-
-LINEAR = [name for name in METHODS if name != "target_motion"]
 
 
 def delayed(delay):
@@ -73,13 +72,13 @@ def blocks_displacements(test, motion, steps):
     )
     ground = np.vstack([motion, np.zeros((steps + reference.preview + 1, len(axes)))])
     state, found = rig.reset(), []
-    coming = deque([np.zeros((1, 1, len(axes)))] * test["reference_force"]["loop_delay"])
+    coming = deque([np.zeros(len(axes))] * test["reference_force"]["loop_delay"])
     for k in range(steps):
         found.append(state[0].copy())
         coming.append(reference.step(ground[k : k + 1 + reference.preview], state))
-        points = coming.popleft()
-        drive = control.step(points, state)
-        state = rig.step(drive if rig.drive == "valve_command" else points[0, 0])
+        force = coming.popleft()
+        drive = control.step(force, state)
+        state = rig.step(drive if rig.drive == "valve_command" else force)
     return np.array(found)
 
 
