@@ -19,6 +19,7 @@ from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.drawing.style import FIRST, MARK, OTHERS, REFERENCE, TEXT, save_figure, tidy
 from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.method import with_method
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES
 from seft_ros.loop_shaping.controller import Controller
@@ -31,7 +32,7 @@ from seft_ros.preflight.plan import Plan
 Floats = npt.NDArray[np.float64]
 
 DOCS = Path(__file__).parent
-COLOURS = {"none": MARK, "restoring": OTHERS[2], "preview_inverse": FIRST}
+COLOURS = {"none": MARK, "restoring": OTHERS[2], "target_motion": FIRST}
 DELAYS: Floats = np.array([0.0, 0.002, 0.004, 0.006, 0.01, 0.014, 0.02, 0.026, 0.032, 0.038])
 MASS_RATIOS: Floats = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2, 1.4, 1.7, 2.0, 2.5, 3.0])
 COLOURS_OF_A_FILE = 64
@@ -39,14 +40,10 @@ BAND_HZ = (1.0, 150.0)
 WINDOW_S = (1.0, 3.5)
 
 
-def planned(*overrides: tuple[str, str, Value]) -> Experiment:
-    """Read the demo's experiment, changed."""
-    return Experiment.load(TABLES, [DOCS.parent / "config" / "demo.yaml"], overrides)
-
-
-def method(name: str) -> tuple[str, str, Value]:
-    """Choose the compensation method."""
-    return ("reference_force", "compensation.method", name)
+def planned(method: str, *overrides: tuple[str, str, Value]) -> Experiment:
+    """Read the demo's experiment, changed, with a compensation method."""
+    config = DOCS.parent / "config" / "demo.yaml"
+    return with_method(Experiment.load(TABLES, [config], overrides), method)
 
 
 def mass_ratio(value: float) -> tuple[str, str, Value]:
@@ -59,7 +56,7 @@ def critical_by_delay(name: str) -> Floats:
     found = []
     for delay in DELAYS:
         rig = [("rig", "actuator.kind", "delay"), ("rig", "actuator.delay", float(delay))]
-        critical = critical_mass_ratio(Plan(planned(*rig, method(name)), "rig"))
+        critical = critical_mass_ratio(Plan(planned(name, *rig), "rig"))
         found.append(critical.value if critical else np.inf)
     return np.array(found)
 
@@ -77,7 +74,7 @@ def neutral_end(experiment: Experiment) -> tuple[Floats, Floats]:
 
 def stability() -> Figure:
     """Draw the critical mass ratio over the delay."""
-    experiment = planned()
+    experiment = planned("none")
     figure, (panel,) = panels(1, (6.0, 3.2))
     delays, ends = neutral_end(experiment)
     panel.plot(1e3 * delays, ends, color=REFERENCE, lw=3, label="neutral delay equation")
@@ -104,7 +101,7 @@ def growth() -> Figure:
     figure, (left, right) = panels(2, (7.2, 2.8))
     left.axhline(0.0, color=REFERENCE, lw=3)
     for name, colour in COLOURS.items():
-        plans = [Plan(planned(method(name), mass_ratio(float(a))), "rig") for a in MASS_RATIOS]
+        plans = [Plan(planned(name, mass_ratio(float(a))), "rig") for a in MASS_RATIOS]
         rates = np.array([plan.loop().growth_rate() for plan in plans])
         modes = [predicted_modes(plan) for plan in plans]
         damping = 100 * np.array([m[0].damping if m else np.nan for m in modes])
@@ -123,7 +120,7 @@ def growth() -> Figure:
 
 def force_loop(*overrides: tuple[str, str, Value]) -> LoopDesign:
     """Close the force loop of the demo, changed, as it runs."""
-    experiment = planned(*overrides)
+    experiment = planned("none", *overrides)
     control = experiment["force_controller"]
     controller = Controller.from_coefficients(control["numerator"], control["denominator"])
     return shape_loop(choose_plant(experiment, "rig"), controller, experiment.timebase.dt)
@@ -161,9 +158,9 @@ def interaction() -> Figure:
 def histories() -> Figure:
     """Draw a displacement with and without compensation."""
     figure, (panel,) = panels(1, (7.2, 2.6))
-    for name in ("none", "preview_inverse"):
+    for name in ("none", "target_motion"):
         load = ("ground_motion", "peak_force", 500.0)
-        experiment = planned(method(name), mass_ratio(1.0), load)
+        experiment = planned(name, mass_ratio(1.0), load)
         record = simulate(experiment, build_blocks(experiment))
         states = record.series["rig/state"].values
         motion = record.series["ground_motion"].values[:, 0]

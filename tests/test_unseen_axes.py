@@ -16,6 +16,7 @@ from seft_ros.experiment.tables import TABLES
 
 FRAME = ROOT / "config" / "three_storey_frame.yaml"
 SHORT = ("ground_motion:synthetic.duration:=16.0", "ground_motion:peak_force:=250.0")
+STRONG = "ground_motion:peak_force:=400.0"
 KNOWN = Experiment.load(TABLES, [FRAME], [])
 
 
@@ -96,10 +97,10 @@ def simulated(*words):
 
 
 @pytest.mark.parametrize(("n", "seed"), axes_and_seeds(3, at_once=[(2, 0), (3, 0), (6, 0)]))
-def test_a_linear_rig_is_within_2_percent_of_the_whole_structure(n, seed):
+def test_a_linear_rig_is_within_1_percent_of_the_whole_structure(n, seed):
     _, summary = simulated(*SHORT, *drawn(n, seed))
     assert not summary["saturated"]
-    assert summary["displacement"]["nrmse"] < 0.02
+    assert summary["displacement"]["nrmse"] < 0.01
 
 
 @pytest.mark.parametrize(("n", "seed"), axes_and_seeds(2, at_once=[(6, 0)]))
@@ -108,10 +109,21 @@ def test_a_rig_of_springs_that_yield_is_within_5_percent_of_the_whole_structure(
 
     With force enough to stand out of the sensors' noise, which drifts of what yields add up.
     """
-    words = *SHORT, *drawn(n, seed), "ground_motion:peak_force:=400.0"
+    words = *SHORT, *drawn(n, seed), STRONG
     record, _ = simulated(*words)
     factor = np.linalg.cholesky(np.reshape(record.experiment["rig"]["specimen.stiffness"], (n, n)))
     yields = yielding(record, (factor / np.diag(factor)).T)
     _, summary = simulated(*words, *yields)
     assert summary["trip"] is None
-    assert summary["displacement"]["nrmse"] < 0.05
+    assert summary["displacement"]["nrmse"] < 0.045
+
+
+@pytest.mark.parametrize(("n", "seed"), axes_and_seeds(2, at_once=[(5, 0)]))
+def test_a_frame_is_near_the_whole_structure_also_where_its_storeys_yield(n, seed):
+    _, summary = simulated(*SHORT, *frame(n, seed))
+    assert summary["displacement"]["nrmse"] < 0.012
+    words = *SHORT, *frame(n, seed), STRONG
+    record, _ = simulated(*words)
+    _, summary = simulated(*words, *yielding(record, np.eye(n) - np.eye(n, k=-1)))
+    assert summary["trip"] is None
+    assert summary["displacement"]["nrmse"] < 0.07
