@@ -2,7 +2,7 @@
 
     .venv/bin/python docs/figures.py
 
-All on the paper's rig, config/demo.yaml.
+All on the paper's rig, config/jhu.yaml.
 """
 
 from pathlib import Path
@@ -21,17 +21,20 @@ from seft_ros.drawing.style import FIRST, MARK, OTHERS, REFERENCE, TEXT, save_fi
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES
+from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
 from seft_ros.loop_shaping.controller import Controller
 from seft_ros.loop_shaping.design import LoopDesign, shape_loop
 from seft_ros.loop_shaping.plant import choose_plant
 from seft_ros.preflight.margins import HIGHEST_MASS_RATIO, critical_mass_ratio
 from seft_ros.preflight.modes import predicted_modes
 from seft_ros.preflight.plan import Plan
+from seft_ros.reference_force.compensation.names import TARGET_MOTION
 
 Floats = npt.NDArray[np.float64]
+Override = tuple[str, str, Value]
 
 DOCS = Path(__file__).parent
-COLOURS = {"none": MARK, "restoring": OTHERS[2], "preview_inverse": FIRST}
+COLOURS = {"none": MARK, "restoring": OTHERS[2], TARGET_MOTION: FIRST}
 DELAYS: Floats = np.array([0.0, 0.002, 0.004, 0.006, 0.01, 0.014, 0.02, 0.026, 0.032, 0.038])
 MASS_RATIOS: Floats = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2, 1.4, 1.7, 2.0, 2.5, 3.0])
 COLOURS_OF_A_FILE = 64
@@ -39,17 +42,20 @@ BAND_HZ = (1.0, 150.0)
 WINDOW_S = (1.0, 3.5)
 
 
-def planned(*overrides: tuple[str, str, Value]) -> Experiment:
-    """Read the demo's experiment, changed."""
-    return Experiment.load(TABLES, [DOCS.parent / "config" / "demo.yaml"], overrides)
+def planned(*overrides: Override) -> Experiment:
+    """Read the paper's experiment, changed."""
+    return Experiment.load(TABLES, [DOCS.parent / "config" / "jhu.yaml"], overrides)
 
 
-def method(name: str) -> tuple[str, str, Value]:
-    """Choose the compensation method."""
-    return ("reference_force", "compensation.method", name)
+def method(name: str) -> list[Override]:
+    """Choose the compensation method, and the force controller that belongs to it."""
+    chosen: list[Override] = [("reference_force", "compensation.method", name)]
+    if name == TARGET_MOTION:
+        chosen.append(("force_controller", "method", VELOCITY_FEEDFORWARD))
+    return chosen
 
 
-def mass_ratio(value: float) -> tuple[str, str, Value]:
+def mass_ratio(value: float) -> Override:
     """Choose alpha."""
     return ("reference_force", "mass_ratio", value)
 
@@ -59,7 +65,7 @@ def critical_by_delay(name: str) -> Floats:
     found = []
     for delay in DELAYS:
         rig = [("rig", "actuator.kind", "delay"), ("rig", "actuator.delay", float(delay))]
-        critical = critical_mass_ratio(Plan(planned(*rig, method(name)), "rig"))
+        critical = critical_mass_ratio(Plan(planned(*rig, *method(name)), "rig"))
         found.append(critical.value if critical else np.inf)
     return np.array(found)
 
@@ -104,7 +110,7 @@ def growth() -> Figure:
     figure, (left, right) = panels(2, (7.2, 2.8))
     left.axhline(0.0, color=REFERENCE, lw=3)
     for name, colour in COLOURS.items():
-        plans = [Plan(planned(method(name), mass_ratio(float(a))), "rig") for a in MASS_RATIOS]
+        plans = [Plan(planned(*method(name), mass_ratio(float(a))), "rig") for a in MASS_RATIOS]
         rates = np.array([plan.loop().growth_rate() for plan in plans])
         modes = [predicted_modes(plan) for plan in plans]
         damping = 100 * np.array([m[0].damping if m else np.nan for m in modes])
@@ -121,8 +127,8 @@ def growth() -> Figure:
     return figure
 
 
-def force_loop(*overrides: tuple[str, str, Value]) -> LoopDesign:
-    """Close the force loop of the demo, changed, as it runs."""
+def force_loop(*overrides: Override) -> LoopDesign:
+    """Close the paper's force loop, changed, as it runs."""
     experiment = planned(*overrides)
     control = experiment["force_controller"]
     controller = Controller.from_coefficients(control["numerator"], control["denominator"])
@@ -161,9 +167,9 @@ def interaction() -> Figure:
 def histories() -> Figure:
     """Draw a displacement with and without compensation."""
     figure, (panel,) = panels(1, (7.2, 2.6))
-    for name in ("none", "preview_inverse"):
+    for name in ("none", TARGET_MOTION):
         load = ("ground_motion", "peak_force", 500.0)
-        experiment = planned(method(name), mass_ratio(1.0), load)
+        experiment = planned(*method(name), mass_ratio(1.0), load)
         record = simulate(experiment, build_blocks(experiment))
         states = record.series["rig/state"].values
         motion = record.series["ground_motion"].values[:, 0]
