@@ -34,7 +34,9 @@ def drive(block, reference, force):
     block.reset()
     states = np.full((len(force), 4, force.shape[1]), 1e6)  # all but the force must not matter
     states[:, 3] = force
-    return np.array([block.step(r, s).copy() for r, s in zip(reference, states, strict=True)])
+    return np.array(
+        [block.step(r[None, None], s).copy() for r, s in zip(reference, states, strict=True)]
+    )
 
 
 def filtered(numerator, denominator, error):
@@ -188,7 +190,7 @@ def test_what_is_no_number_never_becomes_a_command_that_looks_valid(value):
     state = np.zeros((4, 1))
     state[3] = value
     with np.errstate(invalid="ignore"):
-        drives = [block.step(np.zeros(1), state)[0] for _ in range(3)]
+        drives = [block.step(np.zeros((1, 1, 1)), state)[0] for _ in range(3)]
     assert not np.isfinite(drives[-1]) or abs(drives[-1]) == 10.0
     assert np.isfinite(value) or np.isinf(value) or np.isnan(drives).all()
 

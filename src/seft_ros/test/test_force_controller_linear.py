@@ -42,7 +42,9 @@ def test_the_linear_system_of_a_controller_answers_like_it(controllers, gain, fe
         signals = np.concatenate([force, state.ravel()])
         expected = linear.c @ w + linear.d @ signals
         w = linear.a @ w + linear.b @ signals
-        np.testing.assert_allclose(control.step(force, state), expected, rtol=1e-11, atol=1e-15)
+        np.testing.assert_allclose(
+            control.step(force[None, None], state), expected, rtol=1e-11, atol=1e-15
+        )
 
 
 def test_none_hands_the_reference_force_on():
@@ -55,16 +57,18 @@ def test_a_controller_for_each_axis_is_that_controller_there():
     both = made(2, per_axis=True, numerator=[*ONE[0], *OTHER[0]], denominator=[*ONE[1], *OTHER[1]])
     alone = [ForceController([each], 10.0, 0.002) for each in (ONE, OTHER)]
     for force, state in random(2):
-        found = both.step(force, state)
+        found = both.step(force[None, None], state)
         for axis, own in enumerate(alone):
-            (drive,) = own.step(force[[axis]], state[:, [axis]])
+            (drive,) = own.step(force[None, None, [axis]], state[:, [axis]])
             np.testing.assert_allclose(found[axis], drive, rtol=1e-12, atol=1e-15)
 
 
 def test_one_axis_and_a_gain_of_one_are_the_bits_of_the_plain_controller():
     plain, written = made(1), made(1, gain=1.0, per_axis=True)
     for force, state in random(1):
-        assert plain.step(1e4 * force, state) == written.step(1e4 * force, state)
+        assert plain.step(1e4 * force[None, None], state) == written.step(
+            1e4 * force[None, None], state
+        )
 
 
 @given(st.lists(st.floats(-5e4, 5e4), min_size=40, max_size=40), st.floats(0.3, 3.0))
@@ -73,7 +77,7 @@ def test_beyond_the_limit_it_does_not_wind_up_with_a_gain_either(forces, gain):
     scaled = ForceController([ONE], 10.0, 0.002, gain=np.array([[gain]]))
     own = ForceController([ONE], 10.0 / gain, 0.002)
     for force in forces:
-        found, expected = (c.step(np.array([force]), np.zeros((4, 1))) for c in (scaled, own))
+        found, expected = (c.step(np.array([[[force]]]), np.zeros((4, 1))) for c in (scaled, own))
         np.testing.assert_allclose(found, gain * expected, rtol=1e-9, atol=1e-9)
 
 

@@ -38,9 +38,9 @@ class Knowing(Gain):
 def test_its_drive_is_cut_off_at_the_limit_and_it_is_told():
     own = Knowing()
     control = RegisteredControl(own, "theirs", KNOWN)
-    assert control.step(np.array([50.0, -20.0]), ZERO).tolist() == [5.0, -2.0]
+    assert control.step(np.array([[[50.0, -20.0]]]), ZERO).tolist() == [5.0, -2.0]
     assert not control.limited
-    assert control.step(np.array([500.0, -20.0]), ZERO).tolist() == [10.0, -2.0]
+    assert control.step(np.array([[[500.0, -20.0]]]), ZERO).tolist() == [10.0, -2.0]
     assert control.limited
     assert own.told == [[10.0, -2.0]]
     control.reset()
@@ -49,7 +49,9 @@ def test_its_drive_is_cut_off_at_the_limit_and_it_is_told():
 
 
 def test_one_that_does_not_want_to_know_of_limits_is_limited_all_the_same():
-    assert RegisteredControl(Gain(), "theirs", KNOWN).step(np.full(2, -1e4), ZERO).tolist() == [
+    assert RegisteredControl(Gain(), "theirs", KNOWN).step(
+        np.full((1, 1, 2), -1e4), ZERO
+    ).tolist() == [
         -10.0,
         -10.0,
     ]
@@ -79,6 +81,6 @@ def test_a_drive_that_is_no_number_trips_and_never_gets_out():
 
     control = RegisteredControl(Broken(), "theirs", KNOWN)
     interlock = Interlock(control, ("x", "y"), 1e4, 0.5, 0.002)
-    assert interlock.step(7, np.ones(2), ZERO).tolist() == [0.0, 0.0]
+    assert interlock.step(7, np.ones((1, 1, 2)), ZERO).tolist() == [0.0, 0.0]
     assert interlock.reason == "valve command on axis y is nan"
     assert interlock.step_index == 7

@@ -6,6 +6,7 @@ import pytest
 from seft_ros.interlock.plausibility import PlausibleForce, PlausibleState
 from seft_ros.interlock.protected_force import ProtectedForce
 from seft_ros.interlock.ramp_down import RampDown
+from seft_ros.target.braking import continued
 
 DT = 0.002
 MOTION, STATE = np.zeros((1, 1)), np.zeros((4, 1))
@@ -219,15 +220,14 @@ def test_a_target_without_ground_motion_goes_on_to_rest_as_if_there_were_none():
 
 
 @pytest.mark.parametrize("odd", [np.nan, 2e4])
-def test_a_target_whose_force_is_not_plausible_stands_still_and_is_scaled_down(odd):
+def test_a_target_whose_force_is_not_plausible_brakes_and_is_scaled_down(odd):
     force, target = protected_target(ramp=4)
     force.step(MOTION, STATE)
-    force.step(MOTION, STATE)
+    last = force.step(MOTION, STATE)[:1]
     target.odd = odd
     given = [force.step(MOTION, STATE) for _ in range(4)]
-    for points, factor in zip(given, ramp(4), strict=True):
-        assert points.shape == (5, 3, 1)
-        np.testing.assert_array_equal(points[..., 0], [[2.0 * factor, 0.0, 100.0 * factor]] * 5)
+    for age, factor in enumerate(ramp(4), 1):
+        np.testing.assert_array_equal(given[age - 1], continued(last, age, 5, DT) * factor)
     assert force.cause.startswith("reference force")
     assert len(target.paces) == 3  # it is not asked again: what it remembers may be odd, too
 
@@ -235,9 +235,8 @@ def test_a_target_whose_force_is_not_plausible_stands_still_and_is_scaled_down(o
 def test_a_target_that_fails_in_the_ramp_goes_on_from_where_it_is():
     force, target = protected_target(ramp=8)
     force.ramp_down()
-    before = [force.step(MOTION, STATE) for _ in range(4)][-1][0, :, 0]
+    last = [force.step(MOTION, STATE) for _ in range(4)][-1][:1]
     target.odd = np.nan
-    after = [force.step(MOTION, STATE)[0, :, 0] for _ in range(4)]
-    factors = np.array(ramp(8)[4:]) / ramp(8)[3]
-    for point, factor in zip(after, factors, strict=True):
-        np.testing.assert_allclose(point, before * [factor, 0.0, factor], atol=1e-12)
+    for age, factor in enumerate(np.array(ramp(8)[4:]) / ramp(8)[3], 1):
+        found = force.step(MOTION, STATE)
+        np.testing.assert_allclose(found, continued(last, age, 5, DT) * factor, atol=1e-12)

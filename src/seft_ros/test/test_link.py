@@ -19,7 +19,7 @@ def trips(numbers, times=0.011, sent=10, rate=500.0):
 
 
 def experiment(*overrides):
-    return Experiment.load(TABLES, ["config/demo.yaml"], [parse_override(o) for o in overrides])
+    return Experiment.load(TABLES, ["config/jhu.yaml"], [parse_override(o) for o in overrides])
 
 
 def test_what_comes_back_tells_of_loss_bursts_and_order():
@@ -41,7 +41,7 @@ def test_the_delay_covers_nearly_all_round_trips_and_one_step_more():
 
 
 def test_the_delay_of_the_loop_lowers_the_mass_ratio_that_preflight_allows():
-    plain = experiment("reference_force:compensation.method:=none")
+    plain = experiment()
     far, near = (allowed(plain, steps) for steps in (10, 1))
     assert far.critical_mass_ratio < near.critical_mass_ratio
     assert allowed(plain, 10) == far  # the experiment is left as it was
@@ -70,8 +70,11 @@ def test_the_verdict_says_why(found, test, verdict, words):
 
 
 def test_messages_are_as_large_as_those_of_a_test():
-    assert 500 < message_size(experiment()) < 1472  # one packet
-    assert message_size(experiment("/**:axes:=[a, b, c]")) > message_size(experiment())
+    alone = message_size(experiment())
+    assert 300 < alone < 1472  # one packet
+    assert message_size(experiment("/**:axes:=[a, b, c]")) > alone
+    target = message_size(experiment("reference_force:compensation.method:=target_motion"))
+    assert target > 2 * alone
 
 
 def test_a_record_over_a_link_counts_what_was_predicted():

@@ -165,7 +165,7 @@ def test_a_sine_runs_through_the_blocks_as_the_closed_loop_says(frequency):
     state, forces = rig.reset(), []
     for value in reference:
         forces.append(state[3, 0])
-        state = rig.step(controller.step(np.array([value]), state))
+        state = rig.step(controller.step(np.array([[[value]]]), state))
     carrier = np.exp(-2j * np.pi * frequency * dt * np.arange(count))[-kept:]
     measured = (carrier @ np.array(forces)[-kept:]) / (carrier @ reference[-kept:])
 
@@ -193,7 +193,7 @@ def test_the_dominant_pole_is_how_the_blocks_grow_or_die_out(axes, gain):
     rig = BareRig(continuous_model(test["rig"], test.axes), dt, linear=True)
     state, forces = rig.reset(), []
     for k in range(1500):
-        state = rig.step(block.step(np.eye(len(axes))[0] * (k == 0), state))
+        state = rig.step(block.step(np.eye(len(axes))[None, :1] * (k == 0), state))
         forces.append(np.abs(state[3]).max())
     peaks = np.log(np.max(np.reshape(forces, (6, 250)), axis=1))
     assert np.exp((peaks[5] - peaks[2]) / 750) == pytest.approx(abs(pole), abs=1e-3)

@@ -35,7 +35,6 @@ COUPLED = {
     "specimen.mass": [52.7, 40.0],
     "specimen.stiffness": [2.0e5, -3.0e4, -3.0e4, 2.4e5],
 }
-OF_FORCES = [name for name in METHODS if name != "target_motion"]  # test_preflight_frozen.py
 WIDE = {f"limits.{name}": 1e9 for name in ROWS}
 
 
@@ -103,14 +102,14 @@ def assert_same(test, steps=120):
     np.testing.assert_allclose(loop, blocks, rtol=1e-9, atol=1e-9 * np.abs(blocks).max())
 
 
-@pytest.mark.parametrize("method", OF_FORCES)
+@pytest.mark.parametrize("method", LINEAR)
 @pytest.mark.parametrize("rig", [delayed(0.0101), SERVO], ids=["delay", "servo"])
 def test_powers_of_the_matrix_are_what_the_blocks_do(method, rig):
     test = experiment(rig, mass_ratio=0.7, compensation__method=method)
     assert_same(test, 120 if not Plan(test).compensator().estimates() else 20)
 
 
-@pytest.mark.parametrize("method", OF_FORCES)
+@pytest.mark.parametrize("method", LINEAR)
 def test_so_they_are_with_a_delay_of_the_loop(method):
     test = experiment(
         {"rig": COUPLED},

@@ -259,11 +259,24 @@ def test_a_rig_that_is_not_simulated_is_what_the_controller_is_told_of_it():
     assert Plan(told).rig.plant.source == "identified"
 
 
-def test_with_a_delay_of_the_loop_the_margins_shrink():
-    late = experiment({"reference_force": {"loop_delay": 2, "compensation.horizon": 0.05}})
-    plan = Plan(late)
-    assert len(plan.loop().matrix) < 80
-    assert plan.growth_rate() < 0
+@pytest.mark.parametrize("delay", [1, 4])
+def test_with_a_delay_of_the_loop_the_matrix_is_what_the_offline_loop_does(delay):
+    quiet = {"rig": QUIET | {"sensors.adc_bits": 0}, "ground_motion": {"peak_force": 1e-4}}
+    late = {node: {"loop_delay": delay} for node in ("reference_force", "force_controller")}
+    test = experiment(quiet, late)
+    plan, blocks = Plan(test), build_blocks(test)
+    loop = plan.loop()
+    assert len(loop.matrix) < 80
+    record = simulate(test, blocks)
+    assert record.trip is None
+    found = record.series["rig/state"].values[:1500, 0]
+    ground = np.asarray(blocks.ground_motion.known)
+    q, expected = np.zeros(len(loop.matrix)), []
+    for k in range(1500):
+        expected.append(loop.displacement @ q)
+        q = loop.matrix @ q + loop.ground @ ground[k:].ravel()[: loop.ground.shape[1]]
+    largest = np.abs(expected).max()
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-3 * largest)
 
 
 def test_a_transfer_function_takes_the_force_of_the_first_point():

@@ -75,12 +75,16 @@ def held_test(experiment, blocks, held):
         at = held.get(step, step)
         states.append(rig.step(commands[at] if at >= 0 else np.zeros(1)))
     motion = blocks.ground_motion.samples
-    series = loop_series(motion, np.array(states), np.zeros_like(commands), commands)
+    series = loop_series(motion, np.array(states), np.zeros_like(commands)[:, None], commands)
     return Record(experiment, series, missed=len(held), missed_steps=sorted(held))
 
 
 def recorded_of(record):
-    return Recorded(record, [], record.series[REFERENCE_FORCE.name].steps, None)
+    return Recorded(record, [], points_of(record.series[REFERENCE_FORCE.name]), None)
+
+
+def points_of(series):
+    return dict(zip(series.steps.tolist(), series.values[:, np.newaxis], strict=True))
 
 
 @pytest.mark.parametrize("node", ["reference_force", "force_controller", "rig"])
@@ -125,11 +129,10 @@ def test_the_first_step_of_a_ramp_is_found_in_the_forces(experiment, blocks, rec
     for step, state in zip(states.steps, states.values, strict=True):
         if step == 73:
             force.ramp_down()
-        ramped.append(force.step(known[step : step + 1 + force.preview], state).copy())
-    values = np.array(ramped)[:, np.newaxis]
-    series = {**record.series, REFERENCE_FORCE.name: Series(states.steps, values)}
-    stopped = replace(record, series=series)
-    recorded = Recorded(stopped, motion_of(blocks), states.steps, ramped_ns=1)
+        ramped.append(force.step(known[step : step + 1 + force.preview], state)[0])
+    forces = Series(states.steps, np.array(ramped))
+    stopped = replace(record, series={**record.series, REFERENCE_FORCE.name: forces})
+    recorded = Recorded(stopped, motion_of(blocks), points_of(forces), ramped_ns=1)
     assert ramp_step(recorded) == (73, True)
     assert ramp_step(replace(recorded, ramped_ns=None)) == (None, True)
 

@@ -231,4 +231,4 @@ def _present(
 
         console.print(identified_table(f"{source} as identified", identified.axes, summary))
     for what, path in files.items():
-        console.print(f"{what + ':':12}{path}", soft_wrap=True, highlight=False)
+        console.print(f"{what + ':':13}{path}", soft_wrap=True, highlight=False)

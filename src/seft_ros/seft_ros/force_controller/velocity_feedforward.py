@@ -42,7 +42,7 @@ LEAST_PRESSURE = 0.2
 """Part of the supply pressure that is always reckoned to be left for the flow."""
 UNCERTAIN_GAIN, UNCERTAIN_DELAY = 0.15, 2e-3
 """Standard deviation of the flow gain as told, relative, and of the valve's delay, s."""
-LARGEST_GAIN_ERROR, LARGEST_DELAY_ERROR = 0.5, 5e-3
+LARGEST_GAIN_ERROR, LARGEST_DELAY_ERROR = 0.3, 5e-3
 """Bounds of what is followed."""
 ONE_SAMPLE = 0.1
 """Time over which what Eq. (4) leaves out persists, s: so long, samples count as one."""

@@ -1,6 +1,5 @@
 """Fit of an actuator to what it did, whatever the specimen did."""
 
-import itertools
 import math
 from dataclasses import dataclass
 
@@ -12,16 +11,15 @@ from seft_ros.identification.oil_balance import OilBalance
 
 Floats = npt.NDArray[np.float64]
 
-LEAST_EXPLAINED, GOOD_EXPLAINED = 0.5, 0.95
+LEAST_EXPLAINED, GOOD_EXPLAINED = 0.5, 0.9
 """Share of the flow's variance that a fit must explain, and that a good one does."""
 
-_STARTS = tuple(itertools.product((25.0, 50.0, 100.0, 200.0), (0.0, 2.0, 5.0, 10.0, 20.0)))
-_POLISHED = 2
+_VALVES, _DEAD_TIMES = (25.0, 50.0, 100.0, 200.0), (0.0, 2.0, 5.0, 10.0, 20.0)  # Hz, ms: starts
 _DAMPING, _LOAD, _OVER = 0.7, 0.02, 0.005  # first guesses
-_COARSE = 2000  # frequencies of the first fit
 _MOST_STEPS = 30
 _TOLERANCE = 0.01  # of the flow at a frequency: no actuator is like the model beyond
-_SURE, _UNSURE = 4.0, 0.1  # standard deviations from none; relative standard deviation
+_LEAST_LOAD = 0.15  # of the force capacity: below, friction can be taken for it
+_UNSURE = 0.1  # relative standard deviation
 # logarithms of the valve's frequency and damping, dead time in ms, largest force over force
 # capacity, logarithm of the velocity over which friction builds up
 _LOWEST = np.array([math.log(3.0), math.log(0.1), 0.0, 0.0, math.log(2e-4)])
@@ -110,9 +108,10 @@ def fit_actuator(
     """Fit an actuator to the balance of its oil in a test.
 
     The specimen is in the balance by its motion and force alone, as measured: it may yield, slip
-    or be coupled with others. By least squares over frequency; first with errors that may be as
-    large as a part of the flow, then with each frequency weighed by what the last fit left of it.
-    The piston's friction, which the load cell does not feel, is fitted beside it.
+    or be coupled with others. By least squares over frequency, of what goes with the commands
+    (they are free of noise); first with errors that may be as large as a part of the flow, then
+    with each frequency weighed by what the last fit left of it. The piston's friction, which the
+    load cell does not feel, is fitted beside it.
 
     Parameters
     ----------
@@ -156,7 +155,7 @@ def fit_actuator(
         flow_gain=q,
         oil_stiffness=1.0 / compliance if compliance else 0.0,
         leakage=max(leaking / compliance, 0.0) if compliance else 0.0,
-        force_capacity=oil.largest_force / float(p[3]) if p[3] > _SURE * deviations[3] else 0.0,
+        force_capacity=oil.largest_force / float(p[3]) if p[3] > _LEAST_LOAD else 0.0,
         valve_frequency=math.exp(p[0]),
         valve_damping=math.exp(p[1]),
         dead_time=float(p[2]) / 1e3,
@@ -171,18 +170,39 @@ def fit_actuator(
 
 
 def _roughly(oil: OilBalance) -> Floats:
-    """Parameters of a first fit, from many starts."""
-    step = max(1, len(oil.rough) // _COARSE)
+    """Parameters of a first fit, from several starts.
+
+    The resonances of valve and oil column are alike: one may stand in for the other, and explain
+    the piston's motion, though not the force. So that fit is the best which explains the flow at
+    the most frequencies.
+    """
 
     def errors(valve: Floats) -> Floats:
-        return oil.solve(np.append(valve, 0.0), _OVER, oil.rough, step)[2]
+        return oil.solve(np.append(valve, 0.0), _OVER, oil.rough)[2]
 
-    starts = [np.array([math.log(hz), math.log(_DAMPING), late]) for hz, late in _STARTS]
-    starts.sort(key=lambda start: float(np.sum(errors(start) ** 2)))
-    bounds = _LOWEST[:3], _HIGHEST[:3]
-    found = [
-        least_squares(errors, start, bounds=bounds, x_scale=_SCALE[:3], max_nfev=_MOST_STEPS)
-        for start in starts[:_POLISHED]
-    ]
-    best = min(found, key=lambda fit: float(fit.cost))
-    return np.append(best.x, [_LOAD, math.log(_OVER)])
+    def cost(start: Floats) -> float:
+        return float(np.sum(errors(start) ** 2))
+
+    found = []
+    for hz in _VALVES:
+        starts = [np.array([math.log(hz), math.log(_DAMPING), late]) for late in _DEAD_TIMES]
+        fit = least_squares(
+            errors,
+            min(starts, key=cost),
+            bounds=(_LOWEST[:3], _HIGHEST[:3]),
+            x_scale=_SCALE[:3],
+            max_nfev=_MOST_STEPS,
+        )
+        found.append(np.append(fit.x, [0.0, math.log(_OVER)]))
+    best = min(found, key=lambda p: _unexplained(oil, p))
+    best[3] = _LOAD
+    return best
+
+
+def _unexplained(oil: OilBalance, p: Floats) -> float:
+    """Share of the flow that is not explained, mean over frequencies."""
+    solution, _, errors = oil.solve(p[:4], math.exp(p[4]), oil.rough)
+    power = (errors.reshape(2, -1) ** 2).sum(axis=0) * oil.rough**2
+    flow = np.abs(solution[0] * oil.flow(p[:4])[1]) ** 2
+    share = oil.smooth(power) / np.maximum(oil.smooth(flow), 1e-30)
+    return float(np.minimum(share, 1.0).mean())

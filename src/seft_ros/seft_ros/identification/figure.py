@@ -22,7 +22,7 @@ _COHERENT = 0.5  # below, a delay is noise
 _NOTE: dict[str, Any] = {"fontsize": 8, "color": MARK, "va": "bottom"}
 _SHOWN_S = 0.5  # of the flow
 _OF_VALVE = ("flow / mm/s", "force per valve drive / N/V")
-_OF_CLOSED_LOOP = ("force per reference / dB", "delay / ms")
+_OF_CLOSED_LOOP = ("tracking / dB", "delay / ms")
 
 
 def identified_figure(identified: Identified, title: str) -> Figure:
@@ -73,7 +73,6 @@ def identified_figure(identified: Identified, title: str) -> Figure:
         bar = figure.colorbar(dots, ax=list(panels[1]), aspect=15, pad=0.01)
         bar.set_label("coherence", color=TEXT)
         bar.outline.set_visible(False)
-    figure.align_ylabels()
     figure.suptitle(title, fontsize=11, color=TEXT, parse_math=False)
     return figure
 

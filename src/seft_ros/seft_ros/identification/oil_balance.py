@@ -16,6 +16,7 @@ MEMORY = 0.2
 """Time in which the flow of a command has come, s."""
 _WIDTH, _LEAST_WIDTH = 0.05, 2.0  # over which spectra are smoothed: of the frequency, and Hz
 _BINS = 80
+_AVERAGED = 32  # lines of the spectrum that are one frequency
 _ROUGH = 0.03  # of the flow: what a first fit may leave
 
 
@@ -43,7 +44,7 @@ class OilBalance:
     largest_force : float
         N.
     rough : ndarray
-        Error that a first fit may leave at each frequency within the band, shape (F,), m/s.
+        Error that a first fit may leave at each of F frequencies within the band, m/s.
     """
 
     def __init__(
@@ -60,18 +61,24 @@ class OilBalance:
         self._size = scipy.fft.next_fast_len(self._n + math.ceil(MEMORY / dt), real=True)
         self._hz: Floats = scipy.fft.rfftfreq(self._size, dt)
         self._used = (self._hz >= band[0]) & (self._hz <= band[1])
-        f = self._hz[self._used]
+        self._commands = self._spectrum(commands[:-1])
+        self._drive = self._commands[self._used].conj()
+        self._blocks = np.arange(0, len(self._drive), _AVERAGED)
+        self._counts = np.diff(self._blocks, append=len(self._drive))
+        drive = np.add.reduceat(np.abs(self._drive) ** 2, self._blocks)
+        self._size_of_drive = np.sqrt(np.maximum(drive * self._counts, 1e-30))
+        f = np.add.reduceat(self._hz[self._used], self._blocks) / self._counts
         half = np.maximum(_WIDTH * f, _LEAST_WIDTH)
         self._around = np.searchsorted(f, f - half), np.searchsorted(f, f + half, "right")
-        self._commands = self._spectrum(commands[:-1])
         self.rise, self.between = np.diff(forces) / dt, (forces[:-1] + forces[1:]) / 2
         self.largest_force = float(np.abs(forces).max())
         self._at_samples, self.velocity, noise = self._motion(positions, accelerations)
         self._of_motion = self.of(self.velocity)
         self._of_force = np.stack([self.of(self.rise), self.of(self.between)], axis=1)
-        drive = np.abs(self._commands[self._used])
-        gain = self.smooth(np.abs(self._of_motion) ** 2) / np.maximum(self.smooth(drive**2), 1e-30)
-        self.rough: Floats = np.sqrt(noise + _ROUGH**2 * gain.max() * drive**2)
+        noise_left = np.add.reduceat(noise, self._blocks) / self._counts**2
+        power = drive / self._counts
+        gain = self.smooth(np.abs(self._of_motion) ** 2) / np.maximum(self.smooth(power), 1e-30)
+        self.rough: Floats = np.sqrt(noise_left + _ROUGH**2 * gain.max() * power + 1e-30)
 
     def _spectrum(self, signal: Floats) -> Complexes:
         spectrum: Complexes = scipy.fft.rfft(signal, self._size)
@@ -82,8 +89,14 @@ class OilBalance:
         return signal
 
     def of(self, signal: Floats) -> Complexes:
-        """Spectrum within the band, shape (F,)."""
-        return self._spectrum(signal)[self._used]
+        """Part of a signal that goes with the commands, at each of F frequencies."""
+        return self._with_commands(self._spectrum(signal))
+
+    def _with_commands(self, spectrum: Complexes) -> Complexes:
+        # noise does not go with the commands: it averages out
+        products = np.add.reduceat(spectrum[self._used] * self._drive, self._blocks)
+        result: Complexes = products / self._size_of_drive
+        return result
 
     def within(self, signal: Floats) -> Floats:
         """Take the part of a signal that lies within the band."""
@@ -140,7 +153,7 @@ class OilBalance:
         if p[3]:
             flow *= np.sqrt(1.0 - np.sign(flow) * p[3] / self.largest_force * self.between)
             spectrum = self._spectrum(flow)
-        return flow, spectrum[self._used]
+        return flow, self._with_commands(spectrum)
 
     def slip(self, over: float) -> Floats:
         """Rate of a friction of 1 N that builds up over a velocity in m/s; N/s, (N - 1,)."""
@@ -152,9 +165,7 @@ class OilBalance:
         v = self._at_samples
         return float(v @ np.tanh(v / over)) / max(float(v @ v), 1e-30)
 
-    def solve(
-        self, p: Floats, over: float, deviation: Floats, step: int = 1
-    ) -> tuple[Floats, Floats, Floats]:
+    def solve(self, p: Floats, over: float, deviation: Floats) -> tuple[Floats, Floats, Floats]:
         """Solve v = q w - (f' + lambda f + friction') / k_oil for what is linear in it.
 
         Parameters
@@ -165,8 +176,6 @@ class OilBalance:
             See `slip`.
         deviation : ndarray
             Expected error at each frequency, shape (F,).
-        step : int
-            Only every such frequency counts.
 
         Returns
         -------
@@ -177,7 +186,7 @@ class OilBalance:
         """
         flow, slip = self.flow(p)[1], self.of(self.slip(over))
         terms = np.column_stack([flow, -self._of_force, -slip, self._of_motion])
-        terms = (terms / deviation[:, np.newaxis])[::step]
+        terms = terms / deviation[:, np.newaxis]
         split = np.concatenate([terms.real, terms.imag])
         columns, target = split[:, :4], split[:, 4]
         scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-30)

@@ -77,8 +77,10 @@ def write_model(identified: Identified, path: Path, source: str, specimen: bool)
     """
     comments = [f"Identified by seft identify from {source}", f"Axes: {identified.axes}"]
     if identified.valves:
-        comments.append("actuator.*: of the actuators alone; another specimen needs no new ones")
-        comments.append(f"plant.* and tracking.*: with this specimen, of axis {identified.axes[0]}")
+        comments.append(
+            "actuator: of the actuators alone; another specimen needs no new identification"
+        )
+        comments.append(f"plant and tracking: with this specimen, of axis {identified.axes[0]}")
     write_parameter_file(path, model_parameters(identified, specimen), comments)
 
 

@@ -71,22 +71,22 @@ def notes(identified: Identified) -> list[str]:
     if identified.valves:
         found.append(ANY_SPECIMEN)
     else:
-        found.append("without a good open-loop test, by a valve, the actuators are not known")
+        found.append("without a good test of a valve, actuators and margins are not known")
     for axis, valve in zip(identified.axes, identified.valves, strict=False):
         actuator = valve.actuator
         if actuator.unsure:
             found.append(f"axis {axis}: the test shows poorly: {', '.join(actuator.unsure)}")
         if not actuator.force_capacity:
             found.append(
-                f"axis {axis}: forces to {actuator.largest_force:.3g} N do not show at which force "
-                "the valve lets no oil through: force_capacity stays as configured (0: not felt)"
+                f"axis {axis}: forces to {actuator.largest_force:.3g} N are too small to show the "
+                "force capacity, which stays as configured (0: not felt); raise --amplitude for it"
             )
         if valve.controller_known and not valve.loop.stable:
             found.append(f"axis {axis}: by this model the loop is unstable with its controller")
     if identified.valves and not identified.valves[0].controller_known:
         found.append("margins are known of one transfer function for all axes alone")
     if not identified.closed_loops:
-        found.append("no good closed-loop test: compensation by tracking.* is not provided for")
+        found.append("no good closed-loop test: tracking.*, which other methods need, is not known")
     if len(identified.axes) > 1:
         found.append("margins are of each axis by itself, the valves of the others closed")
     return found

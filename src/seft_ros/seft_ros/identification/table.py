@@ -64,7 +64,8 @@ def identified_table(title: str, axes: tuple[str, ...], summary: Mapping[str, An
         if not key:
             table.add_section()
             continue
-        table.add_row(what, *(_number(column.get(key), scale) for column in columns), unit)
+        if any(column.get(key) is not None for column in columns):
+            table.add_row(what, *(_number(column.get(key), scale) for column in columns), unit)
     table.add_section()
     for name, unit in _SPECIMEN:
         value = summary["specimen"][name]

@@ -16,7 +16,7 @@ from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 from seft_ros.loop_shaping.source import Source
 from seft_ros.preflight.closed_loop import ClosedLoop, closed_loop, growth_rate
 from seft_ros.preflight.frozen import BOUNDS, frozen_feedforward, frozen_target, read_of_points
-from seft_ros.preflight.loop_rig import LoopRig, choose_rig
+from seft_ros.preflight.loop_rig import choose_rig
 from seft_ros.reference_force.block import compensator, knowledge
 from seft_ros.reference_force.compensation.compensator import Compensator
 from seft_ros.reference_force.compensation.linear_filter import LinearFilter
@@ -56,13 +56,13 @@ class Plan:
                 raise InputError(f"{node}: runs elsewhere, so its parameters are not known here")
         self.experiment, self.source = experiment, source
         self.axes, self.timebase = experiment.axes, experiment.timebase
-        self._rigs = lru_cache(maxsize=256)(lambda factor: choose_rig(experiment, source, factor))
-        self.rig: LoopRig = self._rigs(1.0)
+        self.rig = choose_rig(experiment, source)
         self.section = experiment["reference_force"]
         self.mass_ratio = float(self.section["mass_ratio"])
         self.dead_time = self.rig.plant.delay
         self._controllers = self._as_it_may_be()
         self._filter = lru_cache(maxsize=256)(self.compensation)
+        self._sampled = lru_cache(maxsize=256)(self._sample)
 
     @property
     def dt(self) -> float:
@@ -170,9 +170,7 @@ class Plan:
         InputError
             If the method can't be made like this, or the dead time is many samples long.
         """
-        rig = self._rigs(stiffness).sampled(
-            self.dt, self.dead_time if dead_time is None else dead_time, gain
-        )
+        rig = self._sampled(stiffness, self.dead_time if dead_time is None else dead_time, gain)
         told = stiffness if followed else 1.0
         loops = []
         for read, control in self._controllers if any_valve else self._controllers[:1]:
@@ -196,6 +194,14 @@ class Plan:
     def growth_rate(self, **changes: Any) -> float:
         """Rate at which it grows, 1/s: positive where the test is unstable."""
         return growth_rate(self.worst(**changes), self.dt)
+
+    def _sample(
+        self, stiffness: float, dead_time: float, gain: float
+    ) -> tuple[Floats, Floats, Floats]:
+        rig = self.rig
+        if stiffness != 1.0:
+            rig = choose_rig(self.experiment, self.source, stiffness)
+        return rig.sampled(self.dt, dead_time, gain)
 
     def _as_it_may_be(self) -> list[tuple[Floats | None, LinearControl]]:
         """Make the controller as it starts, then as it may become; and what it reads of points.

@@ -98,6 +98,7 @@ def _longest_dead_time(plan: Plan, margins: Margins) -> float:
 
 def _size(plan: Plan, longest: float, maps: int) -> int:
     """Points along a side of each map: fewer where the loop is large."""
+    plan.growth_rate(dead_time=longest)  # what is made once for a row or a column
     start = time.perf_counter()
     plan.growth_rate(dead_time=longest)
     each = time.perf_counter() - start

@@ -56,6 +56,9 @@ SLIDER_TO_NOISE, OFFSET_TO_NOISE = 0.5, 7.0
 """Prior of a slider's force and of the offset, over the noise of the restoring force."""
 MOST_EVIDENCE = math.log(1e4)
 """Largest logarithm of the likelihoods' ratio, either way."""
+CONFIRMED_IN = 0.2
+"""Time in which what is told must be right until it is believed again, s: a restoring force that
+swings meets the line that is told now and then, whatever the specimen is."""
 STANDS_OUT = 20.0
 """Motion over its noise from which on it tells of stiffness and damping: what is regressed on a
 noisy motion comes out too small, by the square of the noise over the motion."""
@@ -85,6 +88,8 @@ class ModelParameters(NamedTuple):
         Factors per step with which sums of innovations fade.
     surprise : float
         Square of the normalised sum that is no chance.
+    confirming : float
+        Largest growth of the evidence for what is told while it is not believed, per step.
     """
 
     thresholds: Floats
@@ -97,6 +102,7 @@ class ModelParameters(NamedTuple):
     recent: float
     unexplained: float
     surprise: float
+    confirming: float
 
 
 class ModelState(NamedTuple):
@@ -176,6 +182,7 @@ def model_arrays(
         recent=math.exp(-dt / RECENT),
         unexplained=math.exp(-dt / UNEXPLAINED),
         surprise=NormalDist().inv_cdf(1.0 - 0.5 * min(dt / ONCE_IN, 0.5)) ** 2,
+        confirming=MOST_EVIDENCE * dt / CONFIRMED_IN,
     )
     q = parameters.start.shape[1]
     state = ModelState(
@@ -200,6 +207,7 @@ def begin_model(parameters: ModelParameters, state: ModelState) -> None:
     state.stops[:] = 0.0
     state.sums[:] = 0.0
     for j in range(n):
+        state.sums[j, 4] = 0.0
         for i in range(q):
             start = parameters.start[j, i]
             state.values[j, i] = state.before[j, i] = state.found[j, i] = start
@@ -263,10 +271,11 @@ def follow(
             variance += phi[i] * total
         moves = (e[j] / parameters.least[j, 0]) ** 2 + (rate[j] / parameters.least[j, 1]) ** 2 > 1.0
         was_right = sums[4] > 0.0
-        if moves:  # logarithm of the likelihoods' ratio, of what is told over what is found
-            gained = innovation**2 / variance + math.log(variance / parameters.noise[j, 0])
-            gained -= told**2 / parameters.noise[j, 0]
-            sums[4] = min(max(sums[4] + 0.5 * gained, -MOST_EVIDENCE), MOST_EVIDENCE)
+        # logarithm of the likelihoods' ratio, of what is told over what is found
+        gained = innovation**2 / variance + math.log(variance / parameters.noise[j, 0])
+        gained -= told**2 / parameters.noise[j, 0]
+        gained = min(0.5 * gained, MOST_EVIDENCE if sums[4] > 0.0 else parameters.confirming)
+        sums[4] = min(max(sums[4] + gained, -MOST_EVIDENCE), MOST_EVIDENCE)
         sums[0] = parameters.recent * sums[0] + innovation
         persistent = parameters.noise[j, 1] - parameters.noise[j, 0]
         sums[1] = parameters.recent**2 * sums[1] + variance + persistent

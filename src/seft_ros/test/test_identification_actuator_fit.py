@@ -1,0 +1,167 @@
+"""The seven numbers of an actuator from a test of it, whatever specimen it pushes."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.parameter_file import parse_override
+from seft_plant_sim.rig import Rig
+from seft_ros.experiment.tables import TABLES
+from seft_ros.identification.actuator_fit import fit_actuator
+from seft_ros.identification.excitation import excitation
+
+CONFIG = Path(__file__).parents[3] / "config"
+DURATION, TAIL = 40.0, 1.0
+BAND = (0.3, 200.0)
+
+
+def driven(*overrides, volts=0.2, of="jhu", seed=1):
+    """Drive a rig by noise; commands, displacements, accelerations, forces, each (N, n), and dt."""
+    experiment = Experiment.load(
+        TABLES, [CONFIG / f"{of}.yaml"], [parse_override(text) for text in overrides]
+    )
+    axes, dt = experiment.axes, experiment.timebase.dt
+    rig = Rig.from_parameters(experiment["rig"], axes, experiment.timebase)
+    band = BAND[0], min(BAND[1], 0.45 / dt)
+    unit = excitation("random", round(DURATION / dt), len(axes), dt, band, seed)
+    commands = np.concatenate([volts * unit, np.zeros((round(TAIL / dt), len(axes)))])
+    first = rig.reset()
+    states = np.array([first, *(rig.step(command) for command in commands[:-1])])
+    return commands, states[:, 0], states[:, 2], states[:, 3], dt, band
+
+
+def fitted(*overrides, axis=0, **options):
+    *signals, dt, band = driven(*overrides, **options)
+    return fit_actuator(*(signal[:, axis] for signal in signals), dt, band)
+
+
+KNOWN = {
+    "flow_gain": 0.0403,
+    "oil_stiffness": 1.664e7,
+    "valve_frequency": 70.0,
+    "valve_damping": 0.6,
+    "dead_time": 1e-3,
+}
+ALLOWED = {
+    "flow_gain": 0.01,
+    "oil_stiffness": 0.1,
+    "valve_frequency": 0.1,
+    "valve_damping": 0.15,
+    "dead_time": 0.2e-3,
+}
+
+
+def assert_found(fit, **other):
+    """Within what velocity_feedforward asks for, and more."""
+    assert fit.verdict == "good"
+    assert fit.fault() == ""
+    assert fit.unsure == ()
+    for name, known in {**KNOWN, **other}.items():
+        allowed = {"abs": ALLOWED[name]} if name == "dead_time" else {"rel": ALLOWED[name]}
+        assert getattr(fit, name) == pytest.approx(known, **allowed), name
+    assert 20.0 < fit.leakage < 100.0
+
+
+SPECIMEN = "rig:specimen."
+ACTUATOR = "rig:actuator."
+RIGS = {
+    "the paper's": ((), {}),
+    "yields": ((SPECIMEN + "kind:=bilinear", SPECIMEN + "yield_displacement:=0.003"), {}),
+    "yields much": ((SPECIMEN + "kind:=bilinear", SPECIMEN + "yield_displacement:=0.0001"), {}),
+    "slips": ((SPECIMEN + "kind:=friction", SPECIMEN + "friction.force:=200.0"), {}),
+    "no friction": ((ACTUATOR + "friction:=0.0",), {}),
+    "30 N friction": ((ACTUATOR + "friction:=30.0",), {}),
+    "sharp friction": ((ACTUATOR + "friction:=30.0", ACTUATOR + "friction_velocity:=0.001"), {}),
+    "slow valve": ((ACTUATOR + "valve_frequency:=30.0",), {"valve_frequency": 30.0}),
+    "fast valve": ((ACTUATOR + "valve_frequency:=120.0",), {"valve_frequency": 120.0}),
+    "soft oil": ((ACTUATOR + "oil_column_frequency:=30.0",), {"oil_stiffness": 1.6615e6}),
+    "stiff oil": ((ACTUATOR + "oil_column_frequency:=120.0",), {"oil_stiffness": 2.9749e7}),
+    "half the flow": ((ACTUATOR + "flow_gain:=0.02015",), {"flow_gain": 0.02015}),
+    "twice the flow": ((ACTUATOR + "flow_gain:=0.0806",), {"flow_gain": 0.0806}),
+    "late": ((ACTUATOR + "dead_time:=0.01",), {"dead_time": 0.01}),
+    "1 kHz": (("rate:=1000.0",), {}),
+    "2 kHz": (("rate:=2000.0",), {}),
+    "velocity derived": (("rig:sensors.velocity:=derived",), {}),
+}
+VOLTS = {"slow valve": 0.5, "soft oil": 0.8, "half the flow": 0.4, "twice the flow": 0.1}
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_the_actuator_is_found_with_any_specimen_and_all_noise(name):
+    overrides, other = RIGS[name]
+    assert_found(fitted(*overrides, volts=VOLTS.get(name, 0.2)), **other)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_of_several_axes_each_has_its_own(axis):
+    gains = [0.0403, 0.03, 0.05]
+    fit = fitted(
+        f"rig:actuator.flow_gain:={gains}",
+        "rig:actuator.valve_frequency:=[70.0, 50.0, 90.0]",
+        of="three_storey_frame",
+        axis=axis,
+    )
+    valve = (70.0, 50.0, 90.0)[axis]
+    assert_found(fit, flow_gain=gains[axis], oil_stiffness=1.685e7, valve_frequency=valve)
+
+
+@settings(max_examples=8, deadline=None, phases=(Phase.explicit, Phase.generate))
+@given(
+    valve=st.floats(30.0, 120.0),
+    damping=st.floats(0.4, 1.0),
+    oil=st.floats(30.0, 120.0),
+    late=st.floats(0.0, 0.008),
+    seed=st.integers(0, 99),
+)
+def test_whatever_valve_and_oil_column_are(valve, damping, oil, late, seed):
+    words = {"valve_frequency": valve, "valve_damping": damping, "dead_time": late}
+    words |= {"oil_column_frequency": oil}
+    overrides = [f"rig:actuator.{name}:={value!r}" for name, value in words.items()]
+    volts = 0.2 * (90.0 / oil) * np.sqrt(70.0 / valve)  # about as a pilot test finds it
+    fit = fitted(*overrides, volts=volts, seed=seed)
+    assert fit.verdict == "good"
+    assert fit.flow_gain == pytest.approx(0.0403, rel=0.03)
+    assert fit.valve_frequency == pytest.approx(valve, rel=0.15)
+    assert fit.valve_damping == pytest.approx(damping, rel=0.2)
+    assert fit.dead_time == pytest.approx(late, abs=0.3e-3)
+    stiffness = 52.7 * (2 * np.pi * oil) ** 2 - 2.11e5
+    assert fit.oil_stiffness == pytest.approx(stiffness, rel=0.1)
+
+
+def test_a_force_capacity_is_told_where_the_load_shows_it():
+    assert fitted().force_capacity == 0.0
+    small = fitted("rig:actuator.force_capacity:=4000.0")
+    assert small.force_capacity == pytest.approx(4000.0, rel=0.2)
+    assert_found(small)
+
+
+def test_measured_and_modelled_flow_are_the_same_but_for_noise():
+    fit = fitted()
+    left = np.var(fit.measured - fit.modelled) / np.var(fit.measured)
+    assert fit.explained == pytest.approx(1.0 - left, abs=1e-6)
+    assert fit.explained > 0.99
+
+
+@pytest.mark.parametrize(
+    ("signs", "told"),
+    [
+        ((-1, 1, 1, 1), "sign of displacement against command"),
+        ((1, 1, 1, -1), "sign of force against motion"),
+        ((1, 0, 0, 0), "explain .* of the flow's variance"),
+        ((0, 1, 1, 1), "explain .* of the flow's variance"),
+    ],
+)
+def test_data_that_tell_nothing_are_refused_with_the_reason(signs, told):
+    *signals, dt, band = driven()
+    noise = np.random.default_rng(1).standard_normal((len(signals[0]), 4)) * [0, 5e-6, 0.05, 3.0]
+    signed = [
+        sign * signal[:, 0] + extra
+        for sign, signal, extra in zip(signs, signals, noise.T, strict=True)
+    ]
+    fit = fit_actuator(*signed, dt, band)
+    assert fit.verdict == "not usable"
+    assert re.search(told, fit.fault())

@@ -1,0 +1,293 @@
+"""The target against exact solutions, and what it makes of what is told wrongly."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.parameter_file import parse_override
+from seft_plant_sim.whole_structure import reference_response
+from seft_ros.analysis.metrics import nrmse
+from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.offline import simulate
+from seft_ros.experiment.tables import TABLES
+from seft_ros.reference_force.block import knowledge
+from seft_ros.target.motion_observer import observe, observer_gains
+from seft_ros.target.restoring_model import begin_model, follow, model_arrays, move_stops
+from seft_ros.target.target_motion import TargetMotion
+
+ROOT = Path(__file__).parents[3]
+METHOD = (
+    "reference_force:compensation.method:=target_motion",
+    "force_controller:method:=velocity_feedforward",
+    "reference_force:mass_ratio:=1.0",
+    "ground_motion:peak_force:=500.0",
+)
+K = 2.11e5
+
+
+def experiment(*words, config="jhu"):
+    overrides = [parse_override(word) for word in (*METHOD, *words)]
+    return Experiment.load(TABLES, [ROOT / "config" / f"{config}.yaml"], overrides)
+
+
+def error(*words, config="jhu"):
+    """Displacement NRMSE of a simulated test, %."""
+    tested = experiment(*words, config=config)
+    record = simulate(tested, build_blocks(tested))
+    assert record.trip is None
+    measured, motion = (record.series[name].values for name in ("rig/state", "ground_motion"))
+    exact = reference_response(tested, motion[:, 0])
+    return 100 * nrmse(measured[:, 0], exact.displacement)
+
+
+def target(*words, config="jhu"):
+    tested = experiment(*words, config=config)
+    known = knowledge(tested["reference_force"], tested.axes, tested.timebase)
+    return tested, TargetMotion(known)
+
+
+def motion_of(tested):
+    return build_blocks(tested).ground_motion
+
+
+# ---- the target
+
+
+@pytest.mark.parametrize("config", ["jhu", "three_storey_frame", "water_tower"])
+def test_exact_test_is_its_own_target(config):
+    tested, method = target("ground_motion:synthetic.duration:=8.0", config=config)
+    ground = motion_of(tested)
+    exact = reference_response(tested, ground.samples)
+    state = np.stack([exact.displacement, exact.velocity, exact.acceleration, exact.force], axis=1)
+    window = 1 + method.preview
+    points = np.array(
+        [method.step(ground.known[k : k + window], one)[0] for k, one in enumerate(state)]
+    )
+    assert nrmse(points[:, 0], exact.displacement) < 2e-4
+    assert nrmse(points[:, 2], exact.force) < 2e-3
+
+
+def test_force_of_every_point_is_equation_2_5_with_the_targets_acceleration():
+    tested, method = target()
+    ground = np.full((1 + method.preview, 1), 1.5)
+    rng = np.random.default_rng(1)
+    state = np.array([[1e-3], [0.05], [2.0], [150.0]])
+    points = method.step(ground, state + 1e-3 * rng.standard_normal((4, 1)))
+    m, dt = 52.7, tested.timebase.dt
+    acceleration = np.gradient(points[:, 1, 0], dt)[2:-2]
+    force = -2 * m * ground[2:-2, 0] - m * acceleration
+    assert points[2:-2, 2, 0] == pytest.approx(force, abs=0.02 * np.abs(force).max())
+
+
+def test_target_starts_where_the_specimen_is():
+    _, method = target()
+    state = np.array([[2e-3], [0.0], [0.0], [K * 2e-3]])
+    points = method.step(np.zeros((1 + method.preview, 1)), state)
+    assert points[0, 0, 0] == 2e-3
+
+
+def test_target_comes_to_rest_as_its_pace_goes_to_zero():
+    tested, method = target()
+    ground = motion_of(tested).known
+    exact = reference_response(tested, motion_of(tested).samples)
+    window, begin = 1 + method.preview, 2000
+    points = np.zeros((window, 3, 1))
+    for k in range(begin + 1000):
+        state = np.array([exact.displacement[k], exact.velocity[k], exact.acceleration[k]])
+        if k < begin:
+            measured = np.vstack([state, exact.force[k]])
+        else:  # the specimen follows the target
+            a = (points[1, 2] - 800.3 * points[1, 1] - K * points[1, 0]) / 52.7
+            measured = np.array([points[1, 0], points[1, 1], a, points[1, 2]])
+            method.pace = max(0.0, 1.0 - (k - begin) / 250)
+        points = method.step(ground[k : k + window], measured)
+    assert abs(points[0, 1, 0]) < 1e-4
+    assert abs(points[0, 2, 0]) < 1.0
+
+
+def test_same_samples_give_the_same_points_after_a_reset():
+    _, method = target()
+    rng = np.random.default_rng(2)
+    ground = rng.standard_normal((50 + method.preview, 1))
+    states = rng.standard_normal((50, 4, 1)) * [[1e-4], [1e-2], [1.0], [50.0]]
+
+    def run():
+        method.reset()
+        return [method.step(ground[k : k + 1 + method.preview], s) for k, s in enumerate(states)]
+
+    assert np.array_equal(run(), run())
+
+
+# ---- the observer
+
+
+def test_observer_has_less_noise_than_the_sensors_and_no_lag():
+    dt, n = 0.002, 4000
+    noise = np.array([[5e-6], [1e-3], [0.05], [3.0]])
+    gains, left = observer_gains(noise, dt)
+    t = dt * np.arange(n)
+    w = 2 * np.pi * 7
+    true = 0.003 * np.array([np.sin(w * t), w * np.cos(w * t), -(w**2) * np.sin(w * t)])
+    rng = np.random.default_rng(3)
+    motion, seen = np.zeros((3, 1)), np.empty((2, n))
+    for k in range(n):
+        measured = np.zeros((4, 1))
+        measured[:3, 0] = true[:, k] + noise[:3, 0] * rng.standard_normal(3)
+        observe(gains, dt, k == 0, measured, motion)
+        seen[:, k] = motion[:2, 0]
+    wrong = (seen - true[:2])[:, 100:]
+    assert wrong.std(axis=1) == pytest.approx(left[:, 0], rel=0.3)
+    assert wrong[0].std() < 0.7 * noise[0, 0]
+    assert abs(wrong @ true[1, 100:] / (true[1] @ true[1]))[0] < 5e-6  # s
+
+
+# ---- the model of the restoring force
+
+
+def followed(restoring, x, v, stiffness=K, damping=800.0, noise=4.0, seed=1):
+    """Follow a measured restoring force; give state and innovations of the values in use."""
+    dt = 0.002
+    parameters, state = model_arrays(
+        np.array([[52.7]]),
+        np.array([[damping]]),
+        np.array([[stiffness]]),
+        np.full((1, 2), noise),
+        np.array([[2.6e-6, 4.5e-4]]),
+        dt,
+    )
+    begin_model(parameters, state)
+    rng, last = np.random.default_rng(seed), 0.0
+    left = []
+    for one, rate, r in zip(x, v, restoring, strict=True):
+        move_stops(parameters.thresholds, np.array([one - last]), state.stops)
+        last = one
+        measured = np.array([r + noise * rng.standard_normal()])
+        follow(parameters, state, np.array([one]), np.array([rate]), measured)
+        left.append(r - state.values[0] @ state.regressors[0])
+    return parameters, state, np.array(left)
+
+
+def swing(steps=4000, amplitude=0.005):
+    t = 0.002 * np.arange(steps)
+    envelope = amplitude * np.minimum(t / 2, 1)
+    x = envelope * np.sin(40 * t) + 0.3 * envelope * np.sin(23 * t)
+    return x, np.gradient(x, 0.002)
+
+
+def test_what_is_told_is_used_where_it_is_right():
+    x, v = swing()
+    _, state, left = followed(K * x + 800 * v, x, v)
+    assert state.values[0, 1] == pytest.approx(K, rel=1e-3)
+    assert np.abs(left[1000:]).max() < 1.0  # N, of 4 N of noise
+
+
+@pytest.mark.parametrize("factor", [0.6, 0.95, 1.5])
+def test_what_is_told_wrongly_is_found(factor):
+    x, v = swing()
+    _, state, left = followed(K * x + 800 * v, x, v, stiffness=factor * K, damping=300.0)
+    assert state.values[0, 1] == pytest.approx(K, rel=0.01)
+    assert state.values[0, 2] == pytest.approx(800, rel=0.05)
+    assert left[2000:].std() < 1.5
+
+
+def friction(x, force, presliding=2e-5):
+    found, z = np.empty_like(x), 0.0
+    for k, change in enumerate(np.diff(x, prepend=0.0)):
+        z = np.clip(z + change, -presliding, presliding)
+        found[k] = force * z / presliding
+    return found
+
+
+@pytest.mark.parametrize("force", [20.0, 100.0])
+def test_sliders_find_friction(force):
+    x, v = swing(8000)
+    parameters, state, left = followed(K * x + 800 * v + friction(x, force), x, v)
+    sliders = state.values[0, 3:] * parameters.thresholds[0]
+    assert sliders.sum() == pytest.approx(force, rel=0.25)
+    assert np.sqrt(np.mean(left[4000:] ** 2)) < 0.12 * force + 2
+
+
+def test_force_is_followed_through_a_knee_without_losing_an_impulse():
+    x, v = swing()
+    limit = 0.003
+    z, path = 0.0, np.empty_like(x)
+    for k, change in enumerate(np.diff(x, prepend=0.0)):
+        z = np.clip(z + change, -limit, limit)
+        path[k] = 0.1 * K * x[k] + 0.9 * K * z
+    _, _, left = followed(path + 800 * v, x, v)
+    assert np.abs(left[1500:]).max() < 0.25 * K * limit
+    assert np.sqrt(np.mean(left[1500:] ** 2)) < 0.03 * K * limit
+
+
+def test_what_hardly_moves_tells_of_the_offset_alone():
+    rng = np.random.default_rng(4)
+    x, v = 1e-6 * rng.standard_normal(4000), np.zeros(4000)
+    _, state, _ = followed(30.0 + K * x, x, v)
+    assert state.found[0, 1] == K
+    assert state.values[0, 0] == pytest.approx(30.0, abs=2.0)
+
+
+# ---- the whole loop
+
+LAWS: dict[str, tuple[tuple[str, ...], float]] = {
+    "linear": ((), 0.6),
+    "Bouc-Wen": (("kind:=bouc_wen", "yield_displacement:=0.003"), 1.2),
+    "bilinear": (("kind:=bilinear", "yield_displacement:=0.004", "hardening_ratio:=0.1"), 1.6),
+    "hardening": (("kind:=duffing", f"duffing.cubic:={0.1 * K / 0.005**2}"), 1.2),
+    "softening": (("kind:=duffing", f"duffing.cubic:={-0.1 * K / 0.008**2}"), 1.2),
+    "gap": (("kind:=gap", "gap.width:=0.004", f"gap.stiffness:={2 * K}"), 1.2),
+    "flag": (("kind:=flag", "yield_displacement:=0.003", "flag.dissipation:=0.7"), 1.4),
+    "pinching": (("kind:=pinching", "yield_displacement:=0.003"), 1.4),
+    "friction 20 N": (("kind:=friction", "friction.force:=20.0"), 2.0),
+    "friction 60 N": (("kind:=friction", "friction.force:=60.0"), 3.0),
+    "friction 120 N": (("kind:=friction", "friction.force:=120.0"), 8.0),
+}
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_test_is_right_whatever_the_specimen_does(law):
+    words, most = LAWS[law]
+    assert error(*(f"rig:specimen.{word}" for word in words)) < most
+
+
+TOLD_WRONG = {
+    "stiffness": "reference_force:model.stiffness:=1.48e5",
+    "damping": "reference_force:model.damping:=2400.0",
+    "flow gain": "force_controller:actuator.flow_gain:=0.0363",
+    "dead time": "force_controller:actuator.dead_time:=0.002",
+    "oil": "force_controller:actuator.oil_stiffness:=1.25e7",
+    "valve": "force_controller:actuator.valve_frequency:=91.0",
+}
+
+
+@pytest.mark.parametrize("what", TOLD_WRONG)
+def test_what_is_told_wrongly_hardly_matters(what):
+    assert error(TOLD_WRONG[what]) < 1.0
+
+
+def test_derived_velocity_is_not_taken_for_a_measurement():
+    assert error("rig:sensors.velocity:=derived") < 0.8
+
+
+@pytest.mark.parametrize("rate", [250, 1000])
+def test_other_rates(rate):
+    assert error(f"rate:={float(rate)}") < 1.0
+
+
+@pytest.mark.parametrize(
+    ("law", "most"),
+    [
+        ((), 2.0),
+        (("kind:=bouc_wen", "yield_displacement:=0.003"), 3.0),
+        (("kind:=friction", "friction.force:=20.0"), 3.0),
+    ],
+)
+def test_rig_that_is_driven_by_late_forces(law, most):
+    words = (
+        "rig:actuator.kind:=delay",
+        "rig:actuator.delay:=0.01",
+        "reference_force:tracking.numerator:=[0.0]",
+        "reference_force:compensation.delay:=0.013",
+    )
+    assert error(*words, *(f"rig:specimen.{word}" for word in law)) < most

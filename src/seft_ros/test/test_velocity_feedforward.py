@@ -1,0 +1,159 @@
+"""The valve's model and its inverse, and the controller that uses them."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from seft_msgs_py.errors import InputError
+from seft_ros.force_controller.valve_model import ValveModel
+from seft_ros.force_controller.velocity_feedforward import (
+    FEEDBACK,
+    begin_feedforward,
+    feedforward_arrays,
+    feedforward_step,
+)
+
+DT = 0.002
+valves = pytest.mark.parametrize(
+    ("frequency", "damping", "dead_time"),
+    [(70, 0.6, 0.001), (30, 0.6, 0.001), (120, 1.0, 0.0), (60, 1.2, 0.0035)],
+)
+
+
+def solved(frequency, damping, dead_time, time):
+    """Flow of a command of one period, by an ODE solver."""
+    w, late = 2 * math.pi * frequency, DT + dead_time
+
+    def slope(t, z):
+        u = 1.0 if late <= t < late + DT else 0.0
+        return [z[1], w * w * (u - z[0]) - 2 * damping * w * z[1]]
+
+    found = solve_ivp(slope, (0, time[-1]), [0, 0], t_eval=time, max_step=1e-4, rtol=1e-8)
+    return found.y[0]
+
+
+@valves
+def test_flow_of_a_command_is_that_of_the_differential_equation(frequency, damping, dead_time):
+    time = np.linspace(0.0, 0.05, 101)
+    model = ValveModel(frequency, damping, dead_time, DT)
+    assert model.flow(time) == pytest.approx(solved(frequency, damping, dead_time, time), abs=0.01)
+
+
+@valves
+def test_a_command_makes_one_periods_volume(frequency, damping, dead_time):
+    model = ValveModel(frequency, damping, dead_time, DT)
+    assert model.volume(np.array([1.0]))[0] == pytest.approx(DT, rel=1e-9)
+    under_way = model.under_way()
+    assert under_way[0] <= 1.0 + 1e-12
+    assert abs(under_way[-1]) < 0.02
+    # what is under way of a steady flow is the flow times the mean delay, less what is to be sent
+    assert DT * under_way.sum() == pytest.approx(model.delay - DT / 2, abs=0.02 * model.delay)
+
+
+@valves
+def test_inverse_makes_the_wanted_flow(frequency, damping, dead_time):
+    model = ValveModel(frequency, damping, dead_time, DT)
+    h = model.inverse(model.taps())
+    t = DT * np.arange(1000)
+    wanted = np.sin(2 * np.pi * 6 * t) + 0.3 * np.sin(2 * np.pi * 13 * t)
+    command = np.array([h @ wanted[k : k + len(h)] for k in range(len(t) - len(h))])
+    past = model.past()
+    made = np.array(
+        [past @ command[k - len(past) : k][::-1] for k in range(len(past), len(command))]
+    )
+    error = made - wanted[len(past) : len(command)]
+    assert np.sqrt(np.mean(error**2) / np.mean(wanted**2)) < 0.03
+
+
+def controller(told=1.0, limit=10.0, horizon=25, **valve):
+    values = {"frequency": 70.0, "damping": 0.6, "dead_time": 0.001} | valve
+    actuator = np.array([[0.04 * told, 1.66e7, 50.0, 24500.0]])
+    noise = np.array([[5e-6], [1e-3], [0.05], [3.0]])
+    arrays = feedforward_arrays([ValveModel(**values, dt=DT)], actuator, noise, limit, DT, horizon)
+    begin_feedforward(*arrays)
+    return arrays
+
+
+def drive_piston(arrays, steps=3000, gain=0.04, offset=0.0):
+    """Let a free piston follow a swinging target; give target and motion."""
+    parameters, state = arrays
+    valve = ValveModel(70.0, 0.6, 0.001, DT)
+    fine = 20
+    weights = [valve.flow(DT * (np.arange(1, 12) - 1 + (i + 0.5) / fine)) for i in range(fine)]
+    t = DT * np.arange(steps + 30)
+    wanted = np.array([0.004 * np.sin(30 * t), 0.12 * np.cos(30 * t), np.zeros_like(t)])
+    wanted[0] += 0.004 * (1 - np.exp(-t)) * np.sin(17 * t)
+    wanted[1] = np.gradient(wanted[0], DT)
+    sent, x, v = np.zeros(11), wanted[0, 0] + offset, wanted[1, 0]
+    command, seen = np.zeros(1), []
+    for k in range(steps):
+        points = np.ascontiguousarray(wanted[:, k : k + 26].T[:, :, np.newaxis])
+        a = (wanted[1, k + 1] - wanted[1, k]) / DT
+        feedforward_step(parameters, state, points, np.array([[x], [v], [a], [0.0]]), command)
+        seen.append(x)
+        sent = np.concatenate([command, sent[:-1]])
+        # in the coming period, the command that was just found does not act yet
+        for part in weights:
+            x += gain * (part @ sent) * DT / fine
+        v = gain * (valve.flow(DT * np.arange(1, 12)) @ sent)
+    return wanted[0, :steps], np.array(seen)
+
+
+def test_piston_follows_the_target():
+    wanted, seen = drive_piston(controller())
+    assert np.sqrt(np.mean((seen - wanted)[500:] ** 2) / np.mean(wanted**2)) < 0.01
+
+
+def test_error_dies_out_at_the_rate_of_the_feedback():
+    arrays = controller()
+    rate = arrays[0].feedback[0]
+    assert rate == pytest.approx(FEEDBACK / ValveModel(70.0, 0.6, 0.001, DT).delay)
+    wanted, seen = drive_piston(arrays, steps=200, offset=1e-3)
+    reference, follows = drive_piston(controller(), steps=200)
+    off = (seen - wanted) - (follows - reference)
+    after = round(0.006 / DT) + round(1 / rate / DT)
+    assert off[after] == pytest.approx(1e-3 * math.exp(-1), abs=2e-4)
+
+
+@pytest.mark.parametrize("told", [0.85, 1.15])
+def test_flow_gain_is_followed(told):
+    arrays = controller(told)
+    wanted, seen = drive_piston(arrays)
+    assert told * (1 + arrays[1].errors[0, 0]) == pytest.approx(1.0, abs=0.02)
+    assert np.sqrt(np.mean((seen - wanted)[2000:] ** 2) / np.mean(wanted**2)) < 0.01
+
+
+@pytest.mark.parametrize("dead_time", [0.0, 0.0025])
+def test_delay_is_followed(dead_time):
+    arrays = controller(dead_time=dead_time)
+    drive_piston(arrays)
+    assert dead_time + arrays[1].errors[0, 1] == pytest.approx(0.001, abs=2e-4)
+
+
+def test_drive_stays_within_the_limit_and_says_so():
+    parameters, state = controller(limit=1.0)
+    points, command = np.zeros((26, 3, 1)), np.zeros(1)
+    assert not feedforward_step(parameters, state, points, np.zeros((4, 1)), command)
+    points[:, 1] = 0.3
+    assert feedforward_step(parameters, state, points, np.zeros((4, 1)), command)
+    assert command[0] == 1.0
+
+
+def test_a_loaded_valve_opens_further():
+    points = np.zeros((26, 3, 1))
+    points[:, 1] = 0.05
+    drives = []
+    for force in (0.0, 12000.0):
+        parameters, state = controller()
+        points[:, 2], command = force, np.zeros(1)
+        measured = np.array([[0.0], [0.05], [0.0], [force]])
+        feedforward_step(parameters, state, points, measured, command)
+        drives.append(command[0])
+    leakage = 1 + 50.0 * 12000.0 / 1.66e7 / 0.05
+    assert drives[1] / drives[0] == pytest.approx(leakage / math.sqrt(1 - 12 / 24.5), rel=0.02)
+
+
+def test_horizon_that_is_too_short_is_refused():
+    with pytest.raises(InputError, match=r"horizon is 0\.02 s; make it longer"):
+        controller(horizon=10)
