@@ -138,6 +138,14 @@ TESTS: dict[str, list[Row]] = {
 }
 
 
+def named(word: str) -> str:
+    """Write an override for a table."""
+    name, _, value = word.partition(":")
+    if name == "missed":
+        return f"every {value}th command missed"
+    return f"`config/{value}.yaml`" if name == "config" else f"`{word}`"
+
+
 def tested(row: Row, motion: Row) -> str:
     """Run a test, and give its displacement error, of all axes together."""
     special = dict(word.split(":", 1) for word in row if ":=" not in word)
@@ -186,9 +194,9 @@ def main() -> None:
     for title, rows in TESTS.items():
         print(f"\n{title}\n\n| overrides | {' | '.join(motions)} |\n|{'---|' * (1 + len(motions))}")
         for row in rows:
-            shown = " ".join(word for word in row if word not in (*PLAN, *DELAY, *ONE, WATCH))
+            words = [named(w) for w in row if w not in (*PLAN, *DELAY, *ONE, WATCH, STOREYS)]
             errors = [tested(row, motion) for motion in motions.values()]
-            print(f"| {shown} | {' | '.join(errors)} |", flush=True)
+            print(f"| {', '.join(words) or 'as it is'} | {' | '.join(errors)} |", flush=True)
 
 
 if __name__ == "__main__":
