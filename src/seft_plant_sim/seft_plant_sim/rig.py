@@ -171,6 +171,11 @@ class Rig:
             resting = resting + 1 if np.abs(self.sample[1]).max() < AT_REST else 0
         return Stopped(steps, peak)
 
+    def take(self, found: Ints) -> None:
+        """Take over a test that a compiled loop has run, of what `rig_step` gave there, (N,)."""
+        self.step_index = len(found) - 1
+        self.violation, self.saturation = self.violation_of(int(found[-1])), saturation_of(found)
+
     def violation_of(self, found: int) -> str | None:
         """Say why the test must end with the last sample, of which `rig_step` gave ``found``.
 

@@ -1,6 +1,5 @@
 """How long something has been at the end of its range within the last second."""
 
-from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,43 +10,9 @@ from seft_plant_sim.compiled import compiled
 Ints = npt.NDArray[np.int64]
 
 
-class TimeWithinSecond:
-    """Steps of the last second at which something was so, against the longest time allowed.
-
-    Parameters
-    ----------
-    longest : float
-        Time that is still allowed, s.
-    dt : float
-        Sampling period, s.
-
-    Attributes
-    ----------
-    allowed, window : int
-        Steps that are still allowed, and steps of a second.
-    """
-
-    def __init__(self, longest: float, dt: float) -> None:
-        self.allowed = int(longest / dt * (1 + 1e-9))
-        self.window = round(1.0 / dt)
-        self._steps: deque[int] = deque()
-
-    def reset(self) -> None:
-        """Forget the test so far."""
-        self._steps.clear()
-
-    def is_exceeded(self, step: int) -> bool:
-        """Count a step at which it is so; say whether that is more than is allowed."""
-        steps = self._steps
-        steps.append(step)
-        while steps[0] <= step - self.window:
-            steps.popleft()
-        return len(steps) > self.allowed
-
-
 @compiled
 def is_exceeded(times: Ints, count: int, step: int, window: int) -> bool:
-    """Count a step at which something is so, as `TimeWithinSecond` does.
+    """Count a step at which something is so; tell whether more are within a second than allowed.
 
     Parameters
     ----------

@@ -13,6 +13,7 @@ from seft_plant_sim.compiled import compiled
 Floats = npt.NDArray[np.float64]
 
 BLOCK = 4096
+"""Steps of which the noise is drawn at once."""
 CHANNELS = ("position", "velocity", "acceleration", "force")
 
 
@@ -178,20 +179,16 @@ class Sensors:
         cutoff = float(group["velocity_cutoff"]) if derived else 0.0
         return cls(Channels(noise, bias, ranges, resolution, cutoff, dt), seed, own)
 
-    def noise(self, steps: int) -> Floats:
-        """Noise of the first steps of a test, shape (steps, 4, n)."""
-        blocks = [self._noise_block(index) for index in range(-(-steps // BLOCK))]
-        return np.concatenate(blocks)[:steps]
-
     def noise_of(self, step: int) -> Floats:
         """Noise of a step, shape (4, n)."""
         index, row = divmod(step, BLOCK)
         if index != self._block_index:
             self._block_index = index
-            self._block = self._noise_block(index)
+            self._block = self.noise_block(index)
         return self._block[row]
 
-    def _noise_block(self, index: int) -> Floats:
+    def noise_block(self, index: int) -> Floats:
+        """Noise of `BLOCK` steps, the first of which is so many blocks on, shape (BLOCK, 4, n)."""
         drawn = [
             np.random.default_rng([self._seed, index, axis]).standard_normal((BLOCK, 4))
             for axis in self._places

@@ -11,6 +11,7 @@ from seft_msgs_py.timebase import Timebase
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.reference_force.block import compensator, knowledge
 from seft_ros.reference_force.compensation.methods import METHODS
+from seft_ros.reference_force.compensation.names import TARGET_MOTION
 from seft_ros.reference_force.compensation.substructure import (
     _BehindMotion,
     substructure_motion,
@@ -18,11 +19,6 @@ from seft_ros.reference_force.compensation.substructure import (
 from seft_ros.reference_force.parameters import TABLE
 
 RATE = 4000.0
-TRACKING = {
-    "tracking.numerator": [1.0],
-    "tracking.denominator": [1.5e-5, 8e-3, 1.0],
-    "tracking.dead_time": 0.002,
-}
 
 
 def positive(rng, size, scale):
@@ -100,20 +96,10 @@ def test_what_stands_for_the_ground_motion_is_known_ahead(seed, axes, internal):
         assert np.abs(told - expected).max() < 1e-3 * scale
 
 
-@pytest.mark.parametrize(
-    "method", [name for name in METHODS if name not in ("ats", "target_motion")]
-)
+@pytest.mark.parametrize("method", [name for name in METHODS if name not in ("ats", TARGET_MOTION)])
 @pytest.mark.parametrize("internal", [0, 2])
 def test_a_method_is_the_linear_filter_that_it_says_it_is(method, internal):
-    section = section_of(
-        3,
-        2,
-        internal,
-        500.0,
-        compensation__delay=0.0133,
-        compensation__adaptive=False,
-        **{name.replace(".", "__"): value for name, value in TRACKING.items()},
-    )
+    section = section_of(3, 2, internal, 500.0, compensation__delay=0.0133)
     known = known_of(section)
     one = compensator(method, known)
     again = _BehindMotion(METHODS[method](known), substructure_motion(known, one.preview))

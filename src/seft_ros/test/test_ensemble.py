@@ -9,8 +9,8 @@ from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.parameter_file import parse_override
 from seft_ros.ensemble import member
 from seft_ros.ensemble.arrays import NotLinearError
-from seft_ros.ensemble.run import Workshop, run_ensemble
 from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.ensemble import Workshop, run_ensemble
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.force_control import ControlKnowledge

@@ -36,7 +36,6 @@ def protected(forces, guards=(), ramp=10, largest=1e4, fastest=1e9, loop_delay=0
         tells_motion=False,
         shape=(1, 1),
         estimates=dict,
-        learn=lambda: None,
         reset=lambda: None,
         step=lambda motion, state, pace: np.array([[[next(given)]]]),
     )
@@ -175,9 +174,6 @@ class Target:
         self.paces.clear()
 
     estimates = dict
-
-    def learn(self):
-        pass
 
     def step(self, motion, state, pace):
         self.paces.append(pace)

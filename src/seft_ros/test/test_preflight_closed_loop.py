@@ -35,6 +35,7 @@ COUPLED = {
     "specimen.mass": [52.7, 40.0],
     "specimen.stiffness": [2.0e5, -3.0e4, -3.0e4, 2.4e5],
 }
+LINEAR = [name for name in METHODS if name != "target_motion"]  # test_preflight_frozen.py
 WIDE = {f"limits.{name}": 1e9 for name in ROWS}
 
 
@@ -48,7 +49,6 @@ def experiment(*parts, rate=500.0, axes=("x",), **reference):
         "rig": RIG | WIDE,
         "reference_force": {
             "compensation.delay": 0.012,
-            "compensation.adaptive": False,
             "tracking.numerator": [1.0],
             "tracking.dead_time": 0.012,
         },

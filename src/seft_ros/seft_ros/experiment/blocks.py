@@ -1,6 +1,8 @@
 """The four blocks of a test, made of one experiment."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.experiment import Experiment
@@ -25,19 +27,42 @@ class Blocks:
     rig: Rig | Rigs
 
 
-def build_blocks(experiment: Experiment) -> Blocks:
+def build_blocks(experiment: Experiment, known: dict[str, Any] | None = None) -> Blocks:
     """Make the blocks of an experiment.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Its resolved configuration.
+    known : dict, optional
+        Blocks of earlier experiments, but their rigs: those with the same parameters are used
+        again, new ones are added.
 
     Raises
     ------
     InputError
         If a parameter makes no sense together with the others, or the record can't be read.
     """
-    axes, timebase = experiment.axes, experiment.timebase
+    axes, timebase, known = experiment.axes, experiment.timebase, {} if known is None else known
+    common = repr((axes, timebase, experiment.rigs))
+
+    def shared[Block](node: str, make: Callable[[], Block]) -> Block:
+        key = repr((node, common, sorted(experiment[node].items())))
+        if key not in known:
+            known[key] = make()
+        found: Block = known[key]
+        return found
+
+    def motion() -> GroundMotion:
+        return GroundMotion.from_parameters(experiment["ground_motion"], axes, timebase)
+
+    def force() -> ProtectedForce:
+        return ProtectedForce.from_parameters(experiment["reference_force"], axes, timebase)
+
     blocks = Blocks(
-        GroundMotion.from_parameters(experiment["ground_motion"], axes, timebase),
-        ProtectedForce.from_parameters(experiment["reference_force"], axes, timebase),
-        interlock_of(experiment),
+        shared("ground_motion", motion),
+        shared("reference_force", force),
+        shared("force_controller", lambda: interlock_of(experiment)),
         _rigs(experiment),
     )
     check_lead(experiment, blocks.ground_motion, blocks.reference_force)

@@ -1,8 +1,12 @@
-"""The experiment in one process, without ROS: the same blocks, called in a row."""
+"""The experiment in one process, without ROS: the same blocks, called in a row.
+
+Where all of them are compiled, so is the loop over the steps.
+"""
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,11 +15,11 @@ from seft_msgs_py.timebase import Timebase
 from seft_msgs_py.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 
 from seft_ros.experiment.blocks import Blocks
+from seft_ros.experiment.compiled_loop import Course, obstacle, run_compiled
 from seft_ros.experiment.state_machine import while_ramping_down
 from seft_ros.recording.environment import describe_environment
-from seft_ros.recording.record import Record, Series, Trip
-from seft_ros.recording.samples import EstimateBuffer
-from seft_ros.reference_force.estimate_sampler import EstimateSampler
+from seft_ros.recording.record import Estimates, Record, Series, Trip
+from seft_ros.reference_force.estimate_sampler import sampling_period
 
 Floats = npt.NDArray[np.float64]
 
@@ -26,6 +30,7 @@ def simulate(
     experiment: Experiment,
     blocks: Blocks,
     progress: Callable[[int], None] | None = None,
+    environment: dict[str, Any] | None = None,
 ) -> Record:
     """Run a test offline.
 
@@ -37,90 +42,95 @@ def simulate(
         Made of it by `build_blocks`.
     progress : callable, optional
         Called with the number of steps done, now and then.
+    environment : dict, optional
+        Of the record; default it is looked up.
 
     Returns
     -------
     Record
         Bit for bit what nodes over DDS give where no command is missed.
     """
-    motion, rig = blocks.ground_motion.samples, blocks.rig
-    total, axes = motion.shape
-    known, window = blocks.ground_motion.known, 1 + blocks.reference_force.preview
-    states = np.empty((total, 4, axes))
-    forces = np.empty((total, blocks.reference_force.reference_force.shape[1], axes))
-    commands = np.empty((total, axes))
-    reference_force = blocks.reference_force
-    reference_force.reset()
-    interlock = blocks.force_controller
-    interlock.reset()
-    sampler = EstimateSampler(reference_force, experiment.timebase)
-    estimates = EstimateBuffer()
-    force_step, valve_step = reference_force.step, interlock.step
-    loop_delay = experiment["reference_force"]["loop_delay"]
-    under_way = deque([np.zeros((1 + loop_delay, 1, axes))] * loop_delay)
-
-    valve_driven = rig.drive == VALVE_COMMAND.name
-    environment = describe_environment("simulate")
-    start = time.perf_counter()
-    state = rig.reset()
-    step = 0
-    with np.errstate(over="ignore", invalid="ignore"):  # the limits see what is not finite
-        while True:
-            points = force_step(known[step : step + window], state)
-            states[step] = state
-            forces[step] = points[0]
-            if loop_delay:
-                under_way.append(points)
-                points = under_way.popleft()[loop_delay:]
-            command = valve_step(step, points, state)
-            commands[step] = command
-            if step >= sampler.due:
-                estimates.append(step, sampler.sample(step))
-            step += 1
-            ended = rig.violation is not None or interlock.reason or reference_force.at_rest
-            if step == total or ended:
-                break
-            if progress is not None and step % PROGRESS_STEPS == 0:
-                progress(step)
-            state = rig.step(command if valve_driven else points[0, -1])
+    motion, force = blocks.ground_motion.samples, blocks.reference_force
+    (total, axes), quantities = motion.shape, force.reference_force.shape[1]
+    force.reset()
+    blocks.force_controller.reset()
+    estimated, period = force.estimates(), sampling_period(experiment.timebase)
+    course = Course(
+        np.empty((total, 4, axes)),
+        np.empty((total, quantities, axes)),
+        np.empty((total, axes)),
+        np.empty(total, dtype=np.int64),
+        np.empty((-(-total // period), len(estimated), axes)),
+    )
+    run = run_plain if obstacle(blocks) else run_compiled
+    environment = environment or describe_environment("simulate")
+    loop = run(blocks, course, experiment["reference_force"]["loop_delay"], period)
+    steps, start = next(loop), time.perf_counter()
+    for steps in loop:
+        if progress is not None:
+            progress(steps)
     wall = time.perf_counter() - start
-
+    estimates = None
+    if estimated:
+        sampled = np.arange(0, steps, period, dtype=np.int64)
+        estimates = Estimates(sampled, course.estimates[: len(sampled)], tuple(estimated))
     return Record(
         experiment=experiment,
-        series=loop_series(motion[:step], states[:step], forces[:step], commands[:step]),
-        estimates=estimates.series(),
+        series=loop_series(motion, course, steps),
+        estimates=estimates,
         trip=trip_of(
-            rig.violation or interlock.reason,
-            reference_force.cause,
-            step - 1,
-            step - reference_force.steps_ramped,
+            blocks.rig.violation or blocks.force_controller.reason,
+            force.cause,
+            steps - 1,
+            steps - force.steps_ramped,
             experiment.timebase,
         ),
-        saturation=rig.saturation,
+        saturation=blocks.rig.saturation,
         wall_s=wall,
         environment=environment,
     )
 
 
-def loop_series(
-    motion: Floats, states: Floats, forces: Floats, commands: Floats
-) -> dict[str, Series]:
-    """Order the samples of a test by topic, from step 0 on.
+def run_plain(blocks: Blocks, course: Course, loop_delay: int, period: int) -> Iterator[int]:
+    """Run a test as `run_compiled` does, with any blocks."""
+    rig, reference_force, interlock = blocks.rig, blocks.reference_force, blocks.force_controller
+    total, axes = course.commands.shape
+    known, window = blocks.ground_motion.known, 1 + reference_force.preview
+    force_step, valve_step = reference_force.step, interlock.step
+    under_way = deque([np.zeros((1 + loop_delay, 1, axes))] * loop_delay)
+    valve_driven = rig.drive == VALVE_COMMAND.name
+    yield 0
+    state = rig.reset()
+    with np.errstate(over="ignore", invalid="ignore"):  # the limits see what is not finite
+        for step in range(total):
+            points = force_step(known[step : step + window], state)
+            course.states[step], course.forces[step] = state, points[0]
+            if loop_delay:
+                under_way.append(points)
+                points = under_way.popleft()[loop_delay:]
+            command = course.commands[step] = valve_step(step, points, state)
+            if step % period == 0 and course.estimates.size:
+                course.estimates[step // period] = list(reference_force.estimates().values())
+            if rig.violation is not None or interlock.reason or reference_force.at_rest:
+                yield step + 1
+                return
+            if (step + 1) % PROGRESS_STEPS == 0:
+                yield step + 1
+            if step + 1 < total:
+                state = rig.step(command if valve_driven else points[0, -1])
+    yield total
 
-    Parameters
-    ----------
-    motion, commands : ndarray
-        Shape (N, n).
-    states, forces : ndarray
-        Shape (N, 4, n), and (N, q, n) as on the topic.
-    """
-    steps = np.arange(len(states), dtype=np.int64)
-    return {
-        GROUND_MOTION.name: Series(steps, motion[:, np.newaxis, :]),
-        RIG_STATE.name: Series(steps, states),
-        REFERENCE_FORCE.name: Series(steps, forces),
-        VALVE_COMMAND.name: Series(steps, commands[:, np.newaxis, :]),
+
+def loop_series(motion: Floats, course: Course, steps: int) -> dict[str, Series]:
+    """Order the samples of the first steps of a test by topic."""
+    numbers = np.arange(steps, dtype=np.int64)
+    values = {
+        GROUND_MOTION.name: motion[:steps, np.newaxis],
+        RIG_STATE.name: course.states[:steps],
+        REFERENCE_FORCE.name: course.forces[:steps],
+        VALVE_COMMAND.name: course.commands[:steps, np.newaxis],
     }
+    return {name: Series(numbers, samples) for name, samples in values.items()}
 
 
 def trip_of(

@@ -9,8 +9,14 @@ from seft_msgs_py.arrays import as_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.rigs import RigAxes
 from seft_msgs_py.timebase import Timebase
+from seft_plant_sim.compiled import entry_point
 
 from seft_ros.force_controller.force_control import LinearControl
+from seft_ros.force_controller.transfer_step import (
+    TransferParameters,
+    TransferState,
+    transfer_step,
+)
 
 Floats = npt.NDArray[np.float64]
 
@@ -45,13 +51,8 @@ class ForceController:
     ----------
     limited : bool
         Whether the last drive was at its limit on any axis.
-    matrix : ndarray
-        Shape ((1 + order) n, (order + 1) n): takes (delays, error) to (drive, delays) without
-        a limit.
-    from_drive : ndarray
-        Shape (order n, n): what the delays lose with a change of the drive.
-    feedback, limit
-        As given; the limit is ``voltage_limit``.
+    parameters, state : TransferParameters, TransferState
+        What `transfer_step` takes, here and in a compiled loop.
 
     Raises
     ------
@@ -79,25 +80,26 @@ class ForceController:
         order = orders.pop()
         # transposed direct form II on the vector (w, e), w the order * n delays:
         # u = b0 e + w[0],  w' = shift(w) + b e - a u; with that u put in, in one matrix
-        self._work = np.zeros((order + 1) * axes)
-        self._delays = self._work[: order * axes]
-        self._error = self._work[order * axes :]
-        self.matrix: Floats = np.zeros(((order + 1) * axes,) * 2)
-        self.from_drive: Floats = np.zeros((order * axes, axes))
+        size = (order + 1) * axes
+        matrix, from_drive = np.zeros((size, size)), np.zeros((order * axes, axes))
         for axis, (b, a) in enumerate(sampled):
             output = np.eye(1, order + 1)
             output[0, order] = b[0]
             update = np.column_stack([np.eye(order, k=1), b[1:]]) - np.outer(a[1:], output)
-            self.matrix[axis::axes, axis::axes] = np.vstack([output, update])
-            self.from_drive[axis::axes, axis] = a[1:]
+            matrix[axis::axes, axis::axes] = np.vstack([output, update])
+            from_drive[axis::axes, axis] = a[1:]
         if gain is not None:
-            self.matrix[:axes] = gain @ self.matrix[:axes]
-            self.from_drive = self.from_drive @ _inverse(gain)
-        self._axes = axes
-        self.feedback = feedback
-        self.limit = float(voltage_limit)
-        self.limited = False
-        self._safe_square = 0.99 * self.limit * self.limit
+            matrix[:axes] = gain @ matrix[:axes]
+            from_drive = np.ascontiguousarray(from_drive @ _inverse(gain))
+        transposed = np.ascontiguousarray(matrix.T)
+        self.parameters = TransferParameters(
+            transposed, from_drive, float(voltage_limit), bool(feedback)
+        )
+        self.state = TransferState(*np.zeros((2, size)))
+        self._axes, self.limited = axes, False
+        points, measured = np.zeros((1, 1, axes)), np.zeros((4, axes))
+        arguments = points, measured, measured[0]
+        self._step = entry_point(transfer_step, self.parameters, self.state, *arguments)
 
     @classmethod
     def from_parameters(
@@ -128,32 +130,22 @@ class ForceController:
 
     def reset(self) -> None:
         """Forget the test so far."""
-        self._work[:] = 0.0
+        self.state.work[:] = 0.0
 
     def linear(self) -> LinearControl:
         """Give its matrices; the states are the delays."""
-        n, delays = self._axes, len(self._delays)
-        by_delays, by_error = self.matrix[:, :delays], self.matrix[:, delays:]
+        n, matrix = self._axes, self.parameters.matrix.T
+        by_delays, by_error = matrix[:, :-n], matrix[:, -n:]
         return LinearControl.of_error(
-            by_delays[n:], by_error[n:], by_delays[:n], by_error[:n], self.feedback
+            by_delays[n:], by_error[n:], by_delays[:n], by_error[:n], self.parameters.feedback
         )
 
     def step(self, points: Floats, state: Floats) -> Floats:
         """See `seft_ros.force_controller.force_control.ForceControl.step`."""
-        if self.feedback:
-            np.subtract(points[0, -1], state[3], self._error)
-        else:
-            self._error[:] = points[0, -1]
-        result = self.matrix.dot(self._work)
-        drive, delays = result[: self._axes], result[self._axes :]
-        self.limited = False
-        if not drive.dot(drive) < self._safe_square:  # else no axis can be at its limit
-            limited = np.clip(drive, -self.limit, self.limit)
-            self.limited = bool((np.abs(limited) >= self.limit).any())
-            delays -= self.from_drive.dot(limited - drive)
-            drive = limited
-        self._delays[:] = delays
-        return drive
+        points, state = (np.ascontiguousarray(values, np.float64) for values in (points, state))
+        command = np.empty(self._axes)
+        self.limited = self._step(self.parameters, self.state, points, state, command)
+        return command
 
 
 def _split(coefficients: list[float], axes: Sequence[str], name: str) -> list[list[float]]:

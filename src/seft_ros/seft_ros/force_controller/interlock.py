@@ -7,11 +7,26 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.timebase import Timebase
-from seft_plant_sim.saturated_time import TimeWithinSecond
+from seft_plant_sim.compiled import entry_point
+from seft_plant_sim.saturated_time import SaturatedTime
 
 from seft_ros.force_controller.force_control import ForceControl
+from seft_ros.force_controller.interlock_step import (
+    NONSENSE,
+    NOTHING,
+    ODD_DRIVE,
+    SATURATION,
+    STEP,
+    TRIP,
+    InterlockParameters,
+    InterlockState,
+    begin_control,
+    end_control,
+)
 
 Floats = npt.NDArray[np.float64]
+
+_MEASURED = ("force", "displacement", "velocity", "acceleration")
 
 
 class Interlock:
@@ -34,14 +49,10 @@ class Interlock:
 
     Attributes
     ----------
-    reason : str
-        Why it has tripped, one line; empty while it has not.
-    step_index : int
-        Step at which it tripped; -1 while it has not.
-    controller, largest
-        As given; the force is ``largest_force``.
-    saturated : TimeWithinSecond
-        Time at the limit.
+    controller : ForceControl
+        As given.
+    parameters, state : InterlockParameters, InterlockState
+        What `begin_control` and `end_control` take, here and in a compiled loop.
     """
 
     def __init__(
@@ -53,12 +64,20 @@ class Interlock:
         dt: float,
     ) -> None:
         self.controller = controller
-        self._axes = tuple(axes)
-        self.largest = largest_force
-        self._safe_square = 0.99 * largest_force * largest_force
-        self._longest = longest_saturation
-        self.saturated = TimeWithinSecond(longest_saturation, dt)
-        self._safe = np.zeros(len(self._axes))
+        self._axes, n = tuple(axes), len(axes)
+        self._longest, saturated = longest_saturation, SaturatedTime(longest_saturation, dt)
+        self.parameters = InterlockParameters(float(largest_force), saturated.window)
+        self.state = InterlockState(
+            np.zeros(3, dtype=np.int64),
+            saturated.times(),
+            np.zeros(n),
+            np.zeros((4, n)),
+            np.zeros(n),
+        )
+        both, drive = (self.parameters, self.state), self.state.drive
+        points = np.zeros((1, 1, n))
+        self._begin = entry_point(begin_control, *both, 0, points, self.state.measured, drive)
+        self._end = entry_point(end_control, *both, 0, False, drive)
         self.reset()
 
     @classmethod
@@ -73,12 +92,23 @@ class Interlock:
         longest = section["watchdog.saturation_time"]
         return cls(controller, axes, section["limits.force"], longest, timebase.dt)
 
+    @property
+    def reason(self) -> str:
+        """Why it has tripped, one line; empty while it has not."""
+        return self._told or self._found()
+
+    @property
+    def step_index(self) -> int:
+        """Step at which it tripped; -1 while it has not."""
+        if self._told:
+            return self._told_at
+        return int(self.state.flags[STEP]) if self.state.flags[TRIP] else -1
+
     def reset(self) -> None:
         """Forget the test so far, a trip too: before a new test."""
         self.controller.reset()
-        self.saturated.reset()
-        self.reason = ""
-        self.step_index = -1
+        self.state.flags[:] = 0
+        self._told, self._told_at = "", -1
 
     def step(self, index: int, points: Floats, state: Floats) -> Floats:
         """Compute the valve drive of one step.
@@ -97,53 +127,45 @@ class Interlock:
         ndarray
             Valve drive, shape (n,), V; zero once it has tripped.
         """
-        if self.reason:
-            return self._safe
-        force, measured = points[0, -1], state[3]
-        if points.shape[1] > 1:  # a target is held against the motion, too
-            measured = state.ravel()
-        # a product with what is no number is none
-        if not (force.dot(force) < self._safe_square and math.isfinite(measured.dot(measured))):
-            nonsense = self.nonsense_in(points, state)
-            if nonsense:
-                self.trip(index, nonsense)
-                return self._safe
-        drive = self.controller.step(points, state)
-        if not math.isfinite(drive.dot(drive)):
-            self.trip(index, self._not_a_number("valve command", drive))
-            return self._safe
-        if self.controller.limited and self.saturated.is_exceeded(index):
-            self.trip(index, self.saturation())
-            return self._safe
-        return drive
+        if self._told:
+            return np.zeros(len(self._axes))
+        points, state = (np.ascontiguousarray(values, np.float64) for values in (points, state))
+        command = np.empty(len(self._axes))
+        if self._begin(self.parameters, self.state, index, points, state, command):
+            command[:] = self.controller.step(points, state)
+            limited = self.controller.limited
+            self._end(self.parameters, self.state, index, limited, command)
+        return command
 
     def trip(self, index: int, reason: str) -> None:
         """Answer 0 V from now on; the first reason counts."""
         if not self.reason:
-            self.reason, self.step_index = reason, index
+            self._told, self._told_at = reason, index
 
-    def saturation(self) -> str:
-        """Say that the valve has been at its limit for too long."""
+    def _found(self) -> str:
+        """Say what the step at which it tripped has found."""
+        code, state = self.state.flags[TRIP], self.state
+        if code == NOTHING:
+            return ""
+        if code == ODD_DRIVE:
+            return self._not_a_number("valve command", state.drive)
+        if code == NONSENSE:
+            measured = zip(_MEASURED, state.measured[[3, 0, 1, 2]], strict=True)
+            found = (self._not_a_number(f"measured {name}", values) for name, values in measured)
+            return self.nonsense(state.force) or next(filter(None, found))
+        assert code == SATURATION
         return (
             f"the valve command is at its limit for more than {self._longest:g} s within one "
             "second: the force is out of control"
         )
 
-    def nonsense_in(self, points: Floats, state: Floats) -> str:
-        """Say what is wrong with a reference force, or with what is measured; else empty."""
-        found = self.nonsense(points[0, -1]) or self._not_a_number("measured force", state[3])
-        if points.shape[1] > 1:
-            for row, name in enumerate(("displacement", "velocity", "acceleration")):
-                found = found or self._not_a_number(f"measured {name}", state[row])
-        return found
-
     def nonsense(self, reference_force: Floats) -> str:
         """Say what is wrong with a reference force, shape (n,), if anything; else empty."""
         for axis, value in zip(self._axes, reference_force.tolist(), strict=True):
-            if abs(value) > self.largest:
+            if abs(value) > self.parameters.largest:
                 return (
                     f"reference force {value:.5g} N on axis {axis} is beyond the limit of "
-                    f"{self.largest:g} N"
+                    f"{self.parameters.largest:g} N"
                 )
         return self._not_a_number("reference force", reference_force)
 

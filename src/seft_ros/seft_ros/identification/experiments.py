@@ -17,6 +17,7 @@ from seft_plant_sim.limits import NAMES
 from seft_ros.force_controller.kinds import one_controller
 from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
 from seft_ros.recording.record import Record
+from seft_ros.target.force_command import FORCE_DRIVEN
 
 Floats = npt.NDArray[np.float64]
 
@@ -33,7 +34,6 @@ _ACCELERATION = 5.0  # m/s^2 RMS: what the default force gives a mass that is fr
 _CHIRP_SHARE = 0.3
 _FORCE_SHARE = 0.05  # of the force limit, at most
 _PEAKS = 4.5  # largest value of Gaussian noise over its RMS, in a minute at 500 Hz
-_WITHOUT_VALVE = ("ideal", "delay")
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def ground_accelerations(experiment: Experiment, forces: Floats) -> Floats:
 
 def has_valve(experiment: Experiment) -> bool:
     """Whether a valve drives the rig, as far as the experiment says."""
-    return experiment.sections.get("rig", {}).get("actuator.kind") not in _WITHOUT_VALVE
+    return experiment.sections.get("rig", {}).get("actuator.kind") not in FORCE_DRIVEN
 
 
 def open_loop(experiment: Experiment, record: Path, levels: Levels) -> Experiment:

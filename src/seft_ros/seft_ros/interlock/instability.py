@@ -8,13 +8,15 @@ against what a model of the whole structure does under the same ground motion.
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag, expm
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.timebase import Timebase
+from seft_plant_sim.compiled import compiled, entry_point
+from seft_plant_sim.integration import multiply
 
 from seft_ros.force_controller.block import bilinear
 from seft_ros.reference_force.block import knowledge
@@ -35,8 +37,92 @@ ABOVE = 2.0
 """The band begins at this multiple of the specimen's lowest natural frequency."""
 
 
+MODEL, MEASURED, EXPECTED = range(3)
+"""Rows of the mean squares: of the model's acceleration, the measured one, and what is expected."""
+
+
+class WatchParameters(NamedTuple):
+    """What does not change of a watch over n axes.
+
+    Attributes
+    ----------
+    product : ndarray
+        Shape (s + 2n, s + 2n), transposed: takes (states, a_g, a) to (states, filtered
+        accelerations of the model and as measured).
+    average, memory : float
+        Factors per step with which mean squares and what was expected fade.
+    patience : float
+        Steps for which vibration must be there.
+    ratio : float
+        Largest RMS over the expected one; 0: none is too large.
+    least : float
+        Mean square that counts as expected in any case, (m/s^2)^2.
+    """
+
+    product: Floats
+    average: float
+    memory: float
+    patience: float
+    ratio: float
+    least: float
+
+
+class WatchState(NamedTuple):
+    """What changes of it.
+
+    Attributes
+    ----------
+    work, result : ndarray
+        States and inputs, and what `WatchParameters.product` makes of them, shape (s + 2n,).
+    squares : ndarray
+        See `MODEL`, shape (3, n), (m/s^2)^2.
+    above : ndarray
+        Steps for which vibration has been there, shape (1,).
+    """
+
+    work: Floats
+    result: Floats
+    squares: Floats
+    above: Floats
+
+
+@compiled
+def watch_step(
+    parameters: WatchParameters, state: WatchState, ground: Floats, acceleration: Floats
+) -> bool:
+    """Take a step in; say whether vibration has been there for too long.
+
+    Parameters
+    ----------
+    parameters, state
+        The state is brought up to date.
+    ground, acceleration : ndarray
+        Ground acceleration and measured acceleration, shape (n,), m/s^2.
+    """
+    p, n, squares = parameters, len(ground), state.squares
+    states = len(state.work) - 2 * n
+    for i in range(n):
+        state.work[states + i] = ground[i]
+        state.work[states + n + i] = acceleration[i]
+    multiply(p.product, state.work, state.result)
+    for i in range(states):
+        state.work[i] = state.result[i]
+    old, new, excess = p.average, 1.0 - p.average, 0.0
+    for i in range(n):
+        model, measured = state.result[states + i], state.result[states + n + i]
+        squares[MODEL, i] = old * squares[MODEL, i] + new * model * model
+        squares[MEASURED, i] = old * squares[MEASURED, i] + new * measured * measured
+        expected = max(squares[MODEL, i], squares[EXPECTED, i] * p.memory, p.least)
+        squares[EXPECTED, i] = expected
+        excess = max(excess, squares[MEASURED, i] / expected)
+    # what is far beyond needs less patience than what is a little
+    excess /= p.ratio * p.ratio
+    state.above[0] = state.above[0] + min(excess, HURRY) if excess > 1.0 else 0.0
+    return state.above[0] >= p.patience
+
+
 class InstabilityWatch:
-    """A guard: acceleration above a frequency must be what the ground motion explains.
+    """Acceleration above a frequency must be what the ground motion explains.
 
     Both accelerations, measured and of the model, go through the same high-pass filter
     (Butterworth, fourth order). Their mean squares are taken over `AVERAGE`; the model's largest
@@ -60,25 +146,15 @@ class InstabilityWatch:
 
     Attributes
     ----------
-    product : ndarray
-        Shape (s + 2n, s + 2n): takes (states, a_g, a) to (states, filtered accelerations of the
-        model and as measured).
-    states : int
-        s.
-    average, memory : float
-        Factors per step with which mean squares and what was expected fade.
-    patience : float
-        Steps for which vibration must be there.
-    ratio, floor : float
-        As given.
+    parameters, state : WatchParameters, WatchState
+        What `watch_step` takes.
     """
 
     def __init__(
         self, known: Knowledge, axes: Sequence[str], ratio: float, floor: float, lowest: float
     ) -> None:
-        n = len(axes)
-        self._axes, self.ratio, self.floor = tuple(axes), ratio, floor
-        dt = known.dt
+        n, dt = len(axes), known.dt
+        self._axes = tuple(axes)
         if lowest >= 0.45 / dt:
             raise InputError(
                 f"reference_force: instability.lowest {lowest:g} Hz is beyond what is sampled at "
@@ -86,10 +162,18 @@ class InstabilityWatch:
             )
         self._lowest = lowest or min(ABOVE * _natural_hz(known), 0.25 / dt)
         a, b, c, d = _filtered(known, self._lowest, dt, n)
-        self.product = np.block([[a, b], [c, d]])
-        self.states = len(a)
-        self.average, self.memory = math.exp(-dt / AVERAGE), math.exp(-2 * dt / MEMORY)
-        self.patience = SUSTAINED / dt
+        self.parameters = WatchParameters(
+            product=np.ascontiguousarray(np.block([[a, b], [c, d]]).T),
+            average=math.exp(-dt / AVERAGE),
+            memory=math.exp(-2 * dt / MEMORY),
+            patience=SUSTAINED / dt,
+            ratio=float(ratio),
+            least=float(floor) ** 2,
+        )
+        work, result = np.zeros((2, len(self.parameters.product)))
+        self.state = WatchState(work, result, np.zeros((3, n)), np.zeros(1))
+        arguments = self.state.squares[MODEL], self.state.squares[MODEL]
+        self._step = entry_point(watch_step, self.parameters, self.state, *arguments)
         self.reset()
 
     @classmethod
@@ -108,65 +192,27 @@ class InstabilityWatch:
 
     def reset(self) -> None:
         """Begin a new test, at rest."""
-        n = len(self._axes)
-        self._work = np.zeros(self.states + 2 * n)  # states of model and filters, then inputs
-        self._model, self._measured = [0.0] * n, [0.0] * n  # mean squares
-        self._expected = [self.floor**2] * n
-        self._above = 0.0
+        for values in self.state:
+            values[:] = 0.0
+        self.state.squares[EXPECTED] = self.parameters.least
 
-    def step(self, ground_motion: Floats, state: Floats) -> str | None:
-        """See `Guard.step`."""
-        if self.ratio == 0.0:
+    def step(self, ground_motion: Floats, acceleration: Floats) -> str | None:
+        """Look at one step, see `watch_step`; one line with what is wrong, if anything."""
+        if self.parameters.ratio == 0.0:
             return None
-        n, states, work = len(self._axes), self.states, self._work
-        work[states : states + n], work[states + n :] = ground_motion, state[2]
-        result = self.product.dot(work)
-        work[:states] = result[:states]
-        filtered = result[states:].tolist()
-        old, new, least = self.average, 1.0 - self.average, self.floor**2
-        excess = 0.0
-        for axis in range(n):  # plain floats: arrays of a few axes cost more
-            model = self._model[axis] = old * self._model[axis] + new * filtered[axis] ** 2
-            measured = old * self._measured[axis] + new * filtered[n + axis] ** 2
-            self._measured[axis] = measured
-            expected = self._expected[axis] = max(model, self._expected[axis] * self.memory, least)
-            excess = max(excess, measured / expected)
-        self._above = time_above(self._above, excess / self.ratio**2)
-        if self._above < self.patience:
-            return None
-        return self.fault(self._measured, self._expected)
+        found = self._step(self.parameters, self.state, ground_motion, acceleration)
+        return self.describe() if found else None
 
-    def fault(self, measured: Sequence[float], expected: Sequence[float]) -> str:
-        """Say what vibrates.
-
-        Parameters
-        ----------
-        measured, expected : sequence of float
-            Mean squares of each axis, m^2/s^4.
-        """
-        squares = [m / e for m, e in zip(measured, expected, strict=True)]
-        axis = squares.index(max(squares))
-        rms = math.sqrt(measured[axis])
+    def describe(self) -> str:
+        """Say what vibrates."""
+        _, measured, expected = self.state.squares
+        axis = int((measured / expected).argmax())
+        rms, over = math.sqrt(measured[axis]), math.sqrt(measured[axis] / expected[axis])
         return (
             f"instability: acceleration above {self._lowest:.3g} Hz on axis {self._axes[axis]} is "
-            f"{rms:.3g} m/s^2 RMS, {math.sqrt(squares[axis]):.3g} times what the ground motion "
-            f"explains (limit {self.ratio:g})"
+            f"{rms:.3g} m/s^2 RMS, {over:.3g} times what the ground motion explains "
+            f"(limit {self.parameters.ratio:g})"
         )
-
-
-def time_above(above: float, excess: float) -> float:
-    """Count the steps for which vibration has been there, after one more.
-
-    What is far beyond needs less patience than what is a little.
-
-    Parameters
-    ----------
-    above : float
-        Steps so far.
-    excess : float
-        Mean square over the largest allowed one.
-    """
-    return above + min(excess, HURRY) if excess > 1.0 else 0.0
 
 
 def _natural_hz(known: Knowledge) -> float:

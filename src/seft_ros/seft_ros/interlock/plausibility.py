@@ -5,38 +5,42 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
+from seft_plant_sim.compiled import compiled, entry_point
 
 Floats = npt.NDArray[np.float64]
 
 _QUANTITIES = ("displacement", "velocity", "acceleration", "force")
 
 
-class PlausibleState:
-    """A guard: every measured value must be finite.
+@compiled
+def is_finite(values: Floats, first: int) -> bool:
+    """Say whether all values of an array of two dimensions are finite, from its first row on."""
+    for row in range(first, values.shape[0]):
+        for i in range(values.shape[1]):
+            if not math.isfinite(values[row, i]):
+                return False
+    return True
+
+
+@compiled
+def is_plausible(limits: Floats, last: Floats, force: Floats) -> bool:
+    """Say whether a force is finite, not too large, and not changing too fast.
 
     Parameters
     ----------
-    axes : sequence of str
-        Names of the n axes.
+    limits : ndarray
+        Largest magnitude, and largest change in a step, N, shape (2,).
+    last : ndarray
+        The last plausible force, shape (n,), N: brought up to date.
+    force : ndarray
+        Shape (n,), N.
     """
-
-    def __init__(self, axes: Sequence[str]) -> None:
-        self._axes = tuple(axes)
-
-    def reset(self) -> None:
-        """Nothing is remembered."""
-
-    def step(self, ground_motion: Floats, state: Floats) -> str | None:
-        """See `Guard.step`."""
-        del ground_motion
-        flat = state.ravel()
-        if math.isfinite(flat.dot(flat)):  # finite squares are of finite values
-            return None
-        bad = np.argwhere(~np.isfinite(state))
-        if not len(bad):
-            return None
-        row, axis = bad[0]
-        return f"measured {_QUANTITIES[row]} is {state[row, axis]} on axis {self._axes[axis]}"
+    for i in range(len(last)):
+        if not (abs(force[i]) <= limits[0] and abs(force[i] - last[i]) <= limits[1]):
+            return False
+    for i in range(len(last)):
+        last[i] = force[i]
+    return True
 
 
 class PlausibleForce:
@@ -55,23 +59,21 @@ class PlausibleForce:
 
     Attributes
     ----------
-    last : list of float
-        The last force that was plausible; zero before the first.
-    largest, most : float
-        Largest magnitude, and largest change in a step, N.
-    dt : float
+    limits, last : ndarray
+        What `is_plausible` takes; the last plausible force is zero before the first.
+    axes, dt
         As given.
     """
 
     def __init__(self, largest: float, fastest: float, axes: Sequence[str], dt: float) -> None:
-        self.largest, self._fastest, self.dt = largest, fastest, dt
-        self.most = fastest * dt * (1 + 1e-12)
-        self._axes = tuple(axes)
-        self.reset()
+        self._fastest, self.dt, self.axes = fastest, dt, tuple(axes)
+        self.limits = np.array([largest, fastest * dt * (1 + 1e-12)])
+        self.last = np.zeros(len(self.axes))
+        self._fits = entry_point(is_plausible, self.limits, self.last, self.last)
 
     def reset(self) -> None:
         """Begin a new test: no force was applied before it."""
-        self.last = [0.0] * len(self._axes)
+        self.last[:] = 0.0
 
     def fault(self, force: Floats) -> str | None:
         """Say what is wrong with the force of a step, if anything.
@@ -86,26 +88,32 @@ class PlausibleForce:
         str or None
             One line with limit, value and axis.
         """
-        values = force.tolist()
-        largest, most = self.largest, self.most
-        for value, last in zip(values, self.last, strict=True):
-            if not (abs(value) <= largest and abs(value - last) <= most):
-                return self._describe(values)
-        self.last = values
-        return None
+        fits = self._fits(self.limits, self.last, np.ascontiguousarray(force))
+        return None if fits else self.describe(force)
 
-    def _describe(self, values: list[float]) -> str:
-        for axis, value, last in zip(self._axes, values, self.last, strict=True):
+    def describe(self, force: Floats) -> str:
+        """Say what is wrong with a force that is not plausible, shape (n,), after the last one."""
+        largest = self.limits[0]
+        for axis, value, last in zip(self.axes, force.tolist(), self.last.tolist(), strict=True):
             if not math.isfinite(value):
                 return f"reference force is {value} N on axis {axis}"
-            if abs(value) > self.largest:
+            if abs(value) > largest:
                 return (
                     f"reference force {value:.5g} N on axis {axis} is beyond the limit of "
-                    f"{self.largest:g} N"
+                    f"{largest:g} N"
                 )
-            if abs(value - last) > self.most:
+            if abs(value - last) > self.limits[1]:
                 return (
                     f"reference force changes by {(value - last) / self.dt:.5g} N/s on axis "
                     f"{axis}, beyond the limit of {self._fastest:g} N/s"
                 )
         raise ValueError("nothing is wrong with the force")
+
+
+def not_finite(state: Floats, axes: Sequence[str]) -> str:
+    """Say which value of a measured state, shape (4, n), is not finite; empty if all are."""
+    bad = np.argwhere(~np.isfinite(state))
+    if not len(bad):
+        return ""
+    row, axis = bad[0]
+    return f"measured {_QUANTITIES[row]} is {state[row, axis]} on axis {axes[axis]}"

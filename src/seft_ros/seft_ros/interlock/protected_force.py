@@ -7,13 +7,25 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.timebase import Timebase
+from seft_plant_sim.compiled import entry_point
 
-from seft_ros.interlock.guard import Guard
 from seft_ros.interlock.instability import InstabilityWatch
-from seft_ros.interlock.plausibility import PlausibleForce, PlausibleState
+from seft_ros.interlock.plausibility import PlausibleForce, not_finite
+from seft_ros.interlock.protection import (
+    CAUSE,
+    HOLDING,
+    INSTABILITY,
+    NOTHING,
+    ODD_FORCE,
+    ODD_STATE,
+    ProtectionParameters,
+    ProtectionState,
+    begin_protection,
+    begin_step,
+    protect,
+)
 from seft_ros.interlock.ramp_down import RampDown
 from seft_ros.reference_force.block import ReferenceForce
-from seft_ros.target.braking import continued
 
 Floats = npt.NDArray[np.float64]
 
@@ -36,8 +48,8 @@ class ProtectedForce:
         The block.
     plausible : PlausibleForce
         Limits of its force.
-    guards : sequence of Guard
-        What else may ask for the ramp, asked in this order in each step until one does.
+    watch : InstabilityWatch
+        What else may ask for the ramp.
     ramp : RampDown
         The way to zero.
     loop_delay : int
@@ -47,30 +59,48 @@ class ProtectedForce:
     ----------
     preview : int
         Steps of coming ground motion that `step` wants to see.
-    learn : callable
-        As the block's: to be called when the answer is out.
-    cause : str or None
-        The first fault of this test; latched until `reset`.
-    reference_force, plausible, guards, ramp
+    reference_force : ReferenceForce
         As given.
+    parameters, state : ProtectionParameters, ProtectionState
+        What `protect` takes, here and in a compiled loop.
     """
 
     def __init__(
         self,
         reference_force: ReferenceForce,
         plausible: PlausibleForce,
-        guards: Sequence[Guard],
+        watch: InstabilityWatch,
         ramp: RampDown,
         loop_delay: int = 0,
     ) -> None:
         self.preview = reference_force.preview
-        self.estimates, self.learn = reference_force.estimates, reference_force.learn
-        self.cause: str | None = None
+        self.estimates = reference_force.estimates
         self.reference_force = reference_force
-        self.plausible, self.guards, self.ramp = plausible, tuple(guards), ramp
+        self._plausible, self._watch, self._ramp = plausible, watch, ramp
+        self._axes, tells_motion = len(plausible.last), reference_force.tells_motion
         self._settled: deque[Floats] | None = None  # of the last steps
-        if loop_delay and not reference_force.tells_motion:
+        if loop_delay and not tells_motion:
             self._settled = deque(maxlen=1 + loop_delay)
+        self._points = np.zeros((*reference_force.shape, self._axes))
+        self.parameters = ProtectionParameters(
+            plausible.limits, ramp.steps, tells_motion, plausible.dt, watch.parameters
+        )
+        self.state = ProtectionState(
+            flags=np.zeros(3, dtype=np.int64),
+            ramp=ramp.state,
+            last=plausible.last,
+            point=np.zeros_like(self._points[:1]),
+            pace=np.zeros(1),
+            odd_force=np.zeros(self._axes),
+            odd_state=np.zeros((4, self._axes)),
+            watch=watch.state,
+        )
+        both = self.parameters, self.state
+        self._begin = entry_point(begin_protection, self.state)
+        self._begin_step = entry_point(begin_step, *both, True)
+        measured = self.state.odd_state
+        arguments = self.state.last, measured, True, 1.0, self._points
+        self._protect = entry_point(protect, *both, *arguments)
         self.reset()
 
     @classmethod
@@ -89,45 +119,58 @@ class ProtectedForce:
             PlausibleForce(
                 section["limits.force"], section["limits.force_rate"], axes, timebase.dt
             ),
-            [PlausibleState(axes), InstabilityWatch.from_parameters(section, axes, timebase)],
+            InstabilityWatch.from_parameters(section, axes, timebase),
             RampDown.lasting(section["ramp_down_time"], timebase.dt, section["loop_delay"]),
             section["loop_delay"],
         )
 
     @property
+    def cause(self) -> str | None:
+        """The first fault of this test; latched until `reset`."""
+        code = self.state.flags[CAUSE]
+        if code == NOTHING:
+            return None
+        if code == ODD_FORCE:
+            return self._plausible.describe(self.state.odd_force)
+        if code == ODD_STATE:
+            return not_finite(self.state.odd_state, self._plausible.axes)
+        assert code == INSTABILITY
+        return self._watch.describe()
+
+    @property
     def ramping(self) -> bool:
         """Whether the ramp has begun."""
-        return self.ramp.begun
+        return self._ramp.begun
 
     @property
     def steps_ramped(self) -> int:
         """Steps since the ramp began, the one in which it did included."""
-        return self.ramp.taken
+        return self._ramp.taken
+
+    @property
+    def longest_ramp(self) -> int:
+        """Steps of the ramp, and those that the force must rest after it."""
+        return self._ramp.whole
 
     @property
     def at_rest(self) -> bool:
         """Whether the force that is applied has come down to zero, and stays there."""
-        return self.ramp.finished
+        return self._ramp.finished
 
     def reset(self) -> None:
         """Begin a new test."""
-        self.cause = None
-        self._holding = False
         self.reference_force.reset()
-        self.plausible.reset()
-        axes = len(self.plausible.last)
-        self._last = np.zeros((*self.reference_force.shape, axes))
-        self._last_factor, self._age = 1.0, 0
-        self._state: Floats | None = None
+        for part in (self._plausible, self._watch, self._ramp):
+            part.reset()
+        self._begin(self.state)
+        self._last_state: Floats | None = None
         if self._settled is not None:
-            self._settled.extend([np.zeros((1, 1, axes))] * (self._settled.maxlen or 0))
-        self.ramp.reset()
-        for guard in self.guards:
-            guard.reset()
+            none = np.zeros((1, 1, self._axes))
+            self._settled.extend([none] * (self._settled.maxlen or 0))
 
     def ramp_down(self) -> None:
         """Bring the force down from the next step on."""
-        self.ramp.begin()
+        self._ramp.begin()
 
     def step(self, ground_motion: Floats | None, state: Floats) -> Floats:
         """Compute the points of one step, as `ReferenceForce.step` does.
@@ -135,7 +178,7 @@ class ProtectedForce:
         Without ground motion, which may be missing in the ramp, a target takes it to be none, and
         any other force is held while it is scaled down.
         """
-        self._state = state
+        self._last_state = state
         points = self._answer(ground_motion, state)
         if self._settled is None:
             return points
@@ -152,44 +195,19 @@ class ProtectedForce:
         state : ndarray
             That has come after them, shape (4, n).
         """
-        last = state if self._state is None else self._state
+        last = state if self._last_state is None else self._last_state
         for index, motion in enumerate(ground_motion, 1):
             part = index / (len(ground_motion) + 1)
             self.step(motion, (1.0 - part) * last + part * state)
 
     def _answer(self, ground_motion: Floats | None, state: Floats) -> Floats:
-        block, points, motion, fault = self.reference_force, self._last, ground_motion, None
-        pace = factor = self.ramp.next()
-        if motion is None:
-            self._holding |= not block.tells_motion
-            motion = np.zeros((1 + self.preview, state.shape[1]))
-        if not self._holding:
-            points = block.step(motion, state, pace)
-            fault = self.plausible.fault(points[0, -1])
-            self._holding = fault is not None
-        if self.cause is None:
-            self.cause = fault
-            if fault is None and ground_motion is not None:
-                self.cause = self._asked_for(motion[0], state)
-            if self.cause is not None and not self.ramp.begun:
-                self.ramp.begin()
-                factor = self.ramp.next()
-        if self._holding:
-            return self._held(factor)
-        self._last, self._age = points, 0
-        if block.tells_motion:
-            self._last_factor = pace
-            return points
-        return points * factor if self.ramp.begun else points
-
-    def _held(self, factor: float) -> Floats:
-        """Go on from the last plausible point, scaled down from there."""
-        self._age += 1
-        points = continued(self._last[:1], self._age, len(self._last), self.plausible.dt)
-        return points * (factor / self._last_factor if self._last_factor else 0.0)
-
-    def _asked_for(self, ground_motion: Floats, state: Floats) -> str | None:
-        for guard in self.guards:
-            if (cause := guard.step(ground_motion, state)) is not None:
-                return cause
-        return None
+        both, is_known = (self.parameters, self.state), ground_motion is not None
+        pace = self._begin_step(*both, is_known)
+        motion = (
+            np.zeros((1 + self.preview, self._axes)) if ground_motion is None else ground_motion
+        )
+        if not self.state.flags[HOLDING]:
+            self._points[:] = self.reference_force.step(motion, state, pace)
+        ground, state = (np.ascontiguousarray(each, np.float64) for each in (motion[0], state))
+        self._protect(*both, ground, state, is_known, pace, self._points)
+        return self._points.copy()

@@ -2,10 +2,37 @@
 
 import math
 
+import numpy as np
+import numpy.typing as npt
+from seft_plant_sim.compiled import compiled, entry_point
 
+Ints = npt.NDArray[np.int64]
+
+BEGUN, TAKEN = range(2)
+"""Places of what `next_factor` remembers: whether the ramp is asked for, and steps of it so far."""
+
+
+@compiled
 def ramp_factor(taken: int, steps: int) -> float:
     """Factor of the ``taken``-th of some steps down: half a cosine."""
-    return 0.5 * (1.0 + math.cos(math.pi * taken / steps))
+    return 0.5 * (1.0 + math.cos(math.pi * taken / steps)) if taken < steps else 0.0
+
+
+@compiled
+def next_factor(steps: int, ramp: Ints) -> float:
+    """Factor of the next step: 1 before the ramp, 0 after it.
+
+    Parameters
+    ----------
+    steps : int
+        Steps of the ramp.
+    ramp : ndarray
+        See `BEGUN`, shape (2,): brought up to date.
+    """
+    if not ramp[BEGUN]:
+        return 1.0
+    ramp[TAKEN] += 1
+    return ramp_factor(ramp[TAKEN], steps)
 
 
 class RampDown:
@@ -22,19 +49,18 @@ class RampDown:
 
     Attributes
     ----------
-    begun : bool
-        Whether the ramp has been asked for.
-    taken : int
-        Factors given since then.
     steps : int
         As given.
+    state : ndarray
+        What `next_factor` remembers.
     """
 
     def __init__(self, steps: int, rest: int = 0) -> None:
         if steps < 1:
             raise ValueError(f"a ramp of {steps} steps")
-        self.steps, self._rest = steps, rest
-        self.reset()
+        self.steps, self.whole = steps, steps + rest
+        self.state = np.zeros(2, dtype=np.int64)
+        self._next = entry_point(next_factor, steps, self.state)
 
     @classmethod
     def lasting(cls, duration: float, dt: float, rest: int = 0) -> "RampDown":
@@ -42,22 +68,29 @@ class RampDown:
         return cls(max(1, round(duration / dt)), rest)
 
     @property
+    def begun(self) -> bool:
+        """Whether the ramp has been asked for."""
+        return bool(self.state[BEGUN])
+
+    @property
+    def taken(self) -> int:
+        """Factors given since then."""
+        return int(self.state[TAKEN])
+
+    @property
     def finished(self) -> bool:
         """Whether the factor 0 has been given, and as often again as it must rest."""
-        return self.taken >= self.steps + self._rest
+        return self.taken >= self.whole
 
     def reset(self) -> None:
         """Begin a new test."""
-        self.begun = False
-        self.taken = 0
+        self.state[:] = 0
 
     def begin(self) -> None:
         """Ask for the ramp; asking again does not begin it anew."""
-        self.begun = True
+        self.state[BEGUN] = 1
 
     def next(self) -> float:
-        """Factor of the next step: 1 before the ramp, 0 after it."""
-        if not self.begun:
-            return 1.0
-        self.taken += 1
-        return ramp_factor(self.taken, self.steps) if self.taken < self.steps else 0.0
+        """Take the factor of the next step, see `next_factor`."""
+        factor: float = self._next(self.steps, self.state)
+        return factor

@@ -107,7 +107,6 @@ class ReferenceForceNode:
             for codec in self._state_codecs:
                 codec.decode(codec.encode(step, state[:, : len(codec.axes)]))
             self._message(step, motion, state)
-            self._block.learn()
             self._order.last = step
             if step >= self._sampler.due and (estimates := self._sampler.sample(step)):
                 self._estimates_codec.decode(self._estimates_codec.encode(step, estimates))
@@ -196,8 +195,6 @@ class ReferenceForceNode:
         self._waiting.pop(step, None)
         self._publish(self._message(step, motion, state))
         self._order.last = step
-        # the answer is out: what comes now holds nobody up
-        self._block.learn()
         if self._block.ramping:
             self._tell_ramp(step)
         if step >= self._sampler.due:

@@ -8,7 +8,9 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.experiment import Experiment
 
 from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.method import with_method
 from seft_ros.identification.experiments import has_valve
+from seft_ros.reference_force.compensation.names import TARGET_MOTION
 
 DELAY = 0.01
 """Delay of the actuator that the paper identified and simulates with (section 5.2), s."""
@@ -60,14 +62,14 @@ def changed(experiment: Experiment, changes: Mapping[str, Mapping[str, Any]]) ->
 
 def uncompensated(experiment: Experiment, mass_ratio: float) -> Experiment:
     """Test on the rig by Eq. 2.5 (paper, section 4); as there, nobody looks for instability."""
-    force = {"mass_ratio": mass_ratio, "compensation.method": "none", "instability.ratio": 0.0}
-    return changed(experiment, {"reference_force": force})
+    force = {"mass_ratio": mass_ratio, "instability.ratio": 0.0}
+    return changed(with_method(experiment, "none"), {"reference_force": force})
 
 
 def conventional(experiment: Experiment) -> Experiment:
     """Conventional effective force test of the specimen alone (Eq. 2.3)."""
-    force = {"method": "eft", "mass_ratio": 0.0, "compensation.method": "none"}
-    return changed(experiment, {"reference_force": force})
+    force = {"method": "eft", "mass_ratio": 0.0}
+    return changed(with_method(experiment, "none"), {"reference_force": force})
 
 
 def delayed(
@@ -113,8 +115,11 @@ def told_delay(experiment: Experiment) -> float:
 
 
 def recommended(experiment: Experiment, mass_ratio: float, peak_force: float) -> Experiment:
-    """Test on the rig with the compensator that docs/compensation.md recommends."""
-    force = {"mass_ratio": mass_ratio, "compensation.method": "preview_inverse"}
+    """Test on the rig with the method that docs/compensation.md recommends."""
     return changed(
-        experiment, {"reference_force": force, "ground_motion": {"peak_force": peak_force}}
+        with_method(experiment, TARGET_MOTION),
+        {
+            "reference_force": {"mass_ratio": mass_ratio},
+            "ground_motion": {"peak_force": peak_force},
+        },
     )

@@ -102,15 +102,15 @@ def pure_delay_figure(found: Findings) -> Plot:
 
 
 def beyond_figure(found: Findings) -> Grid:
-    """Draw displacements with the recommended compensator on the servo-hydraulic rig."""
+    """Draw displacements with the recommended method on the servo-hydraulic rig."""
     shared = _shared(found)
     plots = []
     for ratio in BEYOND:
-        test, plain = found.tests["preview", ratio], found.tests["plain", ratio]
+        test, plain = found.tests["target", ratio], found.tests["plain", ratio]
         curves = [
             (plain, "", "uncompensated", "#b9c9da"),
             (test, "exact", "reference", REFERENCE),
-            (test, "", "preview_inverse", _COMPENSATED),
+            (test, "", "target_motion", _COMPENSATED),
         ]
         error = test.agreement("displacement").nrmse
         caption = f"Error {error:.1%} without any shift."

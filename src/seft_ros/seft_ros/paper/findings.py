@@ -66,8 +66,8 @@ class Findings:
     tests : dict
         ``rig``, ``eft``, ``delay`` (pure, the paper's), ``banded`` (the same within the force
         loop's bandwidth), ``own`` (that with the rig's own delay), ``model`` and ``model_tau``
-        (compensated, told the whole delay and tau alone), ``plain``, ``preview`` and
-        ``preview_full`` (beyond the paper), each with its mass ratio.
+        (compensated, told the whole delay and tau alone), ``plain``, ``target`` and
+        ``target_full`` (beyond the paper), each with its mass ratio.
     growths : dict
         Eigenvalues of ``rig``, ``delay`` and ``banded`` loops.
     """
@@ -157,8 +157,8 @@ def _planned(experiment: Experiment, peak_force: float) -> dict[Key, Experiment]
         planned["model_tau", ratio] = model_compensated(experiment, ratio, DELAY)
     for ratio in BEYOND:
         planned["plain", ratio] = uncompensated(less, ratio)
-        planned["preview", ratio] = recommended(experiment, ratio, lower)
-        planned["preview_full", ratio] = recommended(experiment, ratio, peak_force)
+        planned["target", ratio] = recommended(experiment, ratio, lower)
+        planned["target_full", ratio] = recommended(experiment, ratio, peak_force)
     return planned
 
 

@@ -146,7 +146,7 @@ def _beyond(found: Findings) -> list[Block]:
     text = (
         "The paper could show compensation on an idealised actuator alone. This is the "
         "servo-hydraulic rig with noise, friction and a valve that saturates, under the "
-        "recommended compensator (preview_inverse, docs/compensation.md). The heavier the "
+        "recommended method (target_motion, docs/compensation.md). The heavier the "
         f"structure, the faster the piston must move: at {full:g} N the valve can't follow at "
         f"large mass ratios, and no compensation makes flow; the figure is of {lower:g} N."
     )
@@ -154,16 +154,16 @@ def _beyond(found: Findings) -> list[Block]:
         [
             f"{ratio:g}",
             _error(found, "plain", ratio),
-            _error(found, "preview", ratio),
-            _error(found, "preview_full", ratio),
+            _error(found, "target", ratio),
+            _error(found, "target_full", ratio),
         ]
         for ratio in BEYOND
     ]
     headings = [
         "mass ratio alpha",
         f"uncompensated, {lower:g} N",
-        f"preview_inverse, {lower:g} N",
-        f"preview_inverse, {full:g} N",
+        f"target_motion, {lower:g} N",
+        f"target_motion, {full:g} N",
     ]
     note = Text("Displacement errors, RMS over RMS, without any shift.")
     return [Text(text), Table(headings, rows, wide=True), note, beyond_figure(found)]

@@ -29,9 +29,9 @@ def summarise_paper(found: Findings, claims: list[Claim], page: Path) -> dict[st
         "beyond": [
             {
                 "mass_ratio": ratio,
-                "peak_force": found.tests["preview", ratio].input_peak,
-                "stable": found.tests["preview", ratio].stable,
-                "nrmse": json_safe(found.tests["preview", ratio].agreement("displacement").nrmse),
+                "peak_force": found.tests["target", ratio].input_peak,
+                "stable": found.tests["target", ratio].stable,
+                "nrmse": json_safe(found.tests["target", ratio].agreement("displacement").nrmse),
             }
             for ratio in BEYOND
         ],

@@ -1,6 +1,5 @@
 """Reference force: what the actuators are asked to apply."""
 
-import math
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,6 @@ from seft_plant_sim.specimen import deformations
 from seft_ros.reference_force.compensation.compensator import (
     Compensator,
     Knowledge,
-    learning,
     tells_motion,
 )
 from seft_ros.reference_force.compensation.methods import METHODS
@@ -42,9 +40,6 @@ class ReferenceForce:
     ----------
     preview : int
         Steps of coming ground motion that `step` wants to see.
-    learn : callable
-        To be called, without arguments, when the answer is out: what can wait until then need
-        not hold up the loop. Nothing but time depends on whether it is.
     tells_motion : bool
         Whether it gives the motion of a target, and not the force alone.
     shape : (int, int)
@@ -57,7 +52,6 @@ class ReferenceForce:
         self.preview = compensator.preview
         self.tells_motion = tells_motion(compensator)
         self.shape = (1 + self.preview, 3) if self.tells_motion else (1, 1)
-        self.learn = learning(compensator)
         self.compensator = compensator
 
     @classmethod
@@ -96,14 +90,10 @@ class ReferenceForce:
         -------
         ndarray
             Points of this step and coming ones, shape (p, q, n). The last quantity is the force,
-            N; those of a target are displacement, velocity and force. All are NaN where a state
-            is not finite: what a target remembers would be so ever after.
+            N; those of a target are displacement, velocity and force.
         """
         if not self.tells_motion:
             return self.compensator.step(ground_motion, state)[np.newaxis, np.newaxis]
-        values = state.ravel()
-        if not math.isfinite(values.dot(values)):
-            return np.full((*self.shape, state.shape[1]), np.nan)
         self.compensator.pace = pace  # type: ignore[attr-defined]
         return self.compensator.step(ground_motion, state)
 

@@ -19,6 +19,11 @@ class Estimating(Protocol):
         """Estimate of each quantity, shape (n,) each."""
 
 
+def sampling_period(timebase: Timebase) -> int:
+    """Steps from one sample to the next."""
+    return max(1, round(PERIOD_NS / timebase.period_ns))
+
+
 class EstimateSampler:
     """Samples the estimates of a reference force at step 0 and every `PERIOD_NS` from there.
 
@@ -41,7 +46,7 @@ class EstimateSampler:
     def __init__(self, reference_force: Estimating, timebase: Timebase) -> None:
         self.due = 0
         self._estimates = reference_force.estimates
-        self._every = max(1, round(PERIOD_NS / timebase.period_ns))
+        self._every = sampling_period(timebase)
 
     def reset(self) -> None:
         """Begin a new test."""

@@ -159,13 +159,6 @@ TABLE = Table(
             positive=True,
         ),
         Parameter(
-            "compensation.adaptive",
-            "bool",
-            True,
-            "identify stiffness, damping, and gain and delay of the force loop while the test "
-            "runs, and follow yielding; of `preview_inverse`",
-        ),
-        Parameter(
             "compensation.actuator_kind",
             "string",
             "servo_hydraulic",
@@ -214,7 +207,8 @@ TABLE = Table(
             "floats",
             [0.0],
             "numerator of the identified response from reference force to measured force of the "
-            "same step, in s, highest power first; 0: not known. For compensators",
+            "same step, in s, highest power first, for `target_motion` on a rig that is driven by "
+            "forces; 0: a pure delay, of compensation.delay",
         ),
         Parameter("tracking.denominator", "floats", [1.0], "its denominator, likewise"),
         Parameter(
@@ -225,45 +219,6 @@ TABLE = Table(
             "s",
             minimum=0.0,
             maximum=1.0,
-        ),
-        Parameter(
-            "tracking.stiffness",
-            "floats",
-            0.0,
-            "stiffness of the specimen with which it was identified; 0: the force loop does not "
-            "feel the specimen (idealised actuators)",
-            "N/m",
-        ),
-        Parameter("tracking.damping", "floats", 0.0, "damping of that specimen", "N s/m"),
-        Parameter(
-            "tracking.mass",
-            "floats",
-            0.0,
-            "mass of that specimen; 0: that of the specimen's model",
-            "kg",
-        ),
-        Parameter(
-            "tracking.blocked_error",
-            "floats",
-            [0.0],
-            "force error over force of the loop where the piston is held still, a polynomial in s, "
-            "highest power first: what the loop does to a specimen that departs from that one; "
-            "0: not known",
-        ),
-        Parameter(
-            "tracking.blocked_compliance",
-            "floats",
-            [0.0],
-            "of a force controller that inverts the specimen: that error over the force with which "
-            "tracking.mass, .damping and .stiffness resist, likewise; 0: not known, or none such",
-            "m/N",
-        ),
-        Parameter(
-            "tracking.actuator_size",
-            "floats",
-            [1.0],
-            "force of each axis's actuator with the piston held still, over that of the actuator "
-            "whose compliance that is",
         ),
         Parameter(
             "limits.force",

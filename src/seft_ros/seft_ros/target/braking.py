@@ -1,7 +1,10 @@
 """Points that nobody has told: a force stays, and a target loses its velocity."""
 
+import math
+
 import numpy as np
 import numpy.typing as npt
+from seft_plant_sim.compiled import compiled
 
 Floats = npt.NDArray[np.float64]
 
@@ -9,7 +12,8 @@ BRAKING = 0.03
 """Time constant with which a target loses its velocity, s. At a sudden stop its oil would ring."""
 
 
-def continued(points: Floats, age: int, count: int, dt: float) -> Floats:
+@compiled
+def go_on(points: Floats, age: int, dt: float, result: Floats) -> None:
     """Give points from a step on, whether they have been told or not.
 
     Parameters
@@ -18,21 +22,25 @@ def continued(points: Floats, age: int, count: int, dt: float) -> Floats:
         Those that have been told, shape (p, q, n).
     age : int
         Steps after the first of them.
-    count : int
-        Points wanted.
     dt : float
         Sampling period, s.
-
-    Returns
-    -------
-    ndarray
-        Shape (count, q, n).
+    result : ndarray
+        The points wanted, shape (count, q, n).
     """
-    last = len(points) - 1
-    wanted = np.arange(age, age + count)
-    found = points[np.minimum(wanted, last)]
-    if found.shape[1] > 1:
-        left = np.exp(-np.maximum(wanted - last, 0) * dt / BRAKING)[:, np.newaxis]
-        found[:, 0] += BRAKING * (1.0 - left) * found[:, 1]
-        found[:, 1] *= left
-    return found
+    last, (_, quantities, n) = len(points) - 1, points.shape
+    for index in range(len(result)):
+        told, beyond = min(age + index, last), max(age + index - last, 0)
+        left = math.exp(-beyond * dt / BRAKING)
+        for i in range(n):
+            for row in range(quantities):
+                result[index, row, i] = points[told, row, i]
+            if quantities > 1:
+                result[index, 0, i] += BRAKING * (1.0 - left) * points[told, 1, i]
+                result[index, 1, i] *= left
+
+
+def continued(points: Floats, age: int, count: int, dt: float) -> Floats:
+    """Give so many points, see `go_on`."""
+    result = np.empty((count, *points.shape[1:]))
+    go_on(points, age, dt, result)
+    return result

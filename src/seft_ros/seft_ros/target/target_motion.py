@@ -22,9 +22,11 @@ from seft_ros.target.force_command import (
 from seft_ros.target.motion_observer import observer_gains, sensor_noise
 from seft_ros.target.restoring_model import model_arrays
 from seft_ros.target.target_step import (
+    ESTIMATES,
     TargetParameters,
     TargetState,
     begin_target,
+    target_estimates,
     target_step,
 )
 
@@ -73,6 +75,8 @@ class TargetMotion:
         arguments = self._ground, self._measured, self.pace, self._points
         self._step = entry_point(target_step, self.parameters, self.state, *arguments)
         self._begin = entry_point(begin_target, self.parameters, self.state)
+        both = self.parameters, self.state
+        self._estimate = entry_point(target_estimates, *both, self._ground)
         self.reset()
 
     def reset(self) -> None:
@@ -102,14 +106,9 @@ class TargetMotion:
 
     def estimates(self) -> dict[str, Floats]:
         """Local stiffness, damping and sliders' force of each spring."""
-        values, n = self.state.model.values, len(self.parameters.mass)
-        axes = np.arange(n)
-        sliders = values[:, 1 + 2 * n :]
-        return {
-            "stiffness": values[axes, 1 + axes],
-            "damping": values[axes, 1 + n + axes],
-            "friction": (sliders * self.parameters.model.thresholds).sum(axis=1),
-        }
+        found = np.empty((len(ESTIMATES), len(self.parameters.mass)))
+        self._estimate(self.parameters, self.state, found)
+        return dict(zip(ESTIMATES, found, strict=True))
 
 
 def target_arrays(known: Knowledge) -> tuple[TargetParameters, TargetState]:

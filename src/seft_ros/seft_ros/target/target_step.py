@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from seft_plant_sim.compiled import compiled
 
+from seft_ros.interlock.plausibility import is_finite
 from seft_ros.target.motion_observer import observe
 from seft_ros.target.restoring_model import (
     ModelParameters,
@@ -28,6 +29,8 @@ from seft_ros.target.restoring_model import (
 
 Floats = npt.NDArray[np.float64]
 
+ESTIMATES = ("stiffness", "damping", "friction")
+"""What `target_estimates` gives."""
 POSITION, SPEED, FORCE = range(3)
 """Rows of a point: displacement (m), velocity (m/s) and actuator force (N) of the target."""
 
@@ -145,8 +148,12 @@ def target_step(
         1 in a test. On the way down to 0 the ground motion fades and the target comes to rest.
     points : ndarray
         The target at this step and the coming ones: displacement, velocity and force of each axis,
-        shape (h + 1, 3, n). The result.
+        shape (h + 1, 3, n). The result. All are NaN where the sample is not finite, which is
+        not taken in: what a target remembers would be so ever after.
     """
+    if not is_finite(measured, 0):
+        points[:] = np.nan
+        return
     n, p, first = len(parameters.mass), parameters, state.is_running[0] == 0.0
     before, e, rate, force = state.springs[0], state.springs[1], state.springs[2], state.springs[3]
     if not first:
@@ -176,6 +183,18 @@ def target_step(
     for i in range(n):
         state.ground[i] = ground[0, i]
     predict(p, state, ground, pace, points)
+
+
+@compiled
+def target_estimates(parameters: TargetParameters, state: TargetState, result: Floats) -> None:
+    """Give local stiffness, damping and sliders' force of each spring, shape (3, n)."""
+    values, thresholds = state.model.values, parameters.model.thresholds
+    n = len(values)
+    for j in range(n):
+        result[0, j], result[1, j] = values[j, 1 + j], values[j, 1 + n + j]
+        result[2, j] = 0.0
+        for i in range(thresholds.shape[1]):
+            result[2, j] += values[j, 1 + 2 * n + i] * thresholds[j, i]
 
 
 @compiled

@@ -9,6 +9,7 @@ from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.parameters import Section, nearest
 
 from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.method import with_method
 from seft_ros.force_controller.methods import force_control
 from seft_ros.ground_motion.block import GroundMotion
 from seft_ros.reference_force.block import knowledge
@@ -140,7 +141,6 @@ def make_tournament(
 
 
 def _experiment(experiment: Experiment, entry: Entry, rig: Section) -> Experiment:
-    own = {"mass_ratio": entry.mass_ratio, "compensation.method": entry.method}
-    return Experiment(
-        experiment.sections | {"reference_force": experiment["reference_force"] | own, "rig": rig}
-    )
+    found = with_method(experiment, entry.method).sections
+    force = found["reference_force"] | {"mass_ratio": entry.mass_ratio}
+    return Experiment(found | {"reference_force": force, "rig": rig})

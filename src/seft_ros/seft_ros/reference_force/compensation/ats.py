@@ -78,7 +78,6 @@ class Ats:
         self._filter = VaryingFilter(self._memory, self._gains())
         self.preview = self._filter.preview
         self._sums: deque[Floats] = deque(maxlen=_BLOCKS)
-        self._new: tuple[Floats, Floats] | None = None  # forces to learn from
 
     def reset(self) -> None:
         """Forget the test so far, and what was identified."""
@@ -87,34 +86,23 @@ class Ats:
         self._filter.gains = self._gains()
         self._forces.reset()
         self._sums.clear()
-        self._new = None
 
     def step(self, ground_motion: Floats, state: Floats) -> Floats:
         """Compute the reference force of one step, see `Compensator.step`."""
-        self.learn()
         force = self._filter.step(ground_motion, state)
-        self._new = force, state[3].copy()
-        return force
-
-    def learn(self) -> None:
-        """Fit the coefficients to the forces of the last step, if that was not done yet."""
-        if self._new is None:
-            return
-        block = self._forces.step(*self._new)
-        self._new = None
+        block = self._forces.step(force, state[3])
         if block is not None:
             self._sums.append(self._products(block[:, 0], block[:, 1]))
             self._adapt()
+        return force
 
     def estimates(self) -> dict[str, Floats]:
         """Delay a1 / a0 (s) and amplitude 1 / a0 of each axis, as ``delay`` and ``amplitude``."""
-        self.learn()
         a0, a1, _ = self._coefficients.T
         return {"delay": a1 / a0, "amplitude": 1 / a0}
 
     def linear(self) -> LinearFilter:
         """Linear filter at the present coefficients."""
-        self.learn()
         return self._memory.with_gains(self._gains())
 
     def _gains(self) -> Floats:

@@ -12,8 +12,6 @@ from seft_ros.reference_force.compensation.linear_filter import LinearFilter
 
 Floats = npt.NDArray[np.float64]
 
-_SINGULAR = 1e6
-
 
 @dataclass(frozen=True)
 class Knowledge:
@@ -54,14 +52,6 @@ class Knowledge:
         return len(self.mass)
 
     @property
-    def deformation(self) -> Floats:
-        """Deformations that tell the displacements, shape (n, n); else the displacements."""
-        springs = self.springs
-        if springs is None or len(springs) != self.axes or np.linalg.cond(springs) > _SINGULAR:
-            return np.eye(self.axes)
-        return springs
-
-    @property
     def computed_mass(self) -> Floats:
         """M_c, computed on the axes, shape (n, n), kg: all that most methods need to know."""
         return self.computed.mass[: self.axes, : self.axes]
@@ -74,10 +64,6 @@ class Knowledge:
 
 class Compensator(Protocol):
     """What the reference force asks of a compensation method.
-
-    A method that identifies may have ``learn()`` beside, for what can wait until the answer is
-    out. It need not be called: whatever is left of a step is to be made good by the next one, and
-    by `estimates` and `linear`, so that nothing depends on when it was.
 
     A method that tells the motion of a target returns points of it, see `ReferenceForce.step`,
     1 + ``preview`` of them, and has ``pace`` beside: 1 in a test; as that goes to 0, the ground
@@ -122,12 +108,6 @@ class Compensator(Protocol):
 def tells_motion(compensator: Compensator) -> bool:
     """Whether a method returns points of a target's motion, and has a pace."""
     return hasattr(compensator, "pace")
-
-
-def learning(compensator: Compensator) -> Callable[[], None]:
-    """Give the ``learn`` of a compensator; nothing to do where it has none."""
-    found: Callable[[], None] = getattr(compensator, "learn", lambda: None)
-    return found
 
 
 Method = Callable[[Knowledge], Compensator]

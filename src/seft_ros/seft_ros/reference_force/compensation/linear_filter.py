@@ -1,9 +1,12 @@
 """Linear compensation: from what is measured and known ahead to the reference force."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from seft_plant_sim.compiled import compiled, entry_point
+from seft_plant_sim.integration import multiply
 
 Floats = npt.NDArray[np.float64]
 
@@ -80,6 +83,60 @@ class LinearFilter:
         return np.block([[self.c, self.d, self.e], [self.a, self.b, self.h]])
 
 
+class LinearParameters(NamedTuple):
+    """What `linear_step` does not change: `LinearFilter.matrix`, transposed."""
+
+    matrix: Floats
+
+
+class LinearState(NamedTuple):
+    """What it does: states and inputs (s, y, g), and what the matrix makes of them (f_r, s)."""
+
+    work: Floats
+    result: Floats
+
+
+@compiled
+def linear_step(
+    parameters: LinearParameters,
+    state: LinearState,
+    ground: Floats,
+    measured: Floats,
+    pace: float,
+    points: Floats,
+) -> None:
+    """Compute the reference force of one step.
+
+    Parameters
+    ----------
+    parameters, state
+        The state is brought up to date.
+    ground : ndarray
+        Ground acceleration of this step and the coming ones, shape (1 + preview, n), m/s^2.
+    measured : ndarray
+        Displacement, velocity, acceleration and force, shape (4, n).
+    pace : float
+        Of no matter here, see `target_step`.
+    points : ndarray
+        The result, shape (1, 1, n), N.
+    """
+    work, result, n = state.work, state.result, measured.shape[1]
+    place = states = len(result) - n
+    for row in range(4):
+        for i in range(n):
+            work[place] = measured[row, i]
+            place += 1
+    for row in range(len(ground)):
+        for i in range(n):
+            work[place] = ground[row, i]
+            place += 1
+    multiply(parameters.matrix, work, result)
+    for i in range(n):
+        points[0, 0, i] = result[i]
+    for i in range(states):
+        work[i] = result[n + i]
+
+
 class LinearCompensator:
     """A `LinearFilter` as a compensator: one matrix-vector product to a step.
 
@@ -87,30 +144,31 @@ class LinearCompensator:
     ----------
     linear_filter : LinearFilter
         The method.
+
+    Attributes
+    ----------
+    parameters, state : LinearParameters, LinearState
+        What `linear_step` takes, here and in a compiled loop.
     """
 
     def __init__(self, linear_filter: LinearFilter) -> None:
-        self.preview = linear_filter.preview
+        self.preview, n = linear_filter.preview, linear_filter.axes
         self._filter = linear_filter
-        self._matrix = np.ascontiguousarray(linear_filter.matrix())
-        n, size = linear_filter.axes, len(linear_filter.a)
-        self._axes = n
-        self._work = np.zeros(self._matrix.shape[1])
-        self._states = self._work[:size]
-        self._measured = self._work[size : size + 4 * n].reshape(4, n)
-        self._ground_motion = self._work[size + 4 * n :].reshape(-1, n)
+        self.parameters = LinearParameters(np.ascontiguousarray(linear_filter.matrix().T))
+        self.state = LinearState(*map(np.zeros, self.parameters.matrix.shape))
+        self._points, measured = np.zeros((1, 1, n)), np.zeros((4, n))
+        arguments = measured, measured, 1.0, self._points
+        self._step = entry_point(linear_step, self.parameters, self.state, *arguments)
 
     def reset(self) -> None:
         """Forget the test so far."""
-        self._work[:] = 0.0
+        self.state.work[:] = 0.0
 
     def step(self, ground_motion: Floats, state: Floats) -> Floats:
         """Compute the reference force of one step, see `Compensator.step`."""
-        self._measured[:] = state
-        self._ground_motion[:] = ground_motion
-        result = self._matrix.dot(self._work)
-        self._states[:] = result[self._axes :]
-        return result[: self._axes]
+        ground, state = (np.ascontiguousarray(each, np.float64) for each in (ground_motion, state))
+        self._step(self.parameters, self.state, ground, state, 1.0, self._points)
+        return self._points[0, 0].copy()
 
     def estimates(self) -> dict[str, Floats]:
         """Nothing is identified on line."""

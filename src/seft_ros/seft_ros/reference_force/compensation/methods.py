@@ -8,15 +8,12 @@ from seft_ros.reference_force.compensation.model import model
 from seft_ros.reference_force.compensation.names import OWN, REGISTERED
 from seft_ros.reference_force.compensation.none import none
 from seft_ros.reference_force.compensation.polynomial import polynomial
-from seft_ros.reference_force.compensation.preview_inverse import preview_inverse
 from seft_ros.reference_force.compensation.restoring import restoring
 from seft_ros.reference_force.compensation.smith import smith
 from seft_ros.target.target_motion import TargetMotion
 
 _METHODS: tuple[Method, ...] = (
-    *(none, polynomial, linear_acceleration, model, smith, inverse, ats, restoring),
-    preview_inverse,
-    TargetMotion,
+    *(none, polynomial, linear_acceleration, model, smith, inverse, ats, restoring, TargetMotion),
 )
 
 

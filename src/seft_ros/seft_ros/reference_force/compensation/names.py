@@ -15,7 +15,6 @@ OWN = (
     "inverse",
     "ats",
     "restoring",
-    "preview_inverse",
     TARGET_MOTION,
 )
 REGISTERED = Registered("seft.compensation", OWN)

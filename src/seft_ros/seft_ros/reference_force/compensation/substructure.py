@@ -15,11 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from seft_plant_sim.first_order_hold import first_order_hold
 
-from seft_ros.reference_force.compensation.compensator import (
-    Compensator,
-    Knowledge,
-    learning,
-)
+from seft_ros.reference_force.compensation.compensator import Compensator, Knowledge
 from seft_ros.reference_force.compensation.linear_filter import LinearCompensator, LinearFilter
 
 Floats = npt.NDArray[np.float64]
@@ -174,7 +170,7 @@ class _BehindMotion:
 
     def __init__(self, method: Compensator, motion: LinearFilter) -> None:
         self.preview = method.preview
-        self.estimates, self.learn = method.estimates, learning(method)
+        self.estimates = method.estimates
         self._method, self._motion = method, SubstructureMotion(motion)
 
     def reset(self) -> None:

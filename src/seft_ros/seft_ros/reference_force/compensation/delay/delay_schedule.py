@@ -133,7 +133,6 @@ class ScheduledCompensator:
         self._filter = VaryingFilter(self._memory, self._gains())
         self.preview = self._filter.preview
         self._step = 0
-        self._new: tuple[Floats, Floats] | None = None  # forces to learn from
 
     def reset(self) -> None:
         """Forget the test so far, and the estimated delay."""
@@ -141,33 +140,22 @@ class ScheduledCompensator:
         self._estimator.reset()
         self._filter.gains = self._gains()
         self._step = 0
-        self._new = None
 
     def step(self, ground_motion: Floats, state: Floats) -> Floats:
         """Compute the reference force of one step, see `Compensator.step`."""
-        self.learn()
         force = self._filter.step(ground_motion, state)
-        self._new = force, state[3].copy()
-        return force
-
-    def learn(self) -> None:
-        """Follow the delay by the forces of the last step, if that was not done yet."""
-        if self._new is None:
-            return
-        self._estimator.step(*self._new)
-        self._new = None
+        self._estimator.step(force, state[3])
         self._step = (self._step + 1) % EVERY
         if self._step == EVERY - 1:
             self._filter.gains = self._gains()
+        return force
 
     def estimates(self) -> dict[str, Floats]:
         """Delay of each axis (s), as ``delay``."""
-        self.learn()
         return {"delay": self._estimator.delay.copy()}
 
     def linear(self) -> LinearFilter:
         """Linear filter at the delays estimated now."""
-        self.learn()
         return self._memory.with_gains(self._gains())
 
     def _gains(self) -> Floats:

@@ -1,1 +1,0 @@
-"""Parts of the preview inverse: prediction, inverse of the force loop, identification."""
