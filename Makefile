@@ -81,6 +81,8 @@ endif
 		echo "seft: see why with: $(BIN)/pip install -r requirements.txt" >&2; exit 2; }
 	@echo "seft: installing the three packages in place"
 	@$(PIP) install --no-deps --no-build-isolation $(PACKAGES:%=-e %)
+	@echo "seft: compiling the steps of a test, once"
+	@$(BIN)/seft simulate config/demo.yaml >/dev/null 2>&1 || true
 	@pwd -P > $(READY)
 	@echo "seft: .venv is ready"
 
