@@ -23,7 +23,10 @@ METHOD = ("reference_force", "compensation.method")
 CASES = {
     "jhu.yaml, none": ("jhu.yaml", []),
     "jhu.yaml, restoring": ("jhu.yaml", [(*METHOD, "restoring")]),
-    "demo.yaml, preview_inverse": ("demo.yaml", []),
+    "jhu.yaml, preview_inverse": (
+        "jhu.yaml",
+        [(*METHOD, "preview_inverse"), ("reference_force", "mass_ratio", 1.5)],
+    ),
 }
 
 

@@ -49,7 +49,7 @@ def test_the_demo_uses_the_recommended_method_and_the_papers_experiment_none():
         ]
         for name in ("demo", "jhu")
     }
-    assert chosen == {"demo": "preview_inverse", "jhu": "none"}
+    assert chosen == {"demo": "target_motion", "jhu": "none"}
 
 
 @pytest.mark.parametrize(

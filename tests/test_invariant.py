@@ -8,6 +8,13 @@ from seft_ros.recording.bag_reader import read_bag
 SHORT = ("-p", "ground_motion:synthetic.duration:=5.0", "-p", "ground_motion:tail:=0.5")
 LOCKSTEP = ("-p", "rig:pace:=lockstep", *STALLS_ALLOWED)
 
+TARGET_MOTION = (
+    *("-p", "reference_force:compensation.method:=target_motion"),
+    *("-p", "force_controller:method:=velocity_feedforward"),
+    *("-p", "reference_force:mass_ratio:=1.0"),
+    *("-p", "ground_motion:peak_force:=300.0"),
+)
+
 EXPERIMENTS = {
     "servo_hydraulic": ("-p", "reference_force:mass_ratio:=0.5"),
     "delay": (
@@ -44,6 +51,19 @@ EXPERIMENTS = {
         *("-p", "reference_force:compensation.delay:=0.0143"),
         *("-p", "reference_force:mass_ratio:=0.3"),
     ),
+    "target_motion": (*TARGET_MOTION,),
+    "target_motion_behind_a_link": (
+        *TARGET_MOTION,
+        *("-p", "axes:=[north, east]"),
+        *("-p", "ground_motion:influence:=[1.0, 0.5]"),
+        *("-p", "reference_force:loop_delay:=7"),
+    ),
+    "target_motion_of_an_idealised_actuator": (
+        *TARGET_MOTION,
+        *("-p", "force_controller:method:=transfer_function"),
+        *("-p", "rig:actuator.kind:=delay", "-p", "rig:actuator.delay:=0.0"),
+        *("-p", "reference_force:loop_delay:=2"),
+    ),
     "preview_inverse_yielding": (
         *("-p", "rig:specimen.kind:=bilinear", "-p", "rig:specimen.yield_displacement:=0.001"),
         *("-p", "reference_force:compensation.method:=preview_inverse"),
@@ -52,7 +72,10 @@ EXPERIMENTS = {
     ),
 }
 
-IN_SHORT = ("servo_hydraulic", "coupled_axes", "loop_delay", "preview_inverse_yielding")
+IN_SHORT = (
+    *("servo_hydraulic", "coupled_axes", "loop_delay", "preview_inverse_yielding"),
+    *("target_motion", "target_motion_behind_a_link"),
+)
 
 ESTIMATED_DELAY = (
     *("-p", "axes:=[north, east]"),
@@ -103,6 +126,7 @@ def test_estimates_over_dds_are_those_of_the_offline_loop(seft_json, tmp_path):
         EXPERIMENTS["servo_hydraulic"],
         thorough(ESTIMATED_DELAY),
         EXPERIMENTS["loop_delay"],
+        EXPERIMENTS["target_motion"],
     ],
 )
 def test_realtime_differs_only_from_the_first_missed_command_on(seft_json, tmp_path, experiment):
@@ -135,3 +159,15 @@ def test_bags_of_both_storages_hold_the_same_test(seft_json):
     seft_json("run", *words, "--out", "mcap")
     seft_json("run", *words, "-p", "recorder:storage:=sqlite3", "--out", "sqlite3")
     assert seft_json("compare", "mcap", "sqlite3")["identical"] is True
+
+
+def test_a_target_comes_to_rest_at_the_same_sample_in_both_ways(seft_json, tmp_path):
+    words = (JHU, *SHORT, *EXPERIMENTS["target_motion"])
+    words = (*words, "-p", "reference_force:limits.force:=150.0")
+    simulated = seft_json("simulate", *words, "--out", "simulated", status=1)
+    lockstep = seft_json("run", *words, *LOCKSTEP, "--out", "lockstep", status=1)
+    assert simulated["trip"] == lockstep["trip"]
+    assert simulated["trip"]["reason"].startswith("reference force")
+    compared = seft_json("compare", "simulated", "lockstep", status=None)
+    assert {row["max_abs"] for row in compared["topics"].values()} == {0.0}
+    assert not read_bag(tmp_path / "lockstep").series["reference_force"].values[-1].any()

@@ -3,14 +3,16 @@
 import json
 import signal
 
+import pytest
 from graph_tools import DEMO, JHU, PATIENCE, STALLS_ALLOWED, wait_for
 
 SHORT = ("-p", "ground_motion:synthetic.duration:=2.0", "-p", "ground_motion:tail:=0.2")
 
 
-def test_every_node_answers_a_simulated_test_bit_for_bit(seft_json):
+def test_every_node_answers_a_recorded_test_bit_for_bit(seft_json):
     """The recommended compensation, which looks ahead and identifies on line."""
-    seft_json("simulate", DEMO, *SHORT, "--out", "bag")
+    words = ("-p", "rig:pace:=lockstep", *STALLS_ALLOWED)
+    seft_json("run", DEMO, *SHORT, *words, "--out", "bag")
     result = seft_json("replay", "bag")
     assert result["identical"] is True
     for one, node in zip(
@@ -20,9 +22,19 @@ def test_every_node_answers_a_simulated_test_bit_for_bit(seft_json):
     assert result["replays"][0]["estimates"]["max_abs"] == 0.0
 
 
-def test_a_stopped_test_is_replayed_ramp_and_all(seft_json, start, tmp_path):
+def test_of_a_simulated_test_who_needs_the_coming_motion_is_left_out(seft, seft_json):
+    seft_json("simulate", DEMO, *SHORT, "--out", "bag")
+    done = seft("replay", "bag", "--offline", status=0)
+    assert "force_controller is left out: force_controller needs the coming motion" in done.stderr
+    assert "rig: 601 answers identical" in done.stdout.replace("rig/state", "")
+
+
+@pytest.mark.parametrize("config", [JHU, DEMO])
+def test_a_stopped_test_is_replayed_ramp_and_all(seft_json, start, tmp_path, config):
     words = ("-p", "rig:pace:=lockstep", "-p", "ground_motion:synthetic.duration:=60.0")
-    process = start("seft_ros.commands.main", "run", JHU, *words, *STALLS_ALLOWED, "--out", "bag")
+    process = start(
+        "seft_ros.commands.main", "run", config, *words, *STALLS_ALLOWED, "--out", "bag"
+    )
 
     def is_under_way():
         assert process.poll() is None, process.communicate()

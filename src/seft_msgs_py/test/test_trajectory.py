@@ -16,6 +16,7 @@ from seft_msgs_py.topics import (
     QUANTITIES,
     REFERENCE_FORCE,
     RIG_STATE,
+    TARGET,
 )
 from seft_msgs_py.trajectory import TrajectoryCodec
 from seft_msgs_py.trajectory_message import parse_trajectory
@@ -38,7 +39,7 @@ NOT_FINITE = st.sampled_from([np.nan, np.inf, -np.inf])
 @st.composite
 def messages(draw, most_points=4):
     """A codec, a step, and values of shape (p, q, n)."""
-    codec = TrajectoryCodec(draw(st.sampled_from(LOOP_TOPICS)), draw(AXES), TIMEBASE)
+    codec = TrajectoryCodec(draw(st.sampled_from((*LOOP_TOPICS, TARGET))), draw(AXES), TIMEBASE)
     shape = (draw(st.integers(1, most_points)), len(codec.topic.quantities), len(codec.axes))
     return codec, draw(st.integers(0, DAYS)), draw(arrays(np.float64, shape, elements=FINITE))
 
@@ -277,6 +278,21 @@ def test_other_axes_are_refused_with_both_lists(topic, other):
     with pytest.raises(WireError) as caught:
         ours.decode(theirs.encode_points(0, values))
     assert f"axes are {list(other)}, not ['x', 'y']" in str(caught.value)
+
+
+@pytest.mark.parametrize("points", [1, 2, 20])
+@pytest.mark.parametrize("axes", [("x",), ("north", "east", "up")])
+def test_the_force_of_a_target_is_read_by_who_does_not_know_of_it(monkeypatch, points, axes):
+    target, force = (TrajectoryCodec(topic, axes, TIMEBASE) for topic in (TARGET, REFERENCE_FORCE))
+    values = np.random.default_rng(1).normal(size=(points, 3, len(axes)))
+    raw = target.encode_points(7, values)
+    step, slowly = force._decode_slowly(raw)
+    monkeypatch.setattr(force, "_decode_slowly", lambda raw: pytest.fail("slow"))
+    assert_decodes(force, raw, 7, values[:, 2:])
+    np.testing.assert_array_equal(slowly, values[:, 2:])
+    assert step == 7
+    with pytest.raises(WireError, match=f"0 positions for {len(axes)} axes"):
+        target.decode(force.encode_points(7, values[:, 2:]))
 
 
 def test_another_quantity_is_refused():

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.timebase import Timebase
-from seft_msgs_py.topics import LOOP_TOPICS, RIG_STATE
+from seft_msgs_py.topics import LOOP_TOPICS, REFERENCE_FORCE, RIG_STATE, TARGET
 from seft_msgs_py.trajectory import TrajectoryCodec
 from seft_msgs_py.trajectory_batch import decode_batch
 
@@ -40,12 +40,12 @@ def corrupted(draw, raw):
 @st.composite
 def batches(draw):
     """A codec and messages: of it, of other axes, topics and rates, and corrupted ones."""
-    topic = draw(st.sampled_from(LOOP_TOPICS))
+    topic = draw(st.sampled_from((*LOOP_TOPICS, TARGET)))
     axes = NAMES[: draw(st.integers(1, len(NAMES)))]
     codec = TrajectoryCodec(topic, axes, TIMEBASE)
     others = [
         TrajectoryCodec(topic, axes[::-1], TIMEBASE),
-        TrajectoryCodec(draw(st.sampled_from(LOOP_TOPICS)), axes, TIMEBASE),
+        TrajectoryCodec(draw(st.sampled_from((*LOOP_TOPICS, TARGET))), axes, TIMEBASE),
         TrajectoryCodec(topic, axes, Timebase.from_rate(800.0)),
     ]
     raws = []
@@ -146,3 +146,15 @@ def test_most_messages_never_meet_the_codec(monkeypatch):
     monkeypatch.setattr(codec, "decode", lambda raw: single.append(raw) or (0, np.zeros((1, 4, 1))))
     decode_all(codec, raws)
     assert single == [raws[20]]
+
+
+def test_the_forces_of_a_target_are_read_by_who_does_not_know_of_it():
+    axes = ("x", "y")
+    target, force = (TrajectoryCodec(topic, axes, TIMEBASE) for topic in (TARGET, REFERENCE_FORCE))
+    values = np.random.default_rng(1).normal(size=(9, 5, 3, 2))
+    raws = [target.encode_points(step, points) for step, points in enumerate(values)]
+    rows = np.frombuffer(b"".join(raws), np.uint8).reshape(len(raws), -1)
+    batch = decode_batch(force, rows).up_to(0)
+    np.testing.assert_array_equal(batch.values, values[:, 0, 2:])
+    assert batch.steps.tolist() == list(range(9))
+    assert batch.refused == 0

@@ -2,6 +2,7 @@
 
 import numpy as np
 from seft_msgs_py.errors import WireError
+from seft_msgs_py.messages_ahead import MessagesAhead
 from seft_msgs_py.rigs import RigAxes
 from seft_msgs_py.trajectory import Floats, TrajectoryCodec
 
@@ -50,7 +51,8 @@ class Command:
         """Back to no drive, before the first sample of a test."""
         self.answered = self.current = -1
         self.step = self._loop_delay - 1
-        self._points: Floats = np.zeros((1 + self._loop_delay, len(self._rig.axes)))
+        nothing = np.zeros((1 + self._loop_delay, len(self._rig.axes)))
+        self._messages = MessagesAhead(self._loop_delay, nothing)
 
     @property
     def value(self) -> Floats:
@@ -58,7 +60,8 @@ class Command:
 
         Of a message that tells of coming steps it is the point of that sample's step, or the last.
         """
-        value: Floats = self._points[min(self.current - self.answered, len(self._points) - 1)]
+        age, points = self._messages.of(self.current)
+        value: Floats = points[min(age, len(points) - 1)]
         return value
 
     def take(self, raw: bytes) -> None:
@@ -89,5 +92,6 @@ class Command:
                     f"{name} of step {step} is {number:g} {unit} on axis {axis}, beyond the "
                     f"limit of {self._limit:g} {unit}"
                 )
-        self.answered, self._points = step, points
+        self.answered = step
+        self._messages.add(step, points)
         self.step = step + self._loop_delay

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.timebase import Timebase
-from seft_msgs_py.topics import VALVE_COMMAND
+from seft_msgs_py.topics import REFERENCE_FORCE, TARGET, VALVE_COMMAND
 from seft_msgs_py.trajectory import TrajectoryCodec
 from seft_plant_sim.command import Command
 
@@ -67,3 +67,28 @@ def test_nothing_is_taken_before_a_test():
     command = Command(CODEC, 10.0)
     with pytest.raises(WireError, match="at step -1"):
         command.take(message(0, 1.0, 1.0))
+
+
+def target(step):
+    """A target of five points, whose forces are its step and the coming ones; east is negative."""
+    forces = (step + np.arange(5.0))[:, np.newaxis] * [-1.0, 1.0]
+    points = np.stack([np.full((5, 2), 99.0), np.full((5, 2), 98.0), forces], axis=1)
+    return TrajectoryCodec(TARGET, AXES, TIMEBASE).encode_points(step, points)
+
+
+def test_of_a_target_the_force_of_the_first_point_is_applied():
+    command = Command(TrajectoryCodec(REFERENCE_FORCE, AXES, TIMEBASE), 7.0)
+    command.current = 5
+    command.take(target(5))  # forces of up to 9 N to come, of which this rig hears nothing
+    command.current = 7
+    np.testing.assert_array_equal(command.value, [-5.0, 5.0])
+
+
+def test_over_a_link_it_is_the_one_of_the_message_that_the_delay_tells():
+    command = Command(TrajectoryCodec(REFERENCE_FORCE, AXES, TIMEBASE), 9.0, loop_delay=2)
+    for step in range(4):
+        command.current = step
+        command.take(target(step))
+    np.testing.assert_array_equal(command.value, [-3.0, 3.0])  # told at step 1 for step 3
+    command.current = 9
+    np.testing.assert_array_equal(command.value, [-5.0, 5.0])  # the last that is settled

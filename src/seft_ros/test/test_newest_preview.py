@@ -21,8 +21,8 @@ def preview(patience=20, in_lockstep=False):
 
 
 def message(step):
-    """Force of each step is its number, settled to step + D."""
-    return step, step + np.arange(1.0 + D).reshape(-1, 1, 1)
+    """Forces are 1, 2, ... from step D on, where the first is settled; told to step + D."""
+    return step, np.maximum(step + np.arange(1.0 + D) + 1 - D, 0.0).reshape(-1, 1, 1)
 
 
 @given(st.lists(st.booleans(), min_size=30, max_size=60), st.integers(0, D))
@@ -34,7 +34,7 @@ def test_whatever_is_late_or_lost_within_the_delay_changes_nothing(arrives, late
             newest.take(*message(step - late))
         force = newest.points(step)
         assert force is not None
-        assert force[0].item() == (step if newest.newest >= 0 else 0.0)
+        assert force[0].item() == max(step + 1 - D, 0)
 
 
 def test_before_the_first_message_the_force_is_zero():
@@ -47,7 +47,7 @@ def test_beyond_the_delay_a_force_stays_as_it_was_last_told():
     newest = preview()
     newest.take(*message(0))
     found = [newest.points(step)[0].item() for step in range(10)]
-    assert found == [0, 1, 2, 3, 4, 4, 4, 4, 4, 4]
+    assert found == [0, 0, 0, 0, 1, 1, 1, 1, 1, 1]
     record = newest.record()
     assert record.held == 5
     assert record.older_than(D) == 5
@@ -59,14 +59,14 @@ def test_a_link_that_stays_silent_brings_the_force_down_softly():
     newest = preview(patience=9)
     newest.take(*message(0))
     forces = [newest.points(step)[0].item() for step in range(15)]
-    assert forces[9] == 4
+    assert forces[9] == 1
     assert forces[9] > forces[10] > forces[11] > forces[12] > forces[13] > forces[14] == 0.0
     assert newest.is_lost
     newest.take(*message(12))  # too late: the ramp is not taken back
     assert newest.points(15)[0].item() == 0.0
     newest.reset()
     newest.take(*message(0))
-    assert newest.points(1)[0].item() == 1.0
+    assert newest.points(D)[0].item() == 1.0
 
 
 HORIZON, SPEED = 3, 0.2
@@ -79,20 +79,26 @@ def target(step):
     return step, np.stack(rows, axis=1)[:, :, np.newaxis]
 
 
-def test_of_a_target_the_points_of_the_horizon_are_told():
+def test_a_step_takes_the_message_of_the_delay_before_whatever_came_since():
     newest = preview()
-    newest.take(*target(0))
-    for step in range(1 + D):
+    for step in range(10):
+        newest.take(*target(step))
         points = newest.points(step)
-        assert points.shape == (1 + D - step + HORIZON, 3, 1)
-        np.testing.assert_array_equal(points[:, 2, 0], np.arange(step, 1 + D + HORIZON))
+        if step < D:
+            assert not points.any()
+        else:
+            np.testing.assert_array_equal(points, target(step - D)[1][D:])
+    newest.take(*target(11))  # that of step 10 is lost
+    newest.points(10 + D - 1)
+    np.testing.assert_array_equal(newest.points(10 + D), target(11)[1][D - 1 :])
 
 
 def test_a_target_whose_coming_motion_is_not_known_brakes_without_a_jump():
     newest = preview(patience=100)
     newest.take(*target(0))
-    way = [newest.points(step) for step in range(80)]
-    for before, after in itertools.pairwise(way[D:]):
+    way = [newest.points(step) for step in range(80)][D:]
+    for before, after in itertools.pairwise(way):
+        assert before.shape == (1 + HORIZON, 3, 1)
         np.testing.assert_allclose(before[1:], after[:-1], rtol=1e-12)
     x, v = np.array([points[0, :2, 0] for points in way]).T
     assert (np.diff(v) <= 0).all()
@@ -115,7 +121,7 @@ def test_in_lockstep_a_step_waits_until_its_force_is_settled():
     assert [newest.points(step)[0].item() for step in range(D)] == [0.0] * D
     assert newest.points(D) is None
     newest.take(*message(0))
-    assert newest.points(D)[0].item() == D
+    assert newest.points(D)[0].item() == 1.0
     assert newest.points(D + 1) is None
     assert newest.record().ages == {1: 1, 2: 1, 3: 1, 4: 2}  # what waited counts once
 

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError, WireError
+from seft_msgs_py.messages_ahead import MessagesAhead
 from seft_msgs_py.timebase import Timebase
 from seft_msgs_py.topics import REFERENCE_FORCE
 
@@ -81,7 +82,8 @@ class NewestPreview:
         self.newest = -1
         self._ages: dict[int, int] = {}
         self._held = 0
-        self._points = np.zeros((1 + self._loop_delay, 1, self._axes))
+        nothing = np.zeros((1 + self._loop_delay, 1, self._axes))
+        self._messages = MessagesAhead(self._loop_delay, nothing)
         self._ramp.reset()
 
     @property
@@ -106,19 +108,21 @@ class NewestPreview:
                 f"{REFERENCE_FORCE.name} of step {step} after that of step {self.newest}: repeated "
                 "or out of order"
             )
-        self.newest, self._points = step, points
+        self.newest = step
+        self._messages.add(step, points)
 
     def points(self, step: int) -> Floats | None:
         """Points of a step and coming ones, shape (p, q, n); None if they are to be waited for."""
-        age = step - self.newest
-        if self._in_lockstep and age > self._loop_delay:
+        newest = step - self.newest
+        if self._in_lockstep and newest > self._loop_delay:
             return None
-        self._ages[age] = self._ages.get(age, 0) + 1
-        self._held += age >= len(self._points)
-        if age > self._patience:
+        self._ages[newest] = self._ages.get(newest, 0) + 1
+        if newest > self._patience:
             self._ramp.begin()
-        points = self._points[age:]
+        age, told = self._messages.of(step)
+        self._held += age >= len(told)
+        points = told[age:]
         if age > self._loop_delay:
-            count = max(len(self._points) - self._loop_delay, 1)
-            points = continued(self._points, age, count, self._dt)
+            count = max(len(told) - self._loop_delay, 1)
+            points = continued(told, age, count, self._dt)
         return points * self._ramp.next() if self._ramp.begun else points
