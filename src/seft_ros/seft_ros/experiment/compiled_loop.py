@@ -127,9 +127,7 @@ def obstacle(blocks: Blocks) -> str:
     return ""
 
 
-def run_compiled(
-    blocks: Blocks, course: Course, loop_delay: int, period: int
-) -> Iterator[int]:
+def run_compiled(blocks: Blocks, course: Course, loop_delay: int, period: int) -> Iterator[int]:
     """Run a test of blocks that have been reset; give the steps done: 0 first, all at the end.
 
     Parameters
@@ -144,7 +142,7 @@ def run_compiled(
         Steps from one sample of the estimates to the next.
     """
     rig, protected, interlock = blocks.rig, blocks.reference_force, blocks.force_controller
-    assert isinstance(rig, Rig) and isinstance(interlock, Interlock)  # noqa: PT018
+    assert isinstance(rig, Rig) and isinstance(interlock, Interlock)
     method: Any = protected.reference_force.compensator
     control: Any = interlock.controller
     points, quantities = protected.reference_force.shape
@@ -199,7 +197,7 @@ def _run_steps(
     """
     rig, protection, interlock = loop.rig, loop.protection, loop.interlock
     force, control, drive = loop.force, loop.control, loop.drive
-    turns, points, quantities, n = loop.under_way.shape
+    turns, _, quantities, n = loop.under_way.shape
     window, is_target = loop.window, quantities > 1
     for step in range(first, last):
         measured, command = course.states[step], course.commands[step]

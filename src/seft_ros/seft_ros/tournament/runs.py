@@ -14,8 +14,8 @@ from seft_plant_sim.whole_structure import (
 )
 
 from seft_ros.analysis.summary import summarise_briefly
-from seft_ros.experiment.ensemble import Workshop, thread_map
 from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.ensemble import Workshop, thread_map
 from seft_ros.experiment.offline import simulate
 from seft_ros.ground_motion.block import GroundMotion
 from seft_ros.recording.record import Record
