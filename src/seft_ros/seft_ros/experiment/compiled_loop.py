@@ -56,6 +56,9 @@ CONTROL_STEPS = {TransferParameters: transfer_step, FeedforwardParameters: feedf
 """Steps of the blocks that can be compiled, by their parameters."""
 
 
+_OPTIONS: dict[str, Any] = {"jit_options": OPTIONS}
+
+
 class Course(NamedTuple):
     """What a test of N steps leaves.
 
@@ -247,23 +250,23 @@ def estimate(parameters: Any, state: Any, result: Floats) -> None:
     raise NotImplementedError
 
 
-@overload(respond, jit_options=OPTIONS)
+@overload(respond, **_OPTIONS)
 def _respond(parameters, state, ground, measured, pace, points):  # type: ignore[no-untyped-def]
-    step = FORCE_STEPS[parameters.instance_class]
+    step: Any = FORCE_STEPS[parameters.instance_class]
     return lambda parameters, state, ground, measured, pace, points: step(
         parameters, state, ground, measured, pace, points
     )
 
 
-@overload(answer, jit_options=OPTIONS)
+@overload(answer, **_OPTIONS)
 def _answer(parameters, state, points, measured, command):  # type: ignore[no-untyped-def]
-    step = CONTROL_STEPS[parameters.instance_class]
+    step: Any = CONTROL_STEPS[parameters.instance_class]
     return lambda parameters, state, points, measured, command: step(
         parameters, state, points, measured, command
     )
 
 
-@overload(estimate, jit_options=OPTIONS)
+@overload(estimate, **_OPTIONS)
 def _estimate(parameters, state, result):  # type: ignore[no-untyped-def]
     if parameters.instance_class is TargetParameters:
         return lambda parameters, state, result: target_estimates(parameters, state, result)

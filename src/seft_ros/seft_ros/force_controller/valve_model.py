@@ -59,7 +59,7 @@ class ValveModel:
     def _after(self, time: Floats, integrated: bool = False) -> Floats:
         """Response of the valve to a step, or its integral."""
         t, w, zeta = np.maximum(time, 0.0), self._w, self._zeta
-        root = np.emath.sqrt(zeta * zeta - 1.0 + 0j) * w
+        root = complex(np.emath.sqrt(zeta * zeta - 1.0 + 0j)) * w
         root = root if abs(root) > 1e-6 * w else 1e-6 * w + 0j
         poles = -zeta * w + root, -zeta * w - root
         first, second = poles[1] / (poles[0] - poles[1]), -poles[0] / (poles[0] - poles[1])
@@ -96,8 +96,8 @@ class ValveModel:
 
         The newest is the one that answered the last sample.
         """
-        return 1.0 - self.volume(self._dt * np.arange(1, self.memory + 1)) / self._dt
+        return 1.0 - self.volume(self._dt * np.arange(1.0, self.memory + 1)) / self._dt
 
     def past(self, late: float = 0.0) -> Floats:
         """Flow now of past commands, the newest first, of a valve that is late by so many s."""
-        return self.flow(self._dt * np.arange(1, self.memory + 1) - late)
+        return self.flow(self._dt * np.arange(1.0, self.memory + 1) - late)

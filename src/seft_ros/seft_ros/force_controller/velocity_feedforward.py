@@ -313,8 +313,7 @@ class VelocityFeedforward:
         valves = [
             ValveModel(*values, dt)
             for values in zip(
-                *(known[name] for name in ("valve_frequency", "valve_damping", "dead_time")),
-                strict=True,
+                known["valve_frequency"], known["valve_damping"], known["dead_time"], strict=True
             )
         ]
         noise = sensor_noise(section, axes, "noise", "force_controller")[:, own]

@@ -205,9 +205,9 @@ class ProtectedForce:
     def _answer(self, ground_motion: Floats | None, state: Floats) -> Floats:
         both, is_known = (self.parameters, self.state), ground_motion is not None
         pace = self._begin_step(*both, is_known)
-        motion = (
-            np.zeros((1 + self.preview, self._axes)) if ground_motion is None else ground_motion
-        )
+        motion = ground_motion
+        if motion is None:
+            motion = np.zeros((1 + self.preview, self._axes))
         if not self.state.flags[HOLDING]:
             self._points[:] = self.reference_force.step(motion, state, pace)
         ground, state = (np.ascontiguousarray(each, np.float64) for each in (motion[0], state))

@@ -17,9 +17,9 @@ the target is, and a few steps ahead.
 
 While the innovations are noise, the filter averages. When their recent sum is what chance would
 make once in `ONCE_IN` samples, the specimen has changed: the covariance grows by the prior's,
-scaled to explain what was seen (Zhou & Frank 1996), in directions that leave the force of the last
-sample as it was, as a force does not jump when a stiffness does. What was taken for noise until then
-was an impulse on the structure, and is made good.
+scaled to explain what was seen (Zhou & Frank 1996), in directions that leave the force of the
+last sample as it was, as a force does not jump when a stiffness does. What was taken for noise
+until then was an impulse on the structure, and is made good.
 """
 
 import math
@@ -159,12 +159,15 @@ def model_arrays(
     )
     q = parameters.start.shape[1]
     state = ModelState(
-        *np.zeros((3, n, q)),
-        np.zeros((n, q, q)),
-        *np.zeros((2, n, q)),
-        np.zeros((n, THRESHOLDS)),
-        np.zeros((n, 5)),
-        np.zeros(q),
+        values=np.zeros((n, q)),
+        before=np.zeros((n, q)),
+        found=np.zeros((n, q)),
+        covariance=np.zeros((n, q, q)),
+        regressors=np.zeros((n, q)),
+        last=np.zeros((n, q)),
+        stops=np.zeros((n, THRESHOLDS)),
+        sums=np.zeros((n, 5)),
+        work=np.zeros(q),
     )
     return parameters, state
 

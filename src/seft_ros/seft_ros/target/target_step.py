@@ -256,10 +256,10 @@ def push(
     ground: Floats,
     result: Floats,
 ) -> None:
-    """What acts on the elastic whole structure, as an acceleration, shape (N,).
+    """Find what acts on the elastic whole structure, as an acceleration, shape (N,).
 
-    It is the ground motion, and the force by which the specimen is not the elastic one told: by the
-    model of the last sample (0) or this one (1), with forces ``sliders`` of the springs.
+    It is the ground motion (times the pace), and the force by which the specimen is not the elastic
+    one told: by the model of the last sample (0) or this one (1), with these forces of sliders.
     """
     by_state, constant = state.by_state[model], state.constant[model]
     for i in range(len(result)):
