@@ -57,8 +57,14 @@ DELAY = (
 TESTS: dict[str, list[Row]] = {
     "linear": [
         (*PLAN, *loaded(alpha, newtons))
-        for alpha, newtons in ((0.5, 500.0), (1.0, 500.0), (1.5, 400.0), (3.0, 250.0))
-        + ((5.0, 180.0), (10.0, 120.0))
+        for alpha, newtons in (
+            (0.5, 500.0),
+            (1.0, 500.0),
+            (1.5, 400.0),
+            (3.0, 250.0),
+            (5.0, 180.0),
+            (10.0, 120.0),
+        )
     ],
     "other specimens": [
         (*PLAN, *ONE, *specimen(*words))
@@ -74,7 +80,10 @@ TESTS: dict[str, list[Row]] = {
             ("bilinear", "yield_displacement:=0.006"),
             ("duffing", "duffing.cubic:=1.0e9"),
             ("duffing", "duffing.cubic:=-3.0e8"),
-            *(("friction", f"friction.force:={force}") for force in (5.0, 20.0, 60.0, 120.0, 190.0)),
+            *(
+                ("friction", f"friction.force:={force}")
+                for force in (5.0, 20.0, 60.0, 120.0, 190.0)
+            ),
             ("gap", "gap.width:=0.003", "gap.stiffness:=2.11e5"),
             ("gap", "gap.width:=0.003", "gap.stiffness:=6.0e5"),
         )
@@ -86,8 +95,13 @@ TESTS: dict[str, list[Row]] = {
     "several axes": [
         *(
             (f"config:{name}",)
-            for name in ("three_storey_frame", "six_storey_frame", "two_pier_bridge")
-            + ("water_tower", "demo")
+            for name in (
+                "three_storey_frame",
+                "six_storey_frame",
+                "two_pier_bridge",
+                "water_tower",
+                "demo",
+            )
         ),
         ("config:three_storey_frame", "ground_motion:peak_force:=100.0"),
         *(

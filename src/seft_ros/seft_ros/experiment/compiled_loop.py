@@ -56,6 +56,9 @@ CONTROL_STEPS = {TransferParameters: transfer_step, FeedforwardParameters: feedf
 """Steps of the blocks that can be compiled, by their parameters."""
 
 
+_OPTIONS: dict[str, Any] = {"jit_options": OPTIONS}
+
+
 class Course(NamedTuple):
     """What a test of N steps leaves.
 
@@ -119,6 +122,8 @@ def obstacle(blocks: Blocks) -> str:
         return "the compensation changes while the test runs"
     if isinstance(method, TargetMotion) and method.command is not None:
         return "the target's force is sent ahead"
+    if isinstance(method, TargetMotion) and method.command is not None:
+        return "a target on a rig that is driven by forces"
     if "step" in vars(method):
         return "the compensation has a step of its own"
     controller = type(blocks.force_controller.controller)
@@ -199,7 +204,7 @@ def _run_steps(
     """
     rig, protection, interlock = loop.rig, loop.protection, loop.interlock
     force, control, drive = loop.force, loop.control, loop.drive
-    turns, points, quantities, n = loop.under_way.shape
+    turns, _, quantities, n = loop.under_way.shape
     window, is_target = loop.window, quantities > 1
     for step in range(first, last):
         measured, command = course.states[step], course.commands[step]
@@ -249,23 +254,23 @@ def estimate(parameters: Any, state: Any, result: Floats) -> None:
     raise NotImplementedError
 
 
-@overload(respond, jit_options=OPTIONS)
+@overload(respond, **_OPTIONS)
 def _respond(parameters, state, ground, measured, pace, points):  # type: ignore[no-untyped-def]
-    step = FORCE_STEPS[parameters.instance_class]
+    step: Any = FORCE_STEPS[parameters.instance_class]
     return lambda parameters, state, ground, measured, pace, points: step(
         parameters, state, ground, measured, pace, points
     )
 
 
-@overload(answer, jit_options=OPTIONS)
+@overload(answer, **_OPTIONS)
 def _answer(parameters, state, points, measured, command):  # type: ignore[no-untyped-def]
-    step = CONTROL_STEPS[parameters.instance_class]
+    step: Any = CONTROL_STEPS[parameters.instance_class]
     return lambda parameters, state, points, measured, command: step(
         parameters, state, points, measured, command
     )
 
 
-@overload(estimate, jit_options=OPTIONS)
+@overload(estimate, **_OPTIONS)
 def _estimate(parameters, state, result):  # type: ignore[no-untyped-def]
     if parameters.instance_class is TargetParameters:
         return lambda parameters, state, result: target_estimates(parameters, state, result)
