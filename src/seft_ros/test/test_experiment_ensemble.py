@@ -9,8 +9,8 @@ from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.parameter_file import parse_override
 from seft_ros.experiment import blocks as blocks_module
 from seft_ros.experiment import offline
+from seft_ros.experiment.block_steps import obstacle
 from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.compiled_loop import obstacle
 from seft_ros.experiment.ensemble import Workshop, run_ensemble
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES

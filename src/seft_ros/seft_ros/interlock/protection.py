@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 from seft_plant_sim.compiled import compiled
 
-from seft_ros.interlock.instability import WatchParameters, WatchState, watch_step
 from seft_ros.interlock.plausibility import is_finite, is_plausible
 from seft_ros.interlock.ramp_down import BEGUN, next_factor
+from seft_ros.interlock.watch_step import WatchParameters, WatchState, watch_step
 from seft_ros.target.braking import go_on
 
 Floats = npt.NDArray[np.float64]
