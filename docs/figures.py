@@ -2,7 +2,7 @@
 
     .venv/bin/python docs/figures.py
 
-All on the paper's rig, config/demo.yaml.
+All on the paper's rig, config/jhu.yaml.
 """
 
 from pathlib import Path
@@ -19,20 +19,22 @@ from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.drawing.style import FIRST, MARK, OTHERS, REFERENCE, TEXT, save_figure, tidy
 from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.method import with_method
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES
+from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
 from seft_ros.loop_shaping.controller import Controller
 from seft_ros.loop_shaping.design import LoopDesign, shape_loop
 from seft_ros.loop_shaping.plant import choose_plant
 from seft_ros.preflight.margins import HIGHEST_MASS_RATIO, critical_mass_ratio
 from seft_ros.preflight.modes import predicted_modes
 from seft_ros.preflight.plan import Plan
+from seft_ros.reference_force.compensation.names import TARGET_MOTION
 
 Floats = npt.NDArray[np.float64]
+Override = tuple[str, str, Value]
 
 DOCS = Path(__file__).parent
-COLOURS = {"none": MARK, "restoring": OTHERS[2], "target_motion": FIRST}
+COLOURS = {"none": MARK, "restoring": OTHERS[2], TARGET_MOTION: FIRST}
 DELAYS: Floats = np.array([0.0, 0.002, 0.004, 0.006, 0.01, 0.014, 0.02, 0.026, 0.032, 0.038])
 MASS_RATIOS: Floats = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2, 1.4, 1.7, 2.0, 2.5, 3.0])
 COLOURS_OF_A_FILE = 64
@@ -40,13 +42,20 @@ BAND_HZ = (1.0, 150.0)
 WINDOW_S = (1.0, 3.5)
 
 
-def planned(method: str, *overrides: tuple[str, str, Value]) -> Experiment:
-    """Read the demo's experiment, changed, with a compensation method."""
-    config = DOCS.parent / "config" / "demo.yaml"
-    return with_method(Experiment.load(TABLES, [config], overrides), method)
+def planned(*overrides: Override) -> Experiment:
+    """Read the paper's experiment, changed."""
+    return Experiment.load(TABLES, [DOCS.parent / "config" / "jhu.yaml"], overrides)
 
 
-def mass_ratio(value: float) -> tuple[str, str, Value]:
+def method(name: str) -> list[Override]:
+    """Choose the compensation method, and the force controller that belongs to it."""
+    chosen: list[Override] = [("reference_force", "compensation.method", name)]
+    if name == TARGET_MOTION:
+        chosen.append(("force_controller", "method", VELOCITY_FEEDFORWARD))
+    return chosen
+
+
+def mass_ratio(value: float) -> Override:
     """Choose alpha."""
     return ("reference_force", "mass_ratio", value)
 
@@ -56,7 +65,7 @@ def critical_by_delay(name: str) -> Floats:
     found = []
     for delay in DELAYS:
         rig = [("rig", "actuator.kind", "delay"), ("rig", "actuator.delay", float(delay))]
-        critical = critical_mass_ratio(Plan(planned(name, *rig), "rig"))
+        critical = critical_mass_ratio(Plan(planned(*rig, *method(name)), "rig"))
         found.append(critical.value if critical else np.inf)
     return np.array(found)
 
@@ -74,7 +83,7 @@ def neutral_end(experiment: Experiment) -> tuple[Floats, Floats]:
 
 def stability() -> Figure:
     """Draw the critical mass ratio over the delay."""
-    experiment = planned("none")
+    experiment = planned()
     figure, (panel,) = panels(1, (6.0, 3.2))
     delays, ends = neutral_end(experiment)
     panel.plot(1e3 * delays, ends, color=REFERENCE, lw=3, label="neutral delay equation")
@@ -101,7 +110,7 @@ def growth() -> Figure:
     figure, (left, right) = panels(2, (7.2, 2.8))
     left.axhline(0.0, color=REFERENCE, lw=3)
     for name, colour in COLOURS.items():
-        plans = [Plan(planned(name, mass_ratio(float(a))), "rig") for a in MASS_RATIOS]
+        plans = [Plan(planned(*method(name), mass_ratio(float(a))), "rig") for a in MASS_RATIOS]
         rates = np.array([plan.loop().growth_rate() for plan in plans])
         modes = [predicted_modes(plan) for plan in plans]
         damping = 100 * np.array([m[0].damping if m else np.nan for m in modes])
@@ -118,9 +127,9 @@ def growth() -> Figure:
     return figure
 
 
-def force_loop(*overrides: tuple[str, str, Value]) -> LoopDesign:
-    """Close the force loop of the demo, changed, as it runs."""
-    experiment = planned("none", *overrides)
+def force_loop(*overrides: Override) -> LoopDesign:
+    """Close the paper's force loop, changed, as it runs."""
+    experiment = planned(*overrides)
     control = experiment["force_controller"]
     controller = Controller.from_coefficients(control["numerator"], control["denominator"])
     return shape_loop(choose_plant(experiment, "rig"), controller, experiment.timebase.dt)
@@ -158,9 +167,9 @@ def interaction() -> Figure:
 def histories() -> Figure:
     """Draw a displacement with and without compensation."""
     figure, (panel,) = panels(1, (7.2, 2.6))
-    for name in ("none", "target_motion"):
+    for name in ("none", TARGET_MOTION):
         load = ("ground_motion", "peak_force", 500.0)
-        experiment = planned(name, mass_ratio(1.0), load)
+        experiment = planned(*method(name), mass_ratio(1.0), load)
         record = simulate(experiment, build_blocks(experiment))
         states = record.series["rig/state"].values
         motion = record.series["ground_motion"].values[:, 0]

@@ -1,0 +1,203 @@
+"""Tables of compensation.md, section Results: run it in the folder of the project.
+
+    .venv/bin/python docs/results.py kobe.txt
+
+kobe.txt is Kobe 1995, JMA N-S, in cm/s^2 at 0.005 s (yours to bring). Without it the tables are of
+the synthetic motion alone. Each row is what `seft simulate` says of these overrides.
+"""
+
+import math
+import sys
+
+import numpy as np
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.parameter_file import parse_override
+from seft_plant_sim.whole_structure import reference_response
+from seft_ros.analysis.metrics import nrmse
+from seft_ros.experiment.blocks import Blocks, build_blocks
+from seft_ros.experiment.offline import simulate
+from seft_ros.experiment.tables import TABLES
+
+SPECIMEN, ACTUATOR, TOLD = "rig:specimen.", "rig:actuator.", "force_controller:actuator."
+MODEL, METHOD = "reference_force:model.", "reference_force:compensation.method"
+WATCH = "reference_force:instability.ratio:=100.0"  # shocks are no instability
+YIELD = f"{SPECIMEN}yield_displacement:="
+STOREYS = f"{SPECIMEN}springs:=[1.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, -1.0, 1.0]"
+Row = tuple[str, ...]
+"""Overrides; one that begins with ``config:`` names the file, with ``missed:`` every how many."""
+
+
+def loaded(alpha: float, newtons: float) -> Row:
+    """Mass ratio and peak force."""
+    return f"reference_force:mass_ratio:={alpha}", f"ground_motion:peak_force:={newtons}"
+
+
+def specimen(kind: str, *settings: str) -> Row:
+    """Choose a law."""
+    return (WATCH, f"{SPECIMEN}kind:={kind}", *(SPECIMEN + setting for setting in settings))
+
+
+def oil(hertz: float) -> Row:
+    """Choose the oil column's frequency, and tell the controller."""
+    stiffness = 52.7 * (2 * math.pi * hertz) ** 2 - 2.11e5
+    return f"{ACTUATOR}oil_column_frequency:={hertz}", f"{TOLD}oil_stiffness:={stiffness:.6g}"
+
+
+def valve(name: str, value: float) -> Row:
+    """Choose the valve, and tell the controller."""
+    return f"{ACTUATOR}{name}:={value}", f"{TOLD}{name}:={value}"
+
+
+ONE = loaded(1.0, 500.0)
+PLAN = (f"{METHOD}:=target_motion", "force_controller:method:=velocity_feedforward")
+DELAY = (
+    *(f"{METHOD}:=target_motion", "reference_force:compensation.delay:=0.013", WATCH),
+    *(f"{ACTUATOR}kind:=delay", f"{ACTUATOR}delay:=0.01"),
+)
+TESTS: dict[str, list[Row]] = {
+    "linear": [
+        (*PLAN, *loaded(alpha, newtons))
+        for alpha, newtons in ((0.5, 500.0), (1.0, 500.0), (1.5, 400.0), (3.0, 250.0))
+        + ((5.0, 180.0), (10.0, 120.0))
+    ],
+    "other specimens": [
+        (*PLAN, *ONE, *specimen(*words))
+        for words in (
+            ("bouc_wen", "yield_displacement:=0.003"),
+            ("bouc_wen", "yield_displacement:=0.003", "bouc_wen.exponent:=2.0"),
+            ("pinching", "yield_displacement:=0.003"),
+            ("flag", "yield_displacement:=0.003"),
+            *(
+                ("bilinear", "yield_displacement:=0.003", f"hardening_ratio:={ratio}")
+                for ratio in (0.1, 0.05, 0.03, 0.0)
+            ),
+            ("bilinear", "yield_displacement:=0.006"),
+            ("duffing", "duffing.cubic:=1.0e9"),
+            ("duffing", "duffing.cubic:=-3.0e8"),
+            *(("friction", f"friction.force:={force}") for force in (5.0, 20.0, 60.0, 120.0, 190.0)),
+            ("gap", "gap.width:=0.003", "gap.stiffness:=2.11e5"),
+            ("gap", "gap.width:=0.003", "gap.stiffness:=6.0e5"),
+        )
+    ],
+    "heavier and yielding": [
+        (*PLAN, *loaded(3.0, 250.0), *specimen(kind, "yield_displacement:=0.0025"))
+        for kind in ("bouc_wen", "bilinear")
+    ],
+    "several axes": [
+        *(
+            (f"config:{name}",)
+            for name in ("three_storey_frame", "six_storey_frame", "two_pier_bridge")
+            + ("water_tower", "demo")
+        ),
+        ("config:three_storey_frame", "ground_motion:peak_force:=100.0"),
+        *(
+            ("config:three_storey_frame", *specimen(kind), f"{YIELD}{limit}", STOREYS)
+            for kind in ("bouc_wen", "bilinear")
+            for limit in (0.008, 0.004)
+        ),
+    ],
+    "told wrongly": [
+        (*PLAN, *ONE, override)
+        for override in (
+            *(f"{MODEL}stiffness:={factor * 2.11e5:.6g}" for factor in (0.7, 1.4)),
+            *(f"{MODEL}damping:={factor * 800.3:.6g}" for factor in (0.5, 2.0)),
+            *(f"{TOLD}flow_gain:={factor * 0.0403:.6g}" for factor in (0.8, 1.2)),
+            *(f"{TOLD}dead_time:={late}" for late in (0.0, 0.002, 0.003)),
+            *(f"{TOLD}oil_stiffness:={factor * 1.664e7:.6g}" for factor in (0.8, 1.2)),
+            *(f"{TOLD}valve_frequency:={factor * 70.0:.6g}" for factor in (0.8, 1.2)),
+        )
+    ],
+    "other rigs": [
+        *((*PLAN, *ONE, f"rate:={rate}") for rate in (250.0, 1000.0, 2000.0)),
+        *((*PLAN, *ONE, *valve("valve_frequency", hertz)) for hertz in (30.0, 45.0, 120.0)),
+        *((*PLAN, *ONE, *oil(hertz)) for hertz in (30.0, 60.0, 150.0)),
+        *((*PLAN, *ONE, *valve("dead_time", late)) for late in (0.004, 0.006)),
+        (*PLAN, *ONE, *valve("dead_time", 0.01), "reference_force:compensation.horizon:=0.08"),
+        *((*PLAN, *ONE, WATCH, f"missed:{every}") for every in (100, 20)),
+    ],
+    "driven by forces": [
+        *((*DELAY, *loaded(alpha, newtons)) for alpha, newtons in ((1.0, 500.0), (3.0, 250.0))),
+        *(
+            (*DELAY, *ONE, *specimen(*words))
+            for words in (
+                ("friction", "friction.force:=20.0"),
+                ("bouc_wen", "yield_displacement:=0.003"),
+                ("bilinear", "yield_displacement:=0.003"),
+                ("bilinear", "yield_displacement:=0.006"),
+            )
+        ),
+    ],
+    "limits": [
+        *((*PLAN, *loaded(1.0, newtons)) for newtons in (700.0, 1000.0)),
+        (*PLAN, *ONE, "rig:sensors.position_noise:=0.0"),
+        *(
+            (*PLAN, *ONE, f"rig:sensors.{name}_bias:={value}")
+            for name, value in (("force", 5.0), ("position", 1e-4), ("acceleration", 0.1))
+        ),
+    ],
+}
+
+
+def named(word: str) -> str:
+    """Write an override for a table."""
+    name, _, value = word.partition(":")
+    if name == "missed":
+        return f"every {value}th command missed"
+    return f"`config/{value}.yaml`" if name == "config" else f"`{word}`"
+
+
+def tested(row: Row, motion: Row) -> str:
+    """Run a test, and give its displacement error, of all axes together."""
+    special = dict(word.split(":", 1) for word in row if ":=" not in word)
+    plan = [word for word in row if ":=" in word]
+    config = f"config/{special.get('config', 'jhu')}.yaml"
+    overrides = [parse_override(word) for word in (*plan, *motion)]
+    experiment = Experiment.load(TABLES, [config], overrides)
+    blocks = build_blocks(experiment)
+    if "missed" in special:
+        displacement, trip = with_missed(blocks, int(special["missed"])), None
+    else:
+        record = simulate(experiment, blocks)
+        displacement, trip = record.series["rig/state"].values[:, 0], record.trip
+    if trip:
+        return f"trips at {trip.time_s:.1f} s"
+    exact = reference_response(experiment, blocks.ground_motion.samples).displacement
+    error = f"{100 * nrmse(displacement, exact):#.2g}"
+    return f"{error.rstrip('.')} %"
+
+
+def with_missed(blocks: Blocks, every: int) -> np.ndarray:
+    """Run a test in which every so many commands come too late: the rig holds the last."""
+    motion, known = blocks.ground_motion.samples, blocks.ground_motion.known
+    window = 1 + blocks.reference_force.preview
+    blocks.reference_force.reset()
+    blocks.force_controller.reset()
+    state = blocks.rig.reset()
+    found = [state[0].copy()]
+    applied = np.zeros(motion.shape[1])
+    for step in range(len(motion) - 1):
+        points = blocks.reference_force.step(known[step : step + window], state)
+        command = blocks.force_controller.step(step, points, state)
+        if step % every:
+            applied = command
+        state = blocks.rig.step(applied)
+        found.append(state[0].copy())
+    return np.array(found)
+
+
+def main() -> None:
+    """Print all tables."""
+    motions: dict[str, Row] = {"synthetic": ()}
+    if len(sys.argv) > 1:
+        values = (("file", sys.argv[1]), ("unit", "cm/s2"), ("dt", "0.005"))
+        motions["Kobe JMA N-S"] = tuple(f"ground_motion:{name}:={word}" for name, word in values)
+    for title, rows in TESTS.items():
+        print(f"\n{title}\n\n| overrides | {' | '.join(motions)} |\n|{'---|' * (1 + len(motions))}")
+        for row in rows:
+            words = [named(w) for w in row if w not in (*PLAN, *DELAY, *ONE, WATCH, STOREYS)]
+            errors = [tested(row, motion) for motion in motions.values()]
+            print(f"| {', '.join(words) or 'as it is'} | {' | '.join(errors)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
