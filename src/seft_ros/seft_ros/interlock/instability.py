@@ -1,9 +1,17 @@
-"""Whether a test is going unstable: vibration that the ground motion does not explain.
+"""Whether a test is going unstable: vibration that no structure has.
 
-Acceleration feedback with delay turns unstable at frequencies above the specimen's own, where
-the ground motion moves it little. A limit on acceleration sees that late: by then the vibration
-is as strong as the test itself. Here what is measured above the natural frequency is held
-against what a model of the whole structure does under the same ground motion.
+A force loop turns unstable at frequencies above the specimen's own, where the ground motion moves
+it little. A limit on acceleration sees that late: by then the vibration is as strong as the test
+itself. Here what is measured above the natural frequency is held against the acceleration that the
+whole structure has under the ground motion and the restoring force that is measured,
+r = f - M_e a::
+
+    (M_e + M_c) (a* + a_g) + g + r = 0                                                      (1)
+
+g is the force of what is computed beside its masses. Nothing is assumed of the specimen: where it
+sticks, yields or bangs, its restoring force says so, and the structure answers. Where the loop
+makes a vibration of its own, at w, the specimen of natural frequency w_n answers by no more than
+a* = a M_e / (M_e + M_c) (w_n / w)^2.
 """
 
 import math
@@ -12,7 +20,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import block_diag, expm
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.timebase import Timebase
 from seft_plant_sim.compiled import entry_point
@@ -20,14 +27,14 @@ from seft_plant_sim.compiled import entry_point
 from seft_ros.force_controller.block import bilinear
 from seft_ros.interlock.watch_step import (
     EXPECTED,
-    MODEL,
+    EXPLAINED,
     WatchParameters,
     WatchState,
     watch_step,
 )
 from seft_ros.reference_force.block import knowledge
 from seft_ros.reference_force.compensation.compensator import Knowledge
-from seft_ros.reference_force.compensation.substructure import whole_system
+from seft_ros.reference_force.compensation.substructure import substructure_motion
 
 Floats = npt.NDArray[np.float64]
 
@@ -42,18 +49,17 @@ ABOVE = 2.0
 
 
 class InstabilityWatch:
-    """Acceleration above a frequency must be what the ground motion explains.
+    """Acceleration above a frequency must be what the structure has, see the module.
 
-    Both accelerations, measured and of the model, go through the same high-pass filter
-    (Butterworth, fourth order). Their mean squares are taken over `AVERAGE`; the model's largest
-    fades over `MEMORY`, as vibration rings on. It is a fault if the measured RMS stays above
-    ``ratio`` times the model's (and the floor) for `SUSTAINED`. The model need not be exact: a
-    growing oscillation passes any ratio.
+    Both accelerations, measured and of the structure, go through the same high-pass filter
+    (Butterworth, fourth order). Their mean squares are taken over `AVERAGE`; the structure's
+    largest fades over `MEMORY`, as vibration rings on. It is a fault if the measured RMS stays
+    above ``ratio`` times the structure's (and the floor) for `SUSTAINED`.
 
     Parameters
     ----------
     known : Knowledge
-        Mass, computed mass, damping and stiffness of the model, and the sampling period.
+        Mass, what is computed, and the sampling period; the stiffness says where the band begins.
     axes : sequence of str
         Names of the n axes.
     ratio : float
@@ -90,9 +96,9 @@ class InstabilityWatch:
             ratio=float(ratio),
             least=float(floor) ** 2,
         )
-        work, result = np.zeros((2, len(self.parameters.product)))
+        work, result = map(np.zeros, self.parameters.product.shape)
         self.state = WatchState(work, result, np.zeros((3, n)), np.zeros(1))
-        arguments = self.state.squares[MODEL], self.state.squares[MODEL]
+        arguments = self.state.squares[EXPLAINED], np.zeros((4, n))
         self._step = entry_point(watch_step, self.parameters, self.state, *arguments)
         self.reset()
 
@@ -116,11 +122,11 @@ class InstabilityWatch:
             values[:] = 0.0
         self.state.squares[EXPECTED] = self.parameters.least
 
-    def step(self, ground_motion: Floats, acceleration: Floats) -> str | None:
+    def step(self, ground_motion: Floats, state: Floats) -> str | None:
         """Look at one step, see `watch_step`; one line with what is wrong, if anything."""
         if self.parameters.ratio == 0.0:
             return None
-        found = self._step(self.parameters, self.state, ground_motion, acceleration)
+        found = self._step(self.parameters, self.state, ground_motion, state)
         return self.describe() if found else None
 
     def describe(self) -> str:
@@ -130,8 +136,8 @@ class InstabilityWatch:
         rms, over = math.sqrt(measured[axis]), math.sqrt(measured[axis] / expected[axis])
         return (
             f"instability: acceleration above {self._lowest:.3g} Hz on axis {self._axes[axis]} is "
-            f"{rms:.3g} m/s^2 RMS, {over:.3g} times what the ground motion explains "
-            f"(limit {self.parameters.ratio:g})"
+            f"{rms:.3g} m/s^2 RMS, {over:.3g} times what the structure has "
+            f"under the measured restoring force (limit {self.parameters.ratio:g})"
         )
 
 
@@ -144,30 +150,27 @@ def _natural_hz(known: Knowledge) -> float:
 def _filtered(
     known: Knowledge, lowest: float, dt: float, n: int
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """State space from (a_g, a) to the high-passed accelerations of the model and as measured."""
-    motion, push = whole_system(known)
-    size, restoring = len(motion), motion[n : 2 * n]
-    held = expm(dt * np.block([[motion, push], [np.zeros((n, size + n))]]))  # zero-order hold
-    fa, fb, fc, fd = _high_pass(lowest, dt)
+    """State space from (a_g, measured state) to both accelerations, high-passed."""
+    beside, inverse = substructure_motion(known, 0), np.linalg.inv(known.total_mass)
+    own, r = np.eye(n, 4 * n, k=2 * n), np.eye(n, 4 * n, k=3 * n)
+    r = r - known.mass @ own
+    # Eq. (1)
+    by_states, by_ground = -beside.c, -beside.e
+    by_measured = -beside.d - inverse @ r
     one, none = np.eye(n), np.zeros((n, n))
-    filters = [np.kron(part, one) for part in (fa, fb, fc, fd)]
-    order = len(fa) * n
-    a = block_diag(held[:size, :size], filters[0], filters[0])
-    a[size : size + order, :size] = filters[1] @ restoring  # the model's acceleration, filtered
-    b = np.block(
+    fa, fb, fc, fd = (np.kron(part, one) for part in _high_pass(lowest, dt))
+    size, order = len(beside.a), len(fa)
+    apart = np.zeros((order, order))
+    a = np.block(
         [
-            [held[:size, size:], np.zeros((size, n))],
-            [-filters[1], np.zeros((order, n))],
-            [np.zeros((order, n)), filters[1]],
+            [beside.a, np.zeros((size, 2 * order))],
+            [fb @ by_states, fa, apart],
+            [np.zeros((order, size)), apart, fa],
         ]
     )
-    c = np.block(
-        [
-            [filters[3] @ restoring, filters[2], np.zeros((n, order))],
-            [np.zeros((n, size + order)), filters[2]],
-        ]
-    )
-    d = np.block([[-filters[3], none], [none, filters[3]]])
+    b = np.block([[beside.h, beside.b], [fb @ by_ground, fb @ by_measured], [fb @ none, fb @ own]])
+    c = np.block([[fd @ by_states, fc, np.zeros_like(fc)], [np.zeros((n, size + order)), fc]])
+    d = np.block([[fd @ by_ground, fd @ by_measured], [none, fd @ own]])
     return a, b, c, d
 
 

@@ -134,7 +134,7 @@ def protect(
         if cause == NOTHING and is_known:
             if not is_finite(measured, 0):
                 cause = ODD_STATE
-            elif p.watch.ratio and watch_step(p.watch, state.watch, ground, measured[2]):
+            elif p.watch.ratio and watch_step(p.watch, state.watch, ground, measured):
                 cause = INSTABILITY
         if cause != NOTHING:
             flags[CAUSE] = cause

@@ -11,8 +11,9 @@ Floats = npt.NDArray[np.float64]
 
 HURRY = 10.0
 """How many times faster the strongest vibration uses that time up."""
-MODEL, MEASURED, EXPECTED = range(3)
-"""Rows of the mean squares: of the model's acceleration, the measured one, and what is expected."""
+EXPLAINED, MEASURED, EXPECTED = range(3)
+"""Rows of the mean squares: of the structure's acceleration, the measured one, and the largest
+of the structure's that is remembered."""
 
 
 class WatchParameters(NamedTuple):
@@ -21,8 +22,8 @@ class WatchParameters(NamedTuple):
     Attributes
     ----------
     product : ndarray
-        Shape (s + 2n, s + 2n), transposed: takes (states, a_g, a) to (states, filtered
-        accelerations of the model and as measured).
+        Shape (s + 5n, s + 2n), transposed: takes (states, a_g, measured state) to (states, filtered
+        accelerations of the structure and as measured).
     average, memory : float
         Factors per step with which mean squares and what was expected fade.
     patience : float
@@ -47,9 +48,10 @@ class WatchState(NamedTuple):
     Attributes
     ----------
     work, result : ndarray
-        States and inputs, and what `WatchParameters.product` makes of them, shape (s + 2n,).
+        States and inputs, and what `WatchParameters.product` makes of them, shapes (s + 5n,) and
+        (s + 2n,).
     squares : ndarray
-        See `MODEL`, shape (3, n), (m/s^2)^2.
+        See `EXPLAINED`, shape (3, n), (m/s^2)^2.
     above : ndarray
         Steps for which vibration has been there, shape (1,).
     """
@@ -62,7 +64,7 @@ class WatchState(NamedTuple):
 
 @compiled
 def watch_step(
-    parameters: WatchParameters, state: WatchState, ground: Floats, acceleration: Floats
+    parameters: WatchParameters, state: WatchState, ground: Floats, measured: Floats
 ) -> bool:
     """Take a step in; say whether vibration has been there for too long.
 
@@ -70,23 +72,26 @@ def watch_step(
     ----------
     parameters, state
         The state is brought up to date.
-    ground, acceleration : ndarray
-        Ground acceleration and measured acceleration, shape (n,), m/s^2.
+    ground : ndarray
+        Ground acceleration, shape (n,), m/s^2.
+    measured : ndarray
+        Displacement, velocity, acceleration and force, shape (4, n).
     """
     p, n, squares = parameters, len(ground), state.squares
-    states = len(state.work) - 2 * n
+    states = len(state.result) - 2 * n
     for i in range(n):
         state.work[states + i] = ground[i]
-        state.work[states + n + i] = acceleration[i]
+        for row in range(4):
+            state.work[states + (1 + row) * n + i] = measured[row, i]
     multiply(p.product, state.work, state.result)
     for i in range(states):
         state.work[i] = state.result[i]
     old, new, excess = p.average, 1.0 - p.average, 0.0
     for i in range(n):
-        model, measured = state.result[states + i], state.result[states + n + i]
-        squares[MODEL, i] = old * squares[MODEL, i] + new * model * model
-        squares[MEASURED, i] = old * squares[MEASURED, i] + new * measured * measured
-        expected = max(squares[MODEL, i], squares[EXPECTED, i] * p.memory, p.least)
+        explained, found = state.result[states + i], state.result[states + n + i]
+        squares[EXPLAINED, i] = old * squares[EXPLAINED, i] + new * explained * explained
+        squares[MEASURED, i] = old * squares[MEASURED, i] + new * found * found
+        expected = max(squares[EXPLAINED, i], squares[EXPECTED, i] * p.memory, p.least)
         squares[EXPECTED, i] = expected
         excess = max(excess, squares[MEASURED, i] / expected)
     # what is far beyond needs less patience than what is a little
