@@ -24,9 +24,6 @@ COMMON = [
     ("reference_force", "mass_ratio", 1.0),
     ("reference_force", "compensation.delay", 0.0139),
     ("reference_force", "compensation.order", 3),
-    ("reference_force", "tracking.numerator", [1.0]),
-    ("reference_force", "tracking.denominator", [0.0075, 1.0]),
-    ("reference_force", "tracking.dead_time", 0.0065),
 ]
 
 

@@ -31,16 +31,16 @@ WANTED = 1e6  # steps/s on two cores
 WANTED_RATIO = 0.28  # of the bare loop's, on one thread: 1e6 on two where that does 1.8 million
 COMMON = [("reference_force", "mass_ratio", 0.5)]
 LINEAR = [("rig", "actuator.kind", "servo_hydraulic_linear")]
-PREVIEW = [
-    ("reference_force", "compensation.method", "preview_inverse"),
-    ("reference_force", "compensation.adaptive", False),
+TARGET = [
+    ("reference_force", "compensation.method", "target_motion"),
+    ("force_controller", "method", "velocity_feedforward"),
     ("ground_motion", "peak_force", 400.0),
 ]
 YIELDS = [("rig", "specimen.kind", "bouc_wen"), ("rig", "specimen.yield_displacement", 0.003)]
 CASES = {
     "linear servo-hydraulic rig": LINEAR,
     "nonlinear servo-hydraulic rig": [],
-    "the same, preview_inverse": PREVIEW,
+    "the same, target_motion": TARGET,
     "the same, Bouc-Wen specimen": YIELDS,
 }
 

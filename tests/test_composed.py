@@ -17,7 +17,7 @@ from test_invariant import EXPERIMENTS, LOCKSTEP, SHORT
 
 
 @pytest.mark.parametrize(
-    "name", thorough_but(["servo_hydraulic", "eft_ideal", "preview_inverse"], ["servo_hydraulic"])
+    "name", thorough_but(["servo_hydraulic", "eft_ideal", "target_motion"], ["servo_hydraulic"])
 )
 def test_composed_lockstep_gives_the_bits_of_the_offline_loop(seft_json, name):
     words = (JHU, *SHORT, *EXPERIMENTS[name])

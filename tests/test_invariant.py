@@ -29,20 +29,10 @@ EXPERIMENTS = {
         *("-p", "ground_motion:influence:=[1.0, 0.5]"),
         *("-p", "reference_force:mass_ratio:=0.3"),
     ),
-    "preview_inverse": (
+    "target_motion_of_two_axes": (
+        *TARGET_MOTION,
         *("-p", "axes:=[north, east]"),
         *("-p", "ground_motion:influence:=[1.0, 0.5]"),
-        *("-p", "reference_force:compensation.method:=preview_inverse"),
-        *("-p", "reference_force:mass_ratio:=1.0"),
-        *("-p", "ground_motion:peak_force:=300.0"),
-    ),
-    "loop_delay": (
-        *("-p", "axes:=[north, east]"),
-        *("-p", "ground_motion:influence:=[1.0, 0.5]"),
-        *("-p", "reference_force:loop_delay:=7"),
-        *("-p", "reference_force:compensation.method:=preview_inverse"),
-        *("-p", "reference_force:mass_ratio:=1.0"),
-        *("-p", "ground_motion:peak_force:=300.0"),
     ),
     "loop_delay_of_an_idealised_actuator": (
         *("-p", "rig:actuator.kind:=delay", "-p", "rig:actuator.delay:=0.0113"),
@@ -61,20 +51,18 @@ EXPERIMENTS = {
     "target_motion_of_an_idealised_actuator": (
         *TARGET_MOTION,
         *("-p", "force_controller:method:=transfer_function"),
-        *("-p", "rig:actuator.kind:=delay", "-p", "rig:actuator.delay:=0.0"),
-        *("-p", "reference_force:loop_delay:=2"),
+        *("-p", "rig:actuator.kind:=delay", "-p", "rig:actuator.delay:=0.005"),
+        *("-p", "reference_force:loop_delay:=2", "-p", "reference_force:compensation.delay:=0.008"),
     ),
-    "preview_inverse_yielding": (
+    "target_motion_yielding": (
+        *TARGET_MOTION,
         *("-p", "rig:specimen.kind:=bilinear", "-p", "rig:specimen.yield_displacement:=0.001"),
-        *("-p", "reference_force:compensation.method:=preview_inverse"),
-        *("-p", "reference_force:mass_ratio:=1.0"),
-        *("-p", "ground_motion:peak_force:=300.0"),
     ),
 }
 
 IN_SHORT = (
-    *("servo_hydraulic", "coupled_axes", "loop_delay", "preview_inverse_yielding"),
-    *("target_motion", "target_motion_behind_a_link"),
+    *("servo_hydraulic", "coupled_axes"),
+    *("target_motion_yielding", "target_motion_behind_a_link"),
 )
 
 ESTIMATED_DELAY = (
@@ -125,7 +113,7 @@ def test_estimates_over_dds_are_those_of_the_offline_loop(seft_json, tmp_path):
     [
         EXPERIMENTS["servo_hydraulic"],
         thorough(ESTIMATED_DELAY),
-        EXPERIMENTS["loop_delay"],
+        EXPERIMENTS["target_motion_behind_a_link"],
         EXPERIMENTS["target_motion"],
     ],
 )

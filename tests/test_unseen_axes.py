@@ -1,8 +1,7 @@
-"""preview_inverse on rigs of 2 to 10 coupled axes that nobody has tuned anything for.
+"""target_motion on rigs of 2 to 10 coupled axes that nobody has tuned anything for.
 
 Masses, modes and what is computed are drawn; each actuator is sized in proportion to the mass that
-it moves, as a laboratory does, so that one identified response of the force loop holds for all.
-Frames have modes far above what controllers of the axes bear: theirs inverts the frame.
+it moves, as a laboratory does.
 """
 
 import numpy as np
@@ -17,6 +16,7 @@ from seft_ros.experiment.tables import TABLES
 
 FRAME = ROOT / "config" / "three_storey_frame.yaml"
 SHORT = ("ground_motion:synthetic.duration:=16.0", "ground_motion:peak_force:=250.0")
+STRONG = "ground_motion:peak_force:=400.0"
 KNOWN = Experiment.load(TABLES, [FRAME], [])
 
 
@@ -39,25 +39,43 @@ def drawn(n, seed):
     w, damping = 2 * np.pi * rng.uniform(3.0, 12.0, n), rng.uniform(0.02, 0.06, n)
     modes = turned(rng, root)
     others = turned(rng, root)  # what is computed is coupled in another way
-    specimen = {
-        "mass": mass,
-        "stiffness": modes @ np.diag(w**2) @ modes.T,
-        "damping": modes @ np.diag(2 * damping * w) @ modes.T,
-    }
-    size = mass / KNOWN["reference_force"]["tracking.mass"]
+    stiffness, damping, computed = (
+        (matrix + matrix.T) / 2
+        for matrix in (
+            modes @ np.diag(w**2) @ modes.T,
+            modes @ np.diag(2 * damping * w) @ modes.T,
+            others @ np.diag(rng.uniform(0.5, 1.5, n)) @ others.T,
+        )
+    )
+    specimen = {"mass": mass, "stiffness": stiffness, "damping": damping}
+    return overrides(specimen, {"reference_force:computed.mass": computed})
+
+
+def frame(n, seed):
+    """Overrides of a shear frame: storeys of 30 to 120 kg, the lowest mode at 3 to 6 Hz."""
+    rng = np.random.default_rng([n, seed, 7])
+    mass, storeys = rng.uniform(30.0, 120.0, n), np.eye(n) - np.eye(n, k=-1)
+    stiffness = storeys.T @ np.diag(rng.uniform(0.7, 1.3, n)) @ storeys
+    lowest = np.linalg.eigvals(np.linalg.solve(np.diag(mass), stiffness)).real.min() ** 0.5
+    w = 2 * np.pi * rng.uniform(3.0, 6.0)
+    stiffness *= (w / lowest) ** 2
+    damping = 0.03 * (stiffness / w + np.diag(mass) * w)
+    specimen = {"mass": mass, "stiffness": stiffness, "damping": damping}
     values = {
-        "reference_force:computed.mass": others @ np.diag(rng.uniform(0.5, 1.5, n)) @ others.T,
-        "rig:actuator.oil_stiffness": size * KNOWN["rig"]["actuator.oil_stiffness"],
-        "force_controller:gain": 1.0 / size,
+        "rig:specimen.springs": storeys,
+        "reference_force:computed.mass": np.diag(rng.uniform(0.5, 1.5, n) * mass),
     }
+    return overrides(specimen, values)
+
+
+def overrides(specimen, values):
+    """Overrides of a specimen that is known, and of what else there is."""
+    n = len(specimen["mass"])
     for name, value in specimen.items():
         values |= {f"{node}.{name}": value for node in ("rig:specimen", "reference_force:model")}
-        values[f"reference_force:tracking.{name}"] = (
-            size * KNOWN["reference_force"][f"tracking.{name}"]
-        )
-    lists = {
-        name: ((v + v.T) / 2 if v.ndim > 1 else v).ravel().tolist() for name, v in values.items()
-    }
+    oil = specimen["mass"] / 52.7 * KNOWN["rig"]["actuator.oil_stiffness"]
+    values |= {f"{node}:actuator.oil_stiffness": oil for node in ("rig", "force_controller")}
+    lists = {name: np.ravel(value).tolist() for name, value in values.items()}
     names = "[" + ", ".join(f"axis_{index}" for index in range(n)) + "]"
     return f"axes:={names}", *(f"{name}:={value}" for name, value in lists.items())
 
@@ -79,10 +97,10 @@ def simulated(*words):
 
 
 @pytest.mark.parametrize(("n", "seed"), axes_and_seeds(3, at_once=[(2, 0), (3, 0), (6, 0)]))
-def test_a_linear_rig_is_within_2_percent_of_the_whole_structure(n, seed):
+def test_a_linear_rig_is_within_1_percent_of_the_whole_structure(n, seed):
     _, summary = simulated(*SHORT, *drawn(n, seed))
     assert not summary["saturated"]
-    assert summary["displacement"]["nrmse"] < 0.02
+    assert summary["displacement"]["nrmse"] < 0.01
 
 
 @pytest.mark.parametrize(("n", "seed"), axes_and_seeds(2, at_once=[(6, 0)]))
@@ -91,10 +109,21 @@ def test_a_rig_of_springs_that_yield_is_within_5_percent_of_the_whole_structure(
 
     With force enough to stand out of the sensors' noise, which drifts of what yields add up.
     """
-    words = *SHORT, *drawn(n, seed), "ground_motion:peak_force:=400.0"
+    words = *SHORT, *drawn(n, seed), STRONG
     record, _ = simulated(*words)
     factor = np.linalg.cholesky(np.reshape(record.experiment["rig"]["specimen.stiffness"], (n, n)))
     yields = yielding(record, (factor / np.diag(factor)).T)
     _, summary = simulated(*words, *yields)
     assert summary["trip"] is None
-    assert summary["displacement"]["nrmse"] < 0.05
+    assert summary["displacement"]["nrmse"] < 0.045
+
+
+@pytest.mark.parametrize(("n", "seed"), axes_and_seeds(2, at_once=[(5, 0)]))
+def test_a_frame_is_near_the_whole_structure_also_where_its_storeys_yield(n, seed):
+    _, summary = simulated(*SHORT, *frame(n, seed))
+    assert summary["displacement"]["nrmse"] < 0.012
+    words = *SHORT, *frame(n, seed), STRONG
+    record, _ = simulated(*words)
+    _, summary = simulated(*words, *yielding(record, np.eye(n) - np.eye(n, k=-1)))
+    assert summary["trip"] is None
+    assert summary["displacement"]["nrmse"] < 0.07

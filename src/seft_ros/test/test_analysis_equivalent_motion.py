@@ -218,7 +218,7 @@ def test_a_motion_of_zeros_has_no_difference_but_no_error_either():
 
 @pytest.mark.parametrize("config", CONFIGS)
 def test_a_method_that_sends_ahead_is_held_against_what_it_meant(config):
-    test = experiment(config, reference_force__compensation__method="preview_inverse")
+    test = experiment(config, reference_force__compensation__method="inverse")
     motion = ground(test)
     states = states_of(test, motion)
     force = states[:, 3]
@@ -236,7 +236,7 @@ def test_a_method_that_sends_ahead_is_held_against_what_it_meant(config):
 
 
 def test_the_force_that_was_meant_is_that_of_theory():
-    test = experiment(reference_force__compensation__method="preview_inverse")
+    test = experiment(reference_force__compensation__method="inverse")
     motion = ground(test)
     states = states_of(test, motion)
     states[:, 3] += np.random.default_rng(4).normal(size=(COUNT, 1))

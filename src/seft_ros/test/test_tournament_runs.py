@@ -88,17 +88,19 @@ def test_a_perturbed_rig_is_tested_with_the_configured_model_against_its_own_str
 
 
 def test_a_method_that_adapts_is_tested_on_the_plain_blocks_and_named_so():
-    tournament = make_tournament(load(), ["none", "preview_inverse"], [0.5])
+    delay = "reference_force:compensation.delay:=0.0139"
+    tournament = make_tournament(load(delay), ["none", "ats"], [0.5])
     told = []
     first, second = run_all(tournament, progress=lambda what, _: told.append(what))
     assert (first.engine, second.engine) == ("compiled", "plain")
     assert told[1:] == [
         "mass ratio 0.5, rig 0, none",
-        "mass ratio 0.5, rig 0, preview_inverse (plain blocks)",
+        "mass ratio 0.5, rig 0, ats (plain blocks)",
     ]
     words = (
         "reference_force:mass_ratio:=0.5",
-        "reference_force:compensation.method:=preview_inverse",
+        "reference_force:compensation.method:=ats",
+        delay,
     )
     assert second.summary == simulated(load(*words))
 
@@ -124,8 +126,14 @@ def test_all_methods_meet_the_same_rigs_on_the_same_motion():
             for ratio in (0.5, 1.0)
             for method in METHODS
         ]
-        for node in ("rig", "ground_motion", "force_controller"):
+        for node in ("rig", "ground_motion"):
             assert all(own[node] == experiments[0][node] for own in experiments)
+        for own in experiments:
+            follows = own["reference_force"]["compensation.method"] == "target_motion"
+            control = "velocity_feedforward" if follows else "transfer_function"
+            assert own["force_controller"] == experiments[0]["force_controller"] | {
+                "method": control
+            }
         assert experiments[0]["rig"] == tournament.rigs[rig]
 
 

@@ -117,6 +117,8 @@ def obstacle(blocks: Blocks) -> str:
         return "several rigs"
     if type(method) not in (LinearCompensator, TargetMotion):
         return "the compensation changes while the test runs"
+    if isinstance(method, TargetMotion) and method.command is not None:
+        return "the target's force is sent ahead"
     if "step" in vars(method):
         return "the compensation has a step of its own"
     controller = type(blocks.force_controller.controller)

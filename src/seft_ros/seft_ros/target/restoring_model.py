@@ -56,7 +56,7 @@ SLIDER_TO_NOISE, OFFSET_TO_NOISE = 0.5, 7.0
 """Prior of a slider's force and of the offset, over the noise of the restoring force."""
 MOST_EVIDENCE = math.log(1e4)
 """Largest logarithm of the likelihoods' ratio, either way."""
-CONFIRMED_IN = 0.2
+CONFIRMED_IN = 0.05
 """Time in which what is told must be right until it is believed again, s: a restoring force that
 swings meets the line that is told now and then, whatever the specimen is."""
 STANDS_OUT = 20.0
