@@ -23,6 +23,7 @@ MODEL, METHOD = "reference_force:model.", "reference_force:compensation.method"
 WATCH = "reference_force:instability.ratio:=100.0"  # shocks are no instability
 YIELD = f"{SPECIMEN}yield_displacement:="
 STOREYS = f"{SPECIMEN}springs:=[1.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, -1.0, 1.0]"
+EXAMPLES = "three_storey_frame", "six_storey_frame", "two_pier_bridge", "water_tower", "demo"
 Row = tuple[str, ...]
 """Overrides; one that begins with ``config:`` names the file, with ``missed:`` every how many."""
 
@@ -57,13 +58,10 @@ DELAY = (
 TESTS: dict[str, list[Row]] = {
     "linear": [
         (*PLAN, *loaded(alpha, newtons))
-        for alpha, newtons in (
-            (0.5, 500.0),
-            (1.0, 500.0),
-            (1.5, 400.0),
-            (3.0, 250.0),
-            (5.0, 180.0),
-            (10.0, 120.0),
+        for alpha, newtons in zip(
+            (0.5, 1.0, 1.5, 3.0, 5.0, 10.0),
+            (500.0, 500.0, 400.0, 250.0, 180.0, 120.0),
+            strict=True,
         )
     ],
     "other specimens": [
@@ -93,16 +91,7 @@ TESTS: dict[str, list[Row]] = {
         for kind in ("bouc_wen", "bilinear")
     ],
     "several axes": [
-        *(
-            (f"config:{name}",)
-            for name in (
-                "three_storey_frame",
-                "six_storey_frame",
-                "two_pier_bridge",
-                "water_tower",
-                "demo",
-            )
-        ),
+        *((f"config:{name}",) for name in EXAMPLES),
         ("config:three_storey_frame", "ground_motion:peak_force:=100.0"),
         *(
             ("config:three_storey_frame", *specimen(kind), f"{YIELD}{limit}", STOREYS)

@@ -180,7 +180,6 @@ def test_what_changes_on_line_is_not_compiled_and_says_so():
     shop = Workshop()
     assert shop.obstacle(load()) == ""
     for words in (
-        (METHOD("preview_inverse"),),
         (METHOD("ats"), DELAY),
         (METHOD("smith"), DELAY, "reference_force:compensation.estimate_delay:=true"),
     ):
@@ -220,5 +219,6 @@ def test_a_controller_of_another_package_is_not_compiled(monkeypatch):
 
 def test_wrong_input_is_told_as_ever():
     with pytest.raises(InputError, match="lead"):
+        Workshop().run(load(*TARGET, "ground_motion:lead:=0.01"))
     with pytest.raises(InputError, match="yield"):
         Workshop().run(load("rig:specimen.kind:=bilinear"))
