@@ -1,5 +1,7 @@
 """Time of one step of every compensation method, at one axis and at three.
 
+With `target_motion`, the protection around it and the force controller's step belong to it.
+
 Every step is done several times; what counts is the least time of each, and the mean of those.
 """
 
@@ -20,6 +22,7 @@ STEPS = 2000
 SPECIMENS = ("linear", "bouc_wen")
 ROUNDS = 5
 WANTED = {1: 50e-6, 3: 100e-6}  # s, by the number of axes
+WHOLE_WANTED = {1: 20e-6, 3: 100e-6}  # s, of reference force and force controller
 COMMON = [
     ("reference_force", "mass_ratio", 1.0),
     ("reference_force", "compensation.delay", 0.0139),
@@ -69,6 +72,21 @@ def measured_test(axes: int, specimen: str) -> tuple[np.ndarray, np.ndarray]:
     return np.repeat(motion.known, axes, axis=1), states[:last]
 
 
+def whole_step_times(axes: int, motion: np.ndarray, states: np.ndarray) -> np.ndarray:
+    """Seconds of every step of the blocks of config/demo.yaml, the rig left out."""
+    names = [f"x{i}" for i in range(axes)]
+    experiment = Experiment.load(TABLES, [CONFIG.with_name("demo.yaml")], [("/**", "axes", names)])
+    blocks, times = build_blocks(experiment), np.empty(len(states))
+    force, control = blocks.reference_force, blocks.force_controller
+    force.reset(), control.reset()
+    for step, state in enumerate(states):
+        known = motion[step : step + 1 + force.preview]
+        start = time.perf_counter()
+        control.step(step, force.step(known, state), state)
+        times[step] = time.perf_counter() - start
+    return times[-STEPS:]
+
+
 def step_times(block: ReferenceForce, motion: np.ndarray, states: np.ndarray) -> np.ndarray:
     """Seconds of every step through the strongest part of a test."""
     window, times = 1 + block.preview, np.empty(len(states))
@@ -86,7 +104,10 @@ def main() -> int:
     blocks = {case: reference_force(*case) for case in cases}
     tests = {(specimen, n): measured_test(n, specimen) for specimen in SPECIMENS for n in WANTED}
     times: dict = {(*case, specimen): [] for case in cases for specimen in SPECIMENS}
+    whole: dict = {n: [] for n in WANTED}
     for _ in range(ROUNDS):  # interleaved: the machine's speed drifts
+        for n, found in whole.items():
+            found.append(whole_step_times(n, *tests["bouc_wen", n]))
         for *case, specimen in times:
             block, test = blocks[tuple(case)], tests[specimen, case[2]]
             times[*case, specimen].append(step_times(block, *test))
@@ -101,8 +122,13 @@ def main() -> int:
                 row = [means[method, adaptive, n, specimen] for n in WANTED]
                 name = f"{method}{f', adapting, {specimen} specimen' if adaptive else ''}"
                 print(f"{name:44s}" + "".join(f"{mean * 1e6:13.1f}" for mean in row))
+    row = [float(np.min(found, axis=0).mean()) for found in whole.values()]
+    name = "target_motion, protected, and velocity_feedforward"
+    print(f"{name:44s}" + "".join(f"{mean * 1e6:13.1f}" for mean in row))
     print(", ".join(f"wanted: {wanted * 1e6:.0f} us at {n}" for n, wanted in WANTED.items()))
-    return 0 if all(mean <= WANTED[case[2]] for case, mean in means.items()) else 1
+    met = all(mean <= wanted for mean, wanted in zip(row, WHOLE_WANTED.values(), strict=True))
+    met &= all(mean <= WANTED[case[2]] for case, mean in means.items())
+    return 0 if met else 1
 
 
 if __name__ == "__main__":

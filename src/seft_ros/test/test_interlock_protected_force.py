@@ -3,32 +3,33 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from seft_ros.interlock.plausibility import PlausibleForce, PlausibleState
+from seft_plant_sim.computed_substructure import ComputedSubstructure
+from seft_ros.interlock.instability import InstabilityWatch
+from seft_ros.interlock.plausibility import PlausibleForce
 from seft_ros.interlock.protected_force import ProtectedForce
 from seft_ros.interlock.ramp_down import RampDown
+from seft_ros.reference_force.compensation.compensator import Knowledge
 from seft_ros.target.braking import continued
 
 DT = 0.002
 MOTION, STATE = np.zeros((1, 1)), np.zeros((4, 1))
 
 
-class Guard:
-    """Asks for the ramp at a step."""
-
-    def __init__(self, at):
-        self.at, self.asked = at, 0
-
-    def reset(self):
-        self.asked = 0
-
-    def step(self, ground_motion, state):
-        assert ground_motion.shape == (1,)
-        assert state.shape == (4, 1)
-        self.asked += 1
-        return "energy grows" if self.asked > self.at else None
+KNOWN = Knowledge(
+    *(np.array([[52.7]]), ComputedSubstructure.lumped(np.array([[52.7]]))),
+    *(np.array([[800.0]]), np.array([[2.11e5]]), DT, {}),
+)
+SHAKEN = np.array([[0.0], [0.0], [1e3], [0.0]])
 
 
-def protected(forces, guards=(), ramp=10, largest=1e4, fastest=1e9, loop_delay=0):
+def watch():
+    """One that sees a shaken specimen at the third step."""
+    made = InstabilityWatch(KNOWN, ("x",), 5.0, 0.3, 0.0)
+    made.parameters = made.parameters._replace(patience=25.0)
+    return made
+
+
+def protected(forces, ramp=10, largest=1e4, fastest=1e9, loop_delay=0):
     """A reference force that gives these one after the other, protected."""
     given = iter(forces)
     block = SimpleNamespace(
@@ -40,8 +41,7 @@ def protected(forces, guards=(), ramp=10, largest=1e4, fastest=1e9, loop_delay=0
         step=lambda motion, state, pace: np.array([[[next(given)]]]),
     )
     plausible = PlausibleForce(largest, fastest, ("x",), DT)
-    watching = [PlausibleState(("x",)), *guards]
-    return ProtectedForce(block, plausible, watching, RampDown(ramp, loop_delay), loop_delay)
+    return ProtectedForce(block, plausible, watch(), RampDown(ramp, loop_delay), loop_delay)
 
 
 def run(force, steps, state=STATE, motion=MOTION):
@@ -69,15 +69,16 @@ def test_asked_to_come_down_it_follows_the_test_scaled():
     assert force.cause is None
 
 
-def test_a_guard_that_sees_something_begins_the_ramp_in_that_step():
-    guard = Guard(at=2)
-    force = protected([100.0] * 20, [guard])
-    assert run(force, 2) == [100.0, 100.0]
+def test_vibration_begins_the_ramp_in_the_step_in_which_it_is_seen():
+    force = protected([100.0] * 20)
+    assert run(force, 2, SHAKEN) == [100.0, 100.0]
     assert force.cause is None
-    assert run(force, 10) == [100.0 * factor for factor in ramp(10)]
-    assert force.cause == "energy grows"
+    assert run(force, 1, SHAKEN) == [100.0 * ramp(10)[0]]
+    cause = force.cause
+    assert cause.startswith("instability")
+    assert run(force, 9, -SHAKEN) == [100.0 * factor for factor in ramp(10)[1:]]
+    assert force.cause == cause  # it is latched
     assert force.steps_ramped == 10
-    assert guard.asked == 3  # it is latched
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e5])
@@ -121,13 +122,11 @@ def test_without_ground_motion_the_ramp_goes_on_without_a_jump():
 
 
 def test_the_cause_is_latched_until_the_next_test():
-    guard = Guard(at=0)
-    force = protected([np.nan, 1.0, 1.0], [guard], ramp=1)
+    force = protected([np.nan, 1.0, 1.0], ramp=1)
     run(force, 2)
     assert force.cause == "reference force is nan N on axis x"
     force.reset()
-    assert (force.cause, force.ramping, force.at_rest, guard.asked) == (None, False, False, 0)
-    guard.at = 5
+    assert (force.cause, force.ramping, force.at_rest) == (None, False, False)
     assert run(force, 1) == [1.0]
 
 
@@ -189,8 +188,7 @@ class Target:
 def protected_target(ramp=10):
     target = Target()
     plausible = PlausibleForce(1e4, 1e9, ("x",), DT)
-    guards = [PlausibleState(("x",))]
-    return ProtectedForce(target, plausible, guards, RampDown(ramp, 2), loop_delay=2), target
+    return ProtectedForce(target, plausible, watch(), RampDown(ramp, 2), loop_delay=2), target
 
 
 def test_a_target_is_slowed_down_and_its_points_are_not_scaled():

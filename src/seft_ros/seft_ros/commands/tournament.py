@@ -79,9 +79,9 @@ def tournament(
     Errors are those of the displacement against the exact response of each rig's own structure,
     without any shift, as in seft simulate. Results do not depend on the number of workers.
 
-    Tests run on a compiled loop that agrees with seft simulate within 1e-9; those of methods
-    that adapt while they run, on the blocks of seft simulate themselves, many times slower. --json
-    has the engine of each, and a note under the tables says which they are.
+    Tests run in the compiled loop of seft simulate; those of methods that adapt in Python run in
+    its plain loop, many times slower. --json has the engine of each, and a note under the tables
+    says which they are.
 
     Methods that need a delay or a model of the force loop find it in what seft identify writes;
     those that lack something are named, and the others go on.

@@ -8,15 +8,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba.extending import overload
 from seft_msgs_py.topics import VALVE_COMMAND
-from seft_plant_sim.compiled import OPTIONS, compiled, entry_point
+from seft_plant_sim.compiled import compiled, entry_point
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_step import BLIND, LIMIT, RigParameters, RigState, rig_step
 from seft_plant_sim.sensors import BLOCK
 
+from seft_ros.experiment.block_steps import answer, estimate, respond
 from seft_ros.experiment.blocks import Blocks
-from seft_ros.force_controller.block import ForceController
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.interlock_step import (
     NOTHING,
@@ -26,12 +25,7 @@ from seft_ros.force_controller.interlock_step import (
     begin_control,
     end_control,
 )
-from seft_ros.force_controller.transfer_step import TransferParameters, transfer_step
-from seft_ros.force_controller.velocity_feedforward import (
-    FeedforwardParameters,
-    VelocityFeedforward,
-    feedforward_step,
-)
+from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 from seft_ros.interlock.protection import (
     HOLDING,
     ProtectionParameters,
@@ -40,20 +34,9 @@ from seft_ros.interlock.protection import (
     protect,
 )
 from seft_ros.interlock.ramp_down import TAKEN
-from seft_ros.reference_force.compensation.linear_filter import (
-    LinearCompensator,
-    LinearParameters,
-    linear_step,
-)
-from seft_ros.target.target_motion import TargetMotion
-from seft_ros.target.target_step import TargetParameters, target_estimates, target_step
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
-
-FORCE_STEPS = {LinearParameters: linear_step, TargetParameters: target_step}
-CONTROL_STEPS = {TransferParameters: transfer_step, FeedforwardParameters: feedforward_step}
-"""Steps of the blocks that can be compiled, by their parameters."""
 
 
 class Course(NamedTuple):
@@ -84,7 +67,7 @@ class LoopBlocks(NamedTuple):
     rig, protection, interlock : tuple
         Parameters and state of each.
     force, control : tuple
-        Of compensation method and controller, see `FORCE_STEPS` and `CONTROL_STEPS`.
+        Of compensation method and controller, see `seft_ros.experiment.block_steps`.
     under_way : ndarray
         Points of the last steps in turn, shape (1 + d, p, q, n), of a loop with a delay of d steps.
     drive : ndarray
@@ -108,25 +91,6 @@ class LoopBlocks(NamedTuple):
     window: int
     longest_ramp: int
     period: int
-
-
-def obstacle(blocks: Blocks) -> str:
-    """Say why a test can't run in the compiled loop; empty if it can."""
-    method = blocks.reference_force.reference_force.compensator
-    if not isinstance(blocks.rig, Rig) or not isinstance(blocks.force_controller, Interlock):
-        return "several rigs"
-    if type(method) not in (LinearCompensator, TargetMotion):
-        return "the compensation changes while the test runs"
-    if isinstance(method, TargetMotion) and method.command is not None:
-        return "the target's force is sent ahead"
-    if "step" in vars(method):
-        return "the compensation has a step of its own"
-    controller = type(blocks.force_controller.controller)
-    if controller not in (ForceController, VelocityFeedforward):
-        return "a force controller of another package"
-    if controller is VelocityFeedforward and type(method) is not TargetMotion:
-        return "velocity_feedforward without target_motion"
-    return ""
 
 
 def run_compiled(blocks: Blocks, course: Course, loop_delay: int, period: int) -> Iterator[int]:
@@ -199,7 +163,7 @@ def _run_steps(
     """
     rig, protection, interlock = loop.rig, loop.protection, loop.interlock
     force, control, drive = loop.force, loop.control, loop.drive
-    turns, points, quantities, n = loop.under_way.shape
+    turns, _, quantities, n = loop.under_way.shape
     window, is_target = loop.window, quantities > 1
     for step in range(first, last):
         measured, command = course.states[step], course.commands[step]
@@ -230,46 +194,6 @@ def _run_steps(
         if has_ended or found & (LIMIT | BLIND) or interlock[1].flags[TRIP] != NOTHING:
             return step + 1
     return last
-
-
-def respond(
-    parameters: Any, state: Any, ground: Floats, measured: Floats, pace: float, points: Floats
-) -> None:
-    """Step of a compensation method, see `FORCE_STEPS`."""
-    raise NotImplementedError
-
-
-def answer(parameters: Any, state: Any, points: Floats, measured: Floats, command: Floats) -> bool:
-    """Step of a force controller, see `CONTROL_STEPS`."""
-    raise NotImplementedError
-
-
-def estimate(parameters: Any, state: Any, result: Floats) -> None:
-    """Sample the estimates of a compensation method, shape (k, n)."""
-    raise NotImplementedError
-
-
-@overload(respond, jit_options=OPTIONS)
-def _respond(parameters, state, ground, measured, pace, points):  # type: ignore[no-untyped-def]
-    step = FORCE_STEPS[parameters.instance_class]
-    return lambda parameters, state, ground, measured, pace, points: step(
-        parameters, state, ground, measured, pace, points
-    )
-
-
-@overload(answer, jit_options=OPTIONS)
-def _answer(parameters, state, points, measured, command):  # type: ignore[no-untyped-def]
-    step = CONTROL_STEPS[parameters.instance_class]
-    return lambda parameters, state, points, measured, command: step(
-        parameters, state, points, measured, command
-    )
-
-
-@overload(estimate, jit_options=OPTIONS)
-def _estimate(parameters, state, result):  # type: ignore[no-untyped-def]
-    if parameters.instance_class is TargetParameters:
-        return lambda parameters, state, result: target_estimates(parameters, state, result)
-    return lambda parameters, state, result: None
 
 
 run_steps = compiled(_run_steps, nogil=True)

@@ -12,8 +12,8 @@ from typing import Any
 
 from seft_msgs_py.experiment import Experiment
 
+from seft_ros.experiment.block_steps import obstacle
 from seft_ros.experiment.blocks import Blocks, build_blocks
-from seft_ros.experiment.compiled_loop import obstacle
 from seft_ros.experiment.offline import simulate
 from seft_ros.recording.environment import describe_environment
 from seft_ros.recording.record import Record

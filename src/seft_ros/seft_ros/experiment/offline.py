@@ -14,8 +14,9 @@ from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.timebase import Timebase
 from seft_msgs_py.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 
+from seft_ros.experiment.block_steps import obstacle
 from seft_ros.experiment.blocks import Blocks
-from seft_ros.experiment.compiled_loop import Course, obstacle, run_compiled
+from seft_ros.experiment.compiled_loop import Course, run_compiled
 from seft_ros.experiment.state_machine import while_ramping_down
 from seft_ros.recording.environment import describe_environment
 from seft_ros.recording.record import Estimates, Record, Series, Trip

@@ -95,7 +95,7 @@ class ValveModel:
 
         The newest is the one that answered the last sample.
         """
-        return 1.0 - self.volume(self._dt * np.arange(1, self.memory + 1)) / self._dt
+        return 1.0 - self.volume(self._dt * np.arange(1.0, self.memory + 1)) / self._dt
 
     def past(self, late: float = 0.0) -> Floats:
         """Flow now of past commands, the newest first, of a valve that is late by so many s."""

@@ -1,27 +1,40 @@
-"""Whether a test is going unstable: vibration that the ground motion does not explain.
+"""Whether a test is going unstable: vibration that no structure has.
 
-Acceleration feedback with delay turns unstable at frequencies above the specimen's own, where
-the ground motion moves it little. A limit on acceleration sees that late: by then the vibration
-is as strong as the test itself. Here what is measured above the natural frequency is held
-against what a model of the whole structure does under the same ground motion.
+A force loop turns unstable at frequencies above the specimen's own, where the ground motion moves
+it little. A limit on acceleration sees that late: by then the vibration is as strong as the test
+itself. Here what is measured above the natural frequency is held against the acceleration that the
+whole structure has under the ground motion and the restoring force that is measured,
+r = f - M_e a::
+
+    (M_e + M_c) (a* + a_g) + g + r = 0                                                      (1)
+
+g is the force of what is computed beside its masses. Nothing is assumed of the specimen: where it
+sticks, yields or bangs, its restoring force says so, and the structure answers. Where the loop
+makes a vibration of its own, at w, the specimen of natural frequency w_n answers by no more than
+a* = a M_e / (M_e + M_c) (w_n / w)^2.
 """
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import block_diag, expm
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.timebase import Timebase
-from seft_plant_sim.compiled import compiled, entry_point
-from seft_plant_sim.integration import multiply
+from seft_plant_sim.compiled import entry_point
 
 from seft_ros.force_controller.block import bilinear
+from seft_ros.interlock.watch_step import (
+    EXPECTED,
+    EXPLAINED,
+    WatchParameters,
+    WatchState,
+    watch_step,
+)
 from seft_ros.reference_force.block import knowledge
 from seft_ros.reference_force.compensation.compensator import Knowledge
-from seft_ros.reference_force.compensation.substructure import whole_system
+from seft_ros.reference_force.compensation.substructure import substructure_motion
 
 Floats = npt.NDArray[np.float64]
 
@@ -31,109 +44,22 @@ MEMORY = 2.0
 """Time constant with which strong motion that was expected is forgotten, s."""
 SUSTAINED = 0.1
 """Time for which vibration must be there, s: a knock is none."""
-HURRY = 10.0
-"""How many times faster the strongest vibration uses that time up."""
 ABOVE = 2.0
 """The band begins at this multiple of the specimen's lowest natural frequency."""
 
 
-MODEL, MEASURED, EXPECTED = range(3)
-"""Rows of the mean squares: of the model's acceleration, the measured one, and what is expected."""
-
-
-class WatchParameters(NamedTuple):
-    """What does not change of a watch over n axes.
-
-    Attributes
-    ----------
-    product : ndarray
-        Shape (s + 2n, s + 2n), transposed: takes (states, a_g, a) to (states, filtered
-        accelerations of the model and as measured).
-    average, memory : float
-        Factors per step with which mean squares and what was expected fade.
-    patience : float
-        Steps for which vibration must be there.
-    ratio : float
-        Largest RMS over the expected one; 0: none is too large.
-    least : float
-        Mean square that counts as expected in any case, (m/s^2)^2.
-    """
-
-    product: Floats
-    average: float
-    memory: float
-    patience: float
-    ratio: float
-    least: float
-
-
-class WatchState(NamedTuple):
-    """What changes of it.
-
-    Attributes
-    ----------
-    work, result : ndarray
-        States and inputs, and what `WatchParameters.product` makes of them, shape (s + 2n,).
-    squares : ndarray
-        See `MODEL`, shape (3, n), (m/s^2)^2.
-    above : ndarray
-        Steps for which vibration has been there, shape (1,).
-    """
-
-    work: Floats
-    result: Floats
-    squares: Floats
-    above: Floats
-
-
-@compiled
-def watch_step(
-    parameters: WatchParameters, state: WatchState, ground: Floats, acceleration: Floats
-) -> bool:
-    """Take a step in; say whether vibration has been there for too long.
-
-    Parameters
-    ----------
-    parameters, state
-        The state is brought up to date.
-    ground, acceleration : ndarray
-        Ground acceleration and measured acceleration, shape (n,), m/s^2.
-    """
-    p, n, squares = parameters, len(ground), state.squares
-    states = len(state.work) - 2 * n
-    for i in range(n):
-        state.work[states + i] = ground[i]
-        state.work[states + n + i] = acceleration[i]
-    multiply(p.product, state.work, state.result)
-    for i in range(states):
-        state.work[i] = state.result[i]
-    old, new, excess = p.average, 1.0 - p.average, 0.0
-    for i in range(n):
-        model, measured = state.result[states + i], state.result[states + n + i]
-        squares[MODEL, i] = old * squares[MODEL, i] + new * model * model
-        squares[MEASURED, i] = old * squares[MEASURED, i] + new * measured * measured
-        expected = max(squares[MODEL, i], squares[EXPECTED, i] * p.memory, p.least)
-        squares[EXPECTED, i] = expected
-        excess = max(excess, squares[MEASURED, i] / expected)
-    # what is far beyond needs less patience than what is a little
-    excess /= p.ratio * p.ratio
-    state.above[0] = state.above[0] + min(excess, HURRY) if excess > 1.0 else 0.0
-    return state.above[0] >= p.patience
-
-
 class InstabilityWatch:
-    """Acceleration above a frequency must be what the ground motion explains.
+    """Acceleration above a frequency must be what the structure has, see the module.
 
-    Both accelerations, measured and of the model, go through the same high-pass filter
-    (Butterworth, fourth order). Their mean squares are taken over `AVERAGE`; the model's largest
-    fades over `MEMORY`, as vibration rings on. It is a fault if the measured RMS stays above
-    ``ratio`` times the model's (and the floor) for `SUSTAINED`. The model need not be exact: a
-    growing oscillation passes any ratio.
+    Both accelerations, measured and of the structure, go through the same high-pass filter
+    (Butterworth, fourth order). Their mean squares are taken over `AVERAGE`; the structure's
+    largest fades over `MEMORY`, as vibration rings on. It is a fault if the measured RMS stays
+    above ``ratio`` times the structure's (and the floor) for `SUSTAINED`.
 
     Parameters
     ----------
     known : Knowledge
-        Mass, computed mass, damping and stiffness of the model, and the sampling period.
+        Mass, what is computed, and the sampling period; the stiffness says where the band begins.
     axes : sequence of str
         Names of the n axes.
     ratio : float
@@ -170,9 +96,9 @@ class InstabilityWatch:
             ratio=float(ratio),
             least=float(floor) ** 2,
         )
-        work, result = np.zeros((2, len(self.parameters.product)))
+        work, result = map(np.zeros, self.parameters.product.shape)
         self.state = WatchState(work, result, np.zeros((3, n)), np.zeros(1))
-        arguments = self.state.squares[MODEL], self.state.squares[MODEL]
+        arguments = self.state.squares[EXPLAINED], np.zeros((4, n))
         self._step = entry_point(watch_step, self.parameters, self.state, *arguments)
         self.reset()
 
@@ -196,11 +122,11 @@ class InstabilityWatch:
             values[:] = 0.0
         self.state.squares[EXPECTED] = self.parameters.least
 
-    def step(self, ground_motion: Floats, acceleration: Floats) -> str | None:
+    def step(self, ground_motion: Floats, state: Floats) -> str | None:
         """Look at one step, see `watch_step`; one line with what is wrong, if anything."""
         if self.parameters.ratio == 0.0:
             return None
-        found = self._step(self.parameters, self.state, ground_motion, acceleration)
+        found = self._step(self.parameters, self.state, ground_motion, state)
         return self.describe() if found else None
 
     def describe(self) -> str:
@@ -210,8 +136,8 @@ class InstabilityWatch:
         rms, over = math.sqrt(measured[axis]), math.sqrt(measured[axis] / expected[axis])
         return (
             f"instability: acceleration above {self._lowest:.3g} Hz on axis {self._axes[axis]} is "
-            f"{rms:.3g} m/s^2 RMS, {over:.3g} times what the ground motion explains "
-            f"(limit {self.parameters.ratio:g})"
+            f"{rms:.3g} m/s^2 RMS, {over:.3g} times what the structure has "
+            f"under the measured restoring force (limit {self.parameters.ratio:g})"
         )
 
 
@@ -224,30 +150,27 @@ def _natural_hz(known: Knowledge) -> float:
 def _filtered(
     known: Knowledge, lowest: float, dt: float, n: int
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """State space from (a_g, a) to the high-passed accelerations of the model and as measured."""
-    motion, push = whole_system(known)
-    size, restoring = len(motion), motion[n : 2 * n]
-    held = expm(dt * np.block([[motion, push], [np.zeros((n, size + n))]]))  # zero-order hold
-    fa, fb, fc, fd = _high_pass(lowest, dt)
+    """State space from (a_g, measured state) to both accelerations, high-passed."""
+    beside, inverse = substructure_motion(known, 0), np.linalg.inv(known.total_mass)
+    own, r = np.eye(n, 4 * n, k=2 * n), np.eye(n, 4 * n, k=3 * n)
+    r = r - known.mass @ own
+    # Eq. (1)
+    by_states, by_ground = -beside.c, -beside.e
+    by_measured = -beside.d - inverse @ r
     one, none = np.eye(n), np.zeros((n, n))
-    filters = [np.kron(part, one) for part in (fa, fb, fc, fd)]
-    order = len(fa) * n
-    a = block_diag(held[:size, :size], filters[0], filters[0])
-    a[size : size + order, :size] = filters[1] @ restoring  # the model's acceleration, filtered
-    b = np.block(
+    fa, fb, fc, fd = (np.kron(part, one) for part in _high_pass(lowest, dt))
+    size, order = len(beside.a), len(fa)
+    apart = np.zeros((order, order))
+    a = np.block(
         [
-            [held[:size, size:], np.zeros((size, n))],
-            [-filters[1], np.zeros((order, n))],
-            [np.zeros((order, n)), filters[1]],
+            [beside.a, np.zeros((size, 2 * order))],
+            [fb @ by_states, fa, apart],
+            [np.zeros((order, size)), apart, fa],
         ]
     )
-    c = np.block(
-        [
-            [filters[3] @ restoring, filters[2], np.zeros((n, order))],
-            [np.zeros((n, size + order)), filters[2]],
-        ]
-    )
-    d = np.block([[-filters[3], none], [none, filters[3]]])
+    b = np.block([[beside.h, beside.b], [fb @ by_ground, fb @ by_measured], [fb @ none, fb @ own]])
+    c = np.block([[fd @ by_states, fc, np.zeros_like(fc)], [np.zeros((n, size + order)), fc]])
+    d = np.block([[fd @ by_ground, fd @ by_measured], [none, fd @ own]])
     return a, b, c, d
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 from seft_plant_sim.compiled import compiled
 
-from seft_ros.interlock.instability import WatchParameters, WatchState, watch_step
 from seft_ros.interlock.plausibility import is_finite, is_plausible
 from seft_ros.interlock.ramp_down import BEGUN, next_factor
+from seft_ros.interlock.watch_step import WatchParameters, WatchState, watch_step
 from seft_ros.target.braking import go_on
 
 Floats = npt.NDArray[np.float64]
@@ -134,7 +134,7 @@ def protect(
         if cause == NOTHING and is_known:
             if not is_finite(measured, 0):
                 cause = ODD_STATE
-            elif p.watch.ratio and watch_step(p.watch, state.watch, ground, measured[2]):
+            elif p.watch.ratio and watch_step(p.watch, state.watch, ground, measured):
                 cause = INSTABILITY
         if cause != NOTHING:
             flags[CAUSE] = cause

@@ -20,7 +20,7 @@ class Estimating(Protocol):
 
 
 def sampling_period(timebase: Timebase) -> int:
-    """Steps from one sample to the next."""
+    """Count the steps from one sample to the next."""
     return max(1, round(PERIOD_NS / timebase.period_ns))
 
 

@@ -242,16 +242,16 @@ TABLE = Table(
             "instability.ratio",
             "float",
             5.0,
-            "vibration beyond this many times what the ground motion explains brings the test down "
-            "softly, before it grows to a limit; 0: never",
+            "vibration beyond this many times what the structure has under the measured restoring "
+            "force brings the test down softly, before it grows to a limit; 0: never",
             minimum=0.0,
         ),
         Parameter(
             "instability.floor",
             "float",
             0.3,
-            "vibration (RMS) that counts as explained in any case: several times the noise of the "
-            "accelerometers",
+            "vibration (RMS) that counts as the structure's in any case: several times the noise of "
+            "the accelerometers",
             "m/s^2",
             positive=True,
         ),

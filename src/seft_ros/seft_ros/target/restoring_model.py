@@ -219,21 +219,38 @@ def begin_model(parameters: ModelParameters, state: ModelState) -> None:
 def move_stops(thresholds: Floats, change: Floats, stops: Floats) -> None:
     """Move stop operators by a change of each deformation, shape (n,), m."""
     for j in range(len(change)):
+        moved = change[j]
         for i in range(stops.shape[1]):
             y = thresholds[j, i]
-            z = stops[j, i] + change[j]
-            stops[j, i] = y if z > y else -y if z < -y else z
+            z = stops[j, i] + moved
+            z = y if z > y else z
+            stops[j, i] = -y if z < -y else z
 
 
 @compiled
-def spring_force(values: Floats, j: int, e: Floats, rate: Floats, stops: Floats) -> float:
-    """Force of spring j by its parameters, at deformations, rates and stops of all; N."""
+def slider_forces(values: Floats, stops: Floats, forces: Floats) -> None:
+    """Force of the sliders of each spring by its parameters, shape (n,), N: the result."""
+    first, count = values.shape[1] - stops.shape[1], stops.shape[1]
+    whole = count - count % 4
+    for j in range(len(forces)):
+        one = two = three = four = 0.0
+        for i in range(0, whole, 4):  # four at a time, which the processor has instructions for
+            one += values[j, first + i] * stops[j, i]
+            two += values[j, first + i + 1] * stops[j, i + 1]
+            three += values[j, first + i + 2] * stops[j, i + 2]
+            four += values[j, first + i + 3] * stops[j, i + 3]
+        for i in range(whole, count):
+            one += values[j, first + i] * stops[j, i]
+        forces[j] = (one + two) + (three + four)
+
+
+@compiled
+def spring_force(values: Floats, j: int, e: Floats, rate: Floats) -> float:
+    """Force of spring j by its parameters, at deformations and rates of all; without sliders, N."""
     n = len(e)
     force = values[j, 0]
     for i in range(n):
         force += values[j, 1 + i] * e[i] + values[j, 1 + n + i] * rate[i]
-    for i in range(stops.shape[1]):
-        force += values[j, 1 + 2 * n + i] * stops[j, i]
     return force
 
 
@@ -263,12 +280,13 @@ def follow(
             innovation -= found[i] * phi[i]
             told -= parameters.start[j, i] * phi[i]
             p[i, i] += parameters.drift[j, i]
+            gain[i] = 0.0
+        for k in range(q):  # p is symmetric: its columns are rows, which are added at once
+            factor = phi[k]
+            for i in range(q):
+                gain[i] += p[k, i] * factor
         for i in range(q):
-            total = 0.0
-            for k in range(q):
-                total += p[i, k] * phi[k]
-            gain[i] = total
-            variance += phi[i] * total
+            variance += phi[i] * gain[i]
         moves = (e[j] / parameters.least[j, 0]) ** 2 + (rate[j] / parameters.least[j, 1]) ** 2 > 1.0
         was_right = sums[4] > 0.0
         # logarithm of the likelihoods' ratio, of what is told over what is found
@@ -299,18 +317,18 @@ def follow(
                     p[0, 0] += added * last[i] ** 2
                     gain[i] += added * (phi[i] - last[i])
                     gain[0] -= added * last[i] * (phi[i] - last[i])
-        weight = 1.0 / (1.0 + math.exp(-sums[4]))
+        weight, per_variance = 1.0 / (1.0 + math.exp(-sums[4])), 1.0 / variance
         for i in range(q):
             # what does not move tells of the offset alone (Schmidt-Kalman)
-            taken = gain[i] / variance if moves or i == 0 else 0.0
-            found[i] += taken * innovation
-            for k in range(q):
-                other = gain[k] / variance if moves or k == 0 else 0.0
-                p[i, k] += taken * other * variance - taken * gain[k] - gain[i] * other
+            one = gain[i] * per_variance if moves or i == 0 else 0.0
+            found[i] += one * innovation
             start = parameters.start[j, i]
             state.values[j, i] = found[i] + weight * (start - found[i])
             used -= state.values[j, i] * phi[i]
             last[i] = phi[i]
+            for k in range(q):
+                other = gain[k] * per_variance if moves or k == 0 else 0.0
+                p[i, k] += one * (other * variance - gain[k]) - gain[i] * other
         impulse, is_wrong = parameters.unexplained * sums[2] + used, was_right and sums[4] <= 0.0
         acts = is_wrong or (is_change and sums[4] <= 0.0)
         sums[2] = 0.0 if acts else impulse

@@ -163,13 +163,13 @@ def target_arrays(known: Knowledge) -> tuple[TargetParameters, TargetState]:
         mass=np.ascontiguousarray(known.mass, dtype=np.float64),
         deformation=np.ascontiguousarray(deformation),
         to_springs=np.ascontiguousarray(to_springs),
-        elastic=np.hstack([known.stiffness, known.damping]),
         free=free,
         start=start,
         change=change,
         acceleration=np.ascontiguousarray(a[size : size + n]),
         influence=np.vstack([np.eye(n), computed.influence]),
-        by_force=np.ascontiguousarray(inverse[:, :n]),
+        by_spring=np.ascontiguousarray(inverse[:, :n] @ deformation.T),
+        by_told=inverse[:, :n] @ np.hstack([known.stiffness, known.damping]),
         damper=2.0 * math.sqrt(max(float(squares.min()), 0.0)),  # critical for the slowest mode
         model=model,
     )
@@ -182,10 +182,13 @@ def target_arrays(known: Knowledge) -> tuple[TargetParameters, TargetState]:
         stops=np.zeros(thresholds),
         coming_stops=np.zeros(thresholds),
         ground=np.zeros(n),
+        by_state=np.zeros((2, size, 2 * size)),
+        constant=np.zeros((2, size)),
+        settling=np.zeros((size, size)),
         is_running=np.zeros(1),
         axes=np.zeros((4, n)),
-        dofs=np.zeros((3, 2 * size)),
-        springs=np.zeros((6, n)),
+        dofs=np.zeros((4, 2 * size)),
+        springs=np.zeros((8, n)),
     )
     return parameters, state
 

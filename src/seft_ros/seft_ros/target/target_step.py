@@ -24,6 +24,7 @@ from seft_ros.target.restoring_model import (
     begin_model,
     follow,
     move_stops,
+    slider_forces,
     spring_force,
 )
 
@@ -50,15 +51,15 @@ class TargetParameters(NamedTuple):
         M_e on the rig, shape (n, n), kg.
     deformation, to_springs : ndarray
         D, and D^-T, which makes springs' forces of the axes'; shape (n, n).
-    elastic : ndarray
-        Force of the specimen as told per displacement and velocity, shape (n, 2n), N/m, N s/m.
     free, start, change : ndarray
         Integration over a substep, see `first_order_hold`: shapes (2N, 2N), (2N, N), (2N, N). The
         states are displacements, then velocities; the input is an acceleration.
     acceleration : ndarray
         Of the axes by the states, shape (n, 2N).
-    influence, by_force : ndarray
-        Accelerations per ground acceleration, and per force of the specimen: shape (N, n).
+    influence, by_spring : ndarray
+        Accelerations per ground acceleration, and per force of each spring: shape (N, n).
+    by_told : ndarray
+        Accelerations by the specimen as told, of displacement and velocity, shape (N, 2n).
     damper : float
         Rate at which the target's motion dies out where a test is brought down, 1/s.
     model : ModelParameters
@@ -71,13 +72,13 @@ class TargetParameters(NamedTuple):
     mass: Floats
     deformation: Floats
     to_springs: Floats
-    elastic: Floats
     free: Floats
     start: Floats
     change: Floats
     acceleration: Floats
     influence: Floats
-    by_force: Floats
+    by_spring: Floats
+    by_told: Floats
     damper: float
     model: ModelParameters
 
@@ -97,10 +98,15 @@ class TargetState(NamedTuple):
         Its stop operators, likewise; shape (n, m).
     ground : ndarray
         Last ground acceleration, shape (n,).
+    by_state, constant : ndarray
+        The push of the model at the last sample and at this one: accelerations by the states, and
+        without them; shapes (2, N, 2N) and (2, N).
+    settling : ndarray
+        Change of the push at the end of a substep as the state is mended there, shape (N, N).
     is_running : ndarray
         Whether a sample has been taken, shape (1,).
     axes, dofs, springs : ndarray
-        Room for vectors, shapes (4, n), (5, 2N) and (6, n).
+        Room for vectors, shapes (4, n), (4, 2N) and (8, n).
     """
 
     model: ModelState
@@ -110,6 +116,9 @@ class TargetState(NamedTuple):
     stops: Floats
     coming_stops: Floats
     ground: Floats
+    by_state: Floats
+    constant: Floats
+    settling: Floats
     is_running: Floats
     axes: Floats
     dofs: Floats
@@ -177,6 +186,7 @@ def target_step(
         state.springs[4, i] = e[i] - before[i]
     move_stops(p.model.thresholds, state.springs[4], state.model.stops)
     follow(p.model, state.model, e, rate, force)
+    take_model(p, state, pace)
     if not first:
         advance(p, state, state.ground, ground[0], pace)
     state.is_running[0] = 1.0
@@ -208,41 +218,77 @@ def times(matrix: Floats, vector: Floats, result: Floats) -> None:
 
 
 @compiled
-def specimen_force(
-    p: TargetParameters, state: TargetState, values: Floats, y: Floats, stops: Floats, r: Floats
+def take_model(p: TargetParameters, state: TargetState, pace: float) -> None:
+    """Make the push of the model's parameters; what was this sample's is the last one's now."""
+    n, half, values = len(p.mass), len(p.influence), state.model.values
+    by_state, constant = state.by_state[1], state.constant[1]
+    for i in range(half):
+        state.constant[0, i], constant[i] = constant[i], 0.0
+        for k in range(2 * half):
+            state.by_state[0, i, k], by_state[i, k] = by_state[i, k], 0.0
+        by_state[i, half + i] = -(1.0 - pace) * p.damper
+        for k in range(n):
+            by_state[i, k] += p.by_told[i, k]
+            by_state[i, half + k] += p.by_told[i, n + k]
+        for j in range(n):
+            factor = p.by_spring[i, j]
+            constant[i] -= factor * values[j, 0]
+            for m in range(n):
+                stiffness, damping = factor * values[j, 1 + m], factor * values[j, 1 + n + m]
+                for k in range(n):
+                    by_state[i, k] -= stiffness * p.deformation[m, k]
+                    by_state[i, half + k] -= damping * p.deformation[m, k]
+    for i in range(half):
+        for j in range(half):
+            total = 0.0
+            for k in range(2 * half):
+                total += by_state[i, k] * p.change[k, j]
+            state.settling[i, j] = total
+
+
+@compiled
+def push(
+    p: TargetParameters,
+    state: TargetState,
+    model: int,
+    y: Floats,
+    sliders: Floats,
+    ground: Floats,
+    result: Floats,
 ) -> None:
-    """Force of the specimen at the state y by its model: r = D^T s, shape (n,), N."""
-    n, half = len(r), len(y) // 2
+    """Find what acts on the elastic whole structure, as an acceleration, shape (N,).
+
+    It is the ground motion (times the pace), and the force by which the specimen is not the elastic
+    one told: by the model of the last sample (0) or this one (1), with these forces of sliders.
+    """
+    by_state, constant = state.by_state[model], state.constant[model]
+    for i in range(len(result)):
+        total = constant[i]
+        for k in range(len(y)):
+            total += by_state[i, k] * y[k]
+        for k in range(len(ground)):
+            total -= p.influence[i, k] * ground[k] + p.by_spring[i, k] * sliders[k]
+        result[i] = total
+
+
+@compiled
+def specimen_force(
+    p: TargetParameters, state: TargetState, y: Floats, sliders: Floats, r: Floats
+) -> None:
+    """Force of the specimen at the state y by this sample's model: r = D^T s, shape (n,), N."""
+    n, half, values = len(r), len(y) // 2, state.model.values
     e, rate = state.springs[1], state.springs[2]
     for j in range(n):
         e[j] = rate[j] = 0.0
         for i in range(n):
             e[j] += p.deformation[j, i] * y[i]
             rate[j] += p.deformation[j, i] * y[half + i]
-    r[:] = 0.0
+    for i in range(n):
+        r[i] = 0.0
     for j in range(n):
-        s = spring_force(values, j, e, rate, stops)
+        s = spring_force(values, j, e, rate) + sliders[j]
         for i in range(n):
             r[i] += p.deformation[j, i] * s
-
-
-@compiled
-def push(
-    p: TargetParameters, y: Floats, r: Floats, ground: Floats, pace: float, result: Floats
-) -> None:
-    """Find what acts on the elastic whole structure, as an acceleration, shape (N,).
-
-    It is the ground motion, and the force r by which the specimen is not the elastic one told.
-    """
-    n, half = len(r), len(y) // 2
-    for i in range(half):
-        result[i] = -(1.0 - pace) * p.damper * y[half + i]
-    for k in range(n):
-        rest = r[k]
-        for i in range(n):
-            rest -= p.elastic[k, i] * y[i] + p.elastic[k, n + i] * y[half + i]
-        for i in range(half):
-            result[i] -= p.influence[i, k] * pace * ground[k] + p.by_force[i, k] * rest
 
 
 @compiled
@@ -282,29 +328,27 @@ def advance(
     p: TargetParameters, state: TargetState, before: Floats, now: Floats, pace: float
 ) -> None:
     """Integrate Eq. (1) from the last sample to this one; the model changes linearly."""
-    n, y = len(now), state.target
-    old, new, ground = state.axes[0], state.axes[1], state.axes[2]
-    begin, end = state.dofs[0], state.dofs[1]
-    # what was not seen of the restoring force in time acts in this step
-    p_t = state.springs[5]
-    for j in range(n):
-        p_t[j] = state.model.sums[j, 3]
+    n, y, sliders, ground = len(now), state.target, state.springs[6], state.axes[2]
+    old, begin, end = state.dofs[3], state.dofs[0], state.dofs[1]
+    half = len(p.influence)
     for step in range(p.substeps):
         for side in range(2):
             part = (step + side) / p.substeps
-            specimen_force(p, state, state.model.before, y, state.stops, old)
-            specimen_force(p, state, state.model.values, y, state.stops, new)
+            result = end if side else begin
             for i in range(n):
-                ground[i] = before[i] + part * (now[i] - before[i])
-                new[i] = old[i] + part * (new[i] - old[i])
-                for j in range(n):
-                    new[i] += p.deformation[j, i] * p_t[j]
-            if side == 0:
-                push(p, y, new, ground, pace, begin)
-                move(p, state, y, state.stops, begin)
-            else:
-                push(p, y, new, ground, pace, end)
+                ground[i] = pace * (before[i] + part * (now[i] - before[i]))
+            slider_forces(state.model.before, state.stops, sliders)
+            push(p, state, 0, y, sliders, ground, old[:half])
+            slider_forces(state.model.values, state.stops, sliders)
+            push(p, state, 1, y, sliders, ground, result[:half])
+            for i in range(half):
+                result[i] = old[i] + part * (result[i] - old[i])
+                for j in range(n):  # what was not seen in time of the restoring force
+                    result[i] -= p.by_spring[i, j] * state.model.sums[j, 3]
+            if side:
                 correct(p, y, begin, end)
+            else:
+                move(p, state, y, state.stops, begin)
 
 
 @compiled
@@ -312,28 +356,28 @@ def predict(
     p: TargetParameters, state: TargetState, known: Floats, pace: float, points: Floats
 ) -> None:
     """Integrate Eq. (1) over the coming steps, and write the points, see `target_step`."""
-    n, y, half = points.shape[2], state.coming, len(state.target) // 2
-    r, ground, begin, end = state.axes[0], state.axes[2], state.dofs[0], state.dofs[1]
-    values, stops = state.model.values, state.coming_stops
+    n, y, half = points.shape[2], state.coming, len(p.influence)
+    r, a, ground = state.axes[0], state.axes[3], state.axes[2]
+    begin, end, mended = state.dofs[0], state.dofs[1], state.dofs[3]
+    stops, sliders = state.coming_stops, state.springs[6]
     for i in range(len(y)):
         y[i] = state.target[i]
     for j in range(n):
+        ground[j] = pace * known[0, j]
         for i in range(stops.shape[1]):
             stops[j, i] = state.stops[j, i]
-    specimen_force(p, state, values, y, stops, r)
+    slider_forces(state.model.values, stops, sliders)
+    push(p, state, 1, y, sliders, ground, begin[:half])
     for point in range(len(points)):
+        specimen_force(p, state, y, sliders, r)
         for i in range(n):
-            ground[i] = known[point, i]
-        push(p, y, r, ground, pace, begin)
-        for i in range(n):
-            a = begin[i]  # and what the elastic structure makes of its state
+            a[i] = begin[i]  # and what the elastic structure makes of its state
             for k in range(len(y)):
-                a += p.acceleration[i, k] * y[k]
-            state.axes[3, i] = a
+                a[i] += p.acceleration[i, k] * y[k]
         for i in range(n):  # f* = M_e a* + r (3), which is f_r of Eq. 2.5 with a*
             force = r[i]
             for k in range(n):
-                force += p.mass[i, k] * state.axes[3, k]
+                force += p.mass[i, k] * a[k]
             points[point, 0, i] = y[i]
             points[point, 1, i] = y[half + i]
             points[point, 2, i] = force
@@ -342,15 +386,19 @@ def predict(
         for step in range(p.substeps):
             part = (step + 1) / p.substeps
             for i in range(n):
-                ground[i] = known[point, i] + part * (known[point + 1, i] - known[point, i])
+                rise = known[point + 1, i] - known[point, i]
+                ground[i] = pace * (known[point, i] + part * rise)
             move(p, state, y, stops, begin)
-            specimen_force(p, state, values, y, stops, r)
-            push(p, y, r, ground, pace, end)
+            slider_forces(state.model.values, stops, sliders)
+            push(p, state, 1, y, sliders, ground, end[:half])
             correct(p, y, begin, end)
-            if step + 1 < p.substeps:
-                specimen_force(p, state, values, y, stops, r)
-                push(p, y, r, ground, pace, begin)
-        specimen_force(p, state, values, y, stops, r)
+            for i in range(half):  # the push at the state that is mended
+                total = end[i]
+                for k in range(half):
+                    total += state.settling[i, k] * (end[k] - begin[k])
+                mended[i] = total
+            for i in range(half):
+                begin[i] = mended[i]
 
 
 @compiled
@@ -382,26 +430,24 @@ def move_by_force(
         date.
     """
     n, h = len(force), span / p.substeps
-    r, new, change = state.axes[0], state.axes[1], state.springs[4]
+    r, new, change, sliders = state.axes[0], state.axes[1], state.springs[4], state.springs[6]
     for _ in range(p.substeps):
-        specimen_force(p, state, state.model.values, y, stops, r)
-        for i in range(n):
-            a = 0.0
-            for k in range(n):
-                a += by_force[i, k] * (force[k] - r[k])
-            y[n + i] += 0.5 * h * a
-        for i in range(n):
-            new[i] = y[i] + h * y[n + i]
-        for j in range(n):
-            change[j] = 0.0
+        for side in range(2):
+            slider_forces(state.model.values, stops, sliders)
+            specimen_force(p, state, y, sliders, r)
             for i in range(n):
-                change[j] += p.deformation[j, i] * (new[i] - y[i])
-        move_stops(p.model.thresholds, change, stops)
-        for i in range(n):
-            y[i] = new[i]
-        specimen_force(p, state, state.model.values, y, stops, r)
-        for i in range(n):
-            a = 0.0
-            for k in range(n):
-                a += by_force[i, k] * (force[k] - r[k])
-            y[n + i] += 0.5 * h * a
+                a = 0.0
+                for k in range(n):
+                    a += by_force[i, k] * (force[k] - r[k])
+                y[n + i] += 0.5 * h * a
+            if side:
+                continue
+            for i in range(n):
+                new[i] = y[i] + h * y[n + i]
+            for j in range(n):
+                change[j] = 0.0
+                for i in range(n):
+                    change[j] += p.deformation[j, i] * (new[i] - y[i])
+            move_stops(p.model.thresholds, change, stops)
+            for i in range(n):
+                y[i] = new[i]

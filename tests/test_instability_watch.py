@@ -1,0 +1,89 @@
+"""The instability watch trips what grows by the loop's fault, and nothing else."""
+
+import itertools
+
+import numpy as np
+import pytest
+from graph_tools import JHU, ROOT, THOROUGH
+from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.parameter_file import parse_override
+from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.method import with_method
+from seft_ros.experiment.offline import simulate
+from seft_ros.experiment.tables import TABLES
+
+RECORDS = ROOT.parent / "shared" / "data"
+FILES = {"Kobe": "kobe_jma_1995.txt", "El Centro": "elcentro_1940.txt"}
+MOTIONS = ("synthetic", *FILES)
+PEAKS = {0.5: 500.0, 1.0: 500.0, 3.0: 250.0, 10.0: 120.0}  # mass ratio: N, what the valve serves
+YIELDS = ("specimen.yield_displacement:=0.0038",)
+SPECIMENS = {
+    "linear": (),
+    "bilinear": YIELDS,
+    "bouc_wen": YIELDS,
+    "pinching": YIELDS,
+    "flag": YIELDS,
+    "friction, 20 N": ("specimen.friction.force:=20.0",),
+    "friction, 60 N": ("specimen.friction.force:=60.0",),
+    "friction, 190 N": ("specimen.friction.force:=190.0",),
+    "gap": ("specimen.gap.width:=0.002", "specimen.gap.stiffness:=2.11e5"),
+    "duffing": ("specimen.duffing.cubic:=5e9",),
+}
+AT_ONCE = {
+    *(("synthetic", 1.0, name) for name in SPECIMENS),
+    ("El Centro", 3.0, "friction, 190 N"),
+    ("Kobe", 0.5, "flag"),
+}
+SOUND = [
+    pytest.param(*case, marks=() if case in AT_ONCE else THOROUGH)
+    for case in itertools.product(MOTIONS, PEAKS, SPECIMENS)
+]
+HIGHER, LOWER = 6.0, 4.0
+"""Ratios about the default, 5: there is a margin on either side."""
+
+
+def run(motion, method, mass_ratio, peak_force, ratio, *words):
+    """Record of a test, and its largest acceleration until it began to come down."""
+    record = ()
+    if motion in FILES:
+        file = RECORDS / FILES[motion]
+        if not file.is_file():
+            pytest.skip("no real record here")
+        record = "file:=" + str(file), "unit:=cm/s2", "dt:=0.005"
+    given = (
+        *(f"ground_motion:{word}" for word in (*record, f"peak_force:={peak_force}")),
+        f"reference_force:mass_ratio:={mass_ratio}",
+        f"reference_force:instability.ratio:={ratio}",
+        *(f"rig:{word}" for word in words),
+    )
+    loaded = Experiment.load(TABLES, [JHU], [parse_override(word) for word in given])
+    experiment = with_method(loaded, method)
+    found = simulate(experiment, build_blocks(experiment))
+    until = None if found.trip is None else found.trip.step + 1
+    return found, np.abs(found.series["rig/state"].values[:until, 2]).max()
+
+
+@pytest.mark.parametrize(("motion", "mass_ratio", "specimen"), SOUND)
+def test_no_sound_test_trips_whatever_the_specimen_is(motion, mass_ratio, specimen):
+    words = f"specimen.kind:={specimen.split(',')[0]}", *SPECIMENS[specimen]
+    found, _ = run(motion, "target_motion", mass_ratio, PEAKS[mass_ratio], LOWER, *words)
+    assert found.trip is None
+
+
+@pytest.mark.parametrize("peak_force", [200.0, 1000.0])
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_an_unstable_test_trips_long_before_a_limit(motion, peak_force):
+    """Of the paper's: mass ratio 1.5, without compensation."""
+    limit, _ = run(motion, "none", 1.5, peak_force, 0.0)
+    assert limit.trip.reason.startswith("acceleration")
+    found, largest = run(motion, "none", 1.5, peak_force, HIGHER)
+    assert found.trip.reason.startswith("instability")
+    assert found.trip.step < 0.8 * limit.trip.step
+    assert largest < 0.25 * 39.24
+
+
+@pytest.mark.parametrize("mass_ratio", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_what_the_paper_could_test_does_not_trip(motion, mass_ratio):
+    found, _ = run(motion, "none", mass_ratio, 1000.0, 5.0)
+    assert found.trip is None
