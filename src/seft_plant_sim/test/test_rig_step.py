@@ -60,7 +60,7 @@ def test_a_rig_alone_and_in_a_compiled_loop_gives_the_same_bits(values, axes):
     time = 0.002 * np.arange(steps)[:, np.newaxis] + np.arange(len(axes))
     commands = amplitude * np.sin(2 * np.pi * 6.0 * time)
     states, found = np.empty((steps, 4, len(axes))), np.empty(steps, dtype=np.int64)
-    noise = one.sensors.noise_block(0)
+    noise = one.sensors.noise_block(0)[:steps]
     run(one.parameters, one.state, commands, noise, states, found)
     told = one.violation_of(int(found[-1]))
     alone = np.array([one.reset(), *(one.step(command) for command in commands[:-1])])

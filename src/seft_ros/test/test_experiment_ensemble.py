@@ -79,6 +79,8 @@ CASES = {
     "smith": (METHOD("smith"), DELAY, RATIO(1.0), WEAK),
     "polynomial": (METHOD("polynomial"), DELAY, RATIO(0.3), WEAK),
     "sloshing water": (
+        *TARGET,
+        "reference_force:computed.internal:=1",
         "reference_force:computed.mass:=[35.0, 25.0]",
         "reference_force:computed.stiffness:=[1421.2, -1421.2, -1421.2, 1421.2]",
     ),
@@ -88,8 +90,12 @@ CASES = {
         "force_controller:numerator:=[37.0, 30.0]", "force_controller:gain:=[1.0, 0.05, 0.0, 1.1]",
         "force_controller:denominator:=[1.0, 17.14, 4002.0, 1.0, 16.0, 3600.0]",
     ),
-    "two axes, preview, yielding": (
-        "[1.0, 0.0, 0.0, 1.0, 1.0, -1.0]", YIELDS,
+    "two axes, yielding": (
+        *TWO,
+        *TARGET,
+        "rig:specimen.kind:=bouc_wen",
+        "rig:specimen.springs:=[1.0, 0.0, 0.0, 1.0, 1.0, -1.0]",
+        YIELDS,
     ),
     "derived and filtered": (
         "rig:sensors.velocity:=derived", "rig:sensors.anti_alias:=200.0",
@@ -180,7 +186,6 @@ def test_what_changes_on_line_is_not_compiled_and_says_so():
     shop = Workshop()
     assert shop.obstacle(load()) == ""
     for words in (
-        (METHOD("preview_inverse"),),
         (METHOD("ats"), DELAY),
         (METHOD("smith"), DELAY, "reference_force:compensation.estimate_delay:=true"),
     ):
@@ -220,5 +225,6 @@ def test_a_controller_of_another_package_is_not_compiled(monkeypatch):
 
 def test_wrong_input_is_told_as_ever():
     with pytest.raises(InputError, match="lead"):
+        Workshop().run(load(*TARGET, "ground_motion:lead:=0.01"))
     with pytest.raises(InputError, match="yield"):
         Workshop().run(load("rig:specimen.kind:=bilinear"))

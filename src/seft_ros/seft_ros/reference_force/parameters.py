@@ -250,8 +250,8 @@ TABLE = Table(
             "instability.floor",
             "float",
             0.3,
-            "vibration (RMS) that counts as the structure's in any case: several times the noise of "
-            "the accelerometers",
+            "vibration (RMS) that counts as the structure's in any case: several times the noise "
+            "of the accelerometers",
             "m/s^2",
             positive=True,
         ),
