@@ -59,7 +59,7 @@ def frozen_target(method: TargetMotion, measured: bool) -> LinearFilter:
     ground = np.zeros((1 + method.preview, n))
     states = [state.measured, state.target, state.ground]
     if measured:
-        states += [state.model.values[:, 0], state.model.found[:, 0]]
+        states.append(state.constant[1])  # the push of the offset, which the next step starts from
 
     def begin() -> None:
         begin_target(parameters, state)

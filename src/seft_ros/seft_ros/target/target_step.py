@@ -132,6 +132,7 @@ def begin_target(parameters: TargetParameters, state: TargetState) -> None:
     state.target[:] = 0.0
     state.stops[:] = 0.0
     state.is_running[0] = 0.0
+    take_model(parameters, state, 1.0)
 
 
 @compiled
