@@ -297,4 +297,5 @@ def test_smith_answers_a_steady_offset_of_the_sensors_by_a_steady_force():
 
 
 def test_each_name_is_that_of_its_method():
-    assert {name: method.__name__ for name, method in METHODS.items()} == {n: n for n in METHODS}
+    for name, method in METHODS.items():
+        assert method.__name__.lower() in (name, name.replace("_", ""))
