@@ -19,7 +19,8 @@ KNOWN = Knowledge(
     *(np.array([[52.7]]), ComputedSubstructure.lumped(np.array([[52.7]]))),
     *(np.array([[800.0]]), np.array([[2.11e5]]), DT, {}),
 )
-SHAKEN = np.array([[0.0], [0.0], [1e3], [0.0]])
+SHAKEN = np.array([[0.0], [0.0], [1e3], [52.7e3]])
+"""Inertia is all that the force does: nothing that the structure would feel."""
 
 
 def watch():

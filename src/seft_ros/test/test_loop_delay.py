@@ -82,7 +82,7 @@ def test_a_target_is_told_as_it_will_be(of_a_target):
 
 def test_states_that_were_lost_are_bridged(of_a_force, of_a_target):
     assert of_a_force.largest_error_with_lost_states() < 0.1
-    assert of_a_target.largest_error_with_lost_states() < 0.03
+    assert of_a_target.largest_error_with_lost_states() < 0.06
 
 
 @pytest.mark.parametrize("alpha", [0.5, 1.0, 1.5])

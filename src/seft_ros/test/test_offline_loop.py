@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.parameter_file import parse_override
+from seft_plant_sim.sensors import BLOCK
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
@@ -305,4 +306,4 @@ def test_progress_is_told_in_steps():
     experiment = Experiment.load(TABLES, [JHU])
     told = []
     simulate(experiment, build_blocks(experiment), told.append)
-    assert told == [5000]
+    assert told == [BLOCK, 2 * BLOCK, 8501]

@@ -118,7 +118,6 @@ def test_so_they_are_with_a_delay_of_the_loop(method):
         mass_ratio=0.7,
         loop_delay=3,
         compensation__method=method,
-        tracking__stiffness=[2.1e5, -1.0e4, -1.0e4, 2.1e5],
     )
     assert_same(test, 120 if not Plan(test).compensator().estimates() else 20)
 

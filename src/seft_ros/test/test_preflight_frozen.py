@@ -131,7 +131,7 @@ def test_powers_of_the_matrix_are_what_a_small_test_does(parts):
         expected.append(loop.displacement @ q)
         q = loop.matrix @ q + loop.ground @ ground[k:].ravel()[: loop.ground.shape[1]]
     largest = np.abs(expected).max()
-    np.testing.assert_allclose(found[:, 0], expected, rtol=0, atol=1e-3 * largest)
+    np.testing.assert_allclose(found[:, 0], expected, rtol=0, atol=2e-3 * largest)
 
 
 @pytest.mark.parametrize("parts", [(), (COUPLED,)], ids=["one axis", "two axes"])
@@ -203,9 +203,9 @@ def test_a_usual_test_is_stable_within_the_sure_margins_whatever_it_learns():
         assert last < 1.5 * quiet < 100.0
 
 
-@pytest.mark.parametrize(("part", "tripped"), [(0.97, False), (10.0, True)])
+@pytest.mark.parametrize(("part", "tripped"), [(0.8, False), (10.0, True)])
 def test_so_it_is_in_the_offline_loop_with_all_that_is_not_linear(part, tripped):
-    """`config/demo.yaml` itself."""
+    """`config/demo.yaml` itself; nearer to the margin, it vibrates enough to be stopped."""
     margins = planned()[1]
     late = part * margins.sure_dead_time.value
     words = [("rig", "actuator.dead_time", late), ("ground_motion", "peak_force", 200.0)]
@@ -244,9 +244,9 @@ def test_the_verdict_and_its_numbers():
     assert numbers["basis"] == "exact"
     assert numbers["critical_mass_ratio"] is None
     assert 0.03 < numbers["critical_delay_s"] < 0.033
-    assert 0.004 < numbers["sure_delay_s"] == margins.sure_dead_time.value < 0.005
+    assert 0.019 < numbers["sure_delay_s"] == margins.sure_dead_time.value < 0.021
     assert numbers["gain"]["highest"] == pytest.approx(4.09, abs=0.01)
-    assert numbers["sure_gain"]["highest"] == pytest.approx(2.04, abs=0.01)
+    assert numbers["sure_gain"]["highest"] == pytest.approx(2.86, abs=0.01)
     assert abs(numbers["false_damping_ratio"]) < 1e-4
 
 

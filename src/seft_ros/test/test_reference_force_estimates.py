@@ -130,7 +130,7 @@ def test_a_method_without_estimates_leaves_none():
 
 
 def test_estimates_may_not_change_their_names(watched, monkeypatch):
-    names = iter([{"delay": np.zeros(2)}, {"stiffness": np.zeros(2)}])
+    names = iter([*[{"delay": np.zeros(2)}] * 3, {"stiffness": np.zeros(2)}])
     monkeypatch.setattr(Watcher, "estimates", lambda self: next(names))
     with pytest.raises(WireError, match="step 50 are stiffness, but were delay"):
         run(watched)

@@ -12,6 +12,7 @@ from seft_msgs_py.messages import Status, encode_status
 from seft_msgs_py.topics import EXPERIMENT_STATE, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 from seft_plant_sim.rig import Rig
 from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.compiled_loop import Course
 from seft_ros.experiment.offline import loop_series, simulate
 from seft_ros.experiment.tables import TABLES
 from seft_ros.recording.bag_writer import BagWriter
@@ -75,7 +76,9 @@ def held_test(experiment, blocks, held):
         at = held.get(step, step)
         states.append(rig.step(commands[at] if at >= 0 else np.zeros(1)))
     motion = blocks.ground_motion.samples
-    series = loop_series(motion, np.array(states), np.zeros_like(commands)[:, None], commands)
+    forces, unused = np.zeros_like(commands)[:, None], np.empty(0)
+    course = Course(np.array(states), forces, commands, unused, unused)
+    series = loop_series(motion, course, steps)
     return Record(experiment, series, missed=len(held), missed_steps=sorted(held))
 
 

@@ -20,6 +20,7 @@ from seft_ros.experiment.compiled_loop import Course, run_compiled
 from seft_ros.experiment.state_machine import while_ramping_down
 from seft_ros.recording.environment import describe_environment
 from seft_ros.recording.record import Estimates, Record, Series, Trip
+from seft_ros.recording.samples import require_names
 from seft_ros.reference_force.estimate_sampler import sampling_period
 
 Floats = npt.NDArray[np.float64]
@@ -99,7 +100,7 @@ def run_plain(blocks: Blocks, course: Course, loop_delay: int, period: int) -> I
     known, window = blocks.ground_motion.known, 1 + reference_force.preview
     force_step, valve_step = reference_force.step, interlock.step
     under_way = deque([np.zeros((1 + loop_delay, 1, axes))] * loop_delay)
-    valve_driven = rig.drive == VALVE_COMMAND.name
+    valve_driven, names = rig.drive == VALVE_COMMAND.name, tuple(reference_force.estimates())
     yield 0
     state = rig.reset()
     with np.errstate(over="ignore", invalid="ignore"):  # the limits see what is not finite
@@ -111,7 +112,9 @@ def run_plain(blocks: Blocks, course: Course, loop_delay: int, period: int) -> I
                 points = under_way.popleft()[loop_delay:]
             command = course.commands[step] = valve_step(step, points, state)
             if step % period == 0 and course.estimates.size:
-                course.estimates[step // period] = list(reference_force.estimates().values())
+                estimates = reference_force.estimates()
+                require_names(step, estimates, names)
+                course.estimates[step // period] = list(estimates.values())
             if rig.violation is not None or interlock.reason or reference_force.at_rest:
                 yield step + 1
                 return

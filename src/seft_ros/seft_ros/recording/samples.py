@@ -1,6 +1,6 @@
 """Samples of a topic, gathered message by message in whatever order they come."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -68,6 +68,14 @@ class SampleBuffer:
         self._values.resize((count, *self._values.shape[1:]), refcheck=False)
 
 
+def require_names(step: int, estimates: Iterable[str], names: Sequence[str]) -> None:
+    """Refuse, as WireError, estimates of a step with other names than those of the first."""
+    if tuple(estimates) != tuple(names):
+        raise WireError(
+            f"estimates of step {step} are {', '.join(estimates)}, but were {', '.join(names)}"
+        )
+
+
 class EstimateBuffer:
     """Estimates of a compensation method, all with the names of the first."""
 
@@ -89,11 +97,7 @@ class EstimateBuffer:
         if self._samples is None:
             self._names = tuple(estimates)
             self._samples = SampleBuffer(len(sample), sample.shape[1], 0)
-        if tuple(estimates) != self._names:
-            raise WireError(
-                f"estimates of step {step} are {', '.join(estimates)}, but were "
-                f"{', '.join(self._names)}"
-            )
+        require_names(step, estimates, self._names)
         self._samples.append(np.array([step]), sample[np.newaxis])
 
     def series(self) -> Estimates | None:
