@@ -112,3 +112,8 @@ def test_the_ground_motion_must_be_known_as_far_ahead_as_the_target_is_told():
 def test_a_controller_that_follows_a_target_needs_one():
     with pytest.raises(InputError, match=r"compensation\.method is none; make that target_motion"):
         build_blocks(experiment_of("reference_force:compensation.method:=none"))
+
+
+def test_a_target_needs_a_controller_that_follows_it():
+    with pytest.raises(InputError, match="does not follow; make that velocity_feedforward"):
+        build_blocks(experiment_of("force_controller:method:=transfer_function"))

@@ -6,12 +6,13 @@ from typing import Any
 
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.topics import VALVE_COMMAND
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rigs import Rigs
 
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.interlocks import Interlocks, interlock_of
-from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
+from seft_ros.force_controller.names import TRANSFER_FUNCTION, VELOCITY_FEEDFORWARD
 from seft_ros.ground_motion.block import GroundMotion
 from seft_ros.interlock.protected_force import ProtectedForce
 from seft_ros.reference_force.compensation.names import TARGET_MOTION
@@ -66,13 +67,7 @@ def build_blocks(experiment: Experiment, known: dict[str, Any] | None = None) ->
         _rigs(experiment),
     )
     check_lead(experiment, blocks.ground_motion, blocks.reference_force)
-    method = experiment["force_controller"]["method"]
-    if method == VELOCITY_FEEDFORWARD and not blocks.reference_force.reference_force.tells_motion:
-        raise InputError(
-            f"force_controller: method {method} follows the motion of a target, but "
-            f"reference_force: compensation.method is "
-            f"{experiment['reference_force']['compensation.method']}; make that {TARGET_MOTION}"
-        )
+    check_target(experiment, blocks)
     return blocks
 
 
@@ -81,6 +76,30 @@ def _rigs(experiment: Experiment) -> Rig | Rigs:
     if len(experiment.rigs) == 1:
         return Rig.from_parameters(section, axes, timebase)
     return Rigs.from_parameters(section, axes, timebase, experiment.rigs)
+
+
+def check_target(experiment: Experiment, blocks: Blocks) -> None:
+    """See that the motion of a target is followed where it is given, and given where it is.
+
+    Raises
+    ------
+    InputError
+        If it is not.
+    """
+    method = experiment["force_controller"]["method"]
+    compensation = experiment["reference_force"]["compensation.method"]
+    has_target = blocks.reference_force.reference_force.tells_motion
+    if method == VELOCITY_FEEDFORWARD and not has_target:
+        raise InputError(
+            f"force_controller: method {method} follows the motion of a target, but "
+            f"reference_force: compensation.method is {compensation}; make that {TARGET_MOTION}"
+        )
+    if method == TRANSFER_FUNCTION and has_target and blocks.rig.drive == VALVE_COMMAND.name:
+        raise InputError(
+            f"reference_force: compensation.method {compensation} gives the motion of a target, "
+            f"which force_controller: method {method} does not follow; make that "
+            f"{VELOCITY_FEEDFORWARD}"
+        )
 
 
 def check_lead(experiment: Experiment, motion: GroundMotion, force: ProtectedForce) -> None:
