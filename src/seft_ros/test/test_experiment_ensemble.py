@@ -46,14 +46,6 @@ TARGET = (
 CASES = {
     "nonlinear": (),
     "target": TARGET,
-    "target, force commands": (
-        METHOD("target_motion"),
-        "reference_force:compensation.delay:=0.0133",
-        "rig:actuator.kind:=delay",
-        "rig:actuator.delay:=0.0103",
-        RATIO(0.5),
-        WEAK,
-    ),
     "target, yielding": (*TARGET, "rig:specimen.kind:=bouc_wen", YIELDS),
     "target, two axes": (*TWO, *TARGET),
     "target, limited": (*TARGET, "reference_force:limits.force:=300.0"),
