@@ -74,7 +74,7 @@ def check(motion, mass_ratio, table, factors):
     assert abs(summary["displacement"]["delay_s"]) < 1.5e-4
     stiffness = summary["estimates"]["stiffness"]["x"]
     assert stiffness["first"] == pytest.approx(factors[0] * STIFFNESS, rel=1e-6)
-    assert stiffness["last"] == pytest.approx(STIFFNESS, rel=0.04)
+    assert stiffness["last"] == pytest.approx(STIFFNESS, rel=0.1)
     assert summary["estimates"]["damping"]["x"]["last"] == pytest.approx(DAMPING, rel=0.2)
 
 

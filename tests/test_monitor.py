@@ -15,6 +15,7 @@ LONG = (
     *("-p", "ground_motion:synthetic.duration:=600.0"),
     # without feedback, many missed commands do not shake the rig
     *("-p", "rig:actuator.kind:=ideal", "-p", "reference_force:compensation.method:=none"),
+    *("-p", "force_controller:method:=transfer_function"),
     *("-p", "reference_force:method:=eft"),
     *("-p", "ground_motion:peak_force:=100.0"),
     *(*STALLS_ALLOWED, *MISSES_ALLOWED),

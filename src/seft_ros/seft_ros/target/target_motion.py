@@ -105,7 +105,7 @@ class TargetMotion:
         )
 
     def estimates(self) -> dict[str, Floats]:
-        """Local stiffness, damping and sliders' force of each spring."""
+        """Stiffness, damping and sliders' force of each spring, as found on line."""
         found = np.empty((len(ESTIMATES), len(self.parameters.mass)))
         self._estimate(self.parameters, self.state, found)
         return dict(zip(ESTIMATES, found, strict=True))

@@ -198,8 +198,8 @@ def target_step(
 
 @compiled
 def target_estimates(parameters: TargetParameters, state: TargetState, result: Floats) -> None:
-    """Give local stiffness, damping and sliders' force of each spring, shape (3, n)."""
-    values, thresholds = state.model.values, parameters.model.thresholds
+    """Give stiffness, damping and sliders' force of each spring as found, shape (3, n)."""
+    values, thresholds = state.model.found, parameters.model.thresholds
     n = len(values)
     for j in range(n):
         result[0, j], result[1, j] = values[j, 1 + j], values[j, 1 + n + j]
