@@ -116,6 +116,21 @@ class Limits:
         values += [limits.get(f"{name}_rate", np.inf) * dt for name in NAMES]
         self.values = np.array(values, dtype=np.float64)
         self.largest = np.zeros(8)
+        self._last: Floats | None = None
+
+    def reset(self) -> None:
+        """Begin a new test."""
+        self.largest[:] = 0.0
+        self._last = None
+
+    def violation(self, measured: Floats) -> str | None:
+        """Look at the next sample, shape (4, n); one line if it breaks a limit."""
+        measured = np.array(measured, dtype=np.float64)
+        last = measured if self._last is None else self._last
+        self._last = measured
+        if not exceeds(self.values, 1, last, measured, self.largest):
+            return None
+        return self.describe(measured, measured - last)
 
     def describe(self, measured: Floats, change: Floats) -> str:
         """Say which limit a sample breaks.
