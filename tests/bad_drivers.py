@@ -8,7 +8,7 @@ import time
 
 from rig_driver.driver_node import DriverNode, stand_in
 from rig_driver.parameters import TABLE
-from seft_msgs_py.node.node_main import NodeKind, run_node
+from seft_msgs_py.node.node_main import NodeKind
 from seft_msgs_py.node.node_shell import NodeShell
 from seft_msgs_py.wire.topics import RIG_STATE
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
@@ -113,15 +113,13 @@ NODES = {
 def main() -> int:
     fault = sys.argv.pop(1)
 
-    def build(shell: NodeShell) -> DriverNode:
+    def make(shell: NodeShell) -> DriverNode:
         hardware = stand_in(shell)
         if fault == "no_safe_position":
             hardware = NoSafePosition(hardware)
-        node = NODES.get(fault, DriverNode)(shell, hardware)
-        shell.start({"drive": "valve_command"})
-        return node
+        return NODES.get(fault, DriverNode)(shell, hardware)
 
-    return run_node(NodeKind(TABLE, [TABLE], build))
+    return NodeKind(TABLE, [TABLE], make).main()
 
 
 if __name__ == "__main__":

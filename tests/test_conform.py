@@ -5,7 +5,7 @@ import os
 
 import pytest
 from graph_tools import JHU, ROOT, thorough, wait_for
-from seft_msgs_py.node.single_instance import is_claimed
+from seft_msgs_py.node.single_instance import is_running
 
 pytestmark = pytest.mark.alone
 TEMPLATE = ROOT / "templates" / "rig_driver"
@@ -29,7 +29,7 @@ def start_driver(start, domain, tmp_path):
         paths = (ROOT / "tests", TEMPLATE, os.environ.get("PYTHONPATH", ""))
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, paths))}
         process = start(*words, "--ros-args", "--params-file", config, env=environment)
-        wait_for(lambda: process.poll() is not None or is_claimed(domain, "/rig"), "the driver")
+        wait_for(lambda: process.poll() is not None or is_running(domain, "/rig"), "the driver")
         assert process.poll() is None, process.communicate()
         return process
 

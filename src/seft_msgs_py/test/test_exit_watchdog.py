@@ -10,8 +10,8 @@ from seft_msgs_py.node.exit_watchdog import leave_graph
 
 HELD = """
 import ctypes, sys
-from seft_msgs_py.node.exit_watchdog import ending_within
-with ending_within(0.2, {status}, {told!r}):
+from seft_msgs_py.node.exit_watchdog import exit_watchdog
+with exit_watchdog(0.2, {status}, {told!r}):
     while True:
         ctypes.PyDLL(None).usleep(10_000_000)  # holds the interpreter, as a stuck library does
 """
@@ -25,9 +25,9 @@ def test_a_process_that_is_stuck_in_a_library_ends_with_its_status(status, told)
 
 
 def test_what_ends_in_time_leaves_no_alarm_behind():
-    from seft_msgs_py.node.exit_watchdog import ending_within
+    from seft_msgs_py.node.exit_watchdog import exit_watchdog
 
-    with ending_within(1000.0, 3):
+    with exit_watchdog(1000.0, 3):
         assert signal.getitimer(signal.ITIMER_REAL)[0] > 0
     assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
     assert signal.getsignal(signal.SIGALRM) is signal.SIG_DFL

@@ -1,7 +1,7 @@
 """Messages between nodes of one process: in order, to all, also those sent meanwhile."""
 
 import pytest
-from seft_msgs_py.node.intra_process_bus import Mailbox
+from seft_msgs_py.node.intra_process_bus import IntraProcessBus
 from seft_msgs_py.wire.topics import DIAGNOSTICS, RIG_STATE, VALVE_COMMAND
 
 
@@ -18,7 +18,7 @@ def listener(heard, name, then=None):
 
 
 def test_a_message_goes_to_all_listeners_and_outside():
-    box, heard, outside = Mailbox(["rig"]), [], []
+    box, heard, outside = IntraProcessBus(["rig"]), [], []
     for node in ("one", "two"):
         box.subscribe("/rig/state", node, listener(heard, node))
     box.sender("/rig/state", outside.append)(b"a")
@@ -31,7 +31,7 @@ def test_a_message_goes_to_all_listeners_and_outside():
 
 
 def test_what_is_sent_while_messages_are_handed_out_is_handed_out_too():
-    box, heard = Mailbox(["rig", "controller"]), []
+    box, heard = IntraProcessBus(["rig", "controller"]), []
     answer = box.sender("/valve_command", lambda raw: None)
     box.subscribe("/rig/state", "controller", listener(heard, "controller", answer))
     box.subscribe("/valve_command", "rig", listener(heard, "rig"))
@@ -44,7 +44,7 @@ def test_what_is_sent_while_messages_are_handed_out_is_handed_out_too():
 
 
 def test_outside_messages_go_when_those_inside_have_been_answered_and_in_order():
-    box, seen = Mailbox(["rig", "controller"]), []
+    box, seen = IntraProcessBus(["rig", "controller"]), []
     answer = box.sender("/valve_command", lambda raw: seen.append(("outside", raw)))
     box.subscribe("/rig/state", "controller", listener(seen, "controller", lambda _: answer(b"b")))
     box.subscribe("/valve_command", "rig", listener(seen, "rig"))
@@ -54,7 +54,7 @@ def test_outside_messages_go_when_those_inside_have_been_answered_and_in_order()
 
 
 def test_what_waits_goes_outside_also_where_a_listener_fails_or_the_process_ends():
-    box, outside = Mailbox(["rig"]), []
+    box, outside = IntraProcessBus(["rig"]), []
 
     def fail(raw, received_ns, number):
         raise RuntimeError
@@ -70,14 +70,14 @@ def test_what_waits_goes_outside_also_where_a_listener_fails_or_the_process_ends
 
 
 def test_without_listeners_inside_a_message_only_goes_outside():
-    box, outside = Mailbox(["rig"]), []
+    box, outside = IntraProcessBus(["rig"]), []
     box.sender("/rig/state", outside.append)(b"a")
     assert outside == [b"a"]
     assert box.deliver() is False
 
 
 def test_a_mailbox_serves_topics_of_the_loop_that_its_own_nodes_publish():
-    box = Mailbox(["rig", "reference_force"])
+    box = IntraProcessBus(["rig", "reference_force"])
     assert box.serves(RIG_STATE)
     assert not box.serves(VALVE_COMMAND)
     assert not box.serves(DIAGNOSTICS)

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.node.awake_clock import AwakeClock
-from seft_msgs_py.node.node_main import NodeKind, run_node
+from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import WARM_UP_STEPS, NodeShell
 from seft_msgs_py.wire.messages import Status, decode_status, encode_clock, restamp
 from seft_msgs_py.wire.outcome import FINISHED, LISTED_STEPS, STOPPED, TRIPPED, Trip, rig_status
@@ -40,7 +40,7 @@ MOVING = ("running", "ramping_down")  # states of a test in which the rig obeys
 TELL_PERIOD = 1.0  # s, of the diagnostics of a running test
 
 
-class RigNode:
+class RigNode(NodeBody):
     """Steps a `Rig` at its pace and moves its samples between topics.
 
     Parameters
@@ -50,7 +50,7 @@ class RigNode:
     """
 
     def __init__(self, shell: NodeShell) -> None:
-        self._shell = shell
+        super().__init__(shell)
         experiment = shell.experiment
         self._timebase = experiment.timebase
         self._section = experiment["rig"]
@@ -70,6 +70,7 @@ class RigNode:
             delay = max(self._section["loop_delay"], 0)
             axes = experiment.axes
             self._drive = self._command(REFERENCE_FORCE, axes, "limits.force", delay)
+        self.facts = {"drive": self._drive.codec.topic.name}
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
         self._clock: SampleClock | None = None  # of a test in realtime
         self._armed = False
@@ -84,11 +85,6 @@ class RigNode:
         self._refused_before = 0  # messages, until the newest command came
         self._warm_up()
 
-    @property
-    def drive_topic(self) -> str:
-        """Topic whose commands drive the actuators."""
-        return self._drive.codec.topic.name
-
     def run(self) -> None:
         """Run a test each time the supervisor says so, until told to stop."""
         self._rest()
@@ -100,9 +96,6 @@ class RigNode:
                     self._wanted = None  # a test runs once
             elif self._ended and self._wanted is not None and self._wanted.message == "idle":
                 self._rest()  # how the last test ended has been told
-
-    def look(self) -> None:
-        """Nothing of a rig falls due while another node spins: it does so itself."""
 
     def _command(
         self, topic: LoopTopic, axes: tuple[str, ...], limit: str, loop_delay: int = 0
@@ -146,11 +139,11 @@ class RigNode:
         self._started = time.monotonic()
         state = self._rig.reset()
         self._tell("running")
-        conflict = self._shell.several_senders() or self._start_together()
-        if conflict:
+        reason = self._shell.several_senders() or self._start_together()
+        if reason:
             self._publish(0, state)
-        pace = self._lockstep if self._section["pace"] == "lockstep" else self._realtime
-        reason = conflict or pace(steps)
+        else:
+            reason = self._run_steps(steps, state)
         self._publish_clock(self._rig.step_index)
         self._ended = True
         if reason is None:
@@ -161,6 +154,23 @@ class RigNode:
             trip = Trip(reason, step, self._timebase.stamp_ns(step) / 1e9)
             self._tell(TRIPPED, trip)  # before the rig comes to rest: others can stop at once
             self._tell(TRIPPED, trip, self._rig.stop())
+
+    def _run_steps(self, steps: int, state: Floats) -> str | None:
+        """Take the samples of a test at its pace; say why it ended early, if it did."""
+        rig, wait = self._rig, self._lockstep
+        if self._section["pace"] == "realtime":
+            self._start_clock()
+            wait = self._realtime
+        while self._publish(step := rig.step_index, state):
+            why = wait(step, step + 1 == steps)
+            if why is not None or rig.violation is not None:
+                return rig.violation or why
+            if step + 1 == steps:
+                return None
+            if self._clock is None:
+                self._tell_if_due()
+            state = rig.step(self._drive.value)
+        return rig.violation
 
     def _start_together(self) -> str | None:
         """Wait for the moment at which all rigs start; say why they can't, if they can't.
@@ -214,83 +224,70 @@ class RigNode:
         if time.monotonic() - self._told_at >= TELL_PERIOD:
             self._shell.note(self._status("running"))
 
-    def _lockstep(self, steps: int) -> str | None:
-        """Each step waits for its commands; return why the test ended early, if it did."""
-        rig, timeout = self._rig, self._section["lockstep_timeout"]
-        state = rig.reset()
-        while True:
-            step = rig.step_index
-            if not self._publish(step, state):
-                return rig.violation
-            deadline = time.monotonic() + timeout
-            while self._valve.step < step or self._drive.step < step:
-                if not self._shell.spin_once(0.05):
-                    self._publish_clock(step)  # perhaps there is no ground motion so far ahead
-                if (why := self._unwanted()) is not None:
-                    return rig.violation or why
-                if time.monotonic() > deadline:
-                    late = self._valve if self._valve.step < step else self._drive
-                    company = self._shell.company(self._refused_before)
-                    return rig.violation or (
-                        f"no {late.codec.topic.name} for step {step} within {timeout:g} s in "
-                        f"lockstep; is {late.codec.topic.publisher} running?{company}"
-                    )
-            if rig.violation is not None:
-                return rig.violation
-            if step + 1 == steps:
-                return None
-            self._tell_if_due()
-            state = rig.step(self._drive.value)
-
-    def _realtime(self, steps: int) -> str | None:
-        """Absolute deadlines: at each, apply the newest command, and count it if it is old.
-
-        Time begins soon after the first answer: the others prepare for a test, and tell of it,
-        when they first hear of it. Of several rigs, which begin together, one waits for another
-        that is behind: their steps are answered together. Behind links they can't see each other,
-        and each makes up for the time it has lost.
-        """
-        rig, shell, drive = self._rig, self._shell, self._drive
-        period = self._timebase.dt
-        timeout = self._section["watchdog.command_timeout"]
-        patience = max(1, round(timeout / period))
-        waits = not self._is_alone and not self._section["loop_delay"]
-        start = time.monotonic() if self._is_alone else self._start
-        self._clock = clock = SampleClock(period, start, makes_up=not self._is_alone and not waits)
-        state = rig.reset()
-        while True:
-            step = rig.step_index
-            if not self._publish(step, state):
-                return rig.violation
-            if step == 0 and self._is_alone:
-                clock.fall_back(self._wait_for_answer(0, timeout) + BREATH)
-            deadline = clock.deadline(step + 1)
-            while (left := deadline - time.monotonic()) > 0:
-                if shell.spin_once(left) and drive.step >= step:
-                    self._tell_if_due()
-            clock.awake(-left)
-            late = time.monotonic() + period
-            while drive.step < step and time.monotonic() < late and shell.spin_once(0.0):
-                pass  # what came while we were late counts as in time; a flood does not stop us
-            if waits and drive.step < step:
-                clock.fall_back(self._wait_for_answer(step - 1, timeout) + FALL_BACK * period)
+    def _lockstep(self, step: int, is_last: bool) -> str | None:
+        """Wait for the commands of a step, however long that takes; say why the test must end."""
+        del is_last
+        timeout = self._section["lockstep_timeout"]
+        deadline = time.monotonic() + timeout
+        while self._valve.step < step or self._drive.step < step:
+            if not self._shell.spin_once(0.05):
+                self._publish_clock(step)  # perhaps there is no ground motion so far ahead
             if (why := self._unwanted()) is not None:
-                return rig.violation or why
-            if rig.violation is not None:
-                return rig.violation
-            if step + 1 == steps:
-                return None
-            if drive.step < step:
-                self._missed_count += 1
-                if len(self._missed) < LISTED_STEPS:
-                    self._missed.append(step)
-                if step - drive.step > patience or self._waited_in_vain:
-                    topic, company = drive.codec.topic, shell.company(self._refused_before)
-                    return (
-                        f"no new {topic.name} for {timeout:g} s (the last is of step "
-                        f"{drive.step}); is {topic.publisher} running?{company}"
-                    )
-            state = rig.step(self._drive.value)
+                return why
+            if time.monotonic() > deadline:
+                late = self._valve if self._valve.step < step else self._drive
+                text = f"for step {step} within {timeout:g} s in lockstep"
+                return self._nothing_from(late, f"no {late.codec.topic.name} {text}")
+        return None
+
+    def _start_clock(self) -> None:
+        """Begin the time of a test in realtime.
+
+        It begins soon after the first answer: the others prepare for a test, and tell of it, when
+        they first hear of it. Of several rigs, which begin together, one waits for another that
+        is behind: their steps are answered together. Behind links they can't see each other, and
+        each makes up for the time it has lost.
+        """
+        self._waits = not self._is_alone and not self._section["loop_delay"]
+        start = time.monotonic() if self._is_alone else self._start
+        makes_up = not self._is_alone and not self._waits
+        self._clock = SampleClock(self._timebase.dt, start, makes_up=makes_up)
+
+    def _realtime(self, step: int, is_last: bool) -> str | None:
+        """Wait for the deadline of the next step; a command that is missing then is counted.
+
+        Say why the test must end, if it must.
+        """
+        shell, drive, clock = self._shell, self._drive, self._clock
+        assert clock is not None
+        period, timeout = self._timebase.dt, self._section["watchdog.command_timeout"]
+        if step == 0 and self._is_alone:
+            clock.fall_back(self._wait_for_answer(0, timeout) + BREATH)
+        deadline = clock.deadline(step + 1)
+        while (left := deadline - time.monotonic()) > 0:
+            if shell.spin_once(left) and drive.step >= step:
+                self._tell_if_due()
+        clock.awake(-left)
+        late = time.monotonic() + period
+        while drive.step < step and time.monotonic() < late and shell.spin_once(0.0):
+            pass  # what came while we were late counts as in time; a flood does not stop us
+        if self._waits and drive.step < step:
+            clock.fall_back(self._wait_for_answer(step - 1, timeout) + FALL_BACK * period)
+        if (why := self._unwanted()) is not None:
+            return why
+        if drive.step < step and not is_last and self._rig.violation is None:
+            self._missed_count += 1
+            if len(self._missed) < LISTED_STEPS:
+                self._missed.append(step)
+            if step - drive.step > max(1, round(timeout / period)) or self._waited_in_vain:
+                text = f"for {timeout:g} s (the last is of step {drive.step})"
+                return self._nothing_from(drive, f"no new {drive.codec.topic.name} {text}")
+        return None
+
+    def _nothing_from(self, command: Command, what: str) -> str:
+        """Add to what failed to come who sends it, and which foreign nodes may be the cause."""
+        foreign = self._shell.foreign_publishers(self._refused_before)
+        return f"{what}; is {command.codec.topic.publisher} running?{foreign}"
 
     def _wait_for_answer(self, step: int, longest: float) -> float:
         """Wait for the command of a step; return for how long, s."""
@@ -358,18 +355,8 @@ def _steps(status: Status | None) -> int:
     return int(text) if text.isdecimal() and len(text) < 19 else 0
 
 
-def _build(shell: NodeShell) -> RigNode:
-    node = RigNode(shell)
-    shell.start({"drive": node.drive_topic})
-    return node
-
-
-KIND = NodeKind(TABLE, [TABLE], _build)
-
-
-def main() -> int:
-    """Entry point of ``ros2 run seft_plant_sim rig``."""
-    return run_node(KIND)
+KIND = NodeKind(TABLE, [TABLE], RigNode)
+main = KIND.main
 
 
 if __name__ == "__main__":

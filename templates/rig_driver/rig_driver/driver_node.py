@@ -14,7 +14,7 @@ from seft_msgs_py.config.arrays import per_axis
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.node.awake_clock import AwakeClock
-from seft_msgs_py.node.node_main import NodeKind, run_node
+from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import NodeShell
 from seft_msgs_py.wire.messages import ERROR, OK, Status, decode_status, encode_clock
 from seft_msgs_py.wire.outcome import FINISHED, LISTED_STEPS, STOPPED, TRIPPED, Trip, rig_status
@@ -34,7 +34,7 @@ MOVING = ("running", "ramping_down")  # states of a test in which the rig obeys
 CLOCK_PERIOD = 0.1  # s between two messages of /clock
 
 
-class DriverNode:
+class DriverNode(NodeBody):
     """Moves samples and commands between a `Hardware` and the topics of a test.
 
     Parameters
@@ -47,7 +47,8 @@ class DriverNode:
 
     def __init__(self, shell: NodeShell, hardware: Hardware) -> None:
         experiment = shell.experiment
-        self._shell, self._hardware = shell, hardware
+        super().__init__(shell)
+        self._hardware = hardware
         self._section, self._timebase = experiment["rig"], experiment.timebase
         # one of several rigs has its own part of the axes (docs/hosts.md)
         rig, section = shell.rig, self._section
@@ -58,6 +59,7 @@ class DriverNode:
         self._states = TrajectoryCodec(RIG_STATE.of(rig), axes, self._timebase)
         commands = TrajectoryCodec(VALVE_COMMAND.of(rig), axes, self._timebase)
         self._command = Command(commands, section["limits.command"])
+        self.facts = {"drive": commands.topic.name}
         self._publish_state = shell.publisher(self._states.topic)
         self._tells_time = axes[0] == experiment.axes[0]  # one rig does
         if self._tells_time:
@@ -229,13 +231,7 @@ class DriverNode:
 
 def serve(make: Callable[[NodeShell], Hardware]) -> int:
     """Run the driver of some hardware; return the exit status."""
-
-    def build(shell: NodeShell) -> DriverNode:
-        node = DriverNode(shell, make(shell))
-        shell.start({"drive": VALVE_COMMAND.of(shell.rig).name})
-        return node
-
-    return run_node(NodeKind(TABLE, [TABLE], build))
+    return NodeKind(TABLE, [TABLE], lambda shell: DriverNode(shell, make(shell))).main()
 
 
 def stand_in(shell: NodeShell) -> StandIn:

@@ -4,10 +4,12 @@ A node declares its ROS parameters from its table, the `seft` command checks exp
 with it, and the README's tables are printed from it.
 """
 
+import ast
 import difflib
 import math
+import textwrap
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from seft_msgs_py.errors import InputError
@@ -128,15 +130,44 @@ class Parameter:
         return InputError(f"{where}: {self.name} is {shown}, but {rule}")
 
 
-COMMON = (
-    Parameter("rate", "float", 500.0, "sampling rate of the loop", "Hz", positive=True),
-    Parameter(
-        "axes",
-        "strings",
-        ["x"],
-        "names of the axes (actuators), in order; RIG/AXIS where they are of several rigs",
-    ),
-)
+def parameter_rows(text: str, group: str = "") -> tuple[Parameter, ...]:
+    """Read rows of a parameter table: name | kind | default | unit | allowed | description.
+
+    An indented line goes on with the description above. The default is empty where the parameter
+    must be given, and may be followed by ``or NODE:PARAMETER``, see `Parameter.default_from`.
+    Allowed is empty, ``> 0``, ``MINIMUM ..``, ``MINIMUM .. MAXIMUM``, or a list of texts. Names
+    are put into a group: ``specimen`` makes ``specimen.mass`` of ``mass``.
+    """
+    prefix = f"{group}." if group else ""
+    lines: list[str] = []
+    for line in textwrap.dedent(text).strip().splitlines():
+        if line.startswith(" "):
+            lines[-1] += " " + line.strip()
+        else:
+            lines.append(line)
+    return tuple(_row(prefix, *(cell.strip() for cell in line.split("|"))) for line in lines)
+
+
+def _row(
+    prefix: str, name: str, kind: Any, default: str, unit: str, allowed: str, description: str
+) -> Parameter:
+    value, _, default_from = default.partition(" or ")
+    read = {"string": str, "bool": "true".__eq__}.get(kind, ast.literal_eval)
+    row = Parameter(prefix + name, kind, read(value) if value else None, description, unit)
+    row = replace(row, default_from=default_from)
+    if allowed == "> 0":
+        return replace(row, positive=True)
+    if ".." not in allowed:
+        return replace(row, choices=tuple(allowed.replace(",", " ").split()))
+    minimum, maximum = (float(end) if end.strip() else None for end in allowed.split(".."))
+    return replace(row, minimum=minimum, maximum=maximum)
+
+
+COMMON = parameter_rows("""
+    rate | float   | 500.0 | Hz | > 0 | sampling rate of the loop
+    axes | strings | ["x"] |    |     |
+        names of the axes (actuators), in order; RIG/AXIS where they are of several rigs
+""")
 """Parameters of every node; in a file they stand under ``/**``."""
 
 

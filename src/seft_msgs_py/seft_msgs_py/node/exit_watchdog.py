@@ -14,7 +14,7 @@ _Handler = ctypes.CFUNCTYPE(None, ctypes.c_int)
 
 
 @contextmanager
-def ending_within(seconds: float, status: int, told: str = "") -> Iterator[None]:
+def exit_watchdog(seconds: float, status: int, message: str = "") -> Iterator[None]:
     """End the process with a status if what is done inside takes longer.
 
     FastDDS 2.14 can wait for itself for ever when a participant is taken down in the moment in
@@ -28,13 +28,13 @@ def ending_within(seconds: float, status: int, told: str = "") -> Iterator[None]
         Patience.
     status : int
         Exit status.
-    told : str
+    message : str
         What to say then on stderr.
     """
 
     def end(_: int) -> None:
-        if told:
-            os.write(2, f"{told}\n".encode())
+        if message:
+            os.write(2, f"{message}\n".encode())
         os._exit(status)
 
     handler = _Handler(end)
@@ -53,7 +53,7 @@ def ending_within(seconds: float, status: int, told: str = "") -> Iterator[None]
 QUIET = 0.1  # s without a change
 PATIENCE = 2.0  # s for the graph to be quiet
 CLOSE_PATIENCE = 10.0  # s
-_TOLD = (
+_STUCK = (
     "seft: the middleware does not let this process leave the graph (a fault of FastDDS); it is "
     "ended here, and what was recorded is complete"
 )
@@ -62,10 +62,10 @@ _TOLD = (
 def leave_graph(node: Node) -> None:
     """Take a node off the graph, when nobody else leaves, and end its context.
 
-    See `ending_within` for why: of some hundred processes that leave together one hangs.
+    See `exit_watchdog` for why: of some hundred processes that leave together one hangs.
     """
     _wait_for_quiet(node)
-    with ending_within(CLOSE_PATIENCE, 1, _TOLD):
+    with exit_watchdog(CLOSE_PATIENCE, 1, _STUCK):
         node.destroy_node()
         is_default = node.context is rclpy.get_default_context()
         rclpy.try_shutdown(context=None if is_default else node.context)  # it can begin anew

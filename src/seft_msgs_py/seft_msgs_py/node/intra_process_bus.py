@@ -12,7 +12,7 @@ Receive = Callable[[bytes, int, int], bool]
 publisher has sent with it (0: unknown); tells whether it was acted upon."""
 
 
-class Mailbox:
+class IntraProcessBus:
     """Messages of the loop between nodes of one process, delivered in the order they were sent.
 
     Outside they are sent when those inside have been handed out, and what these have given rise

@@ -1,27 +1,45 @@
 """The body of an executable that runs a node, or several nodes in one process."""
 
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any
 
 from seft_msgs_py.config.parameter_table import Table
 from seft_msgs_py.errors import SeftError
-from seft_msgs_py.node.exit_watchdog import ending_within
+from seft_msgs_py.node.exit_watchdog import exit_watchdog
 from seft_msgs_py.node.node_process import NodeProcess
-from seft_msgs_py.node.node_shell import NodeShell
+from seft_msgs_py.node.node_shell import IDLE_WAIT, NodeShell
 
 CLOSE_PATIENCE = 5.0  # s
 
 
-class RunningNode(Protocol):
-    """What a node's executable runs."""
+class NodeBody:
+    """What a node does in its shell; subclasses overwrite what they need.
+
+    Attributes
+    ----------
+    facts : dict
+        What others must know of this node beside its parameters, JSON values.
+    """
+
+    def __init__(self, shell: NodeShell) -> None:
+        self._shell = shell
+        self.facts: dict[str, Any] = {}
+
+    def begin(self) -> None:
+        """Report the first status, when the node has been described to the test."""
 
     def run(self) -> None:
         """Work until told to stop, spinning the shell."""
+        self._shell.spin(self.poll, self.period)
 
-    def look(self) -> None:
-        """Do what falls due by time alone, where another node of the process spins."""
+    def poll(self) -> None:
+        """Do what falls due by time alone; called after each turn, whoever spins."""
+
+    def period(self) -> float:
+        """Longest time between two polls, s."""
+        return IDLE_WAIT
 
 
 @dataclass(frozen=True)
@@ -34,28 +52,24 @@ class NodeKind:
         Its parameters.
     tables : tuple of Table
         All tables that are known where it is, for parameters that are taken from other nodes.
-    build : callable
-        Makes the node in its shell, and starts the shell.
+    make : callable
+        Makes the node in its shell.
     """
 
     table: Table
     tables: Iterable[Table]
-    build: Callable[[NodeShell], RunningNode]
+    make: Callable[[NodeShell], NodeBody]
+
+    def main(self) -> int:
+        """Run this node in this process; return the exit status."""
+        return run_nodes(self)
 
 
-def run_nodes(kinds: Sequence[NodeKind]) -> int:
-    """Run nodes in this process, which share its main thread; the command line is the process's.
+def run_nodes(*kinds: NodeKind) -> int:
+    """Run nodes in this process, which share its main thread and its command line.
 
-    Parameters
-    ----------
-    kinds : sequence of NodeKind
-        The first one spins; the others answer the messages that come, and look at the clock
-        after each turn.
-
-    Returns
-    -------
-    int
-        Exit status. A user's error is told in one line on stderr.
+    The first one spins; the others answer the messages that come, and poll after each turn. A
+    user's error is told in one line on stderr. Returns the exit status.
     """
     name, status = kinds[0].table.node, 1
     try:
@@ -70,9 +84,12 @@ def run_nodes(kinds: Sequence[NodeKind]) -> int:
         nodes = []
         for kind, shell in zip(kinds, shells, strict=True):
             name = kind.table.node
-            nodes.append(kind.build(shell))
+            node = kind.make(shell)
+            shell.start(node.facts)
+            node.begin()
+            nodes.append(node)
         for node in nodes[1:]:
-            process.every_turn(node.look)
+            process.every_turn(node.poll)
         process.start()
         name = kinds[0].table.node
         nodes[0].run()
@@ -80,19 +97,13 @@ def run_nodes(kinds: Sequence[NodeKind]) -> int:
     except SeftError as error:
         status = _tell(name, error)
     finally:
-        with ending_within(CLOSE_PATIENCE, status):
+        with exit_watchdog(CLOSE_PATIENCE, status):
             process.close()
     return status
 
 
-def run_node(kind: NodeKind) -> int:
-    """Run one node in this process, see `run_nodes`."""
-    return run_nodes([kind])
-
-
 def _tell(node: str, error: SeftError) -> int:
-    """Say a user's error in one line; return its exit status."""
+    """Print a user's error in one line; return its exit status."""
     text = str(error)
-    told = text if text.startswith(f"{node}: ") else f"{node}: {text}"
-    print(told, file=sys.stderr, flush=True)
+    print(text if text.startswith(f"{node}: ") else f"{node}: {text}", file=sys.stderr, flush=True)
     return error.exit_status

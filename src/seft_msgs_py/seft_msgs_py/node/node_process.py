@@ -2,7 +2,7 @@
 
 The main thread waits for the loop's messages and handles them. Services (of parameters, of the
 supervisor) are served by a second thread, which sleeps while nobody calls. As a rule a process
-holds one node; several in one hand each other their messages directly (`Mailbox`).
+holds one node; several in one hand each other their messages directly (`IntraProcessBus`).
 """
 
 import gc
@@ -21,7 +21,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.node.intra_process_bus import Mailbox, Receive
+from seft_msgs_py.node.intra_process_bus import IntraProcessBus, Receive
 from seft_msgs_py.node.middleware import prepare_middleware
 from seft_msgs_py.node.realtime import wake_on_time
 from seft_msgs_py.node.wait_set import WaitSet, take
@@ -45,7 +45,7 @@ class NodeProcess:
 
     Attributes
     ----------
-    mailbox : Mailbox
+    bus : IntraProcessBus
         Messages between its nodes.
     stopping : bool
         Set by SIGINT and SIGTERM.
@@ -59,7 +59,7 @@ class NodeProcess:
     def __init__(self, argv: Sequence[str], nodes: Collection[str]) -> None:
         self.stopping = False
         wake_on_time()
-        self.mailbox = Mailbox(nodes)
+        self.bus = IntraProcessBus(nodes)
         prepare_middleware()
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._on_signal)
@@ -142,13 +142,13 @@ class NodeProcess:
         bool
             Whether such a message was handled.
         """
-        handled = self.mailbox.deliver()
+        handled = self.bus.deliver()
         if not handled or time.monotonic() - self._looked_outside_at > OUTSIDE_LOOK:
             handled |= self._look_outside(0.0 if handled else timeout)
         if not handled:
             for read_one in self._quiet:
                 drain(read_one)
-            self.mailbox.deliver()
+            self.bus.deliver()
         for look in self._looks:
             look()
         pause = CHORE_PERIOD if handled else IDLE_CHORE_PERIOD
@@ -161,7 +161,7 @@ class NodeProcess:
     def close(self) -> None:
         """Take the nodes off the graph, and end rclpy."""
         self.stopping = True
-        self.mailbox.send_outside()
+        self.bus.send_outside()
         nodes = self._executor.get_nodes()
         if self._thread.is_alive():  # it must not wait on what is being taken down
             self._executor.wake()
@@ -185,7 +185,7 @@ class NodeProcess:
                 handled |= acted is not None
                 if acted is not False:
                     break
-        if self.mailbox.deliver():
+        if self.bus.deliver():
             handled = True
         self._looked_outside_at = time.monotonic()
         return handled

@@ -20,7 +20,7 @@ from seft_msgs_py.node import realtime
 from seft_msgs_py.node.intra_process_bus import Receive
 from seft_msgs_py.node.node_process import NodeProcess, drain
 from seft_msgs_py.node.ros_types import declare_parameters, message_class, qos_profile
-from seft_msgs_py.node.single_instance import claim
+from seft_msgs_py.node.single_instance import single_instance
 from seft_msgs_py.node.wait_set import raw_subscription, sender
 from seft_msgs_py.wire.messages import Status, encode_diagnostics, encode_string, restamp
 from seft_msgs_py.wire.rigs import RIG_NODES, RigAxes
@@ -81,7 +81,8 @@ class NodeShell:
         self.rig, self._test_namespace = _rig_of(self.node, self.experiment)
         self.name = self.rig.node(table.node)
         process.add_node(self.node)
-        self._claim = claim(self.node.context.get_domain_id(), self.node.get_fully_qualified_name())
+        domain, full_name = self.node.context.get_domain_id(), self.node.get_fully_qualified_name()
+        self._single_instance = single_instance(domain, full_name)
         self._facts: dict[str, Any] | None = None  # none before it has described itself
         declare_parameters(self.node, table, section, self._describe)
         self._publishers: dict[str, Publisher] = {}
@@ -109,7 +110,7 @@ class NodeShell:
         self._publishers[topic.name] = publisher
         if not isinstance(topic, LoopTopic):
             return sender(publisher)
-        return self._process.mailbox.sender(publisher.topic_name, sender(publisher))
+        return self._process.bus.sender(publisher.topic_name, sender(publisher))
 
     def subscribe(
         self,
@@ -143,10 +144,10 @@ class NodeShell:
         """
         if isinstance(topic, LoopTopic):
             self._loop_names.add(topic.name)
-        if self._process.mailbox.serves(topic):
+        if self._process.bus.serves(topic):
             full_name = self.node.resolve_topic_name(self._full_name(topic))
             receive = self._guarded(handler, topic, None)
-            self._process.mailbox.subscribe(full_name, self.name, receive)
+            self._process.bus.subscribe(full_name, self.name, receive)
             self._inside[topic.name] = full_name
             self._readers[topic.name] = lambda: None  # whatever was sent has been handed over
             return self._readers[topic.name]
@@ -228,7 +229,7 @@ class NodeShell:
             listeners = {self._seen_from_the_test(i.node_namespace, i.node_name) for i in infos}
             if len(listeners) > publisher.get_subscription_count():
                 listeners = set()  # some are known but not connected yet
-            listeners.update(self._process.mailbox.listeners(publisher.topic_name))
+            listeners.update(self._process.bus.listeners(publisher.topic_name))
             found[f"matched {name}"] = " ".join(sorted(listeners))
         return found
 
@@ -244,7 +245,7 @@ class NodeShell:
                 return f"{count} nodes publish {name}"
         return ""
 
-    def company(self, refused_before: int) -> str:
+    def foreign_publishers(self, refused_before: int) -> str:
         """Say what foreign nodes may have to do with what failed to come, to be put after it.
 
         Parameters

@@ -12,34 +12,19 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from seft_msgs_py.config.parameter_table import Parameter
+from seft_msgs_py.config.parameter_table import parameter_rows
 
-PARAMETERS = (
-    Parameter(
-        "thread_priority",
-        "int",
-        0,
-        "real-time priority of the node's process (SCHED_FIFO); 0: none",
-        minimum=0,
-        maximum=98,
-    ),
-    Parameter(
-        "lock_memory", "bool", False, "whether the node's memory is kept from being paged out"
-    ),
-    Parameter(
-        "cpu_core",
-        "int",
-        -1,
-        "processor core that the node keeps to; -1: as it was started",
-        minimum=-1,
-        maximum=4095,
-    ),
-    Parameter(
-        "keep_awake",
-        "bool",
-        False,
-        "whether the machine's cores stay awake while they wait, as long as the node runs",
-    ),
+PARAMETERS = parameter_rows(
+    """
+    thread_priority | int  | 0     |  | 0 .. 98    |
+        real-time priority of the node's process (SCHED_FIFO); 0: none
+    lock_memory     | bool | false |  |            |
+        whether the node's memory is kept from being paged out
+    cpu_core        | int  | -1    |  | -1 .. 4095 |
+        processor core that the node keeps to; -1: as it was started
+    keep_awake      | bool | false |  |            |
+        whether the machine's cores stay awake while they wait, as long as the node runs
+    """
 )
 
 FIRST = -20

@@ -10,25 +10,13 @@ import socket
 from seft_msgs_py.errors import InputError
 
 
-def claim(domain: int, node: str) -> socket.socket:
-    """Take the name of a node on this host.
-
-    Parameters
-    ----------
-    domain : int
-        ROS domain.
-    node : str
-        Full name of the node, with its namespace.
-
-    Returns
-    -------
-    socket.socket
-        Holds the claim until it is closed or the process ends.
+def single_instance(domain: int, node: str) -> socket.socket:
+    """Hold the full name of a node on this host in a ROS domain, until the socket is closed.
 
     Raises
     ------
     InputError
-        If another process has it.
+        If another process holds it.
     """
     held = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:
@@ -42,10 +30,10 @@ def claim(domain: int, node: str) -> socket.socket:
     return held
 
 
-def is_claimed(domain: int, node: str) -> bool:
-    """Tell whether a process of this host has taken the name of a node."""
+def is_running(domain: int, node: str) -> bool:
+    """Tell whether a process of this host holds the full name of a node."""
     try:
-        claim(domain, node).close()
+        single_instance(domain, node).close()
     except InputError:
         return True
     return False

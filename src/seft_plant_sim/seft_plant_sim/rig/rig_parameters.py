@@ -1,154 +1,86 @@
 """Parameter table of the rig."""
 
-from seft_msgs_py.config.parameter_table import Parameter, Table
+from seft_msgs_py.config.parameter_table import Parameter, Table, parameter_rows
 from seft_msgs_py.node import realtime
 
 from seft_plant_sim.rig.limits import limit_rows
 from seft_plant_sim.specimen import spring_kinds
 
-PACE = (
-    Parameter(
-        "pace",
-        "string",
-        "realtime",
-        "realtime: absolute deadlines, a missing command holds the last; "
-        "lockstep: each step waits for its command",
-        choices=("realtime", "lockstep"),
-    ),
-    Parameter(
-        "lockstep_timeout",
-        "float",
-        5.0,
-        "longest wait for a command in lockstep",
-        "s",
-        positive=True,
-    ),
-    Parameter(
-        "loop_delay",
-        "int",
-        0,
-        "of an idealised actuator, which obeys reference_force: steps from a state to the first "
-        "use of the force that is computed from it",
-        minimum=-1,
-        maximum=100,
-        default_from="reference_force:loop_delay",
-    ),
-    Parameter("seed", "int", 0, "seed of the sensor noise", minimum=0),
+PACE = parameter_rows(
+    """
+    pace             | string | realtime |   | realtime, lockstep |
+        realtime: absolute deadlines, a missing command holds the last; lockstep: each step
+        waits for its command
+    lockstep_timeout | float  | 5.0      | s | > 0       | longest wait for a command in lockstep
+    loop_delay       | int    | 0 or reference_force:loop_delay |   | -1 .. 100 |
+        of an idealised actuator, which obeys reference_force: steps from a state to the
+        first use of the force that is computed from it
+    seed             | int    | 0        |   | 0 ..      | seed of the sensor noise
+    """
 )
 
-SPECIMEN = (
-    Parameter("specimen.mass", "floats", None, "mass: one number, a diagonal, or a matrix", "kg"),
-    Parameter("specimen.damping", "floats", 0.0, "viscous damping, likewise", "N s/m"),
-    Parameter(
-        "specimen.stiffness",
-        "floats",
-        None,
-        "stiffness, likewise; as new where it yields, without friction and beyond no gap",
-        "N/m",
-    ),
-    Parameter(
-        "specimen.springs",
-        "floats",
-        0.0,
-        "springs that are not linear: deformation of each per displacement of each axis, spring "
-        "by spring; 0: one between each axis and the ground",
-    ),
-    *spring_kinds.PARAMETERS,
+SPECIMEN = parameter_rows(
+    """
+    mass      | floats |     | kg    |  | mass: one number, a diagonal, or a matrix
+    damping   | floats | 0.0 | N s/m |  | viscous damping, likewise
+    stiffness | floats |     | N/m   |  |
+        stiffness, likewise; as new where it yields, without friction and beyond no gap
+    springs   | floats | 0.0 |       |  |
+        springs that are not linear: deformation of each per displacement of each axis,
+        spring by spring; 0: one between each axis and the ground
+    """,
+    "specimen",
 )
 
-ACTUATOR = (
-    Parameter(
-        "actuator.kind",
-        "string",
-        "servo_hydraulic",
-        "ideal and delay (Eq. 5.2) apply the reference force; servo_hydraulic obeys its valve, "
-        "servo_hydraulic_linear is its small-signal limit",
-        choices=("ideal", "delay", "servo_hydraulic", "servo_hydraulic_linear"),
-    ),
-    Parameter(
-        "actuator.delay", "float", 0.0, "delay of kind delay", "s", minimum=0.0, maximum=10.0
-    ),
-    # identified; 0: from the data sheets below
-    *(
-        Parameter(f"actuator.{name}", "floats", 0.0, f"{what}; 0: {source}", unit, minimum=0.0)
-        for name, what, source, unit in (
-            ("oil_stiffness", "stiffness of the oil column", "4 beta A^2 / V", "N/m"),
-            (
-                "oil_column_frequency",
-                "resonance of the specimen's mass on the oil column, in place of oil_stiffness",
-                "not given",
-                "Hz",
-            ),
-            ("flow_gain", "piston velocity for one volt", "from the rated flow", "m/s/V"),
-            ("leakage", "leakage rate", "4 beta C / V", "1/s"),
-            ("force_capacity", "force without flow", "supply_pressure * piston_area", "N"),
-        )
-    ),
-    # data sheets; the defaults are the paper's rig as docs/rig.md explains
-    *(
-        Parameter(f"actuator.{name}", "floats", default, what, unit, positive=True)
-        for name, default, what, unit in (
-            ("piston_area", 1.1836e-3, "net area of the piston, A", "m^2"),
-            ("supply_pressure", 20.7e6, "supply pressure", "Pa"),
-            ("rated_flow", 2.754e-4, "flow of the open valve at rated_pressure_drop", "m^3/s"),
-            ("rated_pressure_drop", 6.9e6, "pressure drop of rated_flow", "Pa"),
-            ("rated_voltage", 10.0, "drive at which the valve is fully open", "V"),
-            ("bulk_modulus", 0.7e9, "effective bulk modulus of oil, air and hoses, beta", "Pa"),
-            ("oil_volume", 2.357e-4, "oil under compression, both chambers, V", "m^3"),
-        )
-    ),
-    Parameter(
-        "actuator.leakage_coefficient",
-        "floats",
-        4.2e-12,
-        "leakage flow per load pressure, C",
-        "m^3/s/Pa",
-        minimum=0.0,
-    ),
-    Parameter(
-        "actuator.valve_frequency",
-        "floats",
-        70.0,
-        "natural frequency of the valve",
-        "Hz",
-        positive=True,
-    ),
-    Parameter("actuator.valve_damping", "floats", 0.6, "damping ratio of the valve", positive=True),
-    Parameter(
-        "actuator.dead_time",
-        "float",
-        0.001,
-        "dead time of the valve",
-        "s",
-        minimum=0.0,
-        maximum=1.0,
-    ),
-    Parameter("actuator.friction", "floats", 0.0, "Coulomb friction of the piston", "N", minimum=0),
-    Parameter(
-        "actuator.friction_velocity",
-        "floats",
-        0.005,
-        "velocity over which Coulomb friction builds up",
-        "m/s",
-        positive=True,
-    ),
-    Parameter(
-        "actuator.viscous_friction",
-        "floats",
-        0.0,
-        "viscous friction of the piston",
-        "N s/m",
-        minimum=0.0,
-    ),
-    Parameter(
-        "actuator.stroke",
-        "floats",
-        0.076,
-        "displacement either way at which the piston meets its stops",
-        "m",
-        positive=True,
-    ),
+ACTUATOR = parameter_rows(
+    """
+    kind | string | servo_hydraulic |  | ideal, delay, servo_hydraulic, servo_hydraulic_linear |
+        ideal and delay (Eq. 5.2) apply the reference force; servo_hydraulic obeys its
+        valve, servo_hydraulic_linear is its small-signal limit
+    delay                | float  | 0.0             | s        | 0 .. 10 | delay of kind delay
+    oil_stiffness        | floats | 0.0             | N/m      | 0 ..    |
+        stiffness of the oil column; 0: 4 beta A^2 / V
+    oil_column_frequency | floats | 0.0             | Hz       | 0 ..    |
+        resonance of the specimen's mass on the oil column, in place of oil_stiffness; 0:
+        not given
+    flow_gain            | floats | 0.0             | m/s/V    | 0 ..    |
+        piston velocity for one volt; 0: from the rated flow
+    leakage              | floats | 0.0             | 1/s      | 0 ..    |
+        leakage rate; 0: 4 beta C / V
+    force_capacity       | floats | 0.0             | N        | 0 ..    |
+        force without flow; 0: supply_pressure * piston_area
+    piston_area          | floats | 1.1836e-3       | m^2      | > 0     | net area of the piston, A
+    supply_pressure      | floats | 20.7e6          | Pa       | > 0     | supply pressure
+    rated_flow           | floats | 2.754e-4        | m^3/s    | > 0     |
+        flow of the open valve at rated_pressure_drop
+    rated_pressure_drop  | floats | 6.9e6           | Pa       | > 0     |
+        pressure drop of rated_flow
+    rated_voltage        | floats | 10.0            | V        | > 0     |
+        drive at which the valve is fully open
+    bulk_modulus         | floats | 0.7e9           | Pa       | > 0     |
+        effective bulk modulus of oil, air and hoses, beta
+    oil_volume           | floats | 2.357e-4        | m^3      | > 0     |
+        oil under compression, both chambers, V
+    leakage_coefficient  | floats | 4.2e-12         | m^3/s/Pa | 0 ..    |
+        leakage flow per load pressure, C
+    valve_frequency      | floats | 70.0            | Hz       | > 0     |
+        natural frequency of the valve
+    valve_damping        | floats | 0.6             |          | > 0     |
+        damping ratio of the valve
+    dead_time            | float  | 0.001           | s        | 0 .. 1  | dead time of the valve
+    friction             | floats | 0.0             | N        | 0 ..    |
+        Coulomb friction of the piston
+    friction_velocity    | floats | 0.005           | m/s      | > 0     |
+        velocity over which Coulomb friction builds up
+    viscous_friction     | floats | 0.0             | N s/m    | 0 ..    |
+        viscous friction of the piston
+    stroke               | floats | 0.076           | m        | > 0     |
+        displacement either way at which the piston meets its stops
+    """,
+    "actuator",
 )
+"""Identified values where they are given, else from the data sheets, whose defaults are the paper's
+rig as docs/rig.md explains."""
 
 SENSORS = (
     *(
@@ -172,37 +104,34 @@ SENSORS = (
             ("force", "force", "N"),
         )
     ),
-    Parameter(
-        "sensors.adc_bits",
-        "int",
-        0,
-        "bits of the analog-digital converter over each range; 0: exact",
-        minimum=0,
-        maximum=32,
+    *parameter_rows(
+        """
+        adc_bits        | int    | 0        |    | 0 .. 32 |
+            bits of the analog-digital converter over each range; 0: exact
+        anti_alias      | float  | 0.0      | Hz | 0 ..    |
+            cut-off of the anti-aliasing filters (Butterworth, second order); 0: none
+        velocity        | string | measured |    | measured, derived |
+            measured, or derived from the measured displacement by a filtered derivative
+        velocity_cutoff | float  | 100.0    | Hz | > 0     | cut-off of that derivative
+        """,
+        "sensors",
     ),
-    Parameter(
-        "sensors.anti_alias",
-        "float",
-        0.0,
-        "cut-off of the anti-aliasing filters (Butterworth, second order); 0: none",
-        "Hz",
-        minimum=0.0,
-    ),
-    Parameter(
-        "sensors.velocity",
-        "string",
-        "measured",
-        "measured, or derived from the measured displacement by a filtered derivative",
-        choices=("measured", "derived"),
-    ),
-    Parameter(
-        "sensors.velocity_cutoff",
-        "float",
-        100.0,
-        "cut-off of that derivative",
-        "Hz",
-        positive=True,
-    ),
+)
+
+SAFETY = parameter_rows(
+    """
+    limits.command              | float  | 10.0 or force_controller:voltage_limit | V | > 0     |
+        largest valve command, either way, that the rig applies; one beyond it is refused.
+        Idealised actuators refuse a reference force beyond limits.force instead
+    safe.valve_command          | floats | 0.0 | V |         |
+        valve command when a test trips or is stopped; an idealised actuator lets go instead
+    safe.settle_time            | float  | 0.2 | s | 0 .. 60 |
+        longest time that the simulated rig is followed to rest after that; 0: not at all
+    watchdog.command_timeout | float | 0.02 or supervisor:watchdog.command_timeout | s | > 0 |
+        in realtime: longest time without a new command before the rig trips
+    watchdog.supervisor_timeout | float  | 1.0 | s | > 0     |
+        longest silence of the supervisor before the rig trips
+    """
 )
 
 TABLE = Table(
@@ -210,52 +139,11 @@ TABLE = Table(
     [
         *PACE,
         *SPECIMEN,
+        *spring_kinds.PARAMETERS,
         *ACTUATOR,
         *SENSORS,
         *limit_rows(default_from="supervisor"),
-        Parameter(
-            "limits.command",
-            "float",
-            10.0,
-            "largest valve command, either way, that the rig applies; one beyond it is refused. "
-            "Idealised actuators refuse a reference force beyond limits.force instead",
-            "V",
-            positive=True,
-            default_from="force_controller:voltage_limit",
-        ),
-        Parameter(
-            "safe.valve_command",
-            "floats",
-            0.0,
-            "valve command when a test trips or is stopped; an idealised actuator lets go instead",
-            "V",
-        ),
-        Parameter(
-            "safe.settle_time",
-            "float",
-            0.2,
-            "longest time that the simulated rig is followed to rest after that; 0: not at all",
-            "s",
-            minimum=0.0,
-            maximum=60.0,
-        ),
-        Parameter(
-            "watchdog.command_timeout",
-            "float",
-            0.02,
-            "in realtime: longest time without a new command before the rig trips",
-            "s",
-            positive=True,
-            default_from="supervisor:watchdog.command_timeout",
-        ),
-        Parameter(
-            "watchdog.supervisor_timeout",
-            "float",
-            1.0,
-            "longest silence of the supervisor before the rig trips",
-            "s",
-            positive=True,
-        ),
+        *SAFETY,
         *realtime.PARAMETERS,
     ],
 )

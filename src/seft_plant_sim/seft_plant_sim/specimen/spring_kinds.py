@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import Parameter, group
+from seft_msgs_py.config.parameter_table import Parameter, group, parameter_rows
 from seft_msgs_py.config.registered import Registered
 from seft_msgs_py.errors import InputError
 
@@ -32,109 +32,48 @@ PARAMETERS = (
         choices=KINDS.names,
     ),
     KINDS.settings_row("specimen.settings", "a restoring force"),
-    Parameter(
-        "specimen.yield_displacement",
-        "floats",
-        0.0,
-        "deformation at which a spring yields, for all or per spring",
-        "m",
-        minimum=0.0,
-    ),
-    Parameter(
-        "specimen.hardening_ratio",
-        "floats",
-        0.05,
-        "stiffness after yielding over the elastic one, likewise",
-        minimum=0.0,
-        maximum=0.999,
-    ),
-    Parameter("specimen.bouc_wen.exponent", "float", 1.0, "sharpness of yielding, n", minimum=1.0),
-    Parameter("specimen.bouc_wen.beta", "float", 0.5, "shape of unloading, beta"),
-    Parameter("specimen.bouc_wen.gamma", "float", 0.5, "shape of unloading, gamma"),
-    *(
-        Parameter(
-            f"specimen.bouc_wen.{name}_loss",
-            "float",
-            0.0,
-            f"degradation of {name} per work of yield force times yield displacement "
-            f"(Baber & Wen 1981, {symbol})",
-            minimum=0.0,
-        )
-        for name, symbol in (
-            ("amplitude", "delta_A"),
-            ("strength", "delta_nu"),
-            ("stiffness", "delta_eta"),
-        )
-    ),
-    Parameter(
-        "specimen.pinching.slip",
-        "float",
-        1.0,
-        "half of the slip at each passage through zero force once it has grown, over the yield "
-        "displacement; the rest is as of bouc_wen",
-        minimum=0.0,
-    ),
-    Parameter(
-        "specimen.pinching.growth",
-        "float",
-        0.1,
-        "growth of the slip per work of yield force times yield displacement",
-        positive=True,
-    ),
-    Parameter(
-        "specimen.pinching.width",
-        "float",
-        0.15,
-        "force within which it slips, over the yield force",
-        positive=True,
-    ),
-    Parameter(
-        "specimen.flag.dissipation",
-        "floats",
-        0.5,
-        "height of the flag over the yield force, for all or per spring; 0: it dissipates nothing",
-        minimum=0.0,
-        maximum=1.0,
-    ),
-    Parameter(
-        "specimen.friction.force",
-        "floats",
-        0.0,
-        "friction beside each spring, for all or per spring",
-        "N",
-        minimum=0.0,
-    ),
-    Parameter(
-        "specimen.friction.presliding",
-        "float",
-        2e-5,
-        "displacement by which it gives way before it slides",
-        "m",
-        positive=True,
-    ),
-    Parameter(
-        "specimen.gap.width",
-        "floats",
-        0.0,
-        "deformation either way at which the second spring engages, for all or per spring",
-        "m",
-        minimum=0.0,
-    ),
-    Parameter(
-        "specimen.gap.stiffness",
-        "floats",
-        0.0,
-        "stiffness of the second spring, likewise",
-        "N/m",
-        minimum=0.0,
-    ),
-    Parameter(
-        "specimen.duffing.cubic",
-        "floats",
-        0.0,
-        "coefficient of the deformation's cube, likewise; below 0 the spring softens, up to its "
-        "largest force",
-        "N/m^3",
+    *parameter_rows(
+        """
+        yield_displacement      | floats | 0.0  | m     | 0 ..       |
+            deformation at which a spring yields, for all or per spring
+        hardening_ratio         | floats | 0.05 |       | 0 .. 0.999 |
+            stiffness after yielding over the elastic one, likewise
+        bouc_wen.exponent       | float  | 1.0  |       | 1 ..       | sharpness of yielding, n
+        bouc_wen.beta           | float  | 0.5  |       |            | shape of unloading, beta
+        bouc_wen.gamma          | float  | 0.5  |       |            | shape of unloading, gamma
+        bouc_wen.amplitude_loss | float  | 0.0  |       | 0 ..       |
+            degradation of amplitude per work of yield force times yield displacement
+            (Baber & Wen 1981, delta_A)
+        bouc_wen.strength_loss  | float  | 0.0  |       | 0 ..       |
+            degradation of strength per work of yield force times yield displacement
+            (Baber & Wen 1981, delta_nu)
+        bouc_wen.stiffness_loss | float  | 0.0  |       | 0 ..       |
+            degradation of stiffness per work of yield force times yield displacement
+            (Baber & Wen 1981, delta_eta)
+        pinching.slip           | float  | 1.0  |       | 0 ..       |
+            half of the slip at each passage through zero force once it has grown, over
+            the yield displacement; the rest is as of bouc_wen
+        pinching.growth         | float  | 0.1  |       | > 0        |
+            growth of the slip per work of yield force times yield displacement
+        pinching.width          | float  | 0.15 |       | > 0        |
+            force within which it slips, over the yield force
+        flag.dissipation        | floats | 0.5  |       | 0 .. 1     |
+            height of the flag over the yield force, for all or per spring; 0: it
+            dissipates nothing
+        friction.force          | floats | 0.0  | N     | 0 ..       |
+            friction beside each spring, for all or per spring
+        friction.presliding     | float  | 2e-5 | m     | > 0        |
+            displacement by which it gives way before it slides
+        gap.width               | floats | 0.0  | m     | 0 ..       |
+            deformation either way at which the second spring engages, for all or per
+            spring
+        gap.stiffness           | floats | 0.0  | N/m   | 0 ..       |
+            stiffness of the second spring, likewise
+        duffing.cubic           | floats | 0.0  | N/m^3 |            |
+            coefficient of the deformation's cube, likewise; below 0 the spring softens,
+            up to its largest force
+        """,
+        "specimen",
     ),
 )
 

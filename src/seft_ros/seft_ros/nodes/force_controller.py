@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.node.node_main import NodeKind, run_node
+from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_process import MOST_AT_ONCE
 from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell
 from seft_msgs_py.wire.messages import OK, Status, decode_status
@@ -37,7 +37,7 @@ TELL_PERIOD = 1.0  # s, of what is told of the link and the valves while a test 
 STATE_WAIT = 0.0005  # s between looks for a state that comes after its reference force
 
 
-class ForceControllerNode:
+class ForceControllerNode(NodeBody):
     """Matches states and reference forces by step and moves them through an `Interlock`.
 
     Where a link lies between it and the reference force, it answers each state at once with the
@@ -48,10 +48,10 @@ class ForceControllerNode:
     """
 
     def __init__(self, shell: NodeShell) -> None:
+        super().__init__(shell)
         experiment = shell.experiment
         section, timebase = experiment["force_controller"], experiment.timebase
         rig, axes = shell.rig, shell.rig.axes
-        self._shell = shell
         controller = force_control(section, experiment.axes, timebase, rig)
         self._controller = Interlock.from_parameters(controller, section, axes, timebase)
         self._estimates = getattr(controller, "estimates", None)
@@ -95,22 +95,20 @@ class ForceControllerNode:
         self._controller.reset()
 
     def begin(self) -> None:
-        """Say that the node is ready."""
+        """Report that the node is ready."""
         self._tell()
 
-    def run(self) -> None:
-        """Answer until told to stop."""
-        self._shell.spin(self.look, self._pause)
-
-    def look(self) -> None:
-        """See whether states have failed to come."""
+    def poll(self) -> None:
+        """Trip if states have failed to come."""
         if self._silence.is_too_long(time.monotonic()):
+            foreign = self._shell.foreign_publishers(self._refused_before)
             self._trip(
                 f"no rig/state for {self._silence.longest:g} s (the last is of step "
-                f"{self._order.last}); is rig running?{self._shell.company(self._refused_before)}"
+                f"{self._order.last}); is rig running?{foreign}"
             )
 
-    def _pause(self) -> float:
+    def period(self) -> float:
+        """Poll soon while a force waits for its state, and for the watchdog."""
         if isinstance(self._forces, MatchedForces) and self._forces.pending:
             return STATE_WAIT
         return min(IDLE_WAIT, self._silence.pause) if self._silence.is_watching else IDLE_WAIT
@@ -236,19 +234,8 @@ class ForceControllerNode:
         self._shell.report(replace(status, values={**status.values, **told}))
 
 
-def _build(shell: NodeShell) -> ForceControllerNode:
-    node = ForceControllerNode(shell)
-    shell.start()
-    node.begin()
-    return node
-
-
-KIND = NodeKind(TABLE, TABLES, _build)
-
-
-def main() -> int:
-    """Entry point of ``ros2 run seft_ros force_controller``."""
-    return run_node(KIND)
+KIND = NodeKind(TABLE, TABLES, ForceControllerNode)
+main = KIND.main
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 import sys
 
-from seft_msgs_py.node.node_main import NodeKind, run_node
+from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import NodeShell
 from seft_msgs_py.wire.messages import Status, decode_clock, decode_status
 from seft_msgs_py.wire.topics import CLOCK_TOPIC, EXPERIMENT_STATE, GROUND_MOTION
@@ -16,7 +16,7 @@ from seft_ros.ground_motion.parameters import TABLE
 TIMER_PERIOD = 0.02  # s
 
 
-class GroundMotionNode:
+class GroundMotionNode(NodeBody):
     """Moves chunks of a `GroundMotion` to its topic, a lead ahead of the rig's time.
 
     That time is read from /clock, every 0.1 s of the test: following every rig/state would wake
@@ -24,10 +24,11 @@ class GroundMotionNode:
     """
 
     def __init__(self, shell: NodeShell) -> None:
+        super().__init__(shell)
         experiment = shell.experiment
         section = experiment["ground_motion"]
-        self._shell = shell
         self.motion = GroundMotion.from_parameters(section, experiment.axes, experiment.timebase)
+        self.facts = {"steps": self.motion.steps}
         self._lead_steps = max(1, round(section["lead"] * experiment.timebase.rate))
         self._codec = TrajectoryCodec(GROUND_MOTION, experiment.axes, experiment.timebase)
         self._period_ns = experiment.timebase.period_ns
@@ -39,11 +40,11 @@ class GroundMotionNode:
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
         shell.subscribe(CLOCK_TOPIC, self._on_clock)
 
-    def run(self) -> None:
-        """Publish until told to stop."""
-        self._shell.spin(self.look, TIMER_PERIOD)
+    def period(self) -> float:
+        """Time between two polls, s."""
+        return TIMER_PERIOD
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Publish what the lead asks for; the first of it before the test starts."""
         if self._phase in ENDED:
             return
@@ -75,18 +76,8 @@ class GroundMotionNode:
         self._shell.report(Status("ground_motion", 0, phase, values=values))
 
 
-def _build(shell: NodeShell) -> GroundMotionNode:
-    node = GroundMotionNode(shell)
-    shell.start({"steps": node.motion.steps})
-    return node
-
-
-KIND = NodeKind(TABLE, TABLES, _build)
-
-
-def main() -> int:
-    """Entry point of ``ros2 run seft_ros ground_motion``."""
-    return run_node(KIND)
+KIND = NodeKind(TABLE, TABLES, GroundMotionNode)
+main = KIND.main
 
 
 if __name__ == "__main__":

@@ -34,7 +34,7 @@ def main() -> int:
     words = sys.argv[1:]
     ros = words.index("--ros-args") if "--ros-args" in words else len(words)
     wanted = parser.parse_args(words[:ros]).nodes
-    return run_nodes([kind for node, kind in KINDS.items() if node in wanted])
+    return run_nodes(*(kind for node, kind in KINDS.items() if node in wanted))
 
 
 if __name__ == "__main__":

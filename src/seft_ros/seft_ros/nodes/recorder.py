@@ -12,7 +12,7 @@ from collections import deque
 from datetime import datetime
 from pathlib import Path
 
-from seft_msgs_py.node.node_main import NodeKind, run_node
+from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import Handler, NodeShell
 from seft_msgs_py.node.realtime import FIRST, boot
 from seft_msgs_py.wire.messages import (
@@ -53,11 +53,11 @@ READ_DEPTH = (
 )
 
 
-class RecorderNode:
+class RecorderNode(NodeBody):
     """Moves bytes from topics to a `BagWriter`."""
 
     def __init__(self, shell: NodeShell) -> None:
-        self._shell = shell
+        super().__init__(shell)
         self._section = shell.experiment["recorder"]
         self._motion_codec = TrajectoryCodec(
             GROUND_MOTION, shell.experiment.axes, shell.experiment.timebase
@@ -87,12 +87,20 @@ class RecorderNode:
     def run(self) -> None:
         """Record until told to stop; a bag that is open then is closed."""
         try:
-            self._shell.spin(self.look, TICK)
+            super().run()
         finally:
             self._shell.spin_once(0.0)  # what has come
             self._close()
 
-    def look(self) -> None:
+    def period(self) -> float:
+        """Time between two polls, s."""
+        return TICK
+
+    def begin(self) -> None:
+        """Report that no test runs."""
+        self._report("idle")
+
+    def poll(self) -> None:
         """Keep the bag flushed, and close it when the test has ended."""
         if self._bag is None:
             self._look_at_the_place()
@@ -230,19 +238,8 @@ class RecorderNode:
         self._shell.report(Status("recorder", 0, phase, values=self._values))
 
 
-def _build(shell: NodeShell) -> RecorderNode:
-    node = RecorderNode(shell)
-    shell.start()
-    shell.report(Status("recorder", 0, "idle", values={"phase": "idle"}))
-    return node
-
-
-KIND = NodeKind(RECORDER, TABLES, _build)
-
-
-def main() -> int:
-    """Entry point of ``ros2 run seft_ros recorder``."""
-    return run_node(KIND)
+KIND = NodeKind(RECORDER, TABLES, RecorderNode)
+main = KIND.main
 
 
 if __name__ == "__main__":

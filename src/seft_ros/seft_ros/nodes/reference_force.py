@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.node.node_main import NodeKind, run_node
+from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell
 from seft_msgs_py.wire.estimates import EstimatesCodec
 from seft_msgs_py.wire.messages import ERROR, OK, Status, decode_status
@@ -37,12 +37,12 @@ from seft_ros.reference_force.topic import reference_force_topic
 RIG_LOOK = 0.002  # s between looks for the state of a rig that is late
 
 
-class ReferenceForceNode:
+class ReferenceForceNode(NodeBody):
     """Matches states and ground motion by step and moves them through a `ProtectedForce`."""
 
     def __init__(self, shell: NodeShell) -> None:
+        super().__init__(shell)
         experiment = shell.experiment
-        self._shell = shell
         self._block = ProtectedForce.from_parameters(
             experiment["reference_force"], experiment.axes, experiment.timebase
         )
@@ -83,20 +83,17 @@ class ReferenceForceNode:
             shell.subscribe(codec.topic, receive, depth=depth, reliable=False)
 
     def begin(self) -> None:
-        """Say that the node is ready."""
+        """Report that the node is ready."""
         self._report("ready")
 
-    def run(self) -> None:
-        """Answer until told to stop."""
-        self._shell.spin(self.look, self._pause)
-
-    def look(self) -> None:
-        """See whether the states of one of several rigs have failed to come."""
+    def poll(self) -> None:
+        """Trip if the states of one of several rigs have failed to come."""
         running = self._order.steps and not self._order.in_lockstep
         if self._gathering is not None and running and not self._conflict:
             self._trip_for(self._gathering.lost(time.monotonic()), max(self._order.last, 0))
 
-    def _pause(self) -> float:
+    def period(self) -> float:
+        """Poll soon while the state of a rig is late."""
         waiting = self._gathering is not None and self._gathering.is_waiting
         return RIG_LOOK if waiting else IDLE_WAIT
 
@@ -233,19 +230,8 @@ class ReferenceForceNode:
             self._shell.refuse(str(error))
 
 
-def _build(shell: NodeShell) -> ReferenceForceNode:
-    node = ReferenceForceNode(shell)
-    shell.start()
-    node.begin()
-    return node
-
-
-KIND = NodeKind(TABLE, TABLES, _build)
-
-
-def main() -> int:
-    """Entry point of ``ros2 run seft_ros reference_force``."""
-    return run_node(KIND)
+KIND = NodeKind(TABLE, TABLES, ReferenceForceNode)
+main = KIND.main
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from seft_msgs_py.node.awake_clock import AwakeClock
-from seft_msgs_py.node.node_main import NodeKind, run_node
+from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import NodeShell
 from seft_msgs_py.wire.messages import (
     ERROR,
@@ -53,11 +53,11 @@ START_AHEAD_NS = 200_000_000  # in which the word of the start reaches all rigs
 LOCKSTEP_PATIENCE = 10.0  # times the margin of realtime
 
 
-class SupervisorNode:
+class SupervisorNode(NodeBody):
     """Drives a `StateMachine` by what the nodes say and the operator asks."""
 
     def __init__(self, shell: NodeShell) -> None:
-        self._shell = shell
+        super().__init__(shell)
         self._section = shell.experiment["supervisor"]
         self._rigs = shell.experiment.rigs
         self._peers = with_rigs(self._section["peers"], self._rigs)
@@ -91,10 +91,10 @@ class SupervisorNode:
 
     def run(self) -> None:
         """Supervise until told to stop."""
-        self._shell.spin(self._hear_all_and_look)
+        self._shell.spin(self._hear_all_and_poll)
 
-    def look(self) -> None:
-        """Look at the peers, and publish the state if it has changed or is due."""
+    def poll(self) -> None:
+        """Watch the peers, and publish the state if it has changed or is due."""
         with self._lock:
             self._now = self._awake.time()
             self._follow_state()
@@ -107,11 +107,11 @@ class SupervisorNode:
             self._publish_if_due()
         self._tell_ages()
 
-    def _hear_all_and_look(self) -> None:
+    def _hear_all_and_poll(self) -> None:
         for _ in range(MOST_AT_ONCE):
             if not self._shell.spin_once(0.0):
                 break  # nobody is called silent before all that came has been heard
-        self.look()
+        self.poll()
 
     def _tell_ages(self) -> None:
         """Keep the age of each node's last sign of life in the supervisor's own status."""
@@ -283,18 +283,8 @@ def _step_of(status: Status) -> int | None:
     return int(step) if step.isdecimal() else None
 
 
-def _build(shell: NodeShell) -> SupervisorNode:
-    node = SupervisorNode(shell)
-    shell.start()
-    return node
-
-
-KIND = NodeKind(SUPERVISOR, TABLES, _build)
-
-
-def main() -> int:
-    """Entry point of ``ros2 run seft_ros supervisor``."""
-    return run_node(KIND)
+KIND = NodeKind(SUPERVISOR, TABLES, SupervisorNode)
+main = KIND.main
 
 
 if __name__ == "__main__":

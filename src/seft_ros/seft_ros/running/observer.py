@@ -12,7 +12,7 @@ from seft_msgs_py.errors import ExperimentError
 from seft_msgs_py.node.awake_clock import AwakeClock
 from seft_msgs_py.node.exit_watchdog import leave_graph
 from seft_msgs_py.node.ros_types import message_class, qos_profile
-from seft_msgs_py.node.single_instance import is_claimed
+from seft_msgs_py.node.single_instance import is_running
 from seft_msgs_py.wire.outcome import RIG
 from seft_msgs_py.wire.rigs import bare
 from seft_msgs_py.wire.topics import CLOCK_TOPIC, DIAGNOSTICS, EXPERIMENT_STATE, NODES, Topic
@@ -105,7 +105,7 @@ class Observer:
     def present(self) -> list[str]:
         """Names of a test's nodes that are on the graph, or on this host and not yet found."""
         found, domain = self._found(), self._node.context.get_domain_id()
-        ours = [node for node in self._nodes if node in found or is_claimed(domain, f"/{node}")]
+        ours = [node for node in self._nodes if node in found or is_running(domain, f"/{node}")]
         return ours + self._of_other_namespaces(found)
 
     def twins(self) -> list[str]:
