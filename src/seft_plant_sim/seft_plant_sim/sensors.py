@@ -51,25 +51,8 @@ def measure(
 ) -> int:
     """Measure a state: noise, bias, range and resolution of every sensor, in this order.
 
-    Parameters
-    ----------
-    channels : Channels
-        Of n axes.
-    step : int
-        Step of the sample.
-    true : ndarray
-        Displacement, velocity, acceleration and force, shape (4n,).
-    noise : ndarray
-        Of this step, shape (4, n).
-    last : ndarray
-        The last sample as measured, shape (4, n).
-    measured : ndarray
-        This one, shape (4, n): the result.
-
-    Returns
-    -------
-    int
-        Bit i is set if a sensor of channel i is at its range.
+    The true state has shape (4n,); noise, the last sample and this one, which is the result, have
+    shape (4, n). Bit i of what is returned is set if a sensor of channel i is at its range.
     """
     n = channels.bias.shape[1]
     at_end = 0
@@ -95,21 +78,8 @@ class Sensors:
     """The sensors of a rig, and their noise.
 
     The noise is white and a function of seed, axis and step alone: it does not depend on which
-    samples were taken before, and every way of running a test sees the same.
-
-    Parameters
-    ----------
-    channels : Channels
-        Of n axes.
-    seed : int
-        Seed of the noise.
-    places : sequence of int, optional
-        Numbers of the axes, by which each has a noise of its own; default 0 to n - 1.
-
-    Attributes
-    ----------
-    channels : Channels
-        As given.
+    samples were taken before, and every way of running a test sees the same. Each axis has a noise
+    of its own, by its place among those of the test (default 0 to n - 1).
     """
 
     def __init__(self, channels: Channels, seed: int, places: Sequence[int] | None = None) -> None:
@@ -129,22 +99,7 @@ class Sensors:
         where: str,
         places: Sequence[int] | None = None,
     ) -> "Sensors":
-        """Make them of the parameters ``sensors.*``.
-
-        Parameters
-        ----------
-        group : dict
-            The parameters.
-        seed : int
-            Seed of the noise.
-        dt : float
-            Sampling period, s.
-        axes : tuple of str
-            Names of the axes.
-        where : str
-            Names the parameters.
-        places : sequence of int, optional
-            Those of the axes that are measured; default all.
+        """Make them of the parameters ``sensors.*``, for the axes at some places, or all.
 
         Raises
         ------

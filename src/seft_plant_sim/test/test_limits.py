@@ -8,7 +8,6 @@ from seft_msgs_py.config.parameter_table import Table
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig.limits import (
     NAMES,
-    RATE_UNITS,
     ROWS,
     Limits,
     SaturatedTime,
@@ -25,6 +24,7 @@ RATES = {
     "force_rate": 3e6,
 }
 UNITS = ("m", "m/s", "m/s^2", "N")
+RATE_UNITS = ("m/s", "m/s^2", "m/s^3", "N/s")
 AXES = ("east", "north")
 DT = 0.002
 

@@ -54,13 +54,7 @@ def as_matrix(value: float | Sequence[float], axes: Sequence[str], where: str) -
 
 
 def mass_matrix(value: float | Sequence[float], axes: Sequence[str], where: str) -> Floats:
-    """Mass matrix over n axes, shape (n, n), symmetric and positive definite.
-
-    Raises
-    ------
-    InputError
-        As `as_matrix`, or if it is not symmetric positive definite.
-    """
+    """Mass matrix over n axes, shape (n, n); InputError if not symmetric positive definite."""
     matrix = symmetric_matrix(value, axes, where)
     if np.linalg.eigvalsh(matrix)[0] <= 0:
         raise InputError(f"{where} is {value}, but mass must be positive (definite) on every axis")
@@ -68,13 +62,7 @@ def mass_matrix(value: float | Sequence[float], axes: Sequence[str], where: str)
 
 
 def symmetric_matrix(value: float | Sequence[float], axes: Sequence[str], where: str) -> Floats:
-    """Matrix over n axes, shape (n, n), that must be symmetric.
-
-    Raises
-    ------
-    InputError
-        As `as_matrix`, or if it is not symmetric.
-    """
+    """Matrix over n axes, shape (n, n), see `as_matrix`; InputError if it is not symmetric."""
     matrix = as_matrix(value, axes, where)
     if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0):
         raise InputError(f"{where}: the matrix {matrix.tolist()} is not symmetric")

@@ -27,13 +27,10 @@ _COMMON_TABLE = Table(EVERY_NODE, ())
 
 
 class Experiment:
-    """All parameters of a test, checked and complete.
+    """All parameters of a test, checked and complete: node name -> parameter name -> value.
 
-    Parameters
-    ----------
-    sections : mapping
-        Node name -> parameter name -> value. Of nodes that each of several rigs has there is
-        one section, of which every rig takes what is of its axes.
+    Of nodes that each of several rigs has there is one section, of which every rig takes what is
+    of its axes.
 
     Attributes
     ----------

@@ -18,12 +18,7 @@ Override = tuple[str, str, Value]  # node, parameter, value
 
 
 def read_parameter_file(path: str | Path) -> dict[str, Section]:
-    """Read a ROS 2 parameter file.
-
-    Returns
-    -------
-    dict
-        Node name (or ``/**``) -> parameter name with dots -> value, unchecked.
+    """Read a file: node name (or ``/**``) -> parameter name with dots -> value, unchecked.
 
     Raises
     ------
@@ -48,9 +43,7 @@ def read_parameter_file(path: str | Path) -> dict[str, Section]:
             raise InputError(f"{path}: there is no node {key}{nearest(node, NODES)}")
         if not isinstance(content, dict) or set(content) != {PARAMETERS_KEY}:
             raise InputError(f"{path}: under {key} there must be {PARAMETERS_KEY}, and only that")
-        parameters = content[PARAMETERS_KEY]
-        if parameters is None:
-            parameters = {}
+        parameters = {} if content[PARAMETERS_KEY] is None else content[PARAMETERS_KEY]
         if not isinstance(parameters, dict):
             raise InputError(f"{path}: {key} {PARAMETERS_KEY} must hold names and values")
         sections[node] = {**sections.get(node, {}), **_flatten(parameters, str(path), node)}
@@ -60,16 +53,7 @@ def read_parameter_file(path: str | Path) -> dict[str, Section]:
 def write_parameter_file(
     path: Path, sections: Mapping[str, Section], comments: Sequence[str] = ()
 ) -> None:
-    """Write a new ROS 2 parameter file, to be read after an experiment's own.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    sections : mapping
-        Node name -> parameter name -> value, of plain Python types.
-    comments : sequence of str
-        Lines above.
+    """Write a new file, with comments above, to be read after an experiment's own.
 
     Raises
     ------
@@ -91,13 +75,7 @@ def write_parameter_file(
 
 
 def parse_override(text: str) -> Override:
-    """Read ``node:parameter:=value``; without a node it is meant for every node.
-
-    Raises
-    ------
-    InputError
-        If it has not that form.
-    """
+    """Read ``node:parameter:=value``; without a node it is meant for every node."""
     target, separator, value = text.partition(":=")
     node, colon, name = target.rpartition(":")
     if not separator or not name or (colon and not node):
@@ -110,13 +88,6 @@ def parse_override(text: str) -> Override:
 
 def split_ros_arguments(argv: Sequence[str]) -> tuple[list[str], list[Override]]:
     """Parameter files and overrides in a node's command line (``--ros-args ... --``).
-
-    Returns
-    -------
-    files : list of str
-        Values of ``--params-file``.
-    overrides : list of Override
-        Values of ``-p`` and ``--param``.
 
     Raises
     ------

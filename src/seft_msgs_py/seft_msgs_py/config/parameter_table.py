@@ -73,13 +73,7 @@ class Parameter:
     live: bool = False
 
     def check(self, value: Value, where: str) -> Value:
-        """Return the value in this parameter's type, if it fits.
-
-        Raises
-        ------
-        InputError
-            If type or range do not fit; names ``where``, parameter, value and what is allowed.
-        """
+        """Return the value in this parameter's type; InputError, which names ``where``, if none."""
         scalar = _SCALAR_KIND.get(self.kind)
         if scalar is None:
             return self._check_one(value, self.kind, where)
@@ -151,10 +145,12 @@ def parameter_rows(text: str, group: str = "") -> tuple[Parameter, ...]:
 def _row(
     prefix: str, name: str, kind: Any, default: str, unit: str, allowed: str, description: str
 ) -> Parameter:
+    value: Value
     value, _, default_from = default.partition(" or ")
-    read = {"string": str, "bool": "true".__eq__}.get(kind, ast.literal_eval)
-    row = Parameter(prefix + name, kind, read(value) if value else None, description, unit)
-    row = replace(row, default_from=default_from)
+    if kind != "string":
+        words = {"": None, "true": True, "false": False}
+        value = words[value] if value in words else ast.literal_eval(value)
+    row = Parameter(prefix + name, kind, value, description, unit, default_from=default_from)
     if allowed == "> 0":
         return replace(row, positive=True)
     if ".." not in allowed:
@@ -172,15 +168,7 @@ COMMON = parameter_rows("""
 
 
 class Table:
-    """The parameters of one node.
-
-    Parameters
-    ----------
-    node : str
-        Node name.
-    rows : iterable of Parameter
-        Its own parameters; `COMMON` come first by themselves.
-    """
+    """The parameters of one node; `COMMON` come first by themselves."""
 
     def __init__(self, node: str, rows: Iterable[Parameter]) -> None:
         self.node = node
@@ -226,14 +214,8 @@ def resolve(
 ) -> dict[str, Section]:
     """Fill in what is not given, from other parameters of the experiment or from defaults.
 
-    Parameters
-    ----------
-    tables : mapping
-        Node name -> table.
-    given : mapping
-        Node name -> checked values; may hold nodes without a table.
-    nodes : iterable of str, optional
-        Nodes to be resolved; default all that have a table.
+    Values that are given are checked, and may be of nodes without a table. Nodes to be resolved
+    are by default all that have a table.
 
     Raises
     ------
@@ -261,10 +243,7 @@ def resolve(
         for name, row in tables[node].rows.items():
             value = value_of(node, name, ())
             if value is None:
-                raise InputError(f"{node}: {name} must be given ({_meaning(row)})")
+                meaning = f"{row.description}, {row.unit}" if row.unit else row.description
+                raise InputError(f"{node}: {name} must be given ({meaning})")
             resolved[node][name] = row.check(value, node)
     return resolved
-
-
-def _meaning(row: Parameter) -> str:
-    return f"{row.description}, {row.unit}" if row.unit else row.description

@@ -19,17 +19,10 @@ from seft_msgs_py.errors import InputError
 
 
 class Registered:
-    """Things of one kind that other packages make, by name.
+    """What other packages make for one group of entry points, by name.
 
     None of their code is imported before one is made: what others have wrong breaks no test
-    that does without them.
-
-    Parameters
-    ----------
-    group : str
-        Of the entry points.
-    own : sequence of str
-        Names of this project's, which nobody can register.
+    that does without them. Nobody can register one of our own names.
 
     Attributes
     ----------
@@ -47,19 +40,10 @@ class Registered:
         return name in self._entries
 
     def make(self, name: str, settings: str, where: str, *known: Any) -> Any:
-        """Let the other package make one.
+        """Let the other package make one, of known arguments and its own settings.
 
-        Parameters
-        ----------
-        name : str
-            As registered.
-        settings : str
-            Keyword arguments of what is registered: ``name=value`` pairs separated by blanks; a
-            value is JSON, or else a text.
-        where : str
-            Parameter that has the name, as ``node: parameter``.
-        *known
-            What all of this kind are told.
+        Settings are ``name=value`` pairs separated by blanks, a value is JSON or else a text;
+        ``where`` is the parameter that has the name, as ``node: parameter``.
 
         Raises
         ------

@@ -17,11 +17,7 @@ class IntraProcessBus:
 
     Outside they are sent when those inside have been handed out, and what these have given rise
     to: sending takes longer than a node's answer, and several in a row less than each by itself.
-
-    Parameters
-    ----------
-    nodes : collection of str
-        Names of the process's nodes.
+    Made with the names of the process's nodes.
     """
 
     def __init__(self, nodes: Collection[str]) -> None:

@@ -26,7 +26,7 @@ from seft_msgs_py.node.middleware import prepare_middleware
 from seft_msgs_py.node.realtime import wake_on_time
 from seft_msgs_py.node.wait_set import WaitSet, take
 
-OUTSIDE_LOOK = 0.002  # s between looks for messages from outside while those inside keep coming
+OUTSIDE_PERIOD = 0.002  # s between polls for messages from outside while those inside keep coming
 CHORE_PERIOD = 0.01  # s between chores, after messages were handled
 IDLE_CHORE_PERIOD = 0.05  # s, where none came: a wait may have ended because a sample is due
 MOST_AT_ONCE = 4096  # messages of a topic, as many as the longest queue holds
@@ -34,14 +34,7 @@ MOST_REFUSED = 200  # a few ms of nonsense
 
 
 class NodeProcess:
-    """Waits for the messages of the nodes in this process.
-
-    Parameters
-    ----------
-    argv : sequence of str
-        Command line, with ``--ros-args``.
-    nodes : collection of str
-        Names of the nodes that it will hold.
+    """Waits for the messages of the named nodes, made with a command line (``--ros-args``).
 
     Attributes
     ----------
@@ -73,10 +66,10 @@ class NodeProcess:
             ) from None
         self._waking: dict[Subscription, Callable[[], bool | None]] = {}
         self._quiet: list[Callable[[], bool | None]] = []
-        self._looks: list[Callable[[], None]] = []
+        self._polls: list[Callable[[], None]] = []
         self._chores: list[Callable[[], None]] = []
         self._wait_set: WaitSet | None = None
-        self._looked_outside_at = self._chores_at = 0.0
+        self._polled_outside_at = self._chores_at = 0.0
         self._executor = SingleThreadedExecutor()
         self._thread = threading.Thread(target=self._spin_executor, daemon=True)
 
@@ -87,21 +80,11 @@ class NodeProcess:
     def add_subscription(
         self, subscription: Subscription, receive: Receive, wake: bool
     ) -> Callable[[], bool | None]:
-        """Hand a subscription's messages to ``receive``.
+        """Hand the messages of a subscription, which a `WaitSet` can hold, to ``receive``.
 
-        Parameters
-        ----------
-        subscription : Subscription
-            Made for a `WaitSet`.
-        receive : callable
-            Takes a message.
-        wake : bool
-            Whether a message ends the waiting; else it is handled when nothing has ended it.
-
-        Returns
-        -------
-        callable
-            Hands over one message and tells whether it was acted upon; None if there is none.
+        With ``wake`` a message ends the waiting; else it is handled when nothing has ended it.
+        Returns what hands over one message and tells whether it was acted upon, None if there is
+        none.
         """
 
         def read_one() -> bool | None:
@@ -115,9 +98,9 @@ class NodeProcess:
             self._quiet.append(read_one)
         return read_one
 
-    def every_turn(self, look: Callable[[], None]) -> None:
-        """Have ``look`` called after each turn, when what was due has been answered."""
-        self._looks.append(look)
+    def every_turn(self, poll: Callable[[], None]) -> None:
+        """Have ``poll`` called after each turn, when what was due has been answered."""
+        self._polls.append(poll)
 
     def now_and_then(self, chore: Callable[[], None]) -> None:
         """Have ``chore`` called after some turns: it can wait, and must not be waited for."""
@@ -135,22 +118,17 @@ class NodeProcess:
         """Wait for messages, at most ``timeout`` seconds, and handle those that have come.
 
         Of topics that end the waiting it takes one message, and what is refused before it; the
-        next call finds the rest.
-
-        Returns
-        -------
-        bool
-            Whether such a message was handled.
+        next call finds the rest. Tells whether such a message was handled.
         """
         handled = self.bus.deliver()
-        if not handled or time.monotonic() - self._looked_outside_at > OUTSIDE_LOOK:
-            handled |= self._look_outside(0.0 if handled else timeout)
+        if not handled or time.monotonic() - self._polled_outside_at > OUTSIDE_PERIOD:
+            handled |= self._poll_outside(0.0 if handled else timeout)
         if not handled:
             for read_one in self._quiet:
                 drain(read_one)
             self.bus.deliver()
-        for look in self._looks:
-            look()
+        for poll in self._polls:
+            poll()
         pause = CHORE_PERIOD if handled else IDLE_CHORE_PERIOD
         if (now := time.monotonic()) - self._chores_at >= pause:
             self._chores_at = now
@@ -171,12 +149,12 @@ class NodeProcess:
             node.destroy_node()
         rclpy.try_shutdown()
 
-    def _look_outside(self, timeout: float) -> bool:
+    def _poll_outside(self, timeout: float) -> bool:
         if self._wait_set is None:
             time.sleep(timeout)
             return False
         handled = False
-        # to wait for no time at all takes longer than to look everywhere
+        # to wait for no time at all takes longer than to poll all
         ready = self._wait_set.wait(timeout) if timeout > 0.0 else self._waking
         for subscription in ready:
             read_one = self._waking[subscription]
@@ -185,9 +163,8 @@ class NodeProcess:
                 handled |= acted is not None
                 if acted is not False:
                     break
-        if self.bus.deliver():
-            handled = True
-        self._looked_outside_at = time.monotonic()
+        handled |= self.bus.deliver()
+        self._polled_outside_at = time.monotonic()
         return handled
 
     def _spin_executor(self) -> None:

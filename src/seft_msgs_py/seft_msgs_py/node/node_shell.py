@@ -4,7 +4,6 @@ import json
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from rclpy.node import Node
@@ -37,18 +36,10 @@ Handler = Callable[[bytes, int], None]
 
 
 class NodeShell:
-    """A node with its checked parameters.
+    """A node with its checked parameters, read from a command line (``--ros-args``).
 
-    Parameters
-    ----------
-    process : NodeProcess
-        Where it lives.
-    table : Table
-        The node's own parameters.
-    tables : iterable of Table
-        All tables that are known here, for parameters that are taken from other nodes.
-    argv : sequence of str
-        Command line, with ``--ros-args``.
+    It has the table of its own parameters, and all tables that are known here, for parameters
+    that are taken from other nodes.
 
     Attributes
     ----------
@@ -70,8 +61,7 @@ class NodeShell:
         files, overrides = split_ros_arguments(argv)
         self.experiment = Experiment.load(tables, files, overrides, nodes=[table.node])
         self.refused = 0
-        self._warning = ""  # the first reason since the last warning
-        self._warned_at = -WARN_PERIOD
+        self._warning, self._warned_at = "", -WARN_PERIOD  # the first reason since the last one
         self._process = process
         self._section = section = self.experiment[table.node]
         self.node = Node(
@@ -124,8 +114,6 @@ class NodeShell:
 
         Parameters
         ----------
-        topic : Topic
-            What to listen to.
         handler : callable
             A `WireError` it raises is counted and warned of.
         depth : int, optional
@@ -164,17 +152,10 @@ class NodeShell:
         drain(self._readers[topic.name])
 
     def start(self, facts: dict[str, Any] | None = None) -> None:
-        """Describe the node to the test and begin to tell its status.
-
-        Parameters
-        ----------
-        facts : dict, optional
-            What else others must know of this node, JSON values.
-        """
-        parameters = self._section
+        """Describe the node to the test, with facts of it as JSON values; begin to send status."""
         self._facts = dict(facts or {})
-        if "thread_priority" in parameters:
-            for denied in realtime.apply(parameters):
+        if "thread_priority" in self._section:
+            for denied in realtime.apply(self._section):
                 self.node.get_logger().warning(denied)
             self._facts["realtime"] = realtime.granted()
         self._describe()
@@ -215,15 +196,9 @@ class NodeShell:
         self._status = replace(status, name=self.name, values=values)
 
     def matched(self) -> dict[str, str]:
-        """Who is connected: names of the nodes that listen to each topic, number of its senders.
-
-        Names are separated by blanks.
-        """
-        found = {}
-        for name, full_name in self._inside.items():
-            found[f"senders {name}"] = str(self.node.count_publishers(full_name))
-        for name, subscription in self._subscriptions.items():
-            found[f"senders {name}"] = str(subscription.get_publisher_count())
+        """Names of the nodes that listen to each topic, separated by blanks; number of senders."""
+        names = (*self._inside, *self._subscriptions)
+        found = {f"senders {name}": str(self._senders(name)) for name in names}
         for name, publisher in self._publishers.items():
             infos = self.node.get_subscriptions_info_by_topic(publisher.topic_name)
             listeners = {self._seen_from_the_test(i.node_namespace, i.node_name) for i in infos}
@@ -238,25 +213,24 @@ class NodeShell:
 
         One of them is not of this test, and whose messages count would be chance.
         """
-        counts = {name: s.get_publisher_count() for name, s in self._subscriptions.items()}
-        counts |= {name: self.node.count_publishers(full) for name, full in self._inside.items()}
-        for name, count in counts.items():
-            if name in self._loop_names and count > 1:
+        for name in (*self._subscriptions, *self._inside):
+            if name in self._loop_names and (count := self._senders(name)) > 1:
                 return f"{count} nodes publish {name}"
         return ""
 
-    def foreign_publishers(self, refused_before: int) -> str:
-        """Say what foreign nodes may have to do with what failed to come, to be put after it.
+    def _senders(self, name: str) -> int:
+        if name in self._inside:
+            return int(self.node.count_publishers(self._inside[name]))
+        return int(self._subscriptions[name].get_publisher_count())
 
-        Parameters
-        ----------
-        refused_before : int
-            `refused` when the last message came that was waited for.
+    def foreign_publishers(self, refused_before: int) -> str:
+        """Say which foreign nodes may be why something fails to come, to be put after that.
+
+        ``refused_before`` is `refused` when the last message came that was waited for.
         """
-        refused = self.refused - refused_before
-        told = f"; {refused} messages were refused meanwhile" if refused else ""
-        conflict = self.several_senders()
-        return f"{told}; {conflict}" if conflict else told
+        refused, conflict = self.refused - refused_before, self.several_senders()
+        text = f"; {refused} messages were refused meanwhile" if refused else ""
+        return f"{text}; {conflict}" if conflict else text
 
     def _full_name(self, topic: Topic) -> str:
         """Name of a topic for this node, which may be a level below the test."""
@@ -286,7 +260,7 @@ class NodeShell:
             if is_of_each_step:
                 self._handled_at = time.monotonic()
             try:
-                if is_numbered and 0 < number <= last and _several_publish(subscription):
+                if is_numbered and 0 < number <= last and self._senders(topic.name) > 1:
                     raise WireError(f"{topic.name} of a second publisher")
                 handler(raw, received_ns)
             except WireError as error:
@@ -325,11 +299,12 @@ class NodeShell:
     def _describe(self) -> None:
         """Tell the node's parameters, at its start and when one was set."""
         if self._facts is not None:
-            told = {"node": self.name, "parameters": self._section, **self._facts}
-            self._description(encode_string(json.dumps(told)))
+            described = {"node": self.name, "parameters": self._section, **self._facts}
+            self._description(encode_string(json.dumps(described)))
 
     def _own_values(self) -> dict[str, str]:
-        return {"refused": str(self.refused), "peak_memory_mb": str(_peak_memory_mb())}
+        peak = round(realtime.memory_kb("VmHWM") / 1024)
+        return {"refused": str(self.refused), "peak_memory_mb": str(peak)}
 
     def _publish_status(self) -> None:
         now = time.time_ns()
@@ -341,13 +316,7 @@ class NodeShell:
 
 
 def _rig_of(node: Node, experiment: Experiment) -> tuple[RigAxes, str]:
-    """Find the rig that a node belongs to, and the namespace of the test, without a last slash.
-
-    Raises
-    ------
-    InputError
-        If the node is in the namespace of no rig, or of one that it does not belong to.
-    """
+    """Find the rig that a node belongs to, and the namespace of the test, without a last slash."""
     namespace, name = node.get_namespace().rstrip("/"), node.get_name()
     above, _, last = namespace.rpartition("/")
     rigs = {rig.name: rig for rig in experiment.rigs}
@@ -365,17 +334,3 @@ def _rig_of(node: Node, experiment: Experiment) -> tuple[RigAxes, str]:
             f"of several rigs; say which one's it is: --ros-args {known}"
         )
     return rigs[last], above
-
-
-def _several_publish(subscription: Subscription | None) -> bool:
-    return subscription is not None and subscription.get_publisher_count() > 1
-
-
-def _peak_memory_mb() -> int:
-    """Largest resident memory of this process so far; -1 where the system does not tell."""
-    try:
-        status = Path("/proc/self/status").read_text(encoding="ascii")
-    except OSError:
-        return -1
-    kilobytes = [line.split()[1] for line in status.splitlines() if line.startswith("VmHWM")]
-    return round(int(kilobytes[0]) / 1024) if kilobytes else -1

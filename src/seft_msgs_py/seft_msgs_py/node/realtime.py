@@ -44,27 +44,17 @@ _held: list[int] = []
 
 
 def apply(section: Mapping[str, Any]) -> list[str]:
-    """Ask for what a node's parameters say; whatever is denied is left as it was.
+    """Ask for what a node's parameters say, among them `PARAMETERS`; return what was denied.
 
-    Parameters
-    ----------
-    section : mapping
-        Parameters of a node, among them `PARAMETERS`.
-
-    Returns
-    -------
-    list of str
-        What was denied, each with its remedy.
+    Whatever is denied is left as it was, and told with its remedy.
     """
-    denied = []
-    if section["cpu_core"] >= 0:
-        denied.append(_keep_to_core(section["cpu_core"]))
-    if section["keep_awake"]:
-        denied.append(_keep_awake())
-    if section["lock_memory"]:
-        denied.append(_lock_memory())
-    if section["thread_priority"] > 0:
-        denied.append(_take_priority(section["thread_priority"]))
+    core, priority = section["cpu_core"], section["thread_priority"]
+    denied = (
+        _keep_to_core(core) if core >= 0 else "",
+        _keep_awake() if section["keep_awake"] else "",
+        _lock_memory() if section["lock_memory"] else "",
+        _take_priority(priority) if priority > 0 else "",
+    )
     return [each for each in denied if each]
 
 
@@ -88,20 +78,11 @@ def take_equal_addresses() -> None:
 
 
 def take_precedence(pid: int) -> bool:
-    """Let a process go before all others without real-time priority, where that is allowed.
+    """Let a process go before all others without real-time priority; say if that was allowed.
 
-    Linux weighs sessions against each other first, and the processes of each then (`sched(7)`,
-    autogroup): so the session of a process that has its own is raised, too.
-
-    Parameters
-    ----------
-    pid : int
-        Of the process; the threads that it will start have the same precedence.
-
-    Returns
-    -------
-    bool
-        Whether it was allowed.
+    The threads that it will start have the same precedence. Linux weighs sessions against each
+    other first, and the processes of each then (`sched(7)`, autogroup): so the session of a
+    process that has its own is raised, too.
     """
     try:
         for thread in threads_of(pid):
@@ -131,20 +112,16 @@ def may_keep_awake() -> bool:
 
 
 def granted() -> dict[str, Any]:
-    """Tell what this process has.
+    """Tell what this process has: its real-time priority (0: none), nice value, cores...
 
-    Returns
-    -------
-    dict
-        ``priority`` (real-time; 0: none), ``nice``, ``locked_kb``, ``cores``, ``keeps_awake``,
-        ``equal_addresses``, and ``boot``, which is the same for all processes of a machine.
+    ``boot`` is the same for all processes of a machine.
     """
     policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     is_realtime = policy in (os.SCHED_FIFO, os.SCHED_RR)
     return {
         "priority": os.sched_getparam(0).sched_priority if is_realtime else 0,
         "nice": os.getpriority(os.PRIO_PROCESS, 0),
-        "locked_kb": _locked_kb(),
+        "locked_kb": memory_kb("VmLck"),
         "cores": sorted(os.sched_getaffinity(0)),
         "keeps_awake": bool(_held),
         "equal_addresses": bool(_personality() & _ADDR_NO_RANDOMIZE),
@@ -167,17 +144,8 @@ def side_threads(pid: int | str = "self") -> list[int]:
 
     FastDDS names its threads: ``dds.udp.`` and a port are those that receive, and of its ports the
     odd ones are for messages, the even ones for who is there (RTPS 2.3, 9.6.1.1); ``dds.ev`` and
-    ``dds.asyn`` tell others who is here, which can take longer than a step's answer.
-
-    Parameters
-    ----------
-    pid : int or str
-        Of the process; default this one.
-
-    Raises
-    ------
-    OSError
-        If there is no such process.
+    ``dds.asyn`` tell others who is here, which can take longer than a step's answer. OSError if
+    there is no such process.
     """
     found = []
     for thread in threads_of(pid):
@@ -252,8 +220,7 @@ def threads_of(pid: int | str = "self") -> list[int]:
     return [int(entry.name) for entry in Path(f"/proc/{pid}/task").iterdir()]
 
 
-def _locked_kb() -> int:
-    for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
-        if line.startswith("VmLck"):
-            return int(line.split()[1])
-    return 0
+def memory_kb(kind: str) -> int:
+    """Memory of this process, kB: ``VmLck`` locked, ``VmHWM`` largest resident so far."""
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    return next((int(at.split()[1]) for at in status.splitlines() if at.startswith(kind)), 0)

@@ -49,15 +49,7 @@ def raw_subscription(
 
 
 class WaitSet:
-    """Waits until one of some subscriptions has a message.
-
-    Parameters
-    ----------
-    context : Context
-        Of the nodes.
-    subscriptions : sequence of Subscription
-        As `raw_subscription` makes them.
-    """
+    """Waits until one of some subscriptions, as `raw_subscription` makes them, has a message."""
 
     def __init__(self, context: Context, subscriptions: Sequence[Subscription]) -> None:
         self._subscriptions = {each.handle.pointer: each for each in subscriptions}
@@ -78,13 +70,10 @@ class WaitSet:
 
 
 def take(subscription: Subscription) -> tuple[bytes, int, int] | None:
-    """Take the oldest message that has arrived on a raw subscription.
+    """Take the oldest message that has arrived on a raw subscription; None if there is none.
 
-    Returns
-    -------
-    (bytes, int, int) or None
-        The message, the wall-clock time in ns at which it came in, and how many its publisher
-        has sent with it, 0 where the middleware does not tell; None if there is none.
+    Beside it are the wall-clock time in ns at which it came in, and how many its publisher has
+    sent with it, 0 where the middleware does not tell.
     """
     taken = subscription.handle.take_message(subscription.msg_type, True)
     if taken is None:
@@ -100,13 +89,7 @@ def take_timed(subscription: Subscription) -> tuple[bytes, int] | None:
 
 
 def take_all(subscription: Subscription, most: int) -> list[tuple[bytes, int]]:
-    """Take what has arrived on a raw subscription, at most so many messages.
-
-    Returns
-    -------
-    list of (bytes, int)
-        The messages, oldest first, as `take_timed` gives each.
-    """
+    """Take at most so many messages, oldest first, as `take_timed` gives each."""
     found: list[tuple[bytes, int]] = []
     while len(found) < most and (taken := take_timed(subscription)) is not None:
         found.append(taken)

@@ -17,18 +17,11 @@ _PREFIX = f"{ESTIMATES.publisher}: "
 
 
 class EstimatesCodec:
-    """Estimates of one step <-> message bytes.
+    """Estimates of one step over n axes <-> message bytes.
 
     A diagnostic_msgs/msg/DiagnosticArray with the stamp of the step, and for each axis a status
     ``reference_force: <axis>`` whose values are the estimates by name. Numbers are written as
     Python's `repr` does, so that they are read back bit for bit.
-
-    Parameters
-    ----------
-    axes : sequence of str
-        Names of the n axes, in order.
-    timebase : Timebase
-        Sampling clock that gives steps their stamps.
     """
 
     def __init__(self, axes: Sequence[str], timebase: Timebase) -> None:
@@ -36,14 +29,7 @@ class EstimatesCodec:
         self._timebase = timebase
 
     def encode(self, step: int, estimates: Mapping[str, Floats]) -> bytes:
-        """Make the message of one step.
-
-        Parameters
-        ----------
-        step : int
-            Step that the estimates belong to.
-        estimates : mapping of str to ndarray
-            Name -> estimate of each axis, shape (n,), SI units.
+        """Make the message of one step: name -> estimate of each axis, shape (n,), SI units.
 
         Raises
         ------
@@ -68,14 +54,7 @@ class EstimatesCodec:
         return encode_diagnostics(self._timebase.stamp_ns(step), statuses)
 
     def decode(self, raw: bytes) -> tuple[int, dict[str, Floats]]:
-        """Read a message.
-
-        Returns
-        -------
-        step : int
-            Step that the estimates belong to.
-        estimates : dict of str to ndarray
-            Name -> estimate of each axis, shape (n,), all finite; at least one.
+        """Read a message: its step, and one estimate at least, as `encode` takes them.
 
         Raises
         ------

@@ -1,7 +1,8 @@
 """Slow standard messages <-> CDR bytes: text, status, diagnostics, clock.
 
 rosbags' description of the Jazzy messages does the work; it is built at the first use, which
-takes a tenth of a second. Python types are checked here, for the wire and the bags alike.
+takes a tenth of a second. Python types are checked here, for the wire and the bags alike: a value
+that does not fit, and bytes that are no such message, are a `WireError`.
 """
 
 import json
@@ -28,21 +29,7 @@ _BYTE_ORDERS = {b"\x00\x01": "deserialize_cdr_le", b"\x00\x00": "deserialize_cdr
 
 @dataclass(frozen=True)
 class Status:
-    """A diagnostic_msgs/msg/DiagnosticStatus.
-
-    Attributes
-    ----------
-    name : str
-        Whose state it is: the node's name.
-    level : int
-        `OK`, `WARN`, `ERROR` or `STALE`.
-    message : str
-        One line for people.
-    hardware_id : str
-        The hardware it is about; may be empty.
-    values : dict of str to str
-        Key -> value.
-    """
+    """A diagnostic_msgs/msg/DiagnosticStatus of the node ``name``; ``message`` is for people."""
 
     name: str
     level: int
@@ -58,23 +45,17 @@ def typestore() -> Typestore:
 
 
 def encode_string(text: str) -> bytes:
-    """Make a std_msgs/msg/String; WireError if it is no text that the wire can carry."""
+    """Make a std_msgs/msg/String."""
     return _encode(STRING, data=_text(text, "String: data"))
 
 
 def decode_string(raw: bytes) -> str:
-    """Read a std_msgs/msg/String; WireError if the bytes are none."""
+    """Read a std_msgs/msg/String."""
     return str(_decode(STRING, raw).data)
 
 
 def encode_status(status: Status) -> bytes:
-    """Make a diagnostic_msgs/msg/DiagnosticStatus.
-
-    Raises
-    ------
-    WireError
-        If a field has the wrong type, or the level is none of the four.
-    """
+    """Make a diagnostic_msgs/msg/DiagnosticStatus."""
     return _serialise(DIAGNOSTIC_STATUS, _status_message(status))
 
 
@@ -82,11 +63,6 @@ def decode_status(raw: bytes) -> Status:
     """Read a diagnostic_msgs/msg/DiagnosticStatus; of keys that come twice the last counts.
 
     A sign of life repeats a message, which is read once; nobody may change what is given.
-
-    Raises
-    ------
-    WireError
-        If the bytes are no such message.
     """
     return _known_status(raw) if isinstance(raw, bytes) else _read_status(raw)
 
@@ -99,20 +75,7 @@ _known_status = lru_cache(maxsize=16)(_read_status)
 
 
 def encode_diagnostics(stamp_ns: int, statuses: Sequence[Status]) -> bytes:
-    """Make a diagnostic_msgs/msg/DiagnosticArray.
-
-    Parameters
-    ----------
-    stamp_ns : int
-        Time of the message, in nanoseconds.
-    statuses : sequence of Status
-        What it tells.
-
-    Raises
-    ------
-    WireError
-        As `encode_status`, or if the stamp does not fit the wire.
-    """
+    """Make a diagnostic_msgs/msg/DiagnosticArray with a stamp in nanoseconds."""
     header = _make("std_msgs/msg/Header", stamp=_time(stamp_ns), frame_id="")
     return _encode(DIAGNOSTIC_ARRAY, header=header, status=[_status_message(s) for s in statuses])
 
@@ -123,31 +86,18 @@ def restamp(message: bytearray, stamp_ns: int) -> None:
 
 
 def decode_diagnostics(raw: bytes) -> tuple[int, list[Status]]:
-    """Read a diagnostic_msgs/msg/DiagnosticArray.
-
-    Returns
-    -------
-    stamp_ns : int
-        Time of the message, in nanoseconds.
-    statuses : list of Status
-        What it tells.
-
-    Raises
-    ------
-    WireError
-        If the bytes are no such message.
-    """
+    """Read a diagnostic_msgs/msg/DiagnosticArray: its stamp in nanoseconds, and the statuses."""
     message = _decode(DIAGNOSTIC_ARRAY, raw)
     return _nanoseconds(message.header.stamp), [_status(item) for item in message.status]
 
 
 def encode_clock(stamp_ns: int) -> bytes:
-    """Make a rosgraph_msgs/msg/Clock of a time in nanoseconds; WireError if it does not fit."""
+    """Make a rosgraph_msgs/msg/Clock of a time in nanoseconds."""
     return _encode(CLOCK, clock=_time(stamp_ns))
 
 
 def decode_clock(raw: bytes) -> int:
-    """Read a rosgraph_msgs/msg/Clock, in nanoseconds; WireError if the bytes are none."""
+    """Read a rosgraph_msgs/msg/Clock, in nanoseconds."""
     return _nanoseconds(_decode(CLOCK, raw).clock)
 
 
@@ -239,19 +189,9 @@ def _nanoseconds(time: Any) -> int:
 
 
 def decode_description(raw: bytes) -> tuple[str, dict[str, Any]]:
-    """Read a message of experiment/description.
+    """Read a message of experiment/description: JSON in a String.
 
-    Returns
-    -------
-    node : str
-        Who tells.
-    description : dict
-        ``node``, ``parameters`` (dict), and what else it tells.
-
-    Raises
-    ------
-    WireError
-        If it is no description of a node.
+    Gives the node's name, and what it says: ``node``, ``parameters`` (a dict), and more.
     """
     try:
         described = json.loads(decode_string(raw))

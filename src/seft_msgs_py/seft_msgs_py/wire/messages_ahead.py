@@ -12,14 +12,8 @@ class MessagesAhead:
     """Points of messages, of which each step takes those of the message d steps before it.
 
     So it does not matter when a message came, as long as it came in time. Where that message is
-    missing, the next counts, and where there is none, the last.
-
-    Parameters
-    ----------
-    loop_delay : int
-        d.
-    nothing : ndarray
-        Points before the first message, as of step -1.
+    missing, the next counts, and where there is none, the last. Before the first message the
+    points are ``nothing``, as of step -1.
     """
 
     def __init__(self, loop_delay: int, nothing: Floats) -> None:
@@ -31,15 +25,7 @@ class MessagesAhead:
         self._messages.append((step, points))
 
     def of(self, step: int) -> tuple[int, Floats]:
-        """Find the message for a step; steps never go back.
-
-        Returns
-        -------
-        age : int
-            Steps after that of the message.
-        points : ndarray
-            Of the message.
-        """
+        """Find the age of the message for a step, in steps, and its points; steps never go back."""
         while len(self._messages) > 1 and self._messages[0][0] < step - self._loop_delay:
             self._messages.popleft()
         first, points = self._messages[0]

@@ -1,4 +1,4 @@
-"""How a test ended: what the rig's last status says of it, written and read here alone."""
+"""How a test ended, as the rig's last status says: written and read here alone."""
 
 import json
 import math
@@ -29,17 +29,7 @@ ROUND_TRIPS = {
 
 @dataclass(frozen=True)
 class Trip:
-    """Why and when a test was ended by a limit or a fault.
-
-    Attributes
-    ----------
-    reason : str
-        One line: limit, value and axis, or the fault.
-    step : int
-        Step at which it was seen.
-    time_s : float
-        Experiment time of that step.
-    """
+    """Why a test was ended, in one line, at which step, and at which experiment time."""
 
     reason: str
     step: int
@@ -48,34 +38,28 @@ class Trip:
 
 @dataclass(frozen=True)
 class Saturation:
-    """What was at the end of its range in a test: stroke, valve, a sensor...
-
-    Attributes
-    ----------
-    samples : dict
-        Name -> number of samples.
-    first_step : dict
-        Name -> the first of these steps.
-    """
+    """What was saturated (stroke, valve, a sensor...): in how many samples, since which step."""
 
     samples: dict[str, int] = field(default_factory=dict)
     first_step: dict[str, int] = field(default_factory=dict)
 
     def add(self, step: int, names: Iterable[str]) -> None:
-        """Count what is at the end of its range at a step."""
+        """Count what is saturated at a step."""
         for name in set(names):
-            self.samples[name] = self.samples.get(name, 0) + 1
-            self.first_step.setdefault(name, step)
+            self.count(name, 1, step)
+
+    def count(self, name: str, samples: int, first: int) -> None:
+        """Add samples of one name, and the step of the first of them."""
+        self.samples[name] = self.samples.get(name, 0) + samples
+        self.first_step[name] = min(self.first_step.get(name, first), first)
 
     @classmethod
     def of_all(cls, parts: Iterable["Saturation"]) -> "Saturation":
-        """Add up what several rigs tell; a rig's sample counts for itself."""
+        """Add up the samples of several rigs."""
         found = cls()
         for part in parts:
             for name, samples in part.samples.items():
-                first = part.first_step[name]
-                found.samples[name] = found.samples.get(name, 0) + samples
-                found.first_step[name] = min(found.first_step.get(name, first), first)
+                found.count(name, samples, part.first_step[name])
         return found
 
     def to_json(self) -> str:
@@ -87,18 +71,11 @@ class Saturation:
 
     @classmethod
     def from_json(cls, text: str) -> "Saturation":
-        """Read what `to_json` wrote.
-
-        Raises
-        ------
-        ValueError
-            If it is something else.
-        """
+        """Read what `to_json` wrote; ValueError if it is something else."""
         found = cls()
         try:
             for name, counts in json.loads(text).items():
-                found.samples[str(name)] = int(counts["samples"])
-                found.first_step[str(name)] = int(counts["first_step"])
+                found.count(str(name), int(counts["samples"]), int(counts["first_step"]))
         except (AttributeError, KeyError, TypeError, OverflowError, RecursionError) as error:
             raise ValueError(f"saturated: {error}") from None
         return found
@@ -125,7 +102,7 @@ class Outcome:
     overruns : int
         Times the rig's own clock was held up for more than half a period.
     saturation : Saturation
-        What was at the end of its range.
+        What was saturated.
     round_trips : dict
         From a sample to its command as the rig measured it, s, by the keys of `ROUND_TRIPS`;
         empty where it did not.
@@ -143,10 +120,10 @@ class Outcome:
 
     @classmethod
     def of_all(cls, outcomes: Sequence["Outcome"]) -> "Outcome":
-        """Put together how a test ended for each of its rigs; the first trip with a cause counts.
+        """Put together the outcomes of all rigs of a test.
 
-        The steps are those that all rigs have sampled; what they missed is added up; of the round
-        trips the longest are told.
+        The first trip with a cause counts. The steps are those that all rigs have sampled, missed
+        commands are added up, and the longest round trips count.
         """
         if len(outcomes) == 1:
             return outcomes[0]
@@ -183,31 +160,18 @@ def rig_status(
     saturation: Saturation | None = None,
     round_trips: Mapping[str, float] | None = None,
 ) -> Status:
-    """Status of the rig in any phase; in the last, `read_outcome` understands it.
+    """Status of the rig in any phase, which `read_outcome` understands at the end of a test.
 
     Parameters
     ----------
     phase : str
         ``finished``, ``tripped``, or a phase before the end.
-    steps, missed : int
-        Samples taken, and steps at which the last command was held.
-    missed_steps : sequence of int
-        Those steps; the first `LISTED_STEPS` are told.
     wall_s : float or None
         Wall-clock time since the test began, s; None if it has not.
     trip : Trip, optional
-        Needed where the phase is ``tripped``.
-    overruns : int
-        Times the rig's own clock was held up for more than half a period.
-    saturation : Saturation, optional
-        What was at the end of its range; default nothing.
-    round_trips : mapping, optional
-        As `Outcome` has them.
-
-    Raises
-    ------
-    ValueError
-        If there is a trip in another phase than ``tripped``, or none in that.
+        Needed where the phase is ``tripped``, and only there: else ValueError.
+    steps, missed, missed_steps, overruns, saturation, round_trips
+        As `Outcome` has them; the first `LISTED_STEPS` missed steps are sent.
     """
     if (phase == TRIPPED) != (trip is not None):
         raise ValueError(f"phase {phase} with trip {trip}")
@@ -239,12 +203,7 @@ def tripped_status(node: str, reason: str, step: int) -> Status:
 
 
 def read_outcome(status: Status, timebase: Timebase) -> Outcome | None:
-    """Read what `rig_status` wrote.
-
-    Returns
-    -------
-    Outcome or None
-        None if it is not a rig's status, or the test has not ended with it.
+    """Read what `rig_status` wrote; None if it is no rig's status at the end of a test.
 
     Raises
     ------

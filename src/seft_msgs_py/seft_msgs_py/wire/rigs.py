@@ -79,17 +79,9 @@ def rigs_of(axes: Sequence[str]) -> tuple[RigAxes, ...]:
 
 
 def until_start(values: Mapping[str, str]) -> float:
-    """Tell for how long a rig is still to wait before it begins a test together with others.
+    """Time in s until a rig begins a test together with others, by the test's running state.
 
-    Parameters
-    ----------
-    values : mapping
-        What the state of the running test comes with.
-
-    Returns
-    -------
-    float
-        s, below zero where that moment has passed; 0 where the test has one rig.
+    It is below zero where that moment has passed, and 0 where the test has one rig.
 
     Raises
     ------

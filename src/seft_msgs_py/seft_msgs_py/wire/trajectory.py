@@ -28,16 +28,9 @@ _FLOAT64 = np.dtype(np.float64)
 
 
 class TrajectoryCodec:
-    """Samples of one loop topic <-> message bytes.
+    """Samples of one loop topic over n axes <-> message bytes.
 
-    Parameters
-    ----------
-    topic : LoopTopic
-        Which arrays of a point carry values.
-    axes : sequence of str
-        Names of the n axes, in order.
-    timebase : Timebase
-        Sampling clock that gives steps their stamps.
+    The topic says which q arrays of a point carry values, the time base which stamp a step has.
     """
 
     def __init__(self, topic: LoopTopic, axes: Sequence[str], timebase: Timebase) -> None:
@@ -48,7 +41,7 @@ class TrajectoryCodec:
         self._layouts: dict[tuple[int, tuple[str, ...]], Layout] = {}
         self._single = single = self._layout(1)
         shape = single.values.shape
-        self._single_shapes = (shape, shape[1:], *(((shape[2],),) if shape[1] == 1 else ()))
+        self._single_shapes = _shapes(*shape)
         # one point, as whole numbers of so many bytes: what is fixed, and where that stands
         fixed = b"\xff" * 4 + single.mask.tobytes() + b"\xff" * len(single.tail)
         self._mask = int.from_bytes(fixed, "little")
@@ -60,14 +53,7 @@ class TrajectoryCodec:
         self._single_strides = (stride * len(rows), stride, 8)
 
     def encode(self, step: int, values: Floats) -> bytes:
-        """Make the message of one sample.
-
-        Parameters
-        ----------
-        step : int
-            Step of the sample.
-        values : ndarray
-            Shape (q, n) for q quantities over n axes, or (n,) where q is 1.
+        """Make the message of a sample, of shape (q, n), or (n,) where q is 1.
 
         Raises
         ------
@@ -80,40 +66,23 @@ class TrajectoryCodec:
             or values.shape not in self._single_shapes
             or not math.hypot(*(numbers := values.ravel().tolist())) < math.inf
         ):
-            return self._encode(self._single, step, values, 1)
+            return self._encode(self._single, step, values)
         stamp = divmod(step * self._period_ns, NANOSECONDS_PER_SECOND)
         varying = int.from_bytes(self._numbers.pack(*stamp, *numbers), "little")
         return (varying | self._fixed).to_bytes(self._single.size, "little")
 
     def encode_points(self, step: int, values: Floats) -> bytes:
-        """Make the message of a sample and its known future, one point a step.
+        """Make the message of a sample and its known future, one point a step, see `encode`.
 
-        Parameters
-        ----------
-        step : int
-            Step of the first point.
-        values : ndarray
-            Shape (p, q, n), or (p, n) where q is 1.
-
-        Raises
-        ------
-        WireError
-            As `encode`.
+        The points from ``step`` on have shape (p, q, n), or (p, n) where q is 1.
         """
         count = len(values) if isinstance(values, np.ndarray) and values.ndim else 1
         if count == 0:
             raise WireError(f"{self.topic.name}: a message needs at least one point")
-        return self._encode(self._layout(count), step, values, count)
+        return self._encode(self._layout(count), step, values)
 
     def decode(self, raw: bytes) -> tuple[int, Floats]:
-        """Read a message.
-
-        Returns
-        -------
-        step : int
-            Step of the first point.
-        values : ndarray
-            Shape (p, q, n): points, quantities, axes. All finite.
+        """Read a message: step of its first point, and values of shape (p, q, n), all finite.
 
         Raises
         ------
@@ -144,22 +113,18 @@ class TrajectoryCodec:
             raise WireError(f"{self.topic.name}: {_describe_non_finite(values, self)}")
         return self.timebase.step(seconds * NANOSECONDS_PER_SECOND + nanoseconds), values
 
-    def _encode(self, layout: Layout, step: int, values: Floats, count: int) -> bytes:
+    def _encode(self, layout: Layout, step: int, values: Floats) -> bytes:
         if not isinstance(values, np.ndarray) or values.dtype != np.float64:
             raise WireError(
                 f"{self.topic.name}: values must be a float64 array, not {_type_name(values)}"
             )
         shape = layout.values.shape
-        if values.shape != shape:
-            single = count == 1 and values.shape == shape[1:]
-            flat = shape[1] == 1 and values.shape == (shape[0], shape[2])
-            flattest = shape[:2] == (1, 1) and values.shape == (shape[2],)
-            if not (single or flat or flattest):
-                raise WireError(
-                    f"{self.topic.name}: values have shape {values.shape}, not {shape} "
-                    f"(points, {'/'.join(self.topic.quantities)}, axes)"
-                )
-            values = values.reshape(shape)
+        if values.shape not in _shapes(*shape):
+            raise WireError(
+                f"{self.topic.name}: values have shape {values.shape}, not {shape} "
+                f"(points, {'/'.join(self.topic.quantities)}, axes)"
+            )
+        values = values.reshape(shape)
         if not np.isfinite(values).all():
             raise WireError(f"{self.topic.name}: {_describe_non_finite(values, self)}")
         message = bytearray(layout.template)
@@ -220,6 +185,13 @@ class TrajectoryCodec:
         if not np.isfinite(values).all():
             raise WireError(f"{name}: {_describe_non_finite(values, self)}")
         return self.timebase.step(message.stamp_ns), values
+
+
+def _shapes(p: int, q: int, n: int) -> tuple[tuple[int, ...], ...]:
+    """Shapes that p points of q quantities over n axes may have, the full one first."""
+    single = ((q, n),) if p == 1 else ()
+    flat = ((p, n), (n,)) if p == q == 1 else ((p, n),) if q == 1 else ()
+    return ((p, q, n), *single, *flat)
 
 
 def _struct_of_numbers(layout: Layout) -> struct.Struct:

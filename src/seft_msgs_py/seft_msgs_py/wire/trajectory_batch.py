@@ -54,14 +54,9 @@ class Batch(NamedTuple):
 
 
 def decode_batch(codec: TrajectoryCodec, rows: Bytes) -> Batch:
-    """Read messages of equal length as `TrajectoryCodec.decode` does each of them.
+    """Read M messages of equal length, shape (M, length), as `TrajectoryCodec.decode` does each.
 
-    Parameters
-    ----------
-    codec : TrajectoryCodec
-        Of their topic.
-    rows : ndarray of uint8
-        Shape (M, length): the messages; memory is a small multiple of theirs.
+    Memory is a small multiple of theirs.
     """
     count, length = rows.shape
     layout = codec.layout_of(rows[0].tobytes() if count else b"")

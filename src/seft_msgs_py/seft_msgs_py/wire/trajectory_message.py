@@ -33,15 +33,9 @@ class Trajectory:
 
 
 def parse_trajectory(raw: bytes, topic: str = "trajectory") -> Trajectory:
-    """Take a JointTrajectory message apart, field by field.
+    """Take a JointTrajectory message apart, field by field; errors name the topic.
 
-    Parameters
-    ----------
-    raw : bytes
-        CDR bytes with their encapsulation header; bytes past the end are ignored, as
-        middlewares round sizes up.
-    topic : str
-        Named in errors.
+    Bytes past the end are ignored, as middlewares round sizes up.
 
     Raises
     ------

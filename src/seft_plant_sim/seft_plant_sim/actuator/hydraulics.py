@@ -135,21 +135,11 @@ COLUMNS = 7
 
 
 def piston_rows(hydraulics: Hydraulics, mass: Floats) -> Floats:
-    """Put actuators into rows that the compiled functions take.
+    """Put n actuators, whose pistons move masses (n,) in kg, into rows for the compiled functions.
 
-    Parameters
-    ----------
-    hydraulics : Hydraulics
-        Of n actuators.
-    mass : ndarray
-        Mass that each piston moves, shape (n,), kg.
-
-    Returns
-    -------
-    ndarray
-        Shape (n, 7), of each actuator: opening limit (V), 1 / force capacity (1/N), stroke (m),
-        friction (N), 1 / friction velocity (s/m), stiffness of the stops (N/m), and the largest
-        rate at which friction or stops answer (1/s).
+    Each has its opening limit (V), 1 / force capacity (1/N), stroke (m), friction (N), 1 / friction
+    velocity (s/m), stiffness of the stops (N/m), and the largest rate at which friction or stops
+    answer (1/s); shape (n, 7).
     """
     h = hydraulics
     stop = STOP_STIFFNESS * h.oil_stiffness

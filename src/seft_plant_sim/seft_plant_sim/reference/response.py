@@ -55,16 +55,9 @@ def response(structure: Specimen, ground_motion: Floats, dt: float) -> Floats:
 
 
 class ShakenStructure:
-    """A structure whose ground motion becomes known by and by.
+    """A structure of n degrees of freedom whose ground motion becomes known by and by.
 
-    Parameters
-    ----------
-    structure : Specimen
-        Of n degrees of freedom.
-    dt : float
-        Period of a step, s.
-    steps : int
-        Steps of the integration within one; one is exact where the structure is linear.
+    A step of ``dt`` s is integrated in ``steps``; one is exact where the structure is linear.
     """
 
     def __init__(self, structure: Specimen, dt: float, steps: int) -> None:
@@ -76,15 +69,7 @@ class ShakenStructure:
     def advance(self, ground_motion: Floats) -> Floats:
         """Go on over the next N steps; the first of all is step 0, at rest.
 
-        Parameters
-        ----------
-        ground_motion : ndarray
-            Shape (N, n), N at least 1, m/s^2.
-
-        Returns
-        -------
-        ndarray
-            As `response`, shape (4, N, n).
+        The ground motion has shape (N, n), N at least 1, m/s^2; the result is as of `response`.
         """
         motion = np.array(ground_motion, dtype=np.float64, order="C")
         last = motion[0] if self._last is None else self._last

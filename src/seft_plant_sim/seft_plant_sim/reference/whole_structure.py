@@ -144,17 +144,9 @@ STEPS = 16
 
 
 class RunningResponse:
-    """Response of a whole structure as its ground motion becomes known.
+    """Response of the whole structure of an experiment as its ground motion becomes known.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        Resolved parameters, as for `reference_response`.
-
-    Attributes
-    ----------
-    exact : bool
-        Whether the structure is linear.
+    It is exact where the structure is linear.
     """
 
     def __init__(self, experiment: Experiment) -> None:
@@ -165,17 +157,10 @@ class RunningResponse:
         self._shaken = ShakenStructure(structure, dt, 1 if self.exact else STEPS)
 
     def advance(self, ground_motion: Floats) -> tuple[Floats, Floats]:
-        """Go on over the next N steps; the first of all is step 0, at rest.
+        """Go on over the next N steps of the ground motion, shape (N, n), m/s^2, N at least 1.
 
-        Parameters
-        ----------
-        ground_motion : ndarray
-            Shape (N, n), N at least 1, m/s^2.
-
-        Returns
-        -------
-        displacement, acceleration : ndarray
-            Relative to the ground, shape (N, n), m and m/s^2.
+        The first of all is step 0, at rest. Gives displacement and acceleration relative to the
+        ground, shape (N, n), m and m/s^2.
         """
         n = ground_motion.shape[1]
         x, _, a, _ = self._shaken.advance(self._whole.motion(ground_motion))

@@ -21,7 +21,7 @@ class Command:
     loop_delay : int
         Steps beyond that of a message for which its points settle the command.
     rig : RigAxes, optional
-        The rig that the command is for, of several whose axes the topic has; default all.
+        The rig that the command is for, if the topic has the axes of several.
 
     Attributes
     ----------

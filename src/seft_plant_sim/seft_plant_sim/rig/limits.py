@@ -6,53 +6,47 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.config.parameter_table import Parameter
+from seft_msgs_py.config.parameter_table import Parameter, parameter_rows
 
 from seft_plant_sim.compiled import compiled
 
 Floats = npt.NDArray[np.float64]
 
-NAMES = ("displacement", "velocity", "acceleration", "force")
-UNITS = ("m", "m/s", "m/s^2", "N")
-RATE_UNITS = ("m/s", "m/s^2", "m/s^3", "N/s")
-_DEFAULTS = (0.076, 0.5, 98.1, 22200.0)
-_RATE_DEFAULTS = (3.0, 300.0, 3e4, 3e6)
-"""Of one sample to the next. Tests of config/jhu.yaml and config/demo.yaml that go well reach
-0.48, 26, 3e3 and 1.4e5; with valve and accelerometer driven into saturation 0.48, 51, 1.5e4 and
-6.5e5. An accelerometer's full range of 4 g at the oil column's 90 Hz is 2.2e4."""
-ROWS = (*NAMES, *(f"{name}_rate" for name in NAMES))
-_ALL_UNITS = (*UNITS, *RATE_UNITS)
+# Rates are of one sample to the next. Tests of config/jhu.yaml and config/demo.yaml that go well
+# reach 0.48, 26, 3e3 and 1.4e5; with valve and accelerometer driven into saturation 0.48, 51, 1.5e4
+# and 6.5e5. An accelerometer's full range of 4 g at the oil column's 90 Hz is 2.2e4.
+_OF_THE_PAPER = {
+    "displacement": (0.076, "m"),
+    "velocity": (0.5, "m/s"),
+    "acceleration": (98.1, "m/s^2"),
+    "force": (22200.0, "N"),
+    "displacement_rate": (3.0, "m/s"),
+    "velocity_rate": (300.0, "m/s^2"),
+    "acceleration_rate": (3e4, "m/s^3"),
+    "force_rate": (3e6, "N/s"),
+}
+ROWS = tuple(_OF_THE_PAPER)
+NAMES = ROWS[:4]
+UNITS = tuple(unit for _, unit in _OF_THE_PAPER.values())
 
 
 def limit_rows(default_from: str = "") -> list[Parameter]:
-    """Rows ``limits.*`` of a parameter table; defaults suit the paper's rig.
-
-    Parameters
-    ----------
-    default_from : str
-        Node whose limits stand in where these are not given.
-    """
-    texts = [f"largest {name} on any axis; beyond it the test trips" for name in NAMES] + [
-        f"largest change of the measured {name} from one sample to the next, per second; beyond "
-        "it, as when a sensor or its cable breaks, the test trips"
-        for name in NAMES
-    ]
-    rows = [
-        Parameter(f"limits.{name}", "float", default, text, unit, positive=True)
-        for name, unit, default, text in zip(
-            ROWS, _ALL_UNITS, (*_DEFAULTS, *_RATE_DEFAULTS), texts, strict=True
-        )
-    ]
-    rows.append(
-        Parameter(
-            "limits.saturated_time",
-            "float",
-            0.05,
-            "longest time within one second that sensors may be at the end of their range; "
-            "a test that is blind for longer trips",
-            "s",
-            minimum=0.0,
-        )
+    """Rows ``limits.*`` of a parameter table; defaults are a node's, or suit the paper's rig."""
+    largest = "largest {} on any axis; beyond it the test trips"
+    change = (
+        "largest change of the measured {} from one sample to the next, per second; beyond it, as "
+        "when a sensor or its cable breaks, the test trips"
+    )
+    rows = []
+    for name, (default, unit) in _OF_THE_PAPER.items():
+        text = (largest if name in NAMES else change).format(name.removesuffix("_rate"))
+        rows.append(Parameter(f"limits.{name}", "float", default, text, unit, positive=True))
+    rows += parameter_rows(
+        """
+        saturated_time | float | 0.05 | s | 0 .. | longest time within one second that sensors may
+            be at the end of their range; a test that is blind for longer trips
+        """,
+        "limits",
     )
     if not default_from:
         return rows
@@ -63,17 +57,8 @@ def limit_rows(default_from: str = "") -> list[Parameter]:
 def exceeds(limits: Floats, step: int, last: Floats, measured: Floats, largest: Floats) -> bool:
     """Say whether a sample breaks a limit; NaN breaks every limit.
 
-    Parameters
-    ----------
-    limits : ndarray
-        `Limits.values`, shape (8,).
-    step : int
-        Step of the sample; that of step 0 has none before it.
-    last, measured : ndarray
-        The sample before it, and the sample: displacement, velocity, acceleration and force,
-        shape (4, n).
-    largest : ndarray
-        Largest magnitudes so far, shape (8,): brought up to date.
+    Last is the sample before it, both of shape (4, n); that of step 0 has none. The largest
+    magnitudes so far, shape (8,), are brought up to date; limits are `Limits.values`.
     """
     broken = False
     for row in range(4):
@@ -91,15 +76,8 @@ def exceeds(limits: Floats, step: int, last: Floats, measured: Floats, largest: 
 class Limits:
     """Largest magnitudes of a sample, and of its change since the sample before.
 
-    Parameters
-    ----------
-    limits : dict
-        ``displacement`` (m), ``velocity`` (m/s), ``acceleration`` (m/s^2), ``force`` (N), and
-        the same names with ``_rate`` (per second), which may lack.
-    axes : sequence of str
-        Names of the n axes.
-    dt : float
-        Sampling period, s.
+    Made of the parameters ``limits.*``, of which those of rates may lack, the names of the n axes,
+    and the sampling period in s.
 
     Attributes
     ----------
@@ -133,23 +111,11 @@ class Limits:
         return self.describe(measured, measured - last)
 
     def describe(self, measured: Floats, change: Floats) -> str:
-        """Say which limit a sample breaks.
-
-        Parameters
-        ----------
-        measured, change : ndarray
-            Displacement, velocity, acceleration and force, and their change since the sample
-            before, shape (4, n).
-
-        Returns
-        -------
-        str
-            One line with limit, value and axis.
-        """
+        """Say in one line which limit a sample or its change breaks; both have shape (4, n)."""
         found = np.vstack([measured, change])
         row, column = np.argwhere(~(np.abs(found) <= self.values[:, np.newaxis]))[0]
         per = self._dt if row >= len(NAMES) else 1.0
-        name, unit = ROWS[row].replace("_", " "), _ALL_UNITS[row]
+        name, unit = ROWS[row].replace("_", " "), UNITS[row]
         return (
             f"{name} {found[row, column] / per:.5g} {unit} on axis {self._axes[column]} "
             f"is beyond the limit of {self.values[row] / per:g} {unit}"
@@ -167,34 +133,15 @@ Ints = npt.NDArray[np.int64]
 def is_exceeded(times: Ints, count: int, step: int, window: int) -> bool:
     """Count a step at which something is so; tell whether more are within a second than allowed.
 
-    Parameters
-    ----------
-    times : ndarray
-        The last of such steps in turn, shape (allowed + 1,): brought up to date.
-    count : int
-        How many there have been before.
-    step, window : int
-        The step, and the steps of a second.
+    The last of such steps, shape (allowed + 1,), are kept in turn, ``count`` is how many there
+    have been before, and the window is the steps of a second.
     """
     times[count % len(times)] = step
     return count + 1 >= len(times) and times[(count + 1) % len(times)] > step - window
 
 
 class SaturatedTime:
-    """How long sensors may be at the end of their range within the last second.
-
-    Parameters
-    ----------
-    longest : float
-        Time beyond which it is a violation, s.
-    dt : float
-        Sampling period, s.
-
-    Attributes
-    ----------
-    window : int
-        Steps of a second.
-    """
+    """How long, in s, sensors may be saturated within the last second, of ``window`` steps."""
 
     def __init__(self, longest: float, dt: float) -> None:
         self._longest = longest

@@ -31,15 +31,7 @@ RESTS = 10  # steps below that, so that a vibration's turning point is no rest
 
 @dataclass(frozen=True)
 class Safe:
-    """The safe position of the valves.
-
-    Attributes
-    ----------
-    command : ndarray
-        Valve command, shape (n,), V.
-    longest : int
-        Steps for which the rig is followed to rest.
-    """
+    """The safe valve command, shape (n,), V, and for how many steps the rig is followed to rest."""
 
     command: npt.NDArray[np.float64]
     longest: int
@@ -57,15 +49,7 @@ class Safe:
 
 @dataclass(frozen=True)
 class Stopped:
-    """How a rig came to rest.
-
-    Attributes
-    ----------
-    steps : int
-        Steps until it rested, or until nobody looked any more.
-    peak_force : float
-        Largest force of any actuator meanwhile, N.
-    """
+    """In how many steps a rig came to rest, and the largest force of any actuator meanwhile, N."""
 
     steps: int
     peak_force: float
@@ -74,20 +58,8 @@ class Stopped:
 class Rig:
     """What a lab's rig is to the rest of a test: it measures, and it obeys commands.
 
-    Parameters
-    ----------
-    model : ContinuousModel
-        Actuator and specimen.
-    sensors : Sensors
-        What is measured of them.
-    limits : Limits
-        What trips the test.
-    saturated_time : SaturatedTime
-        What trips it when sensors are at the end of their range.
-    dt : float
-        Sampling period, s.
-    safe : Safe, optional
-        How it is stopped.
+    Made of actuator and specimen (the model), what is measured of them with a period of ``dt`` s,
+    and what trips and stops the test.
 
     Attributes
     ----------
@@ -95,15 +67,12 @@ class Rig:
         Topic that drives the actuator: ``valve_command`` or ``reference_force``.
     parameters, state : RigParameters, RigState
         What `rig_step` takes, here and in a compiled loop.
-    sensors, limits : Sensors, Limits
-        As given.
     step_index : int
         Step of the last sample.
     violation : str or None
         The limit that the last sample breaks; the test must end with that sample.
     saturation : Saturation
-        What has been at the end of its range since the reset: stroke, force capacity, valve,
-        and the sensors' ranges.
+        What has been saturated since the reset: stroke, force capacity, valve, and sensors.
     """
 
     def __init__(
@@ -139,18 +108,9 @@ class Rig:
         timebase: Timebase,
         rig: RigAxes | None = None,
     ) -> "Rig":
-        """Make the rig of its section of an experiment.
+        """Make the rig of its section of an experiment, which is for all axes.
 
-        Parameters
-        ----------
-        section : dict
-            Parameters, for all axes.
-        axes : tuple of str
-            Names of all axes.
-        timebase : Timebase
-            Sampling clock.
-        rig : RigAxes, optional
-            The one of several rigs whose axes it is to have; default it has all.
+        Of several rigs it is the one given, which has some of the axes.
 
         Raises
         ------
@@ -180,19 +140,10 @@ class Rig:
         return self._sample(0)
 
     def step(self, command: Floats) -> Floats:
-        """Apply a command and take the next sample.
+        """Apply a command, shape (n,), and take the next sample, shape (4, n).
 
-        Parameters
-        ----------
-        command : ndarray
-            What drives the actuators, see `drive`: valve command in V or reference force in N,
-            shape (n,).
-
-        Returns
-        -------
-        ndarray
-            Measured displacement (m), velocity (m/s), acceleration (m/s^2), force (N); shape
-            (4, n).
+        The command is what drives the actuators, see `drive`: valve command in V or reference
+        force in N. Measured are displacement (m), velocity (m/s), acceleration (m/s^2), force (N).
         """
         self._command[:] = command
         return self._sample(self.step_index + 1)
@@ -253,8 +204,7 @@ def saturation_of(found: Ints) -> Saturation:
     for name, bit in ENDS.items():
         steps = np.flatnonzero(found & bit)
         if len(steps):
-            saturation.samples[name] = len(steps)
-            saturation.first_step[name] = int(steps[0])
+            saturation.count(name, len(steps), int(steps[0]))
     return saturation
 
 
@@ -286,13 +236,7 @@ def continuous_model(
 
 
 class Rigs:
-    """The rigs of a test, as the offline loop steps them: the bits of each are those of its node.
-
-    Parameters
-    ----------
-    rigs : sequence of (RigAxes, Rig)
-        Which axes each has, and the rig.
-    """
+    """Several rigs, each with its own axes, stepped together: the bits are those of their nodes."""
 
     def __init__(self, rigs: Sequence[tuple[RigAxes, Rig]]) -> None:
         self._rigs = [(list(of.places), rig) for of, rig in rigs]

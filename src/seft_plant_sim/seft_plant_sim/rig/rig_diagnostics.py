@@ -14,18 +14,10 @@ NARROW = 0.1  # of a limit: a smaller margin is warned of
 def with_health(
     status: Status, margins: Mapping[str, float], answered_at: float, last_trip: float
 ) -> Status:
-    """Add to a status how well the test goes, under names that tools for diagnostics show.
+    """Add to a rig's status how well the test goes, under names that tools for diagnostics show.
 
-    Parameters
-    ----------
-    status : Status
-        Of the rig.
-    margins : mapping of str to float
-        As `Limits.margins` gives them.
-    answered_at : float
-        When the newest command came, s, monotonic; 0 where none has come.
-    last_trip : float
-        From a state to its command, s; nan where there was none.
+    That is what `Limits.margins` gives, when the newest command came (s, monotonic; 0: none has),
+    and the last time from a state to its command (s; nan: there was none).
     """
     values = {f"margin {name.replace('_', ' ')}": f"{left:.3f}" for name, left in margins.items()}
     narrow = [name.replace("_", " ") for name, left in margins.items() if not left >= NARROW]

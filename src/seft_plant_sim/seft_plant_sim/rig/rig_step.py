@@ -121,22 +121,18 @@ def rig_step(
     noise: Floats,
     measured: Floats,
 ) -> int:
-    """Apply a command and take the next sample.
+    """Apply a command and take the next sample; step 0 brings the rig to rest instead.
 
     Parameters
     ----------
-    parameters : RigParameters
-        Of n axes.
     state : RigState
         Brought up to date.
     step : int
-        Step of the sample. Step 0 brings the rig to rest, whatever the command.
+        Step of the sample.
     command : ndarray
         What drives the actuators after the last sample, shape (n,), V or N.
-    noise : ndarray
-        Of the sensors at this step, shape (4, n).
-    measured : ndarray
-        The sample, shape (4, n): the result.
+    noise, measured : ndarray
+        Of the sensors at this step, and the sample, which is the result; shape (4, n).
 
     Returns
     -------

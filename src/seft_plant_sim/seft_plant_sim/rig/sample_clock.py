@@ -7,22 +7,10 @@ HURRY = 0.05  # of a period, by which steps are shorter while a rig makes up for
 class SampleClock:
     """Absolute deadlines, one a period.
 
-    A rig that was held up for more than half a period goes on from there: hurrying through the
-    steps it is late for would leave the others no time to answer them.
-
-    Parameters
-    ----------
-    period : float
-        Of the samples, s.
-    start : float
-        Time of step 0, s, monotonic.
-    makes_up : bool
-        Whether the rig goes back to its time since the start, by steps that are a little shorter.
-
-    Attributes
-    ----------
-    overruns : int
-        Times it was held up for more than half a period.
+    A rig that was held up for more than half a period (an overrun) goes on from there: hurrying
+    through the steps it is late for would leave the others no time to answer them. One that makes
+    up goes back to its time since the start, by steps that are a little shorter. Times are in s,
+    monotonic.
     """
 
     def __init__(self, period: float, start: float, *, makes_up: bool) -> None:

@@ -70,8 +70,6 @@ def energy_balance(
 
     Parameters
     ----------
-    specimen : Specimen
-        n axes.
     displacement, velocity, force : ndarray
         Of the actuators, shape (N, n), m, m/s and N; relative to the ground, N at least 2.
     dt : float
@@ -79,11 +77,6 @@ def energy_balance(
     held : float, optional
         For a force that is constant in between, and changes after this part of each period: 1
         for a zero-order hold. Default: the force is continuous.
-
-    Returns
-    -------
-    EnergyBalance
-        At each sample.
     """
     from scipy.interpolate import CubicSpline  # 20 MB that no node needs
 

@@ -5,12 +5,15 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from seft_msgs_py.config.parameter_table import Parameter, group, parameter_rows
 from seft_msgs_py.config.registered import Registered
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.specimen.restoring_force import HystereticSpring, Spring
 from seft_plant_sim.specimen.spring_laws import BOUC_WEN, DUFFING, GAP, SLIDER
+
+Floats = npt.NDArray[np.float64]
 
 OWN = ("linear", "bilinear", "bouc_wen", "pinching", "flag", "friction", "gap", "duffing")
 KINDS = Registered("seft.restoring_force", OWN)
@@ -81,61 +84,56 @@ PARAMETERS = (
 def make_springs(
     kind: str, section: dict[str, Any], stiffness: Sequence[float], where: str
 ) -> tuple[Spring, ...]:
-    """Make the springs of a specimen.
-
-    Parameters
-    ----------
-    kind : str
-        One of `KINDS`, not linear.
-    section : dict
-        The parameters ``specimen.*``.
-    stiffness : sequence of float
-        Elastic stiffness of each, N/m.
-    where : str
-        Names the parameters.
+    """Make the springs of a specimen that is not linear, of elastic stiffnesses in N/m.
 
     Raises
     ------
     InputError
         If values make no such spring, or do not fit the springs.
     """
+    k = np.array(stiffness)
 
-    def each(name: str, need: str = "") -> list[float]:
+    def each(name: str, need: str = "") -> Floats:
         numbers = np.atleast_1d(np.asarray(section[name], dtype=np.float64))
-        count = len(stiffness)
-        if numbers.size not in (1, count):
+        if numbers.size not in (1, k.size):
             raise InputError(
-                f"{where}.{name}: {numbers.size} values for {count} springs; give 1 or {count}"
+                f"{where}.{name}: {numbers.size} values for {k.size} springs; give 1 or {k.size}"
             )
         if need and numbers.min() <= 0.0:
             raise InputError(f"{where}.{name} is {section[name]}, but a {kind} specimen {need}")
-        return np.broadcast_to(numbers, count).tolist()
+        return np.broadcast_to(numbers, k.size)
+
+    def springs(law: int, *columns: Floats | float) -> tuple[Spring, ...]:
+        rows = np.column_stack(np.broadcast_arrays(k, *columns)).tolist()
+        return tuple(Spring.of_law(law, *row) for row in rows)
 
     if kind == "friction":
         presliding = section["friction.presliding"]
-        forces = each("friction.force", "has friction: give the force in N")
-        return tuple(
-            Spring.of_law(SLIDER, k, k, force / presliding, presliding, -presliding)
-            for k, force in zip(stiffness, forces, strict=True)
-        )
+        force = each("friction.force", "has friction: give the force in N")
+        return springs(SLIDER, k, force / presliding, presliding, -presliding)
     if kind == "gap":
         second = each("gap.stiffness", "has a second spring: give its stiffness in N/m")
-        rows = zip(stiffness, second, each("gap.width"), strict=True)
-        return tuple(Spring.of_law(GAP, k, k, k_2, width) for k, k_2, width in rows)
+        return springs(GAP, k, second, each("gap.width"))
     if kind == "duffing":
-        of_cubes = zip(stiffness, each("duffing.cubic"), strict=True)
-        return tuple(Spring.of_law(DUFFING, k, k, k_3, _peak(k, k_3)) for k, k_3 in of_cubes)
-    yields = each("yield_displacement", "yields: give the displacement in m")
-    values = zip(stiffness, yields, each("hardening_ratio"), strict=True)
+        cubic = each("duffing.cubic")
+        # deformation at which a softening spring carries most: k + 3 k_3 e^2 = 0
+        peak = [
+            math.sqrt(-k / (3.0 * c)) if c < 0.0 else math.inf
+            for k, c in zip(stiffness, cubic.tolist(), strict=True)
+        ]
+        return springs(DUFFING, k, cubic, np.array(peak))
+    z_y, a = (
+        each("yield_displacement", "yields: give the displacement in m"),
+        each("hardening_ratio"),
+    )
     if kind in KINDS:
-        return tuple(Spring.of(_registered(kind, section, where, *row)) for row in values)
-    parts = [(k, a * k, (1.0 - a) * k, z_y) for k, z_y, a in values]
+        rows = np.column_stack([k, z_y, a]).tolist()
+        return tuple(Spring.of(_registered(kind, section, where, *row)) for row in rows)
+    parts = a * k, (1.0 - a) * k, z_y
     if kind == "bilinear":
-        return tuple(Spring.of_law(SLIDER, *row, -row[3]) for row in parts)
+        return springs(SLIDER, *parts, -z_y)
     if kind == "flag":
-        heights = each("flag.dissipation")
-        flags = zip(parts, heights, strict=True)
-        return tuple(Spring.of_law(SLIDER, *row, (1.0 - b) * row[3]) for row, b in flags)
+        return springs(SLIDER, *parts, (1.0 - each("flag.dissipation")) * z_y)
     shape = group(section, "bouc_wen")
     total = shape["beta"] + shape["gamma"]
     if total <= 0.0:
@@ -143,21 +141,13 @@ def make_springs(
             f"{where}.bouc_wen: beta {shape['beta']} and gamma {shape['gamma']} must add up "
             "to more than 0, or the spring never yields"
         )
-    reach = total ** (-1.0 / shape["exponent"])  # z / z_y at which the spring as new yields on
-    law = [shape[name] for name in _BOUC_WEN]
+    limit = total ** (-1.0 / shape["exponent"])  # z / z_y at which the spring as new yields on
     slip, growth, width = (
         section[f"pinching.{name}"] if kind == "pinching" else 0.0
         for name in ("slip", "growth", "width")
     )
-    return tuple(
-        Spring.of_law(BOUC_WEN, *row, reach * row[3], *law, slip, growth, width * row[3])
-        for row in parts
-    )
-
-
-def _peak(stiffness: float, cubic: float) -> float:
-    """Deformation at which a softening Duffing spring carries most, m: k + 3 k_3 e^2 = 0."""
-    return math.sqrt(-stiffness / (3.0 * cubic)) if cubic < 0.0 else math.inf
+    law = [shape[name] for name in _BOUC_WEN]
+    return springs(BOUC_WEN, *parts, limit * z_y, *law, slip, growth, width * z_y)
 
 
 def _registered(kind: str, section: dict[str, Any], where: str, *values: float) -> HystereticSpring:

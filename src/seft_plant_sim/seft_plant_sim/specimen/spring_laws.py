@@ -47,23 +47,9 @@ MOST_STEPS = 20_000  # of one path: a jump beyond is followed roughly
 
 @compiled
 def spring_force(laws: Floats, j: int, memory: Floats, e: float) -> float:
-    """Take a spring straight to a deformation.
+    """Take spring j of p straight to a deformation e, m; give its force there, N.
 
-    Parameters
-    ----------
-    laws : ndarray
-        Of all springs, shape (p, `WIDTH`).
-    j : int
-        The spring.
-    memory : ndarray
-        What they remember, shape (p, 3); its row is brought up to date.
-    e : float
-        The deformation, m.
-
-    Returns
-    -------
-    float
-        Its force there, N.
+    Laws have shape (p, `WIDTH`); what the springs remember, shape (p, 3), is brought up to date.
     """
     kind = int(laws[j, KIND])
     if kind == CALLED:
@@ -120,17 +106,7 @@ def spring_energies(laws: Floats, j: int, memory: Floats) -> tuple[float, float]
 
 @compiled
 def follow(law: Floats, memory: Floats, path: Floats, found: Floats) -> None:
-    """Take a spring along a path of deformations, straight between its points.
-
-    Parameters
-    ----------
-    law, memory : ndarray
-        Shapes (1, `WIDTH`) and (1, 3).
-    path : ndarray
-        Shape (N,), m.
-    found : ndarray
-        Force (N), stored and dissipated energy (J) at each point, shape (3, N): the result.
-    """
+    """Take a spring along N deformations, straight between them, see `Spring.follow`."""
     for i in range(len(path)):
         found[0, i] = spring_force(law, 0, memory, path[i])
         found[1, i], found[2, i] = spring_energies(law, 0, memory)
