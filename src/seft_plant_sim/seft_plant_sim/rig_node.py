@@ -118,7 +118,7 @@ class RigNode(NodeBody):
 
     def _rest(self) -> None:
         self._ended = False
-        self._shell.report(Status("rig", 0, "idle", values={"phase": "idle"}))
+        self.report("idle")
 
     def _warm_up(self) -> None:
         state = self._rig.reset()

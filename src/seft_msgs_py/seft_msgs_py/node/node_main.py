@@ -1,7 +1,7 @@
 """The body of an executable that runs a node, or several nodes in one process."""
 
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +10,7 @@ from seft_msgs_py.errors import SeftError
 from seft_msgs_py.node.exit_watchdog import exit_watchdog
 from seft_msgs_py.node.node_process import NodeProcess
 from seft_msgs_py.node.node_shell import IDLE_WAIT, NodeShell
+from seft_msgs_py.wire.messages import OK, Status
 
 CLOSE_PATIENCE = 5.0  # s
 
@@ -27,12 +28,21 @@ class NodeBody:
         self._shell = shell
         self.facts: dict[str, Any] = {}
 
+    def report(
+        self, phase: str, values: Mapping[str, str] | None = None, level: int = OK, text: str = ""
+    ) -> None:
+        """Publish the phase that the node is in, as its status."""
+        values = {"phase": phase, **(values or {})}
+        self._shell.report(Status(self._shell.name, level, text or phase, values=values))
+
     def begin(self) -> None:
         """Report the first status, when the node has been described to the test."""
 
     def run(self) -> None:
         """Work until told to stop, spinning the shell."""
-        self._shell.spin(self.poll, self.period)
+        while not self._shell.stopping:
+            self._shell.spin_once(self.period())
+            self.poll()
 
     def poll(self) -> None:
         """Do what falls due by time alone; called after each turn, whoever spins."""

@@ -132,18 +132,15 @@ class NodeShell:
         """
         if isinstance(topic, LoopTopic):
             self._loop_names.add(topic.name)
+        here, receive = replace(topic, name=self._full_name(topic)), self._guarded(handler, topic)
         if self._process.bus.serves(topic):
-            full_name = self.node.resolve_topic_name(self._full_name(topic))
-            receive = self._guarded(handler, topic, None)
+            self._inside[topic.name] = full_name = self.node.resolve_topic_name(here.name)
             self._process.bus.subscribe(full_name, self.name, receive)
-            self._inside[topic.name] = full_name
-            self._readers[topic.name] = lambda: None  # whatever was sent has been handed over
-            return self._readers[topic.name]
-        here = replace(topic, name=self._full_name(topic))
-        subscription = raw_subscription(self.node, here, depth, reliable)
-        self._subscriptions[topic.name] = subscription
-        receive = self._guarded(handler, topic, subscription)
-        read_one = self._process.add_subscription(subscription, receive, wake)
+            read_one = _nothing
+        else:
+            subscription = raw_subscription(self.node, here, depth, reliable)
+            self._subscriptions[topic.name] = subscription
+            read_one = self._process.add_subscription(subscription, receive, wake)
         self._readers[topic.name] = read_one
         return read_one
 
@@ -164,17 +161,6 @@ class NodeShell:
     def spin_once(self, timeout: float = IDLE_WAIT) -> bool:
         """Let the process wait for messages and handle them, see `NodeProcess.spin_once`."""
         return self._process.spin_once(timeout)
-
-    def spin(
-        self,
-        poll: Callable[[], None] | None = None,
-        period: Callable[[], float] | float = IDLE_WAIT,
-    ) -> None:
-        """Handle messages until told to stop, calling ``poll`` at least every ``period`` s."""
-        while not self.stopping:
-            self.spin_once(period() if callable(period) else period)
-            if poll is not None:
-                poll()
 
     def refuse(self, reason: str) -> None:
         """Count a message that was not acted upon; a warning follows, at most once a second.
@@ -243,16 +229,13 @@ class NodeShell:
         full = f"{namespace.rstrip('/')}/{node}"
         return full.removeprefix(f"{self._test_namespace}/")
 
-    def _guarded(
-        self, handler: Handler, topic: Topic, subscription: Subscription | None
-    ) -> Receive:
+    def _guarded(self, handler: Handler, topic: Topic) -> Receive:
         """Refuse what is no message of the test; note when the loop was last seen to turn.
 
-        The publisher of a topic that has a message in each step numbers them. One that joins
-        later has sent fewer than were acted upon.
+        The publisher of a topic that has a message in each step numbers them, outside this
+        process. One that joins later has sent fewer than were acted upon.
         """
         is_of_each_step = isinstance(topic, LoopTopic) and not topic.latched
-        is_numbered = is_of_each_step and subscription is not None
         last = 0
 
         def receive(raw: bytes, received_ns: int, number: int) -> bool:
@@ -260,7 +243,7 @@ class NodeShell:
             if is_of_each_step:
                 self._handled_at = time.monotonic()
             try:
-                if is_numbered and 0 < number <= last and self._senders(topic.name) > 1:
+                if is_of_each_step and 0 < number <= last and self._senders(topic.name) > 1:
                     raise WireError(f"{topic.name} of a second publisher")
                 handler(raw, received_ns)
             except WireError as error:
@@ -313,6 +296,11 @@ class NodeShell:
         self._status_sent = (time.monotonic(), self._status)
         restamp(self._status_message, now)
         self._diagnostics(bytes(self._status_message))
+
+
+def _nothing() -> bool | None:
+    """Read nothing from a topic of this process: whatever was sent has been handed over."""
+    return None
 
 
 def _rig_of(node: Node, experiment: Experiment) -> tuple[RigAxes, str]:

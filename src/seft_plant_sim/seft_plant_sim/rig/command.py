@@ -1,10 +1,35 @@
-"""The newest command of a topic that a rig may apply."""
+"""Messages that settle commands of coming steps: the newest that a rig may apply."""
+
+from collections import deque
 
 import numpy as np
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.wire.messages_ahead import MessagesAhead
 from seft_msgs_py.wire.rigs import RigAxes
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
+
+
+class MessagesAhead:
+    """Points of messages, of which each step takes those of the message d steps before it.
+
+    So it does not matter when a message came, as long as it came in time. Where that message is
+    missing, the next counts, and where there is none, the last. Before the first message the
+    points are ``nothing``, as of step -1.
+    """
+
+    def __init__(self, loop_delay: int, nothing: Floats) -> None:
+        self._loop_delay = loop_delay
+        self._messages = deque([(-1, nothing)])
+
+    def add(self, step: int, points: Floats) -> None:
+        """Add the message of a step, newer than those before: points of it and coming steps."""
+        self._messages.append((step, points))
+
+    def of(self, step: int) -> tuple[int, Floats]:
+        """Find the age of the message for a step, in steps, and its points; steps never go back."""
+        while len(self._messages) > 1 and self._messages[0][0] < step - self._loop_delay:
+            self._messages.popleft()
+        first, points = self._messages[0]
+        return step - first, points
 
 
 class Command:

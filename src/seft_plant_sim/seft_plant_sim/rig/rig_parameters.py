@@ -1,6 +1,6 @@
 """Parameter table of the rig."""
 
-from seft_msgs_py.config.parameter_table import Parameter, Table, parameter_rows
+from seft_msgs_py.config.parameter_table import Table, parameter_rows
 from seft_msgs_py.node import realtime
 
 from seft_plant_sim.rig.limits import limit_rows
@@ -82,40 +82,33 @@ ACTUATOR = parameter_rows(
 """Identified values where they are given, else from the data sheets, whose defaults are the paper's
 rig as docs/rig.md explains."""
 
-SENSORS = (
-    *(
-        Parameter(
-            f"sensors.{name}_{row}",
-            "floats",
-            0.0,
-            f"{text} of {quantity}{end}",
-            unit,
-            minimum=None if row == "bias" else 0.0,
-        )
-        for row, text, end in (
-            ("noise", "RMS noise", ""),
-            ("bias", "constant error", ""),
-            ("range", "range", " either way, where the sensor saturates; 0: no end"),
-        )
-        for name, quantity, unit in (
-            ("position", "displacement", "m"),
-            ("velocity", "velocity", "m/s"),
-            ("acceleration", "acceleration", "m/s^2"),
-            ("force", "force", "N"),
-        )
-    ),
-    *parameter_rows(
-        """
-        adc_bits        | int    | 0        |    | 0 .. 32 |
-            bits of the analog-digital converter over each range; 0: exact
-        anti_alias      | float  | 0.0      | Hz | 0 ..    |
-            cut-off of the anti-aliasing filters (Butterworth, second order); 0: none
-        velocity        | string | measured |    | measured, derived |
-            measured, or derived from the measured displacement by a filtered derivative
-        velocity_cutoff | float  | 100.0    | Hz | > 0     | cut-off of that derivative
-        """,
-        "sensors",
-    ),
+SENSORS = parameter_rows(
+    """
+    position_noise     | floats | 0.0      | m     | 0 ..    | RMS noise of displacement
+    velocity_noise     | floats | 0.0      | m/s   | 0 ..    | RMS noise of velocity
+    acceleration_noise | floats | 0.0      | m/s^2 | 0 ..    | RMS noise of acceleration
+    force_noise        | floats | 0.0      | N     | 0 ..    | RMS noise of force
+    position_bias      | floats | 0.0      | m     |         | constant error of displacement
+    velocity_bias      | floats | 0.0      | m/s   |         | constant error of velocity
+    acceleration_bias  | floats | 0.0      | m/s^2 |         | constant error of acceleration
+    force_bias         | floats | 0.0      | N     |         | constant error of force
+    position_range     | floats | 0.0      | m     | 0 ..    |
+        range of displacement either way, where the sensor saturates; 0: no end
+    velocity_range     | floats | 0.0      | m/s   | 0 ..    |
+        range of velocity either way, where the sensor saturates; 0: no end
+    acceleration_range | floats | 0.0      | m/s^2 | 0 ..    |
+        range of acceleration either way, where the sensor saturates; 0: no end
+    force_range        | floats | 0.0      | N     | 0 ..    |
+        range of force either way, where the sensor saturates; 0: no end
+    adc_bits           | int    | 0        |       | 0 .. 32 |
+        bits of the analog-digital converter over each range; 0: exact
+    anti_alias         | float  | 0.0      | Hz    | 0 ..    |
+        cut-off of the anti-aliasing filters (Butterworth, second order); 0: none
+    velocity           | string | measured |       | measured, derived |
+        measured, or derived from the measured displacement by a filtered derivative
+    velocity_cutoff    | float  | 100.0    | Hz    | > 0     | cut-off of that derivative
+    """,
+    "sensors",
 )
 
 SAFETY = parameter_rows(

@@ -4,7 +4,7 @@ import sys
 
 from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import NodeShell
-from seft_msgs_py.wire.messages import Status, decode_clock, decode_status
+from seft_msgs_py.wire.messages import decode_clock, decode_status
 from seft_msgs_py.wire.topics import CLOCK_TOPIC, EXPERIMENT_STATE, GROUND_MOTION
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
@@ -57,12 +57,12 @@ class GroundMotionNode(NodeBody):
             self._next_chunk += 1
             self._published_until = first + len(values)
             if first == 0:
-                self._report("primed")
+                self._tell("primed")
 
     def _on_experiment_state(self, raw: bytes, _: int) -> None:
         phase = decode_status(raw).message
         if self._phase not in ENDED and phase in ENDED:
-            self._report("ended")
+            self._tell("ended")
         elif self._phase in ENDED and phase not in ENDED:
             self._next_chunk = self._published_until = self._rig_step = 0  # for the next test
         self._phase = phase
@@ -71,9 +71,8 @@ class GroundMotionNode(NodeBody):
         if self._phase in MOVING:
             self._rig_step = decode_clock(raw) // self._period_ns
 
-    def _report(self, phase: str) -> None:
-        values = {"phase": phase, "steps": str(self.motion.steps)}
-        self._shell.report(Status("ground_motion", 0, phase, values=values))
+    def _tell(self, phase: str) -> None:
+        self.report(phase, {"steps": str(self.motion.steps)})
 
 
 KIND = NodeKind(TABLE, TABLES, GroundMotionNode)

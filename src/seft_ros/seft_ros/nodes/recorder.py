@@ -235,7 +235,7 @@ class RecorderNode(NodeBody):
 
     def _report(self, phase: str, **values: str) -> None:
         self._values = {"phase": phase, **values}
-        self._shell.report(Status("recorder", 0, phase, values=self._values))
+        self.report(phase, values)
 
 
 KIND = NodeKind(RECORDER, TABLES, RecorderNode)

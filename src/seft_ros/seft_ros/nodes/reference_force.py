@@ -13,7 +13,7 @@ from seft_msgs_py.errors import WireError
 from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell
 from seft_msgs_py.wire.estimates import EstimatesCodec
-from seft_msgs_py.wire.messages import ERROR, OK, Status, decode_status
+from seft_msgs_py.wire.messages import ERROR, OK, decode_status
 from seft_msgs_py.wire.outcome import tripped_status
 from seft_msgs_py.wire.topics import (
     ESTIMATES,
@@ -213,12 +213,10 @@ class ReferenceForceNode(NodeBody):
             self._report(AT_REST)
 
     def _report(self, phase: str) -> None:
-        self._phase = phase
-        values, cause = {"phase": phase}, self._block.cause
+        self._phase, cause, values = phase, self._block.cause, {}
         if cause is not None and self._cause_step >= 0:
-            values |= {"reason": cause, "step": str(self._cause_step)}
-        level = OK if cause is None else ERROR
-        self._shell.report(Status("reference_force", level, cause or phase, values=values))
+            values = {"reason": cause, "step": str(self._cause_step)}
+        self.report(phase, values, OK if cause is None else ERROR, cause or phase)
 
     def _tell_estimates(self, step: int) -> None:
         """Publish what the method has identified; if that can't be sent, the test goes on."""

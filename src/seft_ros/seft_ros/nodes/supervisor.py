@@ -44,8 +44,8 @@ from seft_ros.experiment.watching import SUPERVISOR
 
 HEARTBEAT = 0.2  # s between two publications of the state
 AGES_PERIOD = 1.0  # s
-LOOK = 0.2  # s between two looks at the graph
-MOST_AT_ONCE = 1000  # messages that are heard between two looks, in a flood
+GRAPH_PERIOD = 0.2  # s between two polls of the graph
+MOST_AT_ONCE = 1000  # messages that are heard between two polls, in a flood
 LEVELS = {State.RAMPING_DOWN: WARN, State.TRIPPED: ERROR}
 SOFT_PEERS = ("ground_motion", "recorder")
 """Nodes without which the loop can still bring the force down."""
@@ -76,7 +76,7 @@ class SupervisorNode(NodeBody):
         self._silent: list[str] | None = None  # who fell silent before a trip, once it is known
         self._published: Status | None = None
         self._message = b""
-        self._published_at = self._looked_at = self._told_at = self._now - AGES_PERIOD
+        self._published_at = self._polled_graph_at = self._told_at = self._now - AGES_PERIOD
         shell.subscribe(DIAGNOSTICS, self._on_diagnostics)
         shell.subscribe(DESCRIPTION, self._on_description, depth=64)
         shell.subscribe(CLOCK_TOPIC, self._on_clock, wake=False)
@@ -91,7 +91,12 @@ class SupervisorNode(NodeBody):
 
     def run(self) -> None:
         """Supervise until told to stop."""
-        self._shell.spin(self._hear_all_and_poll)
+        while not self._shell.stopping:
+            self._shell.spin_once()
+            for _ in range(MOST_AT_ONCE):
+                if not self._shell.spin_once(0.0):
+                    break  # nobody is called silent before all that came has been heard
+            self.poll()
 
     def poll(self) -> None:
         """Watch the peers, and publish the state if it has changed or is due."""
@@ -99,19 +104,13 @@ class SupervisorNode(NodeBody):
             self._now = self._awake.time()
             self._follow_state()
             if self._state in (State.IDLE, State.READY):
-                self._look_at_the_graph()
+                self._poll_graph()
             elif self._state in MOVING:
                 self._watch_peers()
             elif self._state is State.TRIPPED and self._silent is None:
                 self._find_the_silent()
             self._publish_if_due()
         self._tell_ages()
-
-    def _hear_all_and_poll(self) -> None:
-        for _ in range(MOST_AT_ONCE):
-            if not self._shell.spin_once(0.0):
-                break  # nobody is called silent before all that came has been heard
-        self.poll()
 
     def _tell_ages(self) -> None:
         """Keep the age of each node's last sign of life in the supervisor's own status."""
@@ -121,8 +120,7 @@ class SupervisorNode(NodeBody):
         ages = {n: self._now - self._heard[n].at for n in self._peers if n in self._heard}
         oldest = max(ages.values(), default=0.0)
         level = ERROR if oldest > self._timeout else WARN if oldest > self._timeout / 2 else OK
-        values = {"phase": "watching"} | {f"age {n} s": f"{age:.2f}" for n, age in ages.items()}
-        self._shell.report(Status("supervisor", level, "watching", values=values))
+        self.report("watching", {f"age {n} s": f"{age:.2f}" for n, age in ages.items()}, level)
 
     def _follow_state(self) -> None:
         """Note when a state began, and leave out of it what can't be done."""
@@ -135,10 +133,10 @@ class SupervisorNode(NodeBody):
                 self._test_s = 0.0
                 self._start_ns = time.time_ns() + START_AHEAD_NS
 
-    def _look_at_the_graph(self) -> None:
-        if self._now - self._looked_at < LOOK:  # it takes a millisecond
+    def _poll_graph(self) -> None:
+        if self._now - self._polled_graph_at < GRAPH_PERIOD:  # it takes a millisecond
             return
-        self._looked_at = self._now
+        self._polled_graph_at = self._now
         own = Status("supervisor", OK, "watching", values=self._shell.matched())
         self._heard["supervisor"] = Heard(own, self._now)
         self._machine.peers(
@@ -218,42 +216,27 @@ class SupervisorNode(NodeBody):
     def _on_diagnostics(self, raw: bytes, _: int) -> None:
         for status in decode_diagnostics(raw)[1]:
             self._heard[status.name] = Heard(status, self._awake.time(), self._test_s)
-            is_rig = status.name in self._rig_nodes
-            if is_rig:
-                self._follow_rig(status)
-            elif status.name == "reference_force":
-                self._follow_reference_force(status)
-            if not is_rig and status.values.get("phase") == TRIPPED:
-                self._follow_tripped(status)
+            with self._lock:
+                self._follow(status)
+                self._publish_if_due()
 
-    def _follow_rig(self, status: Status) -> None:
-        phase = status.values.get("phase")
-        if phase not in (FINISHED, TRIPPED):
-            return
-        with self._lock:
-            if phase == TRIPPED:
-                reason = status.values.get("reason") or status.message
-                self._machine.hard_trip(reason, _step_of(status))
-            elif all(self._phase(rig) == FINISHED for rig in self._rig_nodes):
-                self._machine.finish(f"{status.values.get('steps')} steps done")
-            self._publish_if_due()
-
-    def _follow_tripped(self, status: Status) -> None:
-        with self._lock:
-            reason = status.values.get("reason") or status.message
-            self._machine.hard_trip(f"{status.name}: {reason}", _step_of(status))
-            self._publish_if_due()
-
-    def _follow_reference_force(self, status: Status) -> None:
+    def _follow(self, status: Status) -> None:
+        """Do what a node's status asks for."""
         phase, reason = status.values.get("phase"), status.values.get("reason")
-        if phase not in (RAMPING_DOWN, AT_REST):
-            return
-        with self._lock:
+        is_rig = status.name in self._rig_nodes
+        if phase == TRIPPED:
+            reason = reason or status.message
+            self._machine.hard_trip(
+                reason if is_rig else f"{status.name}: {reason}", _step_of(status)
+            )
+        elif is_rig and phase == FINISHED:
+            if all(self._phase(rig) == FINISHED for rig in self._rig_nodes):
+                self._machine.finish(f"{status.values.get('steps')} steps done")
+        elif status.name == "reference_force" and phase in (RAMPING_DOWN, AT_REST):
             if reason:
                 self._machine.soft_trip(reason, _step_of(status))
             if phase == AT_REST:
                 self._machine.at_rest()
-            self._publish_if_due()
 
     def _on_description(self, raw: bytes, _: int) -> None:
         node, description = decode_description(raw)
