@@ -154,10 +154,10 @@ class ForceControllerNode(NodeBody):
         for force in points[: self._settled, -1]:
             if nonsense := self._controller.nonsense(force):
                 raise WireError(f"{name} of step {step}: {nonsense}")
+        self._begin_with(step)  # it may be read before the state that it answers
         if self._previews is None:
-            self._begin_with(step)
             self._order.check(name, step)
-        elif step > self._order.last + 1:  # the state it answers would be here first
+        elif step > self._order.last + 1:  # no step that has begun
             raise WireError(f"{name} of step {step} after step {self._order.last}: in the future")
         self._forces.take(step, points)
         if self._previews is None:
