@@ -127,9 +127,10 @@ class Parameter:
 def parameter_rows(text: str, group: str = "") -> tuple[Parameter, ...]:
     """Read rows of a parameter table: name | kind | default | unit | allowed | description.
 
-    An indented line goes on with the description above. The default is empty where the parameter
-    must be given, and may be followed by ``or NODE:PARAMETER``, see `Parameter.default_from`.
-    Allowed is empty, ``> 0``, ``MINIMUM ..``, ``MINIMUM .. MAXIMUM``, or a list of texts. Names
+    An indented line goes on with the row above. The default is empty where the parameter
+    must be given, and may be ``NODE:PARAMETER or DEFAULT``, see `Parameter.default_from`.
+    Allowed is empty, ``> 0``, ``> 0 .. MAXIMUM``, ``MINIMUM ..``, ``MINIMUM .. MAXIMUM``, or a list
+    of texts. Names
     are put into a group: ``specimen`` makes ``specimen.mass`` of ``mass``.
     """
     prefix = f"{group}." if group else ""
@@ -139,20 +140,22 @@ def parameter_rows(text: str, group: str = "") -> tuple[Parameter, ...]:
             lines[-1] += " " + line.strip()
         else:
             lines.append(line)
-    return tuple(_row(prefix, *(cell.strip() for cell in line.split("|"))) for line in lines)
+    return tuple(_row(prefix, *(cell.strip() for cell in line.split("|", 5))) for line in lines)
 
 
 def _row(
     prefix: str, name: str, kind: Any, default: str, unit: str, allowed: str, description: str
 ) -> Parameter:
-    value: Value
-    value, _, default_from = default.partition(" or ")
+    value: Value = default
+    default_from = ""
+    if ":" in default:
+        default_from, _, value = default.partition(" or ")
     if kind != "string":
         words = {"": None, "true": True, "false": False}
         value = words[value] if value in words else ast.literal_eval(value)
     row = Parameter(prefix + name, kind, value, description, unit, default_from=default_from)
-    if allowed == "> 0":
-        return replace(row, positive=True)
+    if allowed.startswith("> 0"):
+        row, allowed = replace(row, positive=True), allowed.removeprefix("> 0")
     if ".." not in allowed:
         return replace(row, choices=tuple(allowed.replace(",", " ").split()))
     minimum, maximum = (float(end) if end.strip() else None for end in allowed.split(".."))

@@ -12,7 +12,7 @@ PACE = parameter_rows(
         realtime: absolute deadlines, a missing command holds the last; lockstep: each step
         waits for its command
     lockstep_timeout | float  | 5.0      | s | > 0       | longest wait for a command in lockstep
-    loop_delay       | int    | 0 or reference_force:loop_delay |   | -1 .. 100 |
+    loop_delay       | int    | reference_force:loop_delay or 0 |   | -1 .. 100 |
         of an idealised actuator, which obeys reference_force: steps from a state to the
         first use of the force that is computed from it
     seed             | int    | 0        |   | 0 ..      | seed of the sensor noise
@@ -113,14 +113,14 @@ SENSORS = parameter_rows(
 
 SAFETY = parameter_rows(
     """
-    limits.command              | float  | 10.0 or force_controller:voltage_limit | V | > 0     |
+    limits.command              | float  | force_controller:voltage_limit or 10.0 | V | > 0     |
         largest valve command, either way, that the rig applies; one beyond it is refused.
         Idealised actuators refuse a reference force beyond limits.force instead
     safe.valve_command          | floats | 0.0 | V |         |
         valve command when a test trips or is stopped; an idealised actuator lets go instead
     safe.settle_time            | float  | 0.2 | s | 0 .. 60 |
         longest time that the simulated rig is followed to rest after that; 0: not at all
-    watchdog.command_timeout | float | 0.02 or supervisor:watchdog.command_timeout | s | > 0 |
+    watchdog.command_timeout | float | supervisor:watchdog.command_timeout or 0.02 | s | > 0 |
         in realtime: longest time without a new command before the rig trips
     watchdog.supervisor_timeout | float  | 1.0 | s | > 0     |
         longest silence of the supervisor before the rig trips

@@ -1,10 +1,84 @@
 """Parameter table of the force controller."""
 
-from seft_msgs_py.config.parameter_table import Parameter, Table
+from seft_msgs_py.config.parameter_table import Parameter, Table, parameter_rows
 from seft_msgs_py.node import realtime
 
 from seft_ros.force_controller.names import REGISTERED, TRANSFER_FUNCTION, VELOCITY_FEEDFORWARD
 
+_ROWS = parameter_rows(
+    """
+    numerator                  | floats | 37.0  |       |           |
+        numerator of the controller (force error in N -> valve in V), in s, highest power
+        first; default the paper's Eq. 3.1
+    denominator                | floats | [1.0, 17.14, 4002.0] |       |           |
+        denominator of the controller, likewise
+    per_axis                   | bool   | false |       |           |
+        whether numerator and denominator hold a polynomial for each axis, one after the
+        other, instead of one for all
+    gain                       | floats | 1.0   |       |           |
+        what valves get of the controllers' outputs: one number, a diagonal, or a matrix
+        that decouples the axes
+    actuator.flow_gain         | floats | 0.0   | m/s/V | 0 ..      |
+        velocity_feedforward: piston velocity for one volt, as seft identify finds it; 0:
+        not known
+    actuator.oil_stiffness     | floats | 0.0   | N/m   | 0 ..      |
+        velocity_feedforward: stiffness of the oil column, likewise
+    actuator.leakage           | floats | 0.0   | 1/s   | 0 ..      |
+        velocity_feedforward: rate at which leakage lets a force decay
+    actuator.force_capacity    | floats | 0.0   | N     | 0 ..      |
+        velocity_feedforward: force at which the supply pressure is used up; 0: so much that
+        the valve does not feel the load
+    actuator.valve_frequency   | floats | 0.0   | Hz    | 0 ..      |
+        velocity_feedforward: natural frequency of the valve; 0: not known
+    actuator.valve_damping     | floats | 0.7   |       | 0 ..      |
+        velocity_feedforward: damping ratio of the valve
+    actuator.dead_time         | floats | 0.0   | s     | 0 ..      |
+        velocity_feedforward: dead time of the valve, without the loop's own step
+    noise.position | floats | reference_force:compensation.noise.position or 0.0 | m | 0 .. |
+        velocity_feedforward: RMS noise of the measured displacement
+    noise.velocity | floats | reference_force:compensation.noise.velocity or 0.0 | m/s | 0 .. |
+        velocity_feedforward: RMS noise of the measured velocity
+    noise.acceleration | floats | reference_force:compensation.noise.acceleration or 0.0 | m/s^2 | 0
+        .. | velocity_feedforward: RMS noise of the measured acceleration
+    noise.force | floats | reference_force:compensation.noise.force or 0.0 | N | 0 .. |
+        velocity_feedforward: RMS noise of the measured force
+    noise.velocity_source | string | reference_force:compensation.noise.velocity_source or measured
+        |  | measured, derived | velocity_feedforward: whether the velocity is measured, or
+        derived
+    horizon | float | reference_force:compensation.horizon or 0.05 | s | > 0 .. 1 |
+        velocity_feedforward: time ahead for which the coming motion is used
+    voltage_limit              | float  | 10.0  | V     | > 0       |
+        largest valve drive, either way
+    feedback                   | bool   | true  |       |           |
+        whether the measured force is fed back; without, the reference force drives the
+        valve through the controller (open loop, for identification)
+    loop_delay                 | int    | reference_force:loop_delay or 0 |       | -1 .. 100 |
+        steps from a state to the first use of the reference force that is computed from it;
+        0: each state is answered when its reference force has come; -1: other than 0, and
+        measured before the test
+    limits.force               | float  | supervisor:limits.force or 22200.0 | N     | > 0       |
+        largest reference force on any axis; one beyond it is refused
+    watchdog.state_timeout | float | supervisor:watchdog.command_timeout or 0.02 | s | > 0 |
+        in realtime: longest time without a new rig/state in a running test before the force
+        controller trips and answers 0 V until the next test
+    watchdog.reference_timeout | float  | 0.1   | s     | > 0       |
+        with a loop_delay, in realtime: age of the newest reference_force in steps of the
+        rig, in s, at which the force controller brings the force down by itself
+    watchdog.ramp_down_time | float | reference_force:ramp_down_time or 0.5 | s | > 0 .. 60 |
+        time in which it then does so; after it, 0 V until the next test. A valve that
+        closes on a specimen that still vibrates makes it ring
+    watchdog.saturation_time   | float  | 0.5   | s     | 0 ..      |
+        longest time within one second that the valve command may be at its limit before the
+        force controller trips
+    plant.numerator            | floats | [0.0] |       |           |
+        numerator of the identified response from valve command in V to force in N, in s,
+        highest power first; 0: not known. For design and preflight, the loop does not use
+        it
+    plant.denominator          | floats | [1.0] |       |           | its denominator, likewise
+    plant.dead_time            | float  | 0.0   | s     | 0 .. 1    |
+        its dead time; the loop's own step of latency is not in it
+    """
+)
 TABLE = Table(
     "force_controller",
     [
@@ -17,181 +91,7 @@ TABLE = Table(
             choices=REGISTERED.names,
         ),
         REGISTERED.settings_row("settings", "a controller"),
-        Parameter(
-            "numerator",
-            "floats",
-            37.0,
-            "numerator of the controller (force error in N -> valve in V), in s, highest power "
-            "first; default the paper's Eq. 3.1",
-        ),
-        Parameter(
-            "denominator", "floats", [1.0, 17.14, 4002.0], "denominator of the controller, likewise"
-        ),
-        Parameter(
-            "per_axis",
-            "bool",
-            False,
-            "whether numerator and denominator hold a polynomial for each axis, one after the "
-            "other, instead of one for all",
-        ),
-        Parameter(
-            "gain",
-            "floats",
-            1.0,
-            "what valves get of the controllers' outputs: one number, a diagonal, or a matrix that "
-            "decouples the axes",
-        ),
-        *(
-            Parameter(
-                f"actuator.{name}",
-                "floats",
-                default,
-                f"{VELOCITY_FEEDFORWARD}: {what}",
-                unit,
-                minimum=0.0,
-            )
-            for name, default, what, unit in (
-                (
-                    "flow_gain",
-                    0.0,
-                    "piston velocity for one volt, as seft identify finds it; 0: not known",
-                    "m/s/V",
-                ),
-                ("oil_stiffness", 0.0, "stiffness of the oil column, likewise", "N/m"),
-                ("leakage", 0.0, "rate at which leakage lets a force decay", "1/s"),
-                (
-                    "force_capacity",
-                    0.0,
-                    "force at which the supply pressure is used up; 0: so much "
-                    "that the valve does not feel the load",
-                    "N",
-                ),
-                ("valve_frequency", 0.0, "natural frequency of the valve; 0: not known", "Hz"),
-                ("valve_damping", 0.7, "damping ratio of the valve", ""),
-                ("dead_time", 0.0, "dead time of the valve, without the loop's own step", "s"),
-            )
-        ),
-        *(
-            Parameter(
-                f"noise.{name}",
-                "floats",
-                0.0,
-                f"{VELOCITY_FEEDFORWARD}: RMS noise of the measured {quantity}",
-                unit,
-                minimum=0.0,
-                default_from=f"reference_force:compensation.noise.{name}",
-            )
-            for name, quantity, unit in (
-                ("position", "displacement", "m"),
-                ("velocity", "velocity", "m/s"),
-                ("acceleration", "acceleration", "m/s^2"),
-                ("force", "force", "N"),
-            )
-        ),
-        Parameter(
-            "noise.velocity_source",
-            "string",
-            "measured",
-            f"{VELOCITY_FEEDFORWARD}: whether the velocity is measured, or derived",
-            choices=("measured", "derived"),
-            default_from="reference_force:compensation.noise.velocity_source",
-        ),
-        Parameter(
-            "horizon",
-            "float",
-            0.05,
-            f"{VELOCITY_FEEDFORWARD}: time ahead for which the coming motion is used",
-            "s",
-            positive=True,
-            maximum=1.0,
-            default_from="reference_force:compensation.horizon",
-        ),
-        Parameter(
-            "voltage_limit", "float", 10.0, "largest valve drive, either way", "V", positive=True
-        ),
-        Parameter(
-            "feedback",
-            "bool",
-            True,
-            "whether the measured force is fed back; without, the reference force drives the "
-            "valve through the controller (open loop, for identification)",
-        ),
-        Parameter(
-            "loop_delay",
-            "int",
-            0,
-            "steps from a state to the first use of the reference force that is computed from it; "
-            "0: each state is answered when its reference force has come; -1: other than 0, and "
-            "measured before the test",
-            minimum=-1,
-            maximum=100,
-            default_from="reference_force:loop_delay",
-        ),
-        Parameter(
-            "limits.force",
-            "float",
-            22200.0,
-            "largest reference force on any axis; one beyond it is refused",
-            "N",
-            positive=True,
-            default_from="supervisor:limits.force",
-        ),
-        Parameter(
-            "watchdog.state_timeout",
-            "float",
-            0.02,
-            "in realtime: longest time without a new rig/state in a running test before the force "
-            "controller trips and answers 0 V until the next test",
-            "s",
-            positive=True,
-            default_from="supervisor:watchdog.command_timeout",
-        ),
-        Parameter(
-            "watchdog.reference_timeout",
-            "float",
-            0.1,
-            "with a loop_delay, in realtime: age of the newest reference_force in steps of the "
-            "rig, in s, at which the force controller brings the force down by itself",
-            "s",
-            positive=True,
-        ),
-        Parameter(
-            "watchdog.ramp_down_time",
-            "float",
-            0.5,
-            "time in which it then does so; after it, 0 V until the next test. A valve that closes "
-            "on a specimen that still vibrates makes it ring",
-            "s",
-            positive=True,
-            maximum=60.0,
-            default_from="reference_force:ramp_down_time",
-        ),
-        Parameter(
-            "watchdog.saturation_time",
-            "float",
-            0.5,
-            "longest time within one second that the valve command may be at its limit before the "
-            "force controller trips",
-            "s",
-            minimum=0.0,
-        ),
-        Parameter(
-            "plant.numerator",
-            "floats",
-            [0.0],
-            "numerator of the identified response from valve command in V to force in N, in s, "
-            "highest power first; 0: not known. For design and preflight, the loop does not use it",
-        ),
-        Parameter("plant.denominator", "floats", [1.0], "its denominator, likewise"),
-        Parameter(
-            "plant.dead_time",
-            "float",
-            0.0,
-            "its dead time; the loop's own step of latency is not in it",
-            "s",
-            minimum=0.0,
-            maximum=1.0,
-        ),
+        *_ROWS,
         *realtime.PARAMETERS,
     ],
 )
