@@ -76,12 +76,7 @@ class Topic:
 class LoopTopic(Topic):
     """A topic of the loop: JointTrajectory, of which some arrays carry values.
 
-    Attributes
-    ----------
-    quantities : tuple of str
-        Arrays that carry values, in the order of the wire; the others are empty.
-    units : tuple of str
-        Unit of each.
+    These are the quantities, each with its unit, in the order of the wire; others are empty.
     """
 
     quantities: tuple[str, ...] = ()

@@ -5,7 +5,7 @@ Oil column, valve flow and leakage after Merritt (Hydraulic Control Systems, 196
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,12 @@ from seft_plant_sim.compiled import compiled
 from seft_plant_sim.specimen.specimen import Specimen
 
 Floats = npt.NDArray[np.float64]
+
+
+_AS_GIVEN = (
+    *("valve_frequency", "valve_damping", "stroke"),
+    *("friction", "friction_velocity", "viscous_friction"),
+)
 
 
 @dataclass(frozen=True)
@@ -104,22 +110,14 @@ class Hydraulics:
             ),
             opening_limit=voltage,
             force_capacity=_given_or(value("force_capacity"), supply * area),
-            valve_frequency=value("valve_frequency"),
-            valve_damping=value("valve_damping"),
-            friction=value("friction"),
-            friction_velocity=value("friction_velocity"),
-            viscous_friction=value("viscous_friction"),
-            stroke=value("stroke"),
             dead_time=float(group["dead_time"]),
+            **{name: value(name) for name in _AS_GIVEN},
         )
 
     def part(self, places: Sequence[int]) -> "Hydraulics":
         """Take the actuators at some places among the axes."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        own = list(places)
-        return Hydraulics(
-            **{k: v[own] if isinstance(v, np.ndarray) else v for k, v in values.items()}  # type: ignore[arg-type]
-        )
+        values = {k: v[list(places)] for k, v in vars(self).items() if k != "dead_time"}
+        return replace(self, **values)
 
 
 def _given_or(given: Floats, from_data_sheet: Floats) -> Floats:
