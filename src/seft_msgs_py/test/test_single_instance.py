@@ -24,7 +24,7 @@ def test_a_name_is_taken_once_on_a_domain():
 
 def test_the_name_of_a_killed_process_is_free():
     program = (
-        "import sys, time; from seft_msgs_py.node.single_instance import *; "
+        "import time; from seft_msgs_py.node.single_instance import single_instance; "
         f"held = single_instance(7, {NODE!r}); print('held', flush=True); time.sleep(600)"
     )
     with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE) as process:
