@@ -4,13 +4,10 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
-from seft_msgs_py.config.arrays import per_axis
+from seft_msgs_py.config.arrays import Floats, per_axis
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.compiled import compiled
-
-Floats = npt.NDArray[np.float64]
 
 BLOCK = 4096
 """Steps of which the noise is drawn at once."""

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 
 Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
 
 
 def per_axis(value: float | Sequence[float], axes: Sequence[str], where: str) -> Floats:

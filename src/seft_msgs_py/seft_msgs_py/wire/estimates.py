@@ -4,14 +4,12 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import OK, Status, decode_diagnostics, encode_diagnostics
 from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import ESTIMATES
-
-Floats = npt.NDArray[np.float64]
+from seft_msgs_py.wire.trajectory import Floats
 
 _PREFIX = f"{ESTIMATES.publisher}: "
 

@@ -12,11 +12,10 @@ import numpy.typing as npt
 
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND
-from seft_msgs_py.wire.trajectory import TrajectoryCodec
+from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 from seft_msgs_py.wire.trajectory_layout import Layout
 from seft_msgs_py.wire.trajectory_message import ENCAPSULATION
 
-Floats = npt.NDArray[np.float64]
 Steps = npt.NDArray[np.int64]
 Bytes = npt.NDArray[np.uint8]
 Flags = npt.NDArray[np.bool_]

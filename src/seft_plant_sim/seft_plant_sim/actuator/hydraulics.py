@@ -9,15 +9,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-from seft_msgs_py.config.arrays import per_axis
+from seft_msgs_py.config.arrays import Floats, per_axis
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.specimen.specimen import Specimen
-
-Floats = npt.NDArray[np.float64]
-
 
 _AS_GIVEN = (
     *("valve_frequency", "valve_damping", "stroke"),

@@ -5,11 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-from seft_msgs_py.config.arrays import mass_matrix, symmetric_matrix
+from seft_msgs_py.config.arrays import Floats, mass_matrix, symmetric_matrix
 from seft_msgs_py.errors import InputError
-
-Floats = npt.NDArray[np.float64]
 
 _NAMES = ("mass", "damping", "stiffness", "internal", "influence")
 

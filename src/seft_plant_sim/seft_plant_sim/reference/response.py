@@ -3,14 +3,12 @@
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
+from seft_msgs_py.config.arrays import Floats
 
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.continuous_model import ContinuousModel, with_springs
 from seft_plant_sim.integration import Dynamics, Motion, at_rest, dynamics_of, integrate, multiply
 from seft_plant_sim.specimen.specimen import Specimen
-
-Floats = npt.NDArray[np.float64]
 
 TOLERANCE = 1e-5
 """Of displacement and velocity, relative to their peaks."""

@@ -5,16 +5,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-from seft_msgs_py.config.arrays import as_matrix
+from seft_msgs_py.config.arrays import Floats, as_matrix
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import group
 
 from seft_plant_sim.reference.computed_substructure import ComputedSubstructure
 from seft_plant_sim.reference.response import ShakenStructure, response
 from seft_plant_sim.specimen.specimen import Specimen
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from seft_msgs_py.config.arrays import Floats, Ints
 from seft_msgs_py.config.parameter_table import Parameter, parameter_rows
 
 from seft_plant_sim.compiled import compiled
-
-Floats = npt.NDArray[np.float64]
 
 # Rates are of one sample to the next. Tests of config/jhu.yaml and config/demo.yaml that go well
 # reach 0.48, 26, 3e3 and 1.4e5; with valve and accelerometer driven into saturation 0.48, 51, 1.5e4
@@ -124,9 +122,6 @@ class Limits:
     def margins(self) -> dict[str, float]:
         """Smallest distance to each limit since the reset, over the limit; 0 and below: broken."""
         return dict(zip(ROWS, (1.0 - self.largest / self.values).tolist(), strict=True))
-
-
-Ints = npt.NDArray[np.int64]
 
 
 @compiled

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.config.arrays import per_axis
+from seft_msgs_py.config.arrays import Floats, Ints, per_axis
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.wire.outcome import Saturation
 from seft_msgs_py.wire.rigs import RigAxes
@@ -21,9 +21,6 @@ from seft_plant_sim.rig.limits import Limits, SaturatedTime
 from seft_plant_sim.rig.rig_step import BLIND, ENDS, LIMIT, move, rig_arrays, rig_step
 from seft_plant_sim.sensors import Sensors
 from seft_plant_sim.specimen.specimen import Specimen
-
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
 
 AT_REST = 1e-4  # m/s
 RESTS = 10  # steps below that, so that a vibration's turning point is no rest

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from seft_msgs_py.config.arrays import Floats, Ints
 
 from seft_plant_sim.actuator.hydraulics import OPENING, PER_CAPACITY
 from seft_plant_sim.actuator.hydraulics import STROKE as STROKE_COLUMN
@@ -13,9 +13,6 @@ from seft_plant_sim.dead_time import split_dead_time
 from seft_plant_sim.integration import Dynamics, Motion, at_rest, dynamics_of, integrate, multiply
 from seft_plant_sim.rig.limits import Limits, SaturatedTime, exceeds, is_exceeded
 from seft_plant_sim.sensors import CHANNELS, Channels, measure
-
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
 
 STROKE, FORCE_CAPACITY, VALVE = 16, 32, 64
 LIMIT, BLIND = 128, 256

@@ -10,11 +10,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
+from seft_msgs_py.config.arrays import Floats
 
 from seft_plant_sim.specimen.specimen import Specimen
-
-Floats = npt.NDArray[np.float64]
 
 PATH_POINTS = 4
 """Points of the springs' path in a sample: knees and turning points lie between samples."""

@@ -8,11 +8,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.config.arrays import Floats
 
 from seft_plant_sim.specimen import spring_laws
 from seft_plant_sim.specimen.spring_laws import MEMORY, MOST_STEPS, STIFFNESS, WIDTH
-
-Floats = npt.NDArray[np.float64]
 
 PATH_STEP = 0.02  # of the yield displacement: longest step of a law along a path
 _Memory = ctypes.c_double * MEMORY

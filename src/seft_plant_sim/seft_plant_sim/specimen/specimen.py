@@ -6,15 +6,12 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-from seft_msgs_py.config.arrays import mass_matrix, symmetric_matrix
+from seft_msgs_py.config.arrays import Floats, mass_matrix, symmetric_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.rigs import RigAxes
 
 from seft_plant_sim.specimen.restoring_force import Spring
 from seft_plant_sim.specimen.spring_kinds import make_springs
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,15 +5,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from seft_msgs_py.config.arrays import Floats
 from seft_msgs_py.config.parameter_table import Parameter, group, parameter_rows
 from seft_msgs_py.config.registered import Registered
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.specimen.restoring_force import HystereticSpring, Spring
 from seft_plant_sim.specimen.spring_laws import BOUC_WEN, DUFFING, GAP, SLIDER
-
-Floats = npt.NDArray[np.float64]
 
 OWN = ("linear", "bilinear", "bouc_wen", "pinching", "flag", "friction", "gap", "duffing")
 KINDS = Registered("seft.restoring_force", OWN)

@@ -21,14 +21,11 @@ import math
 from typing import Any
 
 import numba
-import numpy as np
-import numpy.typing as npt
 from llvmlite import ir
 from numba.extending import intrinsic
+from seft_msgs_py.config.arrays import Floats
 
 from seft_plant_sim.compiled import compiled
-
-Floats = npt.NDArray[np.float64]
 
 SLIDER, BOUC_WEN, GAP, DUFFING, CALLED = range(5)
 KIND, STIFFNESS, BESIDE, HYSTERETIC, Z_Y = range(5)
