@@ -1,7 +1,7 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_msgs_py.node.awake_clock import LONGEST_LOOK, AwakeClock
+from seft_msgs_py.node.awake_clock import LONGEST_GAP, AwakeClock
 
 
 class Hand:
@@ -27,8 +27,8 @@ def test_a_long_sleep_counts_for_one_look():
     hand = Hand()
     clock = AwakeClock(hand)
     hand.now += 60.0
-    assert clock.time() == LONGEST_LOOK
-    assert clock.time() == LONGEST_LOOK
+    assert clock.time() == LONGEST_GAP
+    assert clock.time() == LONGEST_GAP
 
 
 @given(st.lists(st.floats(0.0, 5.0), max_size=50))

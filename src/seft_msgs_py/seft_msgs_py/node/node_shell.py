@@ -81,7 +81,7 @@ class NodeShell:
         self._inside: dict[str, str] = {}  # topics that come from this process, and full names
         self._loop_names: set[str] = set()  # of the topics of the loop that it listens to
         self._handled_at = 0.0  # s, monotonic: the last message of the loop
-        self._looked_at = 0.0
+        self._polled_at = 0.0
         self._status = Status(self.name, 0, "starting", values={})
         self._status_sent: tuple[float, Status | None] = (0.0, None)
         self._status_message = bytearray()
@@ -156,7 +156,7 @@ class NodeShell:
                 self.node.get_logger().warning(denied)
             self._facts["realtime"] = realtime.granted()
         self._describe()
-        self._process.now_and_then(self._look_after_status)
+        self._process.now_and_then(self._renew_status)
 
     def spin_once(self, timeout: float = IDLE_WAIT) -> bool:
         """Let the process wait for messages and handle them, see `NodeProcess.spin_once`."""
@@ -254,8 +254,8 @@ class NodeShell:
 
         return receive
 
-    def _look_after_status(self) -> None:
-        """Look who listens and what has changed; while the loop turns, only send what is due.
+    def _renew_status(self) -> None:
+        """Renew the status by who listens and what has changed; while the loop turns, only send it.
 
         Asking for the graph takes a millisecond, which only an idle node has.
         """
@@ -271,9 +271,9 @@ class NodeShell:
                     self._status = replace(self._status, values=values)
                 self._publish_status()
             return
-        if now - self._looked_at < STATUS_PERIOD:
+        if now - self._polled_at < STATUS_PERIOD:
             return
-        self._looked_at = now
+        self._polled_at = now
         values = {**self._status.values, **self.matched(), **self._own_values()}
         self._status = replace(self._status, values=values)
         if self._status != sent or now - sent_at >= STATUS_PERIOD:

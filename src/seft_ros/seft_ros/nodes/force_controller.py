@@ -34,7 +34,7 @@ from seft_ros.force_controller.parameters import TABLE
 from seft_ros.force_controller.silence import Silence
 
 TELL_PERIOD = 1.0  # s, of what is told of the link and the valves while a test runs
-STATE_WAIT = 0.0005  # s between looks for a state that comes after its reference force
+STATE_WAIT = 0.0005  # s between polls for a state that comes after its reference force
 
 
 class ForceControllerNode(NodeBody):

@@ -103,7 +103,7 @@ class RecorderNode(NodeBody):
     def poll(self) -> None:
         """Keep the bag flushed, and close it when the test has ended."""
         if self._bag is None:
-            self._look_at_the_place()
+            self._check_place()
             return
         self._bag.flush_if_due()
         if self._ended_at is not None:
@@ -225,7 +225,7 @@ class RecorderNode(NodeBody):
             number += 1
         return place
 
-    def _look_at_the_place(self) -> None:
+    def _check_place(self) -> None:
         """Have the next test wait as long as its bag can't be made."""
         place = self._place() if self._section["name"] else None
         is_taken = place is not None and place.exists()

@@ -34,7 +34,7 @@ from seft_ros.reference_force.parameters import TABLE
 from seft_ros.reference_force.state_gathering import StateGathering
 from seft_ros.reference_force.topic import reference_force_topic
 
-RIG_LOOK = 0.002  # s between looks for the state of a rig that is late
+RIG_POLL = 0.002  # s between polls for the state of a rig that is late
 
 
 class ReferenceForceNode(NodeBody):
@@ -95,7 +95,7 @@ class ReferenceForceNode(NodeBody):
     def period(self) -> float:
         """Poll soon while the state of a rig is late."""
         waiting = self._gathering is not None and self._gathering.is_waiting
-        return RIG_LOOK if waiting else IDLE_WAIT
+        return RIG_POLL if waiting else IDLE_WAIT
 
     def _warm_up(self) -> None:
         axes = len(self._shell.experiment.axes)
