@@ -90,8 +90,8 @@ class RigNode(NodeBody):
         self._rest()
         while not self._shell.stopping:
             self._shell.spin_once()
-            if self._is_moving():
-                self._run_test(_steps(self._wanted))
+            if self._wanted is not None and self._is_moving():
+                self._run_test(self._wanted.number("steps") or 0)
                 if self._is_moving():
                     self._wanted = None  # a test runs once
             elif self._ended and self._wanted is not None and self._wanted.message == "idle":
@@ -338,7 +338,7 @@ class RigNode(NodeBody):
         if status.message in MOVING and not (self._armed or self._is_moving()):
             why = "that was running before this rig was ready for it"
             raise WireError("a test " + ("after a trip and no reset" if self._latched else why))
-        if status.message == "running" and not _steps(status):
+        if status.message == "running" and not status.number("steps"):
             raise WireError("a test that does not say how many steps it has")
         if status.message == "idle":
             self._latched = False
@@ -347,12 +347,6 @@ class RigNode(NodeBody):
 
     def _is_moving(self) -> bool:
         return self._wanted is not None and self._wanted.message in MOVING
-
-
-def _steps(status: Status | None) -> int:
-    """Read how many steps the test has; 0 if its state does not say."""
-    text = status.values.get("steps", "") if status is not None else ""
-    return int(text) if text.isdecimal() and len(text) < 19 else 0
 
 
 KIND = NodeKind(TABLE, [TABLE], RigNode)

@@ -37,6 +37,11 @@ class Status:
     hardware_id: str = ""
     values: dict[str, str] = field(default_factory=dict)
 
+    def number(self, key: str) -> int | None:
+        """Whole number that a value says; None if it says none."""
+        text = self.values.get(key, "")
+        return int(text) if text.isdecimal() and len(text) < 19 else None
+
 
 @cache
 def typestore() -> Typestore:

@@ -167,10 +167,9 @@ class RecorderNode(NodeBody):
             if self._ended_at is not None:
                 return
             self._ended_at = time.monotonic()
-            last = test.values.get("step", "")  # where it tripped
-            steps = test.values.get("steps", "") if phase == "done" else ""
-            steps = steps if steps.isdecimal() else "0"
-            expected = int(last) + 1 if last.isdecimal() else int(steps)
+            last = test.number("step")  # where it tripped
+            steps = test.number("steps") if phase == State.DONE else None
+            expected = last + 1 if last is not None else steps or 0
             self._expected = expected * len(self._rig_states)
         self._phase = phase
 

@@ -227,14 +227,14 @@ class SupervisorNode(NodeBody):
         if phase == TRIPPED:
             reason = reason or status.message
             self._machine.hard_trip(
-                reason if is_rig else f"{status.name}: {reason}", _step_of(status)
+                reason if is_rig else f"{status.name}: {reason}", status.number("step")
             )
         elif is_rig and phase == FINISHED:
             if all(self._phase(rig) == FINISHED for rig in self._rig_nodes):
                 self._machine.finish(f"{status.values.get('steps')} steps done")
         elif status.name == "reference_force" and phase in (RAMPING_DOWN, AT_REST):
             if reason:
-                self._machine.soft_trip(reason, _step_of(status))
+                self._machine.soft_trip(reason, status.number("step"))
             if phase == AT_REST:
                 self._machine.at_rest()
 
@@ -259,11 +259,6 @@ class SupervisorNode(NodeBody):
     def _step(self) -> int:
         """Step that the test has reached, as /clock tells it every 0.1 s of the test."""
         return round(self._test_s * self._shell.experiment.timebase.rate)
-
-
-def _step_of(status: Status) -> int | None:
-    step = status.values.get("step", "")
-    return int(step) if step.isdecimal() else None
 
 
 KIND = NodeKind(SUPERVISOR, TABLES, SupervisorNode)
