@@ -19,7 +19,6 @@ from seft_msgs_py.wire.trajectory_message import ENCAPSULATION
 Steps = npt.NDArray[np.int64]
 Bytes = npt.NDArray[np.uint8]
 Flags = npt.NDArray[np.bool_]
-Samples = tuple[Steps, Floats]
 Part = tuple[Steps, Floats, Steps]  # of a batch, as in `Batch`
 
 
@@ -68,7 +67,9 @@ def decode_batch(codec: TrajectoryCodec, rows: Bytes) -> Batch:
         values = words[:, layout.values.ravel()].view(np.float64)
         fits &= np.isfinite(values).all(axis=1) & _as_laid_out(rows, words, layout)
     every = steps[:, np.newaxis] + np.arange(points)
-    parts, refused, start = [_none(codec)], 0, 0
+    nothing = np.empty((0, len(codec.topic.quantities), len(codec.axes)))
+    parts: list[Part] = [(np.empty(0, np.int64), nothing, np.empty(0, np.int64))]
+    refused, start = 0, 0
     for end in [*np.flatnonzero(~fits).tolist(), count]:
         if start < end:
             messages = np.repeat(np.arange(start, end), points)
@@ -76,11 +77,13 @@ def decode_batch(codec: TrajectoryCodec, rows: Bytes) -> Batch:
                 (every[start:end].ravel(), values[start:end].reshape(-1, *shape), messages)
             )
         if end < count:
-            single = _decode_one(codec, rows[end].tobytes())
-            if single is None:
+            try:
+                step, single = codec.decode(rows[end].tobytes())
+            except WireError:
                 refused += 1
             else:
-                parts.append((*single, np.full(len(single[0]), end)))
+                of_single = step + np.arange(len(single)), single, np.full(len(single), end)
+                parts.append(of_single)
         start = end + 1
     if len(parts) == 2:  # as mostly: nothing to be put together
         return Batch(*parts[1], refused)
@@ -101,11 +104,6 @@ def _as_laid_out(rows: Bytes, words: npt.NDArray[np.uint64], layout: Layout) -> 
     return found & headed.all(axis=1) & tail.all(axis=1)
 
 
-def _none(codec: TrajectoryCodec) -> Part:
-    shape = (0, len(codec.topic.quantities), len(codec.axes))
-    return np.empty(0, np.int64), np.empty(shape), np.empty(0, np.int64)
-
-
 def _steps(codec: TrajectoryCodec, rows: Bytes) -> tuple[Steps, Flags]:
     """Read the stamps of messages: the steps they name, and which of them are on the grid."""
     seconds = rows[:, 4:8].copy().view("<i4")[:, 0].astype(np.int64)
@@ -114,11 +112,3 @@ def _steps(codec: TrajectoryCodec, rows: Bytes) -> tuple[Steps, Flags]:
         seconds * NANOSECONDS_PER_SECOND + nanoseconds, codec.timebase.period_ns
     )
     return steps, (rest == 0) & (steps >= 0)
-
-
-def _decode_one(codec: TrajectoryCodec, raw: bytes) -> Samples | None:
-    try:
-        step, values = codec.decode(raw)
-    except WireError:
-        return None
-    return step + np.arange(len(values)), values
