@@ -4,12 +4,13 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.continuous_model import ContinuousModel
-from seft_plant_sim.dead_time import split_dead_time
 from seft_plant_sim.integration import Dynamics, Motion, at_rest, dynamics_of, integrate, multiply
 from seft_plant_sim.limits import Limits, exceeds
+from seft_plant_sim.lti import split_dead_time
 from seft_plant_sim.piston import OPENING, PER_CAPACITY
 from seft_plant_sim.piston import STROKE as STROKE_COLUMN
 from seft_plant_sim.saturated_time import SaturatedTime, is_exceeded
@@ -18,6 +19,8 @@ from seft_plant_sim.sensors import CHANNELS, Channels, measure
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
+LONGEST_DELAY_STEPS = 1_000_000
+"""Dead time in samples that a rig's memory may hold."""
 STROKE, FORCE_CAPACITY, VALVE = 16, 32, 64
 LIMIT, BLIND = 128, 256
 """Bits of what a step gives, beside those of the sensors' channels at their range, 1 to 8: what
@@ -94,6 +97,8 @@ def rig_arrays(
 ) -> tuple[RigParameters, RigState]:
     """Put a rig with a sampling period of ``dt`` s into arrays; InputError if it can't be run."""
     whole, part = split_dead_time(model.delay, dt)
+    if whole > LONGEST_DELAY_STEPS:
+        raise InputError(f"actuator: a delay of {model.delay:g} s is {whole} samples long")
     dynamics = dynamics_of(model, part, dt - part)
     n = model.b.shape[1]
     drive_limit = np.ascontiguousarray(model.drive_limit)

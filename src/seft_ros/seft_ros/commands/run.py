@@ -155,9 +155,8 @@ def _check_stable(experiment: Experiment, accept_unstable: bool) -> None:
     InputError
         If the closed loop is unstable, and that is not accepted.
     """
-    from seft_ros.preflight.margins import critical_mass_ratio
     from seft_ros.preflight.plan import Plan
-    from seft_ros.preflight.search import NEUTRAL
+    from seft_ros.preflight.stability_margins import NEUTRAL, critical_mass_ratio
     from seft_ros.preflight.verdict import instability
 
     try:

@@ -1,4 +1,4 @@
-"""Excitations for identification: band-limited, seeded, from rest to rest."""
+"""Excitations for identification: band-limited, seeded, from rest to rest; as ground motions."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,6 +6,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.experiment import Experiment
+from seft_plant_sim.rig import Rig
+
+from seft_ros.force_controller.methods import force_control
+from seft_ros.ground_motion.resample import check_size
+from seft_ros.identification.rig_tests import TAIL, ground_accelerations, has_force_loop
+from seft_ros.reference_force.block import ReferenceForce
 
 Floats = npt.NDArray[np.float64]
 
@@ -66,7 +73,10 @@ def excitation(
         raw = _random(steps, axes, dt, band, seed)
     else:
         raw = _sweeps(steps, axes, dt, band)
-    return _unit(raw)
+    window = np.hanning(steps)[:, np.newaxis]
+    centred = raw - window * (raw.mean(axis=0) / window.mean())  # the ends still at rest
+    unit: Floats = centred / np.sqrt(np.mean(centred**2, axis=0))
+    return unit
 
 
 def shortest_duration(signal: str, axes: int, band: tuple[float, float]) -> float:
@@ -77,17 +87,69 @@ def shortest_duration(signal: str, axes: int, band: tuple[float, float]) -> floa
 def write_excitation(path: Path, accelerations: Floats, axes: Sequence[str]) -> None:
     """Write ground accelerations (N, n) in m/s^2 as a record that ground_motion reads exactly.
 
-    Raises
-    ------
-    InputError
-        If the file can't be written.
+    The folder is made if need be. An InputError says if it can't be written.
     """
     rows = [",".join(map(repr, row)) for row in accelerations.tolist()]
     names = ",".join(f"axis {index + 1} (m/s2)" for index in range(len(axes)))
+    place = path.parent
     try:
+        place.mkdir(parents=True, exist_ok=True)
+        place = path
         path.write_text("\n".join([f"# {names}", *rows, ""]), encoding="utf-8")
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from None
+        raise InputError(f"{place}: {error.strerror or error}") from None
+
+
+class Motions:
+    """Ground motions of any duration for the tests of one identification.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        What is identified.
+    force : float
+        RMS of the reference force, N.
+    signal, band, seed : str, tuple of float, int
+        As `excitation` takes them.
+    """
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        force: float,
+        signal: str,
+        band: tuple[float, float],
+        seed: int,
+    ) -> None:
+        self._experiment, self._force = experiment, force
+        self._signal, self._band, self._seed = signal, band, seed
+        self._axes, self._timebase = experiment.axes, experiment.timebase
+        self.shortest = shortest_duration(signal, len(self._axes), band)
+
+    def check(self, duration: float) -> None:
+        """See by an InputError that tests can be made, before anything is written or moves."""
+        self._unit(duration)
+        sections, axes = self._experiment.sections, self._axes
+        ReferenceForce.from_parameters(sections["reference_force"], axes, self._timebase)
+        if has_force_loop(self._experiment):
+            force_control(sections["force_controller"], axes, self._timebase)
+        if "rig" in sections:
+            Rig.from_parameters(sections["rig"], axes, self._timebase)
+
+    def write(self, path: Path, duration: float) -> Path:
+        """Write the motion of a test as a record, see `write_excitation`."""
+        accelerations = ground_accelerations(self._experiment, self._force * self._unit(duration))
+        write_excitation(path, accelerations, self._axes)
+        return path
+
+    def steps(self, duration: float) -> int:
+        """Count the steps of a test with such a motion."""
+        return round((duration + TAIL) * self._timebase.rate)
+
+    def _unit(self, duration: float) -> Floats:
+        check_size(duration, self._timebase.rate, "--duration")
+        steps, dt = round(duration * self._timebase.rate), self._timebase.dt
+        return excitation(self._signal, steps, len(self._axes), dt, self._band, self._seed)
 
 
 def _random(steps: int, axes: int, dt: float, band: tuple[float, float], seed: int) -> Floats:
@@ -113,14 +175,6 @@ def _sweeps(steps: int, axes: int, dt: float, band: tuple[float, float]) -> Floa
     for axis in range(axes):
         raw[axis * length : (axis + 1) * length, axis] = np.sin(phase) * _ramp(length, dt)
     return raw
-
-
-def _unit(raw: Floats) -> Floats:
-    """Zero mean and unit RMS, the ends still at rest."""
-    window = np.hanning(len(raw))[:, np.newaxis]
-    centred = raw - window * (raw.mean(axis=0) / window.mean())
-    unit: Floats = centred / np.sqrt(np.mean(centred**2, axis=0))
-    return unit
 
 
 def _ramp(steps: int, dt: float) -> Floats:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from seft_ros.drawing.style import FIRST, MARK, SECOND, TEXT, tidy
 from seft_ros.identification.actuator_fit import ActuatorFit
 from seft_ros.identification.identified import ClosedLoop, Identified, ValveResponse
-from seft_ros.identification.measurement import Measurement
+from seft_ros.identification.spectral import Measurement
 from seft_ros.loop_shaping.margins import FLATNESS_DB
 
 MOST_AXES = 3

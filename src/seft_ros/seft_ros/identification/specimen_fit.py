@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
+from seft_plant_sim.specimen import Specimen
 
 from seft_ros.identification.spectral import Response
 from seft_ros.loop_shaping.roots import Root, roots_of
@@ -35,12 +36,8 @@ class SpecimenFit:
 
     def roots(self) -> list[Root]:
         """Natural frequencies and dampings, lowest first."""
-        n = len(self.mass)
-        a = np.zeros((2 * n, 2 * n))
-        a[:n, n:] = np.eye(n)
-        a[n:, :n] = -np.linalg.solve(self.mass, self.stiffness)
-        a[n:, n:] = -np.linalg.solve(self.mass, self.damping)
-        return roots_of(np.linalg.eigvals(a))
+        moving, _ = Specimen(self.mass, self.damping, self.stiffness).state_matrices()
+        return roots_of(np.linalg.eigvals(moving))
 
     def axis_root(self, axis: int) -> Root:
         """Natural frequency and damping of one axis, the others held."""

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
-
-from seft_ros.identification.rational import Rational
+from seft_plant_sim.lti import TransferFunction
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
@@ -27,13 +26,13 @@ class TrackingFit:
 
     Attributes
     ----------
-    model : Rational
+    model : TransferFunction
         Continuous and stable; its dead time holds the loop's latency.
     error : float
         RMS of its error; |T| is near 1 where the loop is good.
     """
 
-    model: Rational
+    model: TransferFunction
     error: float
 
 
@@ -97,7 +96,7 @@ class _Data:
         ]
         return min(starts, key=lambda p: float(np.sum(self._residuals(p) ** 2)))
 
-    def misfit(self, model: Rational) -> Floats:
+    def misfit(self, model: TransferFunction) -> Floats:
         """Parameters of a pair where a model is furthest off."""
         error = self._w * np.abs(model.response(self._f) - self._t)
         smooth = np.convolve(error, np.full(5, 0.2), "same")
@@ -115,7 +114,7 @@ class _Data:
         numerator, denominator = self._polynomials(found)
         unit = self._unit
         scaled = numerator * unit ** (len(denominator) - np.arange(len(numerator))[::-1] - 1.0)
-        model = Rational(
+        model = TransferFunction(
             tuple(scaled.tolist()),
             tuple((denominator * unit ** np.arange(len(denominator))).tolist()),
             float(found[0] * self._longest),

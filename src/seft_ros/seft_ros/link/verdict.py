@@ -74,9 +74,8 @@ def message_size(experiment: Experiment) -> int:
 
 def allowed(experiment: Experiment, loop_delay: int) -> Allowed:
     """Ask preflight about a test with a delay of the loop, in steps."""
-    from seft_ros.preflight.margins import critical_mass_ratio
     from seft_ros.preflight.plan import Plan
-    from seft_ros.preflight.search import NEUTRAL
+    from seft_ros.preflight.stability_margins import NEUTRAL, critical_mass_ratio
 
     planned = float(experiment["reference_force"]["mass_ratio"])
     try:

@@ -13,7 +13,7 @@ from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.methods import force_control
 from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
-from seft_ros.loop_shaping.source import Source
+from seft_ros.loop_shaping import Source
 from seft_ros.preflight.closed_loop import ClosedLoop, closed_loop, growth_rate
 from seft_ros.preflight.frozen import BOUNDS, frozen_feedforward, frozen_target, read_of_points
 from seft_ros.preflight.loop_rig import choose_rig
@@ -43,6 +43,10 @@ class Plan:
         What the loop closes over.
     mass_ratio, dead_time : float
         As planned; the dead time, of the rig's drive, in s.
+    dt : float
+        Sampling period, s.
+    follows, follows_valves : bool
+        Whether the method follows the specimen's local stiffness, the controller the valves.
 
     Raises
     ------
@@ -55,29 +59,16 @@ class Plan:
             if node not in experiment.sections:
                 raise InputError(f"{node}: runs elsewhere, so its parameters are not known here")
         self.experiment, self.source = experiment, source
-        self.axes, self.timebase = experiment.axes, experiment.timebase
+        self.axes, self.dt = experiment.axes, experiment.timebase.dt
         self.rig = choose_rig(experiment, source)
         self.section = experiment["reference_force"]
         self.mass_ratio = float(self.section["mass_ratio"])
         self.dead_time = self.rig.plant.delay
+        self.follows = self.section["compensation.method"] == TARGET_MOTION
         self._controllers = self._as_it_may_be()
+        self.follows_valves = len(self._controllers) > 1
         self._filter = lru_cache(maxsize=256)(self.compensation)
         self._sampled = lru_cache(maxsize=256)(self._sample)
-
-    @property
-    def dt(self) -> float:
-        """Sampling period, s."""
-        return self.timebase.dt
-
-    @property
-    def follows(self) -> bool:
-        """Whether the method follows the specimen's local stiffness."""
-        return self.section["compensation.method"] == TARGET_MOTION
-
-    @property
-    def follows_valves(self) -> bool:
-        """Whether the controller follows the valves."""
-        return len(self._controllers) > 1
 
     def compensator(
         self,
@@ -88,13 +79,8 @@ class Plan:
     ) -> Compensator:
         """Make the compensation method as it is made for the test, see `loops`.
 
-        Parameters
-        ----------
-        stiffness : float
-            Factor on the stiffness that the method is told.
-        follow_delay : bool
-            A method that follows the delay makes its gains for all delays, which takes long;
-            without, it is made for the delay it starts at alone.
+        ``stiffness`` is a factor on what the method is told. One that follows the delay makes its
+        gains for all delays, which takes long; without ``follow_delay`` for the first alone.
         """
         section = dict(self.section)
         section["compensation.estimate_delay"] &= follow_delay
@@ -106,7 +92,7 @@ class Plan:
             ).tolist()
         if section["compensation.delay"] > 0:  # it is told
             section["compensation.delay"] = max(section["compensation.delay"] + told_delay, 0.0)
-        known = knowledge(section, self.axes, self.timebase)
+        known = knowledge(section, self.axes, self.experiment.timebase)
         return compensator(section["compensation.method"], known)
 
     def compensation(
@@ -118,11 +104,8 @@ class Plan:
     ) -> LinearFilter:
         """Give the linear filter that the method is, see `compensator`.
 
-        Parameters
-        ----------
-        measured : bool
-            Of a method that follows the specimen: as it is when it takes the restoring force as
-            measured. Its output then is all points, see `frozen_target`.
+        Of one that follows the specimen its output is all points, see `frozen_target`;
+        ``measured``: as it is when it takes the restoring force as measured.
         """
         made = self.compensator(mass_ratio, stiffness, told_delay, follow_delay=False)
         if isinstance(made, TargetMotion):
@@ -198,9 +181,8 @@ class Plan:
     def _sample(
         self, stiffness: float, dead_time: float, gain: float
     ) -> tuple[Floats, Floats, Floats]:
-        rig = self.rig
-        if stiffness != 1.0:
-            rig = choose_rig(self.experiment, self.source, stiffness)
+        other = stiffness != 1.0
+        rig = choose_rig(self.experiment, self.source, stiffness) if other else self.rig
         return rig.sampled(self.dt, dead_time, gain)
 
     def _as_it_may_be(self) -> list[tuple[Floats | None, LinearControl]]:
@@ -209,19 +191,20 @@ class Plan:
         A method without points has None there.
         """
         n, section = len(self.axes), self.experiment["force_controller"]
-        first_force, known = np.eye(n, 3 * n, k=FORCE * n), LinearControl.none(n)
+        control = LinearControl.none(n)
         if self.rig.drive == VALVE_COMMAND.name:
-            control = force_control(section, self.axes, self.timebase)
-            if isinstance(control, VelocityFeedforward):
+            made = force_control(section, self.axes, self.experiment.timebase)
+            if isinstance(made, VelocityFeedforward):
                 if not self.follows:
                     raise InputError(
                         f"force_controller: {VELOCITY_FEEDFORWARD} needs the coming motion: set "
                         f"reference_force: compensation.method to {TARGET_MOTION}"
                     )
-                made = [frozen_feedforward(control, errors) for errors in ((0.0, 0.0), *BOUNDS)]
-                return [(self._of_points(read), rest) for read, rest in map(read_of_points, made)]
-            known = control.linear()
-        return [(self._of_points(first_force) if self.follows else None, known)]
+                frozen = [frozen_feedforward(made, errors) for errors in ((0.0, 0.0), *BOUNDS)]
+                return [(self._of_points(read), rest) for read, rest in map(read_of_points, frozen)]
+            control = made.linear()
+        first_force = np.eye(n, 3 * n, k=FORCE * n)
+        return [(self._of_points(first_force) if self.follows else None, control)]
 
     def _of_points(self, read: Floats) -> Floats:
         """Let a matrix of the first points take all, the first of which the loop's delay skips."""

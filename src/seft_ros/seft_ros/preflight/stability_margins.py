@@ -1,21 +1,26 @@
 """How far a planned test is from instability."""
 
+import cmath
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import brentq
 from seft_msgs_py.arrays import symmetric_matrix
 from seft_msgs_py.errors import InputError
 
 from seft_ros.loop_shaping.sampling import MAX_DELAY_STEPS
 from seft_ros.preflight.plan import Plan
-from seft_ros.preflight.search import NEUTRAL, stability_change
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 
+NEUTRAL = 1e-6
+"""Growth rate up to which a loop counts as stable, 1/s: what rounding makes of zero."""
 HIGHEST_MASS_RATIO = 50.0
 LONGEST_DELAY = 0.1
 """Dead time up to which more of it is tried, s: several times that of any test rig."""
@@ -23,19 +28,13 @@ FACTORS: Floats = np.geomspace(1.0, 10.0, 17)
 """Factors by which the gain is tried, either way."""
 STIFFEST = 3.0
 """Local stiffness over the told one up to which it is tried: a specimen that sticks or hardens."""
+HALF_WIDTH = math.sqrt(2.0)
+"""Factor between frequencies of instability and the edges of their band: half an octave."""
 
 
 @dataclass(frozen=True)
 class Critical:
-    """Where stability ends.
-
-    Attributes
-    ----------
-    value : float
-        There.
-    hz : float
-        Frequency of the oscillation that sets in, Hz: angle of the critical eigenvalue.
-    """
+    """Where stability ends, and the frequency of the oscillation that sets in there, Hz."""
 
     value: float
     hz: float
@@ -43,14 +42,14 @@ class Critical:
 
 @dataclass(frozen=True)
 class Range:
-    """Where a test stays stable about its plan; None where no end was found.
+    """Where a test stays stable about its plan.
 
     Attributes
     ----------
     planned : float
         As planned.
     lowest, highest : Critical or None
-        Ends.
+        Ends; None where none was found.
     searched : tuple of float
         How far they were looked for.
     """
@@ -60,14 +59,6 @@ class Range:
     highest: Critical | None
     searched: tuple[float, float]
 
-    def scaled(self, factor: float) -> "Range":
-        """Multiply all values."""
-        low, high = (
-            end and Critical(factor * end.value, end.hz) for end in (self.lowest, self.highest)
-        )
-        searched = factor * self.searched[0], factor * self.searched[1]
-        return Range(factor * self.planned, low, high, searched)
-
     def ends(self) -> list[Critical]:
         """Those that were found."""
         return [end for end in (self.lowest, self.highest) if end is not None]
@@ -75,7 +66,7 @@ class Range:
 
 @dataclass(frozen=True)
 class Margins:
-    """Margins of a test, each with all else as planned.
+    """Margins of a test, each with all else as planned; of an unstable plan only the first two.
 
     Attributes
     ----------
@@ -86,29 +77,29 @@ class Margins:
         Dead time of the rig's drive, s, at which it is unstable, the method not being told: from
         the plan up where the plan is stable, else from the plan down (0: unstable with none).
     gain : Range or None
-        Factor on what the drive does; None where the plan is unstable.
+        Factor on what the drive does.
     sure_dead_time : Critical or None
         Dead time up to which the test is stable whatever a controller that follows the valves
         takes them for, within its bounds. None where it does not, or no end was found.
     sure_gain : Range or None
         Likewise.
     stiffness : Range or None
-        Local stiffness of the specimen over the one that the method is told. None where the plan
-        is unstable, or the plant is identified as a whole.
+        Local stiffness of the specimen over the one that the method is told. None where the
+        plant is identified as a whole.
     followed : Range or None
-        Likewise, if the method has followed it. None where it does not; likewise:
+        Likewise, if the method has followed it. None where it does not.
     told_delay : Range or None
-        Delay that the method is told, less the planned one, s.
+        Delay that the method is told, less the planned one, s. None where it uses none.
     """
 
     mass_ratio: Critical | None
     dead_time: Critical | None
-    gain: Range | None
-    sure_dead_time: Critical | None
-    sure_gain: Range | None
-    stiffness: Range | None
-    followed: Range | None
-    told_delay: Range | None
+    gain: Range | None = None
+    sure_dead_time: Critical | None = None
+    sure_gain: Range | None = None
+    stiffness: Range | None = None
+    followed: Range | None = None
+    told_delay: Range | None = None
 
 
 def find_margins(plan: Plan, progress: Progress | None = None) -> Margins:
@@ -126,25 +117,27 @@ def find_margins(plan: Plan, progress: Progress | None = None) -> Margins:
     InputError
         If the method can't be made for the plan.
     """
-    searches: dict[str, Callable[[Plan], Any]] = {
-        "mass_ratio": critical_mass_ratio,
-        "dead_time": critical_dead_time,
+    searches: dict[str, Callable[[], Any]] = {
+        "mass_ratio": lambda: critical_mass_ratio(plan),
+        "dead_time": lambda: critical_dead_time(plan),
     }
-    ranges: dict[str, Callable[[Plan], Any]] = {
-        "gain": gain_range,
-        "sure_dead_time": sure_dead_time,
-        "sure_gain": sure_gain,
-        "stiffness": stiffness_range,
-        "followed": followed_range,
-        "told_delay": told_delay_range,
-    }
-    found: dict[str, Any] = dict.fromkeys(ranges)
     if plan.growth_rate() <= NEUTRAL:
-        searches |= ranges
-    for done, (name, search) in enumerate(searches.items()):
-        found[name] = search(plan)
+        searches["gain"] = lambda: _range(plan, "gain", 1.0, FACTORS, 1.0 / FACTORS)
+        if plan.follows_valves:
+            searches["sure_dead_time"] = lambda: _sure_dead_time(plan)
+            searches["sure_gain"] = lambda: _range(
+                plan, "gain", 1.0, FACTORS, 1.0 / FACTORS, any_valve=True
+            )
+        if plan.rig.swept:
+            searches["stiffness"] = lambda: _local_stiffness(plan, followed=False)
+            if plan.follows:
+                searches["followed"] = lambda: _local_stiffness(plan, followed=True)
+        searches["told_delay"] = lambda: _told_delay(plan)
+    found: dict[str, Any] = {}
+    for name, search in searches.items():
+        found[name] = search()
         if progress is not None:
-            progress("margins", done + 1, len(searches))
+            progress("margins", len(found), len(searches))
     return Margins(**found)
 
 
@@ -166,49 +159,24 @@ def critical_dead_time(plan: Plan) -> Critical | None:
     return _end(plan, "dead_time", less) or _critical(plan, "dead_time", 0.0, 0.0)
 
 
-def highest_gain(plan: Plan) -> Critical | None:
-    """Find the factor on the drive above 1 at which a stable test turns unstable."""
-    return _end(plan, "gain", FACTORS)
+def instability_band(plan: Plan) -> tuple[float, float] | None:
+    """Find the band in which oscillations set in as the loop loses its margins, Hz.
 
-
-def gain_range(plan: Plan) -> Range:
-    """Find the factor on the drive within which the test is stable."""
-    return _range(plan, "gain", 1.0, FACTORS, 1.0 / FACTORS)
-
-
-def sure_dead_time(plan: Plan) -> Critical | None:
-    """Find the dead time up to which it is stable with all that is believed of the valves."""
-    if not plan.follows_valves:
+    It spans the frequencies at which the loop turns unstable with more gain and with more dead
+    time, and of an unstable plan that of its fastest growing oscillation, and half an octave on
+    either side, up to Nyquist's. None: it stays stable as far as was looked, or what grows does
+    not oscillate.
+    """
+    stable = plan.growth_rate() <= NEUTRAL
+    ends = [_end(plan, "gain", FACTORS)] if stable else []
+    found = [end.hz for end in (*ends, critical_dead_time(plan)) if end is not None]
+    if not stable:
+        found.append(abs(cmath.phase(plan.worst())) / math.tau / plan.dt)
+    oscillating = [hz for hz in found if hz > 0]
+    if not oscillating:
         return None
-    if plan.growth_rate(any_valve=True) > NEUTRAL:
-        return _critical(plan, "dead_time", plan.dead_time, plan.dead_time, any_valve=True)
-    return _end(plan, "dead_time", plan.dead_time + added_delays(plan), any_valve=True)
-
-
-def sure_gain(plan: Plan) -> Range | None:
-    """Find the factor on the drive within which it is, likewise."""
-    if not plan.follows_valves:
-        return None
-    return _range(plan, "gain", 1.0, FACTORS, 1.0 / FACTORS, any_valve=True)
-
-
-def stiffness_range(plan: Plan) -> Range | None:
-    """Find the local stiffness over the told one within which the test is stable."""
-    return _local_stiffness(plan, followed=False)
-
-
-def followed_range(plan: Plan) -> Range | None:
-    """Find the same for a method that has followed the local stiffness."""
-    return _local_stiffness(plan, followed=True) if plan.follows else None
-
-
-def told_delay_range(plan: Plan) -> Range | None:
-    """Find the error of the delay that the method is told within which the test is stable."""
-    if not _uses_delay(plan):
-        return None
-    less = np.linspace(0.0, -plan.section["compensation.delay"], 17)[:-1]
-    up, down = (_possible(plan, part.tolist()) for part in (added_delays(plan), less))
-    return _range(plan, "told_delay", 0.0, np.array(up), np.array(down))
+    nyquist = 0.5 / plan.dt
+    return min(oscillating) / HALF_WIDTH, min(max(oscillating) * HALF_WIDTH, nyquist)
 
 
 def local_stiffness(plan: Plan) -> float:
@@ -227,42 +195,81 @@ def added_delays(plan: Plan) -> Floats:
     return np.concatenate([[0.0], np.geomspace(min(plan.dt / 8, longest / 2), longest, 28)])
 
 
-def _local_stiffness(plan: Plan, followed: bool) -> Range | None:
+def stability_change(growth: Callable[[float], float], points: Sequence[float]) -> float | None:
+    """First place along some points where a loop turns from stable to unstable, or back.
+
+    Brackets it between two neighbours and narrows it with Brent's method. What begins and ends
+    between two neighbours is not seen.
+
+    Parameters
+    ----------
+    growth : callable
+        Growth rate of the loop in 1/s at a place.
+    points : sequence of float
+        Ascending or descending.
+
+    Returns
+    -------
+    float or None
+        None where nothing changes up to the last point.
+    """
+
+    def excess(place: float) -> float:
+        return growth(place) - NEUTRAL
+
+    before = excess(points[0])
+    for near, far in pairwise(points):
+        after = excess(far)
+        if (before > 0) != (after > 0):
+            return float(brentq(excess, near, far, xtol=1e-9 + 1e-6 * abs(far - near), rtol=1e-6))
+        before = after
+    return None
+
+
+def _sure_dead_time(plan: Plan) -> Critical | None:
+    if plan.growth_rate(any_valve=True) > NEUTRAL:
+        return _critical(plan, "dead_time", plan.dead_time, plan.dead_time, any_valve=True)
+    return _end(plan, "dead_time", plan.dead_time + added_delays(plan), any_valve=True)
+
+
+def _local_stiffness(plan: Plan, followed: bool) -> Range:
     """Sweep it from 0 to `STIFFEST` times the told one."""
-    if not plan.rig.swept:
-        return None
     own = local_stiffness(plan)
     up, down = np.linspace(own, max(STIFFEST, own), 17), np.linspace(own, 0.0, 17)
     found = _range(plan, "stiffness", 1.0, up / own, down / own, followed=followed)
-    return found.scaled(own)
+    low, high = (end and Critical(own * end.value, end.hz) for end in (found.lowest, found.highest))
+    searched = own * found.searched[0], own * found.searched[1]
+    return Range(own * found.planned, low, high, searched)
 
 
-def _uses_delay(plan: Plan) -> bool:
-    """Tell whether the filter changes with the delay that a method is told."""
+def _told_delay(plan: Plan) -> Range | None:
+    """Range of the error of the told delay, as far as the method takes it; None: it uses none."""
+
+    def possible(delays: Sequence[float]) -> list[float]:
+        made = []
+        for delay in delays:
+            try:
+                plan.compensation(told_delay=delay)
+            except InputError:
+                break
+            made.append(delay)
+        return made
+
     before = plan.compensation()
-    return any(
-        not np.array_equal(getattr(before, part), getattr(plan.compensation(told_delay=v), part))
-        for v in _possible(plan, (0.1 * plan.dt, -0.1 * plan.dt))
+    if all(
+        np.array_equal(getattr(before, part), getattr(plan.compensation(told_delay=delay), part))
+        for delay in possible((0.1 * plan.dt, -0.1 * plan.dt))
         for part in ("a", "b", "c", "d")
-    )
-
-
-def _possible(plan: Plan, delays: Sequence[float]) -> list[float]:
-    """Leave out, from the first on, what the method refuses to be told."""
-    made = []
-    for delay in delays:
-        try:
-            plan.compensation(told_delay=delay)
-        except InputError:
-            break
-        made.append(delay)
-    return made
+    ):
+        return None
+    less = np.linspace(0.0, -plan.section["compensation.delay"], 17)[:-1]
+    up, down = (np.array(possible(part.tolist())) for part in (added_delays(plan), less))
+    return _range(plan, "told_delay", 0.0, up, down)
 
 
 def _range(plan: Plan, name: str, planned: float, up: Floats, down: Floats, **fixed: Any) -> Range:
-    searched = float(down[-1]), float(up[-1])
     low, high = (_end(plan, name, points, **fixed) for points in (down, up))
-    return Range(planned, low, high, searched)
+    return Range(planned, low, high, (float(down[-1]), float(up[-1])))
 
 
 def _end(plan: Plan, name: str, points: Floats, **fixed: Any) -> Critical | None:
