@@ -78,21 +78,6 @@ def companion_form(numerator: Floats, denominator: Floats) -> tuple[Floats, Floa
     return scale * a, scale * np.eye(order, 1), c[np.newaxis], num[:1, np.newaxis]
 
 
-def zero_order_hold(a: Floats, b: Floats, time: float) -> tuple[Floats, Floats]:
-    """Sample s' = a s + b u with u constant over ``time`` seconds.
-
-    Returns
-    -------
-    free, forced : ndarray
-        Shapes (s, s) and (s, p): the next s is free s + forced u.
-    """
-    size, inputs = b.shape
-    augmented = np.zeros((size + inputs,) * 2)
-    augmented[:size] = np.hstack([a, b]) * time
-    exponential = expm(augmented)
-    return exponential[:size, :size], exponential[:size, size:]
-
-
 def first_order_hold(a: Floats, b: Floats, dt: float) -> tuple[Floats, Floats, Floats]:
     """Sample s' = a s + b u with u linear in between (Van Loan 1978).
 

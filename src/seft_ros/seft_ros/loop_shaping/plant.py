@@ -81,13 +81,11 @@ class Plant:
 
     def poles(self) -> list[Root]:
         """Poles of the first axis, those that zeros cancel left out, lowest first."""
-        poles, zeros = self._poles_and_zeros()
-        return roots_of(uncancelled(poles, zeros))
+        return self._roots()[0]
 
     def zeros(self) -> list[Root]:
         """Zeros of the first axis, those that poles cancel left out, lowest first."""
-        poles, zeros = self._poles_and_zeros()
-        return roots_of(uncancelled(zeros, poles))
+        return self._roots()[1]
 
     def antiresonance(self) -> Root | None:
         """Lowest lightly damped zero: the specimen's natural frequency, seen through the force.
@@ -105,12 +103,13 @@ class Plant:
         peaks = np.abs(self.response(np.array([pole.hz for pole in above])))
         return above[int(peaks.argmax())]
 
-    def _poles_and_zeros(self) -> tuple[Complexes, Complexes]:
+    def _roots(self) -> tuple[list[Root], list[Root]]:
         import control
 
         first = self.axis(0)
         system = control.ss(first.a, first.b, first.c, first.d, remove_useless_states=False)
-        return system.poles(), system.zeros()
+        poles, zeros = system.poles(), system.zeros()
+        return roots_of(uncancelled(poles, zeros)), roots_of(uncancelled(zeros, poles))
 
 
 def choose_plant(experiment: Experiment, source: Source = Source.AUTO) -> Plant:

@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.signal import cont2discrete
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.lti import split_dead_time, state_space_response, zero_order_hold
+from seft_plant_sim.lti import split_dead_time, state_space_response
 
 from seft_ros.force_controller.block import ForceController
 from seft_ros.loop_shaping.controller import Controller
@@ -56,8 +57,9 @@ class SampledPlant:
                 f"the plant's dead time of {plant.delay:g} s is {whole} samples long, but no loop "
                 f"is shaped beyond {MAX_DELAY_STEPS}"
             )
-        early, forced_early = zero_order_hold(plant.a, plant.b, rest)
-        late, forced_late = zero_order_hold(plant.a, plant.b, dt - rest)
+        system = plant.a, plant.b, plant.c, plant.d
+        early, forced_early, *_ = cont2discrete(system, rest, "zoh")
+        late, forced_late, *_ = cont2discrete(system, dt - rest, "zoh")
         before = late @ forced_early
         return cls(late @ early, before, forced_late, plant.c, plant.d, whole, rest > 0, dt)
 

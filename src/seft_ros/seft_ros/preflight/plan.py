@@ -62,6 +62,7 @@ class Plan:
         self.axes, self.dt = experiment.axes, experiment.timebase.dt
         self.rig = choose_rig(experiment, source)
         self.section = experiment["reference_force"]
+        self._late = self.section["loop_delay"]
         self.mass_ratio = float(self.section["mass_ratio"])
         self.dead_time = self.rig.plant.delay
         self.follows = self.section["compensation.method"] == TARGET_MOTION
@@ -158,11 +159,13 @@ class Plan:
         loops = []
         for read, control in self._controllers if any_valve else self._controllers[:1]:
             for measured in (False, True) if self.follows else (False,):
-                part = self._filter(mass_ratio, told, told_delay, measured)
-                if read is not None:
-                    c, d, e = read @ part.c, read @ part.d, read @ part.e
+                part, late = self._filter(mass_ratio, told, told_delay, measured), self._late
+                if read is not None:  # of the points from the one that the loop's delay leads to
+                    first = 3 * len(self.axes) * late
+                    of = slice(first, first + read.shape[1])
+                    c, d, e = read @ part.c[of], read @ part.d[of], read @ part.e[of]
                     part = LinearFilter(part.a, part.b, part.h, c, d, e)
-                part = part.delayed(self.section["loop_delay"])
+                part = part.delayed(late)
                 loops.append(closed_loop(rig, part, control, self.dt))
         return loops
 
@@ -186,9 +189,9 @@ class Plan:
         return rig.sampled(self.dt, dead_time, gain)
 
     def _as_it_may_be(self) -> list[tuple[Floats | None, LinearControl]]:
-        """Make the controller as it starts, then as it may become; and what it reads of points.
+        """Make the controller as it starts, then as it may become, beside what it reads of points.
 
-        A method without points has None there.
+        None: the method has no points.
         """
         n, section = len(self.axes), self.experiment["force_controller"]
         control = LinearControl.none(n)
@@ -201,14 +204,6 @@ class Plan:
                         f"reference_force: compensation.method to {TARGET_MOTION}"
                     )
                 frozen = [frozen_feedforward(made, errors) for errors in ((0.0, 0.0), *BOUNDS)]
-                return [(self._of_points(read), rest) for read, rest in map(read_of_points, frozen)]
+                return [read_of_points(each) for each in frozen]
             control = made.linear()
-        first_force = np.eye(n, 3 * n, k=FORCE * n)
-        return [(self._of_points(first_force) if self.follows else None, control)]
-
-    def _of_points(self, read: Floats) -> Floats:
-        """Let a matrix of the first points take all, the first of which the loop's delay skips."""
-        n = len(self.axes)
-        before = 3 * n * self.section["loop_delay"]
-        after = 3 * n * (1 + self.compensator().preview) - before - read.shape[1]
-        return np.pad(read, ((0, 0), (before, after)))
+        return [(np.eye(n, 3 * n, k=FORCE * n) if self.follows else None, control)]
