@@ -1,6 +1,7 @@
 """Excitations for identification: band-limited, seeded, from rest to rest; as ground motions."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +35,7 @@ def excitation(
     Parameters
     ----------
     signal : str
-        ``random``: Gaussian noise with a flat spectrum, independent on each axis;
+        ``random``: Gaussian noise with a flat spectrum, independent on each axis, by ``seed``;
         ``chirp``: one logarithmic sweep up for each axis, one axis after the other.
     steps, axes : int
         N and n.
@@ -42,8 +43,6 @@ def excitation(
         Sampling period, s.
     band : tuple of float
         Lowest and highest frequency, Hz.
-    seed : int
-        Of the noise; the sweep has none.
 
     Returns
     -------
@@ -100,10 +99,11 @@ def write_excitation(path: Path, accelerations: Floats, axes: Sequence[str]) -> 
         raise InputError(f"{place}: {error.strerror or error}") from None
 
 
+@dataclass(frozen=True)
 class Motions:
     """Ground motions of any duration for the tests of one identification.
 
-    Parameters
+    Attributes
     ----------
     experiment : Experiment
         What is identified.
@@ -113,48 +113,47 @@ class Motions:
         As `excitation` takes them.
     """
 
-    def __init__(
-        self,
-        experiment: Experiment,
-        force: float,
-        signal: str,
-        band: tuple[float, float],
-        seed: int,
-    ) -> None:
-        self._experiment, self._force = experiment, force
-        self._signal, self._band, self._seed = signal, band, seed
-        self._axes, self._timebase = experiment.axes, experiment.timebase
-        self.shortest = shortest_duration(signal, len(self._axes), band)
+    experiment: Experiment
+    force: float
+    signal: str
+    band: tuple[float, float]
+    seed: int
+
+    @property
+    def shortest(self) -> float:
+        """Shortest duration that the band makes sense for, s."""
+        return shortest_duration(self.signal, len(self.experiment.axes), self.band)
 
     def check(self, duration: float) -> None:
         """See by an InputError that tests can be made, before anything is written or moves."""
         self._unit(duration)
-        sections, axes = self._experiment.sections, self._axes
-        ReferenceForce.from_parameters(sections["reference_force"], axes, self._timebase)
-        if has_force_loop(self._experiment):
-            force_control(sections["force_controller"], axes, self._timebase)
+        sections = self.experiment.sections
+        made = self.experiment.axes, self.experiment.timebase
+        ReferenceForce.from_parameters(sections["reference_force"], *made)
+        if has_force_loop(self.experiment):
+            force_control(sections["force_controller"], *made)
         if "rig" in sections:
-            Rig.from_parameters(sections["rig"], axes, self._timebase)
+            Rig.from_parameters(sections["rig"], *made)
 
     def write(self, path: Path, duration: float) -> Path:
         """Write the motion of a test as a record, see `write_excitation`."""
-        accelerations = ground_accelerations(self._experiment, self._force * self._unit(duration))
-        write_excitation(path, accelerations, self._axes)
+        accelerations = ground_accelerations(self.experiment, self.force * self._unit(duration))
+        write_excitation(path, accelerations, self.experiment.axes)
         return path
 
     def steps(self, duration: float) -> int:
         """Count the steps of a test with such a motion."""
-        return round((duration + TAIL) * self._timebase.rate)
+        return round((duration + TAIL) * self.experiment.timebase.rate)
 
     def _unit(self, duration: float) -> Floats:
-        check_size(duration, self._timebase.rate, "--duration")
-        steps, dt = round(duration * self._timebase.rate), self._timebase.dt
-        return excitation(self._signal, steps, len(self._axes), dt, self._band, self._seed)
+        time, axes = self.experiment.timebase, len(self.experiment.axes)
+        check_size(duration, time.rate, "--duration")
+        steps = round(duration * time.rate)
+        return excitation(self.signal, steps, axes, time.dt, self.band, self.seed)
 
 
 def _random(steps: int, axes: int, dt: float, band: tuple[float, float], seed: int) -> Floats:
-    frequencies = np.fft.rfftfreq(steps, dt)
-    low, high = band
+    frequencies, (low, high) = np.fft.rfftfreq(steps, dt), band
     upper = min(high * _EDGE, 0.5 / dt)
     passed = _rise(frequencies, low / _EDGE, low) * (1.0 - _rise(frequencies, high, upper))
     columns = []

@@ -97,8 +97,7 @@ def _parts(measured: Response) -> list[Complexes]:
 
 def _motion(measured: Response, damping: Floats, stiffness: Floats) -> Complexes:
     s = 2j * np.pi * measured.frequencies_hz[:, np.newaxis, np.newaxis]
-    motion: Complexes = s * damping + stiffness
-    return motion
+    return np.asarray(s * damping + stiffness, dtype=np.complex128)
 
 
 def _error(measured: Response, mass: Floats, damping: Floats, stiffness: Floats) -> Complexes:

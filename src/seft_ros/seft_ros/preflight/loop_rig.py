@@ -75,7 +75,7 @@ class LoopRig:
 def choose_rig(
     experiment: Experiment, source: Source = Source.AUTO, stiffness: float = 1.0
 ) -> LoopRig:
-    """Rig that an experiment describes.
+    """Rig that an experiment describes; InputError if it has none.
 
     Parameters
     ----------
@@ -89,11 +89,6 @@ def choose_rig(
         `velocity_feedforward` it is the rig where that is simulated.
     stiffness : float
         Factor on the specimen's stiffness, the actuators being the same.
-
-    Raises
-    ------
-    InputError
-        If the experiment has no such rig.
     """
     section, specimen = experiment.sections.get("rig"), tested_specimen(experiment)
     ideal = section is not None and section["actuator.kind"] in ("ideal", "delay")
@@ -101,12 +96,9 @@ def choose_rig(
     if section is not None and (source == "rig" or (source == "auto" and (ideal or by_motion))):
         return _simulated(section, specimen, experiment, stiffness)
     if by_motion:
-        told: dict[str, Any] = VelocityFeedforward.told(
-            experiment["force_controller"], experiment.axes
-        )
+        told = VelocityFeedforward.told(experiment["force_controller"], experiment.axes)
         swept = replace(specimen, stiffness=stiffness * specimen.stiffness)
-        told |= {"dead_time": float(told["dead_time"].max())}
-        model = small_signal(swept, **told)
+        model = small_signal(swept, **{**told, "dead_time": float(told["dead_time"].max())})
         plant = Plant.of_model("identified", model, motion=True)
         return LoopRig(plant, model.drive, specimen, swept=True)
     if section is None and not np.any(experiment["force_controller"]["plant.numerator"]):

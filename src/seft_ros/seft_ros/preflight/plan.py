@@ -109,9 +109,7 @@ class Plan:
         ``measured``: as it is when it takes the restoring force as measured.
         """
         made = self.compensator(mass_ratio, stiffness, told_delay, follow_delay=False)
-        if isinstance(made, TargetMotion):
-            return frozen_target(made, measured)
-        return made.linear()
+        return frozen_target(made, measured) if isinstance(made, TargetMotion) else made.linear()
 
     def loops(
         self,
