@@ -2,7 +2,7 @@
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
+from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 
 from seft_ros.identification.spectral import Measurement, Response, response, spectra
 from seft_ros.loop_shaping.margins import BAND_HZ
