@@ -14,8 +14,8 @@ from seft_ros.preflight.stability_margins import (
     find_margins,
     stability_change,
 )
+from seft_ros.preflight.stability_verdict import preflight
 from seft_ros.preflight.summary import summarise
-from seft_ros.preflight.verdict import preflight
 from seft_ros.reference_force.compensation.methods import METHODS
 
 M, C, K = 52.7, 800.3, 2.11e5

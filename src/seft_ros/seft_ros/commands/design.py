@@ -103,7 +103,7 @@ def design(
         write_controller,
     )
     from seft_ros.loop_shaping.design import shape_loop
-    from seft_ros.loop_shaping.figure import design_figure
+    from seft_ros.loop_shaping.design_figure import design_figure
     from seft_ros.loop_shaping.plant import choose_plant
     from seft_ros.loop_shaping.proposal import propose_controller
     from seft_ros.loop_shaping.sampling import dominant_pole

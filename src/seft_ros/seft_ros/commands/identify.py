@@ -208,7 +208,7 @@ def _present(
     summary: dict[str, Any] = {}
     if identified is not None:
         from seft_ros.drawing.style import save_figure
-        from seft_ros.identification.figure import identified_figure
+        from seft_ros.identification.identified_figure import identified_figure
         from seft_ros.identification.model_file import write_model
         from seft_ros.identification.summary import summarise_identified
 

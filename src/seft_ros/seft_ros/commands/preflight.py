@@ -61,8 +61,8 @@ def preflight(
     """
     from seft_ros.drawing.style import check_figure, save_figure
     from seft_ros.preflight.plan import Plan
+    from seft_ros.preflight.stability_verdict import preflight as fly
     from seft_ros.preflight.summary import summarise
-    from seft_ros.preflight.verdict import preflight as fly
 
     path = check_figure(figure) if figure is not None else None
     experiment = load_experiment(config, param, params_file, external)

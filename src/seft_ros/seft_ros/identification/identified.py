@@ -60,17 +60,7 @@ class ValveResponse:
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """Closed loop of one axis.
-
-    Attributes
-    ----------
-    measured : Measurement
-        Reference force to measured force of the same step.
-    tracking : Tracking
-        How it follows.
-    fit : TrackingFit
-        Low-order model.
-    """
+    """Closed loop of one axis: reference force to measured force of the same step."""
 
     measured: Measurement
     tracking: Tracking

@@ -25,12 +25,7 @@ _LEAST_SHARE = 0.5  # of the frequencies that must be coherent
 class MeasuredTest:
     """Spectra of reference force, valve, displacement, acceleration and force in one test.
 
-    Parameters
-    ----------
-    record : Record
-        The test, run to its end.
-    band : tuple of float
-        Lowest and highest frequency of its excitation, Hz.
+    Of a record that ran to its end; the band is that of its excitation, in Hz.
     """
 
     def __init__(self, record: Record, band: tuple[float, float]) -> None:

@@ -94,14 +94,7 @@ class Response:
 def spectra(signals: Floats, rate: float, segment: float) -> Spectra:
     """Cross-spectral densities by Welch's method: Hann windows, half overlapped.
 
-    Parameters
-    ----------
-    signals : ndarray
-        Shape (N, m).
-    rate : float
-        Sampling rate, Hz.
-    segment : float
-        Length of a segment, s; at most the record's.
+    Of signals of shape (N, m), sampled at a rate in Hz, in segments of so many s.
     """
     length = min(int(segment * rate), len(signals))
     columns = signals.T
@@ -124,14 +117,7 @@ def response(
 ) -> Response:
     """Response of some signals to others, H1 = S_yu S_uu^-1, unbiased by noise of the outputs.
 
-    Parameters
-    ----------
-    measured : Spectra
-        Of all signals.
-    inputs, outputs : slice
-        Which of them are the n inputs and the p outputs.
-    band : tuple of float
-        Lowest and highest frequency wanted, Hz.
+    The slices say which signals are the n inputs and the p outputs; the band is in Hz.
     """
     low, high = band
     within = (measured.frequencies_hz >= low) & (measured.frequencies_hz <= high)

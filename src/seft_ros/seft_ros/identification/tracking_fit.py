@@ -24,12 +24,8 @@ _LOWEST, _HIGHEST = np.log([0.003, 0.003]), np.log([5.0, 20.0])  # of frequency 
 class TrackingFit:
     """Fitted response from reference force to the force measured at the same step.
 
-    Attributes
-    ----------
-    model : TransferFunction
-        Continuous and stable; its dead time holds the loop's latency.
-    error : float
-        RMS of its error; |T| is near 1 where the loop is good.
+    The model is continuous and stable, and its dead time holds the loop's latency. Beside it
+    stands the RMS of its error; |T| is near 1 where the loop is good.
     """
 
     model: TransferFunction

@@ -26,13 +26,7 @@ class Controller(TransferFunction):
     def from_coefficients(
         cls, numerator: npt.ArrayLike, denominator: npt.ArrayLike
     ) -> "Controller":
-        """Make it of two polynomials; a number is one of degree 0.
-
-        Raises
-        ------
-        InputError
-            If one of them is zero.
-        """
+        """Make it of two polynomials, neither of which may be zero; a number has degree 0."""
         num, den = (
             tuple(np.atleast_1d(np.asarray(values, dtype=np.float64)).tolist())
             for values in (numerator, denominator)
@@ -46,11 +40,8 @@ class Controller(TransferFunction):
     def from_parameters(cls, section: dict[str, Any]) -> "Controller":
         """Make it of a force controller's section of an experiment.
 
-        Raises
-        ------
-        InputError
-            If another package's controller is in use, axes have different ones or are mixed, or
-            a polynomial is zero.
+        An InputError says if another package's controller is in use, axes have different ones or
+        are mixed, or a polynomial is zero.
         """
         if not is_one_controller(section):
             raise InputError(
@@ -87,13 +78,7 @@ class Controller(TransferFunction):
         return Controller(tuple(factor * value for value in self.numerator), self.denominator)
 
     def sampled_response(self, frequencies_hz: Floats, dt: float) -> Complexes:
-        """Frequency response as `force_controller` runs it, by the bilinear transform.
-
-        Raises
-        ------
-        InputError
-            If the controller can't be discretised.
-        """
+        """Frequency response as `force_controller` runs it, by the bilinear transform."""
         b, a = bilinear(self.numerator, self.denominator, dt)
         return ratio(b, a, np.exp(2j * np.pi * frequencies_hz * dt))
 
@@ -107,19 +92,9 @@ def given_controller(
 ) -> Controller | None:
     """Read the controller that options give; None if they give none.
 
-    Parameters
-    ----------
-    gain : float or None
-        Of the factored form.
-    zeros, poles : sequence of str
-        ``HZ`` or ``HZ,DAMPING`` each, of the factored form.
-    numerator, denominator : str or None
-        Coefficients in s, highest power first, with blanks or commas between them.
-
-    Raises
-    ------
-    InputError
-        If both forms are mixed, one is incomplete, or a text can't be read.
+    Either gain, zeros and poles, ``HZ`` or ``HZ,DAMPING`` each, or the coefficients in s, highest
+    power first, with blanks or commas between them. An InputError says if both forms are mixed,
+    one is incomplete, or a text can't be read.
     """
     factored = gain is not None or zeros or poles
     if numerator is None and denominator is None:
@@ -163,13 +138,7 @@ def check_new(path: Path) -> None:
 
 
 def write_controller(controller: Controller, path: Path) -> None:
-    """Write a new parameter file, to be read after the experiment's own.
-
-    Raises
-    ------
-    InputError
-        If the file exists already or can't be written.
-    """
+    """Write a new parameter file, see `check_new`, to be read after the experiment's own."""
     check_new(path)
     section = one_controller(controller.numerator, controller.denominator)
     told = "Controller of the force loop, by seft design: force error (N) to valve (V)"

@@ -39,16 +39,8 @@ class Responses:
 class PhaseCost:
     """Phase that a loop loses at its crossover, against one in continuous time; degrees.
 
-    Attributes
-    ----------
-    hold : float
-        To the zero-order hold (and what it folds back from above half the rate).
-    latency : float
-        To the step from a sample to the command that answers it.
-    dead_time : float
-        To the plant's dead time.
-    bilinear : float
-        To the controller's discretisation.
+    It goes to the zero-order hold (and what that folds back from above half the rate), to the step
+    from a sample to the command that answers it, and to the controller's discretisation.
     """
 
     hold: float

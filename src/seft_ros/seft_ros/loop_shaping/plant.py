@@ -113,20 +113,9 @@ class Plant:
 
 
 def choose_plant(experiment: Experiment, source: Source = Source.AUTO) -> Plant:
-    """Plant that an experiment describes.
+    """Plant that an experiment's `rig` or `force_controller` describes; InputError if none.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        Its sections `rig` and `force_controller`.
-    source : str
-        ``rig``, ``identified``, or ``auto``: the identified plant where the experiment gives
-        one, else the rig.
-
-    Raises
-    ------
-    InputError
-        If the experiment has no such plant.
+    The source ``auto`` is the identified plant where the experiment gives one, else the rig.
     """
     identified = np.any(_numerator(experiment["force_controller"]))
     if source == "identified" and not identified:

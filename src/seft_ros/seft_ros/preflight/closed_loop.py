@@ -66,14 +66,10 @@ class ClosedLoop:
         return growth_rate(self.dominant(), self.dt)
 
     def modes(self) -> tuple[Complexes, Complexes]:
-        """Eigenvalues, and how the ground motion moves the specimen through each of them.
+        """Eigenvalues z, shape (N,), and how the ground motion moves the specimen through each.
 
-        Returns
-        -------
-        z : ndarray
-            Shape (N,).
-        residues : ndarray
-            Shape (N, n, n): of the transfer function from ground acceleration to displacement.
+        The latter are the residues of the transfer function from ground acceleration to
+        displacement, shape (N, n, n).
         """
         z, left, right = eig(self.matrix, left=True)
         n = len(self.displacement)

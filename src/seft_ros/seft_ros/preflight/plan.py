@@ -26,6 +26,9 @@ from seft_ros.target.target_step import FORCE
 
 Floats = npt.NDArray[np.float64]
 
+NEUTRAL = 1e-6
+"""Growth rate up to which a loop counts as stable, 1/s: what rounding makes of zero."""
+
 
 class Plan:
     """The loop of an experiment, and what may come out otherwise.
@@ -178,6 +181,10 @@ class Plan:
     def growth_rate(self, **changes: Any) -> float:
         """Rate at which it grows, 1/s: positive where the test is unstable."""
         return growth_rate(self.worst(**changes), self.dt)
+
+    def is_stable(self, **changes: Any) -> bool:
+        """Whether none of `loops` grows."""
+        return self.growth_rate(**changes) <= NEUTRAL
 
     def _sample(
         self, stiffness: float, dead_time: float, gain: float

@@ -21,7 +21,7 @@ from seft_ros.preflight.stability_margins import (
     added_delays,
     local_stiffness,
 )
-from seft_ros.preflight.verdict import Preflight
+from seft_ros.preflight.stability_verdict import Preflight
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -67,22 +67,10 @@ class StabilityMap:
 def stability_maps(
     plan: Plan, margins: Margins, progress: Progress | None = None
 ) -> list[StabilityMap]:
-    """Map a plan's growth rate.
+    """Map a plan's growth rate as far as its margins reach; progress is in rows.
 
-    Parameters
-    ----------
-    plan : Plan
-        The test.
-    margins : Margins
-        Of it; they say how far the maps must reach.
-    progress : callable, optional
-        Called with what goes on, rows done and rows in all.
-
-    Returns
-    -------
-    list of StabilityMap
-        Over the dead time of the actuator's path in s, and, unless the plant is identified as a
-        whole, over the specimen's local stiffness over the told one, which the method believes.
+    Over the dead time of the actuator's path in s, and, unless the plant is identified as a
+    whole, over the specimen's local stiffness over the told one, which the method believes.
     """
     end, critical = (
         part.value if part else 0.0 for part in (margins.dead_time, margins.mass_ratio)

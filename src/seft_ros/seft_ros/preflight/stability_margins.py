@@ -14,13 +14,11 @@ from seft_msgs_py.config.arrays import symmetric_matrix
 from seft_msgs_py.errors import InputError
 
 from seft_ros.loop_shaping.sampling import MAX_DELAY_STEPS
-from seft_ros.preflight.plan import Plan
+from seft_ros.preflight.plan import NEUTRAL, Plan
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 
-NEUTRAL = 1e-6
-"""Growth rate up to which a loop counts as stable, 1/s: what rounding makes of zero."""
 HIGHEST_MASS_RATIO = 50.0
 LONGEST_DELAY = 0.1
 """Dead time up to which more of it is tried, s: several times that of any test rig."""
@@ -105,23 +103,14 @@ class Margins:
 def find_margins(plan: Plan, progress: Progress | None = None) -> Margins:
     """Find the margins of a plan by bracketing and Brent's method on exact eigenvalues.
 
-    Parameters
-    ----------
-    plan : Plan
-        The test.
-    progress : callable, optional
-        Called with what goes on, how many margins are known, and how many there are.
-
-    Raises
-    ------
-    InputError
-        If the method can't be made for the plan.
+    ``progress`` is called with what goes on, how many margins are known, and how many there are.
+    An InputError says if the method can't be made for the plan.
     """
     searches: dict[str, Callable[[], Any]] = {
         "mass_ratio": lambda: critical_mass_ratio(plan),
         "dead_time": lambda: critical_dead_time(plan),
     }
-    if plan.growth_rate() <= NEUTRAL:
+    if plan.is_stable():
         searches["gain"] = lambda: _range(plan, "gain", 1.0, FACTORS, 1.0 / FACTORS)
         if plan.follows_valves:
             searches["sure_dead_time"] = lambda: _sure_dead_time(plan)
@@ -146,14 +135,14 @@ def critical_mass_ratio(plan: Plan) -> Critical | None:
     tried = np.geomspace(0.01, HIGHEST_MASS_RATIO, 36)
     own = plan.mass_ratio * np.array([1.0, 1.1, 1.2])
     points = np.union1d(tried, own[(own > tried[0]) & (own < tried[-1])])
-    if plan.growth_rate(mass_ratio=points[0]) > NEUTRAL:
+    if not plan.is_stable(mass_ratio=points[0]):
         return _critical(plan, "mass_ratio", points[0], 0.0)
     return _end(plan, "mass_ratio", points)
 
 
 def critical_dead_time(plan: Plan) -> Critical | None:
     """Find the dead time at which the test turns unstable, or stable again, see `Margins`."""
-    if plan.growth_rate() <= NEUTRAL:
+    if plan.is_stable():
         return _end(plan, "dead_time", plan.dead_time + added_delays(plan))
     less = np.linspace(plan.dead_time, 0.0, 1 + max(8, int(2 * plan.dead_time / plan.dt)))
     return _end(plan, "dead_time", less) or _critical(plan, "dead_time", 0.0, 0.0)
@@ -167,7 +156,7 @@ def instability_band(plan: Plan) -> tuple[float, float] | None:
     either side, up to Nyquist's. None: it stays stable as far as was looked, or what grows does
     not oscillate.
     """
-    stable = plan.growth_rate() <= NEUTRAL
+    stable = plan.is_stable()
     ends = [_end(plan, "gain", FACTORS)] if stable else []
     found = [end.hz for end in (*ends, critical_dead_time(plan)) if end is not None]
     if not stable:
@@ -198,20 +187,9 @@ def added_delays(plan: Plan) -> Floats:
 def stability_change(growth: Callable[[float], float], points: Sequence[float]) -> float | None:
     """First place along some points where a loop turns from stable to unstable, or back.
 
-    Brackets it between two neighbours and narrows it with Brent's method. What begins and ends
-    between two neighbours is not seen.
-
-    Parameters
-    ----------
-    growth : callable
-        Growth rate of the loop in 1/s at a place.
-    points : sequence of float
-        Ascending or descending.
-
-    Returns
-    -------
-    float or None
-        None where nothing changes up to the last point.
+    ``growth`` gives the growth rate of the loop in 1/s at a place; the points ascend or descend.
+    Two neighbours bracket the change, Brent's method narrows it: what begins and ends between
+    two is not seen. None: nothing changes up to the last point.
     """
 
     def excess(place: float) -> float:
@@ -227,7 +205,7 @@ def stability_change(growth: Callable[[float], float], points: Sequence[float]) 
 
 
 def _sure_dead_time(plan: Plan) -> Critical | None:
-    if plan.growth_rate(any_valve=True) > NEUTRAL:
+    if not plan.is_stable(any_valve=True):
         return _critical(plan, "dead_time", plan.dead_time, plan.dead_time, any_valve=True)
     return _end(plan, "dead_time", plan.dead_time + added_delays(plan), any_valve=True)
 

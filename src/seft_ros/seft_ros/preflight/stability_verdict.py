@@ -7,7 +7,7 @@ from typing import Literal
 
 from seft_ros.preflight.modes import Mode, predicted_modes
 from seft_ros.preflight.plan import Plan
-from seft_ros.preflight.stability_margins import NEUTRAL, Margins, Progress, find_margins
+from seft_ros.preflight.stability_margins import Margins, Progress, find_margins
 
 Verdict = Literal["stable", "marginal", "unstable"]
 
@@ -84,7 +84,7 @@ class Preflight:
 def preflight(plan: Plan, progress: Progress | None = None) -> Preflight:
     """Find stability, margins and predicted errors of a plan; ``progress``: see `find_margins`."""
     margins = find_margins(plan, progress)
-    unstable = plan.growth_rate() > NEUTRAL
+    unstable = not plan.is_stable()
     reasons = [instability(plan)] if unstable else list(_thin(plan, margins))
     return Preflight(
         verdict="unstable" if unstable else "marginal" if reasons else "stable",
