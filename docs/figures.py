@@ -25,9 +25,9 @@ from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
 from seft_ros.loop_shaping.controller import Controller
 from seft_ros.loop_shaping.design import LoopDesign, shape_loop
 from seft_ros.loop_shaping.plant import choose_plant
-from seft_ros.preflight.margins import HIGHEST_MASS_RATIO, critical_mass_ratio
 from seft_ros.preflight.modes import predicted_modes
 from seft_ros.preflight.plan import Plan
+from seft_ros.preflight.stability_margins import HIGHEST_MASS_RATIO, critical_mass_ratio
 from seft_ros.reference_force.compensation.names import TARGET_MOTION
 
 Floats = npt.NDArray[np.float64]

@@ -8,8 +8,8 @@ from seft_ros.analysis.summary import reference_of, summarise
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES
-from seft_ros.preflight.instability_band import instability_band
 from seft_ros.preflight.plan import Plan
+from seft_ros.preflight.stability_margins import instability_band
 
 RECORDS = ROOT.parent / "shared" / "data"
 MOTIONS = {

@@ -5,12 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import expm
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.actuator.hydraulics import FASTEST, holding_force, lost_opening
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.continuous_model import ContinuousModel
+from seft_plant_sim.lti import first_order_hold
 from seft_plant_sim.specimen.spring_laws import (
     BESIDE,
     GAP,
@@ -222,20 +222,8 @@ def _stretch(
     steps = math.ceil(time / longest * (1 - 1e-9))
     if model.is_linear:
         steps = min(steps, 1)
-    s = len(model.a)
-    drives = np.hstack([model.b, model.inputs])
-    m = drives.shape[1]
-    # exponential of the model with drives that are constant (first m) or grow from 0 (last)
-    augmented = np.zeros((s + 2 * m, s + 2 * m))
     h = time / max(1, steps)
-    augmented[:s, :s] = model.a * h
-    augmented[:s, s : s + m] = drives * h
-    augmented[s : s + m, s + m :] = np.eye(m)
-    exponential = expm(augmented)[:s]
-    axes = model.b.shape[1]
-    return (
-        np.ascontiguousarray(exponential[:, : s + m].T),
-        np.ascontiguousarray(exponential[:, s + m + axes :].T),
-        steps,
-        h,
-    )
+    free, start, change = first_order_hold(model.a, np.hstack([model.b, model.inputs]), h)
+    residuals = change[:, model.b.shape[1] :]
+    predict = np.ascontiguousarray(np.hstack([free, start]).T)
+    return predict, np.ascontiguousarray(residuals.T), steps, h

@@ -93,7 +93,7 @@ def test_the_figure_is_drawn_of_both_maps(seft, tmp_path, monkeypatch):
     ],
 )
 def test_wrong_input_is_told_in_one_line(seft, tmp_path, monkeypatch, words, named):
-    monkeypatch.setattr("seft_ros.preflight.figure.preflight_figure", lambda *_: Figure())
+    monkeypatch.setattr("seft_ros.preflight.stability_map.preflight_figure", lambda *_: Figure())
     monkeypatch.setattr("seft_ros.preflight.stability_map.stability_maps", lambda *_: None)
     status, out, err = seft("preflight", *words)
     assert (status, out) == (2, "")

@@ -11,7 +11,7 @@ from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES
 from seft_ros.identification.excitation import excitation, write_excitation
-from seft_ros.identification.experiments import (
+from seft_ros.identification.rig_tests import (
     Levels,
     check_levels,
     closed_loop,

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from seft_ros.identification.rational import Rational
+from seft_plant_sim.lti import TransferFunction
 from seft_ros.identification.tracking_fit import fit_tracking
 
 F = np.arange(0.3, 100.0, 0.1)
@@ -15,7 +15,7 @@ def pair(hz, damping):
 
 
 def test_a_pair_with_dead_time_is_found():
-    known = Rational((pair(25.0, 0.6)[2],), tuple(pair(25.0, 0.6)), 0.008)
+    known = TransferFunction((pair(25.0, 0.6)[2],), tuple(pair(25.0, 0.6)), 0.008)
     fit = fit_tracking(F, known.response(F), ONES)
     assert fit.error < 1e-6
     assert fit.model.dead_time == pytest.approx(0.008, rel=1e-4)
@@ -26,7 +26,7 @@ def test_a_pair_with_dead_time_is_found():
 def test_further_pairs_are_added_where_the_response_needs_them():
     numerator = np.polymul(pair(10.2, 0.1), [pair(30.0, 0.7)[2] * 3000.0])
     denominator = np.polymul(np.polymul(pair(10.0, 0.12), pair(30.0, 0.7)), [1.0, 3000.0])
-    known = Rational(tuple(numerator), tuple(denominator), 0.007)
+    known = TransferFunction(tuple(numerator), tuple(denominator), 0.007)
     fit = fit_tracking(F, known.response(F), ONES)
     assert fit.error < 0.01
     assert len(fit.model.denominator) == 5
@@ -43,7 +43,7 @@ def test_it_is_stable_whatever_the_data(seed):
 
 
 def test_noise_is_weighed_out():
-    known = Rational((pair(25.0, 0.6)[2],), tuple(pair(25.0, 0.6)), 0.008)
+    known = TransferFunction((pair(25.0, 0.6)[2],), tuple(pair(25.0, 0.6)), 0.008)
     rng = np.random.default_rng(1)
     deviation = np.where(F > 40.0, 0.3, 0.001)
     noise = deviation * (rng.standard_normal(len(F)) + 1j * rng.standard_normal(len(F)))

@@ -15,9 +15,9 @@ from seft_plant_sim.rig.rig import Rig, continuous_model
 from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.block import ForceController
 from seft_ros.preflight.closed_loop import ClosedLoop
-from seft_ros.preflight.margins import critical_mass_ratio
 from seft_ros.preflight.modes import predicted_modes
 from seft_ros.preflight.plan import Plan
+from seft_ros.preflight.stability_margins import critical_mass_ratio
 from seft_ros.reference_force.block import ReferenceForce
 from seft_ros.reference_force.compensation.methods import METHODS
 

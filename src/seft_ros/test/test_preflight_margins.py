@@ -7,10 +7,14 @@ from seft_plant_sim.rig.limits import ROWS
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES
-from seft_ros.preflight.margins import HIGHEST_MASS_RATIO, critical_mass_ratio, find_margins
 from seft_ros.preflight.plan import Plan
-from seft_ros.preflight.result import preflight
-from seft_ros.preflight.search import stability_change
+from seft_ros.preflight.stability_margins import (
+    HIGHEST_MASS_RATIO,
+    critical_mass_ratio,
+    find_margins,
+    stability_change,
+)
+from seft_ros.preflight.stability_verdict import preflight
 from seft_ros.preflight.summary import summarise
 from seft_ros.reference_force.compensation.methods import METHODS
 

@@ -4,16 +4,19 @@ from typing import NamedTuple
 
 import numpy as np
 from seft_msgs_py.config.arrays import Floats, Ints
+from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.actuator.hydraulics import OPENING, PER_CAPACITY
 from seft_plant_sim.actuator.hydraulics import STROKE as STROKE_COLUMN
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.continuous_model import ContinuousModel
-from seft_plant_sim.dead_time import split_dead_time
 from seft_plant_sim.integration import Dynamics, Motion, at_rest, dynamics_of, integrate, multiply
+from seft_plant_sim.lti import split_dead_time
 from seft_plant_sim.rig.limits import Limits, SaturatedTime, exceeds, is_exceeded
 from seft_plant_sim.sensors import CHANNELS, Channels, measure
 
+LONGEST_DELAY_STEPS = 1_000_000
+"""Dead time in samples that a rig's memory may hold."""
 STROKE, FORCE_CAPACITY, VALVE = 16, 32, 64
 LIMIT, BLIND = 128, 256
 """Bits of what a step gives, beside those of the sensors' channels at their range, 1 to 8: what
@@ -90,6 +93,8 @@ def rig_arrays(
 ) -> tuple[RigParameters, RigState]:
     """Put a rig with a sampling period of ``dt`` s into arrays; InputError if it can't be run."""
     whole, part = split_dead_time(model.delay, dt)
+    if whole > LONGEST_DELAY_STEPS:
+        raise InputError(f"actuator: a delay of {model.delay:g} s is {whole} samples long")
     dynamics = dynamics_of(model, part, dt - part)
     n = model.b.shape[1]
     drive_limit = np.ascontiguousarray(model.drive_limit)

@@ -17,7 +17,7 @@ from seft_ros.commands.options import (
     load_experiment,
     print_json,
 )
-from seft_ros.loop_shaping.source import Source
+from seft_ros.loop_shaping import Source
 
 if TYPE_CHECKING:  # scipy and all: other commands start without
     from seft_ros.loop_shaping.design import LoopDesign
@@ -96,11 +96,14 @@ def design(
         seft design config/jhu.yaml --numerator 37 --denominator "1 17.14 4002" --json
     """
     from seft_ros.drawing.style import save_figure
-    from seft_ros.loop_shaping.controller import Controller
+    from seft_ros.loop_shaping.controller import (
+        Controller,
+        check_new,
+        given_controller,
+        write_controller,
+    )
     from seft_ros.loop_shaping.design import shape_loop
-    from seft_ros.loop_shaping.figure import design_figure
-    from seft_ros.loop_shaping.given_controller import given_controller
-    from seft_ros.loop_shaping.parameter_file import check_new, write_controller
+    from seft_ros.loop_shaping.design_figure import design_figure
     from seft_ros.loop_shaping.plant import choose_plant
     from seft_ros.loop_shaping.proposal import propose_controller
     from seft_ros.loop_shaping.sampling import dominant_pole

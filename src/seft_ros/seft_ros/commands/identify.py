@@ -24,8 +24,8 @@ from seft_ros.commands.options import (
 from seft_ros.commands.results import FIGURE, check_out
 
 if TYPE_CHECKING:  # scipy and all: other commands start without
-    from seft_ros.identification.experiments import Levels
     from seft_ros.identification.identified import Identified
+    from seft_ros.identification.rig_tests import Levels
     from seft_ros.recording.record import Record
 
 PILOT, OPEN_LOOP, CLOSED_LOOP = "pilot", "open_loop", "closed_loop"
@@ -120,7 +120,9 @@ def identify(
         seft identify config/lab.yaml --external rig --amplitude 0.1 --duration 300
     """
     from seft_ros.force_controller.kinds import is_one_controller
-    from seft_ros.identification.experiments import (
+    from seft_ros.identification.excitation import Motions
+    from seft_ros.identification.identified import identify as identify_rig
+    from seft_ros.identification.rig_tests import (
         PILOT_DURATION,
         Levels,
         check_levels,
@@ -132,8 +134,6 @@ def identify(
         pilot_voltage,
         voltage_after,
     )
-    from seft_ros.identification.identified import identify as identify_rig
-    from seft_ros.identification.motions import Motions
     from seft_ros.loop_shaping.controller import Controller
 
     if set(external or ()) - {"rig"}:
@@ -208,8 +208,8 @@ def _present(
     summary: dict[str, Any] = {}
     if identified is not None:
         from seft_ros.drawing.style import save_figure
-        from seft_ros.identification.figure import identified_figure
-        from seft_ros.identification.parameter_file import write_model
+        from seft_ros.identification.identified_figure import identified_figure
+        from seft_ros.identification.model_file import write_model
         from seft_ros.identification.summary import summarise_identified
 
         summary = summarise_identified(identified)

@@ -16,7 +16,7 @@ from seft_msgs_py.wire.rigs import with_rigs
 from seft_msgs_py.wire.topics import NODES
 
 from seft_ros.experiment.tables import TABLES
-from seft_ros.loop_shaping.source import Source
+from seft_ros.loop_shaping import Source
 
 ConfigArgument = Annotated[
     Path, typer.Argument(metavar="CONFIG", help="Experiment: a ROS 2 parameter file.")

@@ -20,7 +20,7 @@ from seft_ros.commands.options import (
     print_json,
     stderr_console,
 )
-from seft_ros.loop_shaping.source import Source
+from seft_ros.loop_shaping import Source
 
 PATIENCE = 1.0  # s without a word
 
@@ -61,7 +61,7 @@ def preflight(
     """
     from seft_ros.drawing.style import check_figure, save_figure
     from seft_ros.preflight.plan import Plan
-    from seft_ros.preflight.result import preflight as fly
+    from seft_ros.preflight.stability_verdict import preflight as fly
     from seft_ros.preflight.summary import summarise
 
     path = check_figure(figure) if figure is not None else None
@@ -71,8 +71,7 @@ def preflight(
         found = fly(plan, show)
         summary = summarise(plan, found)
         if path is not None:
-            from seft_ros.preflight.figure import preflight_figure
-            from seft_ros.preflight.stability_map import stability_maps
+            from seft_ros.preflight.stability_map import preflight_figure, stability_maps
 
             maps = stability_maps(plan, found.margins, show)
             save_figure(preflight_figure(plan, found, maps), path)

@@ -155,14 +155,13 @@ def _check_stable(experiment: Experiment, accept_unstable: bool) -> None:
     InputError
         If the closed loop is unstable, and that is not accepted.
     """
-    from seft_ros.preflight.margins import critical_mass_ratio
     from seft_ros.preflight.plan import Plan
-    from seft_ros.preflight.search import NEUTRAL
-    from seft_ros.preflight.verdict import instability
+    from seft_ros.preflight.stability_margins import critical_mass_ratio
+    from seft_ros.preflight.stability_verdict import instability
 
     try:
         plan = Plan(experiment)
-        stable = plan.growth_rate() <= NEUTRAL
+        stable = plan.is_stable()
     except InputError as error:  # what the nodes themselves can't use has been refused before
         complain(f"preflight could not be done: {error}")
         return

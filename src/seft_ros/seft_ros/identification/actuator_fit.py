@@ -105,35 +105,27 @@ def fit_actuator(
     dt: float,
     band: tuple[float, float],
 ) -> ActuatorFit:
-    """Fit an actuator to the balance of its oil in a test.
+    """Fit an actuator to the balance of its oil in a test, of what `OilBalance` takes.
 
     The specimen is in the balance by its motion and force alone, as measured: it may yield, slip
     or be coupled with others. By least squares over frequency, of what goes with the commands
     (they are free of noise); first with errors that may be as large as a part of the flow, then
     with each frequency weighed by what the last fit left of it. The piston's friction, which the
     load cell does not feel, is fitted beside it.
-
-    Parameters
-    ----------
-    commands, positions, accelerations, forces, dt, band
-        As `OilBalance` takes them.
     """
     oil = OilBalance(commands, positions, accelerations, forces, dt, band)
-    p = _roughly(oil)
-    deviation = oil.rough
+    p, deviation = _roughly(oil), oil.rough
     for _ in range(2):
-        solution, _, errors = oil.solve(p[:4], math.exp(p[4]), deviation)
-        power = (errors.reshape(2, -1) ** 2).sum(axis=0) * deviation**2
-        flow = np.abs(solution[0] * oil.flow(p[:4])[1]) ** 2
-        deviation = np.sqrt(oil.smooth(power) + _TOLERANCE**2 * oil.smooth(flow) + 1e-30)
-        weights = deviation  # of this round
+        power, flow = oil.left(p[:4], math.exp(p[4]), deviation)
+        deviation = np.sqrt(power + _TOLERANCE**2 * flow + 1e-30)
         found = least_squares(
-            lambda q: oil.solve(q[:4], math.exp(q[4]), weights)[2],  # noqa: B023
+            lambda q, weights: oil.solve(q[:4], math.exp(q[4]), weights)[2],
             p,
             bounds=(_LOWEST, _HIGHEST),
             x_scale=_SCALE,
             ftol=1e-6,
             max_nfev=_MOST_STEPS,
+            args=(deviation,),
         )
         p = found.x
     linear, linear_deviations, errors = oil.solve(p[:4], math.exp(p[4]), deviation)
@@ -194,15 +186,12 @@ def _roughly(oil: OilBalance) -> Floats:
             max_nfev=_MOST_STEPS,
         )
         found.append(np.append(fit.x, [0.0, math.log(_OVER)]))
-    best = min(found, key=lambda p: _unexplained(oil, p))
+
+    def unexplained(p: Floats) -> float:
+        """Share of the flow, mean over frequencies."""
+        power, flow = oil.left(p[:4], math.exp(p[4]), oil.rough)
+        return float(np.minimum(power / np.maximum(flow, 1e-30), 1.0).mean())
+
+    best = min(found, key=unexplained)
     best[3] = _LOAD
     return best
-
-
-def _unexplained(oil: OilBalance, p: Floats) -> float:
-    """Share of the flow that is not explained, mean over frequencies."""
-    solution, _, errors = oil.solve(p[:4], math.exp(p[4]), oil.rough)
-    power = (errors.reshape(2, -1) ** 2).sum(axis=0) * oil.rough**2
-    flow = np.abs(solution[0] * oil.flow(p[:4])[1]) ** 2
-    share = oil.smooth(power) / np.maximum(oil.smooth(flow), 1e-30)
-    return float(np.minimum(share, 1.0).mean())

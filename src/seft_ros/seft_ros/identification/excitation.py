@@ -1,11 +1,19 @@
-"""Excitations for identification: band-limited, seeded, from rest to rest."""
+"""Excitations for identification: band-limited, seeded, from rest to rest; as ground motions."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
+from seft_plant_sim.rig.rig import Rig
+
+from seft_ros.force_controller.methods import force_control
+from seft_ros.ground_motion.resample import check_size
+from seft_ros.identification.rig_tests import TAIL, ground_accelerations, has_force_loop
+from seft_ros.reference_force.block import ReferenceForce
 
 Floats = npt.NDArray[np.float64]
 
@@ -27,7 +35,7 @@ def excitation(
     Parameters
     ----------
     signal : str
-        ``random``: Gaussian noise with a flat spectrum, independent on each axis;
+        ``random``: Gaussian noise with a flat spectrum, independent on each axis, by ``seed``;
         ``chirp``: one logarithmic sweep up for each axis, one axis after the other.
     steps, axes : int
         N and n.
@@ -35,8 +43,6 @@ def excitation(
         Sampling period, s.
     band : tuple of float
         Lowest and highest frequency, Hz.
-    seed : int
-        Of the noise; the sweep has none.
 
     Returns
     -------
@@ -66,7 +72,10 @@ def excitation(
         raw = _random(steps, axes, dt, band, seed)
     else:
         raw = _sweeps(steps, axes, dt, band)
-    return _unit(raw)
+    window = np.hanning(steps)[:, np.newaxis]
+    centred = raw - window * (raw.mean(axis=0) / window.mean())  # the ends still at rest
+    unit: Floats = centred / np.sqrt(np.mean(centred**2, axis=0))
+    return unit
 
 
 def shortest_duration(signal: str, axes: int, band: tuple[float, float]) -> float:
@@ -77,22 +86,74 @@ def shortest_duration(signal: str, axes: int, band: tuple[float, float]) -> floa
 def write_excitation(path: Path, accelerations: Floats, axes: Sequence[str]) -> None:
     """Write ground accelerations (N, n) in m/s^2 as a record that ground_motion reads exactly.
 
-    Raises
-    ------
-    InputError
-        If the file can't be written.
+    The folder is made if need be. An InputError says if it can't be written.
     """
     rows = [",".join(map(repr, row)) for row in accelerations.tolist()]
     names = ",".join(f"axis {index + 1} (m/s2)" for index in range(len(axes)))
+    place = path.parent
     try:
+        place.mkdir(parents=True, exist_ok=True)
+        place = path
         path.write_text("\n".join([f"# {names}", *rows, ""]), encoding="utf-8")
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from None
+        raise InputError(f"{place}: {error.strerror or error}") from None
+
+
+@dataclass(frozen=True)
+class Motions:
+    """Ground motions of any duration for the tests of one identification.
+
+    Attributes
+    ----------
+    experiment : Experiment
+        What is identified.
+    force : float
+        RMS of the reference force, N.
+    signal, band, seed : str, tuple of float, int
+        As `excitation` takes them.
+    """
+
+    experiment: Experiment
+    force: float
+    signal: str
+    band: tuple[float, float]
+    seed: int
+
+    @property
+    def shortest(self) -> float:
+        """Shortest duration that the band makes sense for, s."""
+        return shortest_duration(self.signal, len(self.experiment.axes), self.band)
+
+    def check(self, duration: float) -> None:
+        """See by an InputError that tests can be made, before anything is written or moves."""
+        self._unit(duration)
+        sections = self.experiment.sections
+        made = self.experiment.axes, self.experiment.timebase
+        ReferenceForce.from_parameters(sections["reference_force"], *made)
+        if has_force_loop(self.experiment):
+            force_control(sections["force_controller"], *made)
+        if "rig" in sections:
+            Rig.from_parameters(sections["rig"], *made)
+
+    def write(self, path: Path, duration: float) -> Path:
+        """Write the motion of a test as a record, see `write_excitation`."""
+        accelerations = ground_accelerations(self.experiment, self.force * self._unit(duration))
+        write_excitation(path, accelerations, self.experiment.axes)
+        return path
+
+    def steps(self, duration: float) -> int:
+        """Count the steps of a test with such a motion."""
+        return round((duration + TAIL) * self.experiment.timebase.rate)
+
+    def _unit(self, duration: float) -> Floats:
+        time, axes = self.experiment.timebase, len(self.experiment.axes)
+        check_size(duration, time.rate, "--duration")
+        steps = round(duration * time.rate)
+        return excitation(self.signal, steps, axes, time.dt, self.band, self.seed)
 
 
 def _random(steps: int, axes: int, dt: float, band: tuple[float, float], seed: int) -> Floats:
-    frequencies = np.fft.rfftfreq(steps, dt)
-    low, high = band
+    frequencies, (low, high) = np.fft.rfftfreq(steps, dt), band
     upper = min(high * _EDGE, 0.5 / dt)
     passed = _rise(frequencies, low / _EDGE, low) * (1.0 - _rise(frequencies, high, upper))
     columns = []
@@ -113,14 +174,6 @@ def _sweeps(steps: int, axes: int, dt: float, band: tuple[float, float]) -> Floa
     for axis in range(axes):
         raw[axis * length : (axis + 1) * length, axis] = np.sin(phase) * _ramp(length, dt)
     return raw
-
-
-def _unit(raw: Floats) -> Floats:
-    """Zero mean and unit RMS, the ends still at rest."""
-    window = np.hanning(len(raw))[:, np.newaxis]
-    centred = raw - window * (raw.mean(axis=0) / window.mean())
-    unit: Floats = centred / np.sqrt(np.mean(centred**2, axis=0))
-    return unit
 
 
 def _ramp(steps: int, dt: float) -> Floats:

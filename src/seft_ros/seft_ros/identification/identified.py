@@ -1,10 +1,11 @@
 """What tests say of a rig: its actuators, its specimen, the force loop, and how it follows."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import ExperimentError
+from seft_plant_sim.specimen.specimen import Specimen
 
 from seft_ros.identification.actuator_fit import ActuatorFit, fit_actuator
 from seft_ros.identification.measured_test import (
@@ -15,14 +16,13 @@ from seft_ros.identification.measured_test import (
     VALVE,
     MeasuredTest,
 )
-from seft_ros.identification.measurement import Measurement
-from seft_ros.identification.plant_model import plants
 from seft_ros.identification.specimen_fit import SpecimenFit, fit_specimen
+from seft_ros.identification.spectral import Measurement
 from seft_ros.identification.tracking_fit import TrackingFit, fit_tracking
 from seft_ros.loop_shaping.controller import Controller
 from seft_ros.loop_shaping.design import LoopDesign, shape_loop
 from seft_ros.loop_shaping.margins import Tracking, tracking_measures
-from seft_ros.loop_shaping.plant import Plant
+from seft_ros.loop_shaping.plant import Plant, small_signal
 from seft_ros.loop_shaping.sampling import SampledPlant
 from seft_ros.recording.record import Record
 
@@ -30,6 +30,7 @@ Floats = npt.NDArray[np.float64]
 
 _COHERENT = 0.8  # up to there the closed loop is fitted
 _FLOOR = 0.01  # of a response: what a model is asked to explain
+_OPEN_LOOP, _CLOSED_LOOP = "open loop", "closed loop"
 
 
 @dataclass(frozen=True)
@@ -59,17 +60,7 @@ class ValveResponse:
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """Closed loop of one axis.
-
-    Attributes
-    ----------
-    measured : Measurement
-        Reference force to measured force of the same step.
-    tracking : Tracking
-        How it follows.
-    fit : TrackingFit
-        Low-order model.
-    """
+    """Closed loop of one axis: reference force to measured force of the same step."""
 
     measured: Measurement
     tracking: Tracking
@@ -129,78 +120,77 @@ def identify(
     ExperimentError
         If no test says anything.
     """
+    tests: dict[str, MeasuredTest] = {}
     unusable: list[str] = []
     faults: list[str] = []
-    opened = _usable(open_loop, band, "open loop", "--amplitude", unusable, faults)
-    closed = _usable(closed_loop, band, "closed loop", "--force", unusable, faults)
+    for what, record, option in (
+        (_OPEN_LOOP, open_loop, "--amplitude"),
+        (_CLOSED_LOOP, closed_loop, "--force"),
+    ):
+        if record is None:
+            continue
+        test = MeasuredTest(record, band)
+        if test.at_limit():
+            faults.append(
+                f"{what}: a valve command was at its limit in {test.at_limit()} of {test.steps} "
+                f"steps, which bends what is linear; lower {option}, or mend an unstable loop"
+            )
+        if incoherent := test.incoherent():
+            unusable.append(f"{what}: {incoherent}; raise {option} or --duration")
+        else:
+            tests[what] = test
     actuators: list[ActuatorFit] = []
-    if opened:
-        actuators = [
-            fit_actuator(*opened.of_actuator(axis), opened.dt, band)
-            for axis in range(len(opened.axes))
-        ]
-        bad = [
-            f"open loop: axis {axis}: {actuator.fault()}"
-            for axis, actuator in zip(opened.axes, actuators, strict=True)
-            if actuator.fault()
-        ]
-        unusable += bad
-        opened, actuators = (None, []) if bad else (opened, actuators)
-    tests = [test for test in (opened, closed) if test]
+    if opened := tests.get(_OPEN_LOOP):
+        each = range(len(opened.axes))
+        actuators = [fit_actuator(*opened.of_actuator(axis), opened.dt, band) for axis in each]
+        named = zip(opened.axes, actuators, strict=True)
+        bad = [f"{_OPEN_LOOP}: axis {axis}: {fit.fault()}" for axis, fit in named if fit.fault()]
+        if bad:
+            unusable += bad
+            del tests[_OPEN_LOOP]
     if not tests:
         raise ExperimentError(unusable[0])
-    specimen = fit_specimen([test.response(REFERENCE, MOTION, MOTION_TO) for test in tests])
-    valves: list[ValveResponse] = []
-    if opened:
-        for axis, plant in enumerate(plants(specimen, actuators)):
-            measured = opened.of(VALVE, FORCE, axis)
-            loop = shape_loop(plant, controller or _ALONE, opened.dt)
-            error = _relative_error(plant, measured, opened.dt)
-            valves.append(
-                ValveResponse(actuators[axis], measured, error, loop, controller is not None)
-            )
-    loops: list[ClosedLoop] = []
-    if closed:
+    specimen = fit_specimen(
+        [test.response(REFERENCE, MOTION, MOTION_TO) for test in tests.values()]
+    )
+    valves, loops = [], []
+    if opened := tests.get(_OPEN_LOOP):
+        valves = _valves(opened, specimen, actuators, controller)
+    if closed := tests.get(_CLOSED_LOOP):
         each = range(len(closed.axes))
         loops = [_closed_loop(closed.of(REFERENCE, FORCE, axis), closed.dt) for axis in each]
-    axes = tests[0].axes
+    axes = next(iter(tests.values())).axes
     return Identified(
         axes, band, specimen, tuple(valves), tuple(loops), tuple(unusable), tuple(faults)
     )
 
 
-_ALONE = Controller.from_coefficients(1.0, 1.0)
-
-
-def _usable(
-    record: Record | None,
-    band: tuple[float, float],
-    what: str,
-    option: str,
-    unusable: list[str],
-    faults: list[str],
-) -> MeasuredTest | None:
-    """Take a test unless it is mostly noise; say what is wrong with it."""
-    if record is None:
-        return None
-    test = MeasuredTest(record, band)
-    if test.at_limit():
-        faults.append(
-            f"{what}: a valve command was at its limit in {test.at_limit()} of {test.steps} "
-            f"steps, which bends what is linear; lower {option}, or mend an unstable loop"
-        )
-    incoherent = test.incoherent()
-    if incoherent:
-        unusable.append(f"{what}: {incoherent}; raise {option} or --duration")
-        return None
-    return test
-
-
-def _relative_error(plant: Plant, measured: Measurement, dt: float) -> float:
-    error = SampledPlant.of(plant, dt).response(measured.frequencies_hz) - measured.response
-    size = np.abs(measured.response)
-    deviation = np.hypot(measured.deviation, _FLOOR * size)
-    return float(np.linalg.norm(error / deviation) / np.linalg.norm(size / deviation))
+def _valves(
+    test: MeasuredTest,
+    specimen: SpecimenFit,
+    actuators: list[ActuatorFit],
+    controller: Controller | None,
+) -> list[ValveResponse]:
+    """Let the fitted actuators act on the fitted specimen, the valves of other axes closed."""
+    names = ("oil_stiffness", "leakage", "flow_gain", "valve_frequency", "valve_damping")
+    known = {name: np.array([getattr(fit, name) for fit in actuators]) for name in names}
+    model = small_signal(
+        Specimen(specimen.mass, specimen.damping, specimen.stiffness),
+        viscous_friction=np.array([fit.drag for fit in actuators]),
+        dead_time=0.0,
+        **known,
+    )
+    whole, dt, valves = Plant.of_model("identified", model), test.dt, []
+    for axis, actuator in enumerate(actuators):
+        plant = replace(whole.axis(axis), delay=actuator.dead_time)
+        measured = test.of(VALVE, FORCE, axis)
+        loop = shape_loop(plant, controller or Controller((1.0,), (1.0,)), dt)
+        wrong = SampledPlant.of(plant, dt).response(measured.frequencies_hz) - measured.response
+        size = np.abs(measured.response)
+        deviation = np.hypot(measured.deviation, _FLOOR * size)
+        error = float(np.linalg.norm(wrong / deviation) / np.linalg.norm(size / deviation))
+        valves.append(ValveResponse(actuator, measured, error, loop, controller is not None))
+    return valves
 
 
 def _closed_loop(measured: Measurement, dt: float) -> ClosedLoop:

@@ -4,8 +4,7 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 
-from seft_ros.identification.measurement import Measurement
-from seft_ros.identification.spectral import Response, response, segment_duration, spectra
+from seft_ros.identification.spectral import Measurement, Response, response, spectra
 from seft_ros.loop_shaping.margins import BAND_HZ
 from seft_ros.recording.record import Record
 
@@ -17,6 +16,7 @@ REFERENCE, VALVE, MOTION, FORCE = (0, 1), (1, 2), (2, 5), (4, 5)
 MOTION_TO = 0.2
 """Share of the rate up to which displacement may be derived: beyond, folded motion spoils it."""
 
+_SEGMENTS = 7.5  # to a record, before they overlap
 _LEAST_PERIODS = 3.0  # of the lowest frequency in a segment
 _COHERENT = 0.5
 _LEAST_SHARE = 0.5  # of the frequencies that must be coherent
@@ -25,20 +25,14 @@ _LEAST_SHARE = 0.5  # of the frequencies that must be coherent
 class MeasuredTest:
     """Spectra of reference force, valve, displacement, acceleration and force in one test.
 
-    Parameters
-    ----------
-    record : Record
-        The test, run to its end.
-    band : tuple of float
-        Lowest and highest frequency of its excitation, Hz.
+    Of a record that ran to its end; the band is that of its excitation, in Hz.
     """
 
     def __init__(self, record: Record, band: tuple[float, float]) -> None:
         self.record = record
         self.axes = record.experiment.axes
         self.dt = record.experiment.timebase.dt
-        last = int(record.series[RIG_STATE.name].steps[-1])
-        self.steps = last + 1
+        self.steps = int(record.series[RIG_STATE.name].steps[-1]) + 1
         every = np.arange(self.steps)
 
         def columns(topic: str, row: int) -> Floats:
@@ -52,7 +46,7 @@ class MeasuredTest:
             columns(VALVE_COMMAND.name, 0),
             *(columns(RIG_STATE.name, row) for row in (0, 2, 3)),
         ]
-        segment = segment_duration(len(every) * self.dt)
+        segment = self.steps * self.dt / _SEGMENTS
         self._spectra = spectra(np.hstack(self._signals), 1.0 / self.dt, segment)
         self._band = max(band[0], _LEAST_PERIODS / segment), band[1]
 
@@ -89,15 +83,9 @@ class MeasuredTest:
 
     def of_actuator(self, axis: int) -> tuple[Floats, Floats, Floats, Floats]:
         """Valve command, displacement, acceleration and force of one axis, shape (N,) each."""
-        command, position, acceleration, force = (part[:, axis] for part in self._signals[1:])
+        _, command, position, acceleration, force = (part[:, axis] for part in self._signals)
         return command, position, acceleration, force
 
     def of(self, inputs: tuple[int, int], outputs: tuple[int, int], axis: int) -> Measurement:
         """Response of one axis to its own input."""
-        found = self.response(inputs, outputs)
-        return Measurement(
-            found.frequencies_hz,
-            found.response[:, axis, axis],
-            np.sqrt(np.maximum(found.variance()[:, axis, axis], 0.0)),
-            found.coherence[:, axis],
-        )
+        return self.response(inputs, outputs).of_axis(axis)

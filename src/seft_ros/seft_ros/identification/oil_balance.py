@@ -29,8 +29,7 @@ class OilBalance:
     Parameters
     ----------
     commands, positions, accelerations, forces : ndarray
-        Valve command (V), and displacement (m), acceleration (m/s^2) and force (N) as measured,
-        shape (N,).
+        Valve command (V); displacement (m), acceleration (m/s^2), force (N) as measured; (N,).
     dt : float
         Sampling period, s.
     band : tuple of float
@@ -73,8 +72,8 @@ class OilBalance:
         self.rise, self.between = np.diff(forces) / dt, (forces[:-1] + forces[1:]) / 2
         self.largest_force = float(np.abs(forces).max())
         self._at_samples, self.velocity, noise = self._motion(positions, accelerations)
-        self._of_motion = self.of(self.velocity)
-        self._of_force = np.stack([self.of(self.rise), self.of(self.between)], axis=1)
+        self._of_motion = self._of(self.velocity)
+        self._of_force = np.stack([self._of(self.rise), self._of(self.between)], axis=1)
         noise_left = np.add.reduceat(noise, self._blocks) / self._counts**2
         power = drive / self._counts
         gain = self.smooth(np.abs(self._of_motion) ** 2) / np.maximum(self.smooth(power), 1e-30)
@@ -88,7 +87,7 @@ class OilBalance:
         signal: Floats = scipy.fft.irfft(spectrum, self._size)[: self._n]
         return signal
 
-    def of(self, signal: Floats) -> Complexes:
+    def _of(self, signal: Floats) -> Complexes:
         """Part of a signal that goes with the commands, at each of F frequencies."""
         return self._with_commands(self._spectrum(signal))
 
@@ -111,14 +110,9 @@ class OilBalance:
     def _motion(self, positions: Floats, accelerations: Floats) -> tuple[Floats, Floats, Floats]:
         """Velocity from displacement and acceleration, each where it has the less noise.
 
-        Both have white noise, whose powers their difference tells.
-
-        Returns
-        -------
-        at_samples, mean : ndarray
-            Velocity at the beginning of each period, and over it; shape (N - 1,), m/s.
-        noise : ndarray
-            Power of what is left of the noise within the band, shape (F,).
+        Both have white noise, whose powers their difference tells. Returned are the velocity at
+        the beginning of each period and its mean over it, in m/s, and the power of what is left
+        of the noise at each line of the spectrum within the band.
         """
         s = 2j * np.pi * np.maximum(self._hz, self._hz[1])
         change = np.expm1(s * self._dt)
@@ -140,11 +134,8 @@ class OilBalance:
     def flow(self, p: Floats) -> tuple[Floats, Complexes]:
         """Flow of the commands over q, V: the signal, shape (N - 1,), and its spectrum, (F,).
 
-        Parameters
-        ----------
-        p : ndarray
-            Logarithms of the valve's frequency (Hz) and damping ratio, its dead time in ms, and
-            the largest force over the force capacity.
+        p: logarithms of the valve's frequency (Hz) and damping ratio, its dead time in ms, and
+        the largest force over the force capacity.
         """
         valve = ValveModel(math.exp(p[0]), math.exp(p[1]), p[2] / 1e3, self._dt)
         volume = valve.volume(self._times)
@@ -165,17 +156,18 @@ class OilBalance:
         v = self._at_samples
         return float(v @ np.tanh(v / over)) / max(float(v @ v), 1e-30)
 
+    def left(self, p: Floats, over: float, deviation: Floats) -> tuple[Floats, Floats]:
+        """Power of what `solve` leaves, and of the commands' flow; shape (F,), smoothed."""
+        solution, _, errors = self.solve(p, over, deviation)
+        power = (errors.reshape(2, -1) ** 2).sum(axis=0) * deviation**2
+        flow = np.abs(solution[0] * self.flow(p)[1]) ** 2
+        return self.smooth(power), self.smooth(flow)
+
     def solve(self, p: Floats, over: float, deviation: Floats) -> tuple[Floats, Floats, Floats]:
         """Solve v = q w - (f' + lambda f + friction') / k_oil for what is linear in it.
 
-        Parameters
-        ----------
-        p : ndarray
-            See `flow`.
-        over : float
-            See `slip`.
-        deviation : ndarray
-            Expected error at each frequency, shape (F,).
+        Of parameters p and ``over``, see `flow` and `slip`, with an expected error at each
+        frequency, shape (F,).
 
         Returns
         -------
@@ -184,7 +176,7 @@ class OilBalance:
         errors : ndarray
             What is left, over its deviation, real parts, then imaginary parts.
         """
-        flow, slip = self.flow(p)[1], self.of(self.slip(over))
+        flow, slip = self.flow(p)[1], self._of(self.slip(over))
         terms = np.column_stack([flow, -self._of_force, -slip, self._of_motion])
         terms = terms / deviation[:, np.newaxis]
         split = np.concatenate([terms.real, terms.imag])

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
+from seft_plant_sim.specimen.specimen import Specimen
 
 from seft_ros.identification.spectral import Response
 from seft_ros.loop_shaping.roots import Root, roots_of
@@ -35,12 +36,8 @@ class SpecimenFit:
 
     def roots(self) -> list[Root]:
         """Natural frequencies and dampings, lowest first."""
-        n = len(self.mass)
-        a = np.zeros((2 * n, 2 * n))
-        a[:n, n:] = np.eye(n)
-        a[n:, :n] = -np.linalg.solve(self.mass, self.stiffness)
-        a[n:, n:] = -np.linalg.solve(self.mass, self.damping)
-        return roots_of(np.linalg.eigvals(a))
+        moving, _ = Specimen(self.mass, self.damping, self.stiffness).state_matrices()
+        return roots_of(np.linalg.eigvals(moving))
 
     def axis_root(self, axis: int) -> Root:
         """Natural frequency and damping of one axis, the others held."""
@@ -66,22 +63,19 @@ def fit_specimen(measured: Sequence[Response]) -> SpecimenFit:
         Of displacement, acceleration and force over n axes, stacked, to the excitation.
     """
     n = measured[0].response.shape[2]
-    upper = np.triu_indices(n)
-    parts = [_Equation(part, n) for part in measured]
+    row, column = np.triu_indices(n)
 
-    def matrices(p: Floats) -> list[Floats]:
-        found = []
-        for values in p.reshape(3, -1):
-            matrix = np.zeros((n, n))
-            matrix[upper] = values
-            found.append(matrix + np.triu(matrix, 1).T)
-        return found
+    def matrices(p: Floats) -> Floats:
+        """M, C and K, shape (3, n, n), of their upper triangles."""
+        upper = np.zeros((3, n, n))
+        upper[:, row, column] = p.reshape(3, -1)
+        return upper + np.triu(upper, 1).swapaxes(1, 2)
 
     def residuals(p: Floats) -> Floats:
-        errors = np.concatenate([part.weighed(*matrices(p * scale)).ravel() for part in parts])
+        errors = np.concatenate([_weighed(part, *matrices(p * scale)).ravel() for part in measured])
         return np.concatenate([errors.real, errors.imag])
 
-    start = np.stack([matrix[upper] for matrix in parts[-1].rough()])
+    start = _rough(measured[-1])[:, row, column]
     size = np.abs(start).max(axis=1, keepdims=True)
     scale = np.repeat(np.where(size > 0, size, 1.0), start.shape[1], axis=1).ravel()
     found = least_squares(residuals, start.ravel() / scale, loss="soft_l1", f_scale=3.0)
@@ -89,53 +83,53 @@ def fit_specimen(measured: Sequence[Response]) -> SpecimenFit:
     values, vectors = np.linalg.eigh(damping)
     damping = (vectors * np.maximum(values, 0.0)) @ vectors.T  # no specimen feeds energy in
     damping = (damping + damping.T) / 2
-    error = np.mean([part.unexplained(mass, damping, stiffness) for part in parts])
-    return SpecimenFit(mass, damping, stiffness, float(error))
+    unexplained = [
+        np.linalg.norm(_error(part, mass, damping, stiffness)) / np.linalg.norm(_parts(part)[2])
+        for part in measured
+    ]
+    return SpecimenFit(mass, damping, stiffness, float(np.mean(unexplained)))
 
 
-class _Equation:
-    """Equation of motion at every frequency: M A + (jw C + K) X = F, and its noise."""
+def _parts(measured: Response) -> list[Complexes]:
+    """Displacement, acceleration and force, shape (F, n, n) each."""
+    return np.split(measured.response, 3, axis=1)
 
-    def __init__(self, measured: Response, n: int) -> None:
-        self._x, self._a, self._f = (
-            measured.response[:, part * n : (part + 1) * n] for part in range(3)
-        )
-        self._s = 2j * np.pi * measured.frequencies_hz[:, np.newaxis, np.newaxis]
-        self._noise = measured.noise
-        self._gain = measured.input_gain
-        self._one = np.broadcast_to(np.eye(n), (len(self._s), n, n))
 
-    def _error(self, mass: Floats, damping: Floats, stiffness: Floats) -> Complexes:
-        error: Complexes = self._f - mass @ self._a - (self._s * damping + stiffness) @ self._x
-        return error
+def _motion(measured: Response, damping: Floats, stiffness: Floats) -> Complexes:
+    s = 2j * np.pi * measured.frequencies_hz[:, np.newaxis, np.newaxis]
+    return np.asarray(s * damping + stiffness, dtype=np.complex128)
 
-    def weighed(self, mass: Floats, damping: Floats, stiffness: Floats) -> Complexes:
-        """Error over its standard deviation, shape (F, n, n): equations, inputs."""
-        motion = self._s * damping + stiffness
-        rows = np.concatenate([-motion, -mass * self._one, self._one], axis=2)
-        power = np.einsum("fij,fjk,fik->fi", rows, self._noise, rows.conj()).real
-        variance = power[:, :, np.newaxis] * self._gain[:, np.newaxis, :]
-        terms = np.abs(self._f) + np.abs(mass) @ np.abs(self._a)
-        terms = terms + np.abs(stiffness) @ np.abs(self._x)
-        return self._error(mass, damping, stiffness) / np.sqrt(
-            np.maximum(variance, 0.0) + (_FLOOR * terms) ** 2
-        )
 
-    def rough(self) -> list[Floats]:
-        """First guess, each axis by itself: linear least squares on relative errors."""
-        n = self._one.shape[1]
-        found = np.zeros((3, n))
-        for axis in range(n):
-            x, a, f = (part[:, axis, axis] for part in (self._x, self._a, self._f))
-            columns = np.stack([a, self._s[:, 0, 0] * x, x], axis=1) / np.abs(f)[:, np.newaxis]
-            target = f / np.abs(f)
-            scale = np.linalg.norm(columns, axis=0)
-            split = np.concatenate([columns.real, columns.imag]) / scale
-            wanted = np.concatenate([target.real, target.imag])
-            solution = np.linalg.lstsq(split, wanted, rcond=None)[0]
-            found[:, axis] = solution / scale
-        return [np.diag(np.abs(values)) for values in found]
+def _error(measured: Response, mass: Floats, damping: Floats, stiffness: Floats) -> Complexes:
+    """Error of the equation of motion M A + (jw C + K) X = F at every frequency."""
+    x, a, f = _parts(measured)
+    error: Complexes = f - mass @ a - _motion(measured, damping, stiffness) @ x
+    return error
 
-    def unexplained(self, mass: Floats, damping: Floats, stiffness: Floats) -> float:
-        error = self._error(mass, damping, stiffness)
-        return float(np.linalg.norm(error) / np.linalg.norm(self._f))
+
+def _weighed(measured: Response, mass: Floats, damping: Floats, stiffness: Floats) -> Complexes:
+    """Error over its standard deviation, shape (F, n, n): equations, inputs."""
+    x, a, f = (np.abs(part) for part in _parts(measured))
+    one = np.broadcast_to(np.eye(len(mass)), f.shape)
+    rows = [-_motion(measured, damping, stiffness), -mass * one, one]
+    by_noise = np.concatenate(rows, axis=2)
+    power = np.einsum("fij,fjk,fik->fi", by_noise, measured.noise, by_noise.conj()).real
+    variance = power[:, :, np.newaxis] * measured.input_gain[:, np.newaxis, :]
+    terms = f + np.abs(mass) @ a + np.abs(stiffness) @ x
+    deviation = np.sqrt(np.maximum(variance, 0.0) + (_FLOOR * terms) ** 2)
+    return _error(measured, mass, damping, stiffness) / deviation
+
+
+def _rough(measured: Response) -> Floats:
+    """First guess, each axis by itself: linear least squares on relative errors; (3, n, n)."""
+    n = measured.response.shape[2]
+    found, s = np.zeros((3, n, n)), 2j * np.pi * measured.frequencies_hz
+    for axis in range(n):
+        x, a, f = (part[:, axis, axis] for part in _parts(measured))
+        columns = np.stack([a, s * x, x], axis=1) / np.abs(f)[:, np.newaxis]
+        target = f / np.abs(f)
+        scale = np.linalg.norm(columns, axis=0)
+        split = np.concatenate([columns.real, columns.imag]) / scale
+        wanted = np.concatenate([target.real, target.imag])
+        found[:, axis, axis] = np.abs(np.linalg.lstsq(split, wanted, rcond=None)[0] / scale)
+    return found

@@ -7,9 +7,8 @@ import numpy.typing as npt
 import scipy.signal
 
 Floats = npt.NDArray[np.float64]
-Complex = npt.NDArray[np.complex128]
+Complexes = npt.NDArray[np.complex128]
 
-SEGMENTS = 7.5  # to a record, before they overlap
 _HANN_OVERLAP_GAIN = 0.947  # independent averages for each half-overlapped Hann segment
 
 
@@ -28,8 +27,28 @@ class Spectra:
     """
 
     frequencies_hz: Floats
-    density: Complex
+    density: Complexes
     averages: float
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """Measured frequency response on one axis.
+
+    Attributes
+    ----------
+    frequencies_hz : ndarray
+        Shape (F,), increasing.
+    response, deviation : ndarray
+        Response and its standard deviation, shape (F,).
+    coherence : ndarray
+        Multiple coherence, shape (F,), 0 to 1.
+    """
+
+    frequencies_hz: Floats
+    response: Complexes
+    deviation: Floats
+    coherence: Floats
 
 
 @dataclass(frozen=True)
@@ -51,9 +70,9 @@ class Response:
     """
 
     frequencies_hz: Floats
-    response: Complex
+    response: Complexes
     coherence: Floats
-    noise: Complex
+    noise: Complexes
     input_gain: Floats
 
     def variance(self) -> Floats:
@@ -62,23 +81,20 @@ class Response:
         product: Floats = power[:, :, np.newaxis] * self.input_gain[:, np.newaxis, :]
         return product
 
-
-def segment_duration(duration: float) -> float:
-    """Length of Welch's segments for a record of this duration, s."""
-    return duration / SEGMENTS
+    def of_axis(self, axis: int) -> Measurement:
+        """Response of one output to the input of its place."""
+        return Measurement(
+            self.frequencies_hz,
+            self.response[:, axis, axis],
+            np.sqrt(np.maximum(self.variance()[:, axis, axis], 0.0)),
+            self.coherence[:, axis],
+        )
 
 
 def spectra(signals: Floats, rate: float, segment: float) -> Spectra:
     """Cross-spectral densities by Welch's method: Hann windows, half overlapped.
 
-    Parameters
-    ----------
-    signals : ndarray
-        Shape (N, m).
-    rate : float
-        Sampling rate, Hz.
-    segment : float
-        Length of a segment, s; at most the record's.
+    Of signals of shape (N, m), sampled at a rate in Hz, in segments of so many s.
     """
     length = min(int(segment * rate), len(signals))
     columns = signals.T
@@ -101,14 +117,7 @@ def response(
 ) -> Response:
     """Response of some signals to others, H1 = S_yu S_uu^-1, unbiased by noise of the outputs.
 
-    Parameters
-    ----------
-    measured : Spectra
-        Of all signals.
-    inputs, outputs : slice
-        Which of them are the n inputs and the p outputs.
-    band : tuple of float
-        Lowest and highest frequency wanted, Hz.
+    The slices say which signals are the n inputs and the p outputs; the band is in Hz.
     """
     low, high = band
     within = (measured.frequencies_hz >= low) & (measured.frequencies_hz <= high)

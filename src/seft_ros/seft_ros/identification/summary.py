@@ -7,7 +7,7 @@ import numpy as np
 from seft_ros.analysis.summary import json_safe
 from seft_ros.identification.actuator_fit import ActuatorFit
 from seft_ros.identification.identified import ClosedLoop, Identified, ValveResponse
-from seft_ros.identification.measurement import Measurement
+from seft_ros.identification.spectral import Measurement
 
 LISTED_HZ = (1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
 """Frequencies of the table of delays."""

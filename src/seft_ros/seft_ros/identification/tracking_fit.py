@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
-
-from seft_ros.identification.rational import Rational
+from seft_plant_sim.lti import TransferFunction
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
@@ -25,15 +24,11 @@ _LOWEST, _HIGHEST = np.log([0.003, 0.003]), np.log([5.0, 20.0])  # of frequency 
 class TrackingFit:
     """Fitted response from reference force to the force measured at the same step.
 
-    Attributes
-    ----------
-    model : Rational
-        Continuous and stable; its dead time holds the loop's latency.
-    error : float
-        RMS of its error; |T| is near 1 where the loop is good.
+    The model is continuous and stable, and its dead time holds the loop's latency. Beside it
+    stands the RMS of its error; |T| is near 1 where the loop is good.
     """
 
-    model: Rational
+    model: TransferFunction
     error: float
 
 
@@ -47,12 +42,8 @@ def fit_tracking(
 
     Parameters
     ----------
-    frequencies_hz : ndarray
-        Shape (F,), increasing, Hz.
-    tracking : ndarray
-        T from reference force to measured force, shape (F,).
-    weight : ndarray
-        Weight of each frequency's error, shape (F,).
+    frequencies_hz, tracking, weight : ndarray
+        Increasing, Hz; T from reference force to measured force there; weight of its error; (F,).
     least_dead_time : float
         Dead time that is there at any rate, s.
     """
@@ -79,9 +70,7 @@ class _Data:
     def __init__(
         self, frequencies_hz: Floats, tracking: Complexes, weight: Floats, least: float
     ) -> None:
-        self._f: Floats = frequencies_hz
-        self._t: Complexes = tracking
-        self._w: Floats = weight
+        self._f, self._t, self._w = frequencies_hz, tracking, weight
         omega = 2 * np.pi * frequencies_hz
         self._unit = float(omega[-1])  # for polynomials of even size
         self._s: Complexes = np.multiply(1j / self._unit, omega)
@@ -97,11 +86,14 @@ class _Data:
         ]
         return min(starts, key=lambda p: float(np.sum(self._residuals(p) ** 2)))
 
-    def misfit(self, model: Rational) -> Floats:
+    def misfit(self, model: TransferFunction) -> Floats:
         """Parameters of a pair where a model is furthest off."""
-        error = self._w * np.abs(model.response(self._f) - self._t)
-        smooth = np.convolve(error, np.full(5, 0.2), "same")
+        smooth = np.convolve(self._error(model), np.full(5, 0.2), "same")
         return np.log([float(np.abs(self._s[int(smooth.argmax())])), 0.1])
+
+    def _error(self, model: TransferFunction) -> Floats:
+        error: Floats = self._w * np.abs(model.response(self._f) - self._t)
+        return error
 
     def solved(self, start: Floats) -> tuple[TrackingFit, Floats]:
         """Best fit from a start, and its parameters."""
@@ -113,14 +105,12 @@ class _Data:
         start = np.clip(start, *bounds)
         found = least_squares(self._residuals, start, bounds=bounds, max_nfev=_MOST_STEPS).x
         numerator, denominator = self._polynomials(found)
-        unit = self._unit
-        scaled = numerator * unit ** (len(denominator) - np.arange(len(numerator))[::-1] - 1.0)
-        model = Rational(
-            tuple(scaled.tolist()),
-            tuple((denominator * unit ** np.arange(len(denominator))).tolist()),
-            float(found[0] * self._longest),
-        )
-        error = self._w * np.abs(model.response(self._f) - self._t)
+        order = len(denominator) - 1
+        numerator = numerator * self._unit ** (order - np.arange(len(numerator))[::-1] * 1.0)
+        denominator = denominator * self._unit ** np.arange(order + 1)
+        late = float(found[0] * self._longest)
+        model = TransferFunction(tuple(numerator.tolist()), tuple(denominator.tolist()), late)
+        error = self._error(model)
         return TrackingFit(model, float(np.linalg.norm(error) / np.linalg.norm(self._w))), found
 
     def _lag(self, p: Floats) -> Complexes:

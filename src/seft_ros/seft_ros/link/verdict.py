@@ -11,7 +11,7 @@ from seft_msgs_py.wire.topics import TARGET
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.link.round_trips import RoundTrips
-from seft_ros.preflight.verdict import MASS_RATIO_RESERVE as RESERVE
+from seft_ros.preflight.stability_verdict import MASS_RATIO_RESERVE as RESERVE
 from seft_ros.reference_force.topic import reference_force_topic
 
 Verdict = Literal["good", "marginal", "unusable"]
@@ -74,14 +74,13 @@ def message_size(experiment: Experiment) -> int:
 
 def allowed(experiment: Experiment, loop_delay: int) -> Allowed:
     """Ask preflight about a test with a delay of the loop, in steps."""
-    from seft_ros.preflight.margins import critical_mass_ratio
     from seft_ros.preflight.plan import Plan
-    from seft_ros.preflight.search import NEUTRAL
+    from seft_ros.preflight.stability_margins import critical_mass_ratio
 
     planned = float(experiment["reference_force"]["mass_ratio"])
     try:
         plan = Plan(with_loop_delay(experiment, loop_delay))
-        growing = plan.growth_rate() > NEUTRAL
+        growing = not plan.is_stable()
         critical = critical_mass_ratio(plan)
     except InputError as error:
         return Allowed(planned, None, growing=False, unknown=str(error))

@@ -1,6 +1,6 @@
 """A force loop as shaped: its responses in continuous time and sampled, and what they say."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -39,16 +39,8 @@ class Responses:
 class PhaseCost:
     """Phase that a loop loses at its crossover, against one in continuous time; degrees.
 
-    Attributes
-    ----------
-    hold : float
-        To the zero-order hold (and what it folds back from above half the rate).
-    latency : float
-        To the step from a sample to the command that answers it.
-    dead_time : float
-        To the plant's dead time.
-    bilinear : float
-        To the controller's discretisation.
+    It goes to the zero-order hold (and what that folds back from above half the rate), to the step
+    from a sample to the command that answers it, and to the controller's discretisation.
     """
 
     hold: float
@@ -106,26 +98,14 @@ class LoopDesign:
 
 
 def shape_loop(plant: Plant, controller: Controller, dt: float) -> LoopDesign:
-    """Close the force loop of one axis.
+    """Close the force loop of a plant's first axis with a sampling period of ``dt`` s.
 
-    Parameters
-    ----------
-    plant : Plant
-        Its first axis counts.
-    controller : Controller
-        From force error to valve drive.
-    dt : float
-        Sampling period, s.
-
-    Raises
-    ------
-    InputError
-        If controller or plant can't be discretised.
+    An InputError says if controller or plant can't be discretised.
     """
     plant = plant.axis(0)
     sampled_plant = SampledPlant.of(plant, dt)
     f = loop_frequencies(plant, dt)
-    continuous = Responses(plant.undelayed().response(f), controller.response(f))
+    continuous = Responses(replace(plant, delay=0.0).response(f), controller.response(f))
     sampled = Responses(sampled_plant.response(f), controller.sampled_response(f, dt))
     margins = loop_margins(f, sampled.loop)
     return LoopDesign(
@@ -144,21 +124,10 @@ def shape_loop(plant: Plant, controller: Controller, dt: float) -> LoopDesign:
 
 
 def loop_frequencies(plant: Plant, dt: float, count: int = 1500) -> Floats:
-    """Frequencies that show all of a loop: up to half the rate, dense where the plant is.
+    """Frequencies that show all of a loop, ascending, Hz.
 
-    Parameters
-    ----------
-    plant : Plant
-        Its first axis counts.
-    dt : float
-        Sampling period, s.
-    count : int
-        Number of evenly spaced ones, logarithmically; more lie about lightly damped roots.
-
-    Returns
-    -------
-    ndarray
-        Ascending, Hz. Half the rate itself, where controllers are zero, is left out.
+    ``count`` of them are spaced evenly on a logarithmic scale, more lie about the lightly damped
+    roots of the plant's first axis. Half the rate itself, where controllers are zero, is left out.
     """
     highest = 0.499 / dt
     roots = lightly_damped([*plant.zeros(), *plant.poles()])
@@ -180,18 +149,14 @@ def _phase_cost(
         return None
     f = np.array([crossover_hz])
     latency = 360.0 * crossover_hz * dt
-    plant_lag = _lag(plant.response(f), sampled.response(f))
+
+    def lag(before: Complexes, after: Complexes) -> float:
+        return float(np.angle(before / after, deg=True)[0])
+
+    hold = lag(plant.response(f), sampled.response(f)) - latency
     return PhaseCost(
-        hold=_wrapped(plant_lag - latency),
+        hold=(hold + 180.0) % 360.0 - 180.0,
         latency=latency,
         dead_time=360.0 * crossover_hz * plant.delay,
-        bilinear=_lag(controller.response(f), controller.sampled_response(f, dt)),
+        bilinear=lag(controller.response(f), controller.sampled_response(f, dt)),
     )
-
-
-def _lag(before: Complexes, after: Complexes) -> float:
-    return float(np.angle(before / after, deg=True)[0])
-
-
-def _wrapped(degrees: float) -> float:
-    return (degrees + 180.0) % 360.0 - 180.0

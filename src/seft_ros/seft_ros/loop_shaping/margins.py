@@ -59,16 +59,9 @@ class LoopMargins:
 
 
 def loop_margins(frequencies_hz: Floats, loop: Complexes) -> LoopMargins:
-    """Margins of a loop transfer function known at some frequencies.
+    """Margins of a loop L known at some frequencies, ascending, in Hz; shape (N,) both.
 
     Between them cubic splines interpolate it. Points that are not finite are left out.
-
-    Parameters
-    ----------
-    frequencies_hz : ndarray
-        Shape (N,), ascending, Hz.
-    loop : ndarray
-        L at these frequencies, complex, shape (N,).
     """
     import control  # here: it takes a second, and nodes import this package's neighbours
 
@@ -81,8 +74,12 @@ def loop_margins(frequencies_hz: Floats, loop: Complexes) -> LoopMargins:
     )
     crossovers = sorted({float(f"{w / (2 * np.pi):.9g}") for w in omegas})
     falls = 0 if abs(loop[0]) > 1 else 1  # the first of them at which |L| falls
-    margins_db = 20 * np.log10(gains)
-    least_gain = int(np.abs(margins_db).argmin()) if len(gains) else None
+    gain_margin = phase_crossover = None
+    if len(gains):
+        margins_db = 20 * np.log10(gains)
+        least = int(np.abs(margins_db).argmin())
+        gain_margin = float(margins_db[least])
+        phase_crossover = float(phase_omegas[least] / (2 * np.pi))
     sensitivity = 1 / np.maximum(np.abs(1 + loop), 1e-9)
     peak = int(sensitivity.argmax())
     turning = np.unwrap(np.angle(1 + loop))[-1]
@@ -90,10 +87,8 @@ def loop_margins(frequencies_hz: Floats, loop: Complexes) -> LoopMargins:
         crossover_hz=crossovers[falls] if len(crossovers) > falls else None,
         crossovers_hz=tuple(crossovers),
         phase_margin_deg=float(phases[np.abs(phases).argmin()]) if len(phases) else None,
-        gain_margin_db=None if least_gain is None else float(margins_db[least_gain]),
-        phase_crossover_hz=(
-            None if least_gain is None else float(phase_omegas[least_gain] / (2 * np.pi))
-        ),
+        gain_margin_db=gain_margin,
+        phase_crossover_hz=phase_crossover,
         sensitivity_peak=float(sensitivity[peak]),
         sensitivity_peak_hz=float(omega[peak] / (2 * np.pi)),
         stable=bool(abs(turning) < np.pi / 2) if abs(loop[-1]) < 1 else None,
@@ -131,20 +126,12 @@ class Tracking:
 def tracking_measures(
     frequencies_hz: Floats, tracking: Complexes, band_hz: float = BAND_HZ
 ) -> Tracking:
-    """Measure a closed loop known at some frequencies.
+    """Measure a closed loop T known at some frequencies, ascending, in Hz; shape (N,) both.
 
-    Against noise: magnitudes pass a running median of five points, dips below 0.2 dB do not
-    count, and the delay is a least-squares fit. Phase is unwrapped from the lowest frequency
-    up, so that noise beyond the band reaches nothing within it.
-
-    Parameters
-    ----------
-    frequencies_hz : ndarray
-        Shape (N,), ascending, above 0, Hz; spaced as it may be.
-    tracking : ndarray
-        T at these frequencies, complex, shape (N,).
-    band_hz : float
-        Upper end of the band for delay and dip, Hz.
+    Delay and dip are those of the band up to ``band_hz``. Against noise: magnitudes pass a
+    running median of five points, dips below 0.2 dB do not count, and the delay is a
+    least-squares fit. Phase is unwrapped from the lowest frequency up, so that noise beyond the
+    band reaches nothing within it.
     """
     known = np.isfinite(tracking) & (tracking != 0)
     f, t = frequencies_hz[known], tracking[known]

@@ -8,10 +8,15 @@ import numpy.typing as npt
 from scipy.linalg import block_diag
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
+from seft_plant_sim.actuator.actuator import servo_hydraulic
+from seft_plant_sim.actuator.hydraulics import Hydraulics
+from seft_plant_sim.continuous_model import ContinuousModel
+from seft_plant_sim.lti import companion_form, state_space_response
+from seft_plant_sim.rig.rig import continuous_model
+from seft_plant_sim.specimen.specimen import Specimen
 
-from seft_ros.loop_shaping.companion import companion_form
+from seft_ros.loop_shaping import Source
 from seft_ros.loop_shaping.roots import Root, lightly_damped, roots_of, uncancelled
-from seft_ros.loop_shaping.source import Source
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
@@ -43,6 +48,15 @@ class Plant:
         """Number of axes n."""
         return self.b.shape[1]
 
+    @classmethod
+    def of_model(
+        cls, source: Literal["rig", "identified"], model: ContinuousModel, motion: bool = False
+    ) -> "Plant":
+        """Make it of actuators and specimen, to the forces or, with motion, to (x, v, a, f)."""
+        outputs = slice(0 if motion else 3 * model.b.shape[1], None)
+        c, d = model.c[outputs], model.d[outputs]
+        return cls(source, model.a, model.b, c, d, model.delay).without_idle_states()
+
     def axis(self, index: int) -> "Plant":
         """Plant of one axis alone, the valves of the others closed."""
         one = slice(index, index + 1)
@@ -59,28 +73,19 @@ class Plant:
         kept = np.flatnonzero(reached & shown)
         return replace(self, a=self.a[np.ix_(kept, kept)], b=self.b[kept], c=self.c[:, kept])
 
-    def undelayed(self) -> "Plant":
-        """Leave the dead time out."""
-        return replace(self, delay=0.0)
-
     def response(self, frequencies_hz: Floats) -> Complexes:
         """Frequency response H_fu(jw) of the first axis, shape (N,), N/V."""
-        s = 2j * np.pi * frequencies_hz
-        states = np.linalg.solve(
-            s[:, np.newaxis, np.newaxis] * np.eye(len(self.a)) - self.a, self.b[np.newaxis]
-        )
-        forces = np.asarray(self.c @ states + self.d, dtype=np.complex128)
+        s = np.asarray(2j * np.pi * frequencies_hz, dtype=np.complex128)
+        forces = state_space_response(self.a, self.b, self.c, self.d, s)
         return forces[:, 0, 0] * np.exp(-s * self.delay)
 
     def poles(self) -> list[Root]:
         """Poles of the first axis, those that zeros cancel left out, lowest first."""
-        poles, zeros = self._poles_and_zeros()
-        return roots_of(uncancelled(poles, zeros))
+        return self._roots()[0]
 
     def zeros(self) -> list[Root]:
         """Zeros of the first axis, those that poles cancel left out, lowest first."""
-        poles, zeros = self._poles_and_zeros()
-        return roots_of(uncancelled(zeros, poles))
+        return self._roots()[1]
 
     def antiresonance(self) -> Root | None:
         """Lowest lightly damped zero: the specimen's natural frequency, seen through the force.
@@ -98,29 +103,19 @@ class Plant:
         peaks = np.abs(self.response(np.array([pole.hz for pole in above])))
         return above[int(peaks.argmax())]
 
-    def _poles_and_zeros(self) -> tuple[Complexes, Complexes]:
+    def _roots(self) -> tuple[list[Root], list[Root]]:
         import control
 
         first = self.axis(0)
         system = control.ss(first.a, first.b, first.c, first.d, remove_useless_states=False)
-        return system.poles(), system.zeros()
+        poles, zeros = system.poles(), system.zeros()
+        return roots_of(uncancelled(poles, zeros)), roots_of(uncancelled(zeros, poles))
 
 
 def choose_plant(experiment: Experiment, source: Source = Source.AUTO) -> Plant:
-    """Plant that an experiment describes.
+    """Plant that an experiment's `rig` or `force_controller` describes; InputError if none.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        Its sections `rig` and `force_controller`.
-    source : str
-        ``rig``, ``identified``, or ``auto``: the identified plant where the experiment gives
-        one, else the rig.
-
-    Raises
-    ------
-    InputError
-        If the experiment has no such plant.
+    The source ``auto`` is the identified plant where the experiment gives one, else the rig.
     """
     identified = np.any(_numerator(experiment["force_controller"]))
     if source == "identified" and not identified:
@@ -134,46 +129,42 @@ def choose_plant(experiment: Experiment, source: Source = Source.AUTO) -> Plant:
 
 
 def rig_plant(section: dict[str, Any], axes: tuple[str, ...]) -> Plant:
-    """Small-signal linear model of the simulated rig.
-
-    Raises
-    ------
-    InputError
-        If no valve drives the rig.
-    """
-    from seft_plant_sim.rig.rig import continuous_model
-
+    """Small-signal linear model of the simulated rig; InputError if no valve drives it."""
     model = continuous_model(section, axes)
     if model.drive != "valve_command":
         raise InputError(
             f"rig: actuator.kind is {section['actuator.kind']}, which has no valve to shape a loop "
             "for; set it to servo_hydraulic, or give an identified plant"
         )
-    force = slice(3 * len(axes), 4 * len(axes))
-    whole = Plant("rig", model.a, model.b, model.c[force], model.d[force], model.delay)
-    return whole.without_idle_states()
+    return Plant.of_model("rig", model)
+
+
+def small_signal(specimen: Specimen, **actuators: Any) -> ContinuousModel:
+    """Linear model of servo-hydraulic actuators on a specimen, of some of `Hydraulics`' values."""
+    unlimited, none = np.full(specimen.axes, np.inf), np.zeros(specimen.axes)
+    unknown: dict[str, Any] = {
+        **dict.fromkeys(("opening_limit", "force_capacity", "stroke"), unlimited),
+        **dict.fromkeys(("friction", "viscous_friction"), none),
+        "friction_velocity": np.ones(specimen.axes),
+    }
+    return servo_hydraulic(specimen, Hydraulics(**unknown | actuators), linear=True)
 
 
 def identified_plant(section: dict[str, Any], axes: int) -> Plant:
     """Plant of `plant.numerator`, `plant.denominator` and `plant.dead_time`, on every axis.
 
-    Raises
-    ------
-    InputError
-        If the transfer function is improper or has no denominator.
+    An InputError says if it is improper or has no denominator.
     """
     numerator = np.trim_zeros(_numerator(section), "f")
     denominator = np.trim_zeros(np.atleast_1d(section["plant.denominator"]).astype(float), "f")
     if not denominator.size:
         raise InputError("force_controller: plant.denominator is zero")
-    order = denominator.size - 1
     if numerator.size > denominator.size:
         raise InputError(
             f"force_controller: the plant is improper: plant.numerator of degree "
-            f"{numerator.size - 1} over plant.denominator of degree {order}"
+            f"{numerator.size - 1} over plant.denominator of degree {denominator.size - 1}"
         )
-    a, b, c, direct = companion_form(numerator, denominator)
-    one_axis = (a, b[:, np.newaxis], c[np.newaxis], np.array([[direct]]))
+    one_axis = companion_form(numerator, denominator)
     a, b, c, d = (block_diag(*[part] * axes) for part in one_axis)
     return Plant("identified", a, b, c, d, float(section["plant.dead_time"]))
 

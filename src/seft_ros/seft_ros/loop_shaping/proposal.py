@@ -53,16 +53,7 @@ def propose_controller(
     at the crossover. Only where that leaves less than the gain margin, a roll-off of one or two
     poles or a notch on the oil-column resonance is added, as far up as will do.
 
-    Parameters
-    ----------
-    plant : Plant
-        Its first axis counts.
-    crossover_hz : float
-        Wished crossover, Hz.
-    dt : float
-        Sampling period, s.
-    gain_margin_db : float
-        Wished gain margin, dB.
+    Of the plant the first axis counts; crossover in Hz, sampling period in s, gain margin in dB.
 
     Raises
     ------
@@ -79,8 +70,7 @@ def propose_controller(
             f"--gain-margin {gain_margin_db:g}: must lie between 0 and {MOST_GAIN_MARGIN_DB:g} dB"
         )
     task = _task(plant.axis(0), dt, gain_margin_db)
-    controller = _simplest(task, crossover_hz)
-    if controller is not None:
+    if (controller := _simplest(task, crossover_hz)) is not None:
         return controller
     wish = (
         f"a crossover of {crossover_hz:g} Hz can't be had with phase and gain margins of "
@@ -109,9 +99,11 @@ def _simplest(task: _Task, crossover_hz: float) -> Controller | None:
     f, dt = task.frequencies_hz, task.plant.dt
     at = np.array([crossover_hz])
     plant_at = task.plant.response(at)
+    # minus where the plant pulls when it is told to push
+    sign = 1.0 if -45 <= -float(np.angle(task.response[0], deg=True)) <= 135 else -1.0
     for candidate in _candidates(task, crossover_hz):
         unscaled = candidate.sampled_response(at, dt) * plant_at
-        controller = candidate.scaled(_sign(task.response) / float(abs(unscaled[0])))
+        controller = candidate.scaled(sign / float(abs(unscaled[0])))
         loop = controller.sampled_response(f, dt) * task.response
         phase = np.angle(-np.sign(controller.gain) * unscaled[0], deg=True)
         if phase < PHASE_MARGIN_DEG or _plainly_too_loud(task, loop, crossover_hz):
@@ -177,12 +169,6 @@ def _highest_crossover(task: _Task, wish_hz: float) -> float | None:
 def _prewarped(root: Root, dt: float) -> Root:
     """Root in s that the bilinear transform brings onto this frequency."""
     return Root(float(np.tan(np.pi * root.hz * dt) / (np.pi * dt)), root.damping)
-
-
-def _sign(response: Complexes) -> float:
-    """Sign of the gain: minus where the plant pulls when it is told to push."""
-    lag = -float(np.angle(response[0], deg=True))
-    return 1.0 if -45 <= lag <= 135 else -1.0
 
 
 def _rounded(value: float) -> float:

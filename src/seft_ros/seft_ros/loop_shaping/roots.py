@@ -64,6 +64,14 @@ class Root:
         return f"{self.hz:.4g} Hz (damping {self.damping:.3g})"
 
 
+def polynomial_of(roots: Iterable[Root]) -> Floats:
+    """Monic polynomial in s with these roots, highest power first."""
+    product = np.ones(1)
+    for root in roots:
+        product = np.convolve(product, root.polynomial())
+    return product
+
+
 def roots_of(values: npt.ArrayLike) -> list[Root]:
     """Poles or zeros given in rad/s, complex; lowest first."""
     values = np.asarray(values, dtype=np.complex128)

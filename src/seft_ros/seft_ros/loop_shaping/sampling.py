@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import expm
+from scipy.signal import cont2discrete
 from seft_msgs_py.errors import InputError
+from seft_plant_sim.lti import split_dead_time, state_space_response
 
 from seft_ros.force_controller.block import ForceController
 from seft_ros.loop_shaping.controller import Controller
@@ -49,42 +50,27 @@ class SampledPlant:
 
     @classmethod
     def of(cls, plant: Plant, dt: float) -> "SampledPlant":
-        """Sample a plant.
-
-        Raises
-        ------
-        InputError
-            If its dead time is many samples long.
-        """
-        whole = int(plant.delay / dt + 1e-9)
+        """Sample a plant; InputError if its dead time is many samples long."""
+        whole, rest = split_dead_time(plant.delay, dt)
         if whole > MAX_DELAY_STEPS:
             raise InputError(
                 f"the plant's dead time of {plant.delay:g} s is {whole} samples long, but no loop "
                 f"is shaped beyond {MAX_DELAY_STEPS}"
             )
-        rest = plant.delay - whole * dt
-        rest = rest if rest > 1e-9 * dt else 0.0
-        early, forced_early = _hold(plant, rest)
-        late, forced_late = _hold(plant, dt - rest)
-        return cls(
-            a=late @ early,
-            before=late @ forced_early,
-            after=forced_late,
-            c=plant.c,
-            d=plant.d,
-            whole=whole,
-            rest=rest > 0,
-            dt=dt,
-        )
+        system = plant.a, plant.b, plant.c, plant.d
+        early, forced_early, *_ = cont2discrete(system, rest, "zoh")
+        late, forced_late, *_ = cont2discrete(system, dt - rest, "zoh")
+        before = late @ forced_early
+        return cls(late @ early, before, forced_late, plant.c, plant.d, whole, rest > 0, dt)
 
     def response(self, frequencies_hz: Floats) -> Complexes:
         """Frequency response of the first axis, from u_k to f_k, shape (N,), N/V."""
-        z = np.exp(2j * np.pi * frequencies_hz * self.dt)[:, np.newaxis, np.newaxis]
-        drive = self.before / z + self.after
-        states = np.linalg.solve(z * np.eye(len(self.a)) - self.a, drive)
-        direct = self.d / z if self.rest else self.d
-        forces = np.asarray(self.c @ states + direct, dtype=np.complex128)
-        return forces[:, 0, 0] * z[:, 0, 0] ** -(self.whole + 1.0)
+        z = np.exp(2j * np.pi * frequencies_hz * self.dt)
+        earlier = z[:, np.newaxis, np.newaxis]
+        drive = self.before / earlier + self.after
+        direct = self.d / earlier if self.rest else self.d
+        forces = state_space_response(self.a, drive, self.c, direct, z)
+        return forces[:, 0, 0] * z ** -(self.whole + 1.0)
 
     def state_space(self) -> tuple[Floats, Floats, Floats]:
         """Matrices a, b, c with the drives of the last m + 2 samples as states, newest first.
@@ -125,12 +111,3 @@ def dominant_pole(plant: Plant, controller: Controller, dt: float) -> complex:
     """Pole of the sampled loop, closed on all axes, that dies out last or grows fastest."""
     poles = closed_loop_poles(SampledPlant.of(plant, dt), controller)
     return complex(poles[np.abs(poles).argmax()])
-
-
-def _hold(plant: Plant, time: float) -> tuple[Floats, Floats]:
-    """Transition over ``time`` seconds under a constant drive: z(time) = free z + forced u."""
-    size, n = plant.b.shape
-    augmented = np.zeros((size + n, size + n))
-    augmented[:size] = np.hstack([plant.a, plant.b]) * time
-    exponential = expm(augmented)
-    return exponential[:size, :size], exponential[:size, size:]

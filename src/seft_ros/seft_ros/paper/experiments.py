@@ -9,7 +9,7 @@ from seft_msgs_py.errors import InputError
 
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.method import with_method
-from seft_ros.identification.experiments import has_valve
+from seft_ros.identification.rig_tests import has_valve
 from seft_ros.reference_force.compensation.names import TARGET_MOTION
 
 DELAY = 0.01

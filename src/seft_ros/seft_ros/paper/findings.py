@@ -8,7 +8,7 @@ from seft_msgs_py.config.experiment import Experiment
 
 from seft_ros.ground_motion.block import GroundMotion
 from seft_ros.identification.identified import Identified
-from seft_ros.loop_shaping.source import Source
+from seft_ros.loop_shaping import Source
 from seft_ros.paper.experiments import (
     BEYOND_SHARE,
     DELAY,

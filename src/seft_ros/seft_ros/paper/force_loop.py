@@ -7,7 +7,7 @@ import numpy.typing as npt
 from scipy.ndimage import median_filter
 
 from seft_ros.identification.identified import Identified
-from seft_ros.identification.measurement import Measurement
+from seft_ros.identification.spectral import Measurement
 from seft_ros.loop_shaping.design import LoopDesign
 
 Floats = npt.NDArray[np.float64]

@@ -8,7 +8,9 @@ from seft_msgs_py.errors import ExperimentError
 
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
-from seft_ros.identification.experiments import (
+from seft_ros.identification.excitation import Motions
+from seft_ros.identification.identified import Identified, identify
+from seft_ros.identification.rig_tests import (
     PILOT_DURATION,
     Levels,
     closed_loop,
@@ -17,8 +19,6 @@ from seft_ros.identification.experiments import (
     pilot_voltage,
     voltage_after,
 )
-from seft_ros.identification.identified import Identified, identify
-from seft_ros.identification.motions import Motions
 from seft_ros.loop_shaping.controller import Controller
 from seft_ros.recording.record import Record
 

@@ -42,8 +42,8 @@ class ClosedLoop:
     def eigenvalues(self) -> Complexes:
         """All N eigenvalues z; the test is stable where every |z| < 1.
 
-        In a large loop, states that do not act on each other in a circle are taken apart first:
-        their blocks have the same eigenvalues, and cost less.
+        A large loop is first taken apart into states that act on each other in a circle: these
+        blocks have the same eigenvalues, and cost less.
         """
         if len(self.matrix) < LARGE:
             return np.linalg.eigvals(self.matrix).astype(np.complex128)
@@ -66,14 +66,10 @@ class ClosedLoop:
         return growth_rate(self.dominant(), self.dt)
 
     def modes(self) -> tuple[Complexes, Complexes]:
-        """Eigenvalues, and how the ground motion moves the specimen through each of them.
+        """Eigenvalues z, shape (N,), and how the ground motion moves the specimen through each.
 
-        Returns
-        -------
-        z : ndarray
-            Shape (N,).
-        residues : ndarray
-            Shape (N, n, n): of the transfer function from ground acceleration to displacement.
+        The latter are the residues of the transfer function from ground acceleration to
+        displacement, shape (N, n, n).
         """
         z, left, right = eig(self.matrix, left=True)
         n = len(self.displacement)
@@ -99,21 +95,10 @@ def closed_loop(
 ) -> ClosedLoop:
     """Close the loop as the blocks run it.
 
-    Sample k, y = (x, v, a, f), gives p = c s + d y + e g, the controller makes the drive u of
-    p and y, and u acts on the rig from sample k+1 on. The states are the rig's, the
-    compensation's s and the controller's. p is the reference force, or what else the
-    compensation tells the controller.
-
-    Parameters
-    ----------
-    rig : tuple of ndarray
-        a, b, c from the drive to y, see `LoopRig.sampled`.
-    compensation : LinearFilter
-        From y and g to p.
-    control : LinearControl
-        From p and y to u.
-    dt : float
-        Sampling period, s.
+    Sample k, y = (x, v, a, f) = c q of the rig, gives p = c s + d y + e g by the compensation
+    (the reference force, or what else it tells the controller); the controller makes the drive
+    u of p and y, and u acts on the rig from sample k+1 on. The states are the rig's (a, b, c of
+    `LoopRig.sampled`), the compensation's and the controller's.
     """
     a, b, c = rig
     told, axes = len(compensation.d), b.shape[1]
@@ -121,13 +106,10 @@ def closed_loop(
     driven_by_told, driven_by_state = b @ control.d[:, :told], b @ control.d[:, told:] @ c
     asked = compensation.d @ c
     none = np.zeros((len(compensation.a), len(control.a)))
+    moved = a + driven_by_told @ asked + driven_by_state
     matrix = np.block(
         [
-            [
-                a + driven_by_told @ asked + driven_by_state,
-                driven_by_told @ compensation.c,
-                b @ control.c,
-            ],
+            [moved, driven_by_told @ compensation.c, b @ control.c],
             [compensation.b @ c, compensation.a, none],
             [by_told @ asked + by_state, by_told @ compensation.c, control.a],
         ]

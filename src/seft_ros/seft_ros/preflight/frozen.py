@@ -5,6 +5,7 @@ of their states and inputs. Their parameters are such that they learn nothing an
 loaded valve is left out, which is of second order in the motion.
 """
 
+import itertools
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -26,29 +27,20 @@ Floats = npt.NDArray[np.float64]
 
 CERTAIN = 1e30
 """Variance, or evidence, beside which all others are nothing."""
-BOUNDS = [
-    (gain, delay)
-    for gain in (-LARGEST_GAIN_ERROR, LARGEST_GAIN_ERROR)
-    for delay in (-LARGEST_DELAY_ERROR, LARGEST_DELAY_ERROR)
-]
+BOUNDS = list(
+    itertools.product(
+        (-LARGEST_GAIN_ERROR, LARGEST_GAIN_ERROR), (-LARGEST_DELAY_ERROR, LARGEST_DELAY_ERROR)
+    )
+)
 """Errors of a valve that are as large as the controller may take them for."""
 
 
 def frozen_target(method: TargetMotion, measured: bool) -> LinearFilter:
-    """Linear filter from what is measured to the target's points.
+    """Linear filter from what is measured to all of the target's points; the method begins anew.
 
-    Parameters
-    ----------
-    method : TargetMotion
-        Begins anew.
-    measured : bool
-        Whether the restoring force is the measured one, as after a change of the specimen:
-        r* = r + K (x* - x) + C (v* - v). Else it is K x* + C v*, as a test starts.
-
-    Returns
-    -------
-    LinearFilter
-        Its output is all points, shape ((1 + preview) 3 n,).
+    The output has the shape ((1 + preview) 3 n,). ``measured``: the restoring force is the
+    measured one, as after a change of the specimen: r* = r + K (x* - x) + C (v* - v). Else it is
+    K x* + C v*, as a test starts.
     """
     state, model = method.state, method.parameters.model
     nothing = np.zeros_like(model.prior)
@@ -81,14 +73,8 @@ def frozen_feedforward(
 ) -> LinearControl:
     """Linear controller from points and what is measured to the valves; begins anew.
 
-    In place of the reference force its input holds the points that it reads.
-
-    Parameters
-    ----------
-    control : VelocityFeedforward
-        The controller.
-    errors : tuple of float
-        What it takes for the error of each valve: of the flow gain, relative, and of the delay, s.
+    In place of the reference force its input holds the points that it reads. ``errors`` are what
+    it takes for those of each valve: of the flow gain, relative, and of the delay, s.
     """
     parameters, state = control.parameters, control.state
     actuator = parameters.actuator.copy()
@@ -114,14 +100,9 @@ def frozen_feedforward(
 
 
 def read_of_points(control: LinearControl) -> tuple[Floats, LinearControl]:
-    """Part a controller of points: what it makes of them, and a controller that takes only that.
+    """Part a controller of points: the q values that it makes of them, and what it makes of those.
 
-    Returns
-    -------
-    read : ndarray
-        Shape (q, points), with few rows.
-    rest : LinearControl
-        Its input is these q values in place of the points.
+    Returns a matrix of shape (q, points), with few rows, and a controller of these values.
     """
     axes = len(control.d)
     known = control.d.shape[1] - 4 * axes
@@ -140,19 +121,10 @@ def _system(
     inputs: Sequence[Floats],
     output: Floats,
 ) -> tuple[list[Floats], list[Floats]]:
-    """Find the matrices of a linear step.
+    """Find the matrices of a linear step, which ``begin`` makes ready and ``step`` runs in place.
 
-    Parameters
-    ----------
-    begin, step : callable
-        The first makes the step ready, whatever was before; the second runs it in place.
-    states, inputs, output : ndarray
-        What it reads, and then writes: the output and the next states.
-
-    Returns
-    -------
-    outputs, next_states : list of ndarray
-        Of either the parts by the states, then by each of the inputs.
+    It reads states and inputs, and writes the output and the next states. Returned are, of the
+    outputs and of the next states, the parts by the states, then by each of the inputs.
     """
     columns = []
     for array in (*states, *inputs):

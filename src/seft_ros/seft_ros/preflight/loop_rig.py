@@ -1,24 +1,22 @@
 """The rig as the loop of a test sees it: linear, from its drive to all that is measured."""
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.actuator.actuator import servo_hydraulic
-from seft_plant_sim.actuator.hydraulics import Hydraulics
-from seft_plant_sim.continuous_model import ContinuousModel, Drive
+from seft_plant_sim.continuous_model import Drive
 from seft_plant_sim.reference.whole_structure import tested_specimen
 from seft_plant_sim.rig.rig import continuous_model
 from seft_plant_sim.specimen.specimen import Specimen
 
 from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
-from seft_ros.loop_shaping.plant import Plant, choose_plant
+from seft_ros.loop_shaping import Source
+from seft_ros.loop_shaping.plant import Plant, choose_plant, small_signal
 from seft_ros.loop_shaping.sampling import SampledPlant
-from seft_ros.loop_shaping.source import Source
 
 Floats = npt.NDArray[np.float64]
 
@@ -56,19 +54,8 @@ class LoopRig:
     ) -> tuple[Floats, Floats, Floats]:
         """Matrices a, b, c from the drive that answers sample k to (x, v, a, f) of sample k.
 
-        Parameters
-        ----------
-        dt : float
-            Sampling period, s.
-        dead_time : float
-            Dead time of the drive in place of the plant's own, s.
-        gain : float
-            Factor on the drive.
-
-        Raises
-        ------
-        InputError
-            If the dead time is many samples long.
+        ``dead_time``, in s, stands in place of the plant's own, ``gain`` is a factor on the drive.
+        An InputError says if the dead time is many samples long.
         """
         plant = replace(self.plant, b=gain * self.plant.b, d=gain * self.plant.d, delay=dead_time)
         a, b, c = SampledPlant.of(plant, dt).state_space()
@@ -88,7 +75,7 @@ class LoopRig:
 def choose_rig(
     experiment: Experiment, source: Source = Source.AUTO, stiffness: float = 1.0
 ) -> LoopRig:
-    """Rig that an experiment describes.
+    """Rig that an experiment describes; InputError if it has none.
 
     Parameters
     ----------
@@ -102,19 +89,18 @@ def choose_rig(
         `velocity_feedforward` it is the rig where that is simulated.
     stiffness : float
         Factor on the specimen's stiffness, the actuators being the same.
-
-    Raises
-    ------
-    InputError
-        If the experiment has no such rig.
     """
-    section = experiment.sections.get("rig")
+    section, specimen = experiment.sections.get("rig"), tested_specimen(experiment)
     ideal = section is not None and section["actuator.kind"] in ("ideal", "delay")
     by_motion = experiment["force_controller"].get("method") == VELOCITY_FEEDFORWARD
     if section is not None and (source == "rig" or (source == "auto" and (ideal or by_motion))):
-        return _simulated(section, experiment, stiffness)
+        return _simulated(section, specimen, experiment, stiffness)
     if by_motion:
-        return _told(experiment, stiffness)
+        told = VelocityFeedforward.told(experiment["force_controller"], experiment.axes)
+        swept = replace(specimen, stiffness=stiffness * specimen.stiffness)
+        model = small_signal(swept, **{**told, "dead_time": float(told["dead_time"].max())})
+        plant = Plant.of_model("identified", model, motion=True)
+        return LoopRig(plant, model.drive, specimen, swept=True)
     if section is None and not np.any(experiment["force_controller"]["plant.numerator"]):
         raise InputError(
             "force_controller: plant.numerator is not given and the rig is not simulated here, so "
@@ -122,44 +108,23 @@ def choose_rig(
         )
     plant = choose_plant(experiment, Source.IDENTIFIED if section is None else source)
     if plant.source == "rig" and section is not None:
-        return _simulated(section, experiment, stiffness)
-    specimen = tested_specimen(experiment)
+        return _simulated(section, specimen, experiment, stiffness)
     return LoopRig(_with_specimen(plant, specimen), "valve_command", specimen)
 
 
-def _simulated(section: dict[str, Any], experiment: Experiment, stiffness: float) -> LoopRig:
+def _simulated(
+    section: dict[str, Any], specimen: Specimen, experiment: Experiment, stiffness: float
+) -> LoopRig:
     model = continuous_model(section, experiment.axes, stiffness=stiffness)
     derived = section["sensors.velocity"] == "derived"
     return LoopRig(
-        _plant("rig", model),
+        Plant.of_model("rig", model, motion=True),
         model.drive,
-        tested_specimen(experiment),
-        section["sensors.velocity_cutoff"] if derived else None,
-        not model.is_linear,
-        True,
+        specimen,
+        velocity_cutoff=section["sensors.velocity_cutoff"] if derived else None,
+        small_signal=not model.is_linear,
+        swept=True,
     )
-
-
-def _told(experiment: Experiment, stiffness: float) -> LoopRig:
-    """Rig of the actuators that `velocity_feedforward` is told, and the specimen."""
-    section, axes = experiment["force_controller"], experiment.axes
-    told = VelocityFeedforward.told(section, axes)
-    specimen, n = tested_specimen(experiment), len(axes)
-    hydraulics = Hydraulics(
-        opening_limit=np.full(n, np.inf),
-        friction=np.zeros(n),
-        friction_velocity=np.ones(n),
-        viscous_friction=np.zeros(n),
-        stroke=np.full(n, np.inf),
-        **told | {"dead_time": float(told["dead_time"].max())},  # type: ignore[arg-type]
-    )
-    swept = replace(specimen, stiffness=stiffness * specimen.stiffness)
-    model = servo_hydraulic(swept, hydraulics, linear=True)
-    return LoopRig(_plant("identified", model), model.drive, specimen, swept=True)
-
-
-def _plant(source: Literal["rig", "identified"], model: ContinuousModel) -> Plant:
-    return Plant(source, model.a, model.b, model.c, model.d, model.delay).without_idle_states()
 
 
 def _with_specimen(plant: Plant, specimen: Specimen) -> Plant:

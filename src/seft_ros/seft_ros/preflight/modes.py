@@ -20,15 +20,7 @@ _UNFIT = 1e6
 
 @dataclass(frozen=True)
 class Mode:
-    """A mode of the whole structure, and of the test in its place.
-
-    Attributes
-    ----------
-    exact_hz, exact_damping : float
-        Natural frequency in Hz and damping ratio of the whole structure (paper Eq. 2.1).
-    hz, damping : float
-        Of the test.
-    """
+    """Natural frequency in Hz and damping ratio of the whole structure, and of the test."""
 
     exact_hz: float
     exact_damping: float

@@ -13,7 +13,7 @@ from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.methods import force_control
 from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
-from seft_ros.loop_shaping.source import Source
+from seft_ros.loop_shaping import Source
 from seft_ros.preflight.closed_loop import ClosedLoop, closed_loop, growth_rate
 from seft_ros.preflight.frozen import BOUNDS, frozen_feedforward, frozen_target, read_of_points
 from seft_ros.preflight.loop_rig import choose_rig
@@ -25,6 +25,9 @@ from seft_ros.target.target_motion import TargetMotion
 from seft_ros.target.target_step import FORCE
 
 Floats = npt.NDArray[np.float64]
+
+NEUTRAL = 1e-6
+"""Growth rate up to which a loop counts as stable, 1/s: what rounding makes of zero."""
 
 
 class Plan:
@@ -43,6 +46,10 @@ class Plan:
         What the loop closes over.
     mass_ratio, dead_time : float
         As planned; the dead time, of the rig's drive, in s.
+    dt : float
+        Sampling period, s.
+    follows, follows_valves : bool
+        Whether the method follows the specimen's local stiffness, the controller the valves.
 
     Raises
     ------
@@ -55,29 +62,17 @@ class Plan:
             if node not in experiment.sections:
                 raise InputError(f"{node}: runs elsewhere, so its parameters are not known here")
         self.experiment, self.source = experiment, source
-        self.axes, self.timebase = experiment.axes, experiment.timebase
+        self.axes, self.dt = experiment.axes, experiment.timebase.dt
         self.rig = choose_rig(experiment, source)
         self.section = experiment["reference_force"]
+        self._late = self.section["loop_delay"]
         self.mass_ratio = float(self.section["mass_ratio"])
         self.dead_time = self.rig.plant.delay
+        self.follows = self.section["compensation.method"] == TARGET_MOTION
         self._controllers = self._as_it_may_be()
+        self.follows_valves = len(self._controllers) > 1
         self._filter = lru_cache(maxsize=256)(self.compensation)
         self._sampled = lru_cache(maxsize=256)(self._sample)
-
-    @property
-    def dt(self) -> float:
-        """Sampling period, s."""
-        return self.timebase.dt
-
-    @property
-    def follows(self) -> bool:
-        """Whether the method follows the specimen's local stiffness."""
-        return self.section["compensation.method"] == TARGET_MOTION
-
-    @property
-    def follows_valves(self) -> bool:
-        """Whether the controller follows the valves."""
-        return len(self._controllers) > 1
 
     def compensator(
         self,
@@ -88,13 +83,8 @@ class Plan:
     ) -> Compensator:
         """Make the compensation method as it is made for the test, see `loops`.
 
-        Parameters
-        ----------
-        stiffness : float
-            Factor on the stiffness that the method is told.
-        follow_delay : bool
-            A method that follows the delay makes its gains for all delays, which takes long;
-            without, it is made for the delay it starts at alone.
+        ``stiffness`` is a factor on what the method is told. One that follows the delay makes its
+        gains for all delays, which takes long; without ``follow_delay`` for the first alone.
         """
         section = dict(self.section)
         section["compensation.estimate_delay"] &= follow_delay
@@ -106,7 +96,7 @@ class Plan:
             ).tolist()
         if section["compensation.delay"] > 0:  # it is told
             section["compensation.delay"] = max(section["compensation.delay"] + told_delay, 0.0)
-        known = knowledge(section, self.axes, self.timebase)
+        known = knowledge(section, self.axes, self.experiment.timebase)
         return compensator(section["compensation.method"], known)
 
     def compensation(
@@ -118,16 +108,11 @@ class Plan:
     ) -> LinearFilter:
         """Give the linear filter that the method is, see `compensator`.
 
-        Parameters
-        ----------
-        measured : bool
-            Of a method that follows the specimen: as it is when it takes the restoring force as
-            measured. Its output then is all points, see `frozen_target`.
+        Of one that follows the specimen its output is all points, see `frozen_target`;
+        ``measured``: as it is when it takes the restoring force as measured.
         """
         made = self.compensator(mass_ratio, stiffness, told_delay, follow_delay=False)
-        if isinstance(made, TargetMotion):
-            return frozen_target(made, measured)
-        return made.linear()
+        return frozen_target(made, measured) if isinstance(made, TargetMotion) else made.linear()
 
     def loops(
         self,
@@ -175,11 +160,13 @@ class Plan:
         loops = []
         for read, control in self._controllers if any_valve else self._controllers[:1]:
             for measured in (False, True) if self.follows else (False,):
-                part = self._filter(mass_ratio, told, told_delay, measured)
-                if read is not None:
-                    c, d, e = read @ part.c, read @ part.d, read @ part.e
+                part, late = self._filter(mass_ratio, told, told_delay, measured), self._late
+                if read is not None:  # of the points from the one that the loop's delay leads to
+                    first = 3 * len(self.axes) * late
+                    of = slice(first, first + read.shape[1])
+                    c, d, e = read @ part.c[of], read @ part.d[of], read @ part.e[of]
                     part = LinearFilter(part.a, part.b, part.h, c, d, e)
-                part = part.delayed(self.section["loop_delay"])
+                part = part.delayed(late)
                 loops.append(closed_loop(rig, part, control, self.dt))
         return loops
 
@@ -195,37 +182,33 @@ class Plan:
         """Rate at which it grows, 1/s: positive where the test is unstable."""
         return growth_rate(self.worst(**changes), self.dt)
 
+    def is_stable(self, **changes: Any) -> bool:
+        """Whether none of `loops` grows."""
+        return self.growth_rate(**changes) <= NEUTRAL
+
     def _sample(
         self, stiffness: float, dead_time: float, gain: float
     ) -> tuple[Floats, Floats, Floats]:
-        rig = self.rig
-        if stiffness != 1.0:
-            rig = choose_rig(self.experiment, self.source, stiffness)
+        other = stiffness != 1.0
+        rig = choose_rig(self.experiment, self.source, stiffness) if other else self.rig
         return rig.sampled(self.dt, dead_time, gain)
 
     def _as_it_may_be(self) -> list[tuple[Floats | None, LinearControl]]:
-        """Make the controller as it starts, then as it may become; and what it reads of points.
+        """Make the controller as it starts, then as it may become, beside what it reads of points.
 
-        A method without points has None there.
+        None: the method has no points.
         """
         n, section = len(self.axes), self.experiment["force_controller"]
-        first_force, known = np.eye(n, 3 * n, k=FORCE * n), LinearControl.none(n)
+        control = LinearControl.none(n)
         if self.rig.drive == VALVE_COMMAND.name:
-            control = force_control(section, self.axes, self.timebase)
-            if isinstance(control, VelocityFeedforward):
+            made = force_control(section, self.axes, self.experiment.timebase)
+            if isinstance(made, VelocityFeedforward):
                 if not self.follows:
                     raise InputError(
                         f"force_controller: {VELOCITY_FEEDFORWARD} needs the coming motion: set "
                         f"reference_force: compensation.method to {TARGET_MOTION}"
                     )
-                made = [frozen_feedforward(control, errors) for errors in ((0.0, 0.0), *BOUNDS)]
-                return [(self._of_points(read), rest) for read, rest in map(read_of_points, made)]
-            known = control.linear()
-        return [(self._of_points(first_force) if self.follows else None, known)]
-
-    def _of_points(self, read: Floats) -> Floats:
-        """Let a matrix of the first points take all, the first of which the loop's delay skips."""
-        n = len(self.axes)
-        before = 3 * n * self.section["loop_delay"]
-        after = 3 * n * (1 + self.compensator().preview) - before - read.shape[1]
-        return np.pad(read, ((0, 0), (before, after)))
+                frozen = [frozen_feedforward(made, errors) for errors in ((0.0, 0.0), *BOUNDS)]
+                return [read_of_points(each) for each in frozen]
+            control = made.linear()
+        return [(np.eye(n, 3 * n, k=FORCE * n) if self.follows else None, control)]

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from seft_ros.preflight.closed_loop import growth_rate
-from seft_ros.preflight.margins import Critical, Range
 from seft_ros.preflight.plan import Plan
-from seft_ros.preflight.result import Preflight
+from seft_ros.preflight.stability_margins import Critical, Range
+from seft_ros.preflight.stability_verdict import Preflight
 
 
 def summarise(plan: Plan, found: Preflight) -> dict[str, Any]:

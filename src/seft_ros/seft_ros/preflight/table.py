@@ -2,9 +2,9 @@
 
 from rich.table import Table
 
-from seft_ros.preflight.margins import HIGHEST_MASS_RATIO, Critical, added_delays
 from seft_ros.preflight.plan import Plan
-from seft_ros.preflight.result import Preflight
+from seft_ros.preflight.stability_margins import HIGHEST_MASS_RATIO, Critical, added_delays
+from seft_ros.preflight.stability_verdict import Preflight
 
 _COLOURS = {"stable": "green", "marginal": "yellow", "unstable": "red"}
 

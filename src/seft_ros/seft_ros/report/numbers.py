@@ -18,8 +18,8 @@ from seft_ros.analysis.spectrum import Spectrum, spectrum_of, vibration
 from seft_ros.analysis.summary import json_safe, summarise
 from seft_ros.analysis.timing import Timing, timing_of
 from seft_ros.drawing.thinning import thinned
-from seft_ros.preflight.instability_band import instability_band
 from seft_ros.preflight.plan import Plan
+from seft_ros.preflight.stability_margins import instability_band
 from seft_ros.recording.record import Record
 from seft_ros.report.judgement import Judgement, judge
 

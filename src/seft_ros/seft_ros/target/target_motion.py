@@ -7,7 +7,7 @@ import numpy.typing as npt
 from scipy.linalg import eigh
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.compiled import entry_point
-from seft_plant_sim.first_order_hold import first_order_hold
+from seft_plant_sim.lti import first_order_hold
 
 from seft_ros.reference_force.compensation.compensator import Knowledge
 from seft_ros.reference_force.compensation.linear_filter import LinearFilter

@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
-from seft_plant_sim.first_order_hold import first_order_hold
+from seft_plant_sim.lti import first_order_hold
 
 from seft_ros.reference_force.compensation.compensator import Compensator, Knowledge
 from seft_ros.reference_force.compensation.linear_filter import LinearCompensator, LinearFilter

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from seft_ros.drawing.style import FIRST, MARK, SECOND, TEXT, tidy
 from seft_ros.identification.actuator_fit import ActuatorFit
 from seft_ros.identification.identified import ClosedLoop, Identified, ValveResponse
-from seft_ros.identification.measurement import Measurement
+from seft_ros.identification.spectral import Measurement
 from seft_ros.loop_shaping.margins import FLATNESS_DB
 
 MOST_AXES = 3
@@ -26,22 +26,10 @@ _OF_CLOSED_LOOP = ("tracking / dB", "delay / ms")
 
 
 def identified_figure(identified: Identified, title: str) -> Figure:
-    """Draw what was measured and fitted, one column for each axis.
-
-    Parameters
-    ----------
-    identified : Identified
-        Of more than `MOST_AXES` axes the first are drawn.
-    title : str
-        Heading.
-    """
+    """Draw what was measured and fitted, one column for each of the first `MOST_AXES` axes."""
     axes = identified.axes[:MOST_AXES]
     valves, closed_loops = identified.valves, identified.closed_loops
-    rows = [
-        *(_OF_VALVE if valves else ()),
-        "coherence",
-        *(_OF_CLOSED_LOOP if closed_loops else ()),
-    ]
+    rows = [*_OF_VALVE * bool(valves), "coherence", *_OF_CLOSED_LOOP * bool(closed_loops)]
     width = 9.5 if len(axes) == 1 else 5.5 * len(axes)
     figure = Figure(figsize=(width, 2.6 * len(rows) + 0.5), layout="constrained")
     FigureCanvasAgg(figure)
@@ -52,7 +40,9 @@ def identified_figure(identified: Identified, title: str) -> Figure:
         for row, panel in named.items():
             tidy(panel)
             if row != _OF_VALVE[0]:
-                _dress(panel, identified.band)
+                panel.set_xscale("log")
+                panel.set_xlim(*identified.band)
+                panel.xaxis.set_major_formatter("{x:g}")
         if valves:
             _draw_flow(named[_OF_VALVE[0]], valves[column].actuator)
             dots = _draw_plant(named[_OF_VALVE[1]], valves[column])
@@ -87,41 +77,32 @@ def _draw_flow(panel: Axes, actuator: ActuatorFit) -> None:
     text = f"of the commands: explains {100 * actuator.explained:.3g} %, {actuator.verdict}"
     panel.plot(time, 1e3 * actuator.modelled[shown], color=MARK, lw=0.9, ls="--", label=text)
     panel.set_xlabel("time / s", color=TEXT)
-    panel.legend(loc="lower left", frameon=False, fontsize=9)
+    _legend(panel)
 
 
 def _draw_plant(panel: Axes, valve: ValveResponse) -> PathCollection:
     measured, loop = valve.measured, valve.loop
-    dots = panel.scatter(
-        measured.frequencies_hz,
-        np.abs(measured.response),
-        c=measured.coherence,
-        cmap=_SHADES,
-        vmin=0.0,
-        vmax=1.0,
-        s=7,
-        lw=0,
-        label="measured",
-    )
+    places = measured.frequencies_hz, np.abs(measured.response)
+    look: dict[str, Any] = {"cmap": _SHADES, "vmin": 0.0, "vmax": 1.0, "s": 7, "lw": 0}
+    dots = panel.scatter(*places, c=measured.coherence, label="measured", **look)
     shown = loop.frequencies_hz >= measured.frequencies_hz[0]
     f = loop.frequencies_hz[shown]
-    fitted = np.abs(loop.sampled.plant[shown])
     text = f"actuator and specimen, {100 * valve.error:.2g} % off"
-    panel.plot(f, fitted, color=MARK, lw=1.1, label=text)
+    panel.plot(f, np.abs(loop.sampled.plant[shown]), color=MARK, lw=1.1, label=text)
     panel.set_yscale("log")
     for root, name in ((loop.plant.antiresonance(), "zero"), (loop.plant.oil_column(), "oil")):
         if root and f[0] <= root.hz <= measured.frequencies_hz[-1]:
             panel.axvline(root.hz, color=MARK, lw=0.8, ls="--")
             percent = 100 * (root.damping or 0)
             _note(panel, root.hz, f"{name} {root.hz:.4g} Hz\ndamping {percent:.2g} %")
-    panel.legend(loc="lower left", frameon=False, fontsize=9)
+    _legend(panel)
     return dots
 
 
 def _draw_coherence(panel: Axes, measured: Measurement, colour: str, label: str) -> None:
     panel.plot(measured.frequencies_hz, measured.coherence, color=colour, lw=0.8, label=label)
     panel.set_ylim(0.0, 1.05)
-    panel.legend(loc="lower left", frameon=False, fontsize=9)
+    _legend(panel)
 
 
 def _draw_tracking(panel: Axes, below: Axes, closed: ClosedLoop) -> None:
@@ -132,7 +113,7 @@ def _draw_tracking(panel: Axes, below: Axes, closed: ClosedLoop) -> None:
     panel.plot(f, 20 * np.log10(np.abs(measured.response)), color=SECOND, lw=1.0, label="measured")
     panel.plot(f, 20 * np.log10(np.abs(fitted)), color=MARK, lw=0.9, ls="--", label="low-order fit")
     panel.set_ylim(*_SHOWN_DB)
-    panel.legend(loc="lower left", frameon=False, fontsize=9)
+    _legend(panel)
     flat = tracking.flat_to_hz
     if flat:
         panel.axvline(flat, color=MARK, lw=0.8, ls="--")
@@ -149,10 +130,8 @@ def _draw_tracking(panel: Axes, below: Axes, closed: ClosedLoop) -> None:
         below.set_ylim(0.0, 2.0 * delay)
 
 
-def _dress(panel: Axes, band: tuple[float, float]) -> None:
-    panel.set_xscale("log")
-    panel.set_xlim(*band)
-    panel.xaxis.set_major_formatter("{x:g}")
+def _legend(panel: Axes) -> None:
+    panel.legend(loc="lower left", frameon=False, fontsize=9)
 
 
 def _note(panel: Axes, hz: float, text: str, height: float = 0.03) -> None:

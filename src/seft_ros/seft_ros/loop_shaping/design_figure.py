@@ -24,15 +24,7 @@ _Panel = tuple[Axes, Axes]  # magnitude above phase
 
 
 def design_figure(design: LoopDesign, title: str) -> Figure:
-    """Draw magnitude and phase of plant, controller, loop and closed loop over frequency.
-
-    Parameters
-    ----------
-    design : LoopDesign
-        The force loop of one axis.
-    title : str
-        Heading.
-    """
+    """Draw magnitude and phase of plant, controller, loop and closed loop over frequency."""
     figure = Figure(figsize=(11.5, 9.5), layout="constrained")
     FigureCanvasAgg(figure)
     rows = figure.subplots(4, 2, sharex=True, height_ratios=[1.4, 1.0, 1.4, 1.0])
@@ -63,17 +55,14 @@ def _draw(
 ) -> None:
     magnitude, phase = panel
     highest, lowest = -np.inf, np.inf
-    for response, style in (
-        (continuous, {"color": REFERENCE, "lw": 2.2, "label": "continuous, without dead time"}),
-        (
-            sampled,
-            {"color": FIRST, "lw": 1.1, "label": "as it runs: sampled, held, a step late"},
-        ),
+    for response, colour, width, label in (
+        (continuous, REFERENCE, 2.2, "continuous, without dead time"),
+        (sampled, FIRST, 1.1, "as it runs: sampled, held, a step late"),
     ):
         finite = np.isfinite(response) & (response != 0)
         decibels = 20 * np.log10(np.abs(response[finite]))
-        magnitude.semilogx(f[finite], decibels, **style)
-        phase.semilogx(f[finite], _phase(response[finite]), **style)
+        for axes, values in ((magnitude, decibels), (phase, _phase(response[finite]))):
+            axes.semilogx(f[finite], values, color=colour, lw=width, label=label)
         highest, lowest = max(highest, decibels.max()), min(lowest, decibels.min())
     room = 0.05 * min(highest - lowest, _SHOWN_DB) + 1.0
     magnitude.set_ylim(max(lowest, highest - _SHOWN_DB) - room, highest + room)
@@ -89,10 +78,8 @@ def _draw(
 
 
 def _mark_plant(panel: _Panel, design: LoopDesign) -> None:
-    for root, name in (
-        (design.plant.antiresonance(), "zero"),
-        (design.plant.oil_column(), "oil column"),
-    ):
+    plant = design.plant
+    for root, name in ((plant.antiresonance(), "zero"), (plant.oil_column(), "oil column")):
         if root is not None:
             _line(panel, root.hz)
             _note(panel[0], root.hz, f"{name}\n{root.hz:.3g} Hz", before=name != "zero")

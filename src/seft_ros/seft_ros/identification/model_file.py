@@ -3,20 +3,16 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from seft_msgs_py.config.parameter_file import write_parameter_file
+from seft_plant_sim.lti import TransferFunction
 
-from seft_ros.identification.identified import Identified
-from seft_ros.identification.plant_model import transfer_function
-from seft_ros.identification.rational import Rational
+from seft_ros.identification.identified import Identified, ValveResponse
+from seft_ros.loop_shaping.roots import polynomial_of
 
 ACTUATOR = (
-    "flow_gain",
-    "oil_stiffness",
-    "leakage",
-    "force_capacity",
-    "valve_frequency",
-    "valve_damping",
-    "dead_time",
+    *("flow_gain", "oil_stiffness", "leakage", "force_capacity"),
+    *("valve_frequency", "valve_damping", "dead_time"),
 )
 """Names of an actuator's parameters, as of `ActuatorFit`."""
 _LONGEST_DELAY = 1.0  # s, as the table has it
@@ -27,14 +23,8 @@ def model_parameters(identified: Identified, specimen: bool) -> dict[str, dict[s
 
     The actuators are those of all axes; of a force capacity that the test does not show on every
     axis there is no word, so that what is configured counts. Force loop and plant, of which the
-    tables hold one, are those of the first axis, with the specimen of the tests.
-
-    Parameters
-    ----------
-    identified : Identified
-        What was identified.
-    specimen : bool
-        Whether the specimen's matrices are wanted, too.
+    tables hold one, are those of the first axis, with the specimen of the tests. The specimen's
+    matrices are given where ``specimen`` says so.
     """
     reference: dict[str, Any] = {}
     controller: dict[str, Any] = {}
@@ -52,28 +42,15 @@ def model_parameters(identified: Identified, specimen: bool) -> dict[str, dict[s
             values = [float(getattr(valve.actuator, name)) for valve in identified.valves]
             if name != "force_capacity" or all(values):
                 controller[f"actuator.{name}"] = values
-        first = identified.valves[0]
-        controller |= _response("plant", transfer_function(first.loop.plant, first.actuator))
+        controller |= _response("plant", _transfer_function(identified.valves[0]))
     sections = {"reference_force": reference, "force_controller": controller}
     return {node: section for node, section in sections.items() if section}
 
 
 def write_model(identified: Identified, path: Path, source: str, specimen: bool) -> None:
-    """Write the parameters, to be read after the experiment's own file.
+    """Write `model_parameters` to a new file, to be read after the experiment's own.
 
-    Parameters
-    ----------
-    identified, specimen
-        See `model_parameters`.
-    path : Path
-        The file.
-    source : str
-        Where it comes from, for people to read.
-
-    Raises
-    ------
-    InputError
-        If it can't be written.
+    ``source`` says for people where they come from. An InputError says if it can't be written.
     """
     comments = [f"Identified by seft identify from {source}", f"Axes: {identified.axes}"]
     if identified.valves:
@@ -84,7 +61,16 @@ def write_model(identified: Identified, path: Path, source: str, specimen: bool)
     write_parameter_file(path, model_parameters(identified, specimen), comments)
 
 
-def _response(prefix: str, model: Rational) -> dict[str, Any]:
+def _transfer_function(valve: ValveResponse) -> TransferFunction:
+    """Plant of one axis, of its poles and zeros."""
+    actuator, plant = valve.actuator, valve.loop.plant
+    # f' = k_oil q w and w'' = w_v^2 u at the highest frequencies
+    gain = actuator.oil_stiffness * actuator.flow_gain * (2 * np.pi * actuator.valve_frequency) ** 2
+    numerator, denominator = gain * polynomial_of(plant.zeros()), polynomial_of(plant.poles())
+    return TransferFunction(tuple(numerator.tolist()), tuple(denominator.tolist()), plant.delay)
+
+
+def _response(prefix: str, model: TransferFunction) -> dict[str, Any]:
     return {
         f"{prefix}.numerator": list(model.numerator),
         f"{prefix}.denominator": list(model.denominator),

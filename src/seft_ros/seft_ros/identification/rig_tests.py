@@ -1,6 +1,5 @@
 """The tests of an identification: ordinary experiments with their own ground motion."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,15 +37,7 @@ _PEAKS = 4.5  # largest value of Gaussian noise over its RMS, in a minute at 500
 
 @dataclass(frozen=True)
 class Levels:
-    """RMS of the excitation on every axis.
-
-    Attributes
-    ----------
-    voltage : float
-        Of the valve command in the open loop, V.
-    force : float
-        Of the reference force in the closed loop, N.
-    """
+    """RMS of the excitation: valve command in the open loop, V; force in the closed loop, N."""
 
     voltage: float
     force: float
@@ -57,10 +48,8 @@ def default_force(experiment: Experiment, signal: str) -> float:
 
     A chirp, which is all at one frequency at a time, gets less.
     """
-    section = experiment["reference_force"]
-    mass = mass_matrix(section["model.mass"], experiment.axes, "reference_force: model.mass")
     limit = experiment["supervisor"]["limits.force"]
-    force = min(_ACCELERATION * np.diag(mass).min(), _FORCE_SHARE * limit)
+    force = min(_ACCELERATION * np.diag(_mass(experiment)).min(), _FORCE_SHARE * limit)
     return float(force * (_CHIRP_SHARE if signal == "chirp" else 1.0))
 
 
@@ -72,12 +61,7 @@ def pilot_voltage(experiment: Experiment) -> float:
 def voltage_after(pilot: Record, voltage: float) -> float:
     """RMS of the valve command that moves a rig well, far inside its limits, V.
 
-    Parameters
-    ----------
-    pilot : Record
-        Open loop test at a low level.
-    voltage : float
-        RMS of its valve command, V.
+    After a pilot test, open loop with an RMS of ``voltage`` V.
     """
     states = pilot.series[RIG_STATE.name].values
     limits = group(pilot.experiment["supervisor"], "limits")
@@ -87,13 +71,7 @@ def voltage_after(pilot: Record, voltage: float) -> float:
 
 
 def check_levels(experiment: Experiment, levels: Levels) -> None:
-    """Refuse levels whose peaks lie beyond what the experiment allows.
-
-    Raises
-    ------
-    InputError
-        In one line: option, value, limit.
-    """
+    """Refuse by an InputError levels whose peaks lie beyond what the experiment allows."""
     for option, level, unit, node, name in (
         ("--amplitude", levels.voltage, "V", "force_controller", "voltage_limit"),
         ("--force", levels.force, "N", "supervisor", "limits.force"),
@@ -108,10 +86,13 @@ def check_levels(experiment: Experiment, levels: Levels) -> None:
 
 def ground_accelerations(experiment: Experiment, forces: Floats) -> Floats:
     """Ground motion (N, n) in m/s^2 whose reference forces -M a_g are these, in N."""
-    section = experiment["reference_force"]
-    mass = mass_matrix(section["model.mass"], experiment.axes, "reference_force: model.mass")
-    accelerations: Floats = -np.linalg.solve(mass, forces.T).T
+    accelerations: Floats = -np.linalg.solve(_mass(experiment), forces.T).T
     return accelerations
+
+
+def _mass(experiment: Experiment) -> Floats:
+    told = experiment["reference_force"]["model.mass"]
+    return mass_matrix(told, experiment.axes, "reference_force: model.mass")
 
 
 def has_valve(experiment: Experiment) -> bool:
@@ -120,16 +101,10 @@ def has_valve(experiment: Experiment) -> bool:
 
 
 def open_loop(experiment: Experiment, record: Path, levels: Levels) -> Experiment:
-    """Test that drives the valves by the record, without force feedback.
+    """Test that drives the valves by a record of ground motion, without force feedback.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        The rig, its limits and all.
-    record : Path
-        Ground motion whose reference force has an RMS of ``levels.force``.
-    levels : Levels
-        Its valve commands get ``levels.voltage``.
+    The motion's reference force has an RMS of ``levels.force``, the commands get
+    ``levels.voltage``.
     """
     controller = one_controller([levels.voltage / levels.force], [1.0])
     return _with(experiment, record, controller | {"feedback": False})
@@ -151,7 +126,7 @@ def _with(experiment: Experiment, record: Path, controller: dict[str, Any]) -> E
     changes: dict[str, dict[str, Any]] = {
         "ground_motion": {
             "file": str(record.resolve()),
-            "column": list(_columns(experiment)),
+            "column": list(range(len(experiment.axes))),
             "unit": "m/s2",
             "dt": experiment.timebase.dt,
             "peak_force": 0.0,
@@ -165,7 +140,3 @@ def _with(experiment: Experiment, record: Path, controller: dict[str, Any]) -> E
     return Experiment(
         {node: {**own, **changes.get(node, {})} for node, own in experiment.sections.items()}
     )
-
-
-def _columns(experiment: Experiment) -> Iterable[int]:
-    return range(len(experiment.axes))
