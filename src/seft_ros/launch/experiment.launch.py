@@ -18,8 +18,7 @@ from launch_ros.substitutions import FindPackageShare
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.rigs import bare, rig_name, with_rigs
 from seft_ros.experiment.tables import TABLES
-from seft_ros.running.arrangement import LOOP_NODES, Arrangement
-from seft_ros.running.placement import Placement
+from seft_ros.running.process_layout import LOOP_NODES, ProcessLayout
 from seft_ros.running.processes import MODULES
 
 YES_OR_NO = ["true", "false"]
@@ -83,14 +82,14 @@ def nodes(context):
         wanted.remove("rig")
     wanted = with_rigs(wanted, experiment.rigs)
     lockstep = experiment["rig"]["pace"] == "lockstep"
-    arrangement = Arrangement(pin=said["pin"] == "true", composed=said["composed"] == "true")
-    placement = Placement.where_it_helps(wanted, lockstep=lockstep) if arrangement.pin else None
+    layout = ProcessLayout(pin=said["pin"] == "true", composed=said["composed"] == "true")
+    placement = layout.placement(wanted, lockstep=lockstep)
     for node in LOOP_NODES:
-        overrides += [(node, name, value) for name, value in arrangement.wishes(node).items()]
+        overrides += [(node, name, value) for name, value in layout.wishes(node).items()]
         if placement is not None and len(placement.loop) == 1:
             overrides.append((node, "cpu_core", min(placement.loop)))
     actions = []
-    for group in arrangement.groups(wanted):
+    for group in layout.groups(wanted):
         process = _process(group, said["config"], overrides)
         if placement is not None:
             actions.append(_put(placement, group[0], process))
