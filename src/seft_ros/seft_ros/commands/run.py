@@ -135,7 +135,7 @@ def _with_measured_delay(experiment: Experiment) -> Experiment:
             "is to run here; give a number of steps, or --external force_controller"
         )
     from seft_ros.link.ping import measure
-    from seft_ros.link.verdict import message_size, with_loop_delay
+    from seft_ros.link.round_trips import message_size, with_loop_delay
 
     rate = experiment.timebase.rate
     size, delays = message_size(experiment), []
