@@ -34,12 +34,12 @@ def recorded_run(
     experiment = Experiment.load(TABLES, [CONFIG], overrides)
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / "bag"
-        finished = run_experiment(experiment, bag, lambda *_: None, layout=layout)
-        if finished.fault:
-            raise RuntimeError(finished.fault)
+        fault = run_experiment(experiment, bag, lambda *_: None, layout=layout)
+        if fault:
+            raise RuntimeError(fault)
         statuses = {}
-        with AnyReader([finished.bag]) as reader:
+        with AnyReader([bag]) as reader:
             diagnostics = [c for c in reader.connections if c.topic == "/diagnostics"]
             for _, _, raw in reader.messages(diagnostics):
                 statuses.update({s.name: s for s in decode_diagnostics(raw)[1]})
-        yield read_bag(finished.bag), statuses
+        yield read_bag(bag), statuses

@@ -21,46 +21,23 @@ from seft_ros.experiment.tables import TABLES
 from seft_ros.running.process_layout import LOOP_NODES, ProcessLayout
 from seft_ros.running.processes import MODULES
 
+BAG = "name of the bag; empty: the experiment's, or date and time of the start"
+RIG = "hardware: a laboratory's driver runs already, or is started beside this"
+DEMO = PathJoinSubstitution([FindPackageShare("seft_ros"), "config", "demo.yaml"])
 YES_OR_NO = ["true", "false"]
-ARGUMENTS = (
-    DeclareLaunchArgument(
-        "config",
-        default_value=PathJoinSubstitution([FindPackageShare("seft_ros"), "config", "demo.yaml"]),
-        description="parameter file of the experiment",
-    ),
-    DeclareLaunchArgument(
-        "record", default_value="true", choices=YES_OR_NO, description="record a bag"
-    ),
-    DeclareLaunchArgument(
-        "bag",
-        default_value="",
-        description="name of the bag; empty: the experiment's, or date and time of the start",
-    ),
-    DeclareLaunchArgument(
-        "pace",
-        default_value="",
-        choices=["", "realtime", "lockstep"],
-        description="pace of the simulated rig; empty: the experiment's",
-    ),
-    DeclareLaunchArgument(
-        "composed",
-        default_value="false",
-        choices=YES_OR_NO,
-        description="put the loop's nodes into one process",
-    ),
-    DeclareLaunchArgument(
-        "pin",
-        default_value="true",
-        choices=YES_OR_NO,
-        description="keep the loop's nodes on one core and the others off it",
-    ),
-    DeclareLaunchArgument(
-        "rig",
-        default_value="simulated",
-        choices=["simulated", "hardware"],
-        description="hardware: a laboratory's driver runs already, or is started beside this",
-    ),
-)
+PACES = ["", "realtime", "lockstep"]
+ARGUMENTS = [
+    DeclareLaunchArgument(name, default_value=default, choices=choices, description=text)
+    for name, default, choices, text in (
+        ("config", DEMO, None, "parameter file of the experiment"),
+        ("record", "true", YES_OR_NO, "record a bag"),
+        ("bag", "", None, BAG),
+        ("pace", "", PACES, "pace of the simulated rig; empty: the experiment's"),
+        ("composed", "false", YES_OR_NO, "put the loop's nodes into one process"),
+        ("pin", "true", YES_OR_NO, "keep the loop's nodes on one core and the others off it"),
+        ("rig", "simulated", ["simulated", "hardware"], RIG),
+    )
+]
 
 
 def nodes(context):

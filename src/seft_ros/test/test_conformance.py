@@ -7,11 +7,12 @@ from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.messages import Status
 from seft_msgs_py.topics import RIG_STATE, VALVE_COMMAND
 from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_plant_sim import whole_structure
 from seft_plant_sim.command import Command
 from seft_plant_sim.rig import Rig
 from seft_ros.conformance import message_checks, motion_checks, obedience_checks
 from seft_ros.conformance.finding import found, not_run
-from seft_ros.conformance.motion_checks import Drive, known_specimen
+from seft_ros.conformance.motion_checks import Drive
 from seft_ros.conformance.obedience_checks import KINDS, BadCommands
 from seft_ros.conformance.table import finding_line, verdict
 from seft_ros.conformance.test_driver import Guard, Samples, Trial
@@ -45,7 +46,7 @@ def experiment():
 
 @pytest.fixture(scope="module")
 def specimen(experiment):
-    return known_specimen(experiment)
+    return whole_structure.tested_specimen(experiment)
 
 
 @pytest.fixture(scope="module")

@@ -65,10 +65,10 @@ def dds_test(
             show(f"{label}{what}", done)
 
         try:
-            finished = run_experiment(experiment, bag, tell, layout, external)
+            fault = run_experiment(experiment, bag, tell, layout, external)
         except KeyboardInterrupt:
             kept = f"; what was recorded is in {bag}" if bag.exists() else ""
             raise ExperimentError(f"{label}interrupted{kept}") from None
-    if finished.fault:
-        raise ExperimentError(f"{label}{finished.fault}; what was recorded is in {bag}")
-    return read_bag(finished.bag)
+    if fault:
+        raise ExperimentError(f"{label}{fault}; what was recorded is in {bag}")
+    return read_bag(bag)

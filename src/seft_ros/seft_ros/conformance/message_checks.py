@@ -61,11 +61,6 @@ def check_signs_of_life(trial: Trial) -> Finding:
     return found(name, usual <= SLOWEST_STATUS, told, usual_s=usual, longest_s=longest)
 
 
-def check_silence(trial: Trial) -> Finding:
-    """See that the rig publishes no state before a test."""
-    return found("silent before a test", not trial.states, f"{len(trial.states)} states while idle")
-
-
 def check_form(trial: Trial, axes: Sequence[str]) -> Finding:
     """See that all states have the axes, one point, all quantities, and finite values."""
     name = "form of rig/state"

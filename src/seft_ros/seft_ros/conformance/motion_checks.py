@@ -4,8 +4,6 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.trajectory import Floats
 from seft_plant_sim.specimen import Specimen
 
@@ -81,21 +79,6 @@ class Drive:
     def step_at(self, time: float) -> int:
         """Step of a time, s."""
         return round(time / self.dt)
-
-
-def known_specimen(experiment: Experiment) -> Specimen | None:
-    """Take the specimen of a rig that is simulated, else the reference force's model of it."""
-    for node, prefix in (("rig", "specimen"), ("reference_force", "model")):
-        section = experiment.sections.get(node, {})
-        if section.get(f"{prefix}.mass") is None:
-            continue
-        names = ("mass", "damping", "stiffness")
-        try:
-            given = {name: section[f"{prefix}.{name}"] for name in names}
-            return Specimen.from_parameters({"kind": "linear", **given}, experiment.axes, prefix)
-        except (InputError, KeyError):
-            return None
-    return None
 
 
 def check_rest(samples: Samples, drive: Drive) -> Finding:

@@ -9,7 +9,7 @@ from seft_msgs_py.trajectory import TrajectoryCodec
 
 from seft_ros.conformance.finding import Finding, found, not_run
 from seft_ros.conformance.motion_checks import Drive
-from seft_ros.conformance.test_driver import ENDED, Samples, Trial
+from seft_ros.conformance.test_driver import Samples, Trial
 
 SETTLE, BLOCK = 0.1, 0.1  # s of rest before each kind of bad command, and of the kind
 KINDS = (
@@ -25,7 +25,6 @@ BESIDE = ("stale", "a second time")
 SEEN = 8.0  # times the noise
 PART = 0.3  # of what the same command does when it is obeyed
 PATIENCE = 0.5  # s beyond a watchdog's time: for this host, and the message that tells
-STOP = 0.3  # s from a word of the supervisor to the last state
 RESTING = 3.0  # s in which a rig rests after a trip
 STOP_TIME, STOP_FORCE = "stop time (s)", "stop peak force (N)"
 """Names in the status of a trip, told when the rig rests."""
@@ -174,24 +173,3 @@ def rested(trial: Trial) -> dict[str, str] | None:
     """Give the values of the status in which a rig that tripped tells that it rests."""
     told = [s.values for _, s in trial.statuses if s.values.get("phase") == TRIPPED]
     return next((values for values in told if STOP_TIME in values), None)
-
-
-def check_latched(trial: Trial) -> Finding:
-    """See that after a trip no test moves the rig before the supervisor has said idle."""
-    count = len(trial.states)
-    told = f"{count} states in a test that was said to run after a trip and no reset"
-    return found("trip is latched", not count and trial.status_of(TRIPPED) is not None, told)
-
-
-def check_stop(trial: Trial, state: str) -> Finding:
-    """See that the rig rests when the supervisor says that the test has ended."""
-    last = trial.last_state_after(state)
-    told = f"the last state came {last:.3f} s after, phase {trial.phase or 'none'}"
-    passed = trial.phase in ENDED and last <= STOP
-    return found(f"rests when {state}", passed, told, last_state_s=last)
-
-
-def check_not_ready(trial: Trial) -> Finding:
-    """See that a test which the rig was not ready for does not move it."""
-    told = f"{len(trial.states)} states in a test that runs without having been ready"
-    return found("rests in a test under way", not trial.states, told)

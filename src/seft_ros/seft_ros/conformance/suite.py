@@ -6,15 +6,17 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, nullcontext
 from dataclasses import replace
 
+from seft_msgs_py.errors import InputError
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.outcome import FINISHED, TRIPPED
 from seft_msgs_py.topics import LOOP_TOPICS, VALVE_COMMAND
+from seft_plant_sim.whole_structure import tested_specimen
 
 from seft_ros.conformance import message_checks, motion_checks, obedience_checks
-from seft_ros.conformance.finding import LATER, Finding, not_run
+from seft_ros.conformance.finding import LATER, Finding, found, not_run
 from seft_ros.conformance.motion_checks import Drive
 from seft_ros.conformance.obedience_checks import PATIENCE, RESTING, BadCommands, rested
-from seft_ros.conformance.test_driver import SLOW, Answer, Guard, TestDriver, Trial
+from seft_ros.conformance.test_driver import ENDED, SLOW, Answer, Guard, TestDriver, Trial
 from seft_ros.experiment.state_machine import State
 from seft_ros.recording.stall_watch import StallWatch
 from seft_ros.running.observer import alone_on_the_graph
@@ -34,6 +36,7 @@ TIMING = ("period", "late states")
 LONG = 60.0  # s that a test is said to have, which ends before
 LEAD, GOING = 0.3, 0.2  # s of rest at the start of a test, and of motion before a watchdog's
 BRIEF = 0.5  # s
+STOP = 0.3  # s from a word of the supervisor to the last state
 
 
 def conform(
@@ -115,7 +118,8 @@ class Suite:
         before = driver.meet(MEETING)
         yield message_checks.check_description(driver.description, experiment)
         yield message_checks.check_signs_of_life(before)
-        yield message_checks.check_silence(before)
+        told = f"{len(before.states)} states while idle"
+        yield found("silent before a test", not before.states, told)
 
     def _move(self) -> Iterator[Finding]:
         """Move the rig; what it sends must be readable for the checks of its values."""
@@ -139,7 +143,10 @@ class Suite:
             return
         yield from message_checks.check_timing(samples, drive.dt, stalls)
         yield motion_checks.check_rest(samples, drive)
-        specimen = motion_checks.known_specimen(experiment)
+        try:
+            specimen = tested_specimen(experiment)
+        except (InputError, KeyError):
+            specimen = None
         if len(samples.steps) >= drive.steps:
             yield motion_checks.check_moves(samples, drive)
             yield from motion_checks.check_units(samples, drive, specimen)
@@ -213,7 +220,7 @@ class Suite:
             if step < start:
                 driver.mark("silent")
             else:
-                driver.player.be_silent()
+                driver.be_silent()
             return driver.command(step)
 
         timeout = self._timeout("command")
@@ -227,7 +234,11 @@ class Suite:
         again, alone = self._silence("supervisor", timeout, leave_alone, longest)
         driver.end(State.TRIPPED)
         yield obedience_checks.check_safe_position(tripped, again.samples)
-        yield obedience_checks.check_latched(latched)
+        told = (
+            f"{len(latched.states)} states in a test that was said to run after a trip and no reset"
+        )
+        rests = not latched.states and latched.status_of(TRIPPED) is not None
+        yield found("trip is latched", rests, told)
         yield alone
 
     def _silence(
@@ -252,12 +263,17 @@ class Suite:
         driver = self._driver
         for state in (State.DONE, State.TRIPPED):
             trial = driver.run(self._long, driver.command, BRIEF, ())
+            driver.mark(state)
             driver.say(state)
-            driver.player.listen_for(BRIEF)
-            yield obedience_checks.check_stop(trial, state)
+            driver.listen_for(BRIEF)
+            last = trial.last_state_after(state)
+            told = f"the last state came {last:.3f} s after, phase {trial.phase or 'none'}"
+            rests = trial.phase in ENDED and last <= STOP
+            yield found(f"rests when {state}", rests, told, last_state_s=last)
             driver.end(state)
         trial = driver.run(self._long, driver.command, BRIEF, (), ready=False)
-        yield obedience_checks.check_not_ready(trial)
+        told = f"{len(trial.states)} states in a test that runs without having been ready"
+        yield found("rests in a test under way", not trial.states, told)
         driver.end()
 
     def _timeout(self, silent: str) -> float:

@@ -1,6 +1,5 @@
 """The test driver: plays supervisor and force controller for a rig that is looked at."""
 
-import contextlib
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -33,17 +32,9 @@ Answer = Callable[[int], list[bytes]]
 
 
 class Samples(NamedTuple):
-    """States that could be read, in the order in which they came.
+    """N states that could be read: their steps, samples of shape (N, 4, n), and times, s.
 
-    Attributes
-    ----------
-    steps : ndarray of int64
-        Shape (N,).
-    values : ndarray
-        Shape (N, 4, n).
-    times : ndarray
-        When they were sent, s, shape (N,): what this host is late in taking is none of the rig's
-        doing.
+    The times are those of sending: what this host is late in taking is none of the rig's doing.
     """
 
     steps: npt.NDArray[np.int64]
@@ -53,22 +44,10 @@ class Samples(NamedTuple):
 
 @dataclass
 class Trial:
-    """Messages of the rig in one test, as they came; times are monotonic, in s.
+    """Messages of the rig in one test, as they came, each with its time, monotonic, s.
 
-    Attributes
-    ----------
-    states : list of (float, bytes)
-        When each rig/state came, and the message.
-    read : list of (int, ndarray, float)
-        Step, sample of shape (4, n) and time of sending of each state that could be read.
-    statuses : list of (float, Status)
-        What the rig told in its diagnostics.
-    clocks : list of (float, int)
-        When /clock came, and its time, ns.
-    marks : dict of str to float
-        When something was done to the rig.
-    fault : str
-        Why it was broken off; else empty.
+    ``read`` has step, sample and time of sending of the states that could be read; ``marks``, when
+    something was done to the rig; ``fault``, why the test was broken off.
     """
 
     states: list[tuple[float, bytes]] = field(default_factory=list)
@@ -148,7 +127,7 @@ class Guard:
         return f"{told}: more than {self._travel:g} m and {self._force:g} N"
 
 
-class TestDriver:
+class TestDriver(Player):
     """Runs short tests on a rig, and writes down what it does.
 
     Parameters
@@ -159,30 +138,18 @@ class TestDriver:
         Looks at each sample.
     processes : NodeProcesses or None
         The rig's process, where it was started here.
-
-    Attributes
-    ----------
-    description : mapping or None
-        What the rig says of itself.
-    trial : Trial
-        The test that runs, or the last one.
     """
 
     def __init__(
         self, experiment: Experiment, guard: Guard, processes: NodeProcesses | None
     ) -> None:
         self._guard, self._processes = guard, processes
-        self.description: Mapping[str, Any] | None = None
-        self.trial = Trial()
-        self._states = TrajectoryCodec(RIG_STATE, experiment.axes, experiment.timebase)
+        self.description: Mapping[str, Any] | None = None  # that the rig gives of itself
+        self.trial = Trial()  # that runs, or the last one
+        self._samples = TrajectoryCodec(RIG_STATE, experiment.axes, experiment.timebase)
         self._answer: Answer | None = None
-        hears = {
-            RIG_STATE: self._on_state,
-            CLOCK_TOPIC: self._on_clock,
-            DESCRIPTION: self._on_description,
-        }
-        self.player = Player("seft_conform", [], hears)
-        self.player.on_status = self._on_status
+        hears = {RIG_STATE: self._on_state, CLOCK_TOPIC: self._on_clock}
+        super().__init__("seft_conform", [], {**hears, DESCRIPTION: self._on_description})
 
     def meet(self, duration: float) -> Trial:
         """Find the rig and listen to it for some time, while nothing is asked of it.
@@ -192,22 +159,22 @@ class TestDriver:
         InputError
             If no node rig publishes rig/state.
         """
-        self.player.say(State.IDLE)
+        self.say(State.IDLE)
         if not self.wait(self._is_found, FOUND):
             raise InputError(
                 f"no node rig with rig/state and experiment/state within {FOUND:g} s; start "
                 "it on this ROS domain, or use --start-rig for the simulated one"
             )
         self.trial = Trial()
-        self.player.listen_for(duration)
+        self.listen_for(duration)
         return self.trial
 
     def connect(self, topic: LoopTopic) -> None:
         """Be the one whose commands drive the rig; wait until it hears them."""
-        self.commands = TrajectoryCodec(topic, self._states.axes, self._states.timebase)
-        self.player.publish_on(topic)
+        self.commands = TrajectoryCodec(topic, self._samples.axes, self._samples.timebase)
+        self.publish_on(topic)
         listens = [EXPERIMENT_STATE, topic]
-        if not self.wait(lambda: self.player.is_matched("rig", listens, [RIG_STATE]), FOUND):
+        if not self.wait(lambda: self.is_matched("rig", listens, [RIG_STATE]), FOUND):
             raise ExperimentError(f"the rig does not listen to {topic.name} within {FOUND:g} s")
 
     def command(self, step: int, value: float = 0.0) -> list[bytes]:
@@ -241,32 +208,27 @@ class TestDriver:
         self.trial = trial = Trial()
         self._guard.reset()
         if ready:
-            self.player.say(State.READY)
-            self.player.listen_for(NOTED)
+            self.say(State.READY)
+            self.listen_for(NOTED)
         self._answer = answer
-        self.player.say(State.RUNNING, steps, pace="realtime")
+        self.say(State.RUNNING, steps, pace="realtime")
         if patience is None:
-            patience = SLOW + 3 * steps * self._states.timebase.dt
+            patience = SLOW + 3 * steps * self._samples.timebase.dt
         self.wait(lambda: trial.phase in until or bool(trial.fault), patience)
         if trial.fault:
-            self.player.say(State.TRIPPED)
+            self.say(State.TRIPPED)
         return trial
 
     def mark(self, name: str) -> None:
         """Note when something is done."""
         self.trial.marks[name] = time.monotonic()
 
-    def say(self, state: State) -> None:
-        """Say a state of the test, and note when."""
-        self.mark(state)
-        self.player.say(state)
-
     def end(self, state: State = State.DONE) -> None:
         """End a test, and bring the rig back to idle."""
-        self.player.say(state)
+        self.say(state)
         self.wait(lambda: self.trial.phase in (*ENDED, "idle"), PHASES)
         self._answer = None
-        self.player.say(State.IDLE)
+        self.say(State.IDLE)
         self.wait(lambda: self.trial.phase == "idle", PHASES)
 
     def wait(self, condition: Callable[[], bool], patience: float) -> bool:
@@ -275,29 +237,33 @@ class TestDriver:
         while not condition():
             if time.monotonic() > deadline:
                 return False
-            self.player.listen(LOOK)
+            self.listen(LOOK)
             if self._processes is not None:
                 self._processes.raise_if_ended()
         return True
 
     def close(self) -> None:
         """Leave the rig at rest, and the graph."""
-        with contextlib.closing(self.player), contextlib.suppress(ExperimentError):
-            self.player.say(State.IDLE)
+        try:
+            self.say(State.IDLE)
+        except ExperimentError:
+            pass  # it is gone, as was told before
+        finally:
+            super().close()
 
     def _is_found(self) -> bool:
-        known = self.description is not None and "rig" in self.player.status
-        return known and self.player.is_matched("rig", [EXPERIMENT_STATE], [RIG_STATE])
+        known = self.description is not None and "rig" in self.status
+        return known and self.is_matched("rig", [EXPERIMENT_STATE], [RIG_STATE])
 
     def _on_state(self, raw: bytes, at: float, sent: float) -> None:
         trial = self.trial
         trial.states.append((at, raw))
-        step, values = self._states.decode(raw)  # what can't be read can't be answered
+        step, values = self._samples.decode(raw)  # what can't be read can't be answered
         trial.read.append((step, values[0], sent))
         if self._answer is None:
             return
         for message in self._answer(step):
-            self.player.send(self.commands.topic, message)
+            self.send(self.commands.topic, message)
         trial.fault = trial.fault or self._guard.fault(values[0])
 
     def _on_clock(self, raw: bytes, at: float, sent: float) -> None:
@@ -308,6 +274,7 @@ class TestDriver:
         if node == "rig":
             self.description = description
 
-    def _on_status(self, status: Status, at: float) -> None:
+    def on_status(self, status: Status, at: float) -> None:
+        """Write down what the rig tells of itself."""
         if status.name == "rig":
             self.trial.statuses.append((at, status))

@@ -2,7 +2,6 @@
 
 from collections.abc import Collection
 from contextlib import closing
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
@@ -10,30 +9,12 @@ from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.middleware import prepare_on_this_host
 from seft_msgs_py.rigs import bare, with_rigs
-from seft_msgs_py.topics import NODES, LoopTopic, topics_of
+from seft_msgs_py.topics import NODES
 
 from seft_ros.running.observer import Observer
 from seft_ros.running.process_layout import LOOP_NODES, ProcessLayout
 from seft_ros.running.processes import MODULES, node_processes
 from seft_ros.running.run_monitor import Progress, RunMonitor
-
-SAVE_TIMEOUT = 20.0  # s
-
-
-@dataclass(frozen=True)
-class Finished:
-    """How a run ended.
-
-    Attributes
-    ----------
-    bag : Path
-        The recorded bag.
-    fault : str
-        What broke the run, if it was no trip that the bag tells of; else empty.
-    """
-
-    bag: Path
-    fault: str = ""
 
 
 def bag_path(experiment: Experiment, out: Path | None) -> Path:
@@ -58,7 +39,7 @@ def run_experiment(
     progress: Progress,
     layout: ProcessLayout | None = None,
     external: Collection[str] = (),
-) -> Finished:
+) -> str:
     """Run a test over DDS and record it.
 
     Parameters
@@ -74,6 +55,11 @@ def run_experiment(
     external : collection of str
         Nodes that someone else starts and ends; they are waited for. The experiment needs no
         section of them. Of several rigs those of one or of all: ``east/rig`` or ``rig``.
+
+    Returns
+    -------
+    str
+        What broke the run, if it was no trip that the bag tells of; else empty.
 
     Raises
     ------
@@ -94,20 +80,19 @@ def run_experiment(
     nodes = [node for node in every if node not in external]
     # the pace is the rig's own; that of one which runs elsewhere is told later
     lockstep = "rig" not in map(bare, nodes) or experiment["rig"]["pace"] == "lockstep"
-    loop = [topic for topic in topics_of(experiment.rigs) if isinstance(topic, LoopTopic)]
     progress("looking for other tests", 0)
     with closing(Observer(with_rigs(NODES, experiment.rigs))) as observer:
         observer.refuse_other_tests(external)
         progress("starting the nodes", 0)
         with node_processes(nodes, experiment, layout, lockstep=lockstep, bag=bag) as processes:
             monitor = RunMonitor(observer, processes, progress, experiment)
-            monitor.start(loop)
+            monitor.start()
             try:
                 fault = monitor.to_the_end()
             except KeyboardInterrupt:
                 monitor.bring_down()
                 raise
-            monitor.wait_until_saved(SAVE_TIMEOUT)
+            monitor.wait_until_saved()
     if not bag.exists():
         raise ExperimentError(fault or "the recorder made no bag")
-    return Finished(bag, fault)
+    return fault

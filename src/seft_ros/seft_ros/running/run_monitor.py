@@ -3,13 +3,13 @@
 import contextlib
 import signal
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from types import FrameType
 from typing import Self
 
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.topics import Topic
+from seft_msgs_py.topics import LoopTopic, topics_of
 
 from seft_ros.experiment.peers import CONFLICT, SILENT
 from seft_ros.experiment.state_machine import ENDED, PACE, State
@@ -17,7 +17,7 @@ from seft_ros.running.observer import Observer
 from seft_ros.running.processes import NodeProcesses
 
 LOOK = 0.05  # s
-READY_TIMEOUT = 60.0  # s
+READY_TIMEOUT, SAVE_TIMEOUT = 60.0, 20.0  # s
 SLACK = 1.0  # s beyond the supervisor's own patience
 STANDING_STILL = 60.0  # s; a ramp that has not come to its end by then never will
 
@@ -75,28 +75,25 @@ class RunMonitor:
         The nodes that were started here.
     progress : callable
         Told of each stage and of the steps done; may raise KeyboardInterrupt.
-    experiment : Experiment
-        The test's configuration.
+    test : Experiment
+        Its configuration.
     """
 
     def __init__(
-        self,
-        observer: Observer,
-        processes: NodeProcesses,
-        progress: Progress,
-        experiment: Experiment,
+        self, observer: Observer, processes: NodeProcesses, progress: Progress, test: Experiment
     ) -> None:
         self._observer, self._processes, self._progress = observer, processes, progress
-        self._period_ns = experiment.timebase.period_ns
-        self._timeout: float = experiment["supervisor"]["watchdog.peer_timeout"] + SLACK
+        self._period_ns = test.timebase.period_ns
+        self._timeout: float = test["supervisor"]["watchdog.peer_timeout"] + SLACK
+        self._topics = [topic for topic in topics_of(test.rigs) if isinstance(topic, LoopTopic)]
         self._broken = ""
 
-    def start(self, topics: Iterable[Topic]) -> None:
+    def start(self) -> None:
         """Start the test when all nodes are ready and nobody else publishes on its topics."""
         observer = self._observer
         deadline = time.monotonic() + READY_TIMEOUT
         self._wait_until_ready(deadline)
-        observer.refuse_twins(topics)
+        observer.refuse_twins(self._topics)
         self._processes.settle(lockstep=observer.values.get(PACE) == "lockstep")
         while True:
             self._wait_until_ready(deadline)
@@ -136,7 +133,7 @@ class RunMonitor:
             the bag tells all.
         """
         deadline = float("inf")
-        while not self._is_over():
+        while self._observer.state not in ENDED:
             self._look()
             if self._broken:
                 deadline = min(deadline, time.monotonic() + STANDING_STILL)
@@ -156,19 +153,19 @@ class RunMonitor:
             with contextlib.suppress(KeyboardInterrupt, ExperimentError):
                 self._observer.call(service, self._timeout)
                 deadline = time.monotonic() + STANDING_STILL
-                while not self._is_over() and time.monotonic() < deadline:
+                while self._observer.state not in ENDED and time.monotonic() < deadline:
                     self._look()
                     if self._is_left_alone():
                         return
-            if self._is_over():
+            if self._observer.state in ENDED:
                 return
 
-    def wait_until_saved(self, patience: float) -> None:
+    def wait_until_saved(self) -> None:
         """Wait for the recorder, unless it is told to end before: then it closes its bag."""
-        deadline = time.monotonic() + patience
+        deadline = time.monotonic() + SAVE_TIMEOUT
         while self._observer.recorder_phase != "saved" and time.monotonic() < deadline:
-            gone = self._observer.values.get(SILENT, "").split()
-            if not self._is_over() or "recorder" in gone or "recorder" in self._processes.ended():
+            gone = {*self._observer.values.get(SILENT, "").split(), *self._processes.ended()}
+            if self._observer.state not in ENDED or "recorder" in gone:
                 return
             self._observer.spin(LOOK)
 
@@ -181,9 +178,6 @@ class RunMonitor:
         if not self._broken and silence > self._timeout:
             self._broken = f"node supervisor has been silent for {silence:.1f} s (at step {step})"
         self._progress(self._observer.state.replace("_", " "), step)
-
-    def _is_over(self) -> bool:
-        return self._observer.state in ENDED
 
     def _is_left_alone(self) -> bool:
         """Tell whether nobody is left who could say that the test is over, and the rig rests."""
