@@ -31,7 +31,6 @@ _FACTORS = {
     1 / 0.0254: "the unit is inches, not m",
     4.448: "it is 4.45 times too large",
     1 / 4.448: "the unit is lbf, not N",
-    1.0: "the sign is reversed",
 }
 _SENSOR = "calibration: SI units, and positive where the actuator extends, in all four channels"
 
@@ -185,17 +184,16 @@ def _phase(value: complex) -> float:
 
 def _why(factor: complex) -> str:
     """Guess what makes a channel so many times too large."""
-    if not math.isfinite(abs(factor)) or abs(factor) == 0:
+    size, is_reversed = abs(factor), factor.real < 0
+    if not 0 < size < math.inf:
         return "it does not move"
-    sign = ", and the sign is reversed" if factor.real < 0 else ""
-    for known, words in _FACTORS.items():
-        if abs(abs(factor) / known - 1) <= TOLERANCE:
-            if known == 1.0:
-                if sign:
-                    return words
-                return f"it is {_phase(factor):.0f} degrees off: the channels are not of one time"
-            return words + sign
-    return f"it is {abs(factor):.4g} times too large{sign}"
+    if abs(size - 1) <= TOLERANCE and is_reversed:
+        return "the sign is reversed"
+    if abs(size - 1) <= TOLERANCE:
+        return f"it is {_phase(factor):.0f} degrees off: the channels are not of one time"
+    known = (words for each, words in _FACTORS.items() if abs(size / each - 1) <= TOLERANCE)
+    words = next(known, f"it is {size:.4g} times too large")
+    return f"{words}, and the sign is reversed" if is_reversed else words
 
 
 def check_answer_delay(samples: Samples, drive: Drive) -> Finding:
