@@ -5,7 +5,7 @@ from typing import Literal
 
 Verdict = Literal["passed", "failed", "not run"]
 
-_REFUSE = "refuse it: seft_plant_sim.command.Command shows how; to the rig it is missing"
+_REFUSE = "refuse it: seft_plant_sim.rig.command.Command shows how; to the rig it is missing"
 _MOTION = {
     "description": "publish JSON with node and parameters on experiment/description, latched",
     "diagnostics": "send a status named rig with its phase five times a second",

@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.outcome import FINISHED, TRIPPED, read_outcome
-from seft_msgs_py.topics import QUANTITIES, RIG_STATE
-from seft_msgs_py.trajectory import Floats
-from seft_msgs_py.trajectory_message import Trajectory, parse_trajectory
+from seft_msgs_py.wire.outcome import FINISHED, TRIPPED, read_outcome
+from seft_msgs_py.wire.topics import QUANTITIES, RIG_STATE
+from seft_msgs_py.wire.trajectory import Floats
+from seft_msgs_py.wire.trajectory_message import Trajectory, parse_trajectory
 
 from seft_ros.conformance.finding import Finding, found, not_run
 from seft_ros.conformance.test_driver import Samples, Trial

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.trajectory import Floats
-from seft_plant_sim.specimen import Specimen
+from seft_msgs_py.wire.trajectory import Floats
+from seft_plant_sim.specimen.specimen import Specimen
 
 from seft_ros.conformance.finding import Finding, found, not_run
 from seft_ros.conformance.test_driver import Samples

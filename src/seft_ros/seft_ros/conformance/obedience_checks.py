@@ -4,8 +4,8 @@ import struct
 from dataclasses import dataclass
 
 import numpy as np
-from seft_msgs_py.outcome import TRIPPED
-from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_msgs_py.wire.outcome import TRIPPED
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.conformance.finding import Finding, found, not_run
 from seft_ros.conformance.motion_checks import Drive

@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, nullcontext
 from dataclasses import replace
 
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.outcome import FINISHED, TRIPPED
-from seft_msgs_py.topics import LOOP_TOPICS, VALVE_COMMAND
-from seft_plant_sim.whole_structure import tested_specimen
+from seft_msgs_py.wire.outcome import FINISHED, TRIPPED
+from seft_msgs_py.wire.topics import LOOP_TOPICS, VALVE_COMMAND
+from seft_plant_sim.reference.whole_structure import tested_specimen
 
 from seft_ros.conformance import message_checks, motion_checks, obedience_checks
 from seft_ros.conformance.finding import LATER, Finding, found, not_run

@@ -7,14 +7,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.description import decode_description
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.messages import Status, decode_clock
-from seft_msgs_py.outcome import FINISHED, TRIPPED
-from seft_msgs_py.topics import CLOCK_TOPIC, DESCRIPTION, EXPERIMENT_STATE, RIG_STATE, LoopTopic
-from seft_msgs_py.trajectory import Floats, TrajectoryCodec
-from seft_plant_sim.limits import NAMES, UNITS
+from seft_msgs_py.wire.messages import Status, decode_clock, decode_description
+from seft_msgs_py.wire.outcome import FINISHED, TRIPPED
+from seft_msgs_py.wire.topics import (
+    CLOCK_TOPIC,
+    DESCRIPTION,
+    EXPERIMENT_STATE,
+    RIG_STATE,
+    LoopTopic,
+)
+from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
+from seft_plant_sim.rig.limits import NAMES, UNITS
 
 from seft_ros.experiment.state_machine import State
 from seft_ros.running.player import Player

@@ -6,10 +6,10 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.topics import TARGET
-from seft_msgs_py.trajectory import Floats, TrajectoryCodec
+from seft_msgs_py.wire.topics import TARGET
+from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
 from seft_ros.preflight.verdict import MASS_RATIO_RESERVE as RESERVE
 from seft_ros.reference_force.topic import reference_force_topic

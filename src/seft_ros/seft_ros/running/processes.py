@@ -13,10 +13,10 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.realtime import take_equal_addresses
-from seft_msgs_py.rigs import bare, rig_name
+from seft_msgs_py.node.realtime import take_equal_addresses
+from seft_msgs_py.wire.rigs import bare, rig_name
 
 from seft_ros.running.orphan_reaper import OrphanReaper
 from seft_ros.running.process_layout import LOOP_NODES, ProcessLayout

@@ -5,11 +5,11 @@ from contextlib import closing
 from datetime import datetime
 from pathlib import Path
 
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.middleware import prepare_on_this_host
-from seft_msgs_py.rigs import bare, with_rigs
-from seft_msgs_py.topics import NODES
+from seft_msgs_py.node.middleware import prepare_on_this_host
+from seft_msgs_py.wire.rigs import bare, with_rigs
+from seft_msgs_py.wire.topics import NODES
 
 from seft_ros.running.observer import Observer
 from seft_ros.running.process_layout import LOOP_NODES, ProcessLayout

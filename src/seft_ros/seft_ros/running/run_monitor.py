@@ -7,9 +7,9 @@ from collections.abc import Callable
 from types import FrameType
 from typing import Self
 
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.topics import LoopTopic, topics_of
+from seft_msgs_py.wire.topics import LoopTopic, topics_of
 
 from seft_ros.experiment.peers import CONFLICT, SILENT
 from seft_ros.experiment.state_machine import ENDED, PACE, State
