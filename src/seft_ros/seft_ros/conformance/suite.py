@@ -251,9 +251,9 @@ class Suite:
                 driver.end(State.TRIPPED)
             trial = driver.run(self._long, answer, longest, (TRIPPED,))
             by_itself = trial.phase == TRIPPED
-            finding = obedience_checks.check_watchdog(trial, timeout, silent)
             driver.say(State.TRIPPED)
-            driver.wait(lambda: bool(rested(driver.trial)), RESTING)
+            driver.wait(lambda: bool(rested(driver.trial)), RESTING)  # no state may come any more
+            finding = obedience_checks.check_watchdog(trial, timeout, silent, by_itself=by_itself)
             if finding.verdict == "passed" or not by_itself:
                 break
         return trial, finding
