@@ -14,7 +14,7 @@ from seft_msgs_py.wire.messages import Status, decode_diagnostics
 from seft_ros.experiment.tables import TABLES
 from seft_ros.recording.bag_reader import read_bag
 from seft_ros.recording.record import Record
-from seft_ros.running.arrangement import Arrangement
+from seft_ros.running.process_layout import ProcessLayout
 from seft_ros.running.run import run_experiment
 
 CONFIG = Path(__file__).parent.parent / "config" / "jhu.yaml"
@@ -28,18 +28,18 @@ def use_own_domain() -> None:
 
 @contextmanager
 def recorded_run(
-    *overrides: tuple[str, str, Any], arrangement: Arrangement | None = None
+    *overrides: tuple[str, str, Any], layout: ProcessLayout | None = None
 ) -> Iterator[tuple[Record, dict[str, Status]]]:
     """Run jhu.yaml over DDS; give the record and the last status of each node."""
     experiment = Experiment.load(TABLES, [CONFIG], overrides)
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / "bag"
-        finished = run_experiment(experiment, bag, lambda *_: None, arrangement=arrangement)
-        if finished.fault:
-            raise RuntimeError(finished.fault)
+        fault = run_experiment(experiment, bag, lambda *_: None, layout=layout)
+        if fault:
+            raise RuntimeError(fault)
         statuses = {}
-        with AnyReader([finished.bag]) as reader:
+        with AnyReader([bag]) as reader:
             diagnostics = [c for c in reader.connections if c.topic == "/diagnostics"]
             for _, _, raw in reader.messages(diagnostics):
                 statuses.update({s.name: s for s in decode_diagnostics(raw)[1]})
-        yield read_bag(finished.bag), statuses
+        yield read_bag(bag), statuses

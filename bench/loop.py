@@ -17,7 +17,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES
-from seft_ros.running.arrangement import Arrangement
+from seft_ros.running.process_layout import ProcessLayout
 
 ROUNDS = 3
 LAPS = 3_000
@@ -37,9 +37,9 @@ def main() -> int:
         ("rig", "pace", "lockstep"),
         ("ground_motion", "synthetic.duration", DURATION),
     )
-    arrangements = {
-        "separate processes": Arrangement(),
-        "one process": Arrangement(composed=True),
+    layouts = {
+        "separate processes": ProcessLayout(),
+        "one process": ProcessLayout(composed=True),
     }
     offline = Experiment.load(TABLES, [CONFIG], overrides)
     for _ in range(ROUNDS):
@@ -50,8 +50,8 @@ def main() -> int:
         simulated = simulate(offline, build_blocks(offline))
         speeds["offline"].append(len(simulated.series["rig/state"].steps) / simulated.wall_s)
         os.sched_setaffinity(0, cores)
-        for name, arrangement in arrangements.items():
-            with recorded_run(*overrides, arrangement=arrangement) as (record, statuses):
+        for name, layout in layouts.items():
+            with recorded_run(*overrides, layout=layout) as (record, statuses):
                 speeds[name].append(len(record.series["rig/state"].steps) / record.wall_s)
                 trip = float(statuses["rig"].values["round trip median (ms)"]) * 1e-3
                 laps[f"loop, {name}"].append(trip)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from _runs import recorded_run, use_own_domain
 from seft_ros.analysis.stalls import stalls_of
 from seft_ros.analysis.timing import timing_of
-from seft_ros.running.arrangement import Arrangement
+from seft_ros.running.process_layout import ProcessLayout
 
 PRIORITY = 50
 MISSED = 0.005  # wanted: at most this share, without real-time priority
@@ -23,16 +23,16 @@ class Case:
     """One way of running."""
 
     rate: float
-    arrangement: Arrangement
+    layout: ProcessLayout
 
     def __str__(self) -> str:
-        how = "one process" if self.arrangement.composed else "separate processes"
-        priority = ", real-time priority" if self.arrangement.priority else ""
+        how = "one process" if self.layout.composed else "separate processes"
+        priority = ", real-time priority" if self.layout.priority else ""
         return f"{self.rate:g} Hz, {how}{priority}"
 
 
 CASES = [
-    Case(rate, Arrangement(composed=composed, priority=priority))
+    Case(rate, ProcessLayout(composed=composed, priority=priority))
     for rate, composed in ((500.0, False), (1000.0, False), (2000.0, True))
     for priority in (0, PRIORITY)
 ]
@@ -48,7 +48,7 @@ def run(case: Case, seconds: float) -> bool:
         ("supervisor", "watchdog.command_timeout", 5.0),
         ("reference_force", "instability.ratio", 0.0),
     )
-    with recorded_run(*overrides, arrangement=case.arrangement) as (record, statuses):
+    with recorded_run(*overrides, layout=case.layout) as (record, statuses):
         steps = len(record.series["rig/state"].steps)
         missed, stalls, timing = record.missed or 0, stalls_of(record), timing_of(record)
     shown = ", ".join(f"{key} {1e6 * trip:.0f}" for key, trip in timing.at_the_rig_s.items())
@@ -62,12 +62,12 @@ def run(case: Case, seconds: float) -> bool:
             f"{stalls.attributed} of {stalls.listed} listed misses"
         )
         own = missed * (1.0 - stalls.attributed / stalls.listed) if stalls.listed else 0.0
-        wanted = 0.0 if case.arrangement.priority else MISSED
+        wanted = 0.0 if case.layout.priority else MISSED
         met = own <= max(wanted * steps, 0.5)
-    if not case.arrangement.composed:
+    if not case.layout.composed:
         memory = {n: int(s.values.get("peak_memory_mb", -1)) for n, s in statuses.items()}
         print("    peak memory, MB: " + ", ".join(f"{n} {m}" for n, m in sorted(memory.items())))
-        met &= case.arrangement.priority > 0 or max(memory.values()) < MEMORY
+        met &= case.layout.priority > 0 or max(memory.values()) < MEMORY
     return met
 
 

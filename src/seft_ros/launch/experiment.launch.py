@@ -18,50 +18,26 @@ from launch_ros.substitutions import FindPackageShare
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.rigs import bare, rig_name, with_rigs
 from seft_ros.experiment.tables import TABLES
-from seft_ros.running.arrangement import LOOP_NODES, Arrangement
-from seft_ros.running.placement import Placement
+from seft_ros.running.process_layout import LOOP_NODES, ProcessLayout
 from seft_ros.running.processes import MODULES
 
+BAG = "name of the bag; empty: the experiment's, or date and time of the start"
+RIG = "hardware: a laboratory's driver runs already, or is started beside this"
+DEMO = PathJoinSubstitution([FindPackageShare("seft_ros"), "config", "demo.yaml"])
 YES_OR_NO = ["true", "false"]
-ARGUMENTS = (
-    DeclareLaunchArgument(
-        "config",
-        default_value=PathJoinSubstitution([FindPackageShare("seft_ros"), "config", "demo.yaml"]),
-        description="parameter file of the experiment",
-    ),
-    DeclareLaunchArgument(
-        "record", default_value="true", choices=YES_OR_NO, description="record a bag"
-    ),
-    DeclareLaunchArgument(
-        "bag",
-        default_value="",
-        description="name of the bag; empty: the experiment's, or date and time of the start",
-    ),
-    DeclareLaunchArgument(
-        "pace",
-        default_value="",
-        choices=["", "realtime", "lockstep"],
-        description="pace of the simulated rig; empty: the experiment's",
-    ),
-    DeclareLaunchArgument(
-        "composed",
-        default_value="false",
-        choices=YES_OR_NO,
-        description="put the loop's nodes into one process",
-    ),
-    DeclareLaunchArgument(
-        "pin",
-        default_value="true",
-        choices=YES_OR_NO,
-        description="keep the loop's nodes on one core and the others off it",
-    ),
-    DeclareLaunchArgument(
-        "rig",
-        default_value="simulated",
-        choices=["simulated", "hardware"],
-        description="hardware: a laboratory's driver runs already, or is started beside this",
-    ),
-)
+PACES = ["", "realtime", "lockstep"]
+ARGUMENTS = [
+    DeclareLaunchArgument(name, default_value=default, choices=choices, description=text)
+    for name, default, choices, text in (
+        ("config", DEMO, None, "parameter file of the experiment"),
+        ("record", "true", YES_OR_NO, "record a bag"),
+        ("bag", "", None, BAG),
+        ("pace", "", PACES, "pace of the simulated rig; empty: the experiment's"),
+        ("composed", "false", YES_OR_NO, "put the loop's nodes into one process"),
+        ("pin", "true", YES_OR_NO, "keep the loop's nodes on one core and the others off it"),
+        ("rig", "simulated", ["simulated", "hardware"], RIG),
+    )
+]
 
 
 def nodes(context):
@@ -83,14 +59,14 @@ def nodes(context):
         wanted.remove("rig")
     wanted = with_rigs(wanted, experiment.rigs)
     lockstep = experiment["rig"]["pace"] == "lockstep"
-    arrangement = Arrangement(pin=said["pin"] == "true", composed=said["composed"] == "true")
-    placement = Placement.where_it_helps(wanted, lockstep=lockstep) if arrangement.pin else None
+    layout = ProcessLayout(pin=said["pin"] == "true", composed=said["composed"] == "true")
+    placement = layout.placement(wanted, lockstep=lockstep)
     for node in LOOP_NODES:
-        overrides += [(node, name, value) for name, value in arrangement.wishes(node).items()]
+        overrides += [(node, name, value) for name, value in layout.wishes(node).items()]
         if placement is not None and len(placement.loop) == 1:
             overrides.append((node, "cpu_core", min(placement.loop)))
     actions = []
-    for group in arrangement.groups(wanted):
+    for group in layout.groups(wanted):
         process = _process(group, said["config"], overrides)
         if placement is not None:
             actions.append(_put(placement, group[0], process))

@@ -7,16 +7,15 @@ from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import Status
 from seft_msgs_py.wire.topics import RIG_STATE, VALVE_COMMAND
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
+from seft_plant_sim.reference import whole_structure
 from seft_plant_sim.rig.command import Command
 from seft_plant_sim.rig.rig import Rig
-from seft_ros.conformance import message_checks, motion_checks, obedience_checks, timing_checks
-from seft_ros.conformance.bad_commands import KINDS, BadCommands
-from seft_ros.conformance.drive import Drive
-from seft_ros.conformance.facts import Facts
+from seft_ros.conformance import message_checks, motion_checks, obedience_checks
 from seft_ros.conformance.finding import found, not_run
-from seft_ros.conformance.guard import Guard
+from seft_ros.conformance.motion_checks import Drive
+from seft_ros.conformance.obedience_checks import KINDS, BadCommands
 from seft_ros.conformance.table import finding_line, verdict
-from seft_ros.conformance.trial import Samples, Trial
+from seft_ros.conformance.test_driver import Guard, Samples, Trial
 from seft_ros.experiment.tables import TABLES
 
 RATE = 500.0
@@ -46,8 +45,8 @@ def experiment():
 
 
 @pytest.fixture(scope="module")
-def facts(experiment):
-    return Facts.of(experiment)
+def specimen(experiment):
+    return whole_structure.tested_specimen(experiment)
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +57,7 @@ def drive():
 def moved(experiment, drive, later=0):
     """Samples of the rig under the drive; commands are applied so many steps late."""
     rig = Rig.from_parameters(experiment["rig"], experiment.axes, experiment.timebase)
-    commands = np.concatenate([np.zeros(later), drive.commands()])
+    commands = np.concatenate([np.zeros(later), drive.commands])
     states = [rig.reset()]
     states += [rig.step(np.array([value])).copy() for value in commands[: drive.steps - 1]]
     steps = np.arange(drive.steps)
@@ -76,12 +75,13 @@ def scaled(samples, row, factor):
     return Samples(samples.steps, values, samples.times)
 
 
-def units_of(samples, drive, facts):
-    return {finding.check: finding for finding in motion_checks.check_units(samples, drive, facts)}
+def units_of(samples, drive, specimen):
+    findings = motion_checks.check_units(samples, drive, specimen)
+    return {finding.check: finding for finding in findings}
 
 
-def test_channels_that_fit_one_another_pass(samples, drive, facts):
-    findings = units_of(samples, drive, facts)
+def test_channels_that_fit_one_another_pass(samples, drive, specimen):
+    findings = units_of(samples, drive, specimen)
     assert {finding.verdict for finding in findings.values()} == {"passed"}
     assert findings["velocity of displacement"].measured["ratio"] == pytest.approx(1, abs=0.1)
 
@@ -103,25 +103,24 @@ def test_channels_that_fit_one_another_pass(samples, drive, facts):
     ],
 )
 def test_a_wrong_unit_or_sign_is_found_and_named(
-    samples, drive, facts, row, factor, check, culprit, why
+    samples, drive, specimen, row, factor, check, culprit, why
 ):
-    finding = units_of(scaled(samples, row, factor), drive, facts)[check]
+    finding = units_of(scaled(samples, row, factor), drive, specimen)[check]
     assert finding.verdict == "failed"
     assert finding.mend.startswith(culprit)
     assert why in finding.mend
 
 
-def test_a_channel_of_another_time_is_no_derivative(samples, drive, facts):
+def test_a_channel_of_another_time_is_no_derivative(samples, drive, specimen):
     values = samples.values.copy()
     values[:, 2] = np.roll(values[:, 2], 10, axis=0)
     late = Samples(samples.steps, values, samples.times)
-    finding = units_of(late, drive, facts)["acceleration of velocity"]
+    finding = units_of(late, drive, specimen)["acceleration of velocity"]
     assert (finding.verdict, "not of one time" in finding.mend) == ("failed", True)
 
 
-def test_without_a_specimen_that_is_known_the_force_is_not_judged(samples, drive, facts):
-    unknown = Facts(facts.experiment, facts.limits, None, {})
-    assert units_of(samples, drive, unknown)["force of specimen"].verdict == "not run"
+def test_without_a_specimen_that_is_known_the_force_is_not_judged(samples, drive):
+    assert units_of(samples, drive, None)["force of specimen"].verdict == "not run"
 
 
 def test_a_valve_that_is_reversed_is_found(samples, drive):
@@ -138,8 +137,8 @@ def test_a_rig_without_pressure_does_not_move(samples, drive, experiment):
 
 
 @pytest.mark.parametrize(("later", "expected"), [(0, "passed"), (6, "failed")])
-def test_commands_that_are_applied_late_are_found(experiment, drive, facts, later, expected):
-    finding = motion_checks.check_answer_delay(moved(experiment, drive, later), drive, facts)
+def test_commands_that_are_applied_late_are_found(experiment, drive, later, expected):
+    finding = motion_checks.check_answer_delay(moved(experiment, drive, later), drive)
     assert finding.verdict == expected
 
 
@@ -156,7 +155,7 @@ def at(times):
 
 
 def timing(times, stalls=()):
-    found = timing_checks.check_timing(at(times), DT, stalls)
+    found = message_checks.check_timing(at(times), DT, stalls)
     return {finding.check: finding.verdict for finding in found}
 
 
@@ -234,8 +233,8 @@ def test_a_description_of_another_rate_or_pace_is_refused(experiment):
 
 
 def test_every_bad_command_is_refused_by_the_simulated_rig(experiment):
-    bad = BadCommands(VALVE_COMMAND, experiment.axes, experiment.timebase, 0.2)
-    command = Command(TrajectoryCodec(VALVE_COMMAND, experiment.axes, experiment.timebase), 10.0)
+    codec = TrajectoryCodec(VALVE_COMMAND, experiment.axes, experiment.timebase)
+    bad, command = BadCommands(codec, 0.2), Command(codec, 10.0)
     refused = dict.fromkeys(KINDS, 0)
     for step in range(bad.steps):
         command.current = step
@@ -259,12 +258,12 @@ def status(phase, **values):
 )
 def test_a_trip_is_in_time_or_not(at, phase, expected):
     trial = Trial(marks={"silent": 1.0}, statuses=[(at, status(phase, reason="no command"))])
-    finding = obedience_checks.check_watchdog(trial, 0.02, "valve_command", "silent")
+    finding = obedience_checks.check_watchdog(trial, 0.02, "valve_command")
     assert finding.verdict == expected
 
 
-def test_the_guard_believes_two_sensors_or_a_limit(facts):
-    guard = Guard(facts, travel=2e-3, force=500.0)
+def test_the_guard_believes_two_sensors_or_a_limit(experiment):
+    guard = Guard(experiment, travel=2e-3, force=500.0)
     rest, moving = np.zeros((4, 1)), np.zeros((4, 1))
 
     def look(displacement, force):

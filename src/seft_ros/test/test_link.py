@@ -8,8 +8,14 @@ from seft_ros.analysis.link import link_numbers
 from seft_ros.commands import main as commands
 from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.link_record import LinkRecord
-from seft_ros.link.round_trips import RoundTrips
-from seft_ros.link.verdict import Allowed, allowed, judge, message_size, with_loop_delay
+from seft_ros.link.round_trips import (
+    Allowed,
+    RoundTrips,
+    allowed,
+    judge,
+    message_size,
+    with_loop_delay,
+)
 from seft_ros.recording.record import Record, Series
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from seft_msgs_py.node.realtime import FIRST
-from seft_ros.running.arrangement import LOOP_NODES, Arrangement
+from seft_ros.running.process_layout import LOOP_NODES, ProcessLayout
 from seft_ros.running.processes import NodeProcesses
 
 NODES = (*LOOP_NODES, "recorder")
@@ -20,9 +20,9 @@ SEVERAL_CORES = pytest.mark.skipif(
 )
 
 
-def where(tmp_path, arrangement):
+def where(tmp_path, layout):
     """Node -> cores, and whether its addresses are those of others, just after its start."""
-    processes = NodeProcesses(NODES, Path(os.devnull), tmp_path, arrangement, lockstep=True)
+    processes = NodeProcesses(NODES, Path(os.devnull), tmp_path, layout, lockstep=True)
     try:
         return {
             node: (
@@ -40,7 +40,7 @@ def where(tmp_path, arrangement):
 @pytest.mark.parametrize("composed", [False, True])
 def test_nodes_of_the_loop_share_a_core_and_addresses(tmp_path, composed):
     cores = os.sched_getaffinity(0)
-    found = where(tmp_path, Arrangement(composed=composed))
+    found = where(tmp_path, ProcessLayout(composed=composed))
     for node in LOOP_NODES:
         assert found[node] == ({min(cores)}, True)
     assert found["recorder"] == (cores - {min(cores)}, False)
@@ -48,31 +48,31 @@ def test_nodes_of_the_loop_share_a_core_and_addresses(tmp_path, composed):
 
 
 @pytest.mark.parametrize(
-    ("arrangement", "priorities"),
+    ("layout", "priorities"),
     [
-        (Arrangement(priority=50), [50, 48, 49]),
-        (Arrangement(priority=2), [2, 1, 1]),
-        (Arrangement(priority=50, composed=True), [50, 50, 50]),
+        (ProcessLayout(priority=50), [50, 48, 49]),
+        (ProcessLayout(priority=2), [2, 1, 1]),
+        (ProcessLayout(priority=50, composed=True), [50, 50, 50]),
     ],
 )
-def test_who_comes_earlier_in_a_step_gives_way(arrangement, priorities):
-    wishes = [arrangement.wishes(node) for node in LOOP_NODES]
+def test_who_comes_earlier_in_a_step_gives_way(layout, priorities):
+    wishes = [layout.wishes(node) for node in LOOP_NODES]
     assert [wish["thread_priority"] for wish in wishes] == priorities
     assert all(wish["lock_memory"] and wish["keep_awake"] for wish in wishes)
 
 
 @pytest.mark.parametrize("may", [False, True])
 def test_cores_stay_awake_without_being_asked_for_where_that_is_allowed(monkeypatch, may):
-    monkeypatch.setattr("seft_ros.running.arrangement.may_keep_awake", lambda: may)
-    assert Arrangement().wishes("rig") == ({"keep_awake": True} if may else {})
-    assert Arrangement(pin=False).wishes("rig") == {}
+    monkeypatch.setattr("seft_ros.running.process_layout.may_keep_awake", lambda: may)
+    assert ProcessLayout().wishes("rig") == ({"keep_awake": True} if may else {})
+    assert ProcessLayout(pin=False).wishes("rig") == {}
 
 
 @SEVERAL_CORES
 @pytest.mark.parametrize("lockstep", [False, True])
 def test_nodes_are_hurried_once_it_is_known_that_a_rig_keeps_a_pace(tmp_path, lockstep):
-    arrangement = Arrangement()
-    processes = NodeProcesses(NODES, Path(os.devnull), tmp_path, arrangement, lockstep=True)
+    layout = ProcessLayout()
+    processes = NodeProcesses(NODES, Path(os.devnull), tmp_path, layout, lockstep=True)
     try:
         pids = processes.pids()
         assert {os.sched_getscheduler(pids[n]) for n in LOOP_NODES} == {os.SCHED_BATCH}
@@ -90,5 +90,5 @@ def nice(pid):
 
 
 def test_what_is_not_pinned_runs_anywhere_and_at_random_addresses(tmp_path):
-    found = where(tmp_path, Arrangement(pin=False))
+    found = where(tmp_path, ProcessLayout(pin=False))
     assert found == dict.fromkeys(NODES, (os.sched_getaffinity(0), False))

@@ -75,7 +75,7 @@ def conform(
         seft conform config/laboratory.yaml --yes --json
     """
     from seft_ros.conformance.finding import Finding
-    from seft_ros.conformance.stage import conform as look_at
+    from seft_ros.conformance.suite import conform as look_at
     from seft_ros.conformance.table import finding_line, verdict
 
     experiment = load_experiment(config, param, params_file, None if start_rig else ["rig"])

@@ -74,7 +74,7 @@ def link(
         --external force_controller
     """
     from seft_ros.link.ping import measure
-    from seft_ros.link.verdict import allowed, judge, message_size
+    from seft_ros.link.round_trips import allowed, judge, message_size
 
     if echo:
         return _echo()
@@ -129,7 +129,7 @@ def _rig(name: str, experiment: Experiment | None) -> RigAxes | None:
 
 
 def _echo() -> int:
-    from seft_ros.link.echo import echo
+    from seft_ros.link.ping import echo
 
     console = stderr_console()
     with console.status("echoing") as status:

@@ -12,7 +12,7 @@ from seft_ros.commands.results import save
 from seft_ros.recording.record import Record
 
 if TYPE_CHECKING:
-    from seft_ros.running.arrangement import Arrangement
+    from seft_ros.running.process_layout import ProcessLayout
 
 
 def offline_test(experiment: Experiment, bag: Path) -> Record:
@@ -40,7 +40,7 @@ def dds_test(
     steps: int,
     external: Collection[str] = (),
     *,
-    arrangement: "Arrangement | None" = None,
+    layout: "ProcessLayout | None" = None,
     label: str = "",
 ) -> Record:
     """Run a test as separate nodes over DDS, with a progress bar, and read its bag.
@@ -55,8 +55,8 @@ def dds_test(
         If the run broke; what was recorded is kept.
     """
     from seft_ros.recording.bag_reader import read_bag
-    from seft_ros.running.interruption import Interruption
     from seft_ros.running.run import run_experiment
+    from seft_ros.running.run_monitor import Interruption
 
     with step_progress(steps) as show, Interruption() as interruption:
 
@@ -65,10 +65,10 @@ def dds_test(
             show(f"{label}{what}", done)
 
         try:
-            finished = run_experiment(experiment, bag, tell, arrangement, external)
+            fault = run_experiment(experiment, bag, tell, layout, external)
         except KeyboardInterrupt:
             kept = f"; what was recorded is in {bag}" if bag.exists() else ""
             raise ExperimentError(f"{label}interrupted{kept}") from None
-    if finished.fault:
-        raise ExperimentError(f"{label}{finished.fault}; what was recorded is in {bag}")
-    return read_bag(finished.bag)
+    if fault:
+        raise ExperimentError(f"{label}{fault}; what was recorded is in {bag}")
+    return read_bag(bag)

@@ -96,7 +96,7 @@ def run(
 
         seft run config/jhu.yaml -p reference_force:mass_ratio:=2.0 --accept-unstable
     """
-    from seft_ros.running.arrangement import Arrangement
+    from seft_ros.running.process_layout import ProcessLayout
     from seft_ros.running.run import bag_path
 
     experiment = load_experiment(config, param, params_file, external)
@@ -109,7 +109,7 @@ def run(
         bag,
         steps,
         external or (),
-        arrangement=Arrangement(pin=pin, composed=composed, priority=priority),
+        layout=ProcessLayout(pin=pin, composed=composed, priority=priority),
     )
     summary = present(record, bag, as_json=json, figure=figure)
     if not summary["stable"]:
@@ -135,7 +135,7 @@ def _with_measured_delay(experiment: Experiment) -> Experiment:
             "is to run here; give a number of steps, or --external force_controller"
         )
     from seft_ros.link.ping import measure
-    from seft_ros.link.verdict import message_size, with_loop_delay
+    from seft_ros.link.round_trips import message_size, with_loop_delay
 
     rate = experiment.timebase.rate
     size, delays = message_size(experiment), []

@@ -1,31 +1,43 @@
-"""What a rig says of itself, and whether its messages are those of the contract."""
+"""What a rig says of itself, and whether its messages are those of the contract, and in time."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.outcome import FINISHED, TRIPPED, read_outcome
 from seft_msgs_py.wire.topics import QUANTITIES, RIG_STATE
+from seft_msgs_py.wire.trajectory import Floats
 from seft_msgs_py.wire.trajectory_message import Trajectory, parse_trajectory
 
-from seft_ros.conformance.finding import Finding, found
-from seft_ros.conformance.trial import Trial
+from seft_ros.conformance.finding import Finding, found, not_run
+from seft_ros.conformance.test_driver import Samples, Trial
 
 SLOWEST_STATUS = 0.5  # s between two signs of life, as a rule
 SLOWEST_CLOCK = 0.25  # s between two messages of /clock, as a rule; a tenth is asked for
+WINDOW = 20  # samples
+PERCENTILE = 95.0
+LATEST = 0.5  # of a period
+OFF = 0.01  # of the period
+ENOUGH = 3  # windows
+SOME = 0.1
+"""Part of the windows in which this host may stand still: the others show how the rig is."""
+BEST = 0.2
+"""Part of the windows that counts where it stood still in more: it holds up the rig, too."""
+
+Stalls = Sequence[tuple[float, float]]
+"""Begin and end of times in which this host stood still, s, monotonic."""
 
 
 def check_description(description: Mapping[str, Any] | None, experiment: Experiment) -> Finding:
     """See that the rig describes itself, at the rate and with the axes of the experiment."""
-    name = "description"
+    name, rate, axes = "description", experiment.timebase.rate, list(experiment.axes)
     if description is None:
-        mend = "publish JSON with node and parameters on experiment/description, latched"
-        return found(name, False, "nothing of node rig on experiment/description", mend)
+        return found(name, False, "nothing of node rig on experiment/description")
     told = description["parameters"]
-    wanted = {"rate": experiment.timebase.rate, "axes": list(experiment.axes)}
-    for key, value in wanted.items():
+    for key, value in {"rate": rate, "axes": axes}.items():
         if told.get(key) != value:
             mend = "start the rig with the experiment's own file"
             return found(name, False, f"{key} is {told.get(key)}, not {value}", mend)
@@ -33,29 +45,20 @@ def check_description(description: Mapping[str, Any] | None, experiment: Experim
     if pace != "realtime":
         mend = "start it with -p rig:pace:=realtime: timing is part of the contract"
         return found(name, False, f"the rig's pace is {pace}", mend)
-    return found(name, True, f"{wanted['rate']:g} Hz, axes {', '.join(experiment.axes)}, {pace}")
+    return found(name, True, f"{rate:g} Hz, axes {', '.join(axes)}, {pace}")
 
 
 def check_signs_of_life(trial: Trial) -> Finding:
     """See that the rig tells its phase while nothing moves, often enough."""
-    name = "diagnostics"
-    mend = "send a status named rig with its phase five times a second"
-    times = [at for at, _ in trial.statuses]
+    name, times = "diagnostics", [at for at, _ in trial.statuses]
     if len(times) < 2:
-        return found(name, False, f"{len(times)} statuses of the rig were heard", mend)
+        return found(name, False, f"{len(times)} statuses of the rig were heard")
     if trial.phase != "idle":
         told = f"phase {trial.phase or 'none'} before a test, not idle"
         return found(name, False, told, "tell phase idle where no test is, see docs/hardware.md")
-    usual, longest = (float(part) for part in np.percentile(np.diff(times), (50, 100)))
+    usual, longest = _gaps(times)
     told = f"phase idle, a sign of life every {usual:.2f} s, {longest:.2f} s at most"
-    return found(name, usual <= SLOWEST_STATUS, told, mend, usual_s=usual, longest_s=longest)
-
-
-def check_silence(trial: Trial) -> Finding:
-    """See that the rig publishes no state before a test."""
-    count = len(trial.states)
-    mend = "publish rig/state only while experiment/state is running or ramping_down"
-    return found("silent before a test", not count, f"{count} states while idle", mend)
+    return found(name, usual <= SLOWEST_STATUS, told, usual_s=usual, longest_s=longest)
 
 
 def check_form(trial: Trial, axes: Sequence[str]) -> Finding:
@@ -70,8 +73,7 @@ def check_form(trial: Trial, axes: Sequence[str]) -> Finding:
         except WireError as error:
             fault = str(error)
         if fault:
-            mend = "one point with positions, velocities, accelerations and effort of each axis"
-            return found(name, False, f"message {number}: {fault}", mend)
+            return found(name, False, f"message {number}: {fault}")
     return found(name, True, f"{len(trial.states)} messages, axes {', '.join(axes)}, all finite")
 
 
@@ -92,56 +94,103 @@ def _fault(message: Trajectory, axes: Sequence[str]) -> str:
 def check_stamps(trial: Trial, period_ns: int) -> Finding:
     """See that message k is stamped with exactly k periods from the start of the test."""
     name = "stamps"
-    mend = (
-        "stamp sample k with exactly k periods in integer nanoseconds, from 0 at the test's "
-        "start; neither a wall clock nor floats (seft_msgs_py's TrajectoryCodec does)"
-    )
-    stamps = []
-    for _, raw in trial.states:
-        try:
-            stamps.append(parse_trajectory(raw, RIG_STATE.name).stamp_ns)
-        except WireError:
-            return found(name, False, "a state can't be read", mend)
+    try:
+        stamps = [parse_trajectory(raw, RIG_STATE.name).stamp_ns for _, raw in trial.states]
+    except WireError:
+        return found(name, False, "a state can't be read")
     for number, stamp in enumerate(stamps):
-        if stamp != number * period_ns:
-            off = stamp - number * period_ns
+        if off := stamp - number * period_ns:
             told = f"message {number} is stamped {stamp} ns, {off:+d} ns from {number} periods"
-            return found(name, False, told, mend, off_ns=float(off))
+            return found(name, False, told, off_ns=float(off))
     return found(name, True, f"{len(stamps)} messages, each exactly its number of periods")
 
 
 def check_end(trial: Trial, steps: int, experiment: Experiment) -> Finding:
     """See that a test of so many steps ends with them, and the rig says so."""
     name = "end of a test"
-    mend = "end after as many states as experiment/state says (steps); tell phase finished with "
-    mend += "seft_msgs_py's rig_status, and idle again when the supervisor says idle"
-    ended = trial.status_of(FINISHED)
+    if trial.fault:
+        return found("stays within limits", False, trial.fault)
+    ended, tripped = trial.status_of(FINISHED), trial.status_of(TRIPPED)
     if ended is None:
-        tripped = trial.status_of(TRIPPED)
         last = tripped[1].message if tripped is not None else f"phase {trial.phase or 'none'}"
-        if "limit" in last:
-            mend = "if the rig did not move so, a sensor's unit, sign or factor is wrong"
-        return found(name, False, f"{len(trial.states)} of {steps} states, {last}", mend)
+        limit = "if the rig did not move so, a sensor's unit, sign or factor is wrong"
+        told = f"{len(trial.states)} of {steps} states, {last}"
+        return found(name, False, told, limit if "limit" in last else "")
     try:
         outcome = read_outcome(ended[1], experiment.timebase)
     except WireError as error:
-        return found(name, False, str(error), mend)
-    counted = outcome.steps if outcome is not None else -1
-    if counted != steps or len(trial.states) != steps:
-        told = f"{counted} steps told, {len(trial.states)} states came, of {steps}"
-        return found(name, False, told, mend)
+        return found(name, False, str(error))
+    assert outcome is not None  # it has ended
+    if outcome.steps != steps or len(trial.states) != steps:
+        told = f"{outcome.steps} steps told, {len(trial.states)} states came, of {steps}"
+        return found(name, False, told)
     if trial.phase != "idle":
-        return found(name, False, f"phase {trial.phase} after the supervisor said idle", mend)
-    missed = outcome.missed if outcome is not None else 0
+        return found(name, False, f"phase {trial.phase} after the supervisor said idle")
+    missed = outcome.missed
     return found(name, True, f"finished after {steps} steps ({missed} commands missed), then idle")
 
 
 def check_clock(trial: Trial, period_ns: int) -> Finding:
     """See that /clock goes with the test: the ground motion is sent ahead of it."""
-    mend = "publish the stamp of the last state on /clock, ten times a second"
     times = [at for at, _ in trial.clocks]
     if len(times) < 2 or any(stamp % period_ns for _, stamp in trial.clocks):
-        return found("/clock", False, f"{len(times)} messages with stamps of samples", mend)
-    usual, longest = (float(part) for part in np.percentile(np.diff(times), (50, 100)))
+        return found("/clock", False, f"{len(times)} messages with stamps of samples")
+    usual, longest = _gaps(times)
     told = f"{len(times)} messages, one every {usual:.2f} s, {longest:.2f} s at most"
-    return found("/clock", usual <= SLOWEST_CLOCK, told, mend, usual_s=usual, longest_s=longest)
+    return found("/clock", usual <= SLOWEST_CLOCK, told, usual_s=usual, longest_s=longest)
+
+
+def _gaps(times: Sequence[float]) -> tuple[float, float]:
+    """Median and largest time from one message to the next, s."""
+    usual, longest = np.percentile(np.diff(times), (50, 100)).tolist()
+    return usual, longest
+
+
+def check_timing(samples: Samples, dt: float, stalls: Stalls) -> list[Finding]:
+    """See that the rig's clock has the experiment's rate, and states come at their deadlines.
+
+    A state is late by what it came later than the earliest of its window would have it: a clock
+    that was held up once, and goes on from there, is not late for ever. A rig may wait for the
+    answer to its first state before its time begins. Where this host stood still again and again,
+    the best windows count, and of these the typical one.
+    """
+    times = samples.times[1:]
+    count = len(times) // WINDOW
+    if count < ENOUGH:
+        told = f"{len(times)} states, too few to tell"
+        return [not_run(name, told) for name in ("period", "late states")]
+    windows = times[: count * WINDOW].reshape(count, WINDOW)
+    late = windows - (np.arange(count * WINDOW) * dt).reshape(count, WINDOW)
+    late -= late.min(axis=1, keepdims=True)
+    chosen, left_out = _quiet_windows(windows, late, stalls)
+    windows, late = windows[chosen], late[chosen]
+    period = float(np.median((windows[:, -1] - windows[:, 0]) / (WINDOW - 1)))
+    told = f"{1e3 * period:.4f} ms, {1e3 * dt:g} ms wanted{left_out}"
+    right_rate = found("period", abs(period / dt - 1) <= OFF, told, period_s=period)
+    typical = float(np.median(np.percentile(late, PERCENTILE, axis=1)))
+    p50, p99, largest = np.percentile(late, (50, 99, 100)).tolist()
+    told = (
+        f"{PERCENTILE:g} of 100 within {1e3 * typical:.3f} ms of their deadline "
+        f"(median {1e3 * p50:.3f}, p99 {1e3 * p99:.3f}, largest {1e3 * largest:.3f} ms){left_out}"
+    )
+    mend = (
+        f"at most {1e3 * LATEST * dt:g} ms, half a period, is allowed: publish before anything "
+        "else in a period, and take a real-time priority (docs/realtime.md)"
+    )
+    numbers = {"p50_s": p50, "p95_s": typical, "p99_s": p99, "largest_s": largest}
+    judged = typical if left_out else max(typical, p99)
+    return [right_rate, found("late states", judged <= LATEST * dt, told, mend, **numbers)]
+
+
+def _quiet_windows(windows: Floats, late: Floats, stalls: Stalls) -> tuple[npt.NDArray[Any], str]:
+    """Choose the windows in which this host did not stand still, else the best; say which."""
+    begins, ends = np.reshape(stalls, (-1, 2)).T
+    disturbed = ((begins < windows[:, [-1]]) & (ends > windows[:, [0]])).any(axis=1)
+    if not disturbed.any():
+        return np.arange(len(late)), ""
+    if disturbed.mean() <= SOME:
+        told = f"; {disturbed.sum()} of {len(late)} windows in which this host stood still left out"
+        return np.flatnonzero(~disturbed), told
+    best = np.argsort(np.percentile(late, PERCENTILE, axis=1))
+    best = best[: max(ENOUGH, round(BEST * len(late)))]
+    return np.sort(best), "; this host stood still again and again: only the best fifth counts"

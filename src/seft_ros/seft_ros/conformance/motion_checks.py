@@ -3,19 +3,24 @@
 import math
 
 import numpy as np
+import numpy.typing as npt
 from seft_msgs_py.wire.trajectory import Floats
+from seft_plant_sim.specimen.specimen import Specimen
 
-from seft_ros.conformance.drive import APART, Drive
-from seft_ros.conformance.facts import Facts
 from seft_ros.conformance.finding import Finding, found, not_run
-from seft_ros.conformance.projection import project, project_derivative, ratio
-from seft_ros.conformance.trial import Samples
+from seft_ros.conformance.test_driver import Samples
 
+REST, BELL, PAUSE, PULSE = 0.4, 2.0, 0.3, 0.05  # s
+DOUBLETS, APART = 5, 0.25  # s from one to the next
+FREQUENCIES = (3.0, 6.0)  # Hz
+SPARED = 0.1  # s at the start, in which a rig may settle
 TOLERANCE = 0.2
 """Largest distance of a ratio from 1: a gain 20 % off, or 11 degrees of phase."""
 SEEN = 5.0  # times the noise: a motion
 ONSET_NOISE = 6.0
 VALVE = 0.006  # s that valve and oil may take until a command is seen
+LINES = np.arange(2.0, 8.01, 0.5)
+"""Frequencies at which signals are correlated, Hz."""
 _FACTORS = {
     1e3: "the unit is a thousandth of SI's (mm, mm/s)",
     1e-3: "the unit is a thousand times SI's (kN)",
@@ -26,83 +31,147 @@ _FACTORS = {
     1 / 0.0254: "the unit is inches, not m",
     4.448: "it is 4.45 times too large",
     1 / 4.448: "the unit is lbf, not N",
-    1.0: "the sign is reversed",
 }
 _SENSOR = "calibration: SI units, and positive where the actuator extends, in all four channels"
+
+Complex = npt.NDArray[np.complex128]
+
+
+class Drive:
+    """A small motion: rest, two frequencies under a bell, doublets.
+
+    Parameters
+    ----------
+    dt : float
+        Sampling period, s.
+    amplitude : float
+        Largest command, in the unit of what drives the rig.
+
+    Attributes
+    ----------
+    steps : int
+        Of all.
+    rest, bell : slice
+        Samples at the start that rest; samples that the bell moves, and the rest after it.
+    doublets : list of int
+        Steps whose answers begin the doublets.
+    commands : ndarray
+        What answers each step, shape (steps,).
+    """
+
+    def __init__(self, dt: float, amplitude: float) -> None:
+        self.dt, self.amplitude = dt, amplitude
+        first, apart = self.step_at(REST + BELL + PAUSE), self.step_at(APART)
+        self.rest = slice(self.step_at(SPARED), self.step_at(REST))
+        self.bell = slice(self.step_at(REST), self.step_at(REST + BELL + PAUSE / 2))
+        self.doublets = [first + number * apart for number in range(DOUBLETS)]
+        self.steps = first + DOUBLETS * apart
+        steps = np.arange(self.steps)
+        time = steps * dt - REST
+        waves = np.mean([np.sin(2 * np.pi * f * time) for f in FREQUENCIES], axis=0)
+        under_bell = waves * np.sin(np.pi * time / BELL) ** 2
+        pulse = (steps - first) % apart // max(1, self.step_at(PULSE))
+        moving = [(time >= 0) & (time < BELL), (steps >= first) & (pulse == 0)]
+        moving.append((steps >= first) & (pulse == 1))
+        self.commands: Floats = amplitude * np.select(moving, [under_bell, 1.0, -1.0])
+
+    def step_at(self, time: float) -> int:
+        """Step of a time, s."""
+        return round(time / self.dt)
 
 
 def check_rest(samples: Samples, drive: Drive) -> Finding:
     """See that the rig does not move while it is told 0."""
-    rest = samples.values[drive.rest]
+    rest = samples.values[drive.rest, 0]
     if len(rest) < 3:
         return found("at rest", False, f"{len(rest)} samples before the motion, too few to tell")
-    drift = np.abs(rest[-len(rest) // 3 :, 0].mean(0) - rest[: len(rest) // 3, 0].mean(0)).max()
-    noise = np.diff(rest[:, 0], axis=0).std(axis=0).max() / math.sqrt(2)  # a drift is none
-    least = max(ONSET_NOISE * noise, 1e-6)
+    first, last = rest[: len(rest) // 3].mean(axis=0), rest[-len(rest) // 3 :].mean(axis=0)
+    drift = float(np.abs(last - first).max())
+    noise = np.diff(rest, axis=0).std(axis=0).max() / math.sqrt(2)  # a drift is none
     told = f"displacement changes by {1e3 * drift:.4f} mm under a command of 0, noise "
     told += f"{1e3 * noise:.4f} mm"
-    mend = "the valve is not at its centre, or something moves the rig: trim the valve's null"
-    return found("at rest", bool(drift <= least), told, mend, drift_m=float(drift))
+    return found("at rest", drift <= max(ONSET_NOISE * noise, 1e-6), told, drift_m=drift)
 
 
 def check_moves(samples: Samples, drive: Drive) -> Finding:
     """See that the rig moves when told to, beyond its noise, and in the direction of the drive."""
-    rest, moved = samples.values[drive.rest], samples.values[drive.bell]
+    name, rest, moved = "moves as told", samples.values[drive.rest], samples.values[drive.bell]
     noise = rest.std(axis=0)
     size = (moved - rest.mean(axis=0)).std(axis=0)
     seen = float((size[1:] / np.maximum(noise[1:], 1e-300)).min(axis=1).max())
     told = f"its motion is {seen:.1f} times the noise in the sensor that sees it best"
     if not seen >= SEEN / 2:
-        mend = "is the pressure on? Then raise --amplitude"
-        return found("moves as told", False, told, mend, seen=seen)
-    drives = project(drive.commands()[drive.bell][:, np.newaxis], drive.dt)
-    towards = [ratio(project(moved[:, 1, [i]], drive.dt), drives) for i in range(moved.shape[2])]
-    wrong = [index for index, way in enumerate(towards) if way.real <= 0]
-    if wrong:
-        told = f"a positive command moves axis number {wrong[0]} backwards"
-        mend = f"reverse the valve's sign: force control would run away; or the {_SENSOR}"
-        return found("moves as told", False, told, mend, seen=seen)
-    return found("moves as told", True, f"{told}, a positive command extends", seen=seen)
+        return found(name, False, told, seen=seen)
+    drives = _correlate(drive.commands[drive.bell][:, np.newaxis], drive.dt)
+    for axis in range(moved.shape[2]):
+        if _ratio(_correlate(moved[:, 1, [axis]], drive.dt), drives).real <= 0:
+            told = f"a positive command moves axis number {axis} backwards"
+            mend = f"reverse the valve's sign: force control would run away; or the {_SENSOR}"
+            return found(name, False, told, mend, seen=seen)
+    return found(name, True, f"{told}, a positive command extends", seen=seen)
 
 
-def check_units(samples: Samples, drive: Drive, facts: Facts) -> list[Finding]:
+def check_units(samples: Samples, drive: Drive, specimen: Specimen | None) -> list[Finding]:
     """See that the channels are derivatives of one another, and the force the specimen's."""
-    dt, values = facts.dt, samples.values[drive.bell]
-    x, v, a, f = (values[:, row] - values[:, row].mean(axis=0) for row in range(4))
-    speed = ratio(project(v, dt), project_derivative(x, dt))
-    rate = ratio(project(a, dt), project_derivative(v, dt))
-    findings = [
-        _judged("velocity of displacement", "velocity / d(displacement)/dt", speed, rate, "x"),
-        _judged("acceleration of velocity", "acceleration / d(velocity)/dt", rate, speed, "a"),
-    ]
+    dt, values = drive.dt, samples.values[drive.bell]
+    x, v, a, f = np.moveaxis(values - values.mean(axis=0), 1, 0)
+    speed = _ratio(_correlate(v, dt), _correlate(x, dt, derivative=True))
+    rate = _ratio(_correlate(a, dt), _correlate(v, dt, derivative=True))
+    culprits = ("displacement", _inverse(speed)), ("acceleration", rate)
+    if not (_fits(speed) or _fits(rate)) and abs(speed * rate - 1) <= 2 * TOLERANCE:
+        culprits = ("velocity", speed), ("velocity", _inverse(rate))
+    findings = []
+    for name, what, ratio, (culprit, factor) in (
+        ("velocity of displacement", "velocity / d(displacement)/dt", speed, culprits[0]),
+        ("acceleration of velocity", "acceleration / d(velocity)/dt", rate, culprits[1]),
+    ):
+        mend = f"{culprit}: {_why(factor)}; see the {_SENSOR}"
+        numbers = {"ratio": abs(ratio), "phase_deg": _phase(ratio)}
+        findings.append(found(name, _fits(ratio), _told(what, ratio), mend, **numbers))
     name = "force of specimen"
-    if facts.specimen is None:
+    if specimen is None:
         return [*findings, not_run(name, "mass, damping and stiffness are not known")]
-    mass, damping, stiffness = facts.specimen
-    expected = project(x, dt) @ stiffness.T + project(v, dt) @ damping.T + project(a, dt) @ mass.T
-    force = ratio(project(f, dt), expected)
-    is_last = all(finding.verdict == "passed" for finding in findings)
-    told, mend = _told("force / (m a + c v + k x)", force), ""
-    if not abs(force - 1) <= TOLERANCE:
-        why = _why(force) if is_last else "other channels are wrong, and so is what it is held to"
-        mend = f"{why}; see the {_SENSOR}, and the specimen's values in the experiment"
-    return [*findings, found(name, not mend, told, mend, ratio=abs(force))]
+    expected = _correlate(x, dt) @ specimen.stiffness.T + _correlate(v, dt) @ specimen.damping.T
+    force = _ratio(_correlate(f, dt), expected + _correlate(a, dt) @ specimen.mass.T)
+    why = "other channels are wrong, and so is what it is held to"
+    if _fits(speed) and _fits(rate):
+        why = _why(force)
+    told = _told("force / (m a + c v + k x)", force)
+    mend = f"{why}; see the {_SENSOR}, and the specimen's values in the experiment"
+    return [*findings, found(name, _fits(force), told, mend, ratio=abs(force))]
 
 
-def _judged(name: str, what: str, value: complex, other: complex, first: str) -> Finding:
-    """Judge one ratio; where both are wrong it is the velocity's doing, else the other's."""
-    told = _told(what, value)
-    if abs(value - 1) <= TOLERANCE:
-        return found(name, True, told, ratio=abs(value), phase_deg=_phase(value))
-    both = not abs(other - 1) <= TOLERANCE
-    if both and abs(value * other - 1) <= 2 * TOLERANCE:
-        factor = value if first == "x" else 1 / value
-        culprit = "velocity"
-    else:
-        culprit = "displacement" if first == "x" else "acceleration"
-        factor = 1 / value if first == "x" else value
-    mend = f"{culprit}: {_why(factor)}; see the {_SENSOR}"
-    return found(name, False, told, mend, ratio=abs(value), phase_deg=_phase(value))
+def _correlate(signal: Floats, dt: float, *, derivative: bool = False) -> Complex:
+    """Correlate a signal, or its derivative, with waves; noise is not differentiated.
+
+    The waves w are zero at both ends, so that by parts the derivative of the signal y goes over to
+    them, int w y' dt = -int w' y dt (modulating functions, Shinbrot 1957).
+
+    The signal has shape (N, n), the result (lines, n).
+    """
+    time = np.arange(len(signal)) * dt
+    length = max(len(signal) - 1, 1) * dt
+    bell = np.sin(np.pi * time / length) ** 2
+    omega = 2 * np.pi * LINES[:, np.newaxis]
+    waves: Complex = np.exp(-1j * omega * time)
+    if not derivative:
+        return (bell * waves) @ signal * dt
+    slope = np.pi / length * np.sin(2 * np.pi * time / length)
+    return -(((slope - 1j * omega * bell) * waves) @ (signal - signal.mean(axis=0))) * dt
+
+
+def _ratio(measured: Complex, expected: Complex) -> complex:
+    """Least-squares factor of what was measured to what it should be; nan where that is nothing."""
+    power = float(np.vdot(expected, expected).real)
+    return complex(np.vdot(expected, measured) / power) if power > 0 else complex(np.nan)
+
+
+def _fits(ratio: complex) -> bool:
+    return abs(ratio - 1) <= TOLERANCE
+
+
+def _inverse(ratio: complex) -> complex:
+    return 1 / ratio if ratio else complex(np.inf)
 
 
 def _told(what: str, value: complex) -> str:
@@ -115,35 +184,31 @@ def _phase(value: complex) -> float:
 
 def _why(factor: complex) -> str:
     """Guess what makes a channel so many times too large."""
-    if not math.isfinite(abs(factor)) or abs(factor) == 0:
+    size, is_reversed = abs(factor), factor.real < 0
+    if not 0 < size < math.inf:
         return "it does not move"
-    sign = ", and the sign is reversed" if factor.real < 0 else ""
-    for known, words in _FACTORS.items():
-        if abs(abs(factor) / known - 1) <= TOLERANCE:
-            if known == 1.0:
-                if sign:
-                    return words
-                return f"it is {_phase(factor):.0f} degrees off: the channels are not of one time"
-            return words + sign
-    return f"it is {abs(factor):.4g} times too large{sign}"
+    if abs(size - 1) <= TOLERANCE and is_reversed:
+        return "the sign is reversed"
+    if abs(size - 1) <= TOLERANCE:
+        return f"it is {_phase(factor):.0f} degrees off: the channels are not of one time"
+    known = (words for each, words in _FACTORS.items() if abs(size / each - 1) <= TOLERANCE)
+    words = next(known, f"it is {size:.4g} times too large")
+    return f"{words}, and the sign is reversed" if is_reversed else words
 
 
-def check_answer_delay(samples: Samples, drive: Drive, facts: Facts) -> Finding:
+def check_answer_delay(samples: Samples, drive: Drive) -> Finding:
     """See that a command is applied from the next sample on, not later."""
-    name = "answer applied"
-    force = samples.values[:, 3]
-    rest = force[drive.rest]
-    noise = np.maximum(rest.std(axis=0), 1e-9)
+    name, force = "answer applied", samples.values[:, 3]
+    noise = np.maximum(force[drive.rest].std(axis=0), 1e-9)
     delays = []
     for start in drive.doublets:  # one that this host sent too late for its step is a later one
         before = force[start - drive.step_at(0.03) : start + 1].mean(axis=0)
         after = force[start : start + drive.step_at(APART)]
         change: Floats = (np.abs(after - before) / noise).max(axis=1)
         delays += np.flatnonzero(change > ONSET_NOISE)[:1].tolist()
-    mend = "apply the command that answers sample k from sample k+1 on, without a queue"
     if not delays:
-        return found(name, False, "the doublets are not seen in the force", mend)
-    first, latest = min(delays), 2 + math.floor(VALVE / facts.dt)
+        return found(name, False, "the doublets are not seen in the force")
+    first, latest = min(delays), 2 + math.floor(VALVE / drive.dt)
     told = f"the answer to a sample is first seen {first} samples later"
     told += f" (2 to {latest} with up to {1e3 * VALVE:g} ms of valve and oil)"
-    return found(name, 1 <= first <= latest, told, mend, samples=float(first))
+    return found(name, 1 <= first <= latest, told, samples=float(first))

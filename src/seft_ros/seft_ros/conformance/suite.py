@@ -1,50 +1,86 @@
-"""All checks, in an order in which each relies on those before it."""
+"""All checks over DDS, in an order in which each relies on those before it."""
 
 import os
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing, nullcontext
 from dataclasses import replace
 
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import FINISHED, TRIPPED
-from seft_msgs_py.wire.topics import LOOP_TOPICS, RIG_STATE
-from seft_msgs_py.wire.trajectory import TrajectoryCodec
+from seft_msgs_py.wire.topics import LOOP_TOPICS, VALVE_COMMAND
+from seft_plant_sim.reference.whole_structure import tested_specimen
 
-from seft_ros.conformance import message_checks, motion_checks, timing_checks
-from seft_ros.conformance.conductor import ATTEMPTS, SLOW, Conductor
-from seft_ros.conformance.drive import Drive
-from seft_ros.conformance.facts import Facts
-from seft_ros.conformance.finding import Finding, found, not_run
-from seft_ros.conformance.obedience_tests import ObedienceTests
-from seft_ros.conformance.trial import Samples, Trial
+from seft_ros.conformance import message_checks, motion_checks, obedience_checks
+from seft_ros.conformance.finding import LATER, Finding, found, not_run
+from seft_ros.conformance.motion_checks import Drive
+from seft_ros.conformance.obedience_checks import PATIENCE, RESTING, BadCommands, rested
+from seft_ros.conformance.test_driver import ENDED, SLOW, Answer, Guard, TestDriver, Trial
 from seft_ros.experiment.state_machine import State
 from seft_ros.recording.stall_watch import StallWatch
+from seft_ros.running.observer import alone_on_the_graph
+from seft_ros.running.process_layout import prefer_latency
+from seft_ros.running.processes import one_node
 
+ATTEMPTS = 3
+"""Tests that are run until one goes as planned: this host may stand still meanwhile."""
 MEETING = 1.2  # s
 AMPLITUDES = {"V": 0.2, "N": 50.0}
 """Largest command where none is given: 2 % of a valve of 10 V."""
-PART = 0.25  # s of a motion that was broken off, in which units can be told
+BROKEN_OFF = 0.25  # s of a motion that was broken off, in which units can be told
 HELD_UP = ("no new", "silent")
 """Words of a trip that this host may have brought about, as it stood still itself."""
 TIMING = ("period", "late states")
 """Checks whose failure is no reason not to move the rig."""
-LATER = (
-    "command stale",
-    "command a second time",
-    "command of the future",
-    "command of another axis",
-    "command not a number",
-    "command between two steps",
-    "command beyond the limit",
-    "watchdog: valve_command silent",
-    "safe position",
-    "trip is latched",
-    "watchdog: supervisor silent",
-    "rests when done",
-    "rests when tripped",
-    "rests in a test under way",
-)
+LONG = 60.0  # s that a test is said to have, which ends before
+LEAD, GOING = 0.3, 0.2  # s of rest at the start of a test, and of motion before a watchdog's
+BRIEF = 0.5  # s
+STOP = 0.3  # s from a word of the supervisor to the last state
 
-Progress = Callable[[str, int], None]
+
+def conform(
+    experiment: Experiment,
+    tell: Callable[[Finding], None],
+    *,
+    start_rig: bool,
+    amplitude: float | None,
+    travel: float,
+    force: float,
+) -> list[Finding]:
+    """Look whether a rig keeps the contract.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Rate, axes and limits of the tests it is for; with a section of the rig if that is to be
+        started.
+    tell : callable
+        Told each finding as it is made.
+    start_rig : bool
+        Start the simulated rig; else a rig runs already.
+    amplitude : float or None
+        Largest command, V.
+    travel, force : float
+        Largest displacement from where the rig rests, m, and change of force, N.
+
+    Raises
+    ------
+    InputError
+        If other nodes of a test are on the graph, or there is no rig.
+    ExperimentError
+        If the rig that was started ends, or does not listen to commands.
+    """
+    alone_on_the_graph([] if start_rig else ["rig"])
+    rig = one_node("rig", experiment, lockstep=False) if start_rig else nullcontext(None)
+    with rig as processes:
+        prefer_latency(os.getpid())
+        driver, findings = TestDriver(experiment, Guard(experiment, travel, force), processes), []
+        with closing(driver):
+            for finding in Suite(driver, experiment, amplitude).run():
+                findings.append(finding)
+                tell(finding)
+    return findings
 
 
 class Suite:
@@ -52,110 +88,202 @@ class Suite:
 
     Parameters
     ----------
-    conductor : Conductor
+    driver : TestDriver
         On the graph.
-    facts : Facts
-        The rig.
+    experiment : Experiment
+        Rate, axes and specimen.
     amplitude : float or None
         Largest command, in the unit of what drives the rig; None: `AMPLITUDES`.
     """
 
-    def __init__(self, conductor: Conductor, facts: Facts, amplitude: float | None) -> None:
-        self._conductor, self._facts, self._given = conductor, facts, amplitude
-        experiment = facts.experiment
-        self._states = TrajectoryCodec(RIG_STATE, experiment.axes, experiment.timebase)
+    def __init__(self, driver: TestDriver, experiment: Experiment, amplitude: float | None) -> None:
+        self._driver, self._experiment, self._amplitude = driver, experiment, amplitude
 
     def run(self) -> Iterator[Finding]:
         """Give the findings one by one; after what makes a rig unfit to be moved, no others."""
-        before = self._conductor.meet(MEETING)
-        described = message_checks.check_description(
-            self._conductor.description, self._facts.experiment
-        )
-        first = [described, message_checks.check_signs_of_life(before)]
-        first.append(message_checks.check_silence(before))
-        yield from first
-        if any(finding.verdict == "failed" for finding in first):
-            yield from (not_run(name, "what is above is to be mended first") for name in LATER)
-            return
-        assert self._conductor.description is not None
-        self._facts = facts = self._facts.described(self._conductor.description)
-        topic = next(topic for topic in LOOP_TOPICS if topic.name == facts.drive)
-        self._amplitude = self._given or AMPLITUDES[topic.units[0]]
-        self._drive = Drive(facts.dt, self._amplitude)
-        self._conductor.connect(facts.drive)
-        sound = True
-        moved = self._moved()
-        samples = Samples.of(moved, self._states)
-        for finding in self._of_motion(moved, samples):
-            sound = sound and (finding.verdict != "failed" or finding.check in TIMING)
-            yield finding
-        if not sound:
-            yield from (not_run(name, "what is above is to be mended first") for name in LATER)
-            return
-        obedience = ObedienceTests(self._conductor, facts, self._drive, topic)
-        yield from obedience.run(samples)
+        for checks in (self._meet, self._move):
+            fit = True
+            for finding in checks():
+                fit = fit and (finding.verdict != "failed" or finding.check in TIMING)
+                yield finding
+            if not fit:
+                yield from (not_run(name, "what is above is to be mended first") for name in LATER)
+                return
+        yield from self._command_badly()
+        yield from self._fall_silent()
+        yield from self._stop()
 
-    def _moved(self) -> Trial:
-        """Run the test that moves; again where this host was too slow to answer in time."""
-        drive = self._drive
+    def _meet(self) -> Iterator[Finding]:
+        driver, experiment = self._driver, self._experiment
+        before = driver.meet(MEETING)
+        yield message_checks.check_description(driver.description, experiment)
+        yield message_checks.check_signs_of_life(before)
+        told = f"{len(before.states)} states while idle"
+        yield found("silent before a test", not before.states, told)
+
+    def _move(self) -> Iterator[Finding]:
+        """Move the rig; what it sends must be readable for the checks of its values."""
+        driver, experiment = self._driver, self._experiment
+        assert driver.description is not None
+        self._parameters = driver.description["parameters"]
+        name = driver.description.get("drive", VALVE_COMMAND.name)
+        self._topic = next(topic for topic in LOOP_TOPICS if topic.name == name)
+        amplitude = self._amplitude or AMPLITUDES[self._topic.units[0]]
+        self._drive = drive = Drive(experiment.timebase.dt, amplitude)
+        driver.connect(self._topic)
+        trial, stalls = self._moved()
+        self._samples = samples = trial.samples
+        form = message_checks.check_form(trial, experiment.axes)
+        stamps = message_checks.check_stamps(trial, experiment.timebase.period_ns)
+        yield form
+        yield stamps
+        yield message_checks.check_end(trial, drive.steps, experiment)
+        yield message_checks.check_clock(trial, experiment.timebase.period_ns)
+        if "failed" in (form.verdict, stamps.verdict):
+            return
+        yield from message_checks.check_timing(samples, drive.dt, stalls)
+        yield motion_checks.check_rest(samples, drive)
+        try:
+            specimen = tested_specimen(experiment)
+        except (InputError, KeyError):
+            specimen = None
+        if len(samples.steps) >= drive.steps:
+            yield motion_checks.check_moves(samples, drive)
+            yield from motion_checks.check_units(samples, drive, specimen)
+            yield motion_checks.check_answer_delay(samples, drive)
+        elif len(samples.steps) > drive.bell.start + drive.step_at(BROKEN_OFF):
+            finding = motion_checks.check_units(samples, drive, specimen)[0]  # its unit may be why
+            if finding.verdict == "failed":
+                told = f"{finding.mend}; roughly, for the motion was broken off"
+                yield replace(finding, mend=told)
+
+    def _moved(self) -> tuple[Trial, list[tuple[float, float]]]:
+        """Run the test that moves; again where this host was too slow to answer in time.
+
+        Beside it, begin and end of the times in which this host stood still are given, s,
+        monotonic.
+        """
+        driver, drive = self._driver, self._drive
+        commands = [*drive.commands.tolist(), 0.0]
         for _ in range(ATTEMPTS):
             watch = StallWatch()
             try:
                 watch.begin(sorted(os.sched_getaffinity(0)), drive.dt, 0)
-                trial = self._conductor.run(
-                    drive.steps,
-                    lambda step: [self._conductor.command(step, drive.command(step))],
-                    lambda trial: trial.phase in (FINISHED, TRIPPED),
-                    SLOW + 3 * drive.steps * drive.dt,
+                trial = driver.run(
+                    drive.steps, lambda k: driver.command(k, commands[min(k, drive.steps)])
                 )
             finally:
-                stalls = _stalls(watch)
-            trial.stalls = stalls
-            self._conductor.end(State.TRIPPED if trial.fault else State.DONE)
+                seen = watch.end() or {"intervals_ns": []}
+            driver.end(State.TRIPPED if trial.fault else State.DONE)
             tripped = trial.status_of(TRIPPED)
             if tripped is None or not any(word in tripped[1].message for word in HELD_UP):
                 break
-        return trial
+        offset = time.monotonic() - time.time()
+        return trial, [(b / 1e9 + offset, e / 1e9 + offset) for b, e in seen["intervals_ns"]]
 
-    def _of_motion(self, trial: Trial, samples: Samples) -> Iterator[Finding]:
-        experiment, drive = self._facts.experiment, self._drive
-        period_ns = experiment.timebase.period_ns
-        form = message_checks.check_form(trial, experiment.axes)
-        stamps = message_checks.check_stamps(trial, period_ns)
-        yield form
-        yield stamps
-        if trial.fault:
-            mend = (
-                "look at the rig first; if it has not moved so, that sensor's unit, sign or factor "
-                "is wrong (mm for m?); else take a smaller --amplitude"
-            )
-            yield found("stays within limits", False, trial.fault, mend)
-        else:
-            yield message_checks.check_end(trial, drive.steps, experiment)
-        yield message_checks.check_clock(trial, period_ns)
-        if "failed" in (form.verdict, stamps.verdict):
+    def _command_badly(self) -> Iterator[Finding]:
+        """Send what the rig must refuse: short tests in which it hardly moves."""
+        driver, drive, moved = self._driver, self._drive, self._samples
+        bad = BadCommands(driver.commands, drive.amplitude)
+        for _ in range(ATTEMPTS):
+            trial = driver.run(bad.steps, bad.answers)
+            driver.end()
+            if trial.status_of(FINISHED) is not None:
+                break
+        findings = obedience_checks.check_refusals(trial, bad, moved, drive)
+        yield from findings
+        if any(finding.verdict != "passed" for finding in findings):
+            why = "a rig that acts upon bad commands is not sent so large a one"
+            yield not_run("command beyond the limit", why)
             return
-        yield from timing_checks.check_timing(samples, drive.dt, trial.stalls)
-        yield motion_checks.check_rest(samples, drive)
-        if len(samples.steps) < drive.steps:
-            yield from self._of_part(samples)
-            return
-        yield motion_checks.check_moves(samples, drive)
-        yield from motion_checks.check_units(samples, drive, self._facts)
-        yield motion_checks.check_answer_delay(samples, drive, self._facts)
+        at, name = drive.step_at(LEAD), "command" if self._topic == VALVE_COMMAND else "force"
+        told = self._parameters.get(f"limits.{name}")
+        limit = float(told) if isinstance(told, int | float) else None
+        trial = driver.run(
+            2 * at, lambda step: driver.command(step, 1.2 * (limit or 0.0) if step == at else 0.0)
+        )
+        driver.end()
+        yield obedience_checks.check_over_limit(trial.samples, at, limit, moved, drive)
 
-    def _of_part(self, samples: Samples) -> Iterator[Finding]:
-        """Look at the displacement of a motion that was broken off: its unit may be why."""
-        part = self._drive.bell
-        if len(samples.steps) <= part.start + self._drive.step_at(PART):
-            return
-        finding = motion_checks.check_units(samples, self._drive, self._facts)[0]
-        if finding.verdict == "failed":
-            yield replace(finding, mend=f"{finding.mend}; roughly, for the motion was broken off")
+    def _fall_silent(self) -> Iterator[Finding]:
+        """Send no more commands while the rig moves; then, as the supervisor, say no more."""
+        driver, drive = self._driver, self._drive
+        start, stop = drive.step_at(LEAD), drive.step_at(LEAD) + drive.step_at(GOING)
 
+        def stop_commands(step: int) -> list[bytes]:
+            if step >= stop:
+                return []
+            driver.mark("silent")
+            return driver.command(step, drive.amplitude / 4 if step >= start else 0.0)
 
-def _stalls(watch: StallWatch) -> list[tuple[float, float]]:
-    """Begin and end of what the watch saw, s, monotonic."""
-    seen = watch.end() or {"intervals_ns": []}
-    offset = time.monotonic() - time.time()
-    return [(begin / 1e9 + offset, end / 1e9 + offset) for begin, end in seen["intervals_ns"]]
+        def leave_alone(step: int) -> list[bytes]:
+            if step < start:
+                driver.mark("silent")
+            else:
+                driver.be_silent()
+            return driver.command(step)
+
+        timeout = self._timeout("command")
+        longest = LEAD + GOING + timeout + 2 * PATIENCE + SLOW / 4
+        tripped, watchdog = self._silence(self._topic.name, timeout, stop_commands, longest)
+        yield watchdog
+        latched = driver.run(self._long, driver.command, BRIEF, ())
+        driver.end(State.TRIPPED)
+        timeout = self._timeout("supervisor")
+        longest = LEAD + 2 * (timeout + PATIENCE)
+        again, alone = self._silence("supervisor", timeout, leave_alone, longest)
+        driver.end(State.TRIPPED)
+        yield obedience_checks.check_safe_position(tripped, again.samples)
+        told = (
+            f"{len(latched.states)} states in a test that was said to run after a trip and no reset"
+        )
+        rests = not latched.states and latched.status_of(TRIPPED) is not None
+        yield found("trip is latched", rests, told)
+        yield alone
+
+    def _silence(
+        self, silent: str, timeout: float, answer: Answer, longest: float
+    ) -> tuple[Trial, Finding]:
+        """Wait for a watchdog, then for rest; again where it was late: this host may have been."""
+        driver = self._driver
+        for attempt in range(ATTEMPTS):
+            if attempt:
+                driver.end(State.TRIPPED)
+            trial = driver.run(self._long, answer, longest, (TRIPPED,))
+            by_itself = trial.phase == TRIPPED
+            driver.say(State.TRIPPED)
+            driver.wait(lambda: bool(rested(driver.trial)), RESTING)  # no state may come any more
+            finding = obedience_checks.check_watchdog(trial, timeout, silent, by_itself=by_itself)
+            if finding.verdict == "passed" or not by_itself:
+                break
+        return trial, finding
+
+    def _stop(self) -> Iterator[Finding]:
+        """End a test as the supervisor; then begin one that the rig was not ready for."""
+        driver = self._driver
+        for state in (State.DONE, State.TRIPPED):
+            trial = driver.run(self._long, driver.command, BRIEF, ())
+            driver.mark(state)
+            driver.say(state)
+            driver.listen_for(BRIEF)
+            last = trial.last_state_after(state)
+            told = f"the last state came {last:.3f} s after, phase {trial.phase or 'none'}"
+            rests = trial.phase in ENDED and last <= STOP
+            yield found(f"rests when {state}", rests, told, last_state_s=last)
+            driver.end(state)
+        trial = driver.run(self._long, driver.command, BRIEF, (), ready=False)
+        told = f"{len(trial.states)} states in a test that runs without having been ready"
+        yield found("rests in a test under way", not trial.states, told)
+        driver.end()
+
+    def _timeout(self, silent: str) -> float:
+        """Time in which the rig must trip when command or supervisor falls silent, s."""
+        name = f"watchdog.{silent}_timeout"
+        told = self._parameters.get(name)
+        if isinstance(told, int | float) and told > 0:
+            return float(told)
+        return float(self._experiment["supervisor"].get(name, 1.0))
+
+    @property
+    def _long(self) -> int:
+        return self._drive.step_at(LONG)

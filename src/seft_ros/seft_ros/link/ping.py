@@ -1,9 +1,10 @@
-"""Messages sent over a link and back, at the rate of a test."""
+"""Messages sent over a link and back, at the rate of a test; and the side that sends them back."""
 
 import os
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import closing
 
 import numpy as np
 import rclpy
@@ -15,7 +16,7 @@ from seft_msgs_py.node.ros_types import message_class, qos_profile
 from seft_msgs_py.node.wait_set import WaitSet, raw_subscription, sender, take
 from seft_msgs_py.wire.messages import decode_string, encode_string
 from seft_msgs_py.wire.rigs import RigAxes
-from seft_msgs_py.wire.topics import LINK_PING, LINK_PONG
+from seft_msgs_py.wire.topics import LINK_PING, LINK_PONG, Topic
 
 from seft_ros.link.round_trips import RoundTrips
 
@@ -23,6 +24,48 @@ PATIENCE = 15.0  # s, until the other side is found
 LOOK = 0.05  # s
 SETTLING = 0.5  # s without being counted: first messages are the slowest
 LAST = 1.0  # s in which the last one may come back
+ECHO_LOOK = 0.2  # s
+
+
+class _LinkNode:
+    """A node that sends on one topic and hears on another."""
+
+    def __init__(self, name: str, sends: Topic, hears: Topic) -> None:
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        self.node = Node(name, start_parameter_services=False)
+        self.publisher = self.node.create_publisher(
+            message_class(sends), sends.name, qos_profile(sends)
+        )
+        self.send = sender(self.publisher)
+        self.subscription = raw_subscription(self.node, hears, reliable=False)
+        self._wait_set = WaitSet(self.node.context, [self.subscription])
+
+    def listen(self, timeout: float) -> Iterator[bytes]:
+        """Give what comes until ``timeout`` s are over or something has come."""
+        self._wait_set.wait(timeout)
+        while (taken := take(self.subscription)) is not None:
+            yield taken[0]
+
+    def close(self) -> None:
+        """Leave the graph."""
+        leave_graph(self.node)
+
+
+def echo(progress: Callable[[int], None]) -> None:
+    """Send back what comes, as it comes, until interrupted.
+
+    Parameters
+    ----------
+    progress : callable
+        Told the number of messages sent back, several times a second; may raise to end.
+    """
+    with closing(_LinkNode("seft_link_echo", LINK_PONG, LINK_PING)) as link:
+        count = 0
+        while True:
+            for raw in link.listen(ECHO_LOOK):
+                link.send(raw)
+                count += 1
+            progress(count)
 
 
 def measure(
@@ -54,89 +97,61 @@ def measure(
     ExperimentError
         If nothing comes back.
     """
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    node = Node("seft_link", start_parameter_services=False)
-    try:
-        return _Pinger(node, rig).measure(rate, duration, size, progress)
-    finally:
-        leave_graph(node)
+    ping, pong = (LINK_PING, LINK_PONG) if rig is None else (LINK_PING.of(rig), LINK_PONG.of(rig))
+    first, count = -max(1, round(SETTLING * rate)), max(2, round(duration * rate))
+    own = uuid.uuid4().hex
+    sent: dict[int, float] = {}
+    back: list[tuple[int, float]] = []
 
+    def listen_until(deadline: float) -> None:
+        while (left := deadline - time.monotonic()) > 0:
+            for raw in link.listen(left):
+                now = time.monotonic()
+                try:
+                    name, number, *_ = decode_string(raw).split(" ")
+                    if name == own:
+                        back.append((int(number), now - sent[int(number)]))
+                except (WireError, ValueError):
+                    continue  # of someone else
 
-class _Pinger:
-    def __init__(self, node: Node, rig: RigAxes | None) -> None:
-        self._node = node
-        ping, self._pong = LINK_PING, LINK_PONG
-        if rig is not None:
-            ping, self._pong = ping.of(rig), self._pong.of(rig)
-        self._publisher = node.create_publisher(message_class(ping), ping.name, qos_profile(ping))
-        self._subscription = raw_subscription(node, self._pong, reliable=False)
-        self._wait_set = WaitSet(node.context, [self._subscription])
-        self._name = uuid.uuid4().hex
-        self._sent: dict[int, float] = {}
-        self._back: list[tuple[int, float]] = []
-
-    def measure(
-        self, rate: float, duration: float, size: int, progress: Callable[[str, int], None]
-    ) -> RoundTrips:
-        """See `measure`."""
+    with closing(_LinkNode("seft_link", ping, pong)) as link:
         progress("looking for the other side", 0)
-        self._find_echo()
-        send = sender(self._publisher)
-        first = -max(1, round(SETTLING * rate))
-        count = max(2, round(duration * rate))
-        padding = "." * size
+        _find_echo(link, pong)
         start = time.monotonic() - first / rate
         for number in range(first, count):
-            text = f"{self._name} {number} {padding}"[:size]
-            raw = encode_string(text)
-            self._listen_until(start + number / rate)
-            self._sent[number] = time.monotonic()
-            send(raw)
+            raw = encode_string(f"{own} {number} {'.' * size}"[:size])
+            listen_until(start + number / rate)
+            sent[number] = time.monotonic()
+            link.send(raw)
             progress("measuring the link", max(number, 0))
         deadline = time.monotonic() + LAST
-        while len(self._back) < len(self._sent) and time.monotonic() < deadline:
-            self._listen_until(min(deadline, time.monotonic() + LOOK))
-        progress("measured", count)
-        counted = [(number, at) for number, at in self._back if number >= 0]
-        if not counted:
-            raise ExperimentError(
-                f"none of {count} messages came back over the link; is a firewall between?"
+        while len(back) < len(sent) and time.monotonic() < deadline:
+            listen_until(min(deadline, time.monotonic() + LOOK))
+    progress("measured", count)
+    counted = [(number, took) for number, took in back if number >= 0]
+    if not counted:
+        raise ExperimentError(
+            f"none of {count} messages came back over the link; is a firewall between?"
+        )
+    numbers, times = zip(*counted, strict=True)
+    return RoundTrips(rate, count, np.array(times), np.array(numbers))
+
+
+def _find_echo(link: _LinkNode, pong: Topic) -> None:
+    """Wait for the one node that sends back what comes."""
+    deadline = time.monotonic() + PATIENCE
+    while True:
+        echoes = link.node.get_publishers_info_by_topic(pong.name)
+        if len(echoes) > 1:
+            names = ", ".join(sorted(echo.node_name for echo in echoes))
+            raise InputError(f"several nodes echo on this ROS domain: {names}; let one do so")
+        if link.publisher.get_subscription_count() and link.subscription.get_publisher_count():
+            return
+        if time.monotonic() > deadline:
+            domain = os.environ.get("ROS_DOMAIN_ID", "0")
+            raise InputError(
+                f"nobody echoes on ROS domain {domain} within {PATIENCE:g} s; on the other "
+                "host start seft link --echo, or its force_controller with a loop_delay "
+                "(docs/hosts.md has what two hosts need to find each other)"
             )
-        numbers = np.array([number for number, _ in counted])
-        times = np.array([at - self._sent[number] for number, at in counted])
-        return RoundTrips(rate, count, times, numbers)
-
-    def _find_echo(self) -> None:
-        deadline = time.monotonic() + PATIENCE
-        while True:
-            echoes = self._node.get_publishers_info_by_topic(self._pong.name)
-            if len(echoes) > 1:
-                names = ", ".join(sorted(echo.node_name for echo in echoes))
-                raise InputError(f"several nodes echo on this ROS domain: {names}; let one do so")
-            connected = self._publisher.get_subscription_count()
-            if connected and self._subscription.get_publisher_count():
-                return
-            if time.monotonic() > deadline:
-                domain = os.environ.get("ROS_DOMAIN_ID", "0")
-                raise InputError(
-                    f"nobody echoes on ROS domain {domain} within {PATIENCE:g} s; on the other "
-                    "host start seft link --echo, or its force_controller with a loop_delay "
-                    "(docs/hosts.md has what two hosts need to find each other)"
-                )
-            time.sleep(LOOK)
-
-    def _listen_until(self, deadline: float) -> None:
-        while (left := deadline - time.monotonic()) > 0:
-            if not self._wait_set.wait(left):
-                continue
-            now = time.monotonic()
-            while (taken := take(self._subscription)) is not None:
-                self._take(taken[0], now)
-
-    def _take(self, raw: bytes, now: float) -> None:
-        try:
-            name, number, *_ = decode_string(raw).split(" ")
-            if name == self._name:
-                self._back.append((int(number), now))
-        except (WireError, ValueError):
-            return  # of someone else
+        time.sleep(LOOK)

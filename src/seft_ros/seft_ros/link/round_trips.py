@@ -1,19 +1,30 @@
-"""What the messages that were sent over a link and back tell of it."""
+"""What messages that were sent over a link and back tell of it, and of a test over it."""
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.topics import TARGET
+from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
-Floats = npt.NDArray[np.float64]
+from seft_ros.preflight.stability_verdict import MASS_RATIO_RESERVE as RESERVE
+from seft_ros.reference_force.topic import reference_force_topic
+
+Verdict = Literal["good", "marginal", "unusable"]
 
 PERCENTILES = (50, 90, 99, 99.9)
 MARGIN = 1
 """Steps beyond the percentile that a loop is given: for its computation, and for a rare delay."""
 COUNTED = 99.0
 """Percentile of the round trips that a loop's delay covers; what is later is predicted."""
+SOME_LOST, TOO_MANY_LOST = 0.005, 0.2
+"""Share of the messages lost from which a link is marginal, and unusable."""
+LONGEST_DELAY = 100
+"""Steps that `loop_delay` may have."""
 
 
 @dataclass(frozen=True)
@@ -45,14 +56,11 @@ class RoundTrips:
     @property
     def longest_burst(self) -> int:
         """Most messages that were lost in a row."""
-        there = np.union1d(self.numbers, [-1, self.sent])
-        return int(np.diff(there).max()) - 1
+        return int(np.diff(np.union1d(self.numbers, [-1, self.sent])).max()) - 1
 
     @property
     def reordered(self) -> int:
         """Messages that came back after one that was sent later."""
-        if not len(self.numbers):
-            return 0
         return int((self.numbers < np.maximum.accumulate(self.numbers)).sum())
 
     @property
@@ -84,3 +92,100 @@ class RoundTrips:
 
     def _percentile(self, percent: float) -> float:
         return float(np.percentile(self.times, percent))
+
+
+@dataclass(frozen=True)
+class Allowed:
+    """What preflight says of a test with the delay that its link needs.
+
+    Attributes
+    ----------
+    mass_ratio : float
+        As planned.
+    critical_mass_ratio : float or None
+        At which it is unstable; None where no mass ratio is, or that is not known.
+    growing : bool
+        Whether it is unstable as planned.
+    unknown : str
+        Why preflight could not tell; else empty.
+    """
+
+    mass_ratio: float
+    critical_mass_ratio: float | None
+    growing: bool
+    unknown: str = ""
+
+    def numbers(self) -> dict[str, Any]:
+        """Give JSON values."""
+        return {
+            "mass_ratio": self.mass_ratio,
+            "critical_mass_ratio": self.critical_mass_ratio,
+            "stable": None if self.unknown else not self.growing,
+            "unknown": self.unknown or None,
+        }
+
+
+def with_loop_delay(experiment: Experiment, steps: int) -> Experiment:
+    """Give the same experiment with another delay of the loop, in steps."""
+    sections = {
+        node: {**section, **({"loop_delay": steps} if "loop_delay" in section else {})}
+        for node, section in experiment.sections.items()
+    }
+    return Experiment(sections)
+
+
+def message_size(experiment: Experiment) -> int:
+    """Size of the messages of the reference force over a link of ten steps, bytes."""
+    section, axes = experiment["reference_force"], experiment.axes
+    topic, points = reference_force_topic(section), 11
+    if topic == TARGET:
+        points += math.ceil(section["compensation.horizon"] * experiment.timebase.rate)
+    codec = TrajectoryCodec(topic, axes, experiment.timebase)
+    return len(codec.encode_points(0, np.zeros((points, len(topic.quantities), len(axes)))))
+
+
+def allowed(experiment: Experiment, loop_delay: int) -> Allowed:
+    """Ask preflight about a test with a delay of the loop, in steps."""
+    from seft_ros.preflight.plan import Plan
+    from seft_ros.preflight.stability_margins import critical_mass_ratio
+
+    planned = float(experiment["reference_force"]["mass_ratio"])
+    try:
+        plan = Plan(with_loop_delay(experiment, loop_delay))
+        growing = not plan.is_stable()
+        critical = critical_mass_ratio(plan)
+    except InputError as error:
+        return Allowed(planned, None, growing=False, unknown=str(error))
+    return Allowed(planned, critical.value if critical else None, growing)
+
+
+def judge(trips: RoundTrips, test: Allowed | None) -> tuple[Verdict, list[str]]:
+    """Judge a link, and a test over it.
+
+    Returns
+    -------
+    verdict : str
+        ``good``, ``marginal`` or ``unusable``.
+    reasons : list of str
+        Why it is not good.
+    """
+    lost, delay, bad, thin = trips.lost / trips.sent, trips.loop_delay, [], []
+    if delay > LONGEST_DELAY:
+        bad.append(f"the loop would need a delay of {delay} steps, more than {LONGEST_DELAY}")
+    if lost > TOO_MANY_LOST:
+        bad.append(f"{100 * lost:.3g} % of the messages were lost")
+    elif lost > SOME_LOST:
+        thin.append(
+            f"{100 * lost:.3g} % of the messages were lost, up to {trips.longest_burst} in a row: "
+            "they are bridged, with some error"
+        )
+    if test is not None and test.growing:
+        bad.append(f"mass ratio {test.mass_ratio:g} is unstable with a delay of {delay} steps")
+    elif test is not None and test.unknown:
+        thin.append(f"preflight could not be done: {test.unknown}")
+    elif test is not None and (test.critical_mass_ratio or np.inf) < RESERVE * test.mass_ratio:
+        thin.append(
+            f"the critical mass ratio {test.critical_mass_ratio:.3g} is less than {RESERVE:g} "
+            f"times the planned {test.mass_ratio:g}"
+        )
+    return "unusable" if bad else "marginal" if thin else "good", [*bad, *thin]

@@ -16,9 +16,9 @@ from seft_ros.recording.message_block import MessageBlock
 from seft_ros.reference_force.topic import reference_force_topic
 from seft_ros.replay.answers import Answers
 from seft_ros.replay.cue import Cue, Part
-from seft_ros.running.one_node import alone_on_the_graph, one_node
+from seft_ros.running.observer import alone_on_the_graph
 from seft_ros.running.player import Player
-from seft_ros.running.processes import NodeProcesses
+from seft_ros.running.processes import NodeProcesses, one_node
 
 READY_TIMEOUT = 60.0  # s
 LOOK = 0.05  # s

@@ -1,16 +1,19 @@
 """What the `seft` command sees of a test on the graph, and the services it calls."""
 
+import os
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
+from contextlib import closing
 from typing import Any
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from seft_msgs_py.errors import ExperimentError
+from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.node.awake_clock import AwakeClock
 from seft_msgs_py.node.exit_watchdog import leave_graph
+from seft_msgs_py.node.middleware import prepare_on_this_host
 from seft_msgs_py.node.ros_types import message_class, qos_profile
 from seft_msgs_py.node.single_instance import is_running
 from seft_msgs_py.wire.outcome import RIG
@@ -19,6 +22,8 @@ from seft_msgs_py.wire.topics import CLOCK_TOPIC, DIAGNOSTICS, EXPERIMENT_STATE,
 from std_srvs.srv import Trigger
 
 SERVICE_TIMEOUT = 10.0  # s
+DISCOVERY = 0.5  # s; who is not found by then is at the second look, before anything moves
+ANNOUNCEMENT = 3.2  # s; participants announce themselves every 3 s
 
 
 class Observer:
@@ -39,10 +44,8 @@ class Observer:
         Experiment time, nanoseconds.
     recorder_phase : str
         ``idle``, ``recording``, ``saved``.
-    is_moving : bool
-        Whether a rig says that it runs.
-    since : float
-        When it came up, monotonic, s.
+    running : set of str
+        Rigs that say that they run.
     """
 
     def __init__(self, nodes: Sequence[str] = NODES) -> None:
@@ -51,10 +54,10 @@ class Observer:
         self.values: dict[str, str] = {}
         self.time_ns = 0
         self.recorder_phase = ""
-        self._running: set[str] = set()  # rigs
+        self.running: set[str] = set()
         self._awake = AwakeClock()
         self._heard_at = self._awake.time()
-        self.since = time.monotonic()
+        self._since = time.monotonic()
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self._node = Node("seft", start_parameter_services=False)
         for topic, receive in (
@@ -108,23 +111,45 @@ class Observer:
         ours = [node for node in self._nodes if node in found or is_running(domain, f"/{node}")]
         return ours + self._of_other_namespaces(found)
 
-    def twins(self) -> list[str]:
-        """Names of a test's nodes that are on the graph more than once."""
+    def refuse_other_tests(self, external: Collection[str] = ()) -> None:
+        """See that no other test is on the graph: two would command each other's rig.
+
+        Raises
+        ------
+        InputError
+            If there is one, of other nodes than those that are external.
+        """
+        self.spin(DISCOVERY)
+        self._refuse([node for node in self.present() if node not in external])
+
+    def refuse_twins(self, topics: Iterable[Topic]) -> None:
+        """See once more that no other test is there, and nobody else who publishes on its topics.
+
+        A single node that runs already may not be seen before it announces itself the next time;
+        and this process is longer on the graph than those of the test.
+
+        Raises
+        ------
+        InputError
+            If there is one.
+        """
+        self.spin(max(0.0, self._since + ANNOUNCEMENT - time.monotonic()))
         found = self._found()
         twice = [node for node in self._nodes if found.count(node) > 1]
-        return twice + self._of_other_namespaces(found)
-
-    def conflict(self, topics: Iterable[Topic]) -> str:
-        """Say which of some topics more than one node publishes; empty if none."""
+        self._refuse(twice + self._of_other_namespaces(found))
         for topic in topics:
             if (count := self._node.count_publishers(topic.name)) > 1:
-                return f"{count} nodes publish {topic.name}"
-        return ""
+                raise InputError(
+                    f"{count} nodes publish {topic.name} in ROS domain {_domain()}, and only one "
+                    "is this test's: end the other"
+                )
 
-    @property
-    def is_moving(self) -> bool:
-        """See the attributes."""
-        return bool(self._running)
+    def _refuse(self, nodes: Sequence[str]) -> None:
+        if nodes:
+            raise InputError(
+                f"ROS domain {_domain()} already has a node {', '.join(nodes)}: another test's; "
+                "end it, set ROS_DOMAIN_ID to another number, or let a test have it with --external"
+            )
 
     def _of_other_namespaces(self, found: Sequence[str]) -> list[str]:
         """Nodes of another test, which shares /clock with this one."""
@@ -156,4 +181,21 @@ class Observer:
             if status.name == "recorder":
                 self.recorder_phase = phase
             elif bare(status.name) == RIG:
-                (self._running.add if phase == "running" else self._running.discard)(status.name)
+                (self.running.add if phase == "running" else self.running.discard)(status.name)
+
+
+def _domain() -> str:
+    return os.environ.get("ROS_DOMAIN_ID", "0")
+
+
+def alone_on_the_graph(external: Collection[str] = ()) -> None:
+    """Prepare this process for the graph, and see that no test is on it.
+
+    Raises
+    ------
+    InputError
+        If there is one.
+    """
+    prepare_on_this_host()
+    with closing(Observer()) as observer:
+        observer.refuse_other_tests(external)

@@ -1,5 +1,6 @@
 """A node of the `seft` command that plays the parts of other nodes of a test."""
 
+import contextlib
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
@@ -38,13 +39,10 @@ class Player:
     ----------
     status : dict of str to Status
         Node -> the last status of its diagnostics.
-    on_status : callable
-        Called with each status that comes, and when.
     """
 
     def __init__(self, name: str, sends: Sequence[Topic], hears: Mapping[Topic, Receive]) -> None:
         self.status: dict[str, Status] = {}
-        self.on_status: Callable[[Status, float], None] = lambda status, at: None
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self.node = Node(name, start_parameter_services=False)
         self._publishers: dict[Topic, Publisher] = {}
@@ -73,14 +71,8 @@ class Player:
     def say(self, state: str, steps: int | None = None, **values: str) -> None:
         """Say as the supervisor where the test is; returns when who listens has it.
 
-        Parameters
-        ----------
-        state : str
-            As `seft_ros.experiment.state_machine.State`.
-        steps : int, optional
-            Steps of the test.
-        **values
-            What else comes with it.
+        The state is a `seft_ros.experiment.state_machine.State`; with it come the test's steps, and
+        whatever else is given.
 
         Raises
         ------
@@ -106,7 +98,8 @@ class Player:
         for subscription in ready:
             while (taken := take_timed(subscription)) is not None:
                 raw, sent_ns = taken
-                self._takers[subscription](raw, now, sent_ns / 1e9 + offset)
+                with contextlib.suppress(WireError):  # what can't be read
+                    self._takers[subscription](raw, now, sent_ns / 1e9 + offset)
         return bool(ready)
 
     def listen_for(self, duration: float) -> None:
@@ -119,23 +112,21 @@ class Player:
         """Tell whether a node hears, and is heard, on some topics; it must say so itself, too."""
         told = self.status[node].values if node in self.status else {}
         for topic in sends:
-            listeners = self.node.get_subscriptions_info_by_topic(topic.name)
-            if node not in {info.node_name for info in listeners}:
-                return False
-            if not self._publishers[topic].get_subscription_count():
-                return False
-            if told.get(f"senders {topic.name}", "1") == "0":
+            there = self.node.get_subscriptions_info_by_topic(topic.name)
+            found = self._publishers[topic].get_subscription_count()
+            hears_us = told.get(f"senders {topic.name}") != "0"
+            if not (found and hears_us and node in {info.node_name for info in there}):
                 return False
         for topic in hears:
-            publishers = self.node.get_publishers_info_by_topic(topic.name)
-            if node not in {info.node_name for info in publishers}:
-                return False
-            if not self._topics[topic].get_publisher_count():
-                return False
-            key = f"matched {topic.name}"  # which a lab's own driver need not tell
-            if key in told and self.node.get_name() not in told[key].split():
+            there = self.node.get_publishers_info_by_topic(topic.name)
+            found, own = self._topics[topic].get_publisher_count(), self.node.get_name()
+            matched = told.get(f"matched {topic.name}", own)  # a lab's own driver need not tell
+            if not (found and own in matched.split() and node in {i.node_name for i in there}):
                 return False
         return True
+
+    def on_status(self, status: Status, at: float) -> None:
+        """Take a status that comes; for those who derive from this."""
 
     def close(self) -> None:
         """Leave the graph."""
@@ -147,11 +138,6 @@ class Player:
             self.send(EXPERIMENT_STATE, self._state)
 
     def _on_diagnostics(self, raw: bytes, at: float, sent: float) -> None:
-        del sent
-        try:
-            statuses = decode_diagnostics(raw)[1]
-        except WireError:
-            return
-        for status in statuses:
+        for status in decode_diagnostics(raw)[1]:
             self.status[status.name] = status
             self.on_status(status, at)

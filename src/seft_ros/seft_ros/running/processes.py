@@ -1,20 +1,25 @@
 """The node processes of a test: started, watched and ended together."""
 
 import contextlib
+import ctypes
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.node.realtime import take_equal_addresses
 from seft_msgs_py.wire.rigs import bare, rig_name
 
-from seft_ros.running.arrangement import LOOP_NODES, Arrangement
-from seft_ros.running.placement import Placement
-from seft_ros.running.scheduling import end_with_parent
+from seft_ros.running.orphan_reaper import OrphanReaper
+from seft_ros.running.process_layout import LOOP_NODES, ProcessLayout
 
 MODULES = {
     "ground_motion": "seft_ros.nodes.ground_motion",
@@ -26,6 +31,9 @@ MODULES = {
 }
 """Module of each node, for ``python -m``: it works with and without a ROS installation."""
 COMPOSED = "seft_ros.nodes.loop"
+
+_PR_SET_PDEATHSIG = 1
+_LIBC = ctypes.CDLL(None, use_errno=True)
 
 
 class NodeProcesses:
@@ -39,7 +47,7 @@ class NodeProcesses:
         Parameter file that all of them read.
     logs : Path
         Folder for the logs.
-    arrangement : Arrangement
+    layout : ProcessLayout
         Where they run.
     lockstep : bool
         Schedule the loop's nodes for throughput rather than for latency, until told otherwise.
@@ -50,24 +58,20 @@ class NodeProcesses:
         nodes: Iterable[str],
         parameters: Path,
         logs: Path,
-        arrangement: Arrangement,
+        layout: ProcessLayout,
         *,
         lockstep: bool,
     ) -> None:
-        self._logs = logs
-        nodes = list(nodes)
+        self._logs, nodes = logs, list(nodes)
         self._cores = os.sched_getaffinity(0)
-        self._placement = (
-            Placement.where_it_helps(nodes, lockstep=lockstep) if arrangement.pin else None
-        )
+        self._placement = layout.placement(nodes, lockstep=lockstep)
         if self._placement is not None:
             os.sched_setaffinity(0, self._placement.others)  # this process keeps off it, too
         self._logs_of: dict[str, Path] = {}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         try:
-            for group in arrangement.groups(nodes):
-                process = self._start(group, parameters)
-                self._processes.update(dict.fromkeys(group, process))
+            for group in layout.groups(nodes):
+                self._processes.update(dict.fromkeys(group, self._start(group, parameters)))
         except BaseException:
             self.stop(0.0)
             raise
@@ -81,6 +85,19 @@ class NodeProcesses:
                 how = f"killed by signal {-code}" if code < 0 else f"exit status {code}"
                 found[node] = f"node {node} ended ({how}): {self._last_line(node)}"
         return found
+
+    def raise_if_ended(self) -> None:
+        """See that all processes run.
+
+        Raises
+        ------
+        InputError
+            If one has found its input wrong.
+        ExperimentError
+            If one has ended otherwise.
+        """
+        for node, how in self.ended().items():
+            raise (InputError if self.exit_status(node) == 2 else ExperimentError)(how)
 
     def stopped(self) -> list[str]:
         """Nodes whose process a signal has stopped."""
@@ -104,9 +121,9 @@ class NodeProcesses:
         """Prepare the loop's nodes for a test; to be called when its pace is known."""
         if self._placement is None:
             return
-        for node, process in self._processes.items():
+        for node, pid in self.pids().items():
             if bare(node) in LOOP_NODES:
-                self._placement.settle(process.pid, lockstep=lockstep)
+                self._placement.settle(pid, lockstep=lockstep)
 
     def stop(self, patience: float = 10.0) -> None:
         """Ask all processes to end, and kill what has not after ``patience`` seconds."""
@@ -139,7 +156,7 @@ class NodeProcesses:
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,  # Ctrl-C is ours to pass on, in order
-                preexec_fn=_begin_in_the_loop if shares_a_core else end_with_parent,
+                preexec_fn=_begin_in_the_loop if shares_a_core else _end_with_parent,
                 env=os.environ | {"ROS_LOG_DIR": str(self._logs)},
             )
         if self._placement is not None:
@@ -151,6 +168,59 @@ class NodeProcesses:
         return text.splitlines()[-1] if text else "it wrote nothing"
 
 
+def _end_with_parent() -> None:
+    """Have the kernel end the calling process when the one that started it dies."""
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
 def _begin_in_the_loop() -> None:
-    end_with_parent()
+    _end_with_parent()
     take_equal_addresses()
+
+
+@contextmanager
+def node_processes(
+    nodes: Iterable[str],
+    experiment: Experiment,
+    layout: ProcessLayout,
+    *,
+    lockstep: bool,
+    bag: Path | None = None,
+) -> Iterator[NodeProcesses]:
+    """Run nodes of an experiment, and end them, whatever comes, even if this process is killed.
+
+    Parameters
+    ----------
+    nodes : iterable of str
+        Names of the nodes.
+    experiment : Experiment
+        Holds the nodes' sections.
+    layout : ProcessLayout
+        Where they run.
+    lockstep : bool
+        Whether they need not keep time.
+    bag : Path, optional
+        Folder that keeps parameters and logs, if it is there at the end.
+    """
+    folder = Path(tempfile.mkdtemp(prefix="seft-"))
+    parameters = folder / "parameters.yaml"
+    try:
+        parameters.write_text(experiment.to_yaml(), encoding="utf-8")
+        with OrphanReaper() as reaper:
+            processes = NodeProcesses(nodes, parameters, folder, layout, lockstep=lockstep)
+            try:
+                reaper.watch(processes.pids().values())
+                yield processes
+            finally:
+                processes.stop()
+    finally:
+        if bag is not None and bag.is_dir():
+            shutil.copytree(folder, bag / "logs", dirs_exist_ok=True)
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def one_node(
+    node: str, experiment: Experiment, *, lockstep: bool
+) -> contextlib.AbstractContextManager[NodeProcesses]:
+    """Run one node, for a command that plays the parts of the others; see `node_processes`."""
+    return node_processes([node], experiment, ProcessLayout(pin=not lockstep), lockstep=lockstep)

@@ -1,4 +1,4 @@
-"""Tidying up after a run, also after one that is killed: by a process of its own.
+"""Ends the processes that a run leaves, also one that is killed: from a process of its own.
 
 It learns from a pipe which processes the run has, and that the run has ended from the pipe's end,
 however that came about. Nodes end with the run that started them, but for one that a signal has
@@ -14,18 +14,19 @@ import sys
 import time
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Self
 
 PATIENCE = 10.0  # s for nodes that the run did not end
 LOOK = 0.05  # s
 _SEEN = b"seen\n"
 
 
-class Tidying:
-    """Ends what processes a run leaves."""
+class OrphanReaper:
+    """Ends what processes a run leaves; a context that waits for this at its end."""
 
     def __init__(self) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "seft_ros.running.tidying"],
+            [sys.executable, "-m", "seft_ros.running.orphan_reaper"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,  # Ctrl-C is none of its business
@@ -40,8 +41,10 @@ class Tidying:
             pipe.flush()
             answer.readline()
 
-    def finish(self) -> None:
-        """Let it tidy up; to be called when all has ended that ends by itself."""
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
         self._process.communicate()
 
 

@@ -1,0 +1,285 @@
+"""The test driver: plays supervisor and force controller for a rig that is looked at."""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import ExperimentError, InputError
+from seft_msgs_py.wire.messages import Status, decode_clock, decode_description
+from seft_msgs_py.wire.outcome import FINISHED, TRIPPED
+from seft_msgs_py.wire.topics import (
+    CLOCK_TOPIC,
+    DESCRIPTION,
+    EXPERIMENT_STATE,
+    RIG_STATE,
+    LoopTopic,
+)
+from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
+from seft_plant_sim.rig.limits import NAMES, UNITS
+
+from seft_ros.experiment.state_machine import State
+from seft_ros.running.player import Player
+from seft_ros.running.processes import NodeProcesses
+
+BASELINE = 20  # samples at rest that the motion is counted from
+FOUND = 20.0  # s until the rig is found
+LOOK = 0.02  # s
+NOTED = 0.15  # s for the rig to take in a state
+SLOW = 10.0  # s more than planned that a test may take
+PHASES = 2.0  # s for it to say that it has ended, and that it is idle again
+ENDED = (FINISHED, TRIPPED)
+Answer = Callable[[int], list[bytes]]
+"""Gives the messages that answer a step."""
+
+
+class Samples(NamedTuple):
+    """N states that could be read: their steps, samples of shape (N, 4, n), and times, s.
+
+    The times are those of sending: what this host is late in taking is none of the rig's doing.
+    """
+
+    steps: npt.NDArray[np.int64]
+    values: Floats
+    times: Floats
+
+
+@dataclass
+class Trial:
+    """Messages of the rig in one test, as they came, each with its time, monotonic, s.
+
+    ``read`` has step, sample and time of sending of the states that could be read; ``marks``, when
+    something was done to the rig; ``fault``, why the test was broken off.
+    """
+
+    states: list[tuple[float, bytes]] = field(default_factory=list)
+    read: list[tuple[int, Floats, float]] = field(default_factory=list)
+    statuses: list[tuple[float, Status]] = field(default_factory=list)
+    clocks: list[tuple[float, int]] = field(default_factory=list)
+    marks: dict[str, float] = field(default_factory=dict)
+    fault: str = ""
+
+    def status_of(self, phase: str) -> tuple[float, Status] | None:
+        """Give the first status in which the rig told a phase, and when; None if it did not."""
+        return next((s for s in self.statuses if s[1].values.get("phase") == phase), None)
+
+    @property
+    def phase(self) -> str:
+        """Last phase that the rig told; empty if none."""
+        return self.statuses[-1][1].values.get("phase", "") if self.statuses else ""
+
+    def last_state_after(self, mark: str) -> float:
+        """Time from when something was done to the last state, s; 0 if none came after it."""
+        return max([0.0, *(at - self.marks[mark] for at, _ in self.states)])
+
+    @property
+    def samples(self) -> Samples:
+        """States that could be read."""
+        if not self.read:
+            return Samples(np.empty(0, np.int64), np.empty((0, 4, 1)), np.empty(0))
+        return Samples(*(np.array(column) for column in zip(*self.read, strict=True)))
+
+
+class Guard:
+    """Looks at each sample of a rig whose sensors are not trusted yet.
+
+    A limit of the experiment that one sensor sees broken ends the test. Of the far smaller ones
+    of this test two of displacement, integrated velocity and force must see it: one that lies is
+    what the test is to find.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Limits of its supervisor, and rate.
+    travel : float
+        Largest displacement from where the rig rested, m.
+    force : float
+        Largest change of force, N.
+    """
+
+    def __init__(self, experiment: Experiment, travel: float, force: float) -> None:
+        supervisor = experiment["supervisor"]
+        self._limits: list[float] = [supervisor[f"limits.{name}"] for name in NAMES]
+        self._dt, self._travel, self._force = experiment.timebase.dt, travel, force
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin with a rig at rest."""
+        self._samples: list[Floats] = []
+        self._moved: Floats | float = 0.0  # integrated velocity of each axis, m
+
+    def fault(self, sample: Floats) -> str:
+        """Take a sample, shape (4, n); say why the rig must not be moved on; empty if it may."""
+        way = float(np.abs(self._moved).max())
+        worst = np.abs(sample).max(axis=1).tolist()
+        for name, unit, value, limit in zip(NAMES, UNITS, worst, self._limits, strict=True):
+            if not value <= limit:
+                told = f"{name} reads {value:.4g} {unit}, beyond the limit of {limit:g} {unit}"
+                return f"{told}; by its velocity the rig has moved {way:.2g} m"
+        if len(self._samples) < BASELINE:
+            self._samples.append(np.array(sample))
+            return ""
+        change = sample - np.mean(self._samples, axis=0)
+        self._moved = self._moved + change[1] * self._dt
+        way = float(np.abs(self._moved).max())
+        moved, _, _, pushed = np.abs(change).max(axis=1).tolist()
+        if sum((moved > self._travel, way > self._travel, pushed > self._force)) < 2:
+            return ""
+        told = f"moved {moved:.3g} m, {way:.3g} m by its velocity, force changed {pushed:.4g} N"
+        return f"{told}: more than {self._travel:g} m and {self._force:g} N"
+
+
+class TestDriver(Player):
+    """Runs short tests on a rig, and writes down what it does.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Its rate and axes.
+    guard : Guard
+        Looks at each sample.
+    processes : NodeProcesses or None
+        The rig's process, where it was started here.
+    """
+
+    def __init__(
+        self, experiment: Experiment, guard: Guard, processes: NodeProcesses | None
+    ) -> None:
+        self._guard, self._processes = guard, processes
+        self.description: Mapping[str, Any] | None = None  # that the rig gives of itself
+        self.trial = Trial()  # that runs, or the last one
+        self._samples = TrajectoryCodec(RIG_STATE, experiment.axes, experiment.timebase)
+        self._answer: Answer | None = None
+        hears = {RIG_STATE: self._on_state, CLOCK_TOPIC: self._on_clock}
+        super().__init__("seft_conform", [], {**hears, DESCRIPTION: self._on_description})
+
+    def meet(self, duration: float) -> Trial:
+        """Find the rig and listen to it for some time, while nothing is asked of it.
+
+        Raises
+        ------
+        InputError
+            If no node rig publishes rig/state.
+        """
+        self.say(State.IDLE)
+        if not self.wait(self._is_found, FOUND):
+            raise InputError(
+                f"no node rig with rig/state and experiment/state within {FOUND:g} s; start "
+                "it on this ROS domain, or use --start-rig for the simulated one"
+            )
+        self.trial = Trial()
+        self.listen_for(duration)
+        return self.trial
+
+    def connect(self, topic: LoopTopic) -> None:
+        """Be the one whose commands drive the rig; wait until it hears them."""
+        self.commands = TrajectoryCodec(topic, self._samples.axes, self._samples.timebase)
+        self.publish_on(topic)
+        listens = [EXPERIMENT_STATE, topic]
+        if not self.wait(lambda: self.is_matched("rig", listens, [RIG_STATE]), FOUND):
+            raise ExperimentError(f"the rig does not listen to {topic.name} within {FOUND:g} s")
+
+    def command(self, step: int, value: float = 0.0) -> list[bytes]:
+        """Answer a step with the same command for each axis."""
+        return [self.commands.encode(step, np.full(len(self.commands.axes), value))]
+
+    def run(
+        self,
+        steps: int,
+        answer: Answer,
+        patience: float | None = None,
+        until: tuple[str, ...] = ENDED,
+        *,
+        ready: bool = True,
+    ) -> Trial:
+        """Run a test until the rig tells a phase, the time is over, or the guard says stop.
+
+        Parameters
+        ----------
+        steps : int
+            That the test is said to have.
+        answer : callable
+            What answers each step.
+        patience : float, optional
+            Longest time of the test, s; default long enough for all steps.
+        until : tuple of str
+            Phases.
+        ready : bool
+            Whether ready is said before.
+        """
+        self.trial = trial = Trial()
+        self._guard.reset()
+        if ready:
+            self.say(State.READY)
+            self.listen_for(NOTED)
+        self._answer = answer
+        self.say(State.RUNNING, steps, pace="realtime")
+        if patience is None:
+            patience = SLOW + 3 * steps * self._samples.timebase.dt
+        self.wait(lambda: trial.phase in until or bool(trial.fault), patience)
+        if trial.fault:
+            self.say(State.TRIPPED)
+        return trial
+
+    def mark(self, name: str) -> None:
+        """Note when something is done."""
+        self.trial.marks[name] = time.monotonic()
+
+    def end(self, state: State = State.DONE) -> None:
+        """End a test, and bring the rig back to idle."""
+        self.say(state)
+        self.wait(lambda: self.trial.phase in (*ENDED, "idle"), PHASES)
+        self._answer = None
+        self.say(State.IDLE)
+        self.wait(lambda: self.trial.phase == "idle", PHASES)
+
+    def wait(self, condition: Callable[[], bool], patience: float) -> bool:
+        """Hear the rig, and answer it, until something is so; tell whether it is."""
+        deadline = time.monotonic() + patience
+        while not condition():
+            if time.monotonic() > deadline:
+                return False
+            self.listen(LOOK)
+            if self._processes is not None:
+                self._processes.raise_if_ended()
+        return True
+
+    def close(self) -> None:
+        """Leave the rig at rest, and the graph."""
+        try:
+            self.say(State.IDLE)
+        except ExperimentError:
+            pass  # it is gone, as was told before
+        finally:
+            super().close()
+
+    def _is_found(self) -> bool:
+        known = self.description is not None and "rig" in self.status
+        return known and self.is_matched("rig", [EXPERIMENT_STATE], [RIG_STATE])
+
+    def _on_state(self, raw: bytes, at: float, sent: float) -> None:
+        trial = self.trial
+        trial.states.append((at, raw))
+        step, values = self._samples.decode(raw)  # what can't be read can't be answered
+        trial.read.append((step, values[0], sent))
+        if self._answer is None:
+            return
+        for message in self._answer(step):
+            self.send(self.commands.topic, message)
+        trial.fault = trial.fault or self._guard.fault(values[0])
+
+    def _on_clock(self, raw: bytes, at: float, sent: float) -> None:
+        self.trial.clocks.append((at, decode_clock(raw)))
+
+    def _on_description(self, raw: bytes, at: float, sent: float) -> None:
+        node, description = decode_description(raw)
+        if node == "rig":
+            self.description = description
+
+    def on_status(self, status: Status, at: float) -> None:
+        """Write down what the rig tells of itself."""
+        if status.name == "rig":
+            self.trial.statuses.append((at, status))
