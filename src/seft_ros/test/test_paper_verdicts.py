@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from seft_msgs_py.outcome import Trip
 from seft_ros.loop_shaping.roots import Root
-from seft_ros.paper.claims_delay import claims_compensation, claims_delay
-from seft_ros.paper.claims_tests import claims_tests
+from seft_ros.paper.claims import COMPENSATED, DELAYED, TESTS, judge
 from seft_ros.paper.findings import Findings, Growth
 from seft_ros.paper.outcome import Outcome
 
@@ -71,7 +70,7 @@ class _Sections(dict):
 
 
 def verdicts(found):
-    claims = [*claims_tests(found), *claims_delay(found), *claims_compensation(found)]
+    claims = judge(found, (*TESTS, *DELAYED, *COMPENSATED))
     return {claim.claim: claim.agrees for claim in claims}
 
 

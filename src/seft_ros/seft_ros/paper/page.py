@@ -7,10 +7,11 @@ from seft_ros.page.content import Block, Cell, Mark, Section, Table, Text, Verdi
 from seft_ros.page.write import write_page
 from seft_ros.paper.claim import Claim
 from seft_ros.paper.experiments import BEYOND_SHARE, DELAY, told_delay
-from seft_ros.paper.figures_loop import closed_loop_figure, open_loop_figure
-from seft_ros.paper.figures_tests import (
+from seft_ros.paper.figures import (
     beyond_figure,
+    closed_loop_figure,
     histories_figure,
+    open_loop_figure,
     pure_delay_figure,
     simulations_figure,
 )
@@ -107,7 +108,7 @@ def _motion(found: Findings) -> str:
 
 
 def _delay(found: Findings) -> list[Block]:
-    bandwidth = found.identified.closed_loops[0].tracking.bandwidth_hz or 0.0
+    bandwidth = found.closed.tracking.bandwidth_hz or 0.0
     tau = 1e3 * DELAY
     text = (
         f"Eq. 5.4 feeds acceleration back through a pure delay of tau = {tau:g} ms and a sampling "
