@@ -1,12 +1,25 @@
-"""A statement of the paper as data, when it is met, and the verdict on it."""
+"""Claims of the paper, stated in claims.yaml, and the verdict on each."""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
+from ruamel.yaml import YAML
+
+from seft_ros.paper import measures
 from seft_ros.paper.findings import Findings
+
+Values = Mapping[str, Any]
+
+_CRITERIA: dict[str, Callable[[float, float, Any], bool]] = {
+    "within": lambda ours, tolerance, paper: abs(ours - paper) <= tolerance * (1 + 1e-9),
+    "at_most": lambda ours, limit, _: ours <= limit,
+    "at_least": lambda ours, limit, _: ours >= limit,
+    "above": lambda ours, limit, _: ours > limit,
+}
 
 
 @dataclass(frozen=True)
@@ -38,130 +51,120 @@ class Claim:
     note: str = ""
 
 
-@dataclass(frozen=True)
-class Criterion:
-    """When what was measured agrees with the paper.
-
-    Attributes
-    ----------
-    words : str
-        The criterion for people to read, with the tolerance.
-    agrees : callable
-        Takes the measured values.
-    shown : str
-        Format of the measured values.
-    unknown : str
-        Shown where a value is missing or not finite, which does not agree; empty: such values
-        are judged like others.
-    """
-
-    words: str
-    agrees: Callable[..., bool]
-    shown: str
-    unknown: str = ""
-
-
-Text = str | Callable[..., str]
-"""A text, or a function of the findings and of what is measured that makes it."""
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Statement:
-    """What the paper says, and how it is measured here.
+    """What the paper says, and how it is measured: claims.yaml explains the fields."""
 
-    Attributes
+    where: str = ""
+    claim: str = ""
+    paper: str | float = ""
+    measure: str = ""
+    of: Values = field(default_factory=dict)
+    each: Values = field(default_factory=dict)
+    within: float | None = None
+    at_most: float | Values | None = None
+    at_least: float | Values | None = None
+    above: float | Values | None = None
+    rises: tuple[float, ...] = ()
+    format: str = ".3g"
+    unit: str = ""
+    noun: str = ""
+    what: str = ""
+    ours: str = ""
+    criterion: str = ""
+    note: str = ""
+    against: str = ""
+    otherwise: Values = field(default_factory=dict)
+
+
+def judge(found: Findings, rows: Iterable[Statement] | None = None) -> list[Claim]:
+    """Judge every claim, or those given; none is left out for not agreeing."""
+    facts = measures.facts(found)
+    rows = statements() if rows is None else rows
+    return [verdict(row, _measured(row, found), facts) for row in rows]
+
+
+def statements() -> list[Statement]:
+    """Read all claims, in the order of the paper."""
+    rows = YAML(typ="safe", pure=True).load(Path(__file__).with_name("claims.yaml"))
+    return list(_spread(rows, {}))
+
+
+def _spread(rows: Iterable[dict[str, Any]], outer: Values) -> Iterator[Statement]:
+    """Make a statement of every column of `each`, of a row or of a group of rows."""
+    for row in rows:
+        each = row.get("each", {})
+        for column in zip(*each.values(), strict=True) if each else [()]:
+            own = {**outer, **dict(zip(each, column, strict=True))}
+            if "claims" in row:
+                yield from _spread(row["claims"], own)
+            else:
+                yield Statement(**row | {"each": own})
+
+
+def _measured(row: Statement, found: Findings) -> Values:
+    measure = getattr(measures, row.measure)
+    own = {key: row.each[key] for key in ("kind", "ratio", "name") if key in row.each}
+    of = {**row.of, **own}
+    if row.rises:
+        return {f"at {ratio:g}": measure(found, **of, ratio=ratio) for ratio in row.rises}
+    values = measure(found, **of)
+    return values if isinstance(values, dict) else {"value": values}
+
+
+def verdict(row: Statement, measured: Values, facts: Values) -> Claim:
+    """Hold what was measured against a claim's criterion.
+
+    Parameters
     ----------
-    where, claim, paper, note
-        As in `Claim`.
-    criterion : Criterion
-        Of what ``measure`` gives.
-    measure : callable
-        Takes the findings and ``of``; gives one value, several in a tuple, or None.
-    of : tuple
-        What is measured: kind of test, mass ratio, quantity, as the measure asks for.
-    otherwise : Statement or None
-        Judged in its place where the measure gives None.
+    row : Statement
+        The claim.
+    measured : mapping
+        What its measure gave, by name; a single number is the ``value``.
+    facts : mapping
+        What texts speak of besides.
     """
-
-    where: str
-    claim: Text
-    paper: str
-    criterion: Criterion
-    measure: Callable[..., Any]
-    of: tuple[Any, ...] = ()
-    note: Text = ""
-    otherwise: "Statement | None" = None
-
-    def judge(self, found: Findings) -> Claim:
-        """Measure, and hold it against the criterion."""
-        measured = self.measure(found, *self.of)
-        if measured is None and self.otherwise is not None:
-            return self.otherwise.judge(found)
-        values = measured if isinstance(measured, tuple) else (measured,)
-        rule = self.criterion
-        known = not (rule.unknown and any(v is None or not math.isfinite(v) for v in values))
-        claim, note = (
-            text if isinstance(text, str) else text(found, *self.of)
-            for text in (self.claim, self.note)
-        )
-        return Claim(
-            self.where,
-            claim,
-            self.paper,
-            rule.shown.format(*values) if known else rule.unknown,
-            known and bool(rule.agrees(*values)),
-            rule.words,
-            note,
-        )
+    limits = [
+        (keeps, measured[name], limit)
+        for sign, keeps in _CRITERIA.items()
+        if (given := getattr(row, sign)) is not None
+        for name, limit in (given if isinstance(given, dict) else {"value": given}).items()
+    ]
+    known = all(value is not None and math.isfinite(value) for _, value, _ in limits)
+    agrees = known and all(keeps(value, limit, row.paper) for keeps, value, limit in limits)
+    if row.rises:
+        agrees = all(a < b for a, b in pairwise(measured.values()))
+    row = _worded(row, measured, known)
+    if not known:
+        row = replace(row, **row.otherwise)
+    if row.against:
+        row = replace(row, note="" if agrees else row.against)
+    texts = (row.where, row.claim, row.paper, row.ours, row.criterion)
+    names = {k: v.format(**facts) if isinstance(v, str) else v for k, v in row.each.items()}
+    names = {**facts, **names, **measured}
+    where, claim, paper, ours, criterion = (str(text).format(**names) for text in texts)
+    note = measured.get("note") or row.note.format(**names)
+    return Claim(where, claim, paper, ours, agrees, criterion, note)
 
 
-def number(
-    where: str,
-    claim: str,
-    paper: float,
-    within: float,
-    unit: str,
-    measure: Callable[..., Any],
-    *of: Any,
-    note: str = "",
-) -> Statement:
-    """State a number of the paper: ours must lie within a tolerance in the same unit."""
-    rule = Criterion(
-        f"within {within:g} {unit}".strip(),
-        lambda ours: abs(ours - paper) <= within * (1 + 1e-9),
-        _format(".4g", unit),
-        "not found",
+def _worded(row: Statement, measured: Values, known: bool) -> Statement:
+    """Word the measured values and the criterion, where a row leaves that to its numbers."""
+    unit = row.unit and f" {row.unit}"
+    if row.criterion:
+        return row
+    if row.rises:
+        ours = ", ".join(f"{value:{row.format}}" for value in measured.values())
+        return replace(row, ours=ours, criterion=f"{row.what} rises from each to the next")
+    if row.within is not None:
+        ours = f"{{value:.4g}}{unit}" if known else "not found"
+        paper = f"{row.paper:g}{unit}"
+        return replace(row, paper=paper, ours=ours, criterion=f"within {row.within:g}{unit}")
+    most = row.at_most is not None
+    limit = f"{row.at_most if most else row.at_least:{row.format}}"
+    return replace(
+        row,
+        ours=f"{{value:{row.format}}}{unit}{row.noun and f' {row.noun}'}"
+        if known
+        else "not finite",
+        criterion=f"{row.what} at {'most' if most else 'least'} {limit}{unit}".strip(),
     )
-    return Statement(where, claim, f"{paper:g} {unit}".strip(), rule, measure, of, note)
-
-
-def at_most(
-    limit: float, what: str = "", shown: str = ".3g", unit: str = "", noun: str = ""
-) -> Criterion:
-    """Let a measure not pass a limit.
-
-    ``what`` names the measure in the criterion, ``noun`` in a word behind the value.
-    """
-    words = f"{what} at most {limit:{shown}} {unit}".strip()
-    return Criterion(words, lambda ours: ours <= limit, _format(shown, unit, noun), "not finite")
-
-
-def at_least(
-    limit: float, what: str = "", shown: str = ".3g", unit: str = "", noun: str = ""
-) -> Criterion:
-    """Let a measure reach a limit; as `at_most`."""
-    words = f"{what} at least {limit:{shown}} {unit}".strip()
-    return Criterion(words, lambda ours: ours >= limit, _format(shown, unit, noun), "not finite")
-
-
-def rising(what: str, shown: str = ".3g") -> Criterion:
-    """Let three values, of three mass ratios, rise from each to the next."""
-    return Criterion(
-        f"{what} rises from each to the next",
-        lambda *values: all(a < b for a, b in pairwise(values)),
-        ", ".join([_format(shown)] * 3),
-    )
-
-
-def _format(shown: str, *words: str) -> str:
-    return " ".join([f"{{:{shown}}}", *filter(None, words)])

@@ -12,7 +12,7 @@ from seft_ros.loop_shaping.margins import BAND_HZ
 from seft_ros.page.content import Grid, Plot
 from seft_ros.page.plots import band, level, line, mark, plot, time_range
 from seft_ros.paper.findings import BEYOND, COMPUTED, Findings
-from seft_ros.paper.measures import decibels, eigenvalue
+from seft_ros.paper.measures import decibels, growth
 
 Floats = npt.NDArray[np.float64]
 Curve = tuple[Floats, dict[str, Floats], str, str]  # time, signals, label, colour
@@ -169,11 +169,11 @@ def pure_delay_figure(found: Findings) -> Plot:
     line(panel, rig.time[:end], rig.exact[name][:end], "reference", color=REFERENCE)
     signal = test.measured[name][:count]
     line(panel, test.time[:count], signal, "Eq. 5.4 as it stands", color=_SIMULATED)
-    ends, time, hz = eigenvalue(found, "delay", 1.0)
+    pure = growth(found, "delay", 1.0)
     return Plot(
         panel,
-        f"Eq. 5.4 with the pure delay {ends} e-fold in {time:.2g} s at {hz:.3g} Hz; cut where it "
-        f"is {_FAR:g} times the reference's peak.",
+        "Eq. 5.4 with the pure delay {grows} e-fold in {time:.2g} s at {hz:.3g} Hz; ".format(**pure)
+        + f"cut where it is {_FAR:g} times the reference's peak.",
         wide=True,
     )
 

@@ -1,24 +1,43 @@
-"""The measures by which claims are judged: findings in, one number or a few out."""
+"""The measures that claims.yaml names: findings in, a number or several by name out."""
 
-from collections.abc import Callable
+from operator import attrgetter
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import median_filter
 
 from seft_ros.loop_shaping.margins import BAND_HZ
-from seft_ros.paper.findings import COMPUTED, Findings
-from seft_ros.paper.outcome import explained, magnitude_and_phase
+from seft_ros.paper.experiments import DELAY, told_delay
+from seft_ros.paper.findings import Findings
+from seft_ros.paper.outcome import VIBRATION_HZ, explained, magnitude_and_phase
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
-
-LOW_HZ, HIGH_HZ = 1.0, 50.0
-"""Where the gain of the force loop is high, and from where on it is low, Hz."""
+Values = dict[str, Any]
 
 _OUTLIERS = 5  # points of the running median over a measured magnitude
 _ZERO_HZ = (2.0, 40.0)  # where the zero of a plant like the paper's is looked for
 _SMOOTHED = 9
+
+
+def facts(found: Findings) -> Values:
+    """Collect what texts speak of besides what was measured."""
+    bandwidth = found.closed.tracking.bandwidth_hz
+    return {
+        "band_hz": BAND_HZ,
+        "vibration_hz": VIBRATION_HZ,
+        "tau_ms": 1e3 * DELAY,
+        "own_ms": 1e3 * (found.own_delay - found.experiment.timebase.dt),
+        "told_ms": 1e3 * told_delay(found.experiment),
+        "band_note": "" if bandwidth is None else f"-3 dB at {bandwidth:.3g} Hz",
+    }
+
+
+def value(found: Findings, path: str) -> float | None:
+    """Look up what was found, of the first axis: attributes of `Findings`."""
+    looked_up = attrgetter(path)(found)
+    return None if looked_up is None else float(np.ravel(looked_up)[0])
 
 
 def configured(found: Findings, node: str, parameter: str, factor: float = 1.0) -> float:
@@ -32,32 +51,34 @@ def total_mass(found: Findings) -> float:
     return specimen + configured(found, "reference_force", "model.mass")
 
 
-def controller(found: Findings) -> tuple[str, str, Floats, Floats]:
-    """Numerator and denominator of the force controller, as text and as they are."""
-    own = found.experiment["force_controller"]
-    parts = [np.atleast_1d(own[name]) for name in ("numerator", "denominator")]
-    return _polynomial(parts[0]), _polynomial(parts[1]), parts[0], parts[1]
+def controller(found: Findings, **paper: list[float]) -> Values:
+    """Polynomials of the force controller as text, and how far from the paper's they are."""
+    own = {name: np.atleast_1d(found.experiment["force_controller"][name]) for name in paper}
+    alike = all(len(own[name]) == len(given) for name, given in paper.items())
+    departures = [np.abs(own[name] / given - 1).max() for name, given in paper.items() if alike]
+    polynomials = {name: _polynomial(coefficients) for name, coefficients in own.items()}
+    return {"departure": max(departures, default=np.inf), **polynomials}
 
 
-def least_response(found: Findings) -> tuple[float, float]:
-    """Frequency at which force answers the valve least, and the specimen's own, Hz."""
+def least_response(found: Findings) -> Values:
+    """Frequency at which force answers the valve least, the specimen's own, how they differ."""
     f = found.valve.measured.frequencies_hz
     near = (f >= _ZERO_HZ[0]) & (f <= _ZERO_HZ[1])
     power = np.convolve(np.abs(found.valve.measured.response) ** 2, np.ones(_SMOOTHED), "same")
-    return float(f[near][power[near].argmin()]), found.natural_hz
+    least, natural = float(f[near][power[near].argmin()]), found.natural_hz
+    departure = abs(least - natural) / natural
+    return {"least_hz": least, "natural_hz": natural, "departure": departure}
 
 
-def loop_gains(found: Findings) -> tuple[float, float]:
-    """|L| of the model at `LOW_HZ`, and the largest from `HIGH_HZ` on, dB."""
+def loop_gain(found: Findings, low_hz: float, high_hz: float) -> Values:
+    """|L| of the model, dB: at a low frequency, from a high one on, its rise on the way down."""
     f, gain = found.valve.loop.frequencies_hz, decibels(found.valve.loop.sampled.loop)
-    return float(np.interp(LOW_HZ, f, gain)), float(gain[f >= HIGH_HZ].max())
-
-
-def loop_rise(found: Findings) -> float:
-    """How far |L| of the model rises above where it has been, between the two, dB."""
-    f, gain = found.valve.loop.frequencies_hz, decibels(found.valve.loop.sampled.loop)
-    gain = gain[(f >= LOW_HZ) & (f <= HIGH_HZ)]
-    return float((gain - np.minimum.accumulate(gain)).max())
+    between = gain[(f >= low_hz) & (f <= high_hz)]
+    return {
+        "low": float(np.interp(low_hz, f, gain)),
+        "high": float(gain[f >= high_hz].max()),
+        "rise": float((between - np.minimum.accumulate(between)).max()),
+    }
 
 
 def unevenness(found: Findings) -> float:
@@ -66,19 +87,22 @@ def unevenness(found: Findings) -> float:
     return float(np.abs(_median(decibels(found.closed.measured.response))[within]).max())
 
 
-def dip(found: Findings) -> tuple[float, float, float] | None:
-    """Depth (dB) and frequency (Hz) of the dip in |T|, and the specimen's frequency (Hz)."""
+def dip(found: Findings) -> Values:
+    """Depth (dB) and frequency (Hz) of the dip in |T|, relative to the specimen's frequency."""
     hz, depth = found.closed.tracking.dip_hz, found.closed.tracking.dip_db
-    return None if hz is None or depth is None else (-depth, hz, found.natural_hz)
+    if hz is None or depth is None:
+        return {"depth": None, "departure": None}
+    departure = abs(hz - found.natural_hz) / found.natural_hz
+    return {"depth": -depth, "hz": hz, "departure": departure}
 
 
 def mismatch(found: Findings, quantity: str) -> float:
     """Largest difference of T, measured and model, within the band: dB, or phase in degrees."""
-    within = found.closed.measured.frequencies_hz <= BAND_HZ
-    f, own = found.closed.measured.frequencies_hz[within], found.valve.loop.frequencies_hz
-    modelled = found.valve.loop.sampled.tracking
+    measured, model = found.closed.measured, found.valve.loop
+    within = measured.frequencies_hz <= BAND_HZ
+    f, own, modelled = measured.frequencies_hz[within], model.frequencies_hz, model.sampled.tracking
     expected = np.interp(f, own, modelled.real) + 1j * np.interp(f, own, modelled.imag)
-    ratio = found.closed.measured.response[within] / expected
+    ratio = measured.response[within] / expected
     difference = decibels(ratio) if quantity == "magnitude" else np.angle(ratio, deg=True)
     return float(np.abs(_median(difference)).max())
 
@@ -91,22 +115,27 @@ def error(
     *,
     aligned: bool = False,
     controlled: bool = False,
-    to_rig: bool = False,
 ) -> float:
-    """NRMSE of a quantity of a test.
-
-    ``aligned``: after the best-fit delay; ``controlled``: below the vibration; ``to_rig``: against
-    the test on the rig instead of the exact response.
-    """
-    reference = found.tests["rig", ratio] if to_rig else None
-    agreement = found.tests[kind, ratio].agreement(name, reference, controlled=controlled)
+    """NRMSE of a test; ``aligned``: after the best-fit delay, ``controlled``: no vibration."""
+    agreement = found.tests[kind, ratio].agreement(name, controlled=controlled)
     return agreement.nrmse_aligned if aligned else agreement.nrmse
 
 
-def error_if_stable(found: Findings, kind: str, ratio: float, name: str) -> float | None:
-    """NRMSE against the rig; None where the simulation is unstable."""
-    stable = found.tests[kind, ratio].stable
-    return error(found, kind, ratio, name, to_rig=True) if stable else None
+def error_from_rig(
+    found: Findings, kind: str, ratio: float, name: str, *, controlled: bool = False
+) -> Values:
+    """NRMSE of a simulation against the test on the rig, and why that may depart from it."""
+    rig = found.tests["rig", ratio]
+    note = f"under this motion the rig was at the end of a range ({', '.join(rig.saturated)})"
+    agreement = found.tests[kind, ratio].agreement(name, rig, controlled=controlled)
+    return {"value": agreement.nrmse, "note": note if rig.saturated else ""}
+
+
+def error_of_pure_delay(found: Findings, ratio: float) -> Values:
+    """NRMSE of the displacement by Eq. 5.4; none where it is unstable, and how it grows."""
+    if found.tests["delay", ratio].stable:
+        return error_from_rig(found, "delay", ratio, "displacement")
+    return {"value": None, **growth(found, "delay", ratio)}
 
 
 def error_explained(found: Findings, kind: str, ratio: float) -> float:
@@ -114,38 +143,42 @@ def error_explained(found: Findings, kind: str, ratio: float) -> float:
     return explained(found.tests[kind, ratio], found.tests["rig", ratio])
 
 
-def by_ratio(found: Findings, measure: Callable[..., float], name: str) -> tuple[float, ...]:
-    """Take a measure of the tests on the rig at every mass ratio."""
-    return tuple(measure(found, "rig", ratio, name) for ratio in (0.0, *COMPUTED))
-
-
-def difference_from_eft(found: Findings, names: tuple[str, ...]) -> float:
+def difference_from_eft(found: Findings) -> float:
     """Largest difference of the test at alpha = 0 from conventional EFT, over the peak."""
     test, eft = (found.tests[kind, 0.0].measured for kind in ("rig", "eft"))
-    return max(float(np.abs(test[y] - eft[y]).max() / np.abs(eft[y]).max()) for y in names)
+    return max(float(np.abs(test[name] - y).max() / np.abs(y).max()) for name, y in eft.items())
 
 
-def peak_ratio(found: Findings, ratio: float, name: str) -> float | None:
-    """Peak on the rig over that of the reference; None where that has none."""
-    peaks = found.tests["rig", ratio].agreement(name)
-    return peaks.peak / peaks.reference_peak if peaks.reference_peak > 0 else None
+def peak(found: Findings, ratio: float, name: str) -> Values:
+    """Peak and RMS on the rig over those of the reference; no peak where that has none."""
+    test = found.tests["rig", ratio]
+    peaks = test.agreement(name)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rms = float(np.std(test.measured[name]) / np.std(test.exact[name]))
+    known = peaks.reference_peak > 0
+    return {"peak": peaks.peak / peaks.reference_peak if known else None, "rms": rms}
 
 
-def resonance(found: Findings) -> tuple[float, float, float]:
-    """Magnitude, phase in degrees without the loop's delay, and frequency (Hz), at alpha = 1."""
+def resonance(found: Findings) -> Values:
+    """Magnitude, and phase in degrees without the loop's delay, about the resonance at alpha 1."""
     test, natural = found.tests["rig", 1.0], found.natural_hz / np.sqrt(2.0)
     y, exact = test.measured["displacement"], test.exact["displacement"]
     magnitude, phase = magnitude_and_phase(y, exact, 1 / test.dt, natural, found.own_delay)
-    return magnitude, phase, natural
+    departure = abs(magnitude - 1)
+    return {"magnitude": magnitude, "departure": departure, "phase": phase, "hz": natural}
 
 
-def vibration_share(
-    found: Findings, kind: str, ratio: float, name: str
-) -> tuple[float, float, float, bool]:
-    """Share of vibration, the reference's, its frequency in Hz, and whether the test is stable."""
+def vibration(found: Findings, kind: str, ratio: float, name: str, times: float) -> Values:
+    """Share of vibration, and what it has beyond some times the reference's."""
     test = found.tests[kind, ratio]
     ours, exact = test.vibrations(name)
-    return ours.share, exact.share, ours.peak_hz, test.stable
+    return {
+        "share": ours.share,
+        "exact_share": exact.share,
+        "excess": ours.share - times * exact.share,
+        "hz": ours.peak_hz,
+        "stable": test.stable,
+    }
 
 
 def vibration_ratio(found: Findings, kind: str, ratio: float, name: str) -> float:
@@ -154,30 +187,33 @@ def vibration_ratio(found: Findings, kind: str, ratio: float, name: str) -> floa
     return ours.rms / exact.rms if exact.rms > 0 else float("nan")
 
 
-def vibration_levels(found: Findings, kind: str, ratio: float) -> tuple[float, float, bool]:
-    """Levels of a simulation and of the rig, m/s^2, and whether the simulation is stable."""
+def vibration_levels(found: Findings, kind: str, ratio: float) -> Values:
+    """Levels of the acceleration's vibration in a simulation and on the rig, m/s^2."""
     test, rig = found.tests[kind, ratio], found.tests["rig", ratio]
     ours, theirs = (part.vibrations("acceleration")[0].rms for part in (test, rig))
-    return ours, theirs, test.stable
+    difference = theirs - ours
+    return {"simulated": ours, "measured": theirs, "fewer": difference, "stable": test.stable}
 
 
-def vibration_and_growth(found: Findings) -> tuple[float, float]:
+def vibration_and_growth(found: Findings) -> Values:
     """Frequencies of the vibration at alpha = 1 and of what grows at alpha = 1.5, Hz."""
-    measured, _ = found.tests["rig", 1.0].vibrations("acceleration")
-    return measured.peak_hz, found.growths["rig", 1.5].hz
+    hz = found.tests["rig", 1.0].vibrations("acceleration")[0].peak_hz
+    growing = found.growths["rig", 1.5].hz
+    return {"hz": hz, "growing_hz": growing, "departure": abs(hz - growing) / growing}
 
 
-def end_of_test(found: Findings, kind: str, ratio: float) -> tuple[str, bool]:
+def end_of_test(found: Findings, kind: str, ratio: float) -> Values:
     """How a test ended, and whether it was stable."""
     test = found.tests[kind, ratio]
-    told = "runs to its end" if test.trip is None else f"trips at {test.trip.time_s:.2f} s"
-    return told, test.stable
+    end = "runs to its end" if test.trip is None else f"trips at {test.trip.time_s:.2f} s"
+    return {"end": end, "stable": test.stable}
 
 
-def eigenvalue(found: Findings, kind: str, ratio: float) -> tuple[str, float, float]:
-    """Whether the loop's dominant motion grows or decays, its time in s and frequency in Hz."""
+def growth(found: Findings, kind: str, ratio: float) -> Values:
+    """Rate of the loop's dominant motion in 1/s, its time in s and frequency in Hz."""
     growth = found.growths[kind, ratio]
-    return "grows" if growth.rate > 0 else "decays", 1 / abs(growth.rate), growth.hz
+    grows = "grows" if growth.rate > 0 else "decays"
+    return {"rate": growth.rate, "grows": grows, "time": 1 / abs(growth.rate), "hz": growth.hz}
 
 
 def decibels(response: Complexes) -> Floats:
@@ -191,7 +227,7 @@ def _median(values: Floats) -> Floats:
 
 def _polynomial(coefficients: Floats) -> str:
     terms = []
-    for power, value in zip(reversed(range(len(coefficients))), coefficients, strict=True):
+    for power, factor in zip(reversed(range(len(coefficients))), coefficients, strict=True):
         s = {0: "", 1: "s"}.get(power, f"s^{power}")
-        terms.append(s if s and value == 1 else f"{value:g} {s}".strip())
+        terms.append(s if s and factor == 1 else f"{factor:g} {s}".strip())
     return " + ".join(terms)
