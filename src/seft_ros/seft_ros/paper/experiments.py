@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
 
 import seft_ros
 from seft_ros.experiment.blocks import build_blocks
