@@ -2,7 +2,7 @@
 
 from seft_msgs_py.config.parameter_table import Parameter, Table
 
-from seft_ros.ground_motion.units import UNITS
+from seft_ros.ground_motion.text_file import UNITS
 
 TABLE = Table(
     "ground_motion",

@@ -7,7 +7,7 @@ import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 
 from seft_ros.ground_motion.block import GroundMotion
-from seft_ros.ground_motion.units import STANDARD_GRAVITY
+from seft_ros.ground_motion.text_file import STANDARD_GRAVITY
 
 Floats = npt.NDArray[np.float64]
 _BLOCK = 256
