@@ -86,8 +86,13 @@ def judge(found: Findings, rows: Iterable[Statement] | None = None) -> list[Clai
 
 def statements() -> list[Statement]:
     """Read all claims, in the order of the paper."""
-    rows = YAML(typ="safe", pure=True).load(Path(__file__).with_name("claims.yaml"))
-    return list(_spread(rows, {}))
+    return list(_spread(read_rows("claims.yaml"), {}))
+
+
+def read_rows(name: str) -> list[dict[str, Any]]:
+    """Read a list of mappings that stands beside this file."""
+    rows: list[dict[str, Any]] = YAML(typ="safe", pure=True).load(Path(__file__).with_name(name))
+    return rows
 
 
 def _spread(rows: Iterable[dict[str, Any]], outer: Values) -> Iterator[Statement]:

@@ -1,6 +1,7 @@
 """The measures that claims.yaml names: findings in, a number or several by name out."""
 
 from operator import attrgetter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,10 @@ def facts(found: Findings) -> Values:
     """Collect what texts speak of besides what was measured."""
     bandwidth = found.closed.tracking.bandwidth_hz
     return {
+        "source": Path(found.source).name,
+        "peak_force": found.peak_force,
+        "time_scale": found.experiment["ground_motion"]["time_scale"],
+        "bandwidth_hz": bandwidth or 0.0,
         "band_hz": BAND_HZ,
         "vibration_hz": VIBRATION_HZ,
         "tau_ms": 1e3 * DELAY,
