@@ -5,9 +5,8 @@ import re
 from pathlib import Path
 
 import pytest
-from seft_ros.paper import default_config as module
-from seft_ros.paper import rig_identification
-from seft_ros.paper.default_config import default_config
+from seft_ros.paper import experiments, findings
+from seft_ros.paper.experiments import default_config
 
 ROOT = Path(__file__).parents[3]
 RECORDS = ROOT.parent / "shared" / "data"
@@ -18,7 +17,7 @@ SHORT = (
 
 
 def test_a_short_synthetic_motion_makes_a_page_and_claims(seft, monkeypatch, tmp_path):
-    monkeypatch.setattr(rig_identification, "DURATION", 40.0)
+    monkeypatch.setattr(findings, "DURATION", 40.0)
     status, out, err = seft("paper", *SHORT, "--workers", "1", "--json", "--out", "found")
     assert status == 0
     assert "seft:" not in err
@@ -94,7 +93,7 @@ def test_the_papers_rig_is_found_where_it_was_installed(tmp_path, monkeypatch, p
     for path in (package / "__init__.py", installed):
         path.parent.mkdir(parents=True)
         path.touch()
-    monkeypatch.setattr(module.seft_ros, "__file__", str(package / "__init__.py"))
+    monkeypatch.setattr(experiments.seft_ros, "__file__", str(package / "__init__.py"))
     assert default_config() == installed
 
 

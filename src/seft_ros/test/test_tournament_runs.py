@@ -12,9 +12,8 @@ from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES
 from seft_ros.reference_force.compensation.methods import METHODS
-from seft_ros.tournament.cost import step_cost
 from seft_ros.tournament.entries import Entry, make_tournament
-from seft_ros.tournament.runs import count_calculations, run_all
+from seft_ros.tournament.runs import count_calculations, run_all, step_cost
 
 JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
 SHORT = ("ground_motion:synthetic.duration:=4", "ground_motion:tail:=0.5")

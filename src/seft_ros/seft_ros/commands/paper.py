@@ -78,9 +78,8 @@ def paper(
         seft paper --json -p rig:actuator.valve_frequency:=50.0
     """
     from seft_ros.page.write import check_page
-    from seft_ros.paper.claims import judge
-    from seft_ros.paper.default_config import default_config
-    from seft_ros.paper.experiments import check_rig
+    from seft_ros.paper.claim import judge
+    from seft_ros.paper.experiments import check_rig, default_config
     from seft_ros.paper.findings import CALCULATIONS, find
     from seft_ros.paper.page import write_paper
     from seft_ros.paper.summary import summarise_paper

@@ -99,10 +99,9 @@ def tournament(
         seft tournament config/jhu.yaml --method none -p rig:seed:=7
     """
     from seft_ros.drawing.style import check_figure, save_figure
-    from seft_ros.tournament.cost import step_cost
     from seft_ros.tournament.entries import make_tournament
     from seft_ros.tournament.figure import tournament_figure
-    from seft_ros.tournament.runs import count_calculations, run_all
+    from seft_ros.tournament.runs import count_calculations, run_all, step_cost
     from seft_ros.tournament.standings import standings
     from seft_ros.tournament.summary import summarise_tournament
     from seft_ros.tournament.workers import free_cores

@@ -15,7 +15,6 @@ from seft_msgs_py.wire.timebase import Timebase
 
 from seft_ros.ground_motion.record_file import RecordedMotion, read_record
 from seft_ros.ground_motion.resample import check_size, resample
-from seft_ros.ground_motion.scaling import force_scale
 from seft_ros.ground_motion.synthetic import synthetic_motion
 
 _CHUNKS_PER_LEAD = 4
@@ -104,7 +103,7 @@ class GroundMotion:
             samples *= influence
             if section["peak_force"]:
                 mass = mass_matrix(section["mass"], axes, "ground_motion: mass (for peak_force)")
-                samples *= force_scale(samples, mass, section["peak_force"])
+                samples *= _force_scale(samples, mass, section["peak_force"])
         if not np.isfinite(samples).all():
             raise InputError(
                 f"ground_motion: {record.source}: accelerations beyond all numbers; check its "
@@ -115,12 +114,7 @@ class GroundMotion:
         return cls(samples, timebase, min(chunk_steps, len(samples)), lead_steps, record.source)
 
     def chunk(self, index: int) -> tuple[int, npt.NDArray[np.float64]]:
-        """One of the pieces the motion is published in.
-
-        Parameters
-        ----------
-        index : int
-            From 0 to ``chunks - 1``.
+        """One of the pieces the motion is published in, from 0 to ``chunks - 1``.
 
         Returns
         -------
@@ -133,6 +127,19 @@ class GroundMotion:
             raise IndexError(f"there is no chunk {index}; the motion has {self.chunks}")
         first = index * self.chunk_steps
         return first, self.known[first : first + self.chunk_steps]
+
+
+def _force_scale(
+    samples: npt.NDArray[np.float64], mass: npt.NDArray[np.float64], peak_force: float
+) -> float:
+    """Factor on a motion that makes the largest |(M a_g)_i| a given force in N."""
+    largest = float(np.abs(samples @ mass.T).max())
+    if not largest > 0:
+        raise InputError(
+            f"ground_motion: a motion of zeros can't be scaled to peak_force {peak_force:g} N; "
+            "check column and influence, or set peak_force to 0"
+        )
+    return peak_force / largest
 
 
 def _recorded(section: Section, axes: Sequence[str]) -> RecordedMotion:

@@ -2,60 +2,126 @@
 
 import re
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 
-from seft_ros.ground_motion.text_file import COMMENT_MARKS, NUMBER, is_comment, to_float
+from seft_ros.ground_motion.text_file import (
+    COMMENT_MARKS,
+    NUMBER,
+    is_comment,
+    not_finite,
+    read_unit,
+    to_float,
+)
 
 _LIKE_A_NUMBER = re.compile(r"[+-]?\.?\d")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,0\d+")  # a lone 0,005 would read as two columns
 _NOT_FINITE = ("nan", "inf", "infinity")
+_IN_BRACKETS = re.compile(r"[\[(]([^\[\]()]+)[\])]")
+_TIME = re.compile(r"(?:time|t)[\s_,/]*[\[(]?\s*([a-z]*)\s*[\])]?", re.IGNORECASE)
+_SECONDS = {
+    **dict.fromkeys(("", "s", "sec", "secs", "second", "seconds"), 1.0),
+    **dict.fromkeys(("ms", "msec", "milliseconds"), 1e-3),
+}
+_UNEVEN = 0.01  # of a step
 
 
 @dataclass(frozen=True)
-class ColumnFile:
-    """Numbers of a file in columns.
+class Columns:
+    """Numbers of a record in columns; those of an AT2 file are one.
 
     Attributes
     ----------
+    path : Path
+        The file.
     values : ndarray
         Shape (N, c), as they stand; may hold NaN and infinities.
-    names : tuple of str
-        Column names from the line above the data; empty if it names no c columns.
-    header_line : int
-        Number of that line.
     lines : list of str
         The file's lines.
     start : int
         Index of the first data line.
+    names : tuple of str
+        Column names from the line above the data; empty if it names no c columns.
+    header_line : int
+        Number of that line; 0: there is none, or AT2's.
+    own_dt : float or None
+        Sampling period that the header gives, s; None: a column of time may.
     """
 
+    path: Path
     values: npt.NDArray[np.float64]
-    names: tuple[str, ...]
-    header_line: int
     lines: list[str]
     start: int
+    names: tuple[str, ...] = ()
+    header_line: int = 0
+    own_dt: float | None = None
 
-    def line_of(self, row: int) -> int:
-        """Line number of a row of `values`."""
-        return [number for number, _ in _data_lines(self.lines, self.start)][row]
+    @property
+    def header(self) -> str:
+        """Where names and units stand."""
+        return f"the header (line {self.header_line})" if self.header_line else "the header"
+
+    @property
+    def units(self) -> tuple[str | None, ...]:
+        """Acceleration unit in the brackets of each column's name, ``acc (g)``, or None."""
+        if not self.names:
+            return (None,) * self.values.shape[1]
+        found = (_IN_BRACKETS.search(name) for name in self.names)
+        return tuple(read_unit(unit.group(1)) if unit else None for unit in found)
+
+    @cached_property
+    def time(self) -> tuple[int, float] | None:
+        """Index of the column whose name says time, and its unit in s; None if there is none."""
+        for index, name in enumerate(self.names):
+            found = _TIME.fullmatch(name)
+            if found and found.group(1).lower() in _SECONDS:
+                return index, _SECONDS[found.group(1).lower()]
+        return None
+
+    def dt(self) -> float | None:
+        """Find the sampling period in the header or the column of time, s; None: in neither.
+
+        Raises
+        ------
+        InputError
+            If the times do not increase evenly, within 1 % of the usual step; names the line.
+        """
+        if self.time is None:
+            return self.own_dt
+        column, unit = self.time
+        self.check_finite(column)
+        times = self.values[:, column]
+        steps = np.diff(times)
+        typical = float(np.median(steps))
+        uneven = np.flatnonzero(np.abs(steps - typical) > _UNEVEN * abs(typical))
+        if typical <= 0 or uneven.size:
+            row = int(uneven[0]) + 1 if uneven.size else 1
+            raise InputError(
+                f"{self.path}: line {self._line_of(row)}: time goes from {times[row - 1]:g} to "
+                f"{times[row]:g}, but its usual step is {typical:g}; resample the record evenly"
+            )
+        return float(f"{unit * (times[-1] - times[0]) / len(steps):.12g}")  # not 0.00500...1
+
+    def check_finite(self, column: int) -> None:
+        """Refuse a column with a NaN or an infinity; names the line."""
+        bad = np.flatnonzero(~np.isfinite(self.values[:, column]))
+        if bad.size:
+            row = int(bad[0])
+            raise not_finite(self.values[row, column], self.path, self._line_of(row))
+
+    def _line_of(self, row: int) -> int:
+        return _data_lines(self.lines, self.start)[row][0]
 
 
-def read_columns(path: Path, lines: list[str]) -> ColumnFile:
+def read_columns(path: Path, lines: list[str]) -> Columns:
     """Read the numbers of a file in columns.
 
     Comment lines (%, #, //, !, ;) and blank lines may stand anywhere, lines of text above
     the data.
-
-    Parameters
-    ----------
-    path : Path
-        Name for the errors.
-    lines : list of str
-        The file's lines.
 
     Raises
     ------
@@ -78,7 +144,7 @@ def read_columns(path: Path, lines: list[str]) -> ColumnFile:
                 to_float(field, path, number)
         if line.strip():
             header, names = number, _names(line, separator, count)
-    return ColumnFile(values, names, header, lines, start)
+    return Columns(path, values, lines, start, names, header)
 
 
 def _find_data(path: Path, lines: list[str]) -> tuple[int, str | None]:

@@ -20,21 +20,8 @@ def motion_figure(
 ) -> Figure:
     """Draw acceleration against time, one panel per axis, above the 5 % response spectra.
 
-    Parameters
-    ----------
-    samples : ndarray
-        Shape (N, n), in m/s^2.
-    dt : float
-        Sampling period in s.
-    axes : sequence of str
-        Names of the n axes.
-    title : str
-        Heading.
-
-    Returns
-    -------
-    Figure
-        Made without pyplot: save it with ``figure.savefig``.
+    ``samples`` have shape (N, n), in m/s^2, with sampling period ``dt`` in s; ``axes`` names their
+    n axes. The figure is made without pyplot: save it with ``figure.savefig``.
     """
     n = samples.shape[1]
     if len(axes) != n:

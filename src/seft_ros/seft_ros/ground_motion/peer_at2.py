@@ -5,15 +5,14 @@ The values follow row by row, as many to a line as fit; the last line may be sho
 """
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 
-from seft_ros.ground_motion.text_file import NUMBER, is_comment, not_finite, read_lines, to_float
-from seft_ros.ground_motion.units import read_unit
+from seft_ros.ground_motion.column_file import Columns
+from seft_ros.ground_motion.text_file import NUMBER, is_comment, not_finite, read_unit, to_float
 
 _HEADER_LINES = 50
 _NPTS = re.compile(r"\bNPTS\b", re.IGNORECASE)
@@ -30,39 +29,13 @@ _OTHER_QUANTITY = re.compile(r"\b(VELOCITY|DISPLACEMENT)\s+TIME\b", re.IGNORECAS
 _RUN_TOGETHER = re.compile(r"(?<=[0-9.])(?=[+-])")
 
 
-@dataclass(frozen=True)
-class At2Record:
-    """Content of an AT2 file.
-
-    Attributes
-    ----------
-    values : ndarray
-        Shape (N,), accelerations in the file's own unit, finite.
-    dt : float
-        Sampling period in s.
-    unit : str or None
-        A key of `seft_ros.ground_motion.units.UNITS`; None if the header is silent.
-    """
-
-    values: npt.NDArray[np.float64]
-    dt: float
-    unit: str | None
-
-
 def is_at2(path: Path, lines: list[str]) -> bool:
     """Whether a file is an AT2 record: by its header, or by its name's ending."""
     return path.suffix.lower() == ".at2" or _header_end(lines) is not None
 
 
-def read_at2(path: Path, lines: list[str] | None = None) -> At2Record:
-    """Read an AT2 file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    lines : list of str, optional
-        Its lines, where they have been read already.
+def read_at2(path: Path, lines: list[str]) -> Columns:
+    """Read an AT2 file: one column, in the header's unit and with its DT.
 
     Raises
     ------
@@ -70,7 +43,6 @@ def read_at2(path: Path, lines: list[str] | None = None) -> At2Record:
         If the header can't be understood or is not that of an acceleration, if a value is
         no finite number, or if there are not as many values as NPTS says.
     """
-    lines = read_lines(path) if lines is None else lines
     end = _header_end(lines)
     if end is None:
         raise InputError(
@@ -96,7 +68,8 @@ def read_at2(path: Path, lines: list[str] | None = None) -> At2Record:
             f"{path}: line {end + 1} says NPTS {count}, but {len(values)} values follow: {what}; "
             "fetch the record again, or correct NPTS"
         )
-    return At2Record(values, dt, unit)
+    names = () if unit is None else (f"acceleration ({unit})",)
+    return Columns(path, values[:, np.newaxis], lines, end + 1, names, own_dt=dt)
 
 
 def _header_end(lines: list[str]) -> int | None:

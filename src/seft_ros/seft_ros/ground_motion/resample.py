@@ -71,14 +71,7 @@ def resample(
 def check_size(duration: float, rate: float, where: str) -> None:
     """Refuse motions of an absurd length, before memory is taken for them.
 
-    Parameters
-    ----------
-    duration : float
-        In s.
-    rate : float
-        In Hz.
-    where : str
-        Parameters it comes from.
+    ``duration`` in s, ``rate`` in Hz; ``where`` names the parameters they come from.
 
     Raises
     ------

@@ -7,7 +7,7 @@ import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 
 from seft_ros.ground_motion.block import GroundMotion
-from seft_ros.ground_motion.units import STANDARD_GRAVITY
+from seft_ros.ground_motion.text_file import STANDARD_GRAVITY
 
 Floats = npt.NDArray[np.float64]
 _BLOCK = 256
@@ -54,22 +54,12 @@ def response_spectrum(
 
 
 class RunningSpectrum:
-    """The response spectra of some motions, of `response_spectrum`, piece by piece.
-
-    Parameters
-    ----------
-    periods, dt, damping
-        As of `response_spectrum`.
+    """The response spectra of some motions, piece by piece; arguments as of `response_spectrum`.
 
     Attributes
     ----------
     spectrum : ndarray
         Shape (P, S) over the samples so far, in m/s^2; of no samples (P, 0).
-
-    Raises
-    ------
-    InputError
-        If damping, a period or dt is out of range.
     """
 
     def __init__(self, periods: npt.ArrayLike, dt: float, damping: float = 0.05) -> None:

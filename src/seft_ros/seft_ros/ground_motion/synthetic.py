@@ -7,13 +7,7 @@ from seft_msgs_py.errors import InputError
 Floats = npt.NDArray[np.float64]
 
 
-def motion_spectrum(
-    frequencies: npt.ArrayLike,
-    ground_frequency: float,
-    ground_damping: float,
-    filter_frequency: float,
-    filter_damping: float,
-) -> Floats:
+def motion_spectrum(frequencies: npt.ArrayLike, **filters: float) -> Floats:
     """Shape of the one-sided power spectrum that synthetic motions aim at.
 
     The Kanai-Tajimi spectrum times the high-pass of Clough and Penzien (Dynamics of
@@ -23,74 +17,50 @@ def motion_spectrum(
     ----------
     frequencies : array_like
         Shape (F,), in Hz.
-    ground_frequency, ground_damping : float
-        Frequency in Hz and damping ratio of the ground layer.
-    filter_frequency, filter_damping : float
-        Frequency in Hz and damping ratio of the high-pass.
+    **filters : float
+        ``ground_frequency`` (Hz) and ``ground_damping`` of the ground layer, and
+        ``filter_frequency`` (Hz) and ``filter_damping`` of the high-pass.
 
     Returns
     -------
     ndarray
         Shape (F,), without unit; 0 at 0 Hz.
     """
-    response = _frequency_response(
-        np.asarray(frequencies, dtype=float),
-        ground_frequency,
-        ground_damping,
-        filter_frequency,
-        filter_damping,
-    )
-    return np.abs(response) ** 2
+    return np.abs(_frequency_response(np.asarray(frequencies, dtype=float), **filters)) ** 2
 
 
 def _frequency_response(
-    f: Floats, ground_f: float, ground_z: float, filter_f: float, filter_z: float
-) -> npt.NDArray[np.complex128]:
-    ground = 2j * ground_z * ground_f * f  # s = 2 pi i f; the factors (2 pi)^2 cancel
-    high = 2j * filter_z * filter_f * f
-    kanai_tajimi = (ground_f**2 + ground) / (ground_f**2 - f**2 + ground)
-    clough_penzien = -(f**2) / (filter_f**2 - f**2 + high)
-    return np.asarray(kanai_tajimi * clough_penzien)
-
-
-def stationary_motion(
-    seed: int,
-    steps: int,
-    dt: float,
+    f: Floats,
     ground_frequency: float,
     ground_damping: float,
     filter_frequency: float,
     filter_damping: float,
-) -> Floats:
+) -> npt.NDArray[np.complex128]:
+    ground = 2j * ground_damping * ground_frequency * f  # s = 2 pi i f; factors (2 pi)^2 cancel
+    high = 2j * filter_damping * filter_frequency * f
+    kanai_tajimi = (ground_frequency**2 + ground) / (ground_frequency**2 - f**2 + ground)
+    clough_penzien = -(f**2) / (filter_frequency**2 - f**2 + high)
+    return np.asarray(kanai_tajimi * clough_penzien)
+
+
+def stationary_motion(seed: int, steps: int, dt: float, **filters: float) -> Floats:
     """Make stationary noise whose expected periodogram is `motion_spectrum`.
 
     White noise of unit variance is filtered in the frequency domain, exactly and without a
-    transient: the motion is periodic over its length.
+    transient: the motion is periodic over its length. ``abs(rfft(.))**2 / steps`` is
+    `motion_spectrum` on average.
 
     Parameters
     ----------
-    seed : int
-        Not negative.
-    steps : int
+    seed, steps : int
         Number of samples N.
     dt : float
         Sampling period in s.
-    ground_frequency, ground_damping, filter_frequency, filter_damping : float
+    **filters : float
         As for `motion_spectrum`.
-
-    Returns
-    -------
-    ndarray
-        Shape (N,); ``abs(rfft(.))**2 / N`` is `motion_spectrum` on average.
     """
     noise = np.random.Generator(np.random.PCG64(seed)).standard_normal(steps)
-    response = _frequency_response(
-        np.fft.rfftfreq(steps, dt),
-        ground_frequency,
-        ground_damping,
-        filter_frequency,
-        filter_damping,
-    )
+    response = _frequency_response(np.fft.rfftfreq(steps, dt), **filters)
     return np.fft.irfft(np.fft.rfft(noise) * response, steps)
 
 
@@ -101,10 +71,8 @@ def envelope(times: npt.ArrayLike, rise: float, plateau_end: float, decay: float
     ----------
     times : array_like
         Shape (N,), in s.
-    rise : float
-        End of the rise in s; 0: none.
-    plateau_end : float
-        End of the plateau in s, at least ``rise``.
+    rise, plateau_end : float
+        Ends of the rise (0: none) and of the plateau, in s.
     decay : float
         Rate of the decay in 1/s.
 
@@ -123,13 +91,10 @@ def synthetic_motion(
     duration: float,
     dt: float,
     peak: float,
-    ground_frequency: float,
-    ground_damping: float,
-    filter_frequency: float,
-    filter_damping: float,
     rise: float,
     plateau_end: float,
     decay: float,
+    **filters: float,
 ) -> Floats:
     """Make a synthetic ground motion.
 
@@ -140,16 +105,14 @@ def synthetic_motion(
     ----------
     seed : int
         Not negative.
-    duration : float
-        From the first sample to the last, in s.
-    dt : float
-        Sampling period in s.
+    duration, dt : float
+        From the first sample to the last, and sampling period, in s.
     peak : float
         Largest absolute acceleration in m/s^2.
-    ground_frequency, ground_damping, filter_frequency, filter_damping : float
-        As for `motion_spectrum`.
     rise, plateau_end, decay : float
         As for `envelope`.
+    **filters : float
+        As for `motion_spectrum`.
 
     Returns
     -------
@@ -171,15 +134,13 @@ def synthetic_motion(
             f"ground_motion: synthetic.duration is {duration:g} s, but must be at least ten "
             f"times synthetic.dt ({dt:g} s)"
         )
-    if ground_frequency >= 0.5 / dt:
+    if filters["ground_frequency"] >= 0.5 / dt:
         raise InputError(
-            f"ground_motion: synthetic.ground_frequency is {ground_frequency:g} Hz, but must be "
-            f"below half the sampling rate ({0.5 / dt:g} Hz); make synthetic.dt smaller"
+            f"ground_motion: synthetic.ground_frequency is {filters['ground_frequency']:g} Hz, but "
+            f"must be below half the sampling rate ({0.5 / dt:g} Hz); make synthetic.dt smaller"
         )
     steps = int(duration / dt * (1 + 1e-12)) + 1
-    motion = stationary_motion(
-        seed, steps, dt, ground_frequency, ground_damping, filter_frequency, filter_damping
-    )
+    motion = stationary_motion(seed, steps, dt, **filters)
     motion *= envelope(dt * np.arange(steps), rise, plateau_end, decay)
     largest = np.abs(motion).max()
     if not largest > 0:

@@ -1,9 +1,15 @@
-"""Lines and numbers of a text file, with errors that name the place."""
+"""Lines, numbers and units of a record's text, with errors that name the place."""
 
 import re
 from pathlib import Path
 
 from seft_msgs_py.errors import InputError
+
+STANDARD_GRAVITY = 9.80665
+"""Standard acceleration of gravity in m/s^2, exact by definition (ISO 80000-3)."""
+
+UNITS = {"g": STANDARD_GRAVITY, "m/s2": 1.0, "cm/s2": 0.01}
+"""Unit as it is written in a parameter file -> its size in m/s^2."""
 
 COMMENT_MARKS = ("%", "#", "//", "!", ";")
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[EeDd][+-]?\d+)?", re.ASCII)
@@ -14,12 +20,7 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+")
 
 
 def read_lines(path: Path) -> list[str]:
-    """Read a text file, UTF-8 with any line ends.
-
-    Returns
-    -------
-    list of str
-        Its lines without their ends; line n of the file is item n - 1.
+    """Read a text file, UTF-8 with any line ends; line n of it is item n - 1.
 
     Raises
     ------
@@ -88,3 +89,17 @@ def not_finite(value: float, path: Path, line: int) -> InputError:
         f"{path}: line {line}: the value is {value}, not a finite number; "
         "mend the record there, or cut it off before"
     )
+
+
+def read_unit(text: str) -> str | None:
+    """Recognise an acceleration unit however it is spelled: G, gal, cm/sec/sec, m/s^2.
+
+    Returns
+    -------
+    str or None
+        A key of `UNITS`; None if the text is none of them.
+    """
+    word = text.strip().strip(".,;'").lower().replace("²", "2").replace(" ", "")
+    word = re.sub(r"\*\*|\^", "", word).replace("sec", "s").replace("s/s", "s2")
+    word = {"gal": "cm/s2", "gals": "cm/s2", "g's": "g", "gs": "g"}.get(word, word)
+    return word if word in UNITS else None

@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 
+import seft_ros
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.method import with_method
 from seft_ros.identification.rig_tests import has_valve
@@ -21,9 +23,32 @@ BEYOND_SHARE = 0.4
 LEAST_RATE = 200.0
 """Sampling rate that shows the vibration, at 30 to 45 Hz, Hz."""
 
+_CONFIG = "jhu.yaml"
 _QUANTITIES = ("position", "velocity", "acceleration", "force")
 _FAR = {"displacement": 1e3, "velocity": 1e3, "acceleration": 1e4, "force": 1e6}
 _FAR |= {f"{name}_rate": 1e6 * value for name, value in _FAR.items()}
+
+
+def default_config() -> Path:
+    """Find config/jhu.yaml: in the source tree, or under share of what pip or colcon installed.
+
+    Raises
+    ------
+    InputError
+        If it is not there.
+    """
+    assert seft_ros.__file__ is not None
+    package = Path(seft_ros.__file__).parent
+    for place in (package, package.resolve()):  # colcon --symlink-install links to the source
+        sources = place.parent / "config"
+        shares = (prefix / "share" / "seft_ros" / "config" for prefix in place.parents)
+        for folder in (sources, *shares):
+            if (folder / _CONFIG).is_file():
+                return folder / _CONFIG
+    raise InputError(
+        f"{_CONFIG}: the paper's rig was not installed with seft_ros; name an experiment: "
+        "seft paper config/jhu.yaml"
+    )
 
 
 def check_rig(experiment: Experiment) -> None:
@@ -116,10 +141,8 @@ def told_delay(experiment: Experiment) -> float:
 
 def recommended(experiment: Experiment, mass_ratio: float, peak_force: float) -> Experiment:
     """Test on the rig with the method that docs/compensation.md recommends."""
-    return changed(
-        with_method(experiment, TARGET_MOTION),
-        {
-            "reference_force": {"mass_ratio": mass_ratio},
-            "ground_motion": {"peak_force": peak_force},
-        },
-    )
+    changes = {
+        "reference_force": {"mass_ratio": mass_ratio},
+        "ground_motion": {"peak_force": peak_force},
+    }
+    return changed(with_method(experiment, TARGET_MOTION), changes)

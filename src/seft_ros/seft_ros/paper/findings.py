@@ -1,14 +1,30 @@
 """All calculations behind the claims, in parallel."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import ExperimentError
 
+from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.offline import simulate
 from seft_ros.ground_motion.block import GroundMotion
-from seft_ros.identification.identified import Identified
+from seft_ros.identification.excitation import Motions
+from seft_ros.identification.identified import ClosedLoop, Identified, ValveResponse, identify
+from seft_ros.identification.rig_tests import (
+    PILOT_DURATION,
+    Levels,
+    closed_loop,
+    default_force,
+    open_loop,
+    pilot_voltage,
+    voltage_after,
+)
 from seft_ros.loop_shaping import Source
+from seft_ros.loop_shaping.controller import Controller
 from seft_ros.paper.experiments import (
     BEYOND_SHARE,
     DELAY,
@@ -21,8 +37,8 @@ from seft_ros.paper.experiments import (
     uncompensated,
 )
 from seft_ros.paper.outcome import Outcome, run_test
-from seft_ros.paper.rig_identification import identify_rig
 from seft_ros.preflight.plan import Plan
+from seft_ros.recording.record import Record
 from seft_ros.tournament.workers import parallel_map
 
 Progress = Callable[[str, int], None]
@@ -39,6 +55,12 @@ Key = tuple[str, float]
 CALCULATIONS = 1 + 5 + 3 * len(COMPUTED) + 3 * len(BEYOND) + 2 * len(COMPUTED)
 """Identification, tests on the rig, with the delay and with compensation, beyond the paper, and
 with the delay within the identified bandwidth: what `find` counts to."""
+
+DURATION = 120.0
+"""Of each test that identifies the rig, as `seft identify` takes it, s."""
+
+_BAND = (0.3, 200.0)  # Hz
+_SEED = 1
 
 
 @dataclass(frozen=True)
@@ -80,9 +102,36 @@ class Findings:
     growths: dict[Key, Growth]
 
     @property
+    def valve(self) -> ValveResponse:
+        """Valve to force, and the force loop of its model with the experiment's controller."""
+        return self.identified.valves[0]
+
+    @property
+    def closed(self) -> ClosedLoop:
+        """Reference force to force."""
+        return self.identified.closed_loops[0]
+
+    @property
+    def zero_hz(self) -> float:
+        """Zero of the model's plant; NaN if it has none."""
+        root = self.valve.loop.plant.antiresonance()
+        return root.hz if root else float("nan")
+
+    @property
+    def pole_hz(self) -> float:
+        """Oil column of the model's plant; NaN if it has none."""
+        root = self.valve.loop.plant.oil_column()
+        return root.hz if root else float("nan")
+
+    @property
+    def natural_hz(self) -> float:
+        """Natural frequency of the specimen, by its own motion."""
+        return self.identified.specimen.axis_root(0).hz
+
+    @property
     def own_delay(self) -> float:
         """Identified delay from reference force to measured force, s; NaN if there is none."""
-        found = self.identified.closed_loops[0].tracking.delay_s
+        found = self.closed.tracking.delay_s
         return float("nan") if found is None else found
 
 
@@ -112,37 +161,33 @@ def find(experiment: Experiment, workers: int, progress: Progress) -> Findings:
     peak_force = mass * float(np.abs(motion.samples).max())
     planned = _planned(experiment, peak_force)
     tests: dict[Key, Outcome] = {}
-    done = 0
-
-    def told(what: str) -> None:
-        nonlocal done
-        done += 1
-        progress(what, done)
 
     with parallel_map(workers) as map_:
+
+        def run(plans: Mapping[Key, Experiment], before: int) -> None:
+            for key, test in zip(plans, map_(run_test, plans.values()), strict=True):
+                tests[key] = test
+                progress(f"{key[0]} test, mass ratio {key[1]:g}", before + len(tests))
+
         progress("identification, and tests", 0)
         identifying = map_(identify_rig, [experiment])  # first: it takes longest
-        for key, test in zip(planned, map_(run_test, planned.values()), strict=True):
-            tests[key] = test
-            told(f"{key[0]} test, mass ratio {key[1]:g}")
+        run(planned, 0)
         (identified,) = identifying
-        told("identification")
-        banded = _banded(experiment, identified)
-        for key, test in zip(banded, map_(run_test, banded.values()), strict=True):
-            tests[key] = test
-            told(f"{key[0]} test, mass ratio {key[1]:g}")
-    judged = {key: plan for key, plan in {**planned, **banded}.items() if key[0] in _JUDGED}
+        progress("identification", len(tests) + 1)
+        planned |= (banded := _banded(experiment, identified))
+        run(banded, 1)
     return Findings(
         uncompensated(experiment, 0.0),
         motion.source,
         peak_force,
         identified,
         tests,
-        {key: _growth(plan) for key, plan in judged.items()},
+        {
+            key: _growth(plan)
+            for key, plan in planned.items()
+            if key[0] in ("rig", "delay", "banded")
+        },
     )
-
-
-_JUDGED = ("rig", "delay", "banded")
 
 
 def _planned(experiment: Experiment, peak_force: float) -> dict[Key, Experiment]:
@@ -179,3 +224,37 @@ def _growth(experiment: Experiment) -> Growth:
     loop = Plan(experiment, Source.RIG).loop()
     hz = float(np.angle(loop.dominant()) / (2 * np.pi * loop.dt))
     return Growth(float(loop.growth_rate()), hz)
+
+
+def identify_rig(experiment: Experiment) -> Identified:
+    """Drive the simulated rig by noise, valve and closed loop, and fit what it answers.
+
+    Raises
+    ------
+    ExperimentError
+        If a test trips, or shows nothing but noise.
+    """
+    controller = Controller.from_parameters(experiment["force_controller"])
+    band = (_BAND[0], min(0.45 * experiment.timebase.rate, _BAND[1]))
+    levels = Levels(pilot_voltage(experiment), default_force(experiment, "random"))
+    motions = Motions(experiment, levels.force, "random", band, _SEED)
+    with TemporaryDirectory() as folder:
+        short = motions.write(Path(folder) / "pilot.csv", PILOT_DURATION)
+        pilot = _identification(open_loop(experiment, short, levels), "pilot")
+        levels = Levels(voltage_after(pilot, levels.voltage), levels.force)
+        motion = motions.write(Path(folder) / "excitation.csv", DURATION)
+        opened = _identification(open_loop(experiment, motion, levels), "open loop")
+        closed = _identification(closed_loop(experiment, motion), "closed loop")
+    found = identify(opened, closed, band, controller)
+    if found.unusable:
+        raise ExperimentError(f"identification: {found.unusable[0]}")
+    return found
+
+
+def _identification(experiment: Experiment, name: str) -> Record:
+    record = simulate(experiment, build_blocks(experiment))
+    if record.trip is not None:
+        raise ExperimentError(
+            f"identification, {name}: tripped at {record.trip.time_s:.3f} s: {record.trip.reason}"
+        )
+    return record

@@ -1,96 +1,238 @@
-"""What the paper judges by eye, as numbers."""
+"""The measures that claims.yaml names: findings in, a number or several by name out."""
 
-from dataclasses import dataclass
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy.signal
+from scipy.ndimage import median_filter
 
 from seft_ros.loop_shaping.margins import BAND_HZ
+from seft_ros.paper.experiments import DELAY, told_delay
+from seft_ros.paper.findings import Findings
+from seft_ros.paper.outcome import VIBRATION_HZ, explained, magnitude_and_phase
 
 Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+Values = dict[str, Any]
 
-VIBRATION_HZ = BAND_HZ
-"""Vibration is what lies above, Hz: up to here the paper controls force (section 3.2), and the
-structures of the paper, at 10 Hz and less, do not answer there."""
-
-_SEGMENT = 2.0  # s of Welch's segments: 0.5 Hz
-_AROUND = (0.7, 1.3)  # of a natural frequency
-_MOVED = 0.05  # of the largest power in the band: below, a phase says nothing
-_ORDER = 4
+_OUTLIERS = 5  # points of the running median over a measured magnitude
+_ZERO_HZ = (2.0, 40.0)  # where the zero of a plant like the paper's is looked for
+_SMOOTHED = 9
 
 
-@dataclass(frozen=True)
-class Vibration:
-    """What of a signal lies above `VIBRATION_HZ`.
-
-    Attributes
-    ----------
-    rms : float
-        Its level, in the signal's unit.
-    share : float
-        Its share of the signal's energy, 0 to 1.
-    peak_hz : float
-        Frequency at which it is strongest, Hz.
-    """
-
-    rms: float
-    share: float
-    peak_hz: float
+def facts(found: Findings) -> Values:
+    """Collect what texts speak of besides what was measured."""
+    bandwidth = found.closed.tracking.bandwidth_hz
+    return {
+        "source": Path(found.source).name,
+        "peak_force": found.peak_force,
+        "time_scale": found.experiment["ground_motion"]["time_scale"],
+        "bandwidth_hz": bandwidth or 0.0,
+        "band_hz": BAND_HZ,
+        "vibration_hz": VIBRATION_HZ,
+        "tau_ms": 1e3 * DELAY,
+        "own_ms": 1e3 * (found.own_delay - found.experiment.timebase.dt),
+        "told_ms": 1e3 * told_delay(found.experiment),
+        "band_note": "" if bandwidth is None else f"-3 dB at {bandwidth:.3g} Hz",
+    }
 
 
-def vibration(y: Floats, rate: float) -> Vibration:
-    """Find the high-frequency vibration of a signal, shape (N,), by Welch's method."""
-    segment = min(len(y), int(_SEGMENT * rate))
-    f, density = scipy.signal.welch(y, rate, nperseg=segment)
-    high = f > VIBRATION_HZ
-    energy, total = float(density[high].sum()), float(density.sum())
-    return Vibration(
-        rms=float(np.sqrt(energy * rate / segment)),
-        share=energy / total if total > 0 else float("nan"),
-        peak_hz=float(f[high][density[high].argmax()]) if high.any() else float("nan"),
-    )
+def value(found: Findings, path: str) -> float | None:
+    """Look up what was found, of the first axis: attributes of `Findings`."""
+    looked_up = attrgetter(path)(found)
+    return None if looked_up is None else float(np.ravel(looked_up)[0])
 
 
-def without_vibration(y: Floats, rate: float) -> Floats:
-    """Keep what lies below `VIBRATION_HZ`, without shifting it; shape (N,) as given."""
-    low_pass = scipy.signal.butter(_ORDER, VIBRATION_HZ, fs=rate, output="sos")
-    edge = min(6 * _ORDER, len(y) - 1)  # what a test that tripped at once has room for
-    kept: Floats = scipy.signal.sosfiltfilt(low_pass, y, padlen=edge)
-    return kept
+def configured(found: Findings, node: str, parameter: str, factor: float = 1.0) -> float:
+    """Look up a parameter of the first axis, in another unit."""
+    return factor * float(np.ravel(found.experiment[node][parameter])[0])
 
 
-def magnitude_and_phase(
-    y: Floats, reference: Floats, rate: float, natural_hz: float, delay: float
-) -> tuple[float, float]:
-    """Compare a response with its reference about a natural frequency.
+def total_mass(found: Findings) -> float:
+    """Specimen as identified, and the computed mass at alpha = 1, kg."""
+    specimen = float(found.identified.specimen.mass[0, 0])
+    return specimen + configured(found, "reference_force", "model.mass")
 
-    Parameters
-    ----------
-    y, reference : ndarray
-        Shape (N,).
-    rate : float
-        Sampling rate, Hz.
-    natural_hz : float
-        Of the whole structure; from 0.7 to 1.3 times it they are compared.
-    delay : float
-        Delay that is taken out of y first, s.
 
-    Returns
-    -------
-    magnitude : float
-        |y / reference| over the band.
-    phase : float
-        Largest phase between them in the band, either way, degrees. Both are NaN where the
-        signals are too short to tell.
-    """
-    segment = min(len(y), int(_SEGMENT * rate))
-    f, cross = scipy.signal.csd(reference, y, rate, nperseg=segment)
-    _, power = scipy.signal.welch(reference, rate, nperseg=segment)
-    band = (f > _AROUND[0] * natural_hz) & (f < _AROUND[1] * natural_hz)
-    if not band.any() or not power[band].max() > 0:  # a test that tripped at once
-        return float("nan"), float("nan")
-    found = cross[band] * np.exp(2j * np.pi * f[band] * delay)
-    magnitude = float(abs(found.sum()) / power[band].sum())
-    moved = power[band] >= _MOVED * power[band].max()
-    return magnitude, float(np.abs(np.angle(found[moved], deg=True)).max())
+def controller(found: Findings, **paper: list[float]) -> Values:
+    """Polynomials of the force controller as text, and how far from the paper's they are."""
+    own = {name: np.atleast_1d(found.experiment["force_controller"][name]) for name in paper}
+    alike = all(len(own[name]) == len(given) for name, given in paper.items())
+    departures = [np.abs(own[name] / given - 1).max() for name, given in paper.items() if alike]
+    polynomials = {name: _polynomial(coefficients) for name, coefficients in own.items()}
+    return {"departure": max(departures, default=np.inf), **polynomials}
+
+
+def least_response(found: Findings) -> Values:
+    """Frequency at which force answers the valve least, the specimen's own, how they differ."""
+    f = found.valve.measured.frequencies_hz
+    near = (f >= _ZERO_HZ[0]) & (f <= _ZERO_HZ[1])
+    power = np.convolve(np.abs(found.valve.measured.response) ** 2, np.ones(_SMOOTHED), "same")
+    least, natural = float(f[near][power[near].argmin()]), found.natural_hz
+    departure = abs(least - natural) / natural
+    return {"least_hz": least, "natural_hz": natural, "departure": departure}
+
+
+def loop_gain(found: Findings, low_hz: float, high_hz: float) -> Values:
+    """|L| of the model, dB: at a low frequency, from a high one on, its rise on the way down."""
+    f, gain = found.valve.loop.frequencies_hz, decibels(found.valve.loop.sampled.loop)
+    between = gain[(f >= low_hz) & (f <= high_hz)]
+    return {
+        "low": float(np.interp(low_hz, f, gain)),
+        "high": float(gain[f >= high_hz].max()),
+        "rise": float((between - np.minimum.accumulate(between)).max()),
+    }
+
+
+def unevenness(found: Findings) -> float:
+    """Largest departure of the measured |T| from 1 within the controlled band, dB."""
+    within = found.closed.measured.frequencies_hz <= BAND_HZ
+    return float(np.abs(_median(decibels(found.closed.measured.response))[within]).max())
+
+
+def dip(found: Findings) -> Values:
+    """Depth (dB) and frequency (Hz) of the dip in |T|, relative to the specimen's frequency."""
+    hz, depth = found.closed.tracking.dip_hz, found.closed.tracking.dip_db
+    if hz is None or depth is None:
+        return {"depth": None, "departure": None}
+    departure = abs(hz - found.natural_hz) / found.natural_hz
+    return {"depth": -depth, "hz": hz, "departure": departure}
+
+
+def mismatch(found: Findings, quantity: str) -> float:
+    """Largest difference of T, measured and model, within the band: dB, or phase in degrees."""
+    measured, model = found.closed.measured, found.valve.loop
+    within = measured.frequencies_hz <= BAND_HZ
+    f, own, modelled = measured.frequencies_hz[within], model.frequencies_hz, model.sampled.tracking
+    expected = np.interp(f, own, modelled.real) + 1j * np.interp(f, own, modelled.imag)
+    ratio = measured.response[within] / expected
+    difference = decibels(ratio) if quantity == "magnitude" else np.angle(ratio, deg=True)
+    return float(np.abs(_median(difference)).max())
+
+
+def error(
+    found: Findings,
+    kind: str,
+    ratio: float,
+    name: str,
+    *,
+    aligned: bool = False,
+    controlled: bool = False,
+) -> float:
+    """NRMSE of a test; ``aligned``: after the best-fit delay, ``controlled``: no vibration."""
+    agreement = found.tests[kind, ratio].agreement(name, controlled=controlled)
+    return agreement.nrmse_aligned if aligned else agreement.nrmse
+
+
+def error_from_rig(
+    found: Findings, kind: str, ratio: float, name: str, *, controlled: bool = False
+) -> Values:
+    """NRMSE of a simulation against the test on the rig, and why that may depart from it."""
+    rig = found.tests["rig", ratio]
+    note = f"under this motion the rig was at the end of a range ({', '.join(rig.saturated)})"
+    agreement = found.tests[kind, ratio].agreement(name, rig, controlled=controlled)
+    return {"value": agreement.nrmse, "note": note if rig.saturated else ""}
+
+
+def error_of_pure_delay(found: Findings, ratio: float) -> Values:
+    """NRMSE of the displacement by Eq. 5.4; none where it is unstable, and how it grows."""
+    if found.tests["delay", ratio].stable:
+        return error_from_rig(found, "delay", ratio, "displacement")
+    return {"value": None, **growth(found, "delay", ratio)}
+
+
+def error_explained(found: Findings, kind: str, ratio: float) -> float:
+    """Share of the rig's error energy that a simulation has too."""
+    return explained(found.tests[kind, ratio], found.tests["rig", ratio])
+
+
+def difference_from_eft(found: Findings) -> float:
+    """Largest difference of the test at alpha = 0 from conventional EFT, over the peak."""
+    test, eft = (found.tests[kind, 0.0].measured for kind in ("rig", "eft"))
+    return max(float(np.abs(test[name] - y).max() / np.abs(y).max()) for name, y in eft.items())
+
+
+def peak(found: Findings, ratio: float, name: str) -> Values:
+    """Peak and RMS on the rig over those of the reference; no peak where that has none."""
+    test = found.tests["rig", ratio]
+    peaks = test.agreement(name)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rms = float(np.std(test.measured[name]) / np.std(test.exact[name]))
+    known = peaks.reference_peak > 0
+    return {"peak": peaks.peak / peaks.reference_peak if known else None, "rms": rms}
+
+
+def resonance(found: Findings) -> Values:
+    """Magnitude, and phase in degrees without the loop's delay, about the resonance at alpha 1."""
+    test, natural = found.tests["rig", 1.0], found.natural_hz / np.sqrt(2.0)
+    y, exact = test.measured["displacement"], test.exact["displacement"]
+    magnitude, phase = magnitude_and_phase(y, exact, 1 / test.dt, natural, found.own_delay)
+    departure = abs(magnitude - 1)
+    return {"magnitude": magnitude, "departure": departure, "phase": phase, "hz": natural}
+
+
+def vibration(found: Findings, kind: str, ratio: float, name: str, times: float) -> Values:
+    """Share of vibration, and what it has beyond some times the reference's."""
+    test = found.tests[kind, ratio]
+    ours, exact = test.vibrations(name)
+    return {
+        "share": ours.share,
+        "exact_share": exact.share,
+        "excess": ours.share - times * exact.share,
+        "hz": ours.peak_hz,
+        "stable": test.stable,
+    }
+
+
+def vibration_ratio(found: Findings, kind: str, ratio: float, name: str) -> float:
+    """Level of the vibration over that of the exact response; NaN where that has none."""
+    ours, exact = found.tests[kind, ratio].vibrations(name)
+    return ours.rms / exact.rms if exact.rms > 0 else float("nan")
+
+
+def vibration_levels(found: Findings, kind: str, ratio: float) -> Values:
+    """Levels of the acceleration's vibration in a simulation and on the rig, m/s^2."""
+    test, rig = found.tests[kind, ratio], found.tests["rig", ratio]
+    ours, theirs = (part.vibrations("acceleration")[0].rms for part in (test, rig))
+    difference = theirs - ours
+    return {"simulated": ours, "measured": theirs, "fewer": difference, "stable": test.stable}
+
+
+def vibration_and_growth(found: Findings) -> Values:
+    """Frequencies of the vibration at alpha = 1 and of what grows at alpha = 1.5, Hz."""
+    hz = found.tests["rig", 1.0].vibrations("acceleration")[0].peak_hz
+    growing = found.growths["rig", 1.5].hz
+    return {"hz": hz, "growing_hz": growing, "departure": abs(hz - growing) / growing}
+
+
+def end_of_test(found: Findings, kind: str, ratio: float) -> Values:
+    """How a test ended, and whether it was stable."""
+    test = found.tests[kind, ratio]
+    end = "runs to its end" if test.trip is None else f"trips at {test.trip.time_s:.2f} s"
+    return {"end": end, "stable": test.stable}
+
+
+def growth(found: Findings, kind: str, ratio: float) -> Values:
+    """Rate of the loop's dominant motion in 1/s, its time in s and frequency in Hz."""
+    growth = found.growths[kind, ratio]
+    grows = "grows" if growth.rate > 0 else "decays"
+    return {"rate": growth.rate, "grows": grows, "time": 1 / abs(growth.rate), "hz": growth.hz}
+
+
+def decibels(response: Complexes) -> Floats:
+    """Magnitude, dB."""
+    return np.asarray(20 * np.log10(np.abs(response)))
+
+
+def _median(values: Floats) -> Floats:
+    return np.asarray(median_filter(values, _OUTLIERS, mode="nearest"))
+
+
+def _polynomial(coefficients: Floats) -> str:
+    terms = []
+    for power, factor in zip(reversed(range(len(coefficients))), coefficients, strict=True):
+        s = {0: "", 1: "s"}.get(power, f"s^{power}")
+        terms.append(s if s and factor == 1 else f"{factor:g} {s}".strip())
+    return " + ".join(terms)

@@ -1,10 +1,12 @@
-"""One simulated test of the paper, and what came of it."""
+"""One simulated test of the paper: its signals, and what the paper judges in them by eye."""
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import scipy.signal
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import GROUND_MOTION, RIG_STATE
 
@@ -12,10 +14,31 @@ from seft_ros.analysis.metrics import Agreement, agreement
 from seft_ros.analysis.reference import COMPARED, quantity, reference_of
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
-from seft_ros.paper.measures import Vibration, vibration, without_vibration
+from seft_ros.loop_shaping.margins import BAND_HZ
 from seft_ros.recording.record import Trip
 
 Floats = npt.NDArray[np.float64]
+
+VIBRATION_HZ = BAND_HZ
+"""Vibration is what lies above, Hz: up to here the paper controls force (section 3.2), and the
+structures of the paper, at 10 Hz and less, do not answer there."""
+
+_SEGMENT = 2.0  # s of Welch's segments: 0.5 Hz
+_AROUND = (0.7, 1.3)  # of a natural frequency
+_MOVED = 0.05  # of the largest power in the band: below, a phase says nothing
+_ORDER = 4
+
+
+class Vibration(NamedTuple):
+    """What of a signal lies above `VIBRATION_HZ`.
+
+    Level in the signal's unit, share of the signal's energy (0 to 1), and the frequency at which
+    it is strongest.
+    """
+
+    rms: float
+    share: float
+    peak_hz: float
 
 
 @dataclass(frozen=True)
@@ -53,28 +76,26 @@ class Outcome:
         """Shape (N,), s."""
         return self.dt * np.arange(len(self.measured["displacement"]), dtype=np.float64)
 
-    def agreement(self, name: str) -> Agreement:
-        """Hold a quantity against its exact response."""
-        return agreement(self.measured[name], self.exact[name], self.dt)
+    def agreement(
+        self, name: str, reference: "Outcome | None" = None, *, controlled: bool = False
+    ) -> Agreement:
+        """Hold a quantity against its exact response, or against another test of the motion.
 
-    def controlled_agreement(self, name: str) -> Agreement:
-        """Hold it against the exact response below the vibration, where force is controlled."""
+        A test that ended early agrees over what there is of it; ``controlled``: below the
+        vibration, where force is controlled.
+        """
+        y = self.measured[name]
+        other = self.exact[name] if reference is None else reference.measured[name]
+        count = min(len(y), len(other))
+        y, other = y[:count], other[:count]
+        if controlled:
+            y, other = (without_vibration(part, 1.0 / self.dt) for part in (y, other))
+        return agreement(y, other, self.dt)
+
+    def vibrations(self, name: str) -> tuple[Vibration, Vibration]:
+        """Find the vibration of a quantity as measured, and of its exact response."""
         rate = 1.0 / self.dt
-        measured = without_vibration(self.measured[name], rate)
-        return agreement(measured, without_vibration(self.exact[name], rate), self.dt)
-
-    def vibration(self, name: str) -> Vibration:
-        """Vibration of a quantity as measured."""
-        return vibration(self.measured[name], 1.0 / self.dt)
-
-    def vibration_ratio(self, name: str) -> float:
-        """Level of the vibration over that of the exact response; NaN where that has none."""
-        exact = self.exact_vibration(name).rms
-        return self.vibration(name).rms / exact if exact > 0 else float("nan")
-
-    def exact_vibration(self, name: str) -> Vibration:
-        """Vibration of the exact response: what it has at these frequencies."""
-        return vibration(self.exact[name], 1.0 / self.dt)
+        return vibration(self.measured[name], rate), vibration(self.exact[name], rate)
 
 
 def run_test(experiment: Experiment) -> Outcome:
@@ -95,14 +116,66 @@ def run_test(experiment: Experiment) -> Outcome:
     )
 
 
-def against(test: Outcome, other: Outcome, name: str, *, controlled: bool = False) -> Agreement:
-    """Hold a quantity of one test against another's, both of the same motion.
+def vibration(y: Floats, rate: float) -> Vibration:
+    """Find the high-frequency vibration of a signal, shape (N,), by Welch's method."""
+    segment = min(len(y), int(_SEGMENT * rate))
+    f, density = scipy.signal.welch(y, rate, nperseg=segment)
+    high = f > VIBRATION_HZ
+    energy, total = float(density[high].sum()), float(density.sum())
+    return Vibration(
+        rms=float(np.sqrt(energy * rate / segment)),
+        share=energy / total if total > 0 else float("nan"),
+        peak_hz=float(f[high][density[high].argmax()]) if high.any() else float("nan"),
+    )
 
-    A test that ended early agrees over what there is of it; ``controlled``: below the vibration.
+
+def without_vibration(y: Floats, rate: float) -> Floats:
+    """Keep what lies below `VIBRATION_HZ`, without shifting it; shape (N,) as given."""
+    low_pass = scipy.signal.butter(_ORDER, VIBRATION_HZ, fs=rate, output="sos")
+    edge = min(6 * _ORDER, len(y) - 1)  # what a test that tripped at once has room for
+    kept: Floats = scipy.signal.sosfiltfilt(low_pass, y, padlen=edge)
+    return kept
+
+
+def magnitude_and_phase(
+    y: Floats, reference: Floats, rate: float, natural_hz: float, delay: float
+) -> tuple[float, float]:
+    """Compare a response with its reference from 0.7 to 1.3 times a natural frequency.
+
+    Parameters
+    ----------
+    y, reference : ndarray
+        Shape (N,).
+    rate, natural_hz : float
+        Of sampling, and of the whole structure, Hz.
+    delay : float
+        Taken out of y first, s.
+
+    Returns
+    -------
+    magnitude : float
+        |y / reference| over the band.
+    phase : float
+        Largest phase between them in the band, either way, degrees. Both are NaN where the
+        signals are too short to tell.
     """
-    y, reference = test.measured[name], other.measured[name]
-    count = min(len(y), len(reference))
-    y, reference = y[:count], reference[:count]
-    if controlled:
-        y, reference = (without_vibration(part, 1.0 / test.dt) for part in (y, reference))
-    return agreement(y, reference, test.dt)
+    segment = min(len(y), int(_SEGMENT * rate))
+    f, cross = scipy.signal.csd(reference, y, rate, nperseg=segment)
+    _, power = scipy.signal.welch(reference, rate, nperseg=segment)
+    band = (f > _AROUND[0] * natural_hz) & (f < _AROUND[1] * natural_hz)
+    if not band.any() or not power[band].max() > 0:  # a test that tripped at once
+        return float("nan"), float("nan")
+    found = cross[band] * np.exp(2j * np.pi * f[band] * delay)
+    magnitude = float(abs(found.sum()) / power[band].sum())
+    moved = power[band] >= _MOVED * power[band].max()
+    return magnitude, float(np.abs(np.angle(found[moved], deg=True)).max())
+
+
+def explained(simulation: Outcome, rig: Outcome) -> float:
+    """Share of the rig's error energy in displacement that a simulation has too, at most 1."""
+    count = min(len(simulation.time), len(rig.time))
+    y, x, exact = (
+        part["displacement"][:count] for part in (rig.measured, simulation.measured, rig.exact)
+    )
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        return float(1.0 - np.sum((y - x) ** 2) / np.sum((y - exact) ** 2))

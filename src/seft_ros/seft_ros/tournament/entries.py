@@ -75,7 +75,9 @@ class Tournament:
 
     def experiment_of(self, entry: Entry) -> Experiment:
         """Experiment of one test, complete."""
-        return _experiment(self.experiment, entry, self.rigs[entry.rig])
+        found = with_method(self.experiment, entry.method).sections
+        force = found["reference_force"] | {"mass_ratio": entry.mass_ratio}
+        return Experiment(found | {"reference_force": force, "rig": self.rigs[entry.rig]})
 
 
 def make_tournament(
@@ -127,20 +129,14 @@ def make_tournament(
     force_control(experiment["force_controller"], axes, timebase)
     for number, section in enumerate(sections):
         check_rig(section, axes, timebase, number)
-    chosen, ratios = tuple(dict.fromkeys(methods or METHODS)), list(dict.fromkeys(ratios))
-    not_possible = {}
-    for ratio in ratios:
-        for method in chosen:
-            try:
-                build_blocks(_experiment(experiment, Entry(ratio, 0, method), sections[0]))
-            except InputError as error:  # all else is in order: the method lacks something
-                not_possible[ratio, method] = str(error)
-    if len(not_possible) == len(ratios) * len(chosen):
-        raise InputError(f"no method is possible: {next(iter(not_possible.values()))}")
-    return Tournament(experiment, chosen, tuple(ratios), tuple(sections), not_possible)
-
-
-def _experiment(experiment: Experiment, entry: Entry, rig: Section) -> Experiment:
-    found = with_method(experiment, entry.method).sections
-    force = found["reference_force"] | {"mass_ratio": entry.mass_ratio}
-    return Experiment(found | {"reference_force": force, "rig": rig})
+    chosen = tuple(dict.fromkeys(methods or METHODS))
+    tournament = Tournament(experiment, chosen, tuple(dict.fromkeys(ratios)), tuple(sections), {})
+    pairs = tournament.pairs()
+    for ratio, method in pairs:
+        try:
+            build_blocks(tournament.experiment_of(Entry(ratio, 0, method)))
+        except InputError as error:  # all else is in order: the method lacks something
+            tournament.not_possible[ratio, method] = str(error)
+    if len(tournament.not_possible) == len(pairs):
+        raise InputError(f"no method is possible: {next(iter(tournament.not_possible.values()))}")
+    return tournament

@@ -1,10 +1,13 @@
-"""The tests of a tournament, and what each was worth."""
+"""The tests of a tournament: what each was worth, and what a step of it costs."""
 
+import timeit
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
+from statistics import median
 from typing import Any
 
+import numpy as np
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, SeftError
 from seft_msgs_py.wire.topics import RIG_STATE
@@ -23,6 +26,8 @@ from seft_ros.tournament.entries import Entry, Tournament
 from seft_ros.tournament.workers import parallel_map
 
 Progress = Callable[[str, int], None]
+
+_COST_STEPS, _COST_REPEATS = 500, 7
 
 
 @dataclass(frozen=True)
@@ -89,48 +94,41 @@ def run_all(
         If a test could not be calculated; names it.
     """
     entries = tournament.entries()
-    experiments = [tournament.experiment_of(entry) for entry in entries]
-    structures = {entry[:2]: experiments[index] for index, entry in enumerate(entries)}
-    names = [str(entry) for entry in entries]
-    done = 0
-
-    def told(what: str) -> None:
-        nonlocal done
-        done += 1
-        if progress is not None:
-            progress(what, done)
-
-    references: dict[tuple[float, int], ReferenceResponse] = {}
+    experiments = {entry: tournament.experiment_of(entry) for entry in entries}
+    structures = {entry[:2]: experiment for entry, experiment in experiments.items()}
     runs: dict[Entry, Run] = {}
+    references: dict[tuple[float, int], ReferenceResponse] = {}
     shop = Workshop()
     reasons = obstacles(tournament, shop)
+
+    def told(what: str) -> None:
+        if progress is not None:
+            progress(what, len(references) + len(runs))
+
+    def compiled(entry: Entry) -> dict[str, Any]:
+        with _named(str(entry)):
+            return _brief(shop.run(experiments[entry]), references[entry[:2]])
+
     with parallel_map(min(workers, len(entries))) as map_:
         titles = [f"mass ratio {ratio:g}, rig {rig}, exact" for ratio, rig in structures]
         responses = thread_map(workers, _exact_response, titles, structures.values())
         for key, title, response in zip(structures, titles, responses, strict=True):
             references[key] = response
             told(title)
-
-        def compiled(index: int) -> dict[str, Any]:
-            with _named(names[index]):
-                record = shop.run(experiments[index])
-                return _brief(record, references[entries[index][:2]])
-
-        plain = [index for index, entry in enumerate(entries) if reasons[entry[::2]]]
-        quick = [index for index in range(len(entries)) if index not in set(plain)]
+        plain = [entry for entry in entries if reasons[entry[::2]]]
+        quick = [entry for entry in entries if not reasons[entry[::2]]]
         # the processes begin at once, and go on beside the threads
         outcomes = map_(
             _outcome,
-            [names[index] for index in plain],
-            [experiments[index] for index in plain],
-            [references[entries[index][:2]] for index in plain],
+            [str(entry) for entry in plain],
+            [experiments[entry] for entry in plain],
+            [references[entry[:2]] for entry in plain],
         )
-        for index, summary in zip(quick, thread_map(workers, compiled, quick), strict=True):
-            runs[entries[index]] = Run(entries[index], summary)
-            told(names[index])
-        for index, summary in zip(plain, outcomes, strict=True):
-            runs[entries[index]] = Run(entries[index], summary, reasons[entries[index][::2]])
-            told(f"{names[index]} (plain blocks)")
+        summaries = thread_map(workers, compiled, quick)
+        for own, found, how in ((quick, summaries, ""), (plain, outcomes, " (plain blocks)")):
+            for entry, summary in zip(own, found, strict=True):
+                runs[entry] = Run(entry, summary, reasons[entry[::2]])
+                told(f"{entry}{how}")
     return [runs[entry] for entry in entries]
 
 
@@ -160,13 +158,40 @@ def _outcome(name: str, experiment: Experiment, reference: ReferenceResponse) ->
 
 
 def _brief(record: Record, reference: ReferenceResponse) -> dict[str, Any]:
-    return summarise_briefly(record, _first(reference, len(record.series[RIG_STATE.name].steps)))
-
-
-def _first(reference: ReferenceResponse, steps: int) -> ReferenceResponse:
-    """Cut a response to the steps that a test lasted."""
+    """Summarise a test against the exact response, cut to the steps that it lasted."""
+    steps = len(record.series[RIG_STATE.name].steps)
     parts = {field.name: getattr(reference, field.name)[:steps] for field in fields(reference)}
-    return ReferenceResponse(**parts)
+    return summarise_briefly(record, ReferenceResponse(**parts))
+
+
+def step_cost(tournament: Tournament, mass_ratio: float, method: str) -> float:
+    """Time of a step of the reference force alone, in s: the median of some passes.
+
+    It is shown the response of a perfect test on the configured rig, beginning with the
+    strongest shaking, so that methods which identify have something to identify. A first pass
+    warms up and does not count.
+    """
+    experiment = tournament.experiment_of(Entry(mass_ratio, 0, method))
+    blocks = build_blocks(experiment)
+    motion, block = blocks.ground_motion, blocks.reference_force
+    strongest = int(np.abs(motion.samples).max(axis=1).argmax())
+    start = max(0, min(strongest - _COST_STEPS // 4, motion.steps - _COST_STEPS))
+    stop = min(start + _COST_STEPS, motion.steps)
+    exact = reference_response(experiment, motion.samples[:stop])
+    states = np.stack(
+        [exact.displacement, exact.velocity, exact.acceleration, exact.force], axis=1
+    )[start:stop]
+    preview = 1 + block.preview
+    step = block.step
+    windows = [motion.known[at : at + preview] for at in range(start, stop)]
+
+    def one_pass() -> None:
+        block.reset()
+        for window, state in zip(windows, states, strict=True):
+            step(window, state)
+
+    one_pass()
+    return median(timeit.repeat(one_pass, number=1, repeat=_COST_REPEATS)) / len(states)
 
 
 @contextmanager

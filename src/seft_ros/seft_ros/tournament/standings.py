@@ -85,7 +85,8 @@ def standings(
         ranked.sort(key=_badness)
         badness = [_badness(standing) for standing in ranked]
         found += [
-            replace(standing, rank=1 + badness.index(_badness(standing))) for standing in ranked
+            replace(standing, rank=1 + badness.index(bad))
+            for standing, bad in zip(ranked, badness, strict=True)
         ]
         found += left_out
     return found
