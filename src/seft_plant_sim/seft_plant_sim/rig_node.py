@@ -139,6 +139,7 @@ class RigNode:
         self._valve.reset()
         self._drive.reset()
         self._missed: list[int] = []
+        self._held: list[int] = []  # step of the command applied at each of them
         self._missed_count = 0
         self._clock = None
         self._round_trip.reset()
@@ -199,6 +200,7 @@ class RigNode:
             overruns=self._clock.overruns if self._clock else 0,
             saturation=self._rig.saturation,
             round_trips=self._round_trip.numbers(),
+            held_steps=self._held,
         )
         if phase == "running":
             status = replace(status, message="running")
@@ -286,6 +288,7 @@ class RigNode:
                 self._missed_count += 1
                 if len(self._missed) < LISTED_STEPS:
                     self._missed.append(step)
+                    self._held.append(drive.step)
                 if step - drive.step > patience or self._waited_in_vain:
                     topic, company = drive.codec.topic, shell.company(self._refused_before)
                     return (

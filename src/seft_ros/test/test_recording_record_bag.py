@@ -56,7 +56,7 @@ def assert_same(a, b):
         values = [record.estimates.values.view(np.uint64) for record in (a, b)]
         assert np.array_equal(*values)
     assert a.experiment.sections == b.experiment.sections
-    for name in ("trip", "missed", "missed_steps", "wall_s", "complete"):
+    for name in ("trip", "missed", "missed_steps", "held_steps", "wall_s", "complete"):
         assert getattr(a, name) == getattr(b, name)
     assert b.environment == {**a.environment, "undecodable": 0}
 

@@ -123,6 +123,7 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         trip=trip_of(outcome, test.ending, experiment.timebase),
         missed=outcome.missed if outcome else None,
         missed_steps=outcome.missed_steps if outcome else [],
+        held_steps=outcome.held_steps if outcome else [],
         overruns=outcome.overruns if outcome else None,
         saturation=outcome.saturation if outcome else Saturation(),
         round_trips=outcome.round_trips if outcome else {},

@@ -124,6 +124,7 @@ def write_record(
                 overruns=record.overruns or 0,
                 saturation=record.saturation,
                 round_trips=record.round_trips,
+                held_steps=record.held_steps,
             )
             # what is of the rigs together is told of the first
             statuses = [replace(status, name=rig.node(RIG)) for rig in rigs]

@@ -171,6 +171,12 @@ def until(series: Series, last_step: int) -> Series:
     return Series(series.steps[:end], series.values[:end], received_ns=received)
 
 
+def of_steps(series: Series, steps: Steps) -> Series:
+    """Keep the samples of some steps."""
+    kept = np.isin(series.steps, steps)
+    return Series(series.steps[kept], series.values[kept])
+
+
 def on_steps_of(other: Series, series: Series) -> Series:
     """Let a series share its steps with another that has the same, to hold them once."""
     steps = other.steps[: len(series.steps)]
