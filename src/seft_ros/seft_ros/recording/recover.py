@@ -4,6 +4,7 @@ import shutil
 import sqlite3
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,27 +20,13 @@ from seft_ros.recording.salvage import Found, Source, mcap_messages, sqlite_mess
 
 @dataclass(frozen=True)
 class Recovery:
-    """What `recover` did.
-
-    Attributes
-    ----------
-    path : Path
-        The bag.
-    intact : bool
-        It could be read as it was, and was left as it was.
-    messages : int
-        Messages in it now.
-    topics : dict of str to int
-        Topic -> messages; empty if intact.
-    original : Path or None
-        Where the cut-off original is kept; None if intact.
-    """
+    """What `recover` did with the bag at ``path``; one that could be read was left as it was."""
 
     path: Path
     intact: bool
-    messages: int
-    topics: dict[str, int]
-    original: Path | None
+    messages: int  # in it now
+    topics: dict[str, int]  # topic -> messages
+    original: Path | None  # where the cut-off original is kept; None if intact
 
     def __str__(self) -> str:
         if self.intact:
@@ -112,13 +99,10 @@ def _is_intact(place: Path, shown: Path) -> bool:
 
 
 def _summary(path: Path, original: Path | None) -> Recovery:
-    reader = open_bag(path)
-    try:
+    with closing(open_bag(path)) as reader:
         topics = {connection.topic: connection.msgcount for connection in reader.connections}
         shown = path.with_name(original.name) if original and path.name else original
         return Recovery(path, original is None, reader.message_count, topics, shown)
-    finally:
-        reader.close()
 
 
 def _build(files: list[Path], fresh: Path, built: Path, shown: Path, single: bool) -> None:
