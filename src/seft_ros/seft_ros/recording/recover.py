@@ -2,7 +2,6 @@
 
 import shutil
 import sqlite3
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
@@ -112,7 +111,6 @@ def _build(files: list[Path], fresh: Path, built: Path, shown: Path, single: boo
         raise InputError(f"{shown}: mcap and sqlite3 files in one bag can't be recovered together")
     folder = fresh / "parts" / (built.stem if single else built.name)
     plugin = StoragePlugin.MCAP if kinds == {".mcap"} else StoragePlugin.SQLITE3
-    counts: Counter[str] = Counter()
     with Writer(folder, version=9, storage_plugin=plugin) as writer:
         writer.set_custom_data("recovered", "true")
         connections: dict[Source, Connection] = {}
@@ -121,8 +119,7 @@ def _build(files: list[Path], fresh: Path, built: Path, shown: Path, single: boo
                 if source not in connections:
                     connections[source] = add_source(writer, source)
                 writer.write(connections[source], time_ns, data)
-                counts[source.topic] += 1
-        if not counts:
+        if not connections:
             raise InputError(f"{shown}: no whole message is in it; there is nothing to recover")
         whole = writer.storage.path if single and writer.storage else folder
     whole.rename(built)

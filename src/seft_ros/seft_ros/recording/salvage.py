@@ -24,25 +24,13 @@ _DAMAGE = (McapError, struct.error, ValueError, OverflowError, MemoryError, Runt
 
 @dataclass(frozen=True)
 class Source:
-    """What a bag's file says of a topic.
+    """What a bag's file says of a topic."""
 
-    Attributes
-    ----------
-    topic, type : str
-        Name with leading slash, message type.
-    definition : str
-        Text that defines the type; may be empty.
-    serialization : str
-        ``cdr``.
-    qos : str
-        Offered quality of service, YAML; may be empty.
-    """
-
-    topic: str
+    topic: str  # with leading slash
     type: str
-    definition: str
-    serialization: str
-    qos: str
+    definition: str  # text that defines the type; may be empty
+    serialization: str  # ``cdr``
+    qos: str  # offered, YAML; may be empty
 
 
 Found = tuple[Source, int, bytes]  # log time in ns, message bytes

@@ -28,16 +28,9 @@ Progress = Callable[[str, int], None]
 
 
 def replay_over_dds(replay: Replay, experiment: Experiment, progress: Progress) -> Answers:
-    """Start a node, feed it with a recorded test, and end it.
+    """Start a node with an experiment's parameters, feed it with a recorded test, and end it.
 
-    Parameters
-    ----------
-    replay : Replay
-        What it is told.
-    experiment : Experiment
-        Its parameters.
-    progress : callable
-        Told what goes on, and the steps answered.
+    ``progress`` is told what goes on, and the steps answered.
 
     Raises
     ------

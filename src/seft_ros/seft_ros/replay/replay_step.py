@@ -18,43 +18,21 @@ Steps = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class ReplayStep:
-    """What a node is told before it answers a step.
-
-    Attributes
-    ----------
-    step : int
-        Of the answer.
-    messages : list of (Topic, bytes)
-        In their order.
-    ramps : bool
-        Whether the supervisor says before them that the force is to be brought down.
-    """
+    """What a node is told before it answers a step."""
 
     step: int
     messages: list[tuple[Topic, bytes]] = field(default_factory=list)
-    ramps: bool = False
+    ramps: bool = False  # the supervisor says before them that the force is to be brought down
 
 
 @dataclass(frozen=True)
 class Answers:
-    """What a node answered.
+    """What a node answered."""
 
-    Attributes
-    ----------
-    series : Series
-        On its topic, by step.
-    estimates : Estimates or None
-        Beside them.
-    wall_s : float
-        Duration, s.
-    ended : str
-        Why it answered no more before the end; else empty.
-    """
-
-    series: Series
+    series: Series  # on its topic
     estimates: Estimates | None
     wall_s: float
-    ended: str = ""
+    ended: str = ""  # why it answered no more before the end
 
 
 class Replay(ABC):

@@ -41,14 +41,7 @@ def replay_to(node: str, recorded: Recorded) -> Replay:
 def experiment_of(replay: Replay, overrides: Sequence[Override], fixed: bool = True) -> Experiment:
     """Give the experiment that a node is started with: as recorded, but for what is overridden.
 
-    Parameters
-    ----------
-    replay : Replay
-        To which node.
-    overrides : sequence of (node, parameter, value)
-        As on a command line.
-    fixed : bool
-        Whether parameters are set that a replay needs to be otherwise.
+    If ``fixed``, parameters are set that a replay needs to be otherwise.
 
     Raises
     ------

@@ -16,19 +16,7 @@ from seft_ros.replay.replay_step import Answers, Replay
 def replayed_record(
     replay: Replay, recorded: Recorded, answers: Answers, section: dict[str, Any]
 ) -> Record:
-    """Give the recorded test with the answers in place of the node's own.
-
-    Parameters
-    ----------
-    replay : Replay
-        To which node.
-    recorded : Recorded
-        The test.
-    answers : Answers
-        What the node answered.
-    section : dict
-        The parameters that it had.
-    """
+    """Give the recorded test with a node's answers, and the parameters that it had for them."""
     record = recorded.record
     return replace(
         record,
