@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.messages import Status, encode_diagnostics, encode_status
-from seft_msgs_py.topics import (
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.wire.messages import Status, encode_diagnostics, encode_status
+from seft_msgs_py.wire.topics import (
     DIAGNOSTICS,
     EXPERIMENT_STATE,
     REFERENCE_FORCE,

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.topics import LoopTopic, Topic
+from seft_msgs_py.wire.topics import LoopTopic, Topic
 
 from seft_ros.recording.record import Estimates, Series
 from seft_ros.replay.recorded import Recorded
