@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.messages import decode_diagnostics, decode_status
@@ -40,7 +41,7 @@ class Recorded:
         First step whose force was brought down at the supervisor's word; None where it said no
         such thing.
     ramp_told : bool
-        Whether reference_force told that step; if not, it is that of the times of recording.
+        False where reference_force did not tell that step: it is by the times of recording.
     """
 
     record: Record
@@ -83,13 +84,16 @@ def read_recorded(path: str | Path) -> Recorded:
     if gatherer.tests > 1:
         raise InputError(f"{path}: the bag holds {gatherer.tests} tests; record one in a bag")
     points = {step: told for step, told in sorted(gatherer.points.items()) if step <= states[-1]}
-    ramp_step, told = gatherer.ramp_step, True
-    if ramp_step is None and gatherer.ramped_ns is not None:
-        told, forces = False, record.series[REFERENCE_FORCE.name]
-        if forces.received_ns is not None:
-            after = forces.steps[forces.received_ns > gatherer.ramped_ns]
-            ramp_step = int(after[0]) if len(after) else None
-    return Recorded(record, gatherer.chunks, points, ramp_step, told)
+    if gatherer.ramped_ns is None:
+        return Recorded(record, gatherer.chunks, points)
+    if gatherer.ramp_step is not None:
+        return Recorded(record, gatherer.chunks, points, gatherer.ramp_step)
+    forces = record.series[REFERENCE_FORCE.name]
+    after = np.empty(0, np.int64)  # steps whose forces came after the supervisor's word
+    if forces.received_ns is not None:
+        after = forces.steps[forces.received_ns > gatherer.ramped_ns]
+    ramp_step = int(after[0]) if len(after) else None
+    return Recorded(record, gatherer.chunks, points, ramp_step, ramp_told=ramp_step is None)
 
 
 class _Gatherer:
@@ -119,7 +123,8 @@ class _Gatherer:
             self._state = state
             if state == State.RAMPING_DOWN and self.ramped_ns is None:
                 self.ramped_ns = received_ns
-        elif self.ramped_ns is not None and self.ramp_step is None:
+        else:
             for status in decode_diagnostics(raw)[1]:
-                if status.name == "reference_force" and "ramp_step" in status.values:
-                    self.ramp_step = int(status.values["ramp_step"])
+                if status.name == "reference_force":  # its last word counts
+                    told = status.values.get("ramp_step")
+                    self.ramp_step = None if told is None else int(told)
