@@ -130,6 +130,7 @@ class RigNode(NodeBody):
         self._valve.reset()
         self._drive.reset()
         self._missed: list[int] = []
+        self._held: list[int] = []  # step of the command applied at each of them
         self._missed_count = 0
         self._clock = None
         self._round_trip.reset()
@@ -207,6 +208,7 @@ class RigNode(NodeBody):
             overruns=self._clock.overruns if self._clock else 0,
             saturation=self._rig.saturation,
             round_trips=self._round_trip.numbers(),
+            held_steps=self._held,
         )
         if phase == "running":
             status = replace(status, message="running")
@@ -279,6 +281,7 @@ class RigNode(NodeBody):
             self._missed_count += 1
             if len(self._missed) < LISTED_STEPS:
                 self._missed.append(step)
+                self._held.append(drive.step)
             if step - drive.step > max(1, round(timeout / period)) or self._waited_in_vain:
                 text = f"for {timeout:g} s (the last is of step {drive.step})"
                 return self._nothing_from(drive, f"no new {drive.codec.topic.name} {text}")

@@ -23,10 +23,11 @@ TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\x00"))
 def test_what_the_rig_tells_of_the_end_is_read_back(steps, missed_steps, wall_s, trip):
     phase = "tripped" if trip else "finished"
     missed = len(missed_steps)
-    status = rig_status(phase, steps, missed, missed_steps, wall_s, trip)
+    held = [step - 1 for step in missed_steps]
+    status = rig_status(phase, steps, missed, missed_steps, wall_s, trip, held_steps=held)
     outcome = read_outcome(decode_status(encode_status(status)), TIMEBASE)
     expected = trip and Trip(trip.reason, trip.step, trip.step * 2_000_000 / 1e9)
-    assert outcome == Outcome(phase, steps, missed, missed_steps, wall_s, expected)
+    assert outcome == Outcome(phase, steps, missed, missed_steps, wall_s, expected, held_steps=held)
 
 
 def test_all_missed_steps_are_counted_and_the_first_are_listed():

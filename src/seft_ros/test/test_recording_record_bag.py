@@ -56,7 +56,7 @@ def assert_same(a, b):
         values = [record.estimates.values.view(np.uint64) for record in (a, b)]
         assert np.array_equal(*values)
     assert a.experiment.sections == b.experiment.sections
-    for name in ("trip", "missed", "missed_steps", "wall_s", "complete"):
+    for name in ("trip", "missed", "missed_steps", "held_steps", "wall_s", "complete"):
         assert getattr(a, name) == getattr(b, name)
     assert b.environment == {**a.environment, "undecodable": 0}
 
@@ -210,9 +210,9 @@ def test_runs_are_consecutive_bounded_and_complete(steps, longest):
     ordered = np.array(sorted(steps), dtype=np.int64)
     series = Series(ordered, ordered.astype(float)[:, np.newaxis, np.newaxis])
     runs = consecutive_runs(series, longest)
-    assert all(1 <= len(run.values) <= longest for run in runs)
-    assert [run.first_step + k for run in runs for k in range(len(run.values))] == sorted(steps)
-    assert [v for run in runs for v in run.values[:, 0, 0].tolist()] == sorted(steps)
+    assert all(1 <= len(values) <= longest for _, values in runs)
+    assert [first + k for first, values in runs for k in range(len(values))] == sorted(steps)
+    assert [v for _, values in runs for v in values[:, 0, 0].tolist()] == sorted(steps)
 
 
 def test_a_series_is_cut_after_a_step():

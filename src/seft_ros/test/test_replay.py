@@ -8,9 +8,14 @@ import pytest
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.wire.messages import Status, encode_status
-from seft_msgs_py.wire.topics import EXPERIMENT_STATE, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
-from seft_plant_sim.rig.rig import Rig
+from seft_msgs_py.wire.messages import Status, encode_diagnostics, encode_status
+from seft_msgs_py.wire.topics import (
+    DIAGNOSTICS,
+    EXPERIMENT_STATE,
+    REFERENCE_FORCE,
+    RIG_STATE,
+    VALVE_COMMAND,
+)
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.compiled_loop import Course
 from seft_ros.experiment.offline import loop_series, simulate
@@ -18,9 +23,8 @@ from seft_ros.experiment.tables import TABLES
 from seft_ros.recording.bag_writer import BagWriter
 from seft_ros.recording.record import Record, Series
 from seft_ros.recording.record_bag import write_record
-from seft_ros.replay.held_commands import HeldCommands
-from seft_ros.replay.ramp import ramp_step
 from seft_ros.replay.recorded import Recorded, read_recorded
+from seft_ros.replay.rig_replay import RigReplay
 
 OVERRIDES = [
     ("/**", "axes", ["x"]),
@@ -79,15 +83,8 @@ def held_test(experiment, blocks, held):
     forces, unused = np.zeros_like(commands)[:, None], np.empty(0)
     course = Course(np.array(states), forces, commands, unused, unused)
     series = loop_series(motion, course, steps)
-    return Record(experiment, series, missed=len(held), missed_steps=sorted(held))
-
-
-def recorded_of(record):
-    return Recorded(record, [], points_of(record.series[REFERENCE_FORCE.name]), None)
-
-
-def points_of(series):
-    return dict(zip(series.steps.tolist(), series.values[:, np.newaxis], strict=True))
+    missed, applied = sorted(held), [held[step] for step in sorted(held)]
+    return Record(experiment, series, missed=len(held), missed_steps=missed, held_steps=applied)
 
 
 @pytest.mark.parametrize("node", ["reference_force", "force_controller", "rig"])
@@ -124,7 +121,9 @@ def test_a_changed_parameter_is_told_by_step_field_and_values(seft, record, bloc
     assert seft("report", "changed")[0] == 0
 
 
-def test_the_first_step_of_a_ramp_is_found_in_the_forces(experiment, blocks, record):
+def test_a_ramp_begins_at_the_step_that_reference_force_told(
+    seft, experiment, blocks, record, tmp_path
+):
     force = blocks.reference_force
     force.reset()
     known, states = blocks.ground_motion.known, record.series[RIG_STATE.name]
@@ -135,9 +134,19 @@ def test_the_first_step_of_a_ramp_is_found_in_the_forces(experiment, blocks, rec
         ramped.append(force.step(known[step : step + 1 + force.preview], state)[0])
     forces = Series(states.steps, np.array(ramped))
     stopped = replace(record, series={**record.series, REFERENCE_FORCE.name: forces})
-    recorded = Recorded(stopped, motion_of(blocks), points_of(forces), ramped_ns=1)
-    assert ramp_step(recorded) == (73, True)
-    assert ramp_step(replace(recorded, ramped_ns=None)) == (None, True)
+    bag = write(tmp_path / "stopped", stopped, blocks)
+    assert read_recorded(bag).ramp_step is None
+    told = Status("reference_force", 0, "ended", values={"ramp_step": "73"})
+    with Reader(bag) as reader, BagWriter(tmp_path / "words") as writer:
+        ramping = encode_status(Status("experiment", 0, "ramping_down"))
+        writer.write(EXPERIMENT_STATE, ramping, reader.start_time)
+        writer.write(DIAGNOSTICS, encode_diagnostics(0, [told]), reader.start_time + 1)
+    stock_recording(bag, tmp_path / "words", tmp_path / "both")
+    assert read_recorded(tmp_path / "both").ramp_step == 73
+    words = ("--node", "reference_force", "--offline", "--json")
+    status, out, _ = seft("replay", tmp_path / "both", *words)
+    result = json.loads(out)
+    assert (status, result["identical"], result["notes"]) == (0, True, [])
 
 
 @pytest.mark.parametrize(
@@ -150,16 +159,22 @@ def test_the_first_step_of_a_ramp_is_found_in_the_forces(experiment, blocks, rec
         {30: 29, 31: 30, 32: 31, 60: 59, 61: 59, 62: 61},
     ],
 )
-def test_commands_that_a_rig_held_are_found_in_its_states(experiment, blocks, held):
+def test_commands_that_a_rig_says_it_held_are_replayed(experiment, blocks, held):
     record = held_test(experiment, blocks, held)
-    rig = Rig.from_parameters(experiment["rig"], experiment.axes, experiment.timebase)
-    found = HeldCommands(recorded_of(record), rig, record.series[RIG_STATE.name])
-    commands = record.series[VALVE_COMMAND.name].values[:, 0]
-    expected = [commands[held.get(k, k)] for k in range(len(commands) - 1)]
-    if -1 in held.values():
-        expected[:2] = [np.zeros(1)] * 2
-    assert found.unsure == []
-    np.testing.assert_array_equal(found.values, expected)
+    replay = RigReplay(Recorded(record, [], {}))
+    states, _ = replay.computed(experiment["rig"])
+    assert replay.notes == []
+    np.testing.assert_array_equal(states.values, record.series[RIG_STATE.name].values)
+
+
+def test_a_rig_that_does_not_say_what_it_held_is_taken_to_hold_the_last(experiment, blocks):
+    record = replace(held_test(experiment, blocks, {20: 19, 40: 39, 41: 39}), held_steps=[])
+    replay = RigReplay(Recorded(record, [], {}))
+    states, _ = replay.computed(experiment["rig"])
+    assert replay.notes == [
+        "the bag does not say which commands the rig held: it is sent the last before"
+    ]
+    np.testing.assert_array_equal(states.values, record.series[RIG_STATE.name].values)
 
 
 def test_a_realtime_test_with_missed_commands_is_replayed(seft, experiment, blocks, tmp_path):

@@ -106,6 +106,9 @@ class Outcome:
     round_trips : dict
         From a sample to its command as the rig measured it, s, by the keys of `ROUND_TRIPS`;
         empty where it did not.
+    held_steps : list of int
+        Step of the command that was applied at each of `missed_steps`, -1 for none; empty where
+        the rig does not say, and of several rigs.
     """
 
     phase: str
@@ -117,6 +120,7 @@ class Outcome:
     overruns: int = 0
     saturation: Saturation = field(default_factory=Saturation)
     round_trips: dict[str, float] = field(default_factory=dict)
+    held_steps: list[int] = field(default_factory=list)
 
     @classmethod
     def of_all(cls, outcomes: Sequence["Outcome"]) -> "Outcome":
@@ -159,6 +163,7 @@ def rig_status(
     overruns: int = 0,
     saturation: Saturation | None = None,
     round_trips: Mapping[str, float] | None = None,
+    held_steps: Sequence[int] = (),
 ) -> Status:
     """Status of the rig in any phase, which `read_outcome` understands at the end of a test.
 
@@ -172,6 +177,8 @@ def rig_status(
         Needed where the phase is ``tripped``, and only there: else ValueError.
     steps, missed, missed_steps, overruns, saturation, round_trips
         As `Outcome` has them; the first `LISTED_STEPS` missed steps are sent.
+    held_steps : sequence of int, optional
+        Step of the command that was applied at each of the missed steps, -1 for none.
     """
     if (phase == TRIPPED) != (trip is not None):
         raise ValueError(f"phase {phase} with trip {trip}")
@@ -180,9 +187,11 @@ def rig_status(
         "steps": str(int(steps)),
         "missed": str(int(missed)),
         "overruns": str(int(overruns)),
-        "missed_steps": ",".join(str(int(step)) for step in missed_steps[:LISTED_STEPS]),
+        "missed_steps": _listed(missed_steps),
         "saturated": (saturation or Saturation()).to_json(),
     }
+    if held_steps:
+        values["held_steps"] = _listed(held_steps)
     for key, seconds in (round_trips or {}).items():
         values[ROUND_TRIPS[key]] = f"{seconds * 1e3:.3f}"
     if wall_s is not None:
@@ -215,7 +224,6 @@ def read_outcome(status: Status, timebase: Timebase) -> Outcome | None:
     if bare(status.name) != RIG or phase not in (FINISHED, TRIPPED):
         return None
     try:
-        listed = values["missed_steps"]
         trip = None
         if phase == TRIPPED:
             step = int(values["step"])
@@ -225,7 +233,8 @@ def read_outcome(status: Status, timebase: Timebase) -> Outcome | None:
             steps=int(values["steps"]),
             missed=int(values["missed"]),
             overruns=int(values.get("overruns", "0")),  # a driver may have no such thing
-            missed_steps=[int(step) for step in listed.split(",")] if listed else [],
+            missed_steps=_steps(values["missed_steps"]),
+            held_steps=_steps(values.get("held_steps", "")),
             wall_s=float(values["wall_s"]) if "wall_s" in values else None,
             trip=trip,
             saturation=Saturation.from_json(values.get("saturated", "{}")),
@@ -239,6 +248,14 @@ def read_outcome(status: Status, timebase: Timebase) -> Outcome | None:
         raise WireError(f"status of the {phase} rig: {error.args[0]} is missing") from None
     except ValueError as error:
         raise WireError(f"status of the {phase} rig: {error}") from None
+
+
+def _listed(steps: Sequence[int]) -> str:
+    return ",".join(str(int(step)) for step in steps[:LISTED_STEPS])
+
+
+def _steps(text: str) -> list[int]:
+    return [int(step) for step in text.split(",")] if text else []
 
 
 def _finite(text: str) -> float:

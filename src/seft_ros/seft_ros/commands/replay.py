@@ -12,8 +12,8 @@ from seft_ros.commands.options import JsonOption, OverrideOption, complain, prin
 from seft_ros.commands.progress import step_progress
 
 if TYPE_CHECKING:
-    from seft_ros.replay.cue import Part
     from seft_ros.replay.recorded import Recorded
+    from seft_ros.replay.replay_step import Replay
 
 
 def replay(
@@ -71,10 +71,10 @@ def replay(
         seft replay bags/lockstep --node rig --offline --json
     """
     from seft_ros.commands.results import check_out
-    from seft_ros.replay.parts import PARTS
     from seft_ros.replay.recorded import read_recorded
+    from seft_ros.replay.replays import REPLAYS
 
-    nodes = list(dict.fromkeys(node or PARTS))
+    nodes = list(dict.fromkeys(node or REPLAYS))
     if out is not None:
         if len(nodes) > 1:
             raise InputError("--out takes the answers of one node; name it with --node")
@@ -83,8 +83,8 @@ def replay(
     if overrides and len(nodes) > 1:
         raise InputError("-p changes one node; name it with --node")
     recorded = read_recorded(bag)
-    parts = _parts(nodes, recorded, asked=bool(node))
-    results = [_replay(part, recorded, overrides, offline, out) for part in parts]
+    replays = _replays(nodes, recorded, asked=bool(node))
+    results = [_answers(one, recorded, overrides, offline, out) for one in replays]
     for result in results:
         result["bag"] = str(bag)
         result["overrides"] = param or []
@@ -96,64 +96,64 @@ def replay(
     return 0 if all(result["identical"] for result in results) else 1
 
 
-def _parts(nodes: list[str], recorded: "Recorded", *, asked: bool) -> list["Part"]:
-    """Make the parts for some nodes; of those that nobody asked for by name some may lack.
+def _replays(nodes: list[str], recorded: "Recorded", *, asked: bool) -> list["Replay"]:
+    """Make the replays to some nodes; of those that nobody asked for by name some may lack.
 
     Raises
     ------
     InputError
         If the bag does not have what a node was told that was asked for, or what any was told.
     """
-    from seft_ros.replay.parts import part_for
+    from seft_ros.replay.replays import replay_to
 
-    parts = []
+    replays: list[Replay] = []
     for name in nodes:
         try:
-            parts.append(part_for(name, recorded))
+            replays.append(replay_to(name, recorded))
         except InputError as error:
-            if asked or (name == nodes[-1] and not parts):
+            if asked or (name == nodes[-1] and not replays):
                 raise
             complain(f"{name} is left out: {error}")
-    return parts
+    return replays
 
 
-def _replay(
-    part: "Part",
+def _answers(
+    replay: "Replay",
     recorded: "Recorded",
     overrides: list[Override],
     offline: bool,
     out: Path | None,
 ) -> dict[str, Any]:
-    from seft_ros.replay.parts import experiment_of
-    from seft_ros.replay.verdict import judge, replayed_record
+    from seft_ros.replay.replays import experiment_of
+    from seft_ros.replay.verdict import replay_verdict, replayed_record
 
-    meant = experiment_of(part, recorded, overrides, fixed=False)
-    with step_progress(len(part.expected().steps)) as show:
+    meant = experiment_of(replay, overrides, fixed=False)
+    with step_progress(len(replay.expected.steps)) as show:
         if offline:
-            answers = _answer_offline(part, meant[part.node], show)
+            answers = _answer_offline(replay, meant[replay.node], show)
         else:
-            from seft_ros.replay.stage import play
+            from seft_ros.replay.dds_replay import replay_over_dds
 
-            answers = play(part, experiment_of(part, recorded, overrides), show)
-    result = judge(part, recorded, answers)
+            answers = replay_over_dds(replay, experiment_of(replay, overrides), show)
+    result = replay_verdict(replay, recorded, answers)
     if out is not None:
         from seft_ros.recording.record_bag import write_record
 
-        record = replayed_record(part, recorded, answers, meant[part.node])
+        record = replayed_record(replay, recorded, answers, meant[replay.node])
         write_record(record, out, ground_motion=recorded.chunks)
         result["out"] = str(out)
     return result
 
 
-def _answer_offline(part: Any, section: dict[str, Any], show: Callable[[str, int], None]) -> Any:
+def _answer_offline(replay: Any, section: dict[str, Any], show: Callable[[str, int], None]) -> Any:
     import time
 
-    from seft_ros.replay.answers import Answers
+    from seft_ros.replay.replay_step import Answers
 
-    show(f"{part.node} answers offline", 0)
+    show(f"{replay.node} answers offline", 0)
     start = time.monotonic()
-    series, estimates = part.computed(section)
-    show(f"{part.node} has answered", len(series.steps))
+    series, estimates = replay.computed(section)
+    show(f"{replay.node} has answered", len(series.steps))
     return Answers(series, estimates, time.monotonic() - start)
 
 

@@ -72,7 +72,7 @@ class ReferenceForceNode(NodeBody):
         self._conflict = ""  # why this test is not answered
         self._test = ""  # state of the test, as the supervisor says
         self._phase = ""
-        self._cause_step = -1
+        self._cause_step = self._ramp_step = -1
         self._warm_up()
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
         shell.subscribe(GROUND_MOTION, self._on_ground_motion)
@@ -111,7 +111,7 @@ class ReferenceForceNode(NodeBody):
         self._reset()
 
     def _reset(self) -> None:
-        self._cause_step = -1
+        self._cause_step = self._ramp_step = -1
         self._waiting.clear()
         if self._gathering is not None:
             self._gathering.reset()
@@ -193,6 +193,8 @@ class ReferenceForceNode(NodeBody):
         self._publish(self._message(step, motion, state))
         self._order.last = step
         if self._block.ramping:
+            if self._ramp_step < 0 and self._block.cause is None:
+                self._ramp_step = step
             self._tell_ramp(step)
         if step >= self._sampler.due:
             self._tell_estimates(step)
@@ -216,6 +218,8 @@ class ReferenceForceNode(NodeBody):
         self._phase, cause, values = phase, self._block.cause, {}
         if cause is not None and self._cause_step >= 0:
             values = {"reason": cause, "step": str(self._cause_step)}
+        if self._block.ramping and self._ramp_step >= 0:
+            values["ramp_step"] = str(self._ramp_step)
         self.report(phase, values, OK if cause is None else ERROR, cause or phase)
 
     def _tell_estimates(self, step: int) -> None:

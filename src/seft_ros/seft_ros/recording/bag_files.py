@@ -1,18 +1,24 @@
 """A bag on disk: open it, or say in one line why it can't be read."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import batched
 from pathlib import Path
+from typing import Any
 
+import zstandard
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.storage_mcap import McapReader
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 from seft_msgs_py.errors import InputError
 
-from seft_ros.recording.bag_blocks import bag_blocks
+from seft_ros.recording.chunk_reader import read_chunks
 from seft_ros.recording.message_block import MessageBlock
 
 SUFFIXES = (".mcap", ".db3")
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
+_ROWS = 2048  # messages that are joined to a block
 
 
 def open_bag(path: str | Path) -> Reader:
@@ -39,10 +45,11 @@ def open_bag(path: str | Path) -> Reader:
             reader.close()
             raise
     except Exception as error:  # rosbags' parsers raise what garbage makes them raise
-        reason = (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
+        reason = _reason(error)
         if isinstance(error, PermissionError):
             raise InputError(f"{path}: {error.strerror}") from None
-        if any(is_cut_off(file) for file in files) or _lacks_metadata(path):
+        lacks_metadata = path.is_dir() and not (path / "metadata.yaml").exists()
+        if any(is_cut_off(file) for file in files) or lacks_metadata:
             reason = "its recording was cut off"
         raise InputError(
             f"{path}: the bag can't be read: {reason}; get back what is in it with: "
@@ -54,26 +61,65 @@ def open_bag(path: str | Path) -> Reader:
 def read_blocks(
     reader: Reader, connections: Sequence[Connection], path: str | Path
 ) -> Iterator[MessageBlock]:
-    """Messages of some connections in the order of time, many at a time.
+    """Messages of some connections, file by file, each in the order of time, many at a time.
+
+    A file's topics are known by name and type. rosbags looks at the quality of service too, and
+    leaves out, without a word, topics of which metadata and file tell different things.
 
     Raises
     ------
     InputError
         If the bag is damaged inside.
     """
-    blocks = bag_blocks(reader, connections)
-    while True:
-        try:
-            block = next(blocks)
-        except StopIteration:
-            return
-        except Exception as error:  # as above
-            reason = (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
-            raise InputError(
-                f"{path}: the bag is damaged inside ({reason}); no message after that place "
-                "can be read"
-            ) from None
-        yield block
+    numbers = {(item.topic, item.msgtype): k for k, item in reversed([*enumerate(connections)])}
+    try:
+        for storage in getattr(reader.storage, "storages", [reader.storage]):
+            sources = {
+                item.id: numbers[item.topic, item.msgtype]
+                for item in storage.connections
+                if (item.topic, item.msgtype) in numbers
+            }
+            if sources:
+                packed = reader.compression_mode == "message"
+                yield from _storage_blocks(storage, sources, packed)
+    except Exception as error:  # as above
+        raise InputError(
+            f"{path}: the bag is damaged inside ({_reason(error)}); no message after that place "
+            "can be read"
+        ) from None
+
+
+def _storage_blocks(storage: Any, sources: dict[int, int], packed: bool) -> Iterator[MessageBlock]:
+    rows: Iterable[tuple[int, int, bytes]]  # connection, log time in ns, message
+    if isinstance(storage, McapReader) and storage.chunks and not packed:
+        yield from read_chunks(storage, sources)
+        return
+    if isinstance(storage, Sqlite3Reader) and not packed:
+        assert storage.dbconn  # each row an object of its own only here
+        marks = ",".join("?" * len(sources))
+        rows = storage.dbconn.execute(
+            "SELECT topic_id, timestamp, data FROM messages "
+            f"WHERE topic_id IN ({marks}) ORDER BY timestamp",
+            tuple(sources),
+        )
+    else:
+        wanted = [item for item in storage.connections if item.id in sources]
+        rows = (
+            (item.id, time, _unpacked(raw) if packed else raw)
+            for item, time, raw in storage.messages(wanted)
+        )
+    for some in batched(rows, _ROWS):
+        items, times, raws = zip(*some, strict=True)
+        yield MessageBlock.of(times, [sources[item] for item in items], raws)
+
+
+def _unpacked(raw: bytes) -> bytes:
+    """Message that the recorder packed; its frame need not tell the size."""
+    unpacking = zstandard.ZstdDecompressor().decompressobj()
+    message: bytes = unpacking.decompress(raw)
+    if not unpacking.eof:
+        raise zstandard.ZstdError("a packed message ends early")
+    return message
 
 
 def storage_files(path: str | Path) -> list[Path]:
@@ -127,8 +173,8 @@ def _check_metadata(reader: Reader) -> None:
             raise TypeError(f"its metadata.yaml counts {item.msgcount!r} messages")
 
 
-def _lacks_metadata(path: Path) -> bool:
-    return path.is_dir() and not (path / "metadata.yaml").exists()
+def _reason(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
 
 
 def _natural_order(file: Path) -> list[tuple[int, str]]:

@@ -1,7 +1,7 @@
 """Read a bag back as the record of a test."""
 
-from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -25,8 +25,7 @@ from seft_msgs_py.wire.topics import (
 )
 
 from seft_ros.recording.bag_files import open_bag, read_blocks
-from seft_ros.recording.description import Description, read_description
-from seft_ros.recording.ending import trip_of
+from seft_ros.recording.description import Description, infer_experiment, read_description
 from seft_ros.recording.gathering import (
     EstimatesGatherer,
     EventLog,
@@ -34,8 +33,8 @@ from seft_ros.recording.gathering import (
     SeriesGatherer,
     StateGatherer,
     StatusGatherer,
+    trip_of,
 )
-from seft_ros.recording.inference import infer_experiment
 from seft_ros.recording.record import Record
 from seft_ros.recording.samples import of_all_rigs, on_steps_of, until
 from seft_ros.reference_force.topic import reference_force_topic
@@ -68,10 +67,8 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         If there is no bag, it is damaged or cut off, no test is described in it, or there are
         no samples that tell axes and rate.
     """
-    path = Path(path)
-    reader = open_bag(path)
-    try:
-        bag = _Bag(path, reader)
+    with closing(open_bag(path)) as reader:
+        bag = _Bag(Path(path), reader)
         description = bag.description()
         known = described or bool(description.sections)
         experiment = bag.experiment(description) if known else bag.inferred_experiment()
@@ -86,15 +83,8 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         log = EventLog()
         estimates = EstimatesGatherer(experiment)
         statuses, test = StatusGatherer(experiment.timebase, log), StateGatherer(log)
-        others: dict[Topic, Gatherer] = {
-            ESTIMATES: estimates,
-            DIAGNOSTICS: statuses,
-            EXPERIMENT_STATE: test,
-        }
-        bag.gather(loop, others)
+        bag.gather(loop, {ESTIMATES: estimates, DIAGNOSTICS: statuses, EXPERIMENT_STATE: test})
         start_ns = reader.start_time
-    finally:
-        reader.close()
     series = {
         topic.name: of_all_rigs(
             [loop[topic.of(rig)].series() for rig in experiment.rigs], experiment.rigs
@@ -114,8 +104,8 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         for topic in (GROUND_MOTION, REFERENCE_FORCE):  # which go ahead
             series[topic.name] = until(series[topic.name], last_step)
     series = {name: on_steps_of(series[RIG_STATE.name], one) for name, one in series.items()}
-    undecodable = bag.undecodable + sum(gatherer.undecodable for gatherer in loop.values())
-    undecodable += sum(gatherer.undecodable for gatherer in others.values())
+    undecodable = bag.undecodable + sum(one.undecodable for one in loop.values())
+    undecodable += estimates.undecodable + statuses.undecodable + test.undecodable
     return Record(
         experiment=experiment,
         series=series,
@@ -123,6 +113,7 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         trip=trip_of(outcome, test.ending, experiment.timebase),
         missed=outcome.missed if outcome else None,
         missed_steps=outcome.missed_steps if outcome else [],
+        held_steps=outcome.held_steps if outcome else [],
         overruns=outcome.overruns if outcome else None,
         saturation=outcome.saturation if outcome else Saturation(),
         round_trips=outcome.round_trips if outcome else {},
@@ -136,14 +127,7 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
 
 
 def read_messages(path: str | Path, topics: Sequence[Topic]) -> Iterator[tuple[Topic, int, bytes]]:
-    """Give the messages of some topics of a test as they were recorded, in the order of time.
-
-    Parameters
-    ----------
-    path : path
-        As `read_bag`.
-    topics : sequence of Topic
-        Which.
+    """Give the messages of some topics as they were recorded, in the order of time.
 
     Yields
     ------
@@ -159,16 +143,12 @@ def read_messages(path: str | Path, topics: Sequence[Topic]) -> Iterator[tuple[T
     InputError
         If there is no bag, or it is damaged or cut off.
     """
-    path = Path(path)
-    reader = open_bag(path)
-    try:
-        bag = _Bag(path, reader)
+    with closing(open_bag(path)) as reader:
+        bag = _Bag(Path(path), reader)
         found = [(topic, item) for topic in topics for item in bag.connections_of(topic)]
         for block in read_blocks(reader, [item for _, item in found], path):
             for source, received_ns, raw in block.messages():
                 yield found[source][0], received_ns, raw
-    finally:
-        reader.close()
 
 
 class _Bag:
@@ -188,14 +168,11 @@ class _Bag:
                 "record one namespace in a bag"
             )
         self.prefix = prefixes.pop() if prefixes else "/"
-        self.connections: dict[str, list[Connection]] = defaultdict(list)
-        for connection in reader.connections:
-            self.connections[connection.topic].append(connection)
 
     def connections_of(self, topic: Topic) -> list[Connection]:
         """List the connections of a topic that carry its type."""
-        found = self.connections[self.prefix + topic.name]
-        return [connection for connection in found if connection.msgtype == topic.type]
+        named = self.prefix + topic.name, topic.type
+        return [item for item in self.reader.connections if (item.topic, item.msgtype) == named]
 
     def description(self) -> Description:
         texts = []

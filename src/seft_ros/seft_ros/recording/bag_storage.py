@@ -6,10 +6,17 @@ that makes all that follows unreadable. Everything that reaches into rosbags' st
 for that is in this file.
 """
 
-from typing import Any, Protocol
+import os
+import tempfile
+from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import Any, override
 
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
+
+RESERVED = 4 << 20
+"""Bytes: an open chunk, and the index of a bag of hours."""
 
 
 class _UnsyncedSqlite(Sqlite3Writer):
@@ -28,30 +35,47 @@ class UnsyncedWriter(Writer):
     STORAGE_PLUGINS = {**Writer.STORAGE_PLUGINS, StoragePlugin.SQLITE3: _UnsyncedSqlite}  # noqa: RUF012
 
 
-class BagStorage(Protocol):
-    """What `BagWriter` needs of a file format."""
+class BagStorage(ABC):
+    """An open file of a bag.
 
-    def mark(self) -> Any:
-        """Where the file stands now, for `undo`."""
-
-    def undo(self, mark: Any) -> None:
-        """Take back all that was written after the mark."""
-
-    def flush(self) -> None:
-        """Hand everything to the operating system, in a form that can be recovered."""
-
-
-class McapStorage:
-    """An mcap file: closed chunks in the file, an open one in memory."""
+    Parameters
+    ----------
+    writer : Writer
+        Whose file it is.
+    """
 
     def __init__(self, writer: Writer) -> None:
         self._writer = writer
-        storage: Any = writer.storage
-        storage.bio.flush()
-        self._storage = storage
+        self._storage: Any = writer.storage
 
-    def mark(self) -> tuple[Any, ...]:
+    @abstractmethod
+    def mark(self) -> Any:
         """Where the file stands now, for `undo`."""
+
+    @abstractmethod
+    def undo(self, mark: Any) -> None:
+        """Take back all that was written after the mark."""
+
+    @abstractmethod
+    def flush(self) -> None:
+        """Hand everything to the operating system, in a form that can be recovered."""
+
+    def _forget_connections(self, kept: int, counts: dict[int, int]) -> None:
+        writer = self._writer
+        del writer.connections[kept:]
+        writer.counts = dict(counts)
+        writer.added_types = {connection.msgtype for connection in writer.connections}
+
+
+class McapStorage(BagStorage):
+    """An mcap file: closed chunks in the file, an open one in memory."""
+
+    def __init__(self, writer: Writer) -> None:
+        super().__init__(writer)
+        self._storage.bio.flush()
+
+    @override
+    def mark(self) -> tuple[Any, ...]:
         storage, writer = self._storage, self._writer
         chunk = storage.chunk
         return (
@@ -63,8 +87,8 @@ class McapStorage:
             dict(writer.counts),
         )
 
+    @override
     def undo(self, mark: tuple[Any, ...]) -> None:
-        """Take back all that was written after the mark."""
         chunk, chunk_size, file_size, chunks, connections, counts = mark
         storage, writer = self._storage, self._writer
         if storage.bio.tell() != file_size:
@@ -77,12 +101,12 @@ class McapStorage:
             chunk.msgs[identifier] = [item for item in messages if item[1] < chunk_size]
         storage.chunk = chunk
         storage.channel_stats = dict(counts)
-        _forget_connections(writer, connections, counts)
+        self._forget_connections(connections, counts)
         storage.schemas[:] = [s for s in storage.schemas if s.name in writer.added_types]
         del storage.channels[connections:]
 
+    @override
     def flush(self) -> None:
-        """Close the chunk and hand it to the operating system."""
         if self._storage.chunk.bio.tell():
             mark = self.mark()
             try:
@@ -95,39 +119,53 @@ class McapStorage:
         self._storage.bio.flush()
 
 
-class SqliteStorage:
+class SqliteStorage(BagStorage):
     """An sqlite3 file: what is committed survives."""
 
     def __init__(self, writer: Writer) -> None:
-        self._writer = writer
-        storage: Any = writer.storage
-        storage.conn.commit()
-        self._storage = storage
-        self._committed = self.mark()
+        super().__init__(writer)
+        self.flush()
 
+    @override
     def mark(self) -> tuple[int, dict[int, int]]:
-        """Where the file stands now, for `undo`."""
         return len(self._writer.connections), dict(self._writer.counts)
 
+    @override
     def undo(self, mark: tuple[int, dict[int, int]]) -> None:
-        """Take back all that was written after the mark.
-
-        On a full disk sqlite has taken back by itself what was not committed.
-        """
+        # on a full disk sqlite has taken back by itself what was not committed
         connections, counts = mark if self._storage.conn.in_transaction else self._committed
         execute = self._storage.cursor.execute
         execute("DELETE FROM messages WHERE id > ?", (sum(counts.values()),))
         execute("DELETE FROM topics WHERE id > ?", (connections,))
         execute("DELETE FROM message_definitions WHERE topic_type NOT IN (SELECT type FROM topics)")
-        _forget_connections(self._writer, connections, counts)
+        self._forget_connections(connections, counts)
 
+    @override
     def flush(self) -> None:
-        """Commit."""
         self._storage.conn.commit()
         self._committed = self.mark()
 
 
-def _forget_connections(writer: Writer, kept: int, counts: dict[int, int]) -> None:
-    del writer.connections[kept:]
-    writer.counts = dict(counts)
-    writer.added_types = {connection.msgtype for connection in writer.connections}
+class Reserve:
+    """Room on a disk that is kept for the end: a bag on a full disk can still be closed.
+
+    It belongs to a file without a name: a process that is killed leaves none. Raises OSError if
+    there is not so much room.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  it is kept open
+        try:
+            os.posix_fallocate(self._file.fileno(), 0, RESERVED)
+        except OSError:
+            self._file.close()
+            raise
+
+    def is_last(self) -> bool:
+        """Tell whether less than that is left beside it."""
+        system = os.fstatvfs(self._file.fileno())
+        return system.f_bavail * system.f_frsize < RESERVED
+
+    def release(self) -> None:
+        """Give the room away."""
+        self._file.close()

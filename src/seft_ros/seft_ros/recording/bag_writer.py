@@ -19,11 +19,11 @@ from seft_msgs_py.wire.topics import Topic
 from seft_ros.recording.bag_storage import (
     BagStorage,
     McapStorage,
+    Reserve,
     SqliteStorage,
     UnsyncedWriter,
 )
 from seft_ros.recording.bag_topics import add_topic
-from seft_ros.recording.reserve import Reserve
 
 FLUSH_PERIOD = 0.25  # s of wall time
 STORAGES = ("mcap", "sqlite3")
@@ -107,24 +107,12 @@ class BagWriter:
         self.flush_if_due()
 
     def flush_if_due(self) -> None:
-        """Flush if the last time is `FLUSH_PERIOD` ago; for times when nothing is written.
-
-        Raises
-        ------
-        ExperimentError
-            As `write`.
-        """
+        """Flush if the last time is `FLUSH_PERIOD` ago, also when nothing is written."""
         if time.monotonic() - self._flushed >= FLUSH_PERIOD:
             self.flush()
 
     def flush(self) -> None:
-        """Make all that was written safe from this process's death.
-
-        Raises
-        ------
-        ExperimentError
-            As `write`.
-        """
+        """Make all that was written safe from this process's death; raises as `write`."""
         if self._error is not None:
             raise self._error
         if not self._open:
@@ -140,17 +128,9 @@ class BagWriter:
             raise self._ended_by(full, self._storage.mark())
 
     def close(self, custom_data: Mapping[str, str] | None = None) -> None:
-        """Write index and metadata; does nothing if the bag is closed or broken.
+        """Write index and metadata, with ``custom_data``; raises as `write`.
 
-        Parameters
-        ----------
-        custom_data : mapping of str to str, optional
-            Kept in the bag's metadata.
-
-        Raises
-        ------
-        ExperimentError
-            As `write`.
+        Does nothing if the bag is closed or broken.
         """
         if not self._open or self._error is not None:
             return

@@ -1,13 +1,11 @@
-"""Messages of an mcap file, whole chunks at a time.
+"""Messages of an mcap file, whole chunks at a time, in the order in which rosbags gives them.
 
-rosbags takes 4 us for each message. Here the index that stands behind a chunk tells where its
-messages are, and arrays do the rest. The index is only a hint: what it leaves out, or where it
-does not fit the chunk, is found from record to record. Messages and their order are those of
-rosbags: log time and, where times are equal, the file.
+rosbags takes 4 us for each message, arrays 0.2 us.
 """
 
 import struct
 from collections.abc import Iterator, Mapping
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -36,7 +34,6 @@ _HEAD = np.dtype(
     ]
 )
 _IN_HEAD = _HEAD.itemsize - _RECORD.size  # bytes of the head that the length counts
-_LOGGED = np.dtype([*((name, PLACES[name]) for name in PLACES.names or ()), ("chunk", "<i8")])
 
 
 def read_chunks(reader: McapReader, sources: Mapping[int, int]) -> Iterator[MessageBlock]:
@@ -61,13 +58,13 @@ def read_chunks(reader: McapReader, sources: Mapping[int, int]) -> Iterator[Mess
     datas: list[Bytes] = []
     places: list[npt.NDArray[np.void]] = []
     size = 0
-    for index, chunk in enumerate(chunks):
-        data, hint = _read(reader, chunk)
-        datas.append(data)
-        places.append(_logged(data, hint, chunk, numbers))
-        places[-1]["start"] += size
-        size += len(data)
-        following = chunks[index + 1] if index + 1 < len(chunks) else None
+    for chunk, following in pairwise([*chunks, None]):
+        assert chunk
+        block = _chunk_block(reader, chunk, numbers)
+        block.places["start"] += size
+        datas.append(block.data)
+        places.append(block.places)
+        size += len(block.data)
         if following and size < BATCH:
             continue
         block = MessageBlock(np.concatenate(datas), _in_order(np.concatenate(places)))
@@ -79,6 +76,42 @@ def read_chunks(reader: McapReader, sources: Mapping[int, int]) -> Iterator[Mess
         places[0]["start"] = np.cumsum(held.places["length"]) - held.places["length"]
 
 
+def _chunk_block(reader: McapReader, chunk: ChunkInfo, numbers: Offsets) -> MessageBlock:
+    """Messages of a chunk that are wanted, in the order of the chunk."""
+    assert reader.bio
+    reader.bio.seek(chunk.chunk_start_offset)
+    record = reader.bio.read(chunk.chunk_length + chunk.message_index_length)
+    *_, checksum = _CHUNK_HEAD.unpack_from(record, _RECORD.size)
+    # a text and a size, as in the summary's index of chunks, stand before the data
+    at = _RECORD.size + _CHUNK_HEAD.size + 4 + len(chunk.compression) + 8
+    packed = record[at : at + chunk.compressed_size]
+    plain = decompress(packed, chunk.compression, chunk.uncompressed_size, checksum)
+    data = np.frombuffer(plain, np.uint8)
+    starts = message_starts(data, _indexed(record, chunk.chunk_length))
+    heads = _heads(data, starts)
+    places = np.empty(len(starts), PLACES)
+    places["time"], places["source"] = heads["log_time"], numbers[heads["channel"]]
+    places["start"] = starts + _HEAD.itemsize
+    places["length"] = heads["length"].astype(np.int64) - _IN_HEAD
+    places["chunk"] = chunk.chunk_start_offset
+    first, last = chunk.message_start_time, chunk.message_end_time
+    wanted = (places["source"] >= 0) & (first <= heads["log_time"]) & (heads["log_time"] <= last)
+    return MessageBlock(data, places[wanted])
+
+
+def _indexed(record: bytes, at: int) -> Offsets:
+    """Offsets in all the index records that follow a chunk."""
+    found = [np.empty(0, np.int64)]
+    while at + _INDEX_HEAD.size <= len(record):
+        opcode, length, _, size = _INDEX_HEAD.unpack_from(record, at)
+        start = at + _INDEX_HEAD.size
+        at += _RECORD.size + length
+        if opcode != _INDEX or size % 16 or start + size != at or at > len(record):
+            break
+        found.append(np.frombuffer(record, "<i8", size // 8, start)[1::2])
+    return np.concatenate(found)
+
+
 def message_starts(data: Bytes, hint: Offsets) -> Offsets:
     """Find where the message records of a chunk start, in the order of the chunk.
 
@@ -87,7 +120,8 @@ def message_starts(data: Bytes, hint: Offsets) -> Offsets:
     data : ndarray of uint8
         The chunk, uncompressed.
     hint : ndarray of int64
-        Where some of them are said to start; what is wrong with it makes this slow, no more.
+        Where the index says that they start; if these do not make up the chunk, they are found
+        from record to record.
 
     Raises
     ------
@@ -95,49 +129,29 @@ def message_starts(data: Bytes, hint: Offsets) -> Offsets:
         If the chunk is damaged.
     """
     starts = np.sort(hint)
-    if not len(starts) or starts[0] < 0 or starts[-1] > len(data) - _HEAD.itemsize:
-        return _scanned(data, 0, len(data))
-    heads = _heads(data, starts)
-    lengths = np.minimum(heads["length"], len(data)).astype(np.int64)
-    ends = starts + _RECORD.size + lengths
-    if (heads["opcode"] != _MESSAGE).any() or lengths.min() < _IN_HEAD:
-        return _scanned(data, 0, len(data))
-    gap_starts, gap_ends = np.append(0, ends), np.append(starts, len(data))
-    gaps = np.flatnonzero(gap_starts != gap_ends)
-    try:
-        found = [_scanned(data, int(gap_starts[at]), int(gap_ends[at])) for at in gaps]
-    except ReaderError:
-        return _scanned(data, 0, len(data))
-    return np.sort(np.concatenate([starts, *found]))
+    if len(starts) and starts[0] == 0 and starts[-1] <= len(data) - _HEAD.itemsize:
+        heads = _heads(data, starts)
+        ends = starts + _RECORD.size + heads["length"].astype(np.int64)
+        are_messages = heads["opcode"] == _MESSAGE
+        are_messages &= heads["length"] >= _IN_HEAD
+        if are_messages.all() and np.array_equal(ends, [*starts[1:], len(data)]):
+            return starts
+    return _scanned(data)
 
 
-def _scanned(data: Bytes, at: int, end: int) -> Offsets:
+def _scanned(data: Bytes) -> Offsets:
     """Find messages by going from record to record, which must end where they should."""
-    raw, found = memoryview(data), []
-    while at + _RECORD.size <= end:
+    raw, found, at = memoryview(data), [], 0
+    while at + _RECORD.size <= len(raw):
         opcode, length = _RECORD.unpack_from(raw, at)
         if opcode == _MESSAGE:
             if length < _IN_HEAD:
                 raise ReaderError(f"a message record of {length} bytes is none")
             found.append(at)
         at += _RECORD.size + length
-    if at != end:
+    if at != len(raw):
         raise ReaderError("the records of a chunk do not fit it")
     return np.array(found, np.int64)
-
-
-def _logged(data: Bytes, hint: Offsets, chunk: ChunkInfo, numbers: Offsets) -> npt.NDArray[np.void]:
-    """Messages of a chunk that are wanted, in the order of the chunk."""
-    starts = message_starts(data, hint)
-    heads = _heads(data, starts)
-    found = np.empty(len(starts), _LOGGED)
-    found["time"], found["source"] = heads["log_time"], numbers[heads["channel"]]
-    found["start"] = starts + _HEAD.itemsize
-    found["length"] = heads["length"].astype(np.int64) - _IN_HEAD
-    found["chunk"] = chunk.chunk_start_offset
-    first, last = chunk.message_start_time, chunk.message_end_time
-    wanted = (found["source"] >= 0) & (first <= heads["log_time"]) & (heads["log_time"] <= last)
-    return found[wanted]
 
 
 def _heads(data: Bytes, starts: Offsets) -> npt.NDArray[np.void]:
@@ -157,32 +171,6 @@ def _before(places: npt.NDArray[np.void], chunk: ChunkInfo | None) -> npt.NDArra
         return np.ones(len(places), bool)
     time, place = _start(chunk)
     return (places["time"] < time) | ((places["time"] == time) & (places["chunk"] < place))
-
-
-def _read(reader: McapReader, chunk: ChunkInfo) -> tuple[Bytes, Offsets]:
-    """Bytes of a chunk, and where the index behind it says that messages start."""
-    assert reader.bio
-    reader.bio.seek(chunk.chunk_start_offset)
-    record = reader.bio.read(chunk.chunk_length + chunk.message_index_length)
-    *_, checksum = _CHUNK_HEAD.unpack_from(record, _RECORD.size)
-    # a text and a size, as in the summary's index of chunks, stand before the data
-    at = _RECORD.size + _CHUNK_HEAD.size + 4 + len(chunk.compression) + 8
-    packed = record[at : at + chunk.compressed_size]
-    data = decompress(packed, chunk.compression, chunk.uncompressed_size, checksum)
-    return np.frombuffer(data, np.uint8), _indexed(record, chunk.chunk_length)
-
-
-def _indexed(record: bytes, at: int) -> Offsets:
-    """Offsets in all the index records that follow a chunk."""
-    found = [np.empty(0, np.int64)]
-    while at + _INDEX_HEAD.size <= len(record):
-        opcode, length, _, size = _INDEX_HEAD.unpack_from(record, at)
-        start = at + _INDEX_HEAD.size
-        at += _RECORD.size + length
-        if opcode != _INDEX or size % 16 or start + size != at or at > len(record):
-            break
-        found.append(np.frombuffer(record, "<i8", size // 8, start)[1::2])
-    return np.concatenate(found)
 
 
 def _start(chunk: ChunkInfo) -> tuple[int, int]:

@@ -16,8 +16,6 @@ GIT_TIMEOUT = 5.0  # s
 def describe_environment(mode: str) -> dict[str, Any]:
     """Describe what a test is run with; JSON values only.
 
-    Git is asked once in a process (some 20 ms).
-
     Parameters
     ----------
     mode : str
@@ -45,11 +43,8 @@ def describe_environment(mode: str) -> dict[str, Any]:
 def git_state(file: Path) -> dict[str, Any] | None:
     """Revision of the checkout that tracks a file, and whether its Python files differ.
 
-    Returns
-    -------
-    dict or None
-        ``revision`` (str) and ``dirty`` (bool); None if the file is under no git's control:
-        one that was installed into another project's folder is none of that project's.
+    None if the file is under no git's control: one that was installed into another project's
+    folder is none of that project's. Git is asked once in a process (some 20 ms).
     """
     top = _git(file.parent, "rev-parse", "--show-toplevel")
     if top is None or _git(file.parent, "ls-files", "--error-unmatch", file.name) is None:

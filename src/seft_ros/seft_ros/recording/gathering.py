@@ -5,7 +5,6 @@ Each object takes the messages of one topic, and counts those that it can't unde
 
 from functools import lru_cache
 from math import inf
-from typing import Protocol
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import WireError
@@ -19,14 +18,14 @@ from seft_msgs_py.wire.messages import (
     decode_diagnostics,
     decode_status,
 )
-from seft_msgs_py.wire.outcome import Outcome, read_outcome
+from seft_msgs_py.wire.outcome import STOPPED, Outcome, Trip, read_outcome
 from seft_msgs_py.wire.rigs import RigAxes, bare
 from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND, Timebase
 from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, TARGET, LoopTopic
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_msgs_py.wire.trajectory_batch import decode_batch
 
-from seft_ros.experiment.state_machine import ENDED
+from seft_ros.experiment.state_machine import ENDED, State
 from seft_ros.force_controller.link_record import LinkRecord
 from seft_ros.recording.message_block import MessageBlock
 from seft_ros.recording.record import Estimates, Event, Series
@@ -36,31 +35,11 @@ _MOST_EVENTS = 1000
 _LEVELS = {OK: "ok", WARN: "warn", ERROR: "error", STALE: "stale"}
 
 
-class Gatherer(Protocol):
-    """What takes the messages of a topic one by one."""
-
-    undecodable: int
-
-    def take(self, raw: bytes, received_ns: int) -> None:
-        """Take the next message, and when it was received."""
-
-
 class SeriesGatherer:
-    """Samples of a topic of the loop.
+    """Samples of a topic of the loop, with all axes or those of one rig.
 
     Over a link, a message tells the reference force of later steps, too. Of a target, which goes
     on changing, the first point of each message counts.
-
-    Parameters
-    ----------
-    topic : LoopTopic
-        The topic.
-    experiment : Experiment
-        Tells axes and rate.
-    expected : int
-        Number of messages.
-    rig : RigAxes, optional
-        The one of several rigs whose topic it is; default the topic has all axes.
     """
 
     def __init__(
@@ -83,7 +62,7 @@ class SeriesGatherer:
             self._ahead = 0
 
     def take(self, block: MessageBlock) -> None:
-        """Take the next messages, all of the topic."""
+        """Take the next messages of the topic."""
         for rows, received in block.alike():
             batch = decode_batch(self._codec, rows).up_to(self._ahead)
             times = received[batch.messages] if self._timed else None
@@ -158,17 +137,11 @@ class StatusGatherer:
 
 
 class StateGatherer:
-    """What the supervisor told of the test's state.
-
-    Attributes
-    ----------
-    ending : Status or None
-        The last state in which it says how the test ended.
-    """
+    """What the supervisor told of the test's state."""
 
     def __init__(self, log: "EventLog") -> None:
         self.undecodable = 0
-        self.ending: Status | None = None
+        self.ending: Status | None = None  # the last that says how the test ended
         self._log = log
 
     def take(self, raw: bytes, received_ns: int) -> None:
@@ -180,11 +153,8 @@ class StateGatherer:
             return
         if status.message in ENDED:
             self.ending = status
-        detail = status.values.get("detail", "")
-        same = detail in ("", status.message)
-        self._log.add(
-            received_ns, status, status.message if same else f"{status.message}: {detail}"
-        )
+        detail, text = status.values.get("detail", ""), status.message
+        self._log.add(received_ns, status, text if detail in ("", text) else f"{text}: {detail}")
 
 
 class EventLog:
@@ -207,3 +177,28 @@ class EventLog:
             Event((at - start_ns) / NANOSECONDS_PER_SECOND, source, _LEVELS.get(level, "?"), text)
             for at, source, level, text in self._events
         ]
+
+
+Gatherer = EstimatesGatherer | StatusGatherer | StateGatherer
+"""Takes messages one by one."""
+
+
+def trip_of(outcome: Outcome | None, ending: Status | None, timebase: Timebase) -> Trip | None:
+    """Say why a test ended: the rig knows its own limits, the supervisor all else.
+
+    ``outcome`` is the end as the rig saw it, ``ending`` the supervisor's last ``done`` or
+    ``tripped``. None if the test ran to the end of its record, or nobody says why it did not.
+    """
+    trip = outcome.trip if outcome else None
+    if ending is None or (trip is None and ending.message != State.TRIPPED):
+        return trip
+    if ending.message != State.TRIPPED and trip is not None and trip.reason != STOPPED:
+        return trip
+    told = ending.values.get("step", "")
+    if told.isdecimal():
+        step = int(told)
+    elif trip is not None:
+        step = trip.step
+    else:
+        step = max(0, outcome.steps - 1) if outcome else 0
+    return Trip(ending.values.get("detail", ""), step, timebase.stamp_ns(step) / 1e9)

@@ -10,8 +10,9 @@ Bytes = npt.NDArray[np.uint8]
 Flags = npt.NDArray[np.bool_]
 Times = npt.NDArray[np.int64]
 
-PLACES = np.dtype([("time", "<i8"), ("source", "<i8"), ("start", "<i8"), ("length", "<i8")])
-"""Of a message: log time in ns, number of its connection, where its bytes start, and how many."""
+PLACES = np.dtype([(name, "<i8") for name in ("time", "source", "start", "length", "chunk")])
+"""Of a message: log time in ns, number of its connection, where its bytes start, how many they
+are, and where in the file its chunk starts."""
 
 
 class MessageBlock(NamedTuple):
@@ -33,10 +34,10 @@ class MessageBlock(NamedTuple):
         cls, times: Sequence[int], sources: Sequence[int], raws: Sequence[bytes]
     ) -> "MessageBlock":
         """Join messages that stand apart."""
-        places = np.empty(len(raws), PLACES)
+        places = np.zeros(len(raws), PLACES)
         places["time"], places["source"] = times, sources
-        places["length"] = lengths = np.fromiter(map(len, raws), np.int64, len(raws))
-        places["start"] = np.cumsum(lengths) - lengths
+        places["length"] = np.fromiter(map(len, raws), np.int64, len(raws))
+        places["start"] = np.cumsum(places["length"]) - places["length"]
         return cls(np.frombuffer(b"".join(raws), np.uint8), places)
 
     def only(self, which: Flags) -> "MessageBlock":
@@ -51,8 +52,7 @@ class MessageBlock(NamedTuple):
 
     def alike(self) -> Iterator[tuple[Bytes, Times]]:
         """Give those of equal length together: bytes, shape (M, length), and log times (M,)."""
-        lengths = self.places["length"]
-        ends = np.flatnonzero(np.diff(lengths)) + 1
+        ends = np.flatnonzero(np.diff(self.places["length"])) + 1
         for run in np.split(self.places, ends):
             if len(run):
                 yield gathered(self.data, run["start"], int(run["length"][0])), run["time"]

@@ -1,5 +1,6 @@
 """What is left of a test: its samples by step, its configuration, and how it ended."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -34,6 +35,10 @@ class Series:
     steps: npt.NDArray[np.int64]
     values: Floats
     received_ns: npt.NDArray[np.int64] | None = field(default=None, kw_only=True)
+
+    def samples(self) -> Iterator[tuple[int, Floats]]:
+        """Give the samples one by one: step, and values of shape (q, n)."""
+        return zip(self.steps.tolist(), self.values, strict=True)
 
 
 @dataclass(frozen=True)
@@ -92,6 +97,8 @@ class Record:
         recorder was cut off before the rig said).
     missed_steps : list of int
         The first of these steps (the rig lists a bounded number).
+    held_steps : list of int
+        Step of the command that was applied at each of them, -1 for none; empty if unknown.
     overruns : int or None
         Times the rig's own clock was held up for more than half a period, and went on from there;
         None if unknown.
@@ -121,6 +128,7 @@ class Record:
     trip: Trip | None = None
     missed: int | None = 0
     missed_steps: list[int] = field(default_factory=list)
+    held_steps: list[int] = field(default_factory=list)
     overruns: int | None = 0
     saturation: Saturation = field(default_factory=Saturation)
     round_trips: dict[str, float] = field(default_factory=dict)

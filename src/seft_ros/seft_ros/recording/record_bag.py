@@ -1,7 +1,7 @@
 """Write a record as a bag of the same form as a recorded one."""
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -29,7 +29,7 @@ from seft_ros.recording.bag_reader import UNDECODABLE
 from seft_ros.recording.bag_writer import BagWriter
 from seft_ros.recording.description import write_description
 from seft_ros.recording.record import Record
-from seft_ros.recording.samples import Run, consecutive_runs
+from seft_ros.recording.samples import consecutive_runs
 from seft_ros.reference_force.topic import reference_force_topic
 
 CHUNK_STEPS = 100
@@ -87,7 +87,10 @@ def write_record(
     }
     ((_, motion_codec),) = codecs[GROUND_MOTION.name]
     estimates_codec = EstimatesCodec(axes, timebase)
-    motion = _motion(record, ground_motion)
+    if ground_motion is None:
+        motion = consecutive_runs(record.series[GROUND_MOTION.name], CHUNK_STEPS)
+    else:
+        motion = [(first, np.ascontiguousarray(v)[:, np.newaxis, :]) for first, v in ground_motion]
     events, not_finite = _events(record)
     environment = {k: v for k, v in record.environment.items() if k != UNDECODABLE}
     if not_finite:
@@ -98,10 +101,8 @@ def write_record(
         sent, time_ns = 0, start_ns
         for step, which, index in events.tolist():
             time_ns = start_ns + timebase.stamp_ns(step)
-            while sent < len(motion) and motion[max(0, sent - 1)].first_step <= step:
-                run = motion[sent]
-                raw = motion_codec.encode_points(run.first_step, run.values)
-                bag.write(GROUND_MOTION, raw, time_ns)
+            while sent < len(motion) and motion[max(0, sent - 1)][0] <= step:
+                bag.write(GROUND_MOTION, motion_codec.encode_points(*motion[sent]), time_ns)
                 sent += 1
             topic = STEP_TOPICS[which]
             if topic is ESTIMATES and record.estimates:
@@ -124,18 +125,13 @@ def write_record(
                 overruns=record.overruns or 0,
                 saturation=record.saturation,
                 round_trips=record.round_trips,
+                held_steps=record.held_steps,
             )
             # what is of the rigs together is told of the first
             statuses = [replace(status, name=rig.node(RIG)) for rig in rigs]
             quiet = {"missed": "0", "missed_steps": "", "overruns": "0", "saturated": "{}"}
             statuses[1:] = [replace(s, values={**s.values, **quiet}) for s in statuses[1:]]
             bag.write(DIAGNOSTICS, encode_diagnostics(time_ns, statuses), time_ns)
-
-
-def _motion(record: Record, given: Iterable[Chunk] | None) -> Sequence[Run]:
-    if given is None:
-        return consecutive_runs(record.series[GROUND_MOTION.name], CHUNK_STEPS)
-    return [Run(first_step, np.ascontiguousarray(v)[:, np.newaxis, :]) for first_step, v in given]
 
 
 def _events(record: Record) -> tuple[npt.NDArray[np.int64], int]:

@@ -2,8 +2,8 @@
 
 import shutil
 import sqlite3
-from collections import Counter
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,27 +19,13 @@ from seft_ros.recording.salvage import Found, Source, mcap_messages, sqlite_mess
 
 @dataclass(frozen=True)
 class Recovery:
-    """What `recover` did.
-
-    Attributes
-    ----------
-    path : Path
-        The bag.
-    intact : bool
-        It could be read as it was, and was left as it was.
-    messages : int
-        Messages in it now.
-    topics : dict of str to int
-        Topic -> messages; empty if intact.
-    original : Path or None
-        Where the cut-off original is kept; None if intact.
-    """
+    """What `recover` did with the bag at ``path``; one that could be read was left as it was."""
 
     path: Path
     intact: bool
-    messages: int
-    topics: dict[str, int]
-    original: Path | None
+    messages: int  # in it now
+    topics: dict[str, int]  # topic -> messages
+    original: Path | None  # where the cut-off original is kept; None if intact
 
     def __str__(self) -> str:
         if self.intact:
@@ -112,13 +98,10 @@ def _is_intact(place: Path, shown: Path) -> bool:
 
 
 def _summary(path: Path, original: Path | None) -> Recovery:
-    reader = open_bag(path)
-    try:
+    with closing(open_bag(path)) as reader:
         topics = {connection.topic: connection.msgcount for connection in reader.connections}
         shown = path.with_name(original.name) if original and path.name else original
         return Recovery(path, original is None, reader.message_count, topics, shown)
-    finally:
-        reader.close()
 
 
 def _build(files: list[Path], fresh: Path, built: Path, shown: Path, single: bool) -> None:
@@ -128,7 +111,6 @@ def _build(files: list[Path], fresh: Path, built: Path, shown: Path, single: boo
         raise InputError(f"{shown}: mcap and sqlite3 files in one bag can't be recovered together")
     folder = fresh / "parts" / (built.stem if single else built.name)
     plugin = StoragePlugin.MCAP if kinds == {".mcap"} else StoragePlugin.SQLITE3
-    counts: Counter[str] = Counter()
     with Writer(folder, version=9, storage_plugin=plugin) as writer:
         writer.set_custom_data("recovered", "true")
         connections: dict[Source, Connection] = {}
@@ -137,8 +119,7 @@ def _build(files: list[Path], fresh: Path, built: Path, shown: Path, single: boo
                 if source not in connections:
                     connections[source] = add_source(writer, source)
                 writer.write(connections[source], time_ns, data)
-                counts[source.topic] += 1
-        if not counts:
+        if not connections:
             raise InputError(f"{shown}: no whole message is in it; there is nothing to recover")
         whole = writer.storage.path if single and writer.storage else folder
     whole.rename(built)

@@ -12,10 +12,9 @@ from typing import IO
 import zstandard
 from lz4.frame import LZ4FrameDecompressor
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import EndOfFile, McapError
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, McapRecord, Message, Schema
-from mcap.stream_reader import StreamReader
+from mcap.records import Channel, Chunk, Message, Schema
 
 _MAGIC_SIZE = 8
 _HEAD = struct.Struct("<BQ")  # of a record: opcode, length
@@ -25,25 +24,13 @@ _DAMAGE = (McapError, struct.error, ValueError, OverflowError, MemoryError, Runt
 
 @dataclass(frozen=True)
 class Source:
-    """What a bag's file says of a topic.
+    """What a bag's file says of a topic."""
 
-    Attributes
-    ----------
-    topic, type : str
-        Name with leading slash, message type.
-    definition : str
-        Text that defines the type; may be empty.
-    serialization : str
-        ``cdr``.
-    qos : str
-        Offered quality of service, YAML; may be empty.
-    """
-
-    topic: str
+    topic: str  # with leading slash
     type: str
-    definition: str
-    serialization: str
-    qos: str
+    definition: str  # text that defines the type; may be empty
+    serialization: str  # ``cdr``
+    qos: str  # offered, YAML; may be empty
 
 
 Found = tuple[Source, int, bytes]  # log time in ns, message bytes
@@ -54,6 +41,7 @@ def mcap_messages(path: Path) -> Iterator[Found]:
     schemas: dict[int, Schema] = {}
     sources: dict[int, Source] = {}
     with path.open("rb") as file:
+        file.seek(_MAGIC_SIZE)
         for record in _records(file):
             if isinstance(record, Schema):
                 schemas[record.id] = record
@@ -66,8 +54,50 @@ def mcap_messages(path: Path) -> Iterator[Found]:
                     serialization=record.message_encoding,
                     qos=record.metadata.get("offered_qos_profiles", ""),
                 )
-            elif isinstance(record, Message) and record.channel_id in sources:
+            elif record.channel_id in sources:
                 yield sources[record.channel_id], record.log_time, _plain(record.data)
+
+
+def _records(stream: IO[bytes]) -> Iterator[Schema | Channel | Message]:
+    """Whole records in their order; of a chunk, also of one that is cut off, those inside."""
+    start = stream.tell()
+    left = stream.seek(0, 2) - start
+    stream.seek(start)
+    while len(head := stream.read(_HEAD.size)) == _HEAD.size:
+        opcode, length = _HEAD.unpack(head)
+        left -= _HEAD.size
+        body = stream.read(min(length, left))  # a garbled length would reserve that much memory
+        left -= len(body)
+        if opcode == Opcode.CHUNK:
+            yield from _records(BytesIO(_chunk_data(body)))
+        elif len(body) < length:
+            return
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+            try:
+                record = _parsed(opcode, body)
+            except _DAMAGE:
+                return
+            yield record
+
+
+def _parsed(opcode: int, body: bytes) -> Schema | Channel | Message:
+    stream = ReadDataStream(BytesIO(body))
+    if opcode == Opcode.MESSAGE:
+        return Message.read(stream, len(body))
+    return Schema.read(stream) if opcode == Opcode.SCHEMA else Channel.read(stream)
+
+
+def _chunk_data(body: bytes) -> bytes:
+    """Unpack the records of a chunk; of one that is cut off, as far as they go."""
+    try:
+        chunk = Chunk.read(ReadDataStream(BytesIO(body)))  # its data may be short
+        if chunk.compression == "zstd":
+            return zstandard.ZstdDecompressor().decompressobj().decompress(chunk.data)
+        if chunk.compression == "lz4":
+            return LZ4FrameDecompressor().decompress(chunk.data)
+        return chunk.data
+    except (*_DAMAGE, zstandard.ZstdError):
+        return b""
 
 
 def sqlite_messages(path: Path) -> Iterator[Found]:
@@ -94,16 +124,6 @@ def sqlite_messages(path: Path) -> Iterator[Found]:
         return  # of a damaged file sqlite gives any names, and values of any type
 
 
-def _plain(data: bytes) -> bytes:
-    """Message bytes, unpacked where the recorder packed each message."""
-    if data[:4] != zstandard.FRAME_HEADER:
-        return data
-    try:
-        return zstandard.ZstdDecompressor().decompressobj().decompress(data)
-    except zstandard.ZstdError:
-        return data
-
-
 def _sqlite_sources(database: sqlite3.Connection) -> dict[int, Source]:
     definitions: dict[str, str] = {}
     if database.execute("PRAGMA table_info(message_definitions)").fetchall():
@@ -121,57 +141,11 @@ def _sqlite_sources(database: sqlite3.Connection) -> dict[int, Source]:
     }
 
 
-def _records(file: IO[bytes]) -> Iterator[McapRecord]:
-    """Whole records in their order, those inside chunks too; of the last chunk what is there."""
-    whole = _MAGIC_SIZE
+def _plain(data: bytes) -> bytes:
+    """Message bytes, unpacked where the recorder packed each message."""
+    if data[:4] != zstandard.FRAME_HEADER:
+        return data
     try:
-        for record in StreamReader(_WholeReads(file), emit_chunks=True).records:  # type: ignore[arg-type]
-            whole = file.tell()
-            if isinstance(record, Chunk):
-                yield from _records_inside(record)
-            else:
-                yield record
-    except _DAMAGE:
-        file.seek(whole)
-        yield from _records_of_cut_chunk(file.read())
-
-
-def _records_of_cut_chunk(tail: bytes) -> Iterator[McapRecord]:
-    if len(tail) < _HEAD.size or tail[0] != Opcode.CHUNK:
-        return
-    try:
-        chunk = Chunk.read(ReadDataStream(BytesIO(tail[_HEAD.size :])))  # its data may be short
-    except _DAMAGE:
-        return
-    yield from _records_inside(chunk)
-
-
-def _records_inside(chunk: Chunk) -> Iterator[McapRecord]:
-    try:
-        data = chunk.data
-        if chunk.compression == "zstd":
-            data = zstandard.ZstdDecompressor().decompressobj().decompress(data)
-        elif chunk.compression == "lz4":
-            data = LZ4FrameDecompressor().decompress(data)
-        stream = _WholeReads(BytesIO(data))
-        yield from StreamReader(stream, skip_magic=True).records  # type: ignore[arg-type]
-    except (*_DAMAGE, zstandard.ZstdError):
-        return  # the end of a chunk's data is always met this way
-
-
-class _WholeReads:
-    """A stream that gives what is asked for or, unlike a file, nothing."""
-
-    def __init__(self, stream: IO[bytes]) -> None:
-        self._stream = stream
-        start = stream.tell()
-        self._most = stream.seek(0, 2)
-        stream.seek(start)
-
-    def read(self, size: int) -> bytes:
-        if not 0 <= size <= self._most:  # a garbled length would reserve that much memory
-            raise EndOfFile
-        data = self._stream.read(size)
-        if len(data) != size:
-            raise EndOfFile
+        return zstandard.ZstdDecompressor().decompressobj().decompress(data)
+    except zstandard.ZstdError:
         return data

@@ -1,7 +1,7 @@
 """Samples of a topic, gathered message by message in whatever order they come."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -81,7 +81,7 @@ class EstimateBuffer:
 
     def __init__(self) -> None:
         self._names: tuple[str, ...] = ()
-        self._samples: SampleBuffer | None = None
+        self._samples: dict[int, Floats] = {}
 
     def append(self, step: int, estimates: Mapping[str, Floats]) -> None:
         """Add the estimates of a step, name -> shape (n,); of none there is nothing to add.
@@ -91,68 +91,41 @@ class EstimateBuffer:
         WireError
             If they are others than those of the first step.
         """
-        if not estimates:
-            return
-        sample = np.stack(list(estimates.values()))
-        if self._samples is None:
-            self._names = tuple(estimates)
-            self._samples = SampleBuffer(len(sample), sample.shape[1], 0)
-        require_names(step, estimates, self._names)
-        self._samples.append(np.array([step]), sample[np.newaxis])
+        if estimates:
+            self._names = self._names or tuple(estimates)
+            require_names(step, estimates, self._names)
+            self._samples.setdefault(step, np.stack(list(estimates.values())))
 
     def series(self) -> Estimates | None:
-        """Order them by step as `SampleBuffer.series` does; None if there are none."""
-        if self._samples is None:
+        """Order them by step, of those that came twice the first; None if there are none."""
+        if not self._samples:
             return None
-        samples = self._samples.series()
-        return Estimates(samples.steps, samples.values, self._names)
+        steps = sorted(self._samples)
+        values = np.stack([self._samples[step] for step in steps])
+        return Estimates(np.array(steps, np.int64), values, self._names)
 
 
-@dataclass(frozen=True)
-class Run:
-    """Samples of consecutive steps.
-
-    Attributes
-    ----------
-    first_step : int
-        Step of the first.
-    values : ndarray
-        Shape (p, q, n).
-    """
-
-    first_step: int
-    values: Floats
-
-
-def consecutive_runs(series: Series, longest: int) -> list[Run]:
-    """Cut a series where steps are missing, and every ``longest`` steps."""
-    ends = np.flatnonzero(np.diff(series.steps) != 1) + 1
-    runs = []
-    for start, end in zip([0, *ends], [*ends, len(series.steps)], strict=True):
-        for at in range(int(start), int(end), longest):
-            values = series.values[at : min(at + longest, int(end))]
-            runs.append(Run(int(series.steps[at]), values))
-    return runs
+def consecutive_runs(series: Series, longest: int) -> list[tuple[int, Floats]]:
+    """Cut a series where steps are missing, and every ``longest`` steps: first step, values."""
+    ends = (np.flatnonzero(np.diff(series.steps) != 1) + 1).tolist()
+    runs = zip([0, *ends], [*ends, len(series.steps)], strict=True)
+    return [
+        (int(series.steps[at]), series.values[at : min(at + longest, end)])
+        for start, end in runs
+        for at in range(start, end, longest)
+    ]
 
 
 def of_all_rigs(parts: Sequence[Series], rigs: Sequence[RigAxes]) -> Series:
-    """Put the series of several rigs together: the steps that all have, received when all were.
-
-    Parameters
-    ----------
-    parts : sequence of Series
-        Of each rig, over its own axes.
-    rigs : sequence of RigAxes
-        Which these are.
-    """
+    """Put the series of several rigs together: the steps that all have, received when all were."""
     if len(parts) == 1:
         return parts[0]
     steps = parts[0].steps
     for part in parts[1:]:
         steps = np.intersect1d(steps, part.steps, assume_unique=True)
     rows = [np.searchsorted(part.steps, steps) for part in parts]
-    shape = (len(steps), parts[0].values.shape[1], sum(len(rig.axes) for rig in rigs))
-    values = np.empty(shape)
+    axes = sum(len(rig.axes) for rig in rigs)
+    values = np.empty((len(steps), parts[0].values.shape[1], axes))
     for part, kept, rig in zip(parts, rows, rigs, strict=True):
         values[:, :, list(rig.places)] = part.values[kept]
     times = [
@@ -169,6 +142,12 @@ def until(series: Series, last_step: int) -> Series:
     end = int(np.searchsorted(series.steps, last_step, side="right"))
     received = None if series.received_ns is None else series.received_ns[:end]
     return Series(series.steps[:end], series.values[:end], received_ns=received)
+
+
+def of_steps(series: Series, steps: Steps) -> Series:
+    """Keep the samples of some steps."""
+    kept = np.isin(series.steps, steps)
+    return Series(series.steps[kept], series.values[kept])
 
 
 def on_steps_of(other: Series, series: Series) -> Series:

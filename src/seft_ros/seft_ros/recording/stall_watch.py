@@ -9,7 +9,7 @@ from typing import Any
 
 from seft_msgs_py.node.realtime import take_precedence
 
-SLEEPER = Path(__file__).with_name("bare_sleeper.py")
+PROBE = Path(__file__).with_name("jitter_probe.py")
 LATE = 0.5  # of the loop's period; a deadline met later than that is a stall
 BEATS = 4  # a period: so a stall of three quarters of a period can't fall between two of them
 SHORTEST_BEAT = 0.00025  # s: a shorter one would be a load of its own
@@ -24,8 +24,8 @@ class StallWatch:
     """
 
     def __init__(self) -> None:
-        self._sleeper = subprocess.Popen(
-            [sys.executable, "-I", "-S", str(SLEEPER)],
+        self._probe = subprocess.Popen(
+            [sys.executable, "-I", "-S", str(PROBE)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -35,22 +35,13 @@ class StallWatch:
     @property
     def pid(self) -> int:
         """Of the process that sleeps."""
-        return self._sleeper.pid
+        return self._probe.pid
 
     def begin(self, cores: list[int], period: float, priority: int, *, first: bool = False) -> None:
-        """Watch from now on.
+        """Watch a loop of these cores, period (s) and real-time priority (0: none) from now on.
 
-        Parameters
-        ----------
-        cores : list of int
-            Of the loop.
-        period : float
-            Of the loop, s.
-        priority : int
-            Real-time priority of the loop; the watch takes the next higher one, else it would
-            take the loop's work for a stall. 0: none.
-        first : bool
-            Whether the loop goes before all others without priority; so does the watch then.
+        The watch takes the next higher priority, else it would take the loop's work for a stall.
+        ``first`` says that the loop goes before all others without priority; so does the watch.
         """
         if first:
             take_precedence(self.pid)
@@ -63,27 +54,18 @@ class StallWatch:
         self._write(json.dumps(wanted))
 
     def end(self) -> dict[str, Any] | None:
-        """Stop, and tell what was seen.
-
-        Returns
-        -------
-        dict or None
-            ``period`` of the deadlines and ``late_s`` (s), ``priority``, ``cores``, ``beats``
-            (deadlines), ``count`` (of those met more than ``late_s`` late), ``longest_s`` and
-            ``intervals_ns`` (wall clock, of the first stalls). None if it watched nothing, or
-            has died.
-        """
+        """Stop, and give what the probe printed; None if it watched nothing, or has died."""
         self._write("")
         try:
-            told, _ = self._sleeper.communicate(timeout=PATIENCE)
+            told, _ = self._probe.communicate(timeout=PATIENCE)
         except subprocess.TimeoutExpired:
-            self._sleeper.kill()
-            self._sleeper.communicate()
+            self._probe.kill()
+            self._probe.communicate()
             return None
         return json.loads(told) if told else None
 
     def _write(self, line: str) -> None:
-        assert self._sleeper.stdin is not None
+        assert self._probe.stdin is not None
         with contextlib.suppress(BrokenPipeError):
-            self._sleeper.stdin.write(line + "\n")
-            self._sleeper.stdin.flush()
+            self._probe.stdin.write(line + "\n")
+            self._probe.stdin.flush()

@@ -3,10 +3,12 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.wire.messages import decode_status
+from seft_msgs_py.wire.messages import decode_diagnostics, decode_status
 from seft_msgs_py.wire.topics import (
+    DIAGNOSTICS,
     EXPERIMENT_STATE,
     GROUND_MOTION,
     REFERENCE_FORCE,
@@ -35,15 +37,18 @@ class Recorded:
         (p, n), m/s^2. They go beyond the test's end, as far as the motion was sent ahead.
     points : dict
         Step -> points of the message of reference_force that answers its state, shape (p, q, n).
-    ramped_ns : int or None
-        When the supervisor's word to bring the force down was received, ns of the wall clock;
-        None where it said no such thing.
+    ramp_step : int or None
+        First step whose force was brought down at the supervisor's word; None where it said no
+        such thing.
+    ramp_told : bool
+        False where reference_force did not tell that step: it is by the times of recording.
     """
 
     record: Record
     chunks: list[tuple[int, Floats]]
     points: dict[int, Floats]
-    ramped_ns: int | None
+    ramp_step: int | None = None
+    ramp_told: bool = True
 
     def series(self, topic: LoopTopic) -> Series:
         """Give the samples of a topic, by step."""
@@ -70,19 +75,32 @@ def read_recorded(path: str | Path) -> Recorded:
             "before is not in it; record from before the start on"
         )
     gatherer = _Gatherer(record.experiment)
-    topics: list[Topic] = [EXPERIMENT_STATE, GROUND_MOTION, REFERENCE_FORCE]
+    topics: list[Topic] = [EXPERIMENT_STATE, GROUND_MOTION, REFERENCE_FORCE, DIAGNOSTICS]
     for topic, received_ns, raw in read_messages(path, topics):
-        gatherer.take(topic, received_ns, raw)
+        try:
+            gatherer.take(topic, received_ns, raw)
+        except (WireError, ValueError):
+            continue  # as the nodes do
     if gatherer.tests > 1:
         raise InputError(f"{path}: the bag holds {gatherer.tests} tests; record one in a bag")
     points = {step: told for step, told in sorted(gatherer.points.items()) if step <= states[-1]}
-    return Recorded(record, gatherer.chunks, points, gatherer.ramped_ns)
+    if gatherer.ramped_ns is None:
+        return Recorded(record, gatherer.chunks, points)
+    if gatherer.ramp_step is not None:
+        return Recorded(record, gatherer.chunks, points, gatherer.ramp_step)
+    forces = record.series[REFERENCE_FORCE.name]
+    after = np.empty(0, np.int64)  # steps whose forces came after the supervisor's word
+    if forces.received_ns is not None:
+        after = forces.steps[forces.received_ns > gatherer.ramped_ns]
+    ramp_step = int(after[0]) if len(after) else None
+    return Recorded(record, gatherer.chunks, points, ramp_step, ramp_told=ramp_step is None)
 
 
 class _Gatherer:
     def __init__(self, experiment: Experiment) -> None:
         self.tests = 0
         self.ramped_ns: int | None = None
+        self.ramp_step: int | None = None
         self.chunks: list[tuple[int, Floats]] = []
         self.points: dict[int, Floats] = {}
         self._state = ""
@@ -93,22 +111,20 @@ class _Gatherer:
         )
 
     def take(self, topic: Topic, received_ns: int, raw: bytes) -> None:
-        """Take a message; what can't be understood is left out, as the nodes do."""
-        try:
-            if topic is GROUND_MOTION:
-                first, values = self._motion.decode(raw)
-                self.chunks.append((first, values[:, 0]))
-            elif topic is REFERENCE_FORCE:
-                self.points.setdefault(*self._force.decode(raw))
-            else:
-                self._follow(decode_status(raw).message, received_ns)
-        except WireError:
-            return
-
-    def _follow(self, state: str, received_ns: int) -> None:
-        if state == self._state:
-            return
-        self._state = state
-        self.tests += state == State.RUNNING
-        if state == State.RAMPING_DOWN and self.ramped_ns is None:
-            self.ramped_ns = received_ns
+        """Take a message, which raises WireError or ValueError if it can't be understood."""
+        if topic is GROUND_MOTION:
+            first, values = self._motion.decode(raw)
+            self.chunks.append((first, values[:, 0]))
+        elif topic is REFERENCE_FORCE:
+            self.points.setdefault(*self._force.decode(raw))
+        elif topic is EXPERIMENT_STATE:
+            state = decode_status(raw).message
+            self.tests += state == State.RUNNING and state != self._state
+            self._state = state
+            if state == State.RAMPING_DOWN and self.ramped_ns is None:
+                self.ramped_ns = received_ns
+        else:
+            for status in decode_diagnostics(raw)[1]:
+                if status.name == "reference_force":  # its last word counts
+                    told = status.values.get("ramp_step")
+                    self.ramp_step = None if told is None else int(told)

@@ -3,47 +3,35 @@
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 from seft_msgs_py.wire.topics import ESTIMATES, LOOP_TOPICS
 
 from seft_ros.analysis.compare import compare
 from seft_ros.recording.environment import describe_environment
-from seft_ros.recording.record import Estimates, Record, Series
-from seft_ros.replay.answers import Answers
-from seft_ros.replay.cue import Part
+from seft_ros.recording.record import Estimates, Record
+from seft_ros.recording.samples import of_steps
 from seft_ros.replay.recorded import Recorded
+from seft_ros.replay.replay_step import Answers, Replay
 
 
 def replayed_record(
-    part: Part, recorded: Recorded, answers: Answers, section: dict[str, Any]
+    replay: Replay, recorded: Recorded, answers: Answers, section: dict[str, Any]
 ) -> Record:
-    """Give the recorded test with the replayed answers in place of the node's own.
-
-    Parameters
-    ----------
-    part : Part
-        Whose.
-    recorded : Recorded
-        The test.
-    answers : Answers
-        What the node answered.
-    section : dict
-        The parameters that it had.
-    """
+    """Give the recorded test with a node's answers, and the parameters that it had for them."""
     record = recorded.record
-    experiment = type(record.experiment)({**record.experiment.sections, part.node: section})
-    environment = describe_environment(f"replay of {part.node}")
     return replace(
         record,
-        experiment=experiment,
-        series={**record.series, part.answer.name: answers.series},
-        estimates=answers.estimates if part.node == "reference_force" else record.estimates,
-        environment={**environment, "replayed": record.environment},
+        experiment=type(record.experiment)({**record.experiment.sections, replay.node: section}),
+        series={**record.series, replay.answer.name: answers.series},
+        estimates=answers.estimates if replay.node == "reference_force" else record.estimates,
+        environment={
+            **describe_environment(f"replay of {replay.node}"),
+            "replayed": record.environment,
+        },
     )
 
 
-def judge(part: Part, recorded: Recorded, answers: Answers) -> dict[str, Any]:
-    """Hold the answers of a node against the recorded ones, by step, bit for bit.
+def replay_verdict(replay: Replay, recorded: Recorded, answers: Answers) -> dict[str, Any]:
+    """Compare the answers of a node with the recorded ones, by step, bit for bit.
 
     Returns
     -------
@@ -53,20 +41,16 @@ def judge(part: Part, recorded: Recorded, answers: Answers) -> dict[str, Any]:
         ``answered``, ``ended`` (why not all were; else None), ``max_abs``, ``nrmse``, ``fields``,
         ``estimates`` (likewise, None where there are none), ``wall_s``, ``notes``.
     """
-    expected = part.expected()
-    given = _on(answers.series, expected)
-    record = recorded.record
-    names = {topic.name: record.series[topic.name] for topic in LOOP_TOPICS}
-    mine = part.node == "reference_force"
-    one = replace(
-        record,
-        series={**names, part.answer.name: expected},
-        estimates=record.estimates if mine else None,
-    )
-    other = replace(
-        one,
-        series={**names, part.answer.name: given},
-        estimates=_common(answers.estimates, record.estimates) if mine else None,
+    record, topic = recorded.record, replay.answer.name
+    # what was answered beyond the recorded steps has nothing to be compared with
+    given = of_steps(answers.series, replay.expected.steps)
+    names = {one.name: record.series[one.name] for one in LOOP_TOPICS}
+    estimates: tuple[Estimates | None, ...] = (None, None)
+    if replay.node == "reference_force":
+        estimates = record.estimates, _until_end(answers.estimates, record.estimates)
+    one, other = (
+        replace(record, series={**names, topic: series}, estimates=told)
+        for series, told in zip((replay.expected, given), estimates, strict=True)
     )
     found = compare(one, other)
     first = found["first_difference"]
@@ -79,33 +63,25 @@ def judge(part: Part, recorded: Recorded, answers: Answers) -> dict[str, Any]:
             "recorded": first["a"],
             "replayed": first["b"],
         }
-    topic = found["topics"][part.answer.name]
-    estimates = found["topics"].get(ESTIMATES.name)
+    of_estimates = found["topics"].get(ESTIMATES.name)
     keys = ("max_abs", "nrmse", "fields")
     return {
-        "node": part.node,
-        "topic": part.answer.name,
+        "node": replay.node,
+        "topic": topic,
         "identical": found["identical"],
         "first_difference": first,
-        "steps": len(expected.steps),
+        "steps": len(replay.expected.steps),
         "answered": len(given.steps),
         "ended": answers.ended or None,
-        **{key: topic[key] for key in keys},
-        "estimates": None if estimates is None else {key: estimates[key] for key in keys},
+        **{key: found["topics"][topic][key] for key in keys},
+        "estimates": None if of_estimates is None else {key: of_estimates[key] for key in keys},
         "wall_s": answers.wall_s,
-        "notes": list(part.notes),
+        "notes": list(replay.notes),
     }
 
 
-def _on(series: Series, expected: Series) -> Series:
-    """Answers of the steps that were recorded; what else was answered has nothing to be held to."""
-    (kept,) = np.nonzero(np.isin(series.steps, expected.steps))
-    return Series(series.steps[kept], series.values[kept])
-
-
-def _common(given: Estimates | None, expected: Estimates | None) -> Estimates | None:
-    """Leave out what is answered beyond the recorded end."""
-    if given is None or expected is None:
+def _until_end(given: Estimates | None, recorded: Estimates | None) -> Estimates | None:
+    if given is None or recorded is None:
         return given
-    (kept,) = np.nonzero(given.steps <= expected.steps[-1])
+    kept = given.steps <= recorded.steps[-1]
     return Estimates(given.steps[kept], given.values[kept], given.names)

@@ -3,7 +3,7 @@
 from seft_msgs_py.wire.messages import Status
 from seft_msgs_py.wire.outcome import STOPPED, Outcome, Trip
 from seft_msgs_py.wire.timebase import Timebase
-from seft_ros.recording.ending import trip_of
+from seft_ros.recording.gathering import trip_of
 
 TIMEBASE = Timebase.from_rate(500)
 

@@ -1,9 +1,10 @@
-"""What the machine itself does to timing: a bare process that only sleeps to deadlines.
+"""Timing jitter of the machine itself: a process that only sleeps to deadlines.
 
 Run as a program, with nothing but the standard library. On stdin it takes one line of JSON,
 ``{"cores": [0], "period": 0.0005, "late_s": 0.001, "priority": 0}``, and sleeps to absolute
-deadlines of that period until the next line comes or stdin ends; then it prints which of them it
-met more than ``late_s`` late, as one line of JSON.
+deadlines of that period (s) until the next line comes or stdin ends. Then it prints that line with
+``beats`` (deadlines), ``count`` (of those met more than ``late_s`` late), ``longest_s`` and
+``intervals_ns`` (wall clock, of the first late ones).
 """
 
 import contextlib
@@ -17,10 +18,7 @@ KEPT = 10_000  # stalls
 
 
 def watch(period: float, most: float) -> dict[str, object]:
-    """Sleep to deadlines until there is something on stdin; tell of those that were met late.
-
-    Late is by more than ``most`` seconds.
-    """
+    """Sleep to deadlines until there is something on stdin; tell of those met ``most`` s late."""
     stalls: list[tuple[int, int]] = []
     beats = count = 0
     longest = 0.0
