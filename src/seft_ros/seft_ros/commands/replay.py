@@ -1,6 +1,7 @@
 """``seft replay``: a recorded test fed to one node once more."""
 
-from collections.abc import Callable
+import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
@@ -8,8 +9,9 @@ import typer
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.parameter_file import Override, parse_override
 
-from seft_ros.commands.options import JsonOption, OverrideOption, complain, print_json
-from seft_ros.commands.progress import step_progress
+from seft_ros.commands.one_test import check_out
+from seft_ros.commands.options import Bag, Json, Params, option
+from seft_ros.commands.output import complain, show, step_progress
 
 if TYPE_CHECKING:
     from seft_ros.replay.cue import Part
@@ -17,33 +19,29 @@ if TYPE_CHECKING:
 
 
 def replay(
-    bag: Annotated[
-        Path, typer.Argument(metavar="BAG", help="Folder (or file) of a recorded test.")
-    ],
+    bag: Bag,
     node: Annotated[
         Optional[list[str]],
-        typer.Option(
-            "--node",
-            metavar="NODE",
-            help="reference_force, force_controller or rig; may be given many times. "
+        option(
+            "reference_force, force_controller or rig; may be given many times. "
             "Default: all three, one after another.",
+            "NODE",
         ),
     ] = None,
-    param: OverrideOption = None,
+    param: Params = None,
     offline: Annotated[
         bool,
         typer.Option("--offline", help="Feed the node's block in this process, without ROS."),
     ] = False,
     out: Annotated[
         Optional[Path],
-        typer.Option(
-            "--out",
-            metavar="DIR",
-            help="Write the test with the replayed answers in place of the recorded as a bag, "
+        option(
+            "Write the test with the replayed answers in place of the recorded as a bag, "
             "must be new; with one --node alone.",
+            "DIR",
         ),
     ] = None,
-    json: JsonOption = False,
+    json: Json = False,
 ) -> int:
     """Feed a recorded test to one node, and see that it answers as recorded, bit for bit.
 
@@ -70,9 +68,9 @@ def replay(
 
         seft replay bags/lockstep --node rig --offline --json
     """
-    from seft_ros.commands.results import check_out
     from seft_ros.replay.parts import PARTS
     from seft_ros.replay.recorded import read_recorded
+    from seft_ros.replay.table import replay_table
 
     nodes = list(dict.fromkeys(node or PARTS))
     if out is not None:
@@ -84,16 +82,18 @@ def replay(
         raise InputError("-p changes one node; name it with --node")
     recorded = read_recorded(bag)
     parts = _parts(nodes, recorded, asked=bool(node))
-    results = [_replay(part, recorded, overrides, offline, out) for part in parts]
-    for result in results:
-        result["bag"] = str(bag)
-        result["overrides"] = param or []
-    if json:
-        several = {"identical": all(one["identical"] for one in results), "replays": results}
-        print_json(results[0] if len(results) == 1 else several)
-    else:
-        _show(results, out)
-    return 0 if all(result["identical"] for result in results) else 1
+    given = {"bag": str(bag), "overrides": param or []}
+    results = [_replay(part, recorded, overrides, offline, out) | given for part in parts]
+    identical = all(one["identical"] for one in results)
+    one_or_all = results[0] if len(results) == 1 else {"identical": identical, "replays": results}
+    tables = [replay_table(result) for result in results]
+    show(one_or_all, json, [*tables, *([f"bag: {out}"] if out else [])])
+    for result in results if not json else ():
+        for note in result["notes"]:
+            complain(f"{result['node']}: {note}")
+        if result["ended"]:
+            complain(f"{result['node']} answered no more: {result['ended']}")
+    return 0 if identical else 1
 
 
 def _parts(nodes: list[str], recorded: "Recorded", *, asked: bool) -> list["Part"]:
@@ -120,54 +120,29 @@ def _parts(nodes: list[str], recorded: "Recorded", *, asked: bool) -> list["Part
 def _replay(
     part: "Part",
     recorded: "Recorded",
-    overrides: list[Override],
+    overrides: Sequence[Override],
     offline: bool,
     out: Path | None,
 ) -> dict[str, Any]:
+    from seft_ros.recording.record_bag import write_record
+    from seft_ros.replay.answers import Answers
     from seft_ros.replay.parts import experiment_of
+    from seft_ros.replay.stage import play
     from seft_ros.replay.verdict import judge, replayed_record
 
     meant = experiment_of(part, recorded, overrides, fixed=False)
-    with step_progress(len(part.expected().steps)) as show:
+    section = meant[part.node]
+    with step_progress(len(part.expected().steps)) as tell:
         if offline:
-            answers = _answer_offline(part, meant[part.node], show)
+            tell(f"{part.node} answers offline", 0)
+            start = time.monotonic()
+            answers = Answers(*part.computed(section), time.monotonic() - start)
+            tell(f"{part.node} has answered", len(answers.series.steps))
         else:
-            from seft_ros.replay.stage import play
-
-            answers = play(part, experiment_of(part, recorded, overrides), show)
+            answers = play(part, experiment_of(part, recorded, overrides), tell)
     result = judge(part, recorded, answers)
     if out is not None:
-        from seft_ros.recording.record_bag import write_record
-
-        record = replayed_record(part, recorded, answers, meant[part.node])
+        record = replayed_record(part, recorded, answers, section)
         write_record(record, out, ground_motion=recorded.chunks)
         result["out"] = str(out)
     return result
-
-
-def _answer_offline(part: Any, section: dict[str, Any], show: Callable[[str, int], None]) -> Any:
-    import time
-
-    from seft_ros.replay.answers import Answers
-
-    show(f"{part.node} answers offline", 0)
-    start = time.monotonic()
-    series, estimates = part.computed(section)
-    show(f"{part.node} has answered", len(series.steps))
-    return Answers(series, estimates, time.monotonic() - start)
-
-
-def _show(results: list[dict[str, Any]], out: Path | None) -> None:
-    from rich.console import Console
-
-    from seft_ros.replay.table import replay_table
-
-    console = Console()
-    for result in results:
-        console.print(replay_table(result))
-        for note in result["notes"]:
-            complain(f"{result['node']}: {note}")
-        if result["ended"]:
-            complain(f"{result['node']} answered no more: {result['ended']}")
-    if out is not None:
-        console.print(f"bag: {out}", soft_wrap=True, highlight=False)
