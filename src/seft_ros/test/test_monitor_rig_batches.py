@@ -3,7 +3,7 @@
 import numpy as np
 from seft_msgs_py.messages import Status
 from seft_msgs_py.rigs import rigs_of
-from seft_ros.monitor.rig_batches import RigBatches
+from seft_ros.monitor.samples import RigBatches
 from seft_ros.monitor.session import Session
 
 RIGS = rigs_of(["west/x", "east/x", "west/y"])

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from seft_msgs_py.errors import InputError
 from tornado.httpserver import HTTPServer
 
-from seft_ros.monitor.access import Access, is_loopback
+from seft_ros.monitor.access import is_loopback
 
 LOOK = 0.1  # s
 NICE = 3
@@ -72,16 +72,15 @@ def serve(
         Called when the page can be opened.
     """
     from seft_ros.monitor.graph import Graph
-    from seft_ros.monitor.pages import Pages
     from seft_ros.monitor.watch import Watch
-    from seft_ros.monitor.web import application
+    from seft_ros.monitor.web import Pages, application
 
     graph = Graph(namespace)
     try:
         watch = Watch(graph)
         pages = Pages(watch.everything)
         port = listening.getsockname()[1]
-        web = application(Access(token, is_loopback(host)), port, pages, graph.call)
+        web = application(token, is_loopback(host), port, pages, graph.call)
 
         async def run() -> None:
             stopping = asyncio.Event()
