@@ -5,7 +5,7 @@ from typing import Any
 from rich.console import Group
 from rich.table import Table
 from rich.text import Text
-from seft_msgs_py.topics import LOOP_TOPICS
+from seft_msgs_py.wire.topics import LOOP_TOPICS
 
 from seft_ros.analysis.compare import length_s
 from seft_ros.analysis.difference_text import verdict

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.timebase import NANOSECONDS_PER_SECOND
-from seft_msgs_py.topics import ESTIMATES, LOOP_TOPICS, REFERENCE_FORCE, RIG_STATE, TARGET
+from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND
+from seft_msgs_py.wire.topics import ESTIMATES, LOOP_TOPICS, REFERENCE_FORCE, RIG_STATE, TARGET
 
 from seft_ros.analysis.alignment import Alignment
 from seft_ros.analysis.summary import json_safe

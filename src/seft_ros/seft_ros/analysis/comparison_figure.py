@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.topics import RIG_STATE
+from seft_msgs_py.wire.topics import RIG_STATE
 
 from seft_ros.analysis.alignment import Alignment
 from seft_ros.analysis.reference import COMPARED

@@ -1,11 +1,11 @@
 """Energy balance of a recorded test."""
 
 import numpy as np
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.topics import RIG_STATE
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.wire.topics import RIG_STATE
 from seft_plant_sim.dead_time import split_dead_time
-from seft_plant_sim.energy import EnergyBalance, energy_balance
-from seft_plant_sim.whole_structure import tested_specimen
+from seft_plant_sim.reference.whole_structure import tested_specimen
+from seft_plant_sim.specimen.energy_balance import EnergyBalance, energy_balance
 
 from seft_ros.recording.record import Record
 

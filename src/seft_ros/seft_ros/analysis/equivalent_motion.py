@@ -2,9 +2,9 @@
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_plant_sim.whole_structure import WholeStructure, whole_structure
+from seft_plant_sim.reference.whole_structure import WholeStructure, whole_structure
 
 Floats = npt.NDArray[np.float64]
 

@@ -5,8 +5,8 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from seft_msgs_py.topics import RIG_STATE
-from seft_plant_sim.whole_structure import ReferenceResponse
+from seft_msgs_py.wire.topics import RIG_STATE
+from seft_plant_sim.reference.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.estimates import shown_unit
 from seft_ros.analysis.metrics import nrmse

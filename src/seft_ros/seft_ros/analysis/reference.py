@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.topics import GROUND_MOTION, RIG_STATE
-from seft_plant_sim.whole_structure import ReferenceResponse, reference_response
+from seft_msgs_py.wire.topics import GROUND_MOTION, RIG_STATE
+from seft_plant_sim.reference.whole_structure import ReferenceResponse, reference_response
 
 from seft_ros.recording.record import Record
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.topics import RIG_STATE
+from seft_msgs_py.wire.topics import RIG_STATE
 
 from seft_ros.recording.record import Record
 

@@ -4,9 +4,9 @@ import math
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.topics import LOOP_TOPICS, RIG_STATE
-from seft_plant_sim.energy import EnergyBalance
-from seft_plant_sim.whole_structure import ReferenceResponse
+from seft_msgs_py.wire.topics import LOOP_TOPICS, RIG_STATE
+from seft_plant_sim.reference.whole_structure import ReferenceResponse
+from seft_plant_sim.specimen.energy_balance import EnergyBalance
 
 from seft_ros.analysis.energy import balance_of, energy_numbers
 from seft_ros.analysis.estimates import summarise_estimates

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
-from seft_plant_sim.whole_structure import whole_structure
+from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
+from seft_plant_sim.reference.whole_structure import whole_structure
 
 from seft_ros.analysis.common_steps import common_steps
 from seft_ros.analysis.equivalent_motion import EquivalentMotion, told_structure

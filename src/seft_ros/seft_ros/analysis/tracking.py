@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.topics import REFERENCE_FORCE, RIG_STATE
-from seft_plant_sim.whole_structure import ReferenceResponse
+from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE
+from seft_plant_sim.reference.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.benchmark_criteria import benchmark_criteria
 from seft_ros.analysis.columns import paired_columns

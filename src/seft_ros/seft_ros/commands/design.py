@@ -4,8 +4,8 @@ import cmath
 from pathlib import Path
 from typing import Annotated, Optional
 
+from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.parameters import nearest
 
 from seft_ros.commands.options import Config, Files, Json, Params, Plant, load_experiment, option
 from seft_ros.commands.output import complain, show

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
 
 from seft_ros.commands.one_test import FIGURE, check_out, dds_test, offline_test
 from seft_ros.commands.options import Config, External, Files, Json, Params, load_experiment, option

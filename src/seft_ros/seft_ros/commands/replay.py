@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
+from seft_msgs_py.config.parameter_file import Override, parse_override
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.parameter_file import Override, parse_override
 
 from seft_ros.commands.one_test import check_out
 from seft_ros.commands.options import Bag, Json, Params, option

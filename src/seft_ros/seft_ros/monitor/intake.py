@@ -5,14 +5,14 @@ from itertools import groupby
 from typing import Any
 
 import numpy as np
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.rigs import rigs_of
-from seft_msgs_py.timebase import Timebase
-from seft_msgs_py.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
-from seft_msgs_py.trajectory import TrajectoryCodec
-from seft_msgs_py.trajectory_batch import decode_batch
-from seft_plant_sim.running_response import RunningResponse
+from seft_msgs_py.wire.rigs import rigs_of
+from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
+from seft_msgs_py.wire.trajectory_batch import decode_batch
+from seft_plant_sim.reference.whole_structure import RunningResponse
 
 from seft_ros.monitor.history import History, Stretch
 from seft_ros.monitor.live_response import LiveMotion, LiveReference

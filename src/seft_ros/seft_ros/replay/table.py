@@ -5,7 +5,7 @@ from typing import Any
 from rich.console import Group
 from rich.table import Table
 from rich.text import Text
-from seft_msgs_py.topics import LOOP_TOPICS, TARGET
+from seft_msgs_py.wire.topics import LOOP_TOPICS, TARGET
 
 from seft_ros.analysis.table import small_percent
 

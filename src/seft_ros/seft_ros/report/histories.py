@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from bokeh.models import Range1d
-from seft_msgs_py.topics import RIG_STATE
+from seft_msgs_py.wire.topics import RIG_STATE
 
 from seft_ros.analysis.reference import COMPARED, quantity
 from seft_ros.analysis.shown import UNITS, number

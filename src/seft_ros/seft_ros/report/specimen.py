@@ -2,8 +2,8 @@
 
 import numpy as np
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.topics import RIG_STATE
-from seft_plant_sim.whole_structure import tested_specimen
+from seft_msgs_py.wire.topics import RIG_STATE
+from seft_plant_sim.reference.whole_structure import tested_specimen
 
 from seft_ros.analysis.energy_error import energy_error
 from seft_ros.analysis.tracked import tracked_of

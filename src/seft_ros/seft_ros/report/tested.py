@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.topics import GROUND_MOTION
+from seft_msgs_py.wire.topics import GROUND_MOTION
 
 from seft_ros.page.content import Section, Table, Text
 from seft_ros.recording.record import Record
