@@ -46,7 +46,7 @@ def test_what_rigs_tell_is_shown_together():
         values = {"phase": "running", "steps": "100", "missed": str(missed)}
         values |= {"margin force": str(margin), "round trip median (ms)": str(margin)}
         session.on_diagnostics([Status(f"{rig}/rig", 0, "running", values=values)], 0.002)
-    told = session.told()
+    told = session.summary()
     assert told["missed"] == 7
     assert told["margins"] == {"force": 0.25}
     assert told["round_trip"] == {"median (ms)": 0.5}

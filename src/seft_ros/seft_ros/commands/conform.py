@@ -18,10 +18,7 @@ def conform(
     param: Params = None,
     params_file: Files = None,
     start_rig: Annotated[
-        bool,
-        typer.Option(
-            "--start-rig", help="Start the simulated rig of CONFIG; else a rig runs already."
-        ),
+        bool, option("Start the simulated rig of CONFIG; else a rig runs already.", "--start-rig")
     ] = False,
     amplitude: Annotated[
         Optional[float],
@@ -32,8 +29,7 @@ def conform(
     ] = 0.005,
     force: Annotated[float, option("Change of force at which it is stopped, N.", "N")] = 2000.0,
     yes: Annotated[
-        bool,
-        typer.Option("--yes", help="Move the rig without asking: nobody is within its reach."),
+        bool, option("Move the rig without asking: nobody is within its reach.", "--yes")
     ] = False,
     json: Json = False,
 ) -> int:

@@ -5,7 +5,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
-import typer
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 
@@ -26,9 +25,9 @@ def identify(
     params_file: Files = None,
     over_dds: Annotated[
         bool,
-        typer.Option(
+        option(
+            "Run the tests as separate nodes over DDS, or in one process without ROS.",
             "--over-dds/--offline",
-            help="Run the tests as separate nodes over DDS, or in one process without ROS.",
         ),
     ] = False,
     external: External = None,
@@ -60,15 +59,14 @@ def identify(
         ),
     ] = None,
     out: Annotated[
-        Optional[Path],
-        option("Folder of what is made, must be new; default by the time.", "DIR"),
+        Optional[Path], option("Folder of what is made, must be new; default by the time.", "DIR")
     ] = None,
     specimen: Annotated[
         bool,
-        typer.Option(
-            "--specimen",
-            help="Write the specimen's mass, damping and stiffness to model.yaml, too, as "
+        option(
+            "Write the specimen's mass, damping and stiffness to model.yaml, too, as "
             "reference_force's model.*.",
+            "--specimen",
         ),
     ] = False,
     json: Json = False,

@@ -25,7 +25,7 @@ def link(
     param: Params = None,
     params_file: Files = None,
     echo: Annotated[
-        bool, typer.Option("--echo", help="Be the other side: send back what comes, until Ctrl-C.")
+        bool, option("Be the other side: send back what comes, until Ctrl-C.", "--echo")
     ] = False,
     rig: Annotated[str, option("Of several rigs, whose link it is.", "NAME")] = "",
     duration: Annotated[float, option("Time for which the link is measured.", "S")] = 10.0,

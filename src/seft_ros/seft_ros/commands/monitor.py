@@ -5,7 +5,6 @@ import secrets
 import webbrowser
 from typing import Annotated
 
-import typer
 from seft_msgs_py.errors import InputError
 
 from seft_ros.commands.options import option
@@ -32,8 +31,7 @@ def monitor(
     ] = "",
     namespace: Annotated[str, option("Namespace of the test's topics.", "NAME")] = "",
     open_page: Annotated[
-        bool,
-        typer.Option("--open", help="Open the page in the browser, off the loop's core too."),
+        bool, option("Open the page in the browser, off the loop's core too.", "--open")
     ] = False,
 ) -> int:
     """Show a running test on a page in the browser, with buttons to start and stop it.

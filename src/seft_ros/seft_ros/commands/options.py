@@ -16,9 +16,14 @@ from seft_ros.experiment.tables import TABLES
 from seft_ros.loop_shaping.source import Source
 
 
-def option(text: str, metavar: str | None = None, **more: Any) -> Any:
-    """Make an option that takes a value and has the name of its parameter."""
-    return typer.Option(help=text, metavar=metavar, **more)
+def option(text: str, named: str | None = None, **more: Any) -> Any:
+    """Make an option with a help text.
+
+    ``named`` is what its value is called, where it has the name of its parameter; or its own
+    name, ``--json``, where it takes no value.
+    """
+    names, metavar = ([named], None) if named and named.startswith("--") else ([], named)
+    return typer.Option(*names, help=text, metavar=metavar, **more)
 
 
 Config = Annotated[
@@ -55,9 +60,7 @@ External = Annotated[
         "NODE",
     ),
 ]
-Json = Annotated[
-    bool, typer.Option("--json", help="Print one JSON object on stdout, and nothing else there.")
-]
+Json = Annotated[bool, option("Print one JSON object on stdout, and nothing else there.", "--json")]
 
 
 def load_experiment(

@@ -32,13 +32,11 @@ def paper(
     unit: Annotated[Optional[str], option("g, m/s2 or cm/s2; default g.")] = None,
     dt: Annotated[Optional[float], option("Sampling period in s, where the file has none.")] = None,
     column: Annotated[
-        Optional[int],
-        option("Column of the file, from 0; default the first."),
+        Optional[int], option("Column of the file, from 0; default the first.")
     ] = None,
     out: Annotated[Path, option("The page.", "HTML")] = Path("paper.html"),
     workers: Annotated[
-        Optional[int],
-        option("Processes that calculate; default one for each core.", min=1),
+        Optional[int], option("Processes that calculate; default one for each core.", min=1)
     ] = None,
     param: Params = None,
     params_file: Files = None,

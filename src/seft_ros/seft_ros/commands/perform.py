@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Annotated, Optional
 
-import typer
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 
@@ -14,9 +13,7 @@ from seft_ros.experiment.tables import TABLES
 
 LINK_TIME = 5.0  # s for which a link is measured before a test
 
-Figure = Annotated[
-    bool, typer.Option("--figure/--no-figure", help="Draw a figure into the bag's folder.")
-]
+Figure = Annotated[bool, option("Draw a figure into the bag's folder.", "--figure/--no-figure")]
 
 
 def run(
@@ -39,10 +36,10 @@ def run(
     ] = True,
     composed: Annotated[
         bool,
-        typer.Option(
-            "--composed",
-            help="Put rig, reference_force and force_controller into one process, for rates that "
+        option(
+            "Put rig, reference_force and force_controller into one process, for rates that "
             "separate processes can't hold; topics and bits stay as they are.",
+            "--composed",
         ),
     ] = False,
     priority: Annotated[
@@ -55,10 +52,7 @@ def run(
         ),
     ] = 0,
     accept_unstable: Annotated[
-        bool,
-        typer.Option(
-            "--accept-unstable", help="Run a test that preflight finds unstable all the same."
-        ),
+        bool, option("Run a test that preflight finds unstable all the same.", "--accept-unstable")
     ] = False,
     figure: Figure = True,
     json: Json = False,

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
-import typer
 from seft_msgs_py.config.parameter_file import Override, parse_override
 from seft_msgs_py.errors import InputError
 
@@ -30,8 +29,7 @@ def replay(
     ] = None,
     param: Params = None,
     offline: Annotated[
-        bool,
-        typer.Option("--offline", help="Feed the node's block in this process, without ROS."),
+        bool, option("Feed the node's block in this process, without ROS.", "--offline")
     ] = False,
     out: Annotated[
         Optional[Path],

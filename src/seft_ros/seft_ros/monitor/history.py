@@ -121,17 +121,14 @@ class History:
     def __init__(self, columns: int, length: int = LENGTH) -> None:
         self._ring = np.full((length, columns), np.nan, np.float32)
         self._mask = length - 1
-        self._begin: int | None = None
         self.envelope = Envelope(columns)
-        self.head = self.released = 0
+        self._begin = self.head = self.released = 0
 
     def write(self, steps: npt.NDArray[np.int64], columns: slice, values: Floats) -> None:
         """Write values (N, number of columns) of steps (N,).
 
         Steps that were released already or are far away are left out.
         """
-        if self._begin is None:
-            return
         fits = (steps >= self.released) & (steps < self.released + len(self._ring))
         steps, values = steps[fits], values[fits]
         if not len(steps):
@@ -143,7 +140,7 @@ class History:
 
     def begin(self, step: int) -> None:
         """Begin at a step, or go on there, far beyond what was written."""
-        if self._begin is None or step >= self.head:
+        if step >= self.head:
             self._begin = self.head = self.released = step
 
     def release(self, until: int) -> Stretch | None:
@@ -158,7 +155,7 @@ class History:
 
     def recent(self) -> Stretch:
         """Give the last of what was released, as much as is kept."""
-        first = max(self._begin or 0, self.head - len(self._ring))
+        first = max(self._begin, self.head - len(self._ring))
         return Stretch(first, self._ring[np.arange(first, self.released) & self._mask])
 
 

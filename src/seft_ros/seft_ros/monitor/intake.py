@@ -53,7 +53,7 @@ class Intake:
     reference_note : str
         Why there is no exact response, in a sentence; empty if there is one.
     own_motion : dict
-        What the test's own ground motion is so far, as `LiveMotion.told` gives it, once a second.
+        The test's own ground motion so far, of `LiveMotion.summary`, once a second.
     """
 
     def __init__(self, axes: tuple[str, ...], timebase: Timebase, number: int = 0) -> None:
@@ -220,4 +220,4 @@ class Intake:
         self._live_motion.advance(motion, states)
         if steps[-1] >= self._next_told:
             self._next_told = int(steps[-1]) + round(1 / self.timebase.dt)
-            self.own_motion = self._live_motion.told()
+            self.own_motion = self._live_motion.summary()

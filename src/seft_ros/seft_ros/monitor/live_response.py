@@ -8,11 +8,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.reference.whole_structure import RunningResponse, whole_structure
 
 from seft_ros.analysis.equivalent_motion import EquivalentMotion, told_structure
-from seft_ros.analysis.motion_difference import (
-    DAMPING,
-    natural_frequencies,
-    spectrum_frequencies,
-)
+from seft_ros.analysis.motion_difference import DAMPING, natural_frequencies, spectrum_frequencies
 from seft_ros.ground_motion.spectrum import RunningSpectrum
 
 Floats = npt.NDArray[np.float64]
@@ -145,8 +141,8 @@ class LiveMotion:
             self._squares += [np.sum(wanted**2), np.sum((found - wanted) ** 2)]
             self._spectra.advance(np.hstack([asked, tested]))
 
-    def told(self) -> dict[str, Any]:
-        """Make what the page shows of it so far, JSON values."""
+    def summary(self) -> dict[str, Any]:
+        """Give what the page shows of it so far, JSON values."""
         response, difference = self._squares
         spectra = self._spectra.spectrum.T
         if not (response > 0 and np.isfinite(difference) and np.isfinite(spectra).all()):

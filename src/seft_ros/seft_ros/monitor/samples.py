@@ -43,8 +43,8 @@ class Signals:
         self.count = 2 * n * len(ROWS) + 1
         self.answer = slice(self.count - 1, self.count)
 
-    def told(self) -> dict[str, Any]:
-        """Where what stands, for the page."""
+    def layout(self) -> dict[str, Any]:
+        """Give the first column of each signal, for the page."""
         return {
             "axes": list(self.axes),
             "measured": {name: part.start for name, part in self.measured.items()},

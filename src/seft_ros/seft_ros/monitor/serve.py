@@ -1,4 +1,4 @@
-"""The monitor's process: looks at the graph ten times a second, and serves the page."""
+"""The monitor's process: polls the graph ten times a second, and serves the page."""
 
 import asyncio
 import contextlib
@@ -14,7 +14,7 @@ from tornado.httpserver import HTTPServer
 
 from seft_ros.monitor.access import is_loopback
 
-LOOK = 0.1  # s
+PERIOD = 0.1  # s
 NICE = 3
 """Gives way to the nodes, and still answers an emergency stop on a busy machine."""
 
@@ -61,9 +61,7 @@ def serve(
     Parameters
     ----------
     listening : socket
-        As `listen` gives it.
-    host : str
-        What was listened at.
+        As `listen` gives it for ``host``.
     token : str
         What pages must know; empty: nothing.
     namespace : str
@@ -93,9 +91,9 @@ def serve(
             gc.freeze()  # what is here stays: no later collection looks at it
             ready()
             while not stopping.is_set():
-                pages.send(watch.look())
+                pages.send(watch.poll())
                 with contextlib.suppress(TimeoutError):
-                    await asyncio.wait_for(stopping.wait(), LOOK)
+                    await asyncio.wait_for(stopping.wait(), PERIOD)
             server.stop()
             pages.close()
             await server.close_all_connections()

@@ -55,7 +55,7 @@ class Session:
         self._rigs: dict[str, dict[str, str]] = {}
         self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS)
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Note the time; a supervisor that has fallen silent is an event."""
         self._now = self._awake.time()
         heard = self._nodes.get("")
@@ -92,8 +92,8 @@ class Session:
         """Take in a node's parameters; those of several rigs are of all."""
         self.sections[bare(node)] = parameters
 
-    def told(self) -> dict[str, Any]:
-        """Make what the page shows of it, JSON values."""
+    def summary(self) -> dict[str, Any]:
+        """Give what the page shows of it, JSON values."""
         state, values = self._experiment.message, self._experiment.values
         rig = self._of_all_rigs()
         return {

@@ -1,4 +1,4 @@
-"""One look after another at a graph: what is new, for all pages that are open."""
+"""The graph polled again and again: what is new, for all pages that are open."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -46,7 +46,7 @@ class Watch:
         self._told: dict[str, str] = {}
         self._refused = 0
 
-    def look(self) -> list[Frame]:
+    def poll(self) -> list[Frame]:
         """Take what has come; give what is new, for pages that know the rest."""
         self._hear_nodes()
         intake = self.intake
@@ -71,7 +71,7 @@ class Watch:
 
     def _hear_nodes(self) -> None:
         session = self.session
-        session.look()
+        session.poll()
         for node, description in self._decoded(DESCRIPTION, decode_description):
             session.on_description(node, description["parameters"])
             self._follow_description()
@@ -119,13 +119,13 @@ class Watch:
             test |= {
                 "test": intake.number,
                 "dt": intake.timebase.dt,
-                "signals": intake.signals.told(),
+                "signals": intake.signals.layout(),
                 "reference_note": intake.reference_note,
             }
         refused = self._refused + (intake.refused if intake else 0)
         messages: dict[str, dict[str, Any]] = {
             "test": test,
-            "status": {**session.told(), "refused": refused},
+            "status": {**session.summary(), "refused": refused},
             "events": {"events": session.events()},
             "motion": {"motion": intake.own_motion if intake else {}},
             "round_trips": {"round_trips": session.round_trips},
