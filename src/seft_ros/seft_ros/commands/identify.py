@@ -3,7 +3,7 @@
 import math
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Optional
+from typing import Annotated, Any, Optional
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
@@ -11,9 +11,7 @@ from seft_msgs_py.errors import InputError
 from seft_ros.commands.one_test import FIGURE, check_out, dds_test, offline_test
 from seft_ros.commands.options import Config, External, Files, Json, Params, load_experiment, option
 from seft_ros.commands.output import complain, show
-
-if TYPE_CHECKING:  # scipy and all: other commands start without
-    from seft_ros.recording.record import Record
+from seft_ros.recording.record import Record
 
 PILOT, OPEN_LOOP, CLOSED_LOOP = "pilot", "open_loop", "closed_loop"
 _BY_RATE = (math.nan, math.nan)
