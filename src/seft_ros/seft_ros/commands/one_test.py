@@ -38,7 +38,7 @@ def offline_test(experiment: Experiment, bag: Path | None, label: str = "") -> R
     motion = blocks.ground_motion
     with step_progress(motion.steps) as tell:
         record = simulate(experiment, blocks, lambda done: tell(f"{label}simulating", done))
-        tell(f"{label}writing the bag" if bag else "done", len(record.series["rig/state"].steps))
+        tell(f"{label}writing the bag" if label else "done", len(record.series["rig/state"].steps))
         if bag is not None:
             chunks = [motion.chunk(index) for index in range(motion.chunks)]
             write_record(record, bag, record.experiment["recorder"]["storage"], chunks)
