@@ -6,9 +6,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_ros.monitor.envelope import Envelope
-from seft_ros.monitor.frames import ENVELOPE, SAMPLES, envelope_frame, samples_frame
-from seft_ros.monitor.history import History, Stretch
+from seft_ros.monitor.history import (
+    ENVELOPE,
+    SAMPLES,
+    Envelope,
+    History,
+    Stretch,
+    envelope_frame,
+    samples_frame,
+)
 
 ONE = slice(0, 1)
 

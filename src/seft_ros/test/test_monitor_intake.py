@@ -110,7 +110,7 @@ def test_the_motion_that_is_tested_is_told_as_the_report_tells_it(intake):
         part = [(encode(step, values[step]), 0) for step in steps[start : start + 57]]
         intake.samples([part], [])
     assert intake.own_motion["asked"]  # told once a second, so from its first samples alone
-    found = intake._live_motion.told()
+    found = intake._live_motion.summary()
     assert found["response_nrmse"] == pytest.approx(wanted.response_nrmse, rel=1e-6)
     told = told_structure(EXPERIMENT)
     own = EquivalentMotion(whole_structure(told), TIMEBASE.dt).advance(values)[:, 0]
@@ -125,7 +125,7 @@ def test_steps_that_the_monitor_missed_count_as_right(intake):
     intake.motion(motion(0, MOTION))
     values = np.stack(rows, axis=1)
     intake.samples([[(encode(k, values[k]), 0) for k in range(400) if k not in (5, 77, 78)]], [])
-    assert intake._live_motion.told()["response_nrmse"] < 1e-6
+    assert intake._live_motion.summary()["response_nrmse"] < 1e-6
 
 
 def test_who_comes_in_the_middle_shows_the_rest(intake):

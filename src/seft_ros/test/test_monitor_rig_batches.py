@@ -3,7 +3,7 @@
 import numpy as np
 from seft_msgs_py.wire.messages import Status
 from seft_msgs_py.wire.rigs import rigs_of
-from seft_ros.monitor.rig_batches import RigBatches
+from seft_ros.monitor.samples import RigBatches
 from seft_ros.monitor.session import Session
 
 RIGS = rigs_of(["west/x", "east/x", "west/y"])
@@ -46,7 +46,7 @@ def test_what_rigs_tell_is_shown_together():
         values = {"phase": "running", "steps": "100", "missed": str(missed)}
         values |= {"margin force": str(margin), "round trip median (ms)": str(margin)}
         session.on_diagnostics([Status(f"{rig}/rig", 0, "running", values=values)], 0.002)
-    told = session.told()
+    told = session.summary()
     assert told["missed"] == 7
     assert told["margins"] == {"force": 0.25}
     assert told["round_trip"] == {"median (ms)": 0.5}

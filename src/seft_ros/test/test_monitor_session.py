@@ -38,7 +38,7 @@ def what(session):
 
 
 def test_before_anything_is_heard_nothing_is_told(session):
-    told = session.told()
+    told = session.summary()
     assert not told["heard"]
     assert json.loads(json.dumps(told)) == told
 
@@ -48,7 +48,7 @@ def test_a_repeated_state_is_no_event_and_begins_no_test(session):
     assert not session.on_state(state("running"))
     session.on_state(state("tripped", "force is beyond", ERROR, step="7", time_s="0.014"))
     assert what(session) == ["running", "tripped"]
-    told = session.told()
+    told = session.summary()
     assert (told["state"], told["step"], told["time_s"]) == ("tripped", 7, 0.014)
     assert told["detail"] == "force is beyond"
     assert told["ended"]
@@ -57,19 +57,19 @@ def test_a_repeated_state_is_no_event_and_begins_no_test(session):
 def test_a_supervisor_that_goes_and_comes_back_is_shown(session, clock):
     session.on_state(state("ready"))
     clock.now += SILENCE + 0.1
-    session.look()
-    assert session.told()["silent"]
+    session.poll()
+    assert session.summary()["silent"]
     session.on_state(state("ready"))
-    assert not session.told()["silent"]
+    assert not session.summary()["silent"]
     assert what(session) == ["ready", "gone", "ready"]
 
 
 def test_a_silent_node_is_marked(session, clock):
     session.on_diagnostics([rig(1), Status("stranger", OK, "hello")], 0.002)
-    assert [node["level"] for node in session.told()["nodes"]] == [OK]
+    assert [node["level"] for node in session.summary()["nodes"]] == [OK]
     clock.now += SILENCE + 0.1
-    session.look()
-    assert session.told()["nodes"] == [
+    session.poll()
+    assert session.summary()["nodes"] == [
         {"name": "rig", "level": 3, "text": "running", "refused": None}
     ]
 
@@ -84,7 +84,7 @@ def test_margins_round_trips_and_misses_are_the_rig_s(session):
         "overruns": "1",
     }
     session.on_diagnostics([rig(500, **values)], 0.002)
-    told = session.told()
+    told = session.summary()
     assert told["margins"] == {"force": 0.25}
     assert told["round_trip"] == {"median (ms)": 0.5}
     assert (told["missed"], told["overruns"]) == (3, 1)
@@ -103,9 +103,9 @@ def test_round_trips_are_of_one_test_and_bounded(session):
 def test_a_rig_at_rest_keeps_the_last_test_s_numbers(session):
     session.on_diagnostics([rig(5, missed="2")], 1.0)
     session.on_diagnostics([Status("rig", OK, "idle", values={"phase": "idle"})], 1.0)
-    assert session.told()["missed"] == 2
+    assert session.summary()["missed"] == 2
     session.begin()
-    assert session.told()["missed"] is None
+    assert session.summary()["missed"] is None
 
 
 def test_events_are_bounded(session):
@@ -117,7 +117,7 @@ def test_events_are_bounded(session):
 def test_parameters_that_tell_the_test_are_text(session):
     session.on_description("reference_force", {"mass_ratio": float("nan"), "method": "seft"})
     session.on_description("rig", {"pace": "<b>lockstep</b>"})
-    assert session.told()["parameters"] == {
+    assert session.summary()["parameters"] == {
         "reference_force: method": "seft",
         "reference_force: mass_ratio": "nan",
         "rig: pace": "<b>lockstep</b>",

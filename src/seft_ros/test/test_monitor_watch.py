@@ -37,10 +37,10 @@ def test_samples_wait_for_the_description_that_they_are_read_with():
     for step in range(30):
         graph.send(RIG_STATE, codec.encode(step, np.zeros((4, 1))))
         if step < 20:
-            watch.look()
+            watch.poll()
     assert watch.intake is None
     described = {"node": "rig", "parameters": EXPERIMENT.sections["rig"]}
     graph.send(DESCRIPTION, encode_string(json.dumps(described)))
-    watch.look()
+    watch.poll()
     assert watch.intake.number == 1
     assert (watch.intake.history.recent().first, watch.intake.history.head) == (0, 30)

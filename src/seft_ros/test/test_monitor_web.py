@@ -5,10 +5,9 @@ import json
 
 import pytest
 from seft_msgs_py.errors import InputError
-from seft_ros.monitor.access import Access, is_loopback, page_address
-from seft_ros.monitor.pages import Pages
+from seft_ros.monitor.access import is_loopback, page_address
 from seft_ros.monitor.serve import listen
-from seft_ros.monitor.web import application
+from seft_ros.monitor.web import Pages, application
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.httpserver import HTTPServer
 from tornado.websocket import websocket_connect
@@ -26,7 +25,7 @@ def serving(scenario, token="", local_only=True, everything=lambda: ["all"]):
         socket = listen("127.0.0.1", 0)
         port = socket.getsockname()[1]
         pages = Pages(everything)
-        server = HTTPServer(application(Access(token, local_only), port, pages, call))
+        server = HTTPServer(application(token, local_only, port, pages, call))
         server.add_socket(socket)
         client = AsyncHTTPClient()
 
@@ -181,19 +180,16 @@ def test_a_page_is_told_all_and_then_what_is_new():
 def test_a_page_that_does_not_keep_up_is_left_out_and_later_told_all_anew():
     class Slow:
         def __init__(self):
-            self.sent, self.backlog = [], 0
-
-        def waiting(self):
-            return self.backlog
+            self.sent, self.waiting = [], 0
 
         def send(self, frame):
             self.sent.append(frame)
 
     pages, slow = Pages(lambda: ["all"]), Slow()
     pages.add(slow)
-    slow.backlog = 10**9
+    slow.waiting = 10**9
     pages.send(["one"])
-    slow.backlog = 0
+    slow.waiting = 0
     pages.send(["two"])
     pages.send(["three"])
     assert slow.sent == ["all", "all", "three"]

@@ -1,57 +1,37 @@
 """``seft conform``: whether a rig's driver keeps the contract of a test."""
 
 import sys
-from typing import Annotated, Optional
+from typing import TYPE_CHECKING, Annotated, Optional
 
 import typer
 from seft_msgs_py.errors import InputError
 
-from seft_ros.commands.options import (
-    ConfigArgument,
-    JsonOption,
-    OverrideOption,
-    ParamsFileOption,
-    load_experiment,
-    print_json,
-    stderr_console,
-)
+from seft_ros.commands.options import Config, Files, Json, Params, load_experiment, option
+from seft_ros.commands.output import show, stderr_console
 
-COUNTED = ("passed", "failed", "not_run")
+if TYPE_CHECKING:
+    from seft_ros.conformance.finding import Finding
 
 
 def conform(
-    config: ConfigArgument,
-    param: OverrideOption = None,
-    params_file: ParamsFileOption = None,
+    config: Config,
+    param: Params = None,
+    params_file: Files = None,
     start_rig: Annotated[
-        bool,
-        typer.Option(
-            "--start-rig", help="Start the simulated rig of CONFIG; else a rig runs already."
-        ),
+        bool, option("Start the simulated rig of CONFIG; else a rig runs already.", "--start-rig")
     ] = False,
     amplitude: Annotated[
         Optional[float],
-        typer.Option(
-            "--amplitude",
-            metavar="V",
-            help="Largest valve command; default 0.2 V (50 N for an idealised actuator).",
-        ),
+        option("Largest valve command; default 0.2 V (50 N for an idealised actuator).", "V"),
     ] = None,
     travel: Annotated[
-        float,
-        typer.Option(
-            "--travel", metavar="M", help="Displacement from rest at which it is stopped, m."
-        ),
+        float, option("Displacement from rest at which it is stopped, m.", "M")
     ] = 0.005,
-    force: Annotated[
-        float,
-        typer.Option("--force", metavar="N", help="Change of force at which it is stopped, N."),
-    ] = 2000.0,
+    force: Annotated[float, option("Change of force at which it is stopped, N.", "N")] = 2000.0,
     yes: Annotated[
-        bool,
-        typer.Option("--yes", help="Move the rig without asking: nobody is within its reach."),
+        bool, option("Move the rig without asking: nobody is within its reach.", "--yes")
     ] = False,
-    json: JsonOption = False,
+    json: Json = False,
 ) -> int:
     """See whether a rig's driver keeps its contract (docs/hardware.md) before a test relies on it.
 
@@ -74,7 +54,6 @@ def conform(
 
         seft conform config/laboratory.yaml --yes --json
     """
-    from seft_ros.conformance.finding import Finding
     from seft_ros.conformance.suite import conform as look_at
     from seft_ros.conformance.table import finding_line, verdict
 
@@ -84,17 +63,16 @@ def conform(
             f"{config}: the axes are of several rigs, but conform looks at one: give its axes "
             'alone, without its name, as -p "/**:axes:=[x]", and parameters for these'
         )
-    sizes = (("--amplitude", amplitude), ("--travel", travel), ("--force", force))
-    for name, value in sizes:
+    for name, value in (("--amplitude", amplitude), ("--travel", travel), ("--force", force)):
         if value is not None and not 0 < value < float("inf"):
             raise InputError(f"{name} is {value:g}, but must be positive")
-    if not (start_rig or yes):
-        _ask(amplitude, travel)
     if start_rig:
         experiment["rig"]["pace"] = "realtime"
+    elif not yes:
+        _ask(amplitude, travel)
     console = stderr_console()
 
-    def tell(finding: Finding) -> None:
+    def tell(finding: "Finding") -> None:
         if not json:
             console.print(finding_line(finding), soft_wrap=True, highlight=False)
 
@@ -102,12 +80,9 @@ def conform(
         experiment, tell, start_rig=start_rig, amplitude=amplitude, travel=travel, force=force
     )
     result = verdict(findings)
-    if json:
-        print_json({"config": str(config), **result})
-    else:
-        words = "conforms" if result["conforms"] else "does not conform"
-        counts = (f"{result[word]} {word.replace('_', ' ')}" for word in COUNTED)
-        print(f"the rig {words}: {', '.join(counts)}")
+    words = "conforms" if result["conforms"] else "does not conform"
+    counts = "{passed} passed, {failed} failed, {not_run} not run".format_map(result)
+    show({"config": str(config), **result}, json, [f"the rig {words}: {counts}"])
     return 0 if result["conforms"] else 1
 
 

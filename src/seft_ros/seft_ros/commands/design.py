@@ -1,77 +1,50 @@
 """``seft design``: shape the force loop."""
 
+import cmath
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Optional
+from typing import Annotated, Optional
 
-import typer
 from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import InputError
 
-from seft_ros.commands.options import (
-    ConfigArgument,
-    JsonOption,
-    OverrideOption,
-    ParamsFileOption,
-    PlantOption,
-    complain,
-    load_experiment,
-    print_json,
-)
+from seft_ros.commands.options import Config, Files, Json, Params, Plant, load_experiment, option
+from seft_ros.commands.output import complain, show
 from seft_ros.loop_shaping import Source
-
-if TYPE_CHECKING:  # scipy and all: other commands start without
-    from seft_ros.loop_shaping.design import LoopDesign
 
 
 def design(
-    config: ConfigArgument,
-    param: OverrideOption = None,
-    params_file: ParamsFileOption = None,
-    plant: PlantOption = Source.AUTO,
-    axis: Annotated[
-        Optional[str],
-        typer.Option("--axis", metavar="NAME", help="Axis to be shown; default the first."),
-    ] = None,
+    config: Config,
+    param: Params = None,
+    params_file: Files = None,
+    plant: Plant = Source.AUTO,
+    axis: Annotated[Optional[str], option("Axis to be shown; default the first.", "NAME")] = None,
     crossover: Annotated[
-        Optional[float],
-        typer.Option("--crossover", metavar="HZ", help="Propose a controller for this crossover."),
+        Optional[float], option("Propose a controller for this crossover.", "HZ")
     ] = None,
-    gain_margin: Annotated[
-        float,
-        typer.Option("--gain-margin", metavar="DB", help="Least gain margin of a proposal in dB."),
-    ] = 6.0,
+    gain_margin: Annotated[float, option("Least gain margin of a proposal in dB.", "DB")] = 6.0,
     gain: Annotated[
-        Optional[float],
-        typer.Option("--gain", help="Try gain * product(s - zeros) / product(s - poles)."),
+        Optional[float], option("Try gain * product(s - zeros) / product(s - poles).")
     ] = None,
     zero: Annotated[
         Optional[list[str]],
-        typer.Option(
-            "--zero",
-            metavar="HZ[,DAMPING]",
-            help="Its zeros, one option each: real, or with a damping ratio a conjugate pair; "
+        option(
+            "Its zeros, one option each: real, or with a damping ratio a conjugate pair; "
             "0 is a differentiator.",
+            "HZ[,DAMPING]",
         ),
     ] = None,
     pole: Annotated[
-        Optional[list[str]],
-        typer.Option("--pole", metavar="HZ[,DAMPING]", help="Its poles; 0 is an integrator."),
+        Optional[list[str]], option("Its poles; 0 is an integrator.", "HZ[,DAMPING]")
     ] = None,
     numerator: Annotated[
-        Optional[str],
-        typer.Option("--numerator", help='Or its coefficients in s, highest power first: "37".'),
+        Optional[str], option('Or its coefficients in s, highest power first: "37".')
     ] = None,
-    denominator: Annotated[
-        Optional[str], typer.Option("--denominator", help='Likewise: "1 17.14 4002".')
-    ] = None,
+    denominator: Annotated[Optional[str], option('Likewise: "1 17.14 4002".')] = None,
     out: Annotated[
-        Optional[Path],
-        typer.Option("--out", metavar="FILE", help="Write the controller to a new parameter file."),
+        Optional[Path], option("Write the controller to a new parameter file.", "FILE")
     ] = None,
-    figure: Annotated[Path, typer.Option("--figure", metavar="PNG", help="Where to draw.")] = Path(
-        "design.png"
-    ),
-    json: JsonOption = False,
+    figure: Annotated[Path, option("Where to draw.", "PNG")] = Path("design.png"),
+    json: Json = False,
 ) -> int:
     """Shape the force loop: plant, controller, loop and closed loop, with margins and delay.
 
@@ -108,12 +81,15 @@ def design(
     from seft_ros.loop_shaping.proposal import propose_controller
     from seft_ros.loop_shaping.sampling import dominant_pole
     from seft_ros.loop_shaping.summary import summarise, summarise_axes
+    from seft_ros.loop_shaping.table import axes_table, design_table
 
     if out is not None:
         check_new(out)
     experiment = load_experiment(config, param, params_file)
     dt, axes = experiment.timebase.dt, experiment.axes
-    shown = _index(axes, axis)
+    if axis is not None and axis not in axes:
+        raise InputError(f"--axis {axis}: there is no such axis{nearest(axis, axes)}")
+    shown = 0 if axis is None else axes.index(axis)
     whole = choose_plant(experiment, plant)
     controller = given_controller(gain, zero or (), pole or (), numerator, denominator)
     if crossover is not None:
@@ -125,52 +101,23 @@ def design(
     loops = [shape_loop(whole.axis(index), controller, dt) for index in range(len(axes))]
     slowest = dominant_pole(whole, controller, dt)
 
-    loop = loops[shown]
+    loop, stable = loops[shown], abs(slowest) < 1
     title = f"{config}, axis {axes[shown]}: force loop at {1 / dt:g} Hz, plant: {whole.source}"
     path = figure if figure.suffix else figure.with_suffix(".png")
     save_figure(design_figure(loop, title), path)
     summary = summarise(loop)
     summary["axes"] = summarise_axes(axes, loops)
-    summary |= {"stable": abs(slowest) < 1, "proposed": crossover is not None, "figure": str(path)}
-    if out is not None and summary["stable"]:
+    summary |= {"stable": stable, "proposed": crossover is not None, "figure": str(path)}
+    if out is not None and stable:
         write_controller(controller, out)
         summary["out"] = str(out)
-    if json:
-        print_json(summary)
-    else:
-        _show(loop, title, summary)
-    if summary["stable"]:
+    tables = [design_table(loop, title), *([axes_table(summary["axes"])] if axes[1:] else [])]
+    show(summary, json, tables, "figure", "out")
+    if stable:
         return 0
-    complain(_unstable(slowest, dt))
-    return 1
-
-
-def _index(axes: tuple[str, ...], name: str | None) -> int:
-    if name is None:
-        return 0
-    if name not in axes:
-        raise InputError(f"--axis {name}: there is no such axis{nearest(name, axes)}")
-    return axes.index(name)
-
-
-def _unstable(pole: complex, dt: float) -> str:
-    import cmath
-
-    return (
+    complain(
         f"unstable: with this controller the force loop oscillates at "
-        f"{abs(cmath.phase(pole)) / (2 * cmath.pi * dt):.3g} Hz, times {abs(pole):.4g} each step"
+        f"{abs(cmath.phase(slowest)) / (2 * cmath.pi * dt):.3g} Hz, "
+        f"times {abs(slowest):.4g} each step"
     )
-
-
-def _show(loop: "LoopDesign", title: str, summary: dict[str, Any]) -> None:
-    from rich.console import Console
-
-    from seft_ros.loop_shaping.table import axes_table, design_table
-
-    console = Console()
-    console.print(design_table(loop, title))
-    if len(summary["axes"]) > 1:
-        console.print(axes_table(summary["axes"]))
-    for name in ("figure", "out"):
-        if name in summary:
-            console.print(f"{name + ':':8}{summary[name]}", soft_wrap=True, highlight=False)
+    return 1

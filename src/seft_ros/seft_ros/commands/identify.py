@@ -3,97 +3,71 @@
 import math
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Optional
+from typing import Annotated, Any, Optional
 
-import typer
-from rich.console import Console
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 
-from seft_ros.commands.one_test import dds_test, offline_test
-from seft_ros.commands.options import (
-    ConfigArgument,
-    ExternalOption,
-    JsonOption,
-    OverrideOption,
-    ParamsFileOption,
-    complain,
-    load_experiment,
-    print_json,
-)
-from seft_ros.commands.results import FIGURE, check_out
-
-if TYPE_CHECKING:  # scipy and all: other commands start without
-    from seft_ros.identification.identified import Identified
-    from seft_ros.identification.rig_tests import Levels
-    from seft_ros.recording.record import Record
+from seft_ros.commands.one_test import FIGURE, check_out, dds_test, offline_test
+from seft_ros.commands.options import Config, External, Files, Json, Params, load_experiment, option
+from seft_ros.commands.output import complain, show
+from seft_ros.recording.record import Record
 
 PILOT, OPEN_LOOP, CLOSED_LOOP = "pilot", "open_loop", "closed_loop"
-EXCITATION, MODEL = "excitation.csv", "model.yaml"
 _BY_RATE = (math.nan, math.nan)
 
 
 def identify(
-    config: ConfigArgument,
-    param: OverrideOption = None,
-    params_file: ParamsFileOption = None,
+    config: Config,
+    param: Params = None,
+    params_file: Files = None,
     over_dds: Annotated[
         bool,
-        typer.Option(
+        option(
+            "Run the tests as separate nodes over DDS, or in one process without ROS.",
             "--over-dds/--offline",
-            help="Run the tests as separate nodes over DDS, or in one process without ROS.",
         ),
     ] = False,
-    external: ExternalOption = None,
-    signal: Annotated[
-        str, typer.Option("--signal", metavar="random|chirp", help="Excitation.")
-    ] = "random",
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the random signal.")] = 1,
+    external: External = None,
+    signal: Annotated[str, option("Excitation.", "random|chirp")] = "random",
+    seed: Annotated[int, option("Seed of the random signal.", min=0)] = 1,
     band: Annotated[
         tuple[float, float],
-        typer.Option(
-            "--band",
-            metavar="LO HI",
+        option(
+            "Band of the excitation in Hz; default 0.3 to 0.45 times the rate, at most 200.",
+            "LO HI",
             show_default=False,
-            help="Band of the excitation in Hz; default 0.3 to 0.45 times the rate, at most 200.",
         ),
     ] = _BY_RATE,
-    duration: Annotated[
-        float, typer.Option("--duration", metavar="S", help="Duration of each test in s.")
-    ] = 120.0,
+    duration: Annotated[float, option("Duration of each test in s.", "S")] = 120.0,
     amplitude: Annotated[
         Optional[float],
-        typer.Option(
-            "--amplitude",
-            metavar="V",
-            help="RMS of the valve drive, open loop; default found by a pilot test, so that the "
+        option(
+            "RMS of the valve drive, open loop; default found by a pilot test, so that the "
             "rig uses up to a fifth of its limits.",
+            "V",
         ),
     ] = None,
     force: Annotated[
         Optional[float],
-        typer.Option(
-            "--force",
-            metavar="N",
-            help="RMS of the reference force, closed loop; default 5 m/s^2 times the mass, at "
+        option(
+            "RMS of the reference force, closed loop; default 5 m/s^2 times the mass, at "
             "most a 20th of the force limit (chirp: 0.3 times that).",
+            "N",
         ),
     ] = None,
     out: Annotated[
-        Optional[Path],
-        typer.Option(
-            "--out", metavar="DIR", help="Folder of what is made, must be new; default by the time."
-        ),
+        Optional[Path], option("Folder of what is made, must be new; default by the time.", "DIR")
     ] = None,
     specimen: Annotated[
         bool,
-        typer.Option(
-            "--specimen",
-            help="Write the specimen's mass, damping and stiffness to model.yaml, too, as "
+        option(
+            "Write the specimen's mass, damping and stiffness to model.yaml, too, as "
             "reference_force's model.*.",
+            "--specimen",
         ),
     ] = False,
-    json: JsonOption = False,
+    json: Json = False,
 ) -> int:
     """Identify a rig: its actuators, and the force loop that they make with the specimen.
 
@@ -119,9 +93,12 @@ def identify(
 
         seft identify config/lab.yaml --external rig --amplitude 0.1 --duration 300
     """
+    from seft_ros.drawing.style import save_figure
     from seft_ros.force_controller.kinds import is_one_controller
     from seft_ros.identification.excitation import Motions
     from seft_ros.identification.identified import identify as identify_rig
+    from seft_ros.identification.identified_figure import identified_figure
+    from seft_ros.identification.model_file import write_model
     from seft_ros.identification.rig_tests import (
         PILOT_DURATION,
         Levels,
@@ -134,6 +111,8 @@ def identify(
         pilot_voltage,
         voltage_after,
     )
+    from seft_ros.identification.summary import summarise_identified
+    from seft_ros.identification.table import identified_table
     from seft_ros.loop_shaping.controller import Controller
 
     if set(external or ()) - {"rig"}:
@@ -150,16 +129,17 @@ def identify(
     motions = Motions(experiment, levels.force, signal, used, seed)
     motions.check(duration)
     check_out(folder)
-    record = motions.write(folder / EXCITATION, duration)
+    record = motions.write(folder / "excitation.csv", duration)
 
     tests: dict[str, Record] = {}
 
     def done(name: str, test: Experiment, seconds: float) -> bool:
+        bag, label = folder / name, f"{name}: "
         if over_dds or external:
             steps = motions.steps(seconds)
-            tests[name] = dds_test(test, folder / name, steps, external or (), label=f"{name}: ")
+            tests[name] = dds_test(test, bag, steps, external or (), label=label)
         else:
-            tests[name] = offline_test(test, folder / name)
+            tests[name] = offline_test(test, bag, label)
         return tests[name].trip is None and has_valve(tests[name].experiment)
 
     valve = has_valve(experiment)
@@ -178,10 +158,24 @@ def identify(
     whole = {name: test for name, test in tests.items() if test.trip is None and name != PILOT}
     if not valve:
         whole.pop(OPEN_LOOP, None)  # an external rig tells only then that it has none
-    identified = None
+    files = {"folder": folder, "excitation": record, **{name: folder / name for name in tests}}
+    summary: dict[str, Any] = {}
+    identified, tables = None, []
     if whole:
         identified = identify_rig(whole.get(OPEN_LOOP), whole.get(CLOSED_LOOP), used, controller)
-    _present(identified, tests, levels, folder, str(config), specimen, json)
+        summary = summarise_identified(identified)
+        files |= {"model": folder / "model.yaml", "figure": folder / FIGURE}
+        write_model(identified, files["model"], str(config), specimen)
+        save_figure(identified_figure(identified, f"seft identify {config}"), files["figure"])
+    trips = {name: test.trip.reason if test.trip else None for name, test in tests.items()}
+    summary |= {
+        "tripped": {OPEN_LOOP: None, CLOSED_LOOP: None, **trips},
+        "excitation_rms": {"voltage": levels.voltage, "force": levels.force},
+        "files": {what: str(path) for what, path in files.items()},
+    }
+    if identified is not None:
+        tables = [identified_table(f"{config} as identified", identified.axes, summary)]
+    show(summary, json, [*tables, *(f"{what + ':':13}{path}" for what, path in files.items())])
     for name, test in tests.items():
         if test.trip is not None:
             at = f"{name.replace('_', ' ')} tripped at {test.trip.time_s:.3f} s"
@@ -191,44 +185,3 @@ def identify(
         complain(identified.unusable[0])
         return 1
     return 0
-
-
-def _present(
-    identified: "Identified | None",
-    tests: dict[str, "Record"],
-    levels: "Levels",
-    folder: Path,
-    source: str,
-    specimen: bool,
-    as_json: bool,
-) -> None:
-    """Write the model, draw the figure and show the numbers."""
-    files = {"folder": str(folder), "excitation": str(folder / EXCITATION)}
-    files |= {name: str(folder / name) for name in tests}
-    summary: dict[str, Any] = {}
-    if identified is not None:
-        from seft_ros.drawing.style import save_figure
-        from seft_ros.identification.identified_figure import identified_figure
-        from seft_ros.identification.model_file import write_model
-        from seft_ros.identification.summary import summarise_identified
-
-        summary = summarise_identified(identified)
-        files |= {"model": str(folder / MODEL), "figure": str(folder / FIGURE)}
-        write_model(identified, folder / MODEL, source, specimen)
-        save_figure(identified_figure(identified, f"seft identify {source}"), folder / FIGURE)
-    trips = {name: test.trip.reason if test.trip else None for name, test in tests.items()}
-    summary |= {
-        "tripped": {OPEN_LOOP: None, CLOSED_LOOP: None, **trips},
-        "excitation_rms": {"voltage": levels.voltage, "force": levels.force},
-        "files": files,
-    }
-    if as_json:
-        print_json(summary)
-        return
-    console = Console()
-    if identified is not None:
-        from seft_ros.identification.table import identified_table
-
-        console.print(identified_table(f"{source} as identified", identified.axes, summary))
-    for what, path in files.items():
-        console.print(f"{what + ':':13}{path}", soft_wrap=True, highlight=False)

@@ -8,16 +8,8 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.rigs import RigAxes
 
-from seft_ros.commands.options import (
-    JsonOption,
-    OverrideOption,
-    ParamsFileOption,
-    complain,
-    load_experiment,
-    print_json,
-    stderr_console,
-)
-from seft_ros.commands.progress import step_progress
+from seft_ros.commands.options import Files, Json, Params, load_experiment, option
+from seft_ros.commands.output import complain, show, stderr_console, step_progress
 
 RATE, SIZE = 500.0, 1000  # Hz and bytes, where no experiment tells them
 
@@ -30,26 +22,20 @@ def link(
             help="Experiment whose rate and message size are used, and which preflight looks at.",
         ),
     ] = None,
-    param: OverrideOption = None,
-    params_file: ParamsFileOption = None,
+    param: Params = None,
+    params_file: Files = None,
     echo: Annotated[
-        bool, typer.Option("--echo", help="Be the other side: send back what comes, until Ctrl-C.")
+        bool, option("Be the other side: send back what comes, until Ctrl-C.", "--echo")
     ] = False,
-    rig: Annotated[
-        str, typer.Option("--rig", metavar="NAME", help="Of several rigs, whose link it is.")
-    ] = "",
-    duration: Annotated[
-        float, typer.Option("--duration", metavar="S", help="Time for which the link is measured.")
-    ] = 10.0,
+    rig: Annotated[str, option("Of several rigs, whose link it is.", "NAME")] = "",
+    duration: Annotated[float, option("Time for which the link is measured.", "S")] = 10.0,
     out: Annotated[
         Optional[Path],
-        typer.Option(
-            "--out",
-            metavar="FILE",
-            help="Write the delay of the loop as a parameter file, to be read by --params-file.",
+        option(
+            "Write the delay of the loop as a parameter file, to be read by --params-file.", "FILE"
         ),
     ] = None,
-    json: JsonOption = False,
+    json: Json = False,
 ) -> int:
     """Measure the link to another host, and tell what test it is good for.
 
@@ -75,6 +61,7 @@ def link(
     """
     from seft_ros.link.ping import measure
     from seft_ros.link.round_trips import allowed, judge, message_size
+    from seft_ros.link.table import link_table
 
     if echo:
         return _echo()
@@ -87,8 +74,8 @@ def link(
     if experiment is not None:
         rate, size = experiment.timebase.rate, message_size(experiment)
     other_side = _rig(rig, experiment)
-    with step_progress(max(2, round(duration * rate))) as show:
-        trips = measure(rate, duration, size, show, other_side)
+    with step_progress(max(2, round(duration * rate))) as tell:
+        trips = measure(rate, duration, size, tell, other_side)
     test = None if experiment is None else allowed(experiment, trips.loop_delay)
     verdict, reasons = judge(trips, test)
     summary: dict[str, Any] = {
@@ -101,14 +88,7 @@ def link(
     if out is not None:
         _write(out, trips.loop_delay)
         summary["file"] = str(out)
-    if json:
-        print_json(summary)
-    else:
-        from rich.console import Console
-
-        from seft_ros.link.table import link_table
-
-        Console().print(link_table(summary))
+    show(summary, json, [link_table(summary)])
     for reason in reasons:
         complain(f"{verdict}: {reason}")
     return 1 if verdict == "unusable" else 0

@@ -6,22 +6,19 @@ from contextlib import redirect_stdout
 import typer
 from seft_msgs_py.errors import SeftError
 
-from seft_ros.commands.compare import compare
+from seft_ros.commands.bags import compare, recover, report
 from seft_ros.commands.conform import conform
 from seft_ros.commands.design import design
 from seft_ros.commands.identify import identify
 from seft_ros.commands.link import link
 from seft_ros.commands.monitor import monitor
 from seft_ros.commands.motion import motion
-from seft_ros.commands.options import complain
+from seft_ros.commands.output import complain
 from seft_ros.commands.paper import paper
 from seft_ros.commands.parameters import parameters
+from seft_ros.commands.perform import run, simulate
 from seft_ros.commands.preflight import preflight
-from seft_ros.commands.recover import recover
 from seft_ros.commands.replay import replay
-from seft_ros.commands.report import report
-from seft_ros.commands.run import run
-from seft_ros.commands.simulate import simulate
 from seft_ros.commands.tournament import tournament
 
 APP = typer.Typer(

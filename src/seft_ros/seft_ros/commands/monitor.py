@@ -1,44 +1,37 @@
 """``seft monitor``: a page that shows a running test."""
 
+import re
+import secrets
+import webbrowser
 from typing import Annotated
 
-import typer
 from seft_msgs_py.errors import InputError
 
-PORT = 8765
+from seft_ros.commands.options import option
 
 
 def monitor(
     host: Annotated[
         str,
-        typer.Option(
-            "--host",
-            metavar="ADDRESS",
-            help="Address to serve at; others than this host's own need a token, and show the test "
+        option(
+            "Address to serve at; others than this host's own need a token, and show the test "
             "to whoever has it.",
+            "ADDRESS",
         ),
     ] = "127.0.0.1",
-    port: Annotated[
-        int,
-        typer.Option("--port", min=0, max=65535, metavar="N", help="Port; 0: any that is free."),
-    ] = PORT,
+    port: Annotated[int, option("Port; 0: any that is free.", "N", min=0, max=65535)] = 8765,
     token: Annotated[
         str,
-        typer.Option(
-            "--token",
-            metavar="TEXT",
-            envvar="SEFT_MONITOR_TOKEN",
-            help="What a browser must know; one is made where it is needed and not given. "
+        option(
+            "What a browser must know; one is made where it is needed and not given. "
             "SEFT_MONITOR_TOKEN keeps it out of the list of processes.",
+            "TEXT",
+            envvar="SEFT_MONITOR_TOKEN",
         ),
     ] = "",
-    namespace: Annotated[
-        str,
-        typer.Option("--namespace", metavar="NAME", help="Namespace of the test's topics."),
-    ] = "",
+    namespace: Annotated[str, option("Namespace of the test's topics.", "NAME")] = "",
     open_page: Annotated[
-        bool,
-        typer.Option("--open", help="Open the page in the browser, off the loop's core too."),
+        bool, option("Open the page in the browser, off the loop's core too.", "--open")
     ] = False,
 ) -> int:
     """Show a running test on a page in the browser, with buttons to start and stop it.
@@ -62,8 +55,6 @@ def monitor(
 
         seft monitor --host 0.0.0.0 --token "$(openssl rand -hex 16)"
     """
-    import re
-
     from seft_ros.monitor.access import is_loopback, page_address
     from seft_ros.monitor.serve import keep_off_the_loop, listen, serve
 
@@ -72,8 +63,6 @@ def monitor(
     if not re.fullmatch(r"(/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*)?", namespace, re.ASCII):
         raise InputError(f"--namespace {namespace}: is no name of ROS, such as /lab2")
     if not is_loopback(host) and not token:
-        import secrets
-
         token = secrets.token_urlsafe(24)
     keep_off_the_loop()
     listening = listen(host, port)
@@ -84,8 +73,6 @@ def monitor(
     def ready() -> None:
         print(f"seft monitor: {address}", flush=True)
         if open_page:
-            import webbrowser
-
             webbrowser.open(address)
 
     serve(listening, host, token, namespace, ready)

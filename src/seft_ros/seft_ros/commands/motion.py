@@ -6,26 +6,29 @@ from typing import Annotated, Optional
 import typer
 from seft_msgs_py.wire.timebase import Timebase
 
-from seft_ros.commands.options import JsonOption, print_json
+from seft_ros.commands.options import Json, option
+from seft_ros.commands.output import show
+
+_ROWS = {
+    "peak_acceleration": "peak acceleration, m/s²",
+    "arias_intensity": "Arias intensity, m/s",
+    "significant_duration": "significant duration (5-95 %), s",
+}
 
 
 def motion(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="PEER AT2, columns or csv.")],
     column: Annotated[
-        Optional[list[int]],
-        typer.Option("--column", help="Column, from 0; once for each axis to be shown."),
+        Optional[list[int]], option("Column, from 0; once for each axis to be shown.")
     ] = None,
-    unit: Annotated[str, typer.Option("--unit", help="g, m/s2 or cm/s2.")] = "g",
-    dt: Annotated[
-        float, typer.Option("--dt", help="Sampling period in s, where the file has none.")
-    ] = 0.0,
-    time_scale: Annotated[float, typer.Option("--time-scale", help="0.5: twice as fast.")] = 1.0,
-    rate: Annotated[float, typer.Option("--rate", help="Rate of the loop in Hz.")] = 500.0,
+    unit: Annotated[str, option("g, m/s2 or cm/s2.")] = "g",
+    dt: Annotated[float, option("Sampling period in s, where the file has none.")] = 0.0,
+    time_scale: Annotated[float, option("0.5: twice as fast.")] = 1.0,
+    rate: Annotated[float, option("Rate of the loop in Hz.")] = 500.0,
     figure: Annotated[
-        Optional[Path],
-        typer.Option("--figure", metavar="PNG", help="Where to draw; default FILE's name + .png."),
+        Optional[Path], option("Where to draw; default FILE's name + .png.", "PNG")
     ] = None,
-    json: JsonOption = False,
+    json: Json = False,
 ) -> int:
     """Show a record as a test at this rate would use it: numbers, and a figure with spectrum.
 
@@ -37,6 +40,8 @@ def motion(
 
         seft motion record.csv --unit m/s2 --time-scale 0.5 --json
     """
+    from rich.table import Table
+
     from seft_ros.drawing.style import save_figure
     from seft_ros.ground_motion.block import GroundMotion
     from seft_ros.ground_motion.figure import motion_figure
@@ -61,32 +66,13 @@ def motion(
     path = figure or Path(f"{file.stem}.png")
     drawn = motion_figure(block.samples, block.timebase.dt, axes, f"{file.name}, {rate:g} Hz")
     save_figure(drawn, path)
-    summary = {"source": block.source, "rate_hz": rate, **motion_summary(block)}
-    summary["figure"] = str(path)
-    if json:
-        print_json(summary)
-    else:
-        _show(summary, axes)
-    return 0
-
-
-def _show(summary: dict[str, object], axes: list[str]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    rows = (
-        ("peak acceleration", "m/s²", "peak_acceleration"),
-        ("Arias intensity", "m/s", "arias_intensity"),
-        ("significant duration (5-95 %)", "s", "significant_duration"),
-    )
-    table = Table(title=f"{summary['source']}: {summary['steps']} steps at {summary['rate_hz']} Hz")
+    numbers = motion_summary(block)
+    table = Table(title=f"{block.source}: {numbers['steps']} steps at {rate} Hz")
     table.add_column("")
     for axis in axes:
         table.add_column(axis, justify="right")
-    for label, unit, key in rows:
-        values = summary[key]
-        assert isinstance(values, list)
-        table.add_row(f"{label}, {unit}", *(f"{value:.4g}" for value in values))
-    console = Console()
-    console.print(table)
-    console.print(f"figure: {summary['figure']}", soft_wrap=True, highlight=False)
+    for name, label in _ROWS.items():
+        table.add_row(label, *(f"{value:.4g}" for value in numbers[name]))
+    summary = {"source": block.source, "rate_hz": rate, **numbers, "figure": str(path)}
+    show(summary, json, [table], "figure")
+    return 0

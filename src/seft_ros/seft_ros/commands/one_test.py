@@ -1,22 +1,29 @@
-"""One test that a command makes, alone or of several, offline or over DDS, and its bag."""
+"""One test that a command makes, alone or of several, offline or over DDS: its bag, its numbers."""
 
 from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.errors import ExperimentError
+from seft_msgs_py.errors import ExperimentError, InputError
 
-from seft_ros.commands.progress import step_progress
-from seft_ros.commands.results import save
+from seft_ros.commands.output import show, step_progress
 from seft_ros.recording.record import Record
 
 if TYPE_CHECKING:
     from seft_ros.running.process_layout import ProcessLayout
 
+FIGURE = "figure.png"
 
-def offline_test(experiment: Experiment, bag: Path) -> Record:
-    """Run a test in one process, with a progress bar, and write its bag.
+
+def check_out(out: Path) -> None:
+    """Refuse a folder that exists already."""
+    if out.exists():
+        raise InputError(f"{out}: exists already; name another folder with --out")
+
+
+def offline_test(experiment: Experiment, bag: Path | None, label: str = "") -> Record:
+    """Run a test in one process, with a progress bar, and write its bag, if it shall have one.
 
     Raises
     ------
@@ -25,12 +32,16 @@ def offline_test(experiment: Experiment, bag: Path) -> Record:
     """
     from seft_ros.experiment.blocks import build_blocks
     from seft_ros.experiment.offline import simulate
+    from seft_ros.recording.record_bag import write_record
 
     blocks = build_blocks(experiment)
-    with step_progress(blocks.ground_motion.steps) as show:
-        record = simulate(experiment, blocks, lambda done: show(f"{bag.name}: simulating", done))
-        show(f"{bag.name}: writing the bag", len(record.series["rig/state"].steps))
-        save(record, blocks, bag)
+    motion = blocks.ground_motion
+    with step_progress(motion.steps) as tell:
+        record = simulate(experiment, blocks, lambda done: tell(f"{label}simulating", done))
+        tell(f"{label}writing the bag" if label else "done", len(record.series["rig/state"].steps))
+        if bag is not None:
+            chunks = [motion.chunk(index) for index in range(motion.chunks)]
+            write_record(record, bag, record.experiment["recorder"]["storage"], chunks)
     return record
 
 
@@ -58,11 +69,11 @@ def dds_test(
     from seft_ros.running.run import run_experiment
     from seft_ros.running.run_monitor import Interruption
 
-    with step_progress(steps) as show, Interruption() as interruption:
+    with step_progress(steps) as show_steps, Interruption() as interruption:
 
         def tell(what: str, done: int) -> None:
             interruption.check()
-            show(f"{label}{what}", done)
+            show_steps(f"{label}{what}", done)
 
         try:
             fault = run_experiment(experiment, bag, tell, layout, external)
@@ -72,3 +83,28 @@ def dds_test(
     if fault:
         raise ExperimentError(f"{label}{fault}; what was recorded is in {bag}")
     return read_bag(bag)
+
+
+def show_test(record: Record, bag: Path | None, *, as_json: bool, figure: bool) -> bool:
+    """Show how a test went; draw its figure into the bag's folder, if there is one.
+
+    Returns
+    -------
+    bool
+        Whether it was stable.
+    """
+    from seft_ros.analysis.summary import reference_of, summarise
+    from seft_ros.analysis.table import summary_table
+
+    reference = reference_of(record)
+    summary = summarise(record, reference)
+    if bag is not None:
+        summary["bag"] = str(bag)
+        if figure:
+            from seft_ros.analysis.figure import test_figure
+            from seft_ros.drawing.style import save_figure
+
+            save_figure(test_figure(record, reference), bag / FIGURE)
+            summary["figure"] = str(bag / FIGURE)
+    show(summary, as_json, [summary_table(record, summary)], "bag", "figure")
+    return bool(summary["stable"])

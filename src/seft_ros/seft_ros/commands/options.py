@@ -1,13 +1,10 @@
-"""Options that several commands share, and what they have in common in printing."""
+"""Options that several commands share, and the experiment that they name."""
 
-import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Optional
 
 import typer
-from rich.console import Console
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_file import parse_override
 from seft_msgs_py.config.parameter_table import nearest
@@ -18,10 +15,22 @@ from seft_msgs_py.wire.topics import NODES
 from seft_ros.experiment.tables import TABLES
 from seft_ros.loop_shaping import Source
 
-ConfigArgument = Annotated[
+
+def option(text: str, named: str | None = None, **more: Any) -> Any:
+    """Make an option with a help text.
+
+    ``named`` is what its value is called, where it has the name of its parameter; or its own
+    name, ``--json``, where it takes no value.
+    """
+    names, metavar = ([named], None) if named and named.startswith("--") else ([], named)
+    return typer.Option(*names, help=text, metavar=metavar, **more)
+
+
+Config = Annotated[
     Path, typer.Argument(metavar="CONFIG", help="Experiment: a ROS 2 parameter file.")
 ]
-OverrideOption = Annotated[
+Bag = Annotated[Path, typer.Argument(metavar="BAG", help="Folder (or file) of a recorded test.")]
+Params = Annotated[
     Optional[list[str]],
     typer.Option(
         "-p",
@@ -30,40 +39,28 @@ OverrideOption = Annotated[
         help="Override a parameter, as in ROS 2; may be given many times.",
     ),
 ]
-ParamsFileOption = Annotated[
+Files = Annotated[
     Optional[list[Path]],
-    typer.Option(
-        "--params-file",
-        metavar="FILE",
-        help="Another parameter file, whose values win over CONFIG's; may be given many times.",
+    option(
+        "Another parameter file, whose values win over CONFIG's; may be given many times.", "FILE"
     ),
 ]
-PlantOption = Annotated[
+Plant = Annotated[
     Source,
-    typer.Option(
-        "--plant",
-        help="rig: the simulated rig's linear model; identified: plant.* of force_controller; "
-        "auto: the identified one where it is given.",
+    option(
+        "rig: the simulated rig's linear model; identified: plant.* of force_controller; "
+        "auto: the identified one where it is given."
     ),
 ]
-
-ExternalOption = Annotated[
+External = Annotated[
     Optional[list[str]],
-    typer.Option(
-        "--external",
-        metavar="NODE",
-        help="This node runs already, started by someone else, such as a lab's hardware driver "
+    option(
+        "This node runs already, started by someone else, such as a lab's hardware driver "
         "as rig; its parameters are its own. May be given many times.",
+        "NODE",
     ),
 ]
-FigureOption = Annotated[
-    bool,
-    typer.Option("--figure/--no-figure", help="Draw a figure into the bag's folder."),
-]
-JsonOption = Annotated[
-    bool,
-    typer.Option("--json", help="Print one JSON object on stdout, and nothing else there."),
-]
+Json = Annotated[bool, option("Print one JSON object on stdout, and nothing else there.", "--json")]
 
 
 def load_experiment(
@@ -86,18 +83,3 @@ def load_experiment(
                 f"--external {node}: must be one of {', '.join(possible)}{nearest(node, possible)}"
             )
     return experiment
-
-
-def print_json(value: dict[str, Any]) -> None:
-    """Print an object as JSON on stdout."""
-    print(json.dumps(value, indent=2, allow_nan=False))
-
-
-def complain(text: str) -> None:
-    """Say one line on stderr."""
-    print(f"seft: {text}", file=sys.stderr, flush=True)
-
-
-def stderr_console() -> Console:
-    """Console for progress: stderr, so that stdout holds results alone."""
-    return Console(stderr=True)

@@ -1,21 +1,14 @@
 """``seft paper``: the paper's figures and claims, reproduced."""
 
-import signal
 from pathlib import Path
 from typing import Annotated, Any, Optional
 
 import typer
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.errors import ExperimentError, InputError
+from seft_msgs_py.errors import InputError
 
-from seft_ros.commands.options import (
-    JsonOption,
-    OverrideOption,
-    ParamsFileOption,
-    load_experiment,
-    print_json,
-)
-from seft_ros.commands.progress import step_progress
+from seft_ros.commands.options import Files, Json, Params, load_experiment, option
+from seft_ros.commands.output import show, step_progress
 
 
 def paper(
@@ -30,35 +23,24 @@ def paper(
     ] = None,
     file: Annotated[
         Optional[Path],
-        typer.Option(
-            "--file",
-            metavar="MOTION",
-            help="Record: PEER AT2, columns or csv. The paper's is Kobe 1995, JMA N-S. Default: "
+        option(
+            "Record: PEER AT2, columns or csv. The paper's is Kobe 1995, JMA N-S. Default: "
             "CONFIG's motion, which is synthetic.",
+            "MOTION",
         ),
     ] = None,
-    unit: Annotated[
-        Optional[str], typer.Option("--unit", help="g, m/s2 or cm/s2; default g.")
-    ] = None,
-    dt: Annotated[
-        Optional[float], typer.Option("--dt", help="Sampling period in s, where the file has none.")
-    ] = None,
+    unit: Annotated[Optional[str], option("g, m/s2 or cm/s2; default g.")] = None,
+    dt: Annotated[Optional[float], option("Sampling period in s, where the file has none.")] = None,
     column: Annotated[
-        Optional[int],
-        typer.Option("--column", help="Column of the file, from 0; default the first."),
+        Optional[int], option("Column of the file, from 0; default the first.")
     ] = None,
-    out: Annotated[Path, typer.Option("--out", metavar="HTML", help="The page.")] = Path(
-        "paper.html"
-    ),
+    out: Annotated[Path, option("The page.", "HTML")] = Path("paper.html"),
     workers: Annotated[
-        Optional[int],
-        typer.Option(
-            "--workers", min=1, help="Processes that calculate; default one for each core."
-        ),
+        Optional[int], option("Processes that calculate; default one for each core.", min=1)
     ] = None,
-    param: OverrideOption = None,
-    params_file: ParamsFileOption = None,
-    json: JsonOption = False,
+    param: Params = None,
+    params_file: Files = None,
+    json: Json = False,
 ) -> int:
     """Reproduce the figures and claims of the paper (Nakata & Combs 2012) on one page.
 
@@ -83,6 +65,7 @@ def paper(
     from seft_ros.paper.findings import CALCULATIONS, find
     from seft_ros.paper.page import write_paper
     from seft_ros.paper.summary import summarise_paper
+    from seft_ros.paper.table import claims_table
     from seft_ros.tournament.workers import free_cores
 
     path = check_page(out)
@@ -90,29 +73,15 @@ def paper(
     experiment = load_experiment(config or default_config(), param, params_file)
     experiment = _with_motion(experiment, file, given)
     check_rig(experiment)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: end the workers
-    try:
-        with step_progress(CALCULATIONS) as show:
-            found = find(experiment, workers or free_cores(), show)
-    except KeyboardInterrupt:
-        raise ExperimentError("interrupted; there is no page") from None
+    with step_progress(CALCULATIONS, "there is no page") as tell:
+        found = find(experiment, workers or free_cores(), tell)
     claims = judge(found)
     name = "the paper's rig" if config is None else str(config)
     write_paper(found, claims, name, path)
     summary = summarise_paper(found, claims, path)
-    if json:
-        print_json(summary)
-        return 0
-    from rich.console import Console
-
-    from seft_ros.paper.table import claims_table
-
-    console = Console()
-    title = (
-        f"{name} under {Path(found.source).name}: {summary['agree']} of {len(claims)} claims agree"
-    )
-    console.print(claims_table(claims, title))
-    console.print(f"page: {path}", soft_wrap=True, highlight=False)
+    agreed = f"{summary['agree']} of {len(claims)} claims agree"
+    table = claims_table(claims, f"{name} under {Path(found.source).name}: {agreed}")
+    show(summary, json, [table], "page")
     return 0
 
 

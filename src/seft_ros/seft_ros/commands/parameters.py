@@ -57,14 +57,9 @@ def _table(rows: tuple[Parameter, ...]) -> str:
 def _type(row: Parameter) -> str:
     if row.choices:
         return " \\| ".join(f"`{choice}`" for choice in row.choices)
-    bounds = []
-    if row.positive:
-        bounds.append("> 0")
-    if row.minimum is not None:
-        bounds.append(f">= {row.minimum:g}")
-    if row.maximum is not None:
-        bounds.append(f"<= {row.maximum:g}")
-    return " ".join([row.kind, ", ".join(bounds)]).strip()
+    limits = ((">", 0 if row.positive else None), (">=", row.minimum), ("<=", row.maximum))
+    bounds = [f"{sign} {value:g}" for sign, value in limits if value is not None]
+    return f"{row.kind} {', '.join(bounds)}".strip()
 
 
 def _default(row: Parameter) -> str:

@@ -1,15 +1,16 @@
 """``seft replay``: a recorded test fed to one node once more."""
 
-from collections.abc import Callable
+import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
-import typer
 from seft_msgs_py.config.parameter_file import Override, parse_override
 from seft_msgs_py.errors import InputError
 
-from seft_ros.commands.options import JsonOption, OverrideOption, complain, print_json
-from seft_ros.commands.progress import step_progress
+from seft_ros.commands.one_test import check_out
+from seft_ros.commands.options import Bag, Json, Params, option
+from seft_ros.commands.output import complain, show, step_progress
 
 if TYPE_CHECKING:
     from seft_ros.replay.recorded import Recorded
@@ -17,33 +18,28 @@ if TYPE_CHECKING:
 
 
 def replay(
-    bag: Annotated[
-        Path, typer.Argument(metavar="BAG", help="Folder (or file) of a recorded test.")
-    ],
+    bag: Bag,
     node: Annotated[
         Optional[list[str]],
-        typer.Option(
-            "--node",
-            metavar="NODE",
-            help="reference_force, force_controller or rig; may be given many times. "
+        option(
+            "reference_force, force_controller or rig; may be given many times. "
             "Default: all three, one after another.",
+            "NODE",
         ),
     ] = None,
-    param: OverrideOption = None,
+    param: Params = None,
     offline: Annotated[
-        bool,
-        typer.Option("--offline", help="Feed the node's block in this process, without ROS."),
+        bool, option("Feed the node's block in this process, without ROS.", "--offline")
     ] = False,
     out: Annotated[
         Optional[Path],
-        typer.Option(
-            "--out",
-            metavar="DIR",
-            help="Write the test with the replayed answers in place of the recorded as a bag, "
+        option(
+            "Write the test with the replayed answers in place of the recorded as a bag, "
             "must be new; with one --node alone.",
+            "DIR",
         ),
     ] = None,
-    json: JsonOption = False,
+    json: Json = False,
 ) -> int:
     """Feed a recorded test to one node, and see that it answers as recorded, bit for bit.
 
@@ -70,9 +66,9 @@ def replay(
 
         seft replay bags/lockstep --node rig --offline --json
     """
-    from seft_ros.commands.results import check_out
     from seft_ros.replay.recorded import read_recorded
     from seft_ros.replay.replays import REPLAYS
+    from seft_ros.replay.table import replay_table
 
     nodes = list(dict.fromkeys(node or REPLAYS))
     if out is not None:
@@ -84,16 +80,18 @@ def replay(
         raise InputError("-p changes one node; name it with --node")
     recorded = read_recorded(bag)
     replays = _replays(nodes, recorded, asked=bool(node))
-    results = [_answers(one, recorded, overrides, offline, out) for one in replays]
-    for result in results:
-        result["bag"] = str(bag)
-        result["overrides"] = param or []
-    if json:
-        several = {"identical": all(one["identical"] for one in results), "replays": results}
-        print_json(results[0] if len(results) == 1 else several)
-    else:
-        _show(results, out)
-    return 0 if all(result["identical"] for result in results) else 1
+    given = {"bag": str(bag), "overrides": param or []}
+    results = [_answers(one, recorded, overrides, offline, out) | given for one in replays]
+    identical = all(one["identical"] for one in results)
+    one_or_all = results[0] if len(results) == 1 else {"identical": identical, "replays": results}
+    tables = [replay_table(result) for result in results]
+    show(one_or_all, json, [*tables, *([f"bag: {out}"] if out else [])])
+    for result in results if not json else ():
+        for note in result["notes"]:
+            complain(f"{result['node']}: {note}")
+        if result["ended"]:
+            complain(f"{result['node']} answered no more: {result['ended']}")
+    return 0 if identical else 1
 
 
 def _replays(nodes: list[str], recorded: "Recorded", *, asked: bool) -> list["Replay"]:
@@ -120,54 +118,29 @@ def _replays(nodes: list[str], recorded: "Recorded", *, asked: bool) -> list["Re
 def _answers(
     replay: "Replay",
     recorded: "Recorded",
-    overrides: list[Override],
+    overrides: Sequence[Override],
     offline: bool,
     out: Path | None,
 ) -> dict[str, Any]:
+    from seft_ros.recording.record_bag import write_record
+    from seft_ros.replay.dds_replay import replay_over_dds
+    from seft_ros.replay.replay_step import Answers
     from seft_ros.replay.replays import experiment_of
     from seft_ros.replay.verdict import replay_verdict, replayed_record
 
     meant = experiment_of(replay, overrides, fixed=False)
-    with step_progress(len(replay.expected.steps)) as show:
+    section = meant[replay.node]
+    with step_progress(len(replay.expected.steps)) as tell:
         if offline:
-            answers = _answer_offline(replay, meant[replay.node], show)
+            tell(f"{replay.node} answers offline", 0)
+            start = time.monotonic()
+            answers = Answers(*replay.computed(section), time.monotonic() - start)
+            tell(f"{replay.node} has answered", len(answers.series.steps))
         else:
-            from seft_ros.replay.dds_replay import replay_over_dds
-
-            answers = replay_over_dds(replay, experiment_of(replay, overrides), show)
+            answers = replay_over_dds(replay, experiment_of(replay, overrides), tell)
     result = replay_verdict(replay, recorded, answers)
     if out is not None:
-        from seft_ros.recording.record_bag import write_record
-
-        record = replayed_record(replay, recorded, answers, meant[replay.node])
+        record = replayed_record(replay, recorded, answers, section)
         write_record(record, out, ground_motion=recorded.chunks)
         result["out"] = str(out)
     return result
-
-
-def _answer_offline(replay: Any, section: dict[str, Any], show: Callable[[str, int], None]) -> Any:
-    import time
-
-    from seft_ros.replay.replay_step import Answers
-
-    show(f"{replay.node} answers offline", 0)
-    start = time.monotonic()
-    series, estimates = replay.computed(section)
-    show(f"{replay.node} has answered", len(series.steps))
-    return Answers(series, estimates, time.monotonic() - start)
-
-
-def _show(results: list[dict[str, Any]], out: Path | None) -> None:
-    from rich.console import Console
-
-    from seft_ros.replay.table import replay_table
-
-    console = Console()
-    for result in results:
-        console.print(replay_table(result))
-        for note in result["notes"]:
-            complain(f"{result['node']}: {note}")
-        if result["ended"]:
-            complain(f"{result['node']} answered no more: {result['ended']}")
-    if out is not None:
-        console.print(f"bag: {out}", soft_wrap=True, highlight=False)

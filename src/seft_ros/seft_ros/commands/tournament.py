@@ -1,75 +1,41 @@
 """``seft tournament``: all compensation methods on the same motion and rigs."""
 
-import signal
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Optional
+from typing import Annotated, Optional
 
-import typer
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.errors import ExperimentError
-
-from seft_ros.commands.options import (
-    ConfigArgument,
-    JsonOption,
-    OverrideOption,
-    ParamsFileOption,
-    load_experiment,
-    print_json,
-)
-from seft_ros.commands.progress import step_progress
-
-if TYPE_CHECKING:  # scipy and all: other commands start without
-    from seft_ros.tournament.runs import Run
-    from seft_ros.tournament.standings import Standing
+from seft_ros.commands.options import Config, Files, Json, Params, load_experiment, option
+from seft_ros.commands.output import show, step_progress
 
 
 def tournament(
-    config: ConfigArgument,
+    config: Config,
     method: Annotated[
         Optional[list[str]],
-        typer.Option(
-            "--method",
-            metavar="NAME",
-            help="Compensation method; may be given many times; default all.",
-        ),
+        option("Compensation method; may be given many times; default all.", "NAME"),
     ] = None,
     mass_ratio: Annotated[
         Optional[list[float]],
-        typer.Option(
-            "--mass-ratio",
-            metavar="ALPHA",
-            help="Mass ratio; may be given many times; default CONFIG's.",
-        ),
+        option("Mass ratio; may be given many times; default CONFIG's.", "ALPHA"),
     ] = None,
-    rigs: Annotated[
-        int, typer.Option("--rigs", min=1, help="Number of rigs, CONFIG's own included.")
-    ] = 8,
+    rigs: Annotated[int, option("Number of rigs, CONFIG's own included.", min=1)] = 8,
     spread: Annotated[
         float,
-        typer.Option(
-            "--spread",
+        option(
+            "How far the other rigs are from CONFIG's: 0.2 is up to 20 % in stiffness and "
+            "up to twice or half the damping.",
             min=0.0,
             max=1.0,
-            help="How far the other rigs are from CONFIG's: 0.2 is up to 20 % in stiffness and "
-            "up to twice or half the damping.",
         ),
     ] = 0.1,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of what is drawn for them.")] = 1,
+    seed: Annotated[int, option("Of what is drawn for them.", min=0)] = 1,
     workers: Annotated[
         Optional[int],
-        typer.Option(
-            "--workers",
-            min=1,
-            help="Threads, and processes, that calculate; default one for each core.",
-        ),
+        option("Threads, and processes, that calculate; default one for each core.", min=1),
     ] = None,
-    figure: Annotated[
-        Optional[Path],
-        typer.Option("--figure", metavar="FILE", help="Draw the errors of all tests."),
-    ] = None,
-    param: OverrideOption = None,
-    params_file: ParamsFileOption = None,
-    json: JsonOption = False,
+    figure: Annotated[Optional[Path], option("Draw the errors of all tests.", "FILE")] = None,
+    param: Params = None,
+    params_file: Files = None,
+    json: Json = False,
 ) -> int:
     """Run all compensation methods on the same motion and rigs, and rank them.
 
@@ -104,6 +70,7 @@ def tournament(
     from seft_ros.tournament.runs import count_calculations, run_all, step_cost
     from seft_ros.tournament.standings import standings
     from seft_ros.tournament.summary import summarise_tournament
+    from seft_ros.tournament.table import plain_runs, reasons, standings_table
     from seft_ros.tournament.workers import free_cores
 
     path = check_figure(figure) if figure is not None else None
@@ -111,44 +78,27 @@ def tournament(
     plan = make_tournament(
         experiment, method or (), mass_ratio or (), rigs=rigs, seed=seed, spread=spread
     )
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: end the workers
     total = count_calculations(plan)
-    try:
-        with step_progress(total) as show:
-            runs = run_all(plan, workers or free_cores(), show)
-            show("cost of a step", total)
-            costs = {key: step_cost(plan, *key) for key in plan.pairs()}
-    except KeyboardInterrupt:
-        raise ExperimentError("interrupted; there is no result") from None
+    with step_progress(total, "there is no result") as tell:
+        runs = run_all(plan, workers or free_cores(), tell)
+        tell("cost of a step", total)
+        costs = {key: step_cost(plan, *key) for key in plan.pairs()}
     ranked = standings(plan, runs, costs)
-    title = f"{config}: {rigs} rigs, spread {100 * spread:g} %, {_motion(experiment)}"
-    summary = summarise_tournament(plan, runs, ranked)
-    summary |= {"seed": seed, "spread": spread, "figure": None if path is None else str(path)}
-    if json:
-        print_json(summary)
-    else:
-        _show(ranked, runs, title)
+    section = experiment["ground_motion"]
+    motion = Path(section["file"]).name or "synthetic motion"
+    if section["peak_force"]:
+        motion += f" at {section['peak_force']:g} N"
+    title = f"{config}: {rigs} rigs, spread {100 * spread:g} %, {motion}"
     if path is not None:
         save_figure(tournament_figure(ranked, runs, title), path)
-        if not json:
-            print(f"figure: {path}")
+    summary = summarise_tournament(plan, runs, ranked)
+    summary |= {"seed": seed, "spread": spread, "figure": None if path is None else str(path)}
+    by_ratio = {
+        row.mass_ratio: [one for one in ranked if one.mass_ratio == row.mass_ratio]
+        for row in ranked
+    }
+    tables = [
+        standings_table(own, f"{title}, mass ratio {ratio:g}") for ratio, own in by_ratio.items()
+    ]
+    show(summary, json, [*tables, *reasons(ranked), *plain_runs(runs)], "figure")
     return 0
-
-
-def _motion(experiment: Experiment) -> str:
-    section = experiment["ground_motion"]
-    name = Path(section["file"]).name if section["file"] else "synthetic motion"
-    return f"{name} at {section['peak_force']:g} N" if section["peak_force"] else name
-
-
-def _show(standings: list["Standing"], runs: list["Run"], title: str) -> None:
-    from rich.console import Console
-
-    from seft_ros.tournament.table import plain_runs, reasons, standings_table
-
-    console = Console()
-    for ratio in dict.fromkeys(row.mass_ratio for row in standings):
-        own = [row for row in standings if row.mass_ratio == ratio]
-        console.print(standings_table(own, f"{title}, mass ratio {ratio:g}"))
-    for reason in [*reasons(standings), *plain_runs(runs)]:
-        console.print(reason, soft_wrap=True, highlight=False, markup=False)

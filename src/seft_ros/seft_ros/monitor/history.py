@@ -1,14 +1,91 @@
-"""What a test has done so far: the last stretch sample by sample, the whole as an envelope."""
+"""What a test has done so far: the last stretch sample by sample, the whole as an envelope.
 
-from typing import NamedTuple
+A page gets both as frames: a header, and float32 values signal by signal.
+"""
+
+import struct
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from seft_ros.monitor.envelope import Envelope, Samples
+Samples = npt.NDArray[np.float32]
+Floats = npt.NDArray[np.floating[Any]]
 
+BUCKETS = 4096
+"""Twice as many as a page has columns of pixels."""
 LENGTH = 2**15
 """Samples that are kept as they came: a minute at 500 Hz."""
+SAMPLES, ENVELOPE, RECENT = range(3)
+"""Frames: new samples; the whole test so far; its last stretch, which the envelope has already."""
+_HEADER = struct.Struct("<4I2d")
+
+
+class Envelope:
+    """Extremes of some signals over equal pieces of time, from the first sample to the last.
+
+    When the buckets are used up, each two become one: the whole of a test is always there, as
+    finely as memory allows, and no peak is lost.
+
+    Parameters
+    ----------
+    columns : int
+        Number of signals.
+    buckets : int
+        Most pieces, even.
+
+    Attributes
+    ----------
+    origin : int
+        Step at which the first bucket begins.
+    size : int
+        Steps in a bucket.
+    count : int
+        Buckets in use.
+    """
+
+    def __init__(self, columns: int, buckets: int = BUCKETS) -> None:
+        self._low = np.full((buckets, columns), np.nan, np.float32)
+        self._high = self._low.copy()
+        self.origin = self.count = 0
+        self.size = 1
+
+    @property
+    def low(self) -> Samples:
+        """Smallest values, shape (count, columns); NaN where there is no sample."""
+        return self._low[: self.count]
+
+    @property
+    def high(self) -> Samples:
+        """Largest values, as `low`."""
+        return self._high[: self.count]
+
+    def add(self, first: int, values: Samples) -> None:
+        """Take in samples (N, columns), NaN where missing, of consecutive steps from ``first`` on.
+
+        None of them is before those that were taken in.
+        """
+        if not len(values):
+            return
+        if not self.count:
+            self.origin = first
+        last = first + len(values) - 1 - self.origin
+        while last // self.size >= len(self._low):
+            self._halve()
+        buckets = (np.arange(len(values)) + (first - self.origin)) // self.size
+        starts = np.flatnonzero(np.diff(buckets, prepend=-1))
+        at = buckets[starts]
+        self._low[at] = np.fmin(self._low[at], np.fmin.reduceat(values, starts))
+        self._high[at] = np.fmax(self._high[at], np.fmax.reduceat(values, starts))
+        self.count = int(at[-1]) + 1
+
+    def _halve(self) -> None:
+        half = len(self._low) // 2
+        for extremes, choose in ((self._low, np.fmin), (self._high, np.fmax)):
+            extremes[:half] = choose(extremes[0::2], extremes[1::2])
+            extremes[half:] = np.nan
+        self.size *= 2
+        self.count = -(-self.count // 2)
 
 
 class Stretch(NamedTuple):
@@ -44,35 +121,26 @@ class History:
     def __init__(self, columns: int, length: int = LENGTH) -> None:
         self._ring = np.full((length, columns), np.nan, np.float32)
         self._mask = length - 1
-        self._begin: int | None = None
         self.envelope = Envelope(columns)
-        self.head = self.released = 0
+        self._begin = self.head = self.released = 0
 
-    def write(self, steps: npt.NDArray[np.int64], columns: slice, values: Samples) -> None:
-        """Write values of some steps; those released already or far away are left out.
+    def write(self, steps: npt.NDArray[np.int64], columns: slice, values: Floats) -> None:
+        """Write values (N, number of columns) of steps (N,).
 
-        Parameters
-        ----------
-        steps : ndarray of int64
-            Shape (N,).
-        columns : slice
-            Which signals.
-        values : ndarray
-            Shape (N, number of these).
+        Steps that were released already or are far away are left out.
         """
-        if self._begin is None:
-            return
         fits = (steps >= self.released) & (steps < self.released + len(self._ring))
-        if not fits.all():
-            steps, values = steps[fits], values[fits]
+        steps, values = steps[fits], values[fits]
         if not len(steps):
             return
-        self._extend(int(steps.max()) + 1)
+        head = int(steps.max()) + 1
+        self._ring[np.arange(self.head, head) & self._mask] = np.nan
+        self.head = max(self.head, head)
         self._ring[steps & self._mask, columns] = values
 
     def begin(self, step: int) -> None:
         """Begin at a step, or go on there, far beyond what was written."""
-        if self._begin is None or step >= self.head:
+        if step >= self.head:
             self._begin = self.head = self.released = step
 
     def release(self, until: int) -> Stretch | None:
@@ -87,10 +155,21 @@ class History:
 
     def recent(self) -> Stretch:
         """Give the last of what was released, as much as is kept."""
-        first = max(self._begin or 0, self.head - len(self._ring))
+        first = max(self._begin, self.head - len(self._ring))
         return Stretch(first, self._ring[np.arange(first, self.released) & self._mask])
 
-    def _extend(self, head: int) -> None:
-        if head > self.head:
-            self._ring[np.arange(self.head, head) & self._mask] = np.nan
-            self.head = head
+
+def samples_frame(test: int, stretch: Stretch, kind: int = SAMPLES) -> bytes:
+    """Make a frame, `SAMPLES` or `RECENT`, of samples of a test by its number."""
+    return _frame(kind, test, stretch.first, 1, stretch.values)
+
+
+def envelope_frame(test: int, envelope: Envelope) -> bytes:
+    """Make a frame of an envelope: all the lows, then all the highs."""
+    return _frame(ENVELOPE, test, envelope.origin, envelope.size, envelope.low, envelope.high)
+
+
+def _frame(kind: int, test: int, first: int, size: int, *parts: Samples) -> bytes:
+    count, columns = parts[0].shape
+    header = _HEADER.pack(kind, test, columns, count, first, size)
+    return header + b"".join(np.ascontiguousarray(part.T, "<f4").tobytes() for part in parts)

@@ -1,34 +1,28 @@
 """The samples of one test after another: from messages of the loop to a history."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import groupby
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.rigs import rigs_of
 from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_msgs_py.wire.trajectory_batch import Batch as Decoded
 from seft_msgs_py.wire.trajectory_batch import decode_batch
 from seft_plant_sim.reference.whole_structure import RunningResponse
 
-from seft_ros.monitor.envelope import Samples
 from seft_ros.monitor.history import History, Stretch
-from seft_ros.monitor.live_motion import LiveMotion
-from seft_ros.monitor.live_reference import LiveReference
-from seft_ros.monitor.rig_batches import Batch, RigBatches
-from seft_ros.monitor.signals import MEASURED, ROWS, Signals
+from seft_ros.monitor.live_response import LiveMotion, LiveReference
+from seft_ros.monitor.samples import ROWS, Batch, Floats, RigBatches, Signals, Steps
 
 HELD_BACK = 8
 """Steps that wait for what answers them."""
 LONGEST_GAP = 2**14
 """Steps; beyond, the history goes on as if nothing had been before."""
 
-Floats = npt.NDArray[np.float64]
-Steps = npt.NDArray[np.int64]
 Messages = list[tuple[bytes, int]]
 
 
@@ -59,7 +53,7 @@ class Intake:
     reference_note : str
         Why there is no exact response, in a sentence; empty if there is one.
     own_motion : dict
-        What the test's own ground motion is so far, as `LiveMotion.told` gives it, once a second.
+        The test's own ground motion so far, of `LiveMotion.summary`, once a second.
     """
 
     def __init__(self, axes: tuple[str, ...], timebase: Timebase, number: int = 0) -> None:
@@ -74,15 +68,16 @@ class Intake:
         self._reference = LiveReference()
         self.own_motion: dict[str, Any] = {}
         self._live_motion: LiveMotion | None = None
-        self._recent = np.full((2**14, 4, len(axes)), np.nan)  # states of the last steps
         self._next_told = 0
         self.rigs = rigs_of(axes)
         self._states = [TrajectoryCodec(RIG_STATE, rig.axes, timebase) for rig in self.rigs]
         self._forces = TrajectoryCodec(REFERENCE_FORCE, axes, timebase)
         self._motion = TrajectoryCodec(GROUND_MOTION, axes, timebase)
         self._of_rigs = RigBatches(self.rigs) if len(self.rigs) > 1 else None
-        self._sent = np.zeros(2**14, np.int64)  # ns, when the states of the last steps were
-        self._sent_step = np.full(2**14, -1)
+        # of the last steps, by step modulo length:
+        self._steps = np.full(2**14, -1)
+        self._recent = np.full((2**14, 4, len(axes)), np.nan)  # states
+        self._sent = np.zeros(2**14, np.int64)  # ns, when they were
 
     def describe(self, sections: dict[str, dict[str, Any]]) -> None:
         """Take in the parameters of the nodes; they hold from the next test on."""
@@ -120,8 +115,8 @@ class Intake:
             for piece in np.split(np.arange(len(sent)), cuts):
                 if len(piece):
                     self._take_states(steps[piece], values[piece], sent[piece])
-        for part, sent in self._batches(self._forces, forces):
-            self._take_forces(part.steps, part.values[:, 0].astype(np.float32), sent)
+        for steps, values, sent in self._batches(self._forces, forces):
+            self._take_forces(steps, values[:, 0], sent)
         self._advance_reference()
         self._release(HELD_BACK if any(states) else 0)
         return self._new
@@ -131,33 +126,25 @@ class Intake:
         if stretch is not None:
             self._new.append(stretch)
 
-    def _batches_of_states(self, states: Sequence[Messages]) -> list[Batch]:
+    def _batches_of_states(self, states: Sequence[Messages]) -> Iterator[Batch]:
         """Decode states; of several rigs, give what is there of all."""
-        found = [
-            (number, (part.steps, part.values, sent))
-            for number, (codec, messages) in enumerate(zip(self._states, states, strict=True))
-            for part, sent in self._batches(codec, messages)
-        ]
-        if self._of_rigs is None:
-            return [batch for _, batch in found]
-        for number, batch in found:
-            self._of_rigs.take(number, batch)
-        return [self._of_rigs.complete()]
+        for rig, (codec, messages) in enumerate(zip(self._states, states, strict=True)):
+            for batch in self._batches(codec, messages):
+                if self._of_rigs is None:
+                    yield batch
+                else:
+                    self._of_rigs.take(rig, batch)
+        if self._of_rigs is not None:
+            yield self._of_rigs.complete()
 
-    def _batches(self, codec: TrajectoryCodec, messages: Messages) -> list[tuple[Decoded, Steps]]:
-        """Decode messages, those of equal length together; with the time each was sent."""
-        found, start = [], 0
-        for end in range(1, len(messages) + 1):
-            if end < len(messages) and len(messages[end][0]) == len(messages[start][0]):
-                continue
-            raws = [raw for raw, _ in messages[start:end]]
-            rows = np.frombuffer(b"".join(raws), np.uint8).reshape(end - start, -1)
+    def _batches(self, codec: TrajectoryCodec, messages: Messages) -> Iterator[Batch]:
+        """Decode messages, those of equal length together; of each its own step counts."""
+        for _, alike in groupby(messages, lambda message: len(message[0])):
+            raws, sent = zip(*alike, strict=True)
+            rows = np.frombuffer(b"".join(raws), np.uint8).reshape(len(raws), -1)
             batch = decode_batch(codec, rows).up_to(0)
             self.refused += batch.refused
-            sent = np.array([sent for _, sent in messages[start:end]], np.int64)
-            found.append((batch, sent[batch.messages]))
-            start = end
-        return found
+            yield batch.steps, batch.values, np.array(sent, np.int64)[batch.messages]
 
     def _take_states(self, steps: Steps, values: Floats, sent: Steps) -> None:
         """Take in states of increasing steps without long gaps."""
@@ -170,21 +157,19 @@ class Intake:
             self._release(0)
             self.history.begin(first)
         self._expected = False
-        for name, row in zip(MEASURED, ROWS, strict=True):
-            part = values[:, row].astype(np.float32)
-            self.history.write(steps, self.signals.measured[name], part)
-        slots = steps % len(self._sent)
-        self._sent[slots], self._sent_step[slots] = sent, steps
-        self._recent[slots] = values
+        for name, row in ROWS.items():
+            self.history.write(steps, self.signals.measured[name], values[:, row])
+        slots = steps % len(self._steps)
+        self._steps[slots], self._recent[slots], self._sent[slots] = steps, values, sent
 
-    def _take_forces(self, steps: Steps, forces: Samples, sent: Steps) -> None:
+    def _take_forces(self, steps: Steps, forces: Floats, sent: Steps) -> None:
         near = steps < self.history.head  # those ahead are of a state that is not here
         steps, forces, sent = steps[near], forces[near], sent[near]
         self.history.write(steps, self.signals.reference["force"], forces)
-        slots = steps % len(self._sent)
-        known = self._sent_step[slots] == steps
-        times = np.where(known, (sent - self._sent[slots]) / 1e6, np.nan).astype(np.float32)
-        times[times < 0.0] = np.nan  # clocks of two hosts
+        slots = steps % len(self._steps)
+        times = (sent - self._sent[slots]) / 1e6
+        known = (self._steps[slots] == steps) & (times >= 0.0)  # else clocks of two hosts
+        times = np.where(known, times, np.nan)
         self.history.write(steps, self.signals.answer, times[:, np.newaxis])
 
     def _begin(self, first: int) -> None:
@@ -192,7 +177,7 @@ class Intake:
         self.history = History(self.signals.count)
         self.history.begin(first)
         self._new = []
-        self._sent_step[:] = -1
+        self._steps[:] = -1
         self._reference.begin(self._response())
         self._follow_motion()
 
@@ -224,18 +209,15 @@ class Intake:
         if new is None:
             return
         first, motion, displacement, acceleration = new
-        steps = np.arange(first, first + len(displacement))
-        self._advance_motion(steps, motion)
+        steps = np.arange(first, first + len(motion))
         for name, values in (("displacement", displacement), ("acceleration", acceleration)):
-            self.history.write(steps, self.signals.reference[name], values.astype(np.float32))
-
-    def _advance_motion(self, steps: Steps, motion: Floats) -> None:
+            self.history.write(steps, self.signals.reference[name], values)
         if self._live_motion is None:
             return
-        slots = steps % len(self._sent)
-        known = self._sent_step[slots] == steps
+        slots = steps % len(self._steps)
+        known = self._steps[slots] == steps
         states = np.where(known[:, np.newaxis, np.newaxis], self._recent[slots], np.nan)
         self._live_motion.advance(motion, states)
         if steps[-1] >= self._next_told:
             self._next_told = int(steps[-1]) + round(1 / self.timebase.dt)
-            self.own_motion = self._live_motion.told()
+            self.own_motion = self._live_motion.summary()

@@ -1,4 +1,4 @@
-"""The monitor's process: looks at the graph ten times a second, and serves the page."""
+"""The monitor's process: polls the graph ten times a second, and serves the page."""
 
 import asyncio
 import contextlib
@@ -12,9 +12,9 @@ from collections.abc import Callable
 from seft_msgs_py.errors import InputError
 from tornado.httpserver import HTTPServer
 
-from seft_ros.monitor.access import Access, is_loopback
+from seft_ros.monitor.access import is_loopback
 
-LOOK = 0.1  # s
+PERIOD = 0.1  # s
 NICE = 3
 """Gives way to the nodes, and still answers an emergency stop on a busy machine."""
 
@@ -61,9 +61,7 @@ def serve(
     Parameters
     ----------
     listening : socket
-        As `listen` gives it.
-    host : str
-        What was listened at.
+        As `listen` gives it for ``host``.
     token : str
         What pages must know; empty: nothing.
     namespace : str
@@ -72,16 +70,15 @@ def serve(
         Called when the page can be opened.
     """
     from seft_ros.monitor.graph import Graph
-    from seft_ros.monitor.pages import Pages
     from seft_ros.monitor.watch import Watch
-    from seft_ros.monitor.web import application
+    from seft_ros.monitor.web import Pages, application
 
     graph = Graph(namespace)
     try:
         watch = Watch(graph)
         pages = Pages(watch.everything)
         port = listening.getsockname()[1]
-        web = application(Access(token, is_loopback(host)), port, pages, graph.call)
+        web = application(token, is_loopback(host), port, pages, graph.call)
 
         async def run() -> None:
             stopping = asyncio.Event()
@@ -94,9 +91,9 @@ def serve(
             gc.freeze()  # what is here stays: no later collection looks at it
             ready()
             while not stopping.is_set():
-                pages.send(watch.look())
+                pages.send(watch.poll())
                 with contextlib.suppress(TimeoutError):
-                    await asyncio.wait_for(stopping.wait(), LOOK)
+                    await asyncio.wait_for(stopping.wait(), PERIOD)
             server.stop()
             pages.close()
             await server.close_all_connections()

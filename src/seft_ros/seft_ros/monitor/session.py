@@ -36,8 +36,6 @@ class Session:
 
     Attributes
     ----------
-    state : str
-        Of the test; empty while nobody tells.
     sections : dict
         Node -> its parameters.
     round_trips : list
@@ -49,17 +47,15 @@ class Session:
     ) -> None:
         self._wall, self._awake = wall, awake or AwakeClock()
         self._now = self._awake.time()
-        self.state = ""
         self.sections: dict[str, dict[str, Any]] = {}
         self.round_trips: list[tuple[float, float | None, float | None, int]] = []
-        self._experiment: Status | None = None
+        self._experiment = Status("", 0, "", values={})  # nothing is heard yet
         self._silent = False
-        self._last = ("", "")
         self._nodes: dict[str, tuple[Status, float]] = {}
         self._rigs: dict[str, dict[str, str]] = {}
         self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS)
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Note the time; a supervisor that has fallen silent is an event."""
         self._now = self._awake.time()
         heard = self._nodes.get("")
@@ -72,15 +68,11 @@ class Session:
         """Take in experiment/state; tell whether a test begins with it."""
         before, self._experiment = self._experiment, status
         self._nodes[""] = (status, self._now)
-        self.state = status.message
-        news = (status.message, status.values.get("detail", ""))
-        if before is None or self._silent or self._last != news:
+        last, news = ((each.message, each.values.get("detail", "")) for each in (before, status))
+        if self._silent or last != news:
             self._note(*news, status.level)
-        self._last = news
         self._silent = False
-        return status.message == State.RUNNING and (
-            before is None or before.message != State.RUNNING
-        )
+        return status.message == State.RUNNING != before.message
 
     def begin(self) -> None:
         """Forget the last test's round trips and margins."""
@@ -100,20 +92,19 @@ class Session:
         """Take in a node's parameters; those of several rigs are of all."""
         self.sections[bare(node)] = parameters
 
-    def told(self) -> dict[str, Any]:
-        """Make what the page shows of it, JSON values."""
-        experiment = self._experiment
-        values = experiment.values if experiment else {}
+    def summary(self) -> dict[str, Any]:
+        """Give what the page shows of it, JSON values."""
+        state, values = self._experiment.message, self._experiment.values
         rig = self._of_all_rigs()
         return {
-            "heard": experiment is not None,
+            "heard": "" in self._nodes,
             "silent": self._silent,
-            "state": self.state,
+            "state": state,
             "detail": values.get("detail", ""),
             "step": _whole(values.get("step")),
             "time_s": _number(values.get("time_s")),
             "steps": _whole(values.get("steps")),
-            "ended": self.state in ENDED,
+            "ended": state in ENDED,
             "missed": _whole(rig.get("missed")),
             "overruns": _whole(rig.get("overruns")),
             "margins": _named(rig, MARGIN),
@@ -146,45 +137,34 @@ class Session:
 
     def _of_all_rigs(self) -> dict[str, str]:
         """Put together what rigs tell: what they miss added up, else the worst of each."""
-        told = list(self._rigs.values())
-        if len(told) < 2:
-            return told[0] if told else {}
-        found = dict(told[0])
-        for other in told[1:]:
+        first, *others = list(self._rigs.values()) or [{}]
+        found = dict(first)
+        for other in others:
             for name, text in other.items():
                 ours, theirs = _number(found.get(name)), _number(text)
                 if ours is None or theirs is None:
                     continue
                 if name in ("missed", "overruns"):
                     found[name] = str(round(ours + theirs))
-                elif name.startswith((MARGIN, ROUND_TRIP)):
-                    worst = min if name.startswith(MARGIN) else max
-                    found[name] = str(worst(ours, theirs))
+                elif name.startswith(MARGIN):
+                    found[name] = str(min(ours, theirs))
+                elif name.startswith(ROUND_TRIP):
+                    found[name] = str(max(ours, theirs))
         return found
 
     def _follow_rig(self, status: Status, dt: float) -> None:
-        before, values = self._rigs.get(status.name, {}), status.values
-        if values == before:
-            return
-        is_first = next(iter(self._rigs), status.name) == status.name
-        fresh = _whole(values.get("steps")) or 0
-        told = _whole(before.get("steps")) or 0
-        self._rigs[status.name] = dict(values)
-        if not is_first:
+        before = self._rigs.get(status.name, {})
+        self._rigs[status.name] = values = dict(status.values)
+        if status.name != next(iter(self._rigs)):
             return  # round trips are shown of one
-        if fresh < told:
+        steps, told = (_whole(each.get("steps")) or 0 for each in (values, before))
+        if steps < told:
             self.round_trips = []  # of another test
-        elif fresh == told:
+        if steps == told:
             return
-        trip = _named(values, ROUND_TRIP)
-        self.round_trips.append(
-            (
-                fresh * dt,
-                trip.get("median (ms)"),
-                trip.get("largest (ms)"),
-                _whole(values.get("missed")) or 0,
-            )
-        )
+        trip, missed = _named(values, ROUND_TRIP), _whole(values.get("missed")) or 0
+        times = trip.get("median (ms)"), trip.get("largest (ms)")
+        self.round_trips.append((steps * dt, *times, missed))
         if len(self.round_trips) > 2 * EVENTS:
             del self.round_trips[1::2]  # older ones get thinner: memory is bounded
 
@@ -199,11 +179,11 @@ def _order(node: str) -> tuple[int, str]:
 
 
 def _named(values: dict[str, str], start: str) -> dict[str, float]:
-    found = {}
-    for name, text in values.items():
-        if name.startswith(start) and (value := _number(text)) is not None:
-            found[name.removeprefix(start)] = value
-    return found
+    return {
+        name.removeprefix(start): value
+        for name, text in values.items()
+        if name.startswith(start) and (value := _number(text)) is not None
+    }
 
 
 def _number(text: str | None) -> float | None:

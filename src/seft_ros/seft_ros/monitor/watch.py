@@ -1,7 +1,8 @@
-"""One look after another at a graph: what is new, for all pages that are open."""
+"""The graph polled again and again: what is new, for all pages that are open."""
 
 import json
-from typing import Any, Protocol
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
 
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.messages import decode_description, decode_diagnostics, decode_status
@@ -16,9 +17,12 @@ from seft_msgs_py.wire.topics import (
     Topic,
 )
 
-from seft_ros.monitor.frames import RECENT, envelope_frame, samples_frame
-from seft_ros.monitor.intake import Intake, Messages
+from seft_ros.monitor.history import RECENT, envelope_frame, samples_frame
+from seft_ros.monitor.intake import Intake
 from seft_ros.monitor.session import Session
+
+if TYPE_CHECKING:  # a watch needs no ROS
+    from seft_ros.monitor.graph import Graph
 
 TELLERS = ("rig", "reference_force", "force_controller", "ground_motion", "supervisor")
 """Who is believed about rate and axes, the first first."""
@@ -26,44 +30,32 @@ TELLERS = ("rig", "reference_force", "force_controller", "ground_motion", "super
 Frame = str | bytes
 
 
-class Source(Protocol):
-    """Where messages come from."""
-
-    domain: int
-
-    def take(self, topic: Topic) -> Messages:
-        """Take what has come on a topic."""
-
-
 class Watch:
     """Moves what comes from a graph to a `Session` and an `Intake`, and makes frames of it.
 
     Parameters
     ----------
-    graph : Source
+    graph : Graph
         What is watched.
     """
 
-    def __init__(self, graph: Source) -> None:
+    def __init__(self, graph: "Graph") -> None:
         self._graph = graph
         self.session = Session()
         self.intake: Intake | None = None
         self._told: dict[str, str] = {}
         self._refused = 0
 
-    def look(self) -> list[Frame]:
+    def poll(self) -> list[Frame]:
         """Take what has come; give what is new, for pages that know the rest."""
         self._hear_nodes()
         intake = self.intake
         if intake is None:
             return self._news()  # samples wait in the middleware until they can be read
-        take = self._graph.take
-        rigs = [RIG_STATE.of(rig) for rig in intake.rigs]
-        motion, forces = take(GROUND_MOTION), take(REFERENCE_FORCE)
-        states = [take(topic) for topic in rigs]
-        before = intake.number
-        intake.motion(motion)
-        new = intake.samples(states, forces)
+        take, before = self._graph.take, intake.number
+        intake.motion(take(GROUND_MOTION))
+        forces = take(REFERENCE_FORCE)  # before the states: of each the state has come, too
+        new = intake.samples([take(RIG_STATE.of(rig)) for rig in intake.rigs], forces)
         if intake.number != before:
             self.session.begin()
         return self._news() + [samples_frame(intake.number, stretch) for stretch in new]
@@ -78,30 +70,29 @@ class Watch:
         return frames
 
     def _hear_nodes(self) -> None:
-        session, take = self.session, self._graph.take
-        session.look()
-        for raw, _ in take(DESCRIPTION):
-            try:
-                node, description = decode_description(raw)
-                session.on_description(node, description["parameters"])
-            except WireError:
-                self._refused += 1
-            else:
-                self._follow_description()
-        for raw, _ in take(EXPERIMENT_STATE):
-            try:
-                begins = session.on_state(decode_status(raw))
-            except WireError:
-                self._refused += 1
-            else:
-                if begins and self.intake is not None:
-                    self.intake.expect()
+        session = self.session
+        session.poll()
+        for node, description in self._decoded(DESCRIPTION, decode_description):
+            session.on_description(node, description["parameters"])
+            self._follow_description()
+        for status in self._decoded(EXPERIMENT_STATE, decode_status):
+            if session.on_state(status) and self.intake is not None:
+                self.intake.expect()
         dt = self.intake.timebase.dt if self.intake else 0.0
-        for raw, _ in take(DIAGNOSTICS):
+        for _, statuses in self._decoded(DIAGNOSTICS, decode_diagnostics):
+            session.on_diagnostics(statuses, dt)
+
+    def _decoded[Content](
+        self, topic: Topic, decode: Callable[[bytes], Content]
+    ) -> Iterator[Content]:
+        """Give what has come on a topic, and count what is not understood."""
+        for raw, _ in self._graph.take(topic):
             try:
-                session.on_diagnostics(decode_diagnostics(raw)[1], dt)
+                content = decode(raw)
             except WireError:
                 self._refused += 1
+            else:
+                yield content
 
     def _follow_description(self) -> None:
         """Make what takes in samples anew where rate or axes have changed."""
@@ -122,12 +113,22 @@ class Watch:
 
     def _news(self) -> list[Frame]:
         """Make texts of what the nodes say; give those that are not as they were."""
+        session, intake = self.session, self.intake
+        test: dict[str, Any] = {"domain": self._graph.domain}
+        if intake is not None:
+            test |= {
+                "test": intake.number,
+                "dt": intake.timebase.dt,
+                "signals": intake.signals.layout(),
+                "reference_note": intake.reference_note,
+            }
+        refused = self._refused + (intake.refused if intake else 0)
         messages: dict[str, dict[str, Any]] = {
-            "test": self._test(),
-            "status": {**self.session.told(), "refused": self._refused_messages()},
-            "events": {"events": self.session.events()},
-            "motion": {"motion": self.intake.own_motion if self.intake else {}},
-            "round_trips": {"round_trips": self.session.round_trips},
+            "test": test,
+            "status": {**session.summary(), "refused": refused},
+            "events": {"events": session.events()},
+            "motion": {"motion": intake.own_motion if intake else {}},
+            "round_trips": {"round_trips": session.round_trips},
         }
         news: list[Frame] = []
         for kind, content in messages.items():
@@ -136,17 +137,3 @@ class Watch:
                 self._told[kind] = text
                 news.append(text)
         return news
-
-    def _test(self) -> dict[str, Any]:
-        told: dict[str, Any] = {"domain": self._graph.domain}
-        if (intake := self.intake) is not None:
-            told |= {
-                "test": intake.number,
-                "dt": intake.timebase.dt,
-                "signals": intake.signals.told(),
-                "reference_note": intake.reference_note,
-            }
-        return told
-
-    def _refused_messages(self) -> int:
-        return self._refused + (self.intake.refused if self.intake else 0)

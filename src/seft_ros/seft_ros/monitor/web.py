@@ -1,18 +1,42 @@
-"""The page's server: files, live frames over a websocket, and the supervisor's services."""
+"""The page's server: files, figures, live frames over a websocket, the supervisor's services."""
 
+import asyncio
 import json
 from collections.abc import Awaitable, Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import bokeh
+from bokeh.embed import json_item
+from bokeh.models import ColumnDataSource, NumeralTickFormatter, Range1d
+from bokeh.plotting import figure
 from tornado.web import Application, StaticFileHandler
+from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
-from seft_ros.monitor.access import Access
-from seft_ros.monitor.figures import figures
-from seft_ros.monitor.guarded import ASSETS, Guarded, Missing
-from seft_ros.monitor.pages import Live, Pages
+from seft_ros.monitor.access import ASSETS, Guarded, Missing
+from seft_ros.monitor.watch import Frame
+from seft_ros.page.plots import plot
 
 LIBRARY = Path(bokeh.__file__).parent / "server" / "static" / "js"
+MOST_PAGES = 32
+BEHIND = 4_000_000
+"""Bytes that may wait for a slow page before it is left out, and later told all anew."""
+
+HEIGHT = 230  # pixels
+LEFT = 64  # pixels for the numbers: all figures begin at the same place, and nothing jumps
+LINES = {
+    "displacement": ("displacement / mm", ("reference", "measured")),
+    "acceleration": ("acceleration / (m/s²)", ("reference", "measured")),
+    "force": ("force / kN", ("reference", "measured")),
+    "spectrum": ("pseudo-acceleration / (m/s²)", ("natural", "reference", "measured")),
+    "timing": ("time / ms", ("answer", "largest", "median", "period")),
+    "missed": ("missed commands", ("missed",)),
+}
+"""Of each figure: the vertical axis, and its lines, the last on top."""
+WIDTHS = {"natural": 1.0, "reference": 3.0, "answer": 1.0, "period": 1.0, "median": 2.0}
+STEPPED = ("largest", "median", "missed")
+"""What is told once a second, of the second before."""
 
 Call = Callable[[str], Awaitable[tuple[bool, str]]]
 
@@ -23,7 +47,7 @@ class Page(Guarded):
     def get(self) -> None:
         """Answer with the page."""
         token = self.get_query_argument("token", "")
-        if token and self.access.needs_token:
+        if token and self.token:
             self.set_cookie(self.cookie, token, httponly=True, samesite="Strict", path="/")
             self.redirect("/")
             return
@@ -34,24 +58,14 @@ class Page(Guarded):
 class Figures(Guarded):
     """The figures, without their lines."""
 
-    def initialize(self, access: Access, figures: str) -> None:  # type: ignore[override]
-        """Take what the application gives."""
-        super().initialize(access)
-        self._figures = figures
-
     def get(self) -> None:
         """Answer with what the plotting library makes figures of."""
         self.set_header("Content-Type", "application/json")
-        self.finish(self._figures)
+        self.finish(self.settings["figures"])
 
 
 class File(Guarded, StaticFileHandler):
     """A style sheet, a script, or the plotting library."""
-
-    def initialize(self, access: Access, path: str) -> None:  # type: ignore[override]
-        """Take what the application gives."""
-        Guarded.initialize(self, access)
-        StaticFileHandler.initialize(self, path)
 
     def set_extra_headers(self, path: str) -> None:
         """Let browsers keep it, but ask each time whether it is still the same."""
@@ -62,34 +76,149 @@ class File(Guarded, StaticFileHandler):
 class Service(Guarded):
     """A button of the page."""
 
-    def initialize(self, access: Access, call: Call) -> None:  # type: ignore[override]
-        """Take what the application gives."""
-        super().initialize(access)
-        self._call = call
-
     async def post(self, name: str) -> None:
         """Call the supervisor; answer with what it says."""
-        done, text = await self._call(name)
+        done, text = await self.settings["call"](name)
         self.finish({"done": done, "text": text})
 
 
-def application(access: Access, port: int, pages: Pages, call: Call) -> Application:
-    """Make the web application."""
-    given = {"access": access}
+class Live(Guarded, WebSocketHandler):
+    """What a page is told while it is open."""
+
+    waiting = 0
+    """Bytes that have not gone out yet."""
+
+    def check_origin(self, origin: str) -> bool:
+        """Look at the page that asks."""
+        return self.is_own_page(origin)
+
+    def open(self, *_: str, **__: str) -> None:
+        """Begin to tell."""
+        self.set_nodelay(True)
+        if not self.settings["pages"].add(self):
+            self.close(1013, "too many pages")
+
+    def on_message(self, message: str | bytes) -> None:
+        """Take no orders here."""
+
+    def on_close(self) -> None:
+        """Stop telling."""
+        self.settings["pages"].remove(self)
+
+    def send(self, frame: Frame) -> None:
+        """Send a frame, without waiting for it to go out."""
+        try:
+            sending = self.write_message(frame, binary=isinstance(frame, bytes))
+        except WebSocketClosedError:
+            self.on_close()
+            return
+        self.waiting += len(frame)
+        sending.add_done_callback(partial(self._sent, len(frame)))
+
+    def _sent(self, size: int, sending: asyncio.Future[None]) -> None:
+        self.waiting -= size
+        if not sending.cancelled():
+            sending.exception()  # a page that has gone is no failure
+
+
+class Pages:
+    """The pages that are open.
+
+    Parameters
+    ----------
+    everything : callable
+        Gives what a page needs that has just been opened.
+    """
+
+    def __init__(self, everything: Callable[[], list[Frame]]) -> None:
+        self._everything = everything
+        self._open: dict[Live, bool] = {}  # and whether it knows all
+
+    def __len__(self) -> int:
+        return len(self._open)
+
+    def add(self, page: Live) -> bool:
+        """Take in a page, unless there are too many."""
+        if len(self._open) >= MOST_PAGES:
+            return False
+        self._open[page] = False
+        self.send([])
+        return True
+
+    def remove(self, page: Live) -> None:
+        """Forget a page."""
+        self._open.pop(page, None)
+
+    def close(self) -> None:
+        """Say goodbye to all pages."""
+        for page in list(self._open):
+            page.close(1001, "the monitor has ended")
+
+    def send(self, frames: list[Frame]) -> None:
+        """Send what is new to every page, and all to those that do not know it yet."""
+        for page, knows_all in list(self._open.items()):
+            if page.waiting > BEHIND:
+                self._open[page] = False
+                continue
+            for frame in frames if knows_all else self._everything():
+                page.send(frame)
+            if page in self._open:
+                self._open[page] = True
+
+
+def figures() -> dict[str, Any]:
+    """Make all figures by name, as ``Bokeh.embed.embed_item`` takes them; still empty.
+
+    The page's script puts the lines into them: each has a data source of its name, with columns
+    x in s and y in the unit of the axis.
+    """
+    return {name: json_item(_figure(name, *LINES[name])) for name in LINES}
+
+
+def _figure(name: str, label: str, lines: tuple[str, ...]) -> figure:
+    spectrum = name == "spectrum"
+    panel = plot(
+        "frequency / Hz" if spectrum else "time / s",
+        label,
+        x_range=Range1d(1.0, 50.0) if spectrum else Range1d(0.0, 20.0),
+        height=HEIGHT,
+        log_x=spectrum,
+        log_y=name == "timing",
+    )
+    panel.y_range = Range1d(0.1, 10.0) if name == "timing" else Range1d(-1.0, 1.0)
+    if name == "timing":
+        panel.yaxis.formatter = NumeralTickFormatter(format="0.[000]")
+    panel.background_fill_alpha = panel.border_fill_alpha = 0.0  # the page's own, dark or light
+    panel.min_border_left = LEFT
+    for axis in panel.axis:
+        axis.ticker.desired_num_ticks = 5  # each number costs time whenever it is drawn
+    for line in lines:
+        source = ColumnDataSource({"x": [], "y": []}, name=line)
+        draw = panel.step if line in STEPPED else panel.line
+        mode = {"mode": "before"} if line in STEPPED else {}
+        draw("x", "y", source=source, line_width=WIDTHS.get(line, 1.3), **mode)
+    return panel
+
+
+def application(token: str, local_only: bool, port: int, pages: Pages, call: Call) -> Application:
+    """Make the web application; see `Guarded` for token and local_only."""
     drawn = json.dumps(figures())  # now: it takes a second, for which an emergency stop would wait
     return Application(
         [
-            (r"/", Page, given),
-            (r"/figures\.json", Figures, {**given, "figures": drawn}),
-            (r"/live", Live, {**given, "pages": pages}),
-            (r"/service/(start|stop|estop|reset)", Service, {**given, "call": call}),
-            (r"/assets/([a-z_]+\.(?:css|js))", File, {**given, "path": str(ASSETS)}),
-            (r"/library/(bokeh\.min\.js)", File, {**given, "path": str(LIBRARY)}),
+            (r"/", Page),
+            (r"/figures\.json", Figures),
+            (r"/live", Live),
+            (r"/service/(start|stop|estop|reset)", Service),
+            (r"/assets/([a-z_]+\.(?:css|js))", File, {"path": str(ASSETS)}),
+            (r"/library/(bokeh\.min\.js)", File, {"path": str(LIBRARY)}),
         ],
         default_handler_class=Missing,
-        default_handler_args=given,
-        access=access,
+        token=token,
+        local_only=local_only,
         port=port,
+        pages=pages,
+        call=call,
+        figures=drawn,
         log_function=lambda _: None,
         websocket_ping_interval=20,
         websocket_max_message_size=4096,

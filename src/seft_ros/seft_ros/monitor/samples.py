@@ -1,10 +1,12 @@
-"""States of several rigs as they come to a monitor, put together by step."""
+"""Samples of a test as a monitor shows them: the signals, and the states of several rigs."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.wire.rigs import RigAxes
+from seft_msgs_py.wire.topics import RIG_STATE
 
 Floats = npt.NDArray[np.float64]
 Steps = npt.NDArray[np.int64]
@@ -13,6 +15,42 @@ Batch = tuple[Steps, Floats, Steps]
 
 MOST_WAITING = 2**14
 """Steps of a rig that are kept while another is silent."""
+MEASURED = {"displacement": "positions", "acceleration": "accelerations", "force": "effort"}
+ROWS = {name: RIG_STATE.quantities.index(quantity) for name, quantity in MEASURED.items()}
+"""Rows of a sample of rig/state that are shown."""
+
+
+class Signals:
+    """Columns of a history over n axes: measured, reference, and the answer's time.
+
+    Attributes
+    ----------
+    axes : tuple of str
+        Names of the n axes.
+    measured, reference : dict of str to slice
+        Columns of a quantity in `ROWS`, one an axis; m, m/s^2, N.
+    answer : slice
+        Time from a state's publication to that of its reference force, ms.
+    count : int
+        Number of columns.
+    """
+
+    def __init__(self, axes: tuple[str, ...]) -> None:
+        n, self.axes = len(axes), axes
+        starts = {name: 2 * number * n for number, name in enumerate(ROWS)}
+        self.measured = {name: slice(start, start + n) for name, start in starts.items()}
+        self.reference = {name: slice(start + n, start + 2 * n) for name, start in starts.items()}
+        self.count = 2 * n * len(ROWS) + 1
+        self.answer = slice(self.count - 1, self.count)
+
+    def layout(self) -> dict[str, Any]:
+        """Give the first column of each signal, for the page."""
+        return {
+            "axes": list(self.axes),
+            "measured": {name: part.start for name, part in self.measured.items()},
+            "reference": {name: part.start for name, part in self.reference.items()},
+            "answer": self.answer.start,
+        }
 
 
 class RigBatches:

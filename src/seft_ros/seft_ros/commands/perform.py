@@ -1,78 +1,61 @@
-"""``seft run``: the experiment as separate node processes over DDS."""
+"""The experiment performed: ``seft run`` over DDS, ``seft simulate`` in one process."""
 
 from pathlib import Path
 from typing import Annotated, Optional
 
-import typer
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 
-from seft_ros.commands.one_test import dds_test
-from seft_ros.commands.options import (
-    ConfigArgument,
-    ExternalOption,
-    FigureOption,
-    JsonOption,
-    OverrideOption,
-    ParamsFileOption,
-    complain,
-    load_experiment,
-)
-from seft_ros.commands.progress import step_progress
-from seft_ros.commands.results import present
+from seft_ros.commands.one_test import check_out, dds_test, offline_test, show_test
+from seft_ros.commands.options import Config, External, Files, Json, Params, load_experiment, option
+from seft_ros.commands.output import complain, step_progress
 from seft_ros.experiment.tables import TABLES
 
 LINK_TIME = 5.0  # s for which a link is measured before a test
 
+Figure = Annotated[bool, option("Draw a figure into the bag's folder.", "--figure/--no-figure")]
+
 
 def run(
-    config: ConfigArgument,
-    param: OverrideOption = None,
-    params_file: ParamsFileOption = None,
-    external: ExternalOption = None,
+    config: Config,
+    param: Params = None,
+    params_file: Files = None,
+    external: External = None,
     out: Annotated[
         Optional[Path],
-        typer.Option(
-            "--out",
-            metavar="DIR",
-            help="Folder of the bag, must be new; default the recorder's directory and the time.",
+        option(
+            "Folder of the bag, must be new; default the recorder's directory and the time.", "DIR"
         ),
     ] = None,
     pin: Annotated[
         bool,
-        typer.Option(
-            "--pin/--no-pin",
-            help="Keep the loop's nodes on one processor core and the others off it; all cores "
-            "stay awake, where that is allowed.",
+        option(
+            "Keep the loop's nodes on one processor core and the others off it; all cores "
+            "stay awake, where that is allowed."
         ),
     ] = True,
     composed: Annotated[
         bool,
-        typer.Option(
-            "--composed",
-            help="Put rig, reference_force and force_controller into one process, for rates that "
+        option(
+            "Put rig, reference_force and force_controller into one process, for rates that "
             "separate processes can't hold; topics and bits stay as they are.",
+            "--composed",
         ),
     ] = False,
     priority: Annotated[
         int,
-        typer.Option(
-            "--priority",
+        option(
+            "Real-time priority of the loop's nodes, their memory locked, cores awake; 0: none.",
+            "N",
             min=0,
             max=98,
-            metavar="N",
-            help="Real-time priority of the loop's nodes, their memory locked, cores awake; "
-            "0: none.",
         ),
     ] = 0,
     accept_unstable: Annotated[
-        bool,
-        typer.Option(
-            "--accept-unstable", help="Run a test that preflight finds unstable all the same."
-        ),
+        bool, option("Run a test that preflight finds unstable all the same.", "--accept-unstable")
     ] = False,
-    figure: FigureOption = True,
-    json: JsonOption = False,
+    figure: Figure = True,
+    json: Json = False,
 ) -> int:
     """Run an experiment as separate nodes over DDS, record it, and show how it went.
 
@@ -104,18 +87,48 @@ def run(
     experiment = _with_measured_delay(experiment)
     steps = _steps(experiment)
     _check_stable(experiment, accept_unstable)
-    record = dds_test(
-        experiment,
-        bag,
-        steps,
-        external or (),
-        layout=ProcessLayout(pin=pin, composed=composed, priority=priority),
-    )
-    summary = present(record, bag, as_json=json, figure=figure)
-    if not summary["stable"]:
-        complain(f"the test tripped: {record.trip.reason}" if record.trip else "unstable")
-        return 1
-    return 0
+    layout = ProcessLayout(pin=pin, composed=composed, priority=priority)
+    record = dds_test(experiment, bag, steps, external or (), layout=layout)
+    if show_test(record, bag, as_json=json, figure=figure):
+        return 0
+    complain(f"the test tripped: {record.trip.reason}" if record.trip else "unstable")
+    return 1
+
+
+def simulate(
+    config: Config,
+    param: Params = None,
+    params_file: Files = None,
+    out: Annotated[
+        Optional[Path],
+        option(
+            "Write a bag of the same form as seft run, and a figure, into this new folder.", "DIR"
+        ),
+    ] = None,
+    figure: Figure = True,
+    json: Json = False,
+) -> int:
+    """Run an experiment in one process, without ROS, and compare it with the exact response.
+
+    The samples are, bit for bit, those of seft run where no command was missed.
+
+    Examples:
+
+        seft simulate config/jhu.yaml
+
+        seft simulate config/jhu.yaml -p reference_force:mass_ratio:=0.5 --out bags/half
+
+        seft simulate config/jhu.yaml -p ground_motion:file:=kobe.txt
+        -p ground_motion:unit:=cm/s2 -p ground_motion:dt:=0.005 --json
+    """
+    experiment = load_experiment(config, param, params_file)
+    if out is not None:
+        check_out(out)
+    record = offline_test(experiment, out)
+    if show_test(record, out, as_json=json, figure=figure):
+        return 0
+    complain(f"unstable: {record.trip.reason if record.trip else 'values are not finite'}")
+    return 1
 
 
 def _with_measured_delay(experiment: Experiment) -> Experiment:
@@ -148,7 +161,7 @@ def _with_measured_delay(experiment: Experiment) -> Experiment:
 
 
 def _check_stable(experiment: Experiment, accept_unstable: bool) -> None:
-    """Refuse an unstable plan; say so where its models are not known.
+    """Refuse an unstable plan, unless that is accepted; say so where its models are not known.
 
     Raises
     ------
@@ -161,11 +174,10 @@ def _check_stable(experiment: Experiment, accept_unstable: bool) -> None:
 
     try:
         plan = Plan(experiment)
-        stable = plan.is_stable()
+        if plan.is_stable():
+            return
     except InputError as error:  # what the nodes themselves can't use has been refused before
         complain(f"preflight could not be done: {error}")
-        return
-    if stable:
         return
     told = f"unstable plan: {instability(plan)}"
     if accept_unstable:
