@@ -9,19 +9,22 @@ import pytest
 from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.topics import LOOP_TOPICS
 from seft_plant_sim.whole_structure import reference_response, whole_structure
-from seft_ros.analysis.equivalent_motion import EquivalentMotion, told_structure
+from seft_ros.analysis.equivalent_motion import (
+    EquivalentMotion,
+    motion_difference,
+    secant_stiffness,
+    told_structure,
+)
 from seft_ros.analysis.metrics import delayed
-from seft_ros.analysis.motion_difference import motion_difference, secant_stiffness
 from seft_ros.analysis.summary import summarise
-from seft_ros.analysis.table import verdict
-from seft_ros.analysis.tracked import tracked_of
-from seft_ros.analysis.tracking import tracking_error, tracking_error_of, tracking_of
+from seft_ros.analysis.summary_text import verdict
+from seft_ros.analysis.tracking import tracked_of, tracking_error, tracking_error_of, tracking_of
 from seft_ros.experiment.tables import TABLES
 from seft_ros.page.content import Mark
 from seft_ros.recording.bag_reader import read_bag
 from seft_ros.recording.record import Record, Series
 from seft_ros.report.numbers import report_numbers
-from seft_ros.report.page import write_report
+from seft_ros.report.report_page import write_report
 
 ROOT = Path(__file__).parents[3]
 COUNT = 1500

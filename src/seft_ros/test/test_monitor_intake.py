@@ -8,8 +8,7 @@ from seft_msgs_py.experiment import Experiment
 from seft_msgs_py.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
 from seft_msgs_py.trajectory import TrajectoryCodec
 from seft_plant_sim.whole_structure import reference_response, whole_structure
-from seft_ros.analysis.equivalent_motion import EquivalentMotion, told_structure
-from seft_ros.analysis.motion_difference import motion_difference
+from seft_ros.analysis.equivalent_motion import EquivalentMotion, motion_difference, told_structure
 from seft_ros.experiment.tables import TABLES
 from seft_ros.ground_motion.spectrum import response_spectrum
 from seft_ros.monitor.intake import Intake

@@ -9,9 +9,9 @@ from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES
 from seft_ros.preflight.margins import HIGHEST_MASS_RATIO, critical_mass_ratio, find_margins
 from seft_ros.preflight.plan import Plan
+from seft_ros.preflight.preflight_tables import summarise
 from seft_ros.preflight.result import preflight
 from seft_ros.preflight.search import stability_change
-from seft_ros.preflight.summary import summarise
 from seft_ros.reference_force.compensation.methods import METHODS
 
 M, C, K = 52.7, 800.3, 2.11e5

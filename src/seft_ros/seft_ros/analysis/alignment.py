@@ -1,14 +1,39 @@
-"""How two records lie on one another: the axes and the instants that both have."""
+"""How samples lie on one another: common steps of two series, common axes of two records."""
 
 import math
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.topics import LOOP_TOPICS
 
 from seft_ros.recording.record import Record, Series
+
+Floats = npt.NDArray[np.float64]
+Steps = npt.NDArray[np.int64]
+Where = slice | npt.NDArray[np.intp]
+
+
+def common_steps(one: Steps, other: Steps) -> tuple[Steps, Where, Where]:
+    """Find the steps that are in both, and where they stand in each; both strictly increase.
+
+    Where both are the same, as they mostly are, places are slices: they copy nothing.
+    """
+    if np.array_equal(one, other):
+        return one, slice(None), slice(None)
+    common, in_one, in_other = np.intersect1d(one, other, assume_unique=True, return_indices=True)
+    return common, in_one, in_other
+
+
+def every_step(series: Series, every: Steps) -> Floats:
+    """Values at every one of these consecutive steps, shape (N, q, n); lost ones interpolated."""
+    if len(every) == 0 or np.array_equal(series.steps[: len(every)], every):
+        return series.values[: len(every)]
+    flat = series.values.reshape(len(series.steps), -1)
+    columns = [np.interp(every, series.steps, column) for column in flat.T]
+    return np.stack(columns, axis=1).reshape(len(every), *series.values.shape[1:])
 
 
 @dataclass(frozen=True)

@@ -36,11 +36,11 @@ class Agreement:
         Best-fit pure delay, s; positive where the response lags.
     """
 
-    nrmse: float
-    nrmse_aligned: float
-    peak: float
-    reference_peak: float
-    delay_s: float
+    nrmse: float = math.nan
+    nrmse_aligned: float = math.nan
+    peak: float = math.nan
+    reference_peak: float = math.nan
+    delay_s: float = math.nan
 
 
 def agreement(y: Floats, reference: Floats, dt: float, steps: Steps | None = None) -> Agreement:
@@ -228,6 +228,28 @@ def _refine(cross: npt.NDArray[np.complex128], spacing: float, lag: float) -> fl
 def _blocks(count: int) -> Iterator[slice]:
     for start in range(0, count, _BLOCK):
         yield slice(start, min(start + _BLOCK, count))
+
+
+def paired_columns(commanded: Floats, measured: Floats) -> tuple[Floats, Floats]:
+    """Give two signals of the same shape, (N,) or (N, n), with an axis in each column.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ, or are of other dimensions.
+    """
+    one, other = (np.asarray(signal, dtype=np.float64) for signal in (commanded, measured))
+    if one.shape != other.shape or one.ndim not in (1, 2):
+        raise ValueError(
+            f"two signals of the same shape (N,) or (N, n) are needed, not {one.shape} "
+            f"and {other.shape}"
+        )
+    return _columns(one), _columns(other)
+
+
+def peaks(y: Floats) -> Floats:
+    """Largest magnitude of each column, shape (n,); NaN of no samples, or if one is NaN."""
+    return np.abs(y).max(axis=0) if len(y) else np.full(y.shape[1:], np.nan)
 
 
 def _columns(y: Floats) -> Floats:

@@ -56,8 +56,8 @@ def compare(
 
         seft compare bags/simulated bags/stock --json
     """
-    from seft_ros.analysis.bags_table import describe_bag
-    from seft_ros.analysis.compare import compare_all
+    from seft_ros.analysis.comparison import compare_all
+    from seft_ros.analysis.comparison_text import describe_bag
     from seft_ros.drawing.style import check_figure
     from seft_ros.recording.bag_reader import read_bag
 
@@ -86,7 +86,7 @@ def _comparisons(result: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _draw(result: dict[str, Any], records: Sequence["Record"], path: Path) -> None:
-    from seft_ros.analysis.comparison_figure import comparison_figure
+    from seft_ros.analysis.figures import comparison_figure
     from seft_ros.drawing.style import save_figure
 
     names = [
@@ -99,8 +99,7 @@ def _draw(result: dict[str, Any], records: Sequence["Record"], path: Path) -> No
 def _show(result: dict[str, Any], figure: Path | None) -> None:
     from rich.console import Console
 
-    from seft_ros.analysis.bags_table import comparisons_table, legend
-    from seft_ros.analysis.table import comparison_table
+    from seft_ros.analysis.comparison_text import comparison_table, comparisons_table, legend
 
     console = Console()
     labels = list(ascii_lowercase[: len(result["bags"])])

@@ -98,13 +98,13 @@ def design(
     from seft_ros.drawing.style import save_figure
     from seft_ros.loop_shaping.controller import Controller
     from seft_ros.loop_shaping.design import shape_loop
+    from seft_ros.loop_shaping.design_table import summarise, summarise_axes
     from seft_ros.loop_shaping.figure import design_figure
     from seft_ros.loop_shaping.given_controller import given_controller
     from seft_ros.loop_shaping.parameter_file import check_new, write_controller
     from seft_ros.loop_shaping.plant import choose_plant
     from seft_ros.loop_shaping.proposal import propose_controller
     from seft_ros.loop_shaping.sampling import dominant_pole
-    from seft_ros.loop_shaping.summary import summarise, summarise_axes
 
     if out is not None:
         check_new(out)
@@ -162,7 +162,7 @@ def _unstable(pole: complex, dt: float) -> str:
 def _show(loop: "LoopDesign", title: str, summary: dict[str, Any]) -> None:
     from rich.console import Console
 
-    from seft_ros.loop_shaping.table import axes_table, design_table
+    from seft_ros.loop_shaping.design_table import axes_table, design_table
 
     console = Console()
     console.print(design_table(loop, title))

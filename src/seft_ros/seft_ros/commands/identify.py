@@ -209,8 +209,8 @@ def _present(
     if identified is not None:
         from seft_ros.drawing.style import save_figure
         from seft_ros.identification.figure import identified_figure
+        from seft_ros.identification.identified_table import summarise_identified
         from seft_ros.identification.parameter_file import write_model
-        from seft_ros.identification.summary import summarise_identified
 
         summary = summarise_identified(identified)
         files |= {"model": str(folder / MODEL), "figure": str(folder / FIGURE)}
@@ -227,7 +227,7 @@ def _present(
         return
     console = Console()
     if identified is not None:
-        from seft_ros.identification.table import identified_table
+        from seft_ros.identification.identified_table import identified_table
 
         console.print(identified_table(f"{source} as identified", identified.axes, summary))
     for what, path in files.items():

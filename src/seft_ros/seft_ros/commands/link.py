@@ -106,7 +106,7 @@ def link(
     else:
         from rich.console import Console
 
-        from seft_ros.link.table import link_table
+        from seft_ros.link.link_table import link_table
 
         Console().print(link_table(summary))
     for reason in reasons:

@@ -61,8 +61,8 @@ def preflight(
     """
     from seft_ros.drawing.style import check_figure, save_figure
     from seft_ros.preflight.plan import Plan
+    from seft_ros.preflight.preflight_tables import summarise
     from seft_ros.preflight.result import preflight as fly
-    from seft_ros.preflight.summary import summarise
 
     path = check_figure(figure) if figure is not None else None
     experiment = load_experiment(config, param, params_file, external)
@@ -82,7 +82,7 @@ def preflight(
     else:
         from rich.console import Console
 
-        from seft_ros.preflight.table import preflight_tables
+        from seft_ros.preflight.preflight_tables import preflight_tables
 
         console = Console()
         for table in preflight_tables(plan, found, f"preflight of {config}"):

@@ -160,7 +160,7 @@ def _answer_offline(part: Any, section: dict[str, Any], show: Callable[[str, int
 def _show(results: list[dict[str, Any]], out: Path | None) -> None:
     from rich.console import Console
 
-    from seft_ros.replay.table import replay_table
+    from seft_ros.replay.replay_table import replay_table
 
     console = Console()
     for result in results:

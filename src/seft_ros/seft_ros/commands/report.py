@@ -42,10 +42,10 @@ def report(
 
         seft report bags/half --out half.html
     """
-    from seft_ros.page.write import check_page
+    from seft_ros.page.content import check_page
     from seft_ros.recording.bag_reader import read_bag
     from seft_ros.report.numbers import report_numbers
-    from seft_ros.report.page import write_report
+    from seft_ros.report.report_page import write_report
 
     page = None if out is None else check_page(out)
     findings = report_numbers(read_bag(bag))
@@ -68,7 +68,7 @@ def _show(record: "Record", summary: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.text import Text
 
-    from seft_ros.analysis.table import summary_table
+    from seft_ros.analysis.summary_text import summary_table
 
     console = Console()
     console.print(summary_table(record, summary))

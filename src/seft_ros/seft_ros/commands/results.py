@@ -47,7 +47,7 @@ def present(
     if bag is not None:
         summary["bag"] = str(bag)
     if drawn is not None:
-        from seft_ros.analysis.figure import test_figure
+        from seft_ros.analysis.figures import test_figure
         from seft_ros.drawing.style import save_figure
 
         save_figure(test_figure(record, reference), drawn)
@@ -55,7 +55,7 @@ def present(
     if as_json:
         print_json(summary)
         return summary
-    from seft_ros.analysis.table import summary_table
+    from seft_ros.analysis.summary_text import summary_table
 
     console = Console()
     console.print(summary_table(record, summary))

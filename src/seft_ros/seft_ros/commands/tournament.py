@@ -102,9 +102,9 @@ def tournament(
     from seft_ros.tournament.cost import step_cost
     from seft_ros.tournament.entries import make_tournament
     from seft_ros.tournament.figure import tournament_figure
+    from seft_ros.tournament.ranking_table import summarise_tournament
     from seft_ros.tournament.runs import count_calculations, run_all
     from seft_ros.tournament.standings import standings
-    from seft_ros.tournament.summary import summarise_tournament
     from seft_ros.tournament.workers import free_cores
 
     path = check_figure(figure) if figure is not None else None
@@ -145,7 +145,7 @@ def _motion(experiment: Experiment) -> str:
 def _show(standings: list["Standing"], runs: list["Run"], title: str) -> None:
     from rich.console import Console
 
-    from seft_ros.tournament.table import plain_runs, reasons, standings_table
+    from seft_ros.tournament.ranking_table import plain_runs, reasons, standings_table
 
     console = Console()
     for ratio in dict.fromkeys(row.mass_ratio for row in standings):

@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -10,6 +12,10 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from seft_msgs_py.errors import InputError
 
+Floats = npt.NDArray[np.floating[Any]]
+
+MOST_POINTS = 4000
+"""Points of a line; more than twice the pixels of a wide screen."""
 REFERENCE = "#9aa3ad"  # what should be
 FIRST = "#0b5fa5"  # what is
 SECOND = "#3d8c40"
@@ -71,6 +77,11 @@ def check_figure(path: Path) -> Path:
     known = FigureCanvasAgg.filetypes
     if path.suffix[1:].lower() not in known:
         raise InputError(f"{path}: figures end in {', '.join(f'.{name}' for name in known)}")
+    return check_folder(path)
+
+
+def check_folder(path: Path) -> Path:
+    """Refuse a file whose folder does not exist, or that is a folder itself."""
     if not path.parent.is_dir() or path.is_dir():
         what = "is a folder" if path.is_dir() else f"there is no folder {path.parent}"
         raise InputError(f"{path}: {what}; name a file in a folder that exists")
@@ -92,3 +103,35 @@ def save_figure(figure: Figure, path: str | Path) -> None:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
         raise InputError(f"{path}: the figure can't be saved ({reason})") from None
+
+
+def thinned(y: Floats, most: int = MOST_POINTS) -> npt.NDArray[np.int64]:
+    """Choose samples of a signal that draw the same picture: least and largest of each stretch.
+
+    Parameters
+    ----------
+    y : ndarray
+        Shape (N,).
+    most : int
+        About how many to keep.
+
+    Returns
+    -------
+    ndarray of int64
+        Increasing indices; all N where there are no more than ``most``.
+    """
+    count = len(y)
+    if count <= most:
+        return np.arange(count)
+    stretches = max(1, most // 2)
+    length = -(-count // stretches)
+    whole = count // length * length
+    rows = np.nan_to_num(y[:whole]).reshape(-1, length)
+    starts = np.arange(0, whole, length)
+    rest = np.nan_to_num(y[whole:])
+    ends = [0, count - 1]
+    if whole < count:
+        ends += [whole + int(rest.argmin()), whole + int(rest.argmax())]
+    return np.unique(
+        np.concatenate([starts + rows.argmin(axis=1), starts + rows.argmax(axis=1), np.array(ends)])
+    )

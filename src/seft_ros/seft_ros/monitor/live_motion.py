@@ -8,11 +8,12 @@ from seft_msgs_py.experiment import Experiment
 from seft_plant_sim.running_response import RunningResponse
 from seft_plant_sim.whole_structure import whole_structure
 
-from seft_ros.analysis.equivalent_motion import EquivalentMotion, told_structure
-from seft_ros.analysis.motion_difference import (
+from seft_ros.analysis.equivalent_motion import (
     DAMPING,
+    EquivalentMotion,
     natural_frequencies,
     spectrum_frequencies,
+    told_structure,
 )
 from seft_ros.ground_motion.spectrum import RunningSpectrum
 

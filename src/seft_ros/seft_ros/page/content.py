@@ -1,10 +1,20 @@
-"""What stands on a page, without how it looks."""
+"""What stands on a page, and its file: HTML that needs nothing else. Its look is in templates."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from pathlib import Path
 
+from bokeh.embed import components
 from bokeh.model import Model
+from bokeh.resources import Resources
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from seft_msgs_py.errors import InputError
+
+from seft_ros.drawing.style import check_folder
+
+SUFFIX = ".html"
 
 
 class Mark(StrEnum):
@@ -113,3 +123,62 @@ class Section:
 
     title: str
     blocks: Sequence[Block] = field(default_factory=tuple)
+
+
+def write_page(path: Path, title: str, subtitle: str, sections: Sequence[Section]) -> None:
+    """Write a page; figures, the library that draws them, and styles are inside the file.
+
+    Raises
+    ------
+    InputError
+        If the file can't be written.
+    """
+    figures = {
+        name: plot.figure
+        for place, section in enumerate(sections)
+        for index, block in enumerate(section.blocks)
+        for name, plot in _plots(f"{place}-{index}", block)
+    }
+    script, places = components(figures) if figures else ("", {})
+    library = Resources(mode="inline", components=["bokeh"]).render_js() if figures else ""
+    environment = Environment(
+        loader=PackageLoader("seft_ros.page", "templates"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
+    )
+    text = environment.get_template("page.html").render(
+        title=title,
+        subtitle=subtitle,
+        sections=sections,
+        anchors=[re.sub(r"[^a-z0-9]+", "-", s.title.lower()).strip("-") for s in sections],
+        library=library,
+        script=script,
+        places=places,
+    )
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: the page can't be written ({error.strerror})") from None
+
+
+def _plots(name: str, block: Block) -> list[tuple[str, Plot]]:
+    """Name the plots of a block, as the template looks for them."""
+    if isinstance(block, Grid):
+        return [(f"{name}-{index}", plot) for index, plot in enumerate(block.plots)]
+    return [(name, block)] if isinstance(block, Plot) else []
+
+
+def check_page(path: Path) -> Path:
+    """Complete the name of a page's file, before the work is done that it is to show.
+
+    Raises
+    ------
+    InputError
+        If there is no such folder, or it is the name of another kind of file.
+    """
+    path = path if path.suffix else path.with_suffix(SUFFIX)
+    if path.suffix.lower() not in (SUFFIX, ".htm"):
+        raise InputError(f"{path}: pages end in {SUFFIX}")
+    return check_folder(path)

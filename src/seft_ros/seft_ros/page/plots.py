@@ -8,8 +8,7 @@ import numpy.typing as npt
 from bokeh.models import BoxAnnotation, HoverTool, NumeralTickFormatter, Range1d, Span
 from bokeh.plotting import figure
 
-from seft_ros.drawing.style import FIRST, GRID, MARK, TEXT
-from seft_ros.drawing.thinning import MOST_POINTS, thinned
+from seft_ros.drawing.style import FIRST, GRID, MARK, MOST_POINTS, TEXT, thinned
 
 Floats = npt.NDArray[np.floating[Any]]
 
@@ -24,7 +23,6 @@ def plot(
     x_range: Range1d | None = None,
     log_x: bool = False,
     log_y: bool = False,
-    equal: bool = False,
     height: int = _HEIGHT,
 ) -> figure:
     """Make an empty figure, as wide as the page gives it room.
@@ -37,8 +35,6 @@ def plot(
         Figures with the same one zoom together.
     log_x, log_y : bool
         Logarithmic axes.
-    equal : bool
-        Whether a unit has the same length along both axes.
     height : int
         Pixels.
     """
@@ -52,7 +48,6 @@ def plot(
         y_axis_label=y_label,
         x_axis_type="log" if log_x else "linear",
         y_axis_type="log" if log_y else "linear",
-        match_aspect=equal,
         **shared,
     )
     found.toolbar.logo = None

@@ -3,8 +3,7 @@
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from seft_ros.page.content import Block, Cell, Mark, Section, Table, Text, Verdict
-from seft_ros.page.write import write_page
+from seft_ros.page.content import Block, Cell, Mark, Section, Table, Text, Verdict, write_page
 from seft_ros.paper.claim import Claim
 from seft_ros.paper.experiments import BEYOND_SHARE, DELAY, told_delay
 from seft_ros.paper.figures_loop import closed_loop_figure, open_loop_figure

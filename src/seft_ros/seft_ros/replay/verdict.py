@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.topics import ESTIMATES, LOOP_TOPICS
 
-from seft_ros.analysis.compare import compare
+from seft_ros.analysis.comparison import compare
 from seft_ros.recording.environment import describe_environment
 from seft_ros.recording.record import Estimates, Record, Series
 from seft_ros.replay.answers import Answers

@@ -11,13 +11,19 @@ from seft_msgs_py.topics import RIG_STATE
 from seft_plant_sim.energy import EnergyBalance
 from seft_plant_sim.whole_structure import ReferenceResponse
 
-from seft_ros.analysis.energy import PARTS, balance_of
-from seft_ros.analysis.motion_difference import MotionDifference, motion_difference
-from seft_ros.analysis.reference import COMPARED, quantity, reference_of
-from seft_ros.analysis.spectrum import Spectrum, spectrum_of, vibration
-from seft_ros.analysis.summary import json_safe, summarise
+from seft_ros.analysis.alignment import every_step
+from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
+from seft_ros.analysis.spectra import Spectrum, spectrum_of, vibration
+from seft_ros.analysis.summary import (
+    COMPARED,
+    ENERGIES,
+    balance_of,
+    json_safe,
+    reference_of,
+    summarise,
+)
 from seft_ros.analysis.timing import Timing, timing_of
-from seft_ros.drawing.thinning import thinned
+from seft_ros.drawing.style import thinned
 from seft_ros.preflight.instability_band import instability_band
 from seft_ros.preflight.plan import Plan
 from seft_ros.recording.record import Record
@@ -79,7 +85,7 @@ def report_numbers(record: Record) -> Findings:
     Findings
         ``summary`` has what `summarise` gives and ``instability_band_hz`` (two numbers or null),
         ``vibration`` (``ratio``, the largest of all axes, and ``axes``: see
-        `seft_ros.analysis.spectrum.vibration`), ``uncompensated_delay_s`` (how far the force lags
+        `seft_ros.analysis.spectra.vibration`), ``uncompensated_delay_s`` (how far the force lags
         in a test that does nothing about it, else null), ``events`` and ``verdict``.
 
     Raises
@@ -121,7 +127,7 @@ def report_numbers(record: Record) -> Findings:
 def _thinned(balance: EnergyBalance | None) -> dict[str, tuple[Steps, Floats]]:
     if balance is None:
         return {}
-    courses = {name: getattr(balance, name) for name in PARTS}
+    courses = {name: getattr(balance, name) for name in ENERGIES}
     places = {name: thinned(course) for name, course in courses.items() if np.any(course)}
     return {name: (at, courses[name][at]) for name, at in places.items()}
 
@@ -130,16 +136,13 @@ def _spectra(
     record: Record, reference: ReferenceResponse | None, name: str
 ) -> list[tuple[Spectrum, Spectrum | None]]:
     states, dt = record.series[RIG_STATE.name], record.experiment.timebase.dt
-    row = dict(COMPARED)[name]
     every = np.arange(states.steps[-1] + 1) if len(states.steps) else states.steps
-    found = []
-    for column in range(len(record.experiment.axes)):
-        y = states.values[:, row, column]
-        if len(every) != len(y):
-            y = np.interp(every, states.steps, y)
-        exact = None if reference is None else quantity(reference, name)[:, column]
-        found.append((spectrum_of(y, dt), None if exact is None else spectrum_of(exact, dt)))
-    return found
+    measured = every_step(states, every)[:, COMPARED[name]]
+    exact = None if reference is None else getattr(reference, name)
+    return [
+        (spectrum_of(y, dt), None if exact is None else spectrum_of(exact[:, column], dt))
+        for column, y in enumerate(measured.T)
+    ]
 
 
 def _band(record: Record) -> tuple[Band | None, str]:

@@ -3,17 +3,10 @@
 from typing import Any
 
 from rich.console import Group
-from rich.table import Table
 from rich.text import Text
-from seft_msgs_py.topics import LOOP_TOPICS, TARGET
 
-from seft_ros.analysis.table import small_percent
-
-_UNITS = {
-    (topic.name, quantity): unit
-    for topic in (*LOOP_TOPICS, TARGET)
-    for quantity, unit in zip(topic.quantities, topic.units, strict=True)
-}
+from seft_ros.analysis.comparison_text import FIELD_UNITS
+from seft_ros.drawing.tables import make_table, number, small_percent
 
 
 def verdict(result: dict[str, Any]) -> str:
@@ -39,19 +32,21 @@ def replay_table(result: dict[str, Any]) -> Group:
         As `seft_ros.replay.verdict.judge` gives it.
     """
     rate = result["answered"] / result["wall_s"] if result["wall_s"] else 0.0
-    counts = f"{result['answered']} of {result['steps']} answers, {rate:.0f} a second"
-    table = Table(title=f"{result['node']}: {counts}", title_justify="left", title_style="")
-    table.add_column("answers", no_wrap=True)
-    table.add_column("largest\ndifference", justify="right", no_wrap=True)
-    table.add_column("NRMSE", justify="right", no_wrap=True)
-    groups = [(result["topic"], result["fields"])]
+    groups = {result["topic"]: result["fields"]}
     if result["estimates"] is not None:
-        groups.append(("estimates", result["estimates"]["fields"]))
-    for topic, fields in groups:
-        for name, row in fields.items():
-            largest = "-" if row["max_abs"] is None else f"{row['max_abs']:.3g}"
-            unit = _UNITS.get((topic, name), "")
-            error = "-" if row["nrmse"] is None else small_percent(row["nrmse"])
-            table.add_row(f"{topic} {name}", f"{largest} {unit}".strip(), error)
+        groups["estimates"] = result["estimates"]["fields"]
+    rows = [
+        [
+            f"{topic} {name}",
+            number(row["max_abs"], 1.0, FIELD_UNITS.get((topic, name), ""), ".3g"),
+            small_percent(row["nrmse"]),
+        ]
+        for topic, fields in groups.items()
+        for name, row in fields.items()
+    ]
+    title = (
+        f"{result['node']}: {result['answered']} of {result['steps']} answers, {rate:.0f} a second"
+    )
+    table = make_table(("answers", "largest\ndifference", "NRMSE"), rows, title=title)
     colour = "green" if result["identical"] else "red"
     return Group(table, Text(verdict(result), style=f"bold {colour}"))

@@ -1,10 +1,14 @@
-"""What was identified, as a dict of JSON values: the ``--json`` of ``seft identify``."""
+"""What was identified: a table for the terminal, and JSON values."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from rich.table import Table
+from rich.text import Text
 
 from seft_ros.analysis.summary import json_safe
+from seft_ros.drawing.tables import Number, look_up, make_table
 from seft_ros.identification.actuator_fit import ActuatorFit
 from seft_ros.identification.identified import ClosedLoop, Identified, ValveResponse
 from seft_ros.identification.measurement import Measurement
@@ -16,18 +20,85 @@ ANY_SPECIMEN = (
     "and tracking.* are with this specimen)"
 )
 
-_VALVE_KEYS = (
-    *("actuator", "plant_zero_hz", "plant_zero_damping", "plant_pole_hz", "plant_pole_damping"),
-    *("fit_error", "crossover_hz", "phase_margin_deg", "gain_margin_db", "sensitivity_peak"),
+_MARGINS = ("crossover_hz", "phase_margin_deg", "gain_margin_db", "sensitivity_peak")
+_TABLE = (  # of an axis, by section
+    (
+        Number("actuator: flow gain", "actuator.flow_gain_m_per_s_per_v", "mm/s/V", 1e3),
+        Number("  oil stiffness", "actuator.oil_stiffness_n_per_m", "kN/m", 1e-3),
+        Number("  leakage", "actuator.leakage_per_s", "1/s"),
+        Number("  force capacity", "actuator.force_capacity_n", "kN", 1e-3),
+        Number("  valve", "actuator.valve_frequency_hz", "Hz"),
+        Number("    damping", "actuator.valve_damping", "%", 100.0),
+        Number("  dead time", "actuator.dead_time_s", "ms", 1e3),
+        Number("  flow explained", "actuator.flow_explained", "% of its variance", 100.0),
+        Number("    that is", "actuator.verdict"),
+    ),
+    (
+        Number("zero (specimen)", "plant_zero_hz", "Hz"),
+        Number("  damping", "plant_zero_damping", "%", 100.0),
+        Number("oil column", "plant_pole_hz", "Hz"),
+        Number("  damping", "plant_pole_damping", "%", 100.0),
+        Number("model's error", "fit_error", "%", 100.0),
+        Number("crossover", "crossover_hz", "Hz"),
+        Number("phase margin", "phase_margin_deg", "deg"),
+        Number("gain margin", "gain_margin_db", "dB"),
+    ),
+    (
+        Number("closed loop flat to", "closed_loop_flat_to_hz", "Hz (±1 dB)"),
+        Number("bandwidth", "bandwidth_hz", "Hz (-3 dB)"),
+        Number("delay", "delay_s", "ms", 1e3),
+        Number("deepest dip", "dip_db", "dB"),
+        Number("  at", "dip_hz", "Hz"),
+    ),
+    (
+        Number("specimen's mass", "specimen.mass", "kg"),
+        Number("specimen's damping", "specimen.damping", "N s/m"),
+        Number("specimen's stiffness", "specimen.stiffness", "N/m"),
+    ),
+    (
+        Number("coherence, open loop", "coherence.open_loop.mean", "mean"),
+        Number("coherence, closed loop", "coherence.closed_loop.mean", "mean"),
+    ),
 )
-_CLOSED_LOOP_KEYS = (
-    *("closed_loop_flat_to_hz", "bandwidth_hz", "delay_s", "dip_db", "dip_hz"),
-    *("tracking_fit_error", "delay_by_frequency"),
-)
+_ALWAYS = ("specimen", "coherence")
+"""What has its row even if nothing is known of it."""
+
+
+def identified_table(title: str, axes: tuple[str, ...], summary: Mapping[str, Any]) -> Table:
+    """Tabulate a summary, one column for each axis; the caption holds its notes.
+
+    Parameters
+    ----------
+    title : str
+        Heading.
+    axes : tuple of str
+        Names of the axes.
+    summary : mapping
+        As `summarise_identified` gives it.
+    """
+    by_axis = [dict(axis) for axis in summary.get("axes", [summary])]
+    for index, axis in enumerate(by_axis):
+        specimen = {number.key.split(".")[1]: look_up(summary, number.key) for number in _TABLE[3]}
+        if len(axes) > 1:
+            specimen = {name: matrix[index][index] for name, matrix in specimen.items()}
+        axis["specimen"] = specimen
+    rows: list[list[str] | None] = []
+    for section in _TABLE:
+        for number in section:
+            known = any(look_up(axis, number.key) is not None for axis in by_axis)
+            if known or number.key.startswith(_ALWAYS):
+                cells = (number.plain(axis) for axis in by_axis)
+                rows.append([number.label, *cells, number.unit])
+        rows.append(None)
+    headings = ["", *(axis if len(axes) > 1 else "" for axis in axes), ""]
+    caption = Text("\n".join(summary["notes"]))
+    return make_table(
+        headings, rows, left=(0, len(headings) - 1), wrap=True, title=Text(title), caption=caption
+    )
 
 
 def summarise_identified(identified: Identified) -> dict[str, Any]:
-    """Summarise what was identified.
+    """Summarise what was identified: ``seft identify --json``.
 
     Returns
     -------
@@ -99,9 +170,24 @@ def _axis(identified: Identified, index: int) -> dict[str, Any]:
     measured = {"open_loop": valve, "closed_loop": closed}
     return {
         "axis": identified.axes[index],
-        **(_of_valve(valve) if valve else dict.fromkeys(_VALVE_KEYS)),
-        **(_of_closed_loop(closed) if closed else dict.fromkeys(_CLOSED_LOOP_KEYS)),
+        **_of_valve(valve),
+        **_of_closed_loop(closed),
         "coherence": {k: _coherence(v.measured) if v else None for k, v in measured.items()},
+    }
+
+
+def _of_valve(valve: ValveResponse | None) -> dict[str, Any]:
+    zero = valve and valve.loop.plant.antiresonance()
+    pole = valve and valve.loop.plant.oil_column()
+    margins = valve.loop.margins if valve and valve.controller_known else None
+    return {
+        "actuator": valve and _of_actuator(valve.actuator),
+        "plant_zero_hz": zero and zero.hz,
+        "plant_zero_damping": zero and zero.damping,
+        "plant_pole_hz": pole and pole.hz,
+        "plant_pole_damping": pole and pole.damping,
+        "fit_error": valve and valve.error,
+        **{key: margins and getattr(margins, key) for key in _MARGINS},
     }
 
 
@@ -120,24 +206,17 @@ def _of_actuator(actuator: ActuatorFit) -> dict[str, Any]:
     }
 
 
-def _of_valve(valve: ValveResponse) -> dict[str, Any]:
-    margins = valve.loop.margins if valve.controller_known else None
-    zero, pole = valve.loop.plant.antiresonance(), valve.loop.plant.oil_column()
-    values = (
-        *(_of_actuator(valve.actuator), zero and zero.hz, zero and zero.damping),
-        *(pole and pole.hz, pole and pole.damping, valve.error),
-        *(getattr(margins, key) if margins else None for key in _VALVE_KEYS[6:]),
-    )
-    return dict(zip(_VALVE_KEYS, values, strict=True))
-
-
-def _of_closed_loop(closed: ClosedLoop) -> dict[str, Any]:
-    tracking = closed.tracking
-    values = (
-        *(tracking.flat_to_hz, tracking.bandwidth_hz, tracking.delay_s),
-        *(tracking.dip_db, tracking.dip_hz, closed.fit.error, _delays(closed)),
-    )
-    return dict(zip(_CLOSED_LOOP_KEYS, values, strict=True))
+def _of_closed_loop(closed: ClosedLoop | None) -> dict[str, Any]:
+    tracking = closed and closed.tracking
+    return {
+        "closed_loop_flat_to_hz": tracking and tracking.flat_to_hz,
+        "bandwidth_hz": tracking and tracking.bandwidth_hz,
+        "delay_s": tracking and tracking.delay_s,
+        "dip_db": tracking and tracking.dip_db,
+        "dip_hz": tracking and tracking.dip_hz,
+        "tracking_fit_error": closed and closed.fit.error,
+        "delay_by_frequency": closed and _delays(closed),
+    }
 
 
 def _delays(closed: ClosedLoop) -> list[dict[str, float]]:
