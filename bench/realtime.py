@@ -50,7 +50,8 @@ def run(case: Case, seconds: float) -> bool:
     with recorded_run(*overrides, arrangement=case.arrangement) as (record, statuses):
         steps = len(record.series["rig/state"].steps)
         missed, stalls, timing = record.missed or 0, stalls_of(record), timing_of(record)
-    shown = ", ".join(f"{key} {1e6 * trip:.0f}" for key, trip in timing.at_the_rig_s.items())
+    at_the_rig = timing.numbers["round_trip_at_the_rig_s"]
+    shown = ", ".join(f"{key} {1e6 * trip:.0f}" for key, trip in at_the_rig.items())
     print(f"{case}: {missed} of {steps:,} commands missed, {missed / steps:.3%}")
     print(f"    round trip, µs: {shown}; the rig's clock held up {record.overruns} times")
     met = True

@@ -293,7 +293,7 @@ def test_a_rig_of_which_nothing_is_known_is_judged_all_the_same(seft, tmp_path):
     rig = {name: record.experiment["rig"][name] for name in ("rate", "axes")}
     bare = Experiment(record.experiment.sections | {"rig": rig})
     findings = report_numbers(dataclasses.replace(record, experiment=bare))
-    assert findings.judgement.mark is Mark.BAD
+    assert findings.judgement.verdict is Mark.BAD
     assert "ground motion that was tested" in findings.judgement.text
     assert "ground motion that was tested" in verdict(findings.summary)
     write_report(findings, "bare", tmp_path / "bare.html")

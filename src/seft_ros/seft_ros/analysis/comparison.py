@@ -55,7 +55,7 @@ def compare(a: Record, b: Record) -> dict[str, Any]:
     values: list[First] = []
     missing: list[First] = []
     for topic, fields, one, other in _pairs(a, b):
-        pair = alignment.on_grid_a(one), alignment.on_grid_b(other)
+        pair = alignment.on_grid(one, other)
         figures, value = _compare_values(fields, alignment.axes, *pair)
         lacking = _first_missing(*pair)
         counts = {"samples_a": len(one.steps), "samples_b": len(other.steps)}
@@ -64,20 +64,16 @@ def compare(a: Record, b: Record) -> dict[str, Any]:
         # a sample that lacks stands before a value that differs in the same step
         missing += [lacking and {"topic": topic, **lacking}, values[-1]]
     first, first_value = _earliest(missing), _earliest(values)
-    same_axes = not (alignment.only_a or alignment.only_b)
+    only_a, only_b = alignment.only
     found_all = {
-        "identical": first is None and same_axes and not alignment.by_time,
+        "identical": first is None and not (only_a or only_b or alignment.by_time),
         "first_difference": _in_own_steps(first, alignment),
         "first_value_difference": _in_own_steps(first_value, alignment),
         "missed": {"a": a.missed, "b": b.missed},
         "aligned_by": "time" if alignment.by_time else "step",
         "rate_hz": {"a": a.experiment.timebase.rate, "b": b.experiment.timebase.rate},
         "length_s": {"a": length_s(a), "b": length_s(b)},
-        "axes": {
-            "compared": alignment.axes,
-            "only_a": alignment.only_a,
-            "only_b": alignment.only_b,
-        },
+        "axes": {"compared": alignment.axes, "only_a": only_a, "only_b": only_b},
         "topics": topics,
     }
     return {key: json_safe(value) for key, value in found_all.items()}
@@ -207,5 +203,5 @@ def _earliest(found: Sequence[First]) -> First:
 def _in_own_steps(first: First, alignment: Alignment) -> First:
     if first is None or not alignment.by_time:
         return first
-    instant = first["step"]
-    return first | {"step": instant * alignment.every_a, "step_b": instant * alignment.every_b}
+    step_a, step_b = (first["step"] * every for every in alignment.every)
+    return first | {"step": step_a, "step_b": step_b}

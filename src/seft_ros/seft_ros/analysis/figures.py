@@ -166,9 +166,8 @@ def _draw_differences(panel: Axes, records: Sequence[Record], name: str, axis: s
     for b in records[1:]:
         alignment = Alignment.of(a, b)
         column = alignment.axes.index(axis)
-        dt = a.experiment.timebase.dt * alignment.every_a
-        one = alignment.on_grid_a(a.series[RIG_STATE.name])
-        other = alignment.on_grid_b(b.series[RIG_STATE.name])
+        dt = a.experiment.timebase.dt * alignment.every[0]
+        one, other = alignment.on_grid(a.series[RIG_STATE.name], b.series[RIG_STATE.name])
         steps, in_a, in_b = common_steps(one.steps, other.steps)
         apart = other.values[in_b][:, row, column] - one.values[in_a][:, row, column]
         panel.plot(*_broken(steps * dt, apart * scale, steps), color=next(colours), lw=0.9)

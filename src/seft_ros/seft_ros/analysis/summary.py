@@ -92,7 +92,7 @@ def summarise(
         "complete": record.complete,
         "missed": record.missed,
         "overruns": record.overruns,
-        "timing": timing and timing.numbers(),
+        "timing": timing and timing.numbers,
         "link": link_numbers(record),
         "lost": {topic.name: _lost(record, topic.name, steps) for topic in LOOP_TOPICS},
         "energy": energy_numbers(balance or balance_of(record)),

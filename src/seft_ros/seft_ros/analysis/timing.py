@@ -29,46 +29,20 @@ class Timing:
 
     Attributes
     ----------
-    paced : bool
-        Whether the rig kept a pace: in lockstep gaps mean nothing.
-    period_s : float
-        Of the loop.
     round_trip_s : ndarray
         From a step's state to the command that answers it, shape (M,), s; of the steps that
         have both.
-    at_the_rig_s : dict
-        The same as the rig measured it, s, by the keys of `ROUND_TRIPS`; empty where it did not.
-    gaps : dict
-        Topic -> ``median_s`` and ``largest_s`` of the intervals between its messages,
-        ``largest_step`` (after which the largest was), ``count`` (longer than `GAP` periods).
-    stalls : dict or None
-        As `stalls_of` gives them.
+    numbers : dict
+        JSON values: ``paced`` (whether the rig kept a pace: in lockstep gaps mean nothing),
+        ``period_s`` of the loop, ``round_trip_s`` (percentiles, largest, how many of the steps
+        over_a_period), ``round_trip_at_the_rig_s`` (the same as the rig measured it, by the keys
+        of `ROUND_TRIPS`; empty where it did not), ``gaps`` (topic -> median_s and largest_s of the
+        intervals between its messages, largest_step after which the largest was, count of those
+        longer than `GAP` periods), ``stalls`` (see `stalls_of`).
     """
 
-    paced: bool
-    period_s: float
     round_trip_s: Floats
-    at_the_rig_s: dict[str, float]
-    gaps: dict[str, dict[str, Any]]
-    stalls: dict[str, Any] | None
-
-    def numbers(self) -> dict[str, Any]:
-        """Give JSON values: percentiles of the round trip, the share over a period, gaps."""
-        trips = self.round_trip_s
-        percentiles = np.percentile(trips, PERCENTILES).tolist() if len(trips) else []
-        return {
-            "paced": self.paced,
-            "period_s": self.period_s,
-            "round_trip_s": {
-                **{f"p{p:g}": v for p, v in zip(PERCENTILES, percentiles, strict=False)},
-                "largest": float(trips.max()) if len(trips) else None,
-                "over_a_period": int((trips > self.period_s).sum()),
-                "steps": len(trips),
-            },
-            "round_trip_at_the_rig_s": self.at_the_rig_s,
-            "gaps": self.gaps,
-            "stalls": self.stalls,
-        }
+    numbers: dict[str, Any]
 
 
 def timing_of(record: Record) -> Timing | None:
@@ -89,9 +63,21 @@ def timing_of(record: Record) -> Timing | None:
     _, at_state, at_command = common_steps(states.steps, commands.steps)
     trips = (commands.received_ns[at_command] - states.received_ns[at_state]) * 1e-9
     dt = record.experiment.timebase.dt
-    pace = record.experiment.sections.get("rig", {}).get("pace")
-    gaps, stalls = _gaps(record, dt), stalls_of(record)
-    return Timing(pace != "lockstep", dt, trips, record.round_trips, gaps, stalls)
+    percentiles = np.percentile(trips, PERCENTILES).tolist() if len(trips) else []
+    numbers = {
+        "paced": record.experiment.sections.get("rig", {}).get("pace") != "lockstep",
+        "period_s": dt,
+        "round_trip_s": {
+            **{f"p{p:g}": v for p, v in zip(PERCENTILES, percentiles, strict=False)},
+            "largest": float(trips.max()) if len(trips) else None,
+            "over_a_period": int((trips > dt).sum()),
+            "steps": len(trips),
+        },
+        "round_trip_at_the_rig_s": record.round_trips,
+        "gaps": _gaps(record, dt),
+        "stalls": stalls_of(record),
+    }
+    return Timing(trips, numbers)
 
 
 def _gaps(record: Record, dt: float) -> dict[str, dict[str, Any]]:

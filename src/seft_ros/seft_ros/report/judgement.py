@@ -34,46 +34,26 @@ class Finding:
 
     Attributes
     ----------
-    mark : Mark
-        What it means.
     name : str
         For programs.
+    verdict : Mark
+        What it means.
     text : str
         For people: what, how much, and how much would be good.
     """
 
-    mark: Mark
     name: str
+    verdict: Mark
     text: str
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """Verdict on a test: its worst finding.
+    """Verdict on a test: that of its worst finding, in one line; and all, the worst first."""
 
-    Attributes
-    ----------
-    mark : Mark
-        The worst.
-    text : str
-        One line.
-    findings : list of Finding
-        All, the worst first.
-    """
-
-    mark: Mark
+    verdict: Mark
     text: str
     findings: list[Finding]
-
-    def numbers(self) -> dict[str, Any]:
-        """For JSON: ``verdict`` (good, doubt, bad), ``text``, ``findings``."""
-        return {
-            "verdict": str(self.mark),
-            "text": self.text,
-            "findings": [
-                {"name": f.name, "verdict": str(f.mark), "text": f.text} for f in self.findings
-            ],
-        }
 
 
 def judge(summary: dict[str, Any]) -> Judgement:
@@ -85,11 +65,11 @@ def judge(summary: dict[str, Any]) -> Judgement:
         As `seft_ros.report.numbers.report_numbers` gives it.
     """
     order = (Mark.BAD, Mark.DOUBT, Mark.GOOD, Mark.NONE)
-    findings = sorted(_findings(summary), key=lambda finding: order.index(finding.mark))
-    worst = findings[0].mark
+    findings = sorted(_findings(summary), key=lambda finding: order.index(finding.verdict))
+    worst = findings[0].verdict
     text = _WORDS[worst]
     if worst is not Mark.GOOD:
-        reasons = [f.text.split(" (")[0] for f in findings if f.mark is worst]
+        reasons = [f.text.split(" (")[0] for f in findings if f.verdict is worst]
         text += f": {'; '.join(reasons)}."
     return Judgement(worst, text, findings)
 
@@ -100,7 +80,7 @@ def _findings(summary: dict[str, Any]) -> Iterator[Finding]:
             f"the record begins at step {summary['first_step']} of the test; errors are of what is "
             "there, against the exact response from step 0 on"
         )
-        yield Finding(Mark.BAD, "beginning", text)
+        yield Finding("beginning", Mark.BAD, text)
     yield _ending(summary)
     yield from _errors(summary)
     ratio, delay = summary["vibration"]["ratio"], summary["uncompensated_delay_s"]
@@ -110,21 +90,21 @@ def _findings(summary: dict[str, Any]) -> Iterator[Finding]:
             f"vibration of {percent(ratio)} of the exact acceleration where instability would "
             f"start, {low:.3g} to {high:.3g} Hz (good: up to {GOOD_VIBRATION:.0%})"
         )
-        yield Finding(_grade(ratio, GOOD_VIBRATION, BAD_VIBRATION), "vibration", text)
+        yield Finding("vibration", _grade(ratio, GOOD_VIBRATION, BAD_VIBRATION), text)
     if delay is not None:
         good = GOOD_DELAY * (1.0 / summary["rate_hz"])
         text = (
             f"force lags by {delay * 1e3:.3g} ms and nothing compensates for it "
             f"(good: up to {good * 1e3:.3g} ms)"
         )
-        yield Finding(_grade(delay, good, float("inf")), "delay", text)
+        yield Finding("delay", _grade(delay, good, float("inf")), text)
     yield from _losses(summary)
     if summary["energy"] and (closure := summary["energy"]["closure"]) is not None:
         text = (
             f"energy balance of the specimen closes to {percent(closure)} "
             f"(good: {GOOD_CLOSURE:.0%}; else samples and specimen do not fit)"
         )
-        yield Finding(_grade(closure, GOOD_CLOSURE, float("inf")), "energy_balance", text)
+        yield Finding("energy_balance", _grade(closure, GOOD_CLOSURE, float("inf")), text)
 
 
 def _ending(summary: dict[str, Any]) -> Finding:
@@ -139,8 +119,8 @@ def _ending(summary: dict[str, Any]) -> Finding:
         text = "the record is cut off before the test ended"
     else:
         text = f"it ran to its end, {summary['steps']} steps, {summary['duration_s']:g} s"
-        return Finding(Mark.GOOD, "ending", text)
-    return Finding(Mark.BAD, "ending", text)
+        return Finding("ending", Mark.GOOD, text)
+    return Finding("ending", Mark.BAD, text)
 
 
 def _errors(summary: dict[str, Any]) -> Iterator[Finding]:
@@ -148,25 +128,25 @@ def _errors(summary: dict[str, Any]) -> Iterator[Finding]:
     simulated, part = summary["reference_specimen"] == "simulated", summary["displacement"]
     good = f"good: up to {percent(GOOD_ERROR)}"
     if simulated and part["nrmse"] is None:
-        yield Finding(Mark.DOUBT, "displacement_error", "its displacement error is not known")
+        yield Finding("displacement_error", Mark.DOUBT, "its displacement error is not known")
     elif simulated:
         text = (
             f"displacement error {percent(part['nrmse'])} against the exact response of the whole "
             f"structure ({good})"
         )
-        yield Finding(_grade(part["nrmse"]), "displacement_error", text)
+        yield Finding("displacement_error", _grade(part["nrmse"]), text)
         ratio = part["peak"] / part["reference_peak"] if part["reference_peak"] else float("nan")
         word, off = "larger" if ratio > 1 else "smaller", abs(ratio - 1)
         text = (
             f"peak displacement {percent(off)} {word} than the exact one (good: {GOOD_ERROR:.0%})"
         )
-        yield Finding(_grade(off), "displacement_peak", text)
+        yield Finding("displacement_peak", _grade(off), text)
 
     found = summary["equivalent_motion"]
     error = found and found["worst_response_nrmse"]
     if error is None:
         text = "the ground motion that was tested can't be told from the record"
-        yield Finding(Mark.NONE if simulated else Mark.DOUBT, "equivalent_motion", text)
+        yield Finding("equivalent_motion", Mark.NONE if simulated else Mark.DOUBT, text)
     else:
         low, high = found["structure"]["band_hz"]
         text = (
@@ -175,57 +155,57 @@ def _errors(summary: dict[str, Any]) -> Iterator[Finding]:
             f"{low:.3g} to {high:.3g} Hz; {percent(found['response_nrmse'])} with the stiffness of "
             f"the model; {good})"
         )
-        yield Finding(Mark.NONE if simulated else _grade(error), "equivalent_motion", text)
+        yield Finding("equivalent_motion", Mark.NONE if simulated else _grade(error), text)
 
     target = summary["tracking_error"]
     if target is not None and target["nrmse"] is None:
-        yield Finding(Mark.DOUBT, "tracking_error", "how far it was from its target is not known")
+        yield Finding("tracking_error", Mark.DOUBT, "how far it was from its target is not known")
     elif target is not None:
         text = (
             f"displacement off its target by {percent(target['nrmse'])} "
             f"(RMS {target['rms'] * 1e3:.3g} mm, at most {target['peak'] * 1e3:.3g} mm; {good})"
         )
-        yield Finding(Mark.NONE if simulated else _grade(target["nrmse"]), "tracking_error", text)
+        yield Finding("tracking_error", Mark.NONE if simulated else _grade(target["nrmse"]), text)
 
 
 def _losses(summary: dict[str, Any]) -> Iterator[Finding]:
     """Tell what came too late, was lost, or was at the end of its range."""
     missed, steps, link = summary["missed"], summary["steps"], summary["link"]
     if missed is None:
-        yield Finding(Mark.DOUBT, "missed", "it is not known how many commands came too late")
+        yield Finding("missed", Mark.DOUBT, "it is not known how many commands came too late")
     elif missed:
         text = f"{missed} of {steps} steps ({percent(missed / steps)}) had no command in time"
-        yield Finding(Mark.BAD if missed > BAD_MISSED * steps else Mark.DOUBT, "missed", text)
+        yield Finding("missed", Mark.BAD if missed > BAD_MISSED * steps else Mark.DOUBT, text)
     else:
-        yield Finding(Mark.GOOD, "missed", "every step had its command in time")
+        yield Finding("missed", Mark.GOOD, "every step had its command in time")
     if link and link["late"]:
         late, forces = link["late"], link["forces"]
         text = (
             f"{late} of {forces} reference forces ({percent(late / forces)}) came after the loop's "
             f"delay of {link['loop_delay']} steps and were predicted, {link['held']} of them held"
         )
-        yield Finding(Mark.BAD if late > BAD_LATE * forces else Mark.DOUBT, "link", text)
+        yield Finding("link", Mark.BAD if late > BAD_LATE * forces else Mark.DOUBT, text)
     elif link:
         text = f"every reference force came within the loop's delay of {link['loop_delay']} steps"
-        yield Finding(Mark.GOOD, "link", text)
+        yield Finding("link", Mark.GOOD, text)
     lost = [f"{count} of {topic}" for topic, count in summary["lost"].items() if count]
     if lost and summary["first_step"] is not None:
         text = f"samples are lost from the record: {', '.join(lost)}"
-        yield Finding(Mark.DOUBT, "lost", text)
+        yield Finding("lost", Mark.DOUBT, text)
     elif summary["first_step"] is not None:
-        yield Finding(Mark.GOOD, "lost", "no sample is lost from the record")
+        yield Finding("lost", Mark.GOOD, "no sample is lost from the record")
     if summary["overruns"]:
         text = f"the rig's own clock was held up {summary['overruns']} times"
-        yield Finding(Mark.DOUBT, "overruns", text)
+        yield Finding("overruns", Mark.DOUBT, text)
     saturated = [
         f"{name.replace('_', ' ')} in {row['samples']} samples from step {row['first_step']}"
         for name, row in summary["saturated"].items()
     ]
     if saturated:
         text = f"at the end of its range: {', '.join(saturated)}"
-        yield Finding(Mark.DOUBT, "saturated", text)
+        yield Finding("saturated", Mark.DOUBT, text)
     else:
-        yield Finding(Mark.GOOD, "saturated", "nothing was at the end of its range")
+        yield Finding("saturated", Mark.GOOD, "nothing was at the end of its range")
 
 
 def _grade(value: float, good: float = GOOD_ERROR, bad: float = BAD_ERROR) -> Mark:

@@ -37,7 +37,7 @@ _SPECTRA = ("force", "acceleration")
 
 @dataclass(frozen=True)
 class Findings:
-    """What a report is made of, besides the record itself.
+    """What a report is made of; what is not known is None.
 
     Attributes
     ----------
@@ -49,8 +49,7 @@ class Findings:
         Part of the energy balance -> steps and J, thinned to be drawn; of parts that are not
         zero throughout. Empty if there is no balance.
     spectra : dict
-        ``force`` and ``acceleration`` -> a pair of spectra for each axis: test and exact (or
-        None).
+        ``force`` and ``acceleration`` -> for each axis the spectra of test and exact response.
     band : tuple of float or None
         Where instability would start, Hz.
     band_note : str
@@ -59,10 +58,13 @@ class Findings:
         The ground motion that was tested against the one asked for.
     timing : Timing or None
         None of a test that was not recorded message by message.
-    summary : dict
-        All numbers, JSON values.
     judgement : Judgement
         Verdict.
+    summary : dict
+        All numbers, JSON values: what `summarise` gives and ``instability_band_hz`` (two numbers
+        or null), ``vibration`` (``ratio``, the largest of all axes, and ``axes``: see
+        `seft_ros.analysis.spectra.vibration`), ``uncompensated_delay_s`` (how far the force lags
+        in a test that does nothing about it, else null), ``events`` and ``verdict``.
     """
 
     record: Record
@@ -73,55 +75,35 @@ class Findings:
     band_note: str
     difference: MotionDifference | None
     timing: Timing | None
-    summary: dict[str, Any]
     judgement: Judgement
+    summary: dict[str, Any]
 
 
 def report_numbers(record: Record) -> Findings:
     """Analyse a test.
-
-    Returns
-    -------
-    Findings
-        ``summary`` has what `summarise` gives and ``instability_band_hz`` (two numbers or null),
-        ``vibration`` (``ratio``, the largest of all axes, and ``axes``: see
-        `seft_ros.analysis.spectra.vibration`), ``uncompensated_delay_s`` (how far the force lags
-        in a test that does nothing about it, else null), ``events`` and ``verdict``.
 
     Raises
     ------
     InputError
         As `reference_of`.
     """
-    reference = reference_of(record)
-    balance = balance_of(record)
+    reference, balance = reference_of(record), balance_of(record)
     difference = motion_difference(record)
     summary = summarise(record, reference, balance, difference)
     energies = _thinned(balance)
     del balance  # as long as the record, and drawn from a few points
     spectra = {name: _spectra(record, reference, name) for name in _SPECTRA}
     band, note = _band(record)
-    timing = timing_of(record)
     summary |= {
         "instability_band_hz": band and list(band),
         "vibration": _vibration(record, spectra["acceleration"], band),
         "uncompensated_delay_s": _uncompensated_delay(record, summary),
         "events": [asdict(event) for event in record.events],
     }
-    judgement = judge(summary)
-    summary |= {"verdict": judgement.numbers()}
-    return Findings(
-        record,
-        reference,
-        energies,
-        spectra,
-        band,
-        note,
-        difference,
-        timing,
-        json_safe(summary),
-        judgement,
-    )
+    judgement, timing = judge(summary), timing_of(record)
+    summary = json_safe(summary | {"verdict": asdict(judgement)})
+    made = (reference, energies, spectra, band, note, difference, timing, judgement, summary)
+    return Findings(record, *made)
 
 
 def _thinned(balance: EnergyBalance | None) -> dict[str, tuple[Steps, Floats]]:

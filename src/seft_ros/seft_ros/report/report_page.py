@@ -71,8 +71,8 @@ def write_report(findings: Findings, name: str, path: Path) -> None:
 
 def _sections(findings: Findings) -> Iterator[Section]:
     judgement, axes = findings.judgement, findings.record.experiment.axes
-    cells = [Cell(finding.text, finding.mark) for finding in judgement.findings]
-    yield Section("Verdict", [Verdict(judgement.mark, judgement.text, cells)])
+    cells = [Cell(finding.text, finding.verdict) for finding in judgement.findings]
+    yield Section("Verdict", [Verdict(judgement.verdict, judgement.text, cells)])
     tested = [_test_rows(findings), _software_rows(findings.record.environment)]
     yield Section("What was tested", [Table((), rows, numbers=False) for rows in tested])
     yield agreement_section(findings)
@@ -177,26 +177,30 @@ def _timing(findings: Findings) -> Iterator[Block]:
         yield Table((), rows)
         yield Text(why)
         return
-    trips, numbers = timing.round_trip_s * 1e3, summary["timing"]["round_trip_s"]
-    recorded = {k: v for k, v in numbers.items() if k.startswith("p") or k == "largest"}
-    rows += _stall_rows(timing.stalls, bool(summary["missed"]))
-    for where, found in (("at the rig", timing.at_the_rig_s), ("as recorded", recorded)):
-        rows += rows_of((_milliseconds(f"round trip, {where}", key) for key in found), found)
-    rows.append(["of these longer than a period", str(numbers["over_a_period"])])
+    trips, numbers = timing.round_trip_s * 1e3, summary["timing"]
+    rows += _stall_rows(numbers["stalls"], bool(summary["missed"]))
+    found = numbers["round_trip_at_the_rig_s"]
+    rows += rows_of((_milliseconds(f"round trip at the rig, {key}", key) for key in found), found)
+    found = numbers["round_trip_s"]
+    keys = [key for key in found if key.startswith("p") or key == "largest"]
+    rows += rows_of((_milliseconds(f"round trip, as recorded, {key}", key) for key in keys), found)
+    rows.append(["of these longer than a period", str(found["over_a_period"])])
     yield Table((), rows, numbers=False)
     if len(trips):
         panel = plot("round trip / ms", "steps", log_y=True)
         counts, edges = np.histogram(trips, _BINS)
         bars(panel, edges, counts.astype(float))
-        mark(panel, timing.period_s * 1e3)
+        mark(panel, numbers["period_s"] * 1e3)
         caption = (
             "From a step's state to the command that answers it, as the recorder received them, "
             "which may have to wait for its core longer than the loop does; dashed: one period."
         )
         yield Plot(panel, caption)
-    if not timing.paced:
+    if not numbers["paced"]:
         yield Text("The rig was in lockstep: it waited for each command.")
-    gaps = [[topic, *(column.text(gap) for column in _GAPS)] for topic, gap in timing.gaps.items()]
+    gaps = [
+        [topic, *(column.text(gap) for column in _GAPS)] for topic, gap in numbers["gaps"].items()
+    ]
     yield Table(("topic", *(column.label for column in _GAPS)), gaps)
 
 
@@ -232,7 +236,7 @@ def _stall_rows(stalls: dict[str, Any] | None, is_missed: bool) -> list[list[str
 
 
 def _milliseconds(label: str, key: str) -> Number:
-    return Number(f"{label}, {key}", key, "ms", 1e3, ".3f")
+    return Number(label, key, "ms", 1e3, ".3f")
 
 
 def _estimates(record: Record) -> Iterator[Block]:
