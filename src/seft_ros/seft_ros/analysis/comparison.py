@@ -80,25 +80,13 @@ def compare(a: Record, b: Record) -> dict[str, Any]:
 
 
 def compare_all(names: Sequence[str], records: Sequence[Record]) -> dict[str, Any]:
-    """Compare each further record with the first.
-
-    Parameters
-    ----------
-    names : sequence of str
-        What the records are called in errors.
-    records : sequence of Record
-        Two or more.
+    """Compare each further record with the first; an InputError names the two.
 
     Returns
     -------
     dict
         Of two records as `compare`. Of more ``identical`` (all are), and ``comparisons``: for
         each further record what `compare` gives, the first record being a.
-
-    Raises
-    ------
-    InputError
-        As `compare`, with the names of the two.
     """
     comparisons = []
     for name, record in zip(names[1:], records[1:], strict=True):

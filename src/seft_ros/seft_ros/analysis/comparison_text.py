@@ -70,12 +70,7 @@ def comparison_table(comparison: dict[str, Any], a: str = "a", b: str = "b") -> 
 def comparisons_table(comparisons: list[dict[str, Any]], labels: list[str]) -> Group:
     """Tabulate how further records differ from the first: NRMSE by topic; verdicts below.
 
-    Parameters
-    ----------
-    comparisons : list of dict
-        Of each further record with the first, as `comparison_table` takes it.
-    labels : list of str
-        What the records are called, the first included.
+    ``labels`` are what the records are called, the first included.
     """
     first, *others = labels
     names = [topic.name for topic in LOOP_TOPICS]
@@ -109,13 +104,7 @@ def _unit(topic: str, row: dict[str, Any]) -> str:
 
 
 def difference_lines(comparison: dict[str, Any], a: str = "a", b: str = "b") -> list[str]:
-    """Say how two records differ, the verdict first.
-
-    Parameters
-    ----------
-    comparison, a, b
-        As `comparison_table` takes them.
-    """
+    """Say how two records differ, the verdict first; as `comparison_table` takes them."""
     names = {"a": a, "b": b}
     first, value = (comparison[key] for key in ("first_difference", "first_value_difference"))
     lines = [verdict(comparison, a, b) + _held(comparison["missed"], names)]

@@ -87,18 +87,9 @@ class EquivalentMotion:
         self._last: Floats | None = None  # input of the internal degrees of freedom
 
     def advance(self, states: Floats) -> Floats:
-        """Go on over the next N steps; the first of all is step 0, at rest.
+        """Go on over the next N >= 1 steps, the first of all step 0, at rest; give a_eq, (N, n).
 
-        Parameters
-        ----------
-        states : ndarray
-            Displacement, velocity, acceleration and force as measured, shape (N, 4, n), N at
-            least 1.
-
-        Returns
-        -------
-        ndarray
-            a_eq, shape (N, n), m/s^2.
+        ``states`` are displacement, velocity, acceleration and force as measured, (N, 4, n).
         """
         x, v, a, f = np.moveaxis(states, 1, 0)
         n, computed = len(self.mass), self._computed
@@ -177,17 +168,7 @@ class MotionDifference:
             return self.tested / self.asked - 1.0
 
     def numbers(self) -> dict[str, Any]:
-        """For JSON; docs/metrics.md has the formulas.
-
-        Returns
-        -------
-        dict
-            ``response_nrmse``; ``worst_response_nrmse`` and ``worst_frequency_hz``, of the
-            structures that were tried; ``spectrum_deviation`` and
-            ``spectrum_deviation_frequency_hz``, the largest within the band; ``structure``:
-            ``frequency_hz``, ``damping_ratio``, ``stiffness_factors`` (least and largest),
-            ``band_hz``, ``spectrum_damping_ratio``.
-        """
+        """For JSON; docs/metrics.md tells what each number is."""
         worst = int(np.argmax(np.nan_to_num(self.tried_nrmse, nan=-1.0)))
         low, high = self.band_hz
         inside = (self.frequency_hz >= low * (1 - 1e-9)) & (self.frequency_hz <= high * (1 + 1e-9))
@@ -261,12 +242,9 @@ def motion_difference(record: Record) -> MotionDifference | None:
 
 
 def spectrum_frequencies(band_hz: tuple[float, float], dt: float) -> Floats:
-    """Choose the frequencies of a spectrum: the band, and two octaves on either side.
+    """Choose the frequencies (Hz) of a spectrum: the band, and two octaves on either side.
 
-    Returns
-    -------
-    ndarray
-        Shape (P,), Hz, up to a tenth of the sampling rate: above, peaks are between samples.
+    They end at a tenth of the sampling rate: above, peaks are between samples.
     """
     low, high = band_hz[0] / _AROUND, min(band_hz[1] * _AROUND, 0.1 / dt)
     return np.geomspace(min(low, high / 2), high, _PERIODS)
@@ -315,11 +293,6 @@ def secant_stiffness(states: Floats, mass: Floats, stiffness: Floats) -> Floats:
         Displacement, velocity, acceleration and force as measured, shape (N, 4, n).
     mass, stiffness : ndarray
         M_e and K of the specimen's model, shape (n, n).
-
-    Returns
-    -------
-    ndarray
-        One for each half cycle, positive.
     """
     from scipy.signal import find_peaks  # 20 MB that no node needs
 

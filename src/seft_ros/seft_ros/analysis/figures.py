@@ -39,16 +39,10 @@ _MOST_BRIDGED = 5  # steps
 
 
 def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
-    """Draw displacement, force and acceleration over time, one column for each axis.
+    """Draw displacement, force and acceleration of a test over time, against the exact response.
 
-    Below them stands what the compensation identified on line, if anything.
-
-    Parameters
-    ----------
-    record : Record
-        The test; of more than `MOST_AXES` axes the first are drawn.
-    reference : ReferenceResponse or None
-        Exact response by step, as `seft_ros.analysis.summary.reference_of` gives it.
+    One column for each axis, of more than `MOST_AXES` the first. Below stands what the
+    compensation identified on line, if anything.
     """
     axes, estimates = record.experiment.axes[:MOST_AXES], record.estimates
     estimated = estimates.names if estimates else ()
@@ -119,7 +113,11 @@ def comparison_figure(
     InputError
         If there is no axis that all have.
     """
-    axis = _common_axis(records)
+    others = [record.experiment.axes for record in records[1:]]
+    common = [a for a in records[0].experiment.axes if all(a in axes for axes in others)]
+    if not common:
+        raise InputError("no axis is in all of these tests, so there is no figure of them")
+    axis = common[0]
     heights = [1.9, 1.1] * len(RESPONSES)  # inches
     figure, grid = _panels(9.5, heights, margin=0.6)
     panels = grid[:, 0]
@@ -128,20 +126,18 @@ def comparison_figure(
         _draw_differences(difference, records, name, axis)
         overlay.set_ylabel(axis_label(name), color=TEXT)
         difference.set_ylabel(f"difference\n/ {DISPLAY_UNITS[name][0]}", color=TEXT)
+    firsts = [c["first_difference"] for c in comparisons if c["first_difference"] is not None]
     for panel in panels:
-        _mark_first_difference(panel, records[0], comparisons)
+        if firsts:
+            first = min(firsts, key=lambda first: first["step"])
+            time = first["step"] * records[0].experiment.timebase.dt
+            label = f"first difference: {first['topic']}, {time:g} s"
+            panel.axvline(time, color=MARK, lw=1.2, ls="--", label=label)
         panel.margins(x=0.01)
         tidy(panel)
     panels[-1].set_xlabel("time / s", color=TEXT)
     _finish(figure, panels[:2], f"axis {axis}: difference from {names[0]}")
     return figure
-
-
-def _common_axis(records: Sequence[Record]) -> str:
-    for axis in records[0].experiment.axes:
-        if all(axis in record.experiment.axes for record in records):
-            return axis
-    raise InputError("no axis is in all of these tests, so there is no figure of them")
 
 
 def _draw_overlay(
@@ -198,18 +194,6 @@ def _mark_missing(panel: Axes, steps: Steps, dt: float) -> None:
     panel.hlines(np.full(len(starts), 0.05), starts, stops, transform=foot, color=MARK, lw=4)
     panel.plot(starts, np.full(len(starts), 0.05), "|", transform=foot, color=MARK, ms=7)
     panel.plot([], [], color=MARK, lw=4, label="samples missing")
-
-
-def _mark_first_difference(
-    panel: Axes, record: Record, comparisons: Sequence[dict[str, Any]]
-) -> None:
-    firsts = [c["first_difference"] for c in comparisons if c["first_difference"] is not None]
-    if not firsts:
-        return
-    first = min(firsts, key=lambda first: first["step"])
-    time = first["step"] * record.experiment.timebase.dt
-    label = f"first difference: {first['topic']}, {time:g} s"
-    panel.axvline(time, color=MARK, lw=1.2, ls="--", label=label)
 
 
 def _panels(

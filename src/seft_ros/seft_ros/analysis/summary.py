@@ -49,26 +49,20 @@ def summarise(
     Returns
     -------
     dict
-        ``steps`` (from 0 to the last that was recorded), ``first_step`` (the first that was; null
-        if none), ``rate_hz``, ``duration_s``,
-        ``wall_s``, ``realtime_factor``, ``complete``, ``stable`` (no trip, and all samples
-        finite), ``trip`` (null or reason, step, time_s), ``missed`` (steps without a command
-        in time), ``overruns`` (times the rig's own clock was held up), ``timing`` (round trips,
-        gaps and the machine's own stalls, see `timing_of`; null offline), ``saturated`` (what
-        was at the end of its range: stroke, force_capacity, valve, a sensor's range; with samples
-        and first_step), ``link`` (how the reference force came over the link of a test on
-        several hosts; null without one; see `link_numbers`), ``lost`` (samples that the record
-        lacks, by topic), ``energy`` (of the specimen at the end, and how the balance closes; see
-        `energy_numbers`), ``estimates`` (what the compensation identified on line: name -> axis ->
-        first, last, least and largest, SI units), ``equivalent_motion`` (the ground motion that
-        was tested against the one asked for, see `MotionDifference.numbers`), ``tracking_error``
-        (of displacement against a target: rms, peak, nrmse; null without one),
-        ``reference_specimen`` (of the exact response: ``simulated``, or the ``model``, which is no
-        truth to judge a test by; null if there is none), ``tracking`` (of the force that was meant
-        by the measured force: axis -> frequency evaluation index, tracking indicator, energy
-        error, J1-J9; see `tracking_of`), and for displacement (m), acceleration (m/s^2) and force
-        (N) nrmse, nrmse_aligned, peak, reference_peak and delay_s over all axes; ``axes`` has the
-        same three for each axis. What is unknown or makes no sense is null.
+        ``steps`` (from 0 to the last that was recorded), ``first_step`` (the first that was),
+        ``rate_hz``, ``duration_s``, ``wall_s``, ``realtime_factor``, ``complete``, ``stable`` (no
+        trip, and all samples finite), ``trip`` (reason, step, time_s), ``missed`` (steps without a
+        command in time), ``overruns`` (times the rig's own clock was held up), ``timing`` (see
+        `timing_of`), ``saturated`` (what was at the end of its range: stroke, force_capacity,
+        valve, a sensor's range; with samples and first_step), ``link`` (see `link_numbers`),
+        ``lost`` (samples that the record lacks, by topic), ``energy`` (see `energy_numbers`),
+        ``estimates`` (what the compensation identified on line: name -> axis -> first, last, least
+        and largest, SI units), ``equivalent_motion`` (see `MotionDifference.numbers`),
+        ``tracking_error`` (see `tracking_error`), ``reference_specimen`` (of the exact response:
+        ``simulated``, or the ``model``, which is no truth to judge a test by), ``tracking`` (see
+        `tracking_of`), and for displacement (m), acceleration (m/s^2) and force (N) what
+        `Agreement` has, over all axes; ``axes`` has the same three for each axis. What is unknown,
+        makes no sense or does not exist is null.
     """
     if reference is None:
         reference = reference_of(record)
@@ -189,14 +183,9 @@ def _held(experiment: Experiment) -> float | None:
 
 
 def energy_numbers(balance: EnergyBalance | None) -> dict[str, float] | None:
-    """Give the energies of the specimen at the end of a test.
+    """Give the `ENERGIES` of the specimen at the end of a test, J, as ``input_j`` and so on.
 
-    Returns
-    -------
-    dict or None
-        ``input_j``, ``kinetic_j``, ``strain_j``, ``damped_j``, ``hysteretic_j`` and
-        ``closure``, the largest of the balance's error over the test, relative to the largest
-        input. None if there is no balance.
+    ``closure`` is the largest of the balance's error over the test, over the largest input.
     """
     if balance is None:
         return None

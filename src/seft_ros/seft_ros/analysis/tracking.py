@@ -140,7 +140,7 @@ def tracking_of(record: Record, reference: ReferenceResponse | None) -> dict[str
             "tracking_indicator_end": float(indicator[column]),
             "energy_error": float(relative[column]),
             "energy_error_j": float(end_j[column]),
-            "J": criteria.of_axis(column),
+            "J": criteria[column],
         }
         for column, axis in enumerate(record.experiment.axes)
     }
@@ -158,29 +158,15 @@ def tracking_error_of(record: Record) -> dict[str, float] | None:
     return tracking_error(states.values[at_states, _DISPLACEMENT], targets.values[at_targets, 0])
 
 
-def tracking_error(displacement: Floats, target: Floats | None) -> dict[str, float] | None:
-    """Tell how far a specimen was from its target.
-
-    Parameters
-    ----------
-    displacement : ndarray
-        As measured, shape (N, n), m.
-    target : ndarray or None
-        Of the same steps; None: there is none.
+def tracking_error(displacement: Floats, target: Floats) -> dict[str, float]:
+    """Tell how far a specimen was from its target, both of shape (N, n), m, else a ValueError.
 
     Returns
     -------
-    dict or None
+    dict
         ``rms`` and ``peak`` of x - x_target, m, over all axes, and ``nrmse``, that RMS over the
-        RMS of x. None without a target.
-
-    Raises
-    ------
-    ValueError
-        If the shapes differ.
+        RMS of x.
     """
-    if target is None:
-        return None
     wanted, x = paired_columns(target, displacement)
     with np.errstate(invalid="ignore", over="ignore"):
         error = wanted - x

@@ -21,40 +21,6 @@ LONG = 100_000
 """Samples from which on a record is cut to a length whose Fourier transform is fast."""
 
 
-@dataclass(frozen=True)
-class BenchmarkCriteria:
-    """J1 to J9 (Silva et al. 2020), of n axes; NaN where one makes no sense.
-
-    Attributes
-    ----------
-    delay_ms : ndarray
-        J1 of each axis, shape (n,): tracking delay, ms; positive where the measured signal lags.
-    tracking_nrmse : ndarray
-        J2, shape (n,): RMS(m - c) / RMS(c), %.
-    tracking_peak : ndarray
-        J3, shape (n,): max|m - c| / max|c|, %.
-    displacement_nrmse : ndarray
-        J4, J5, J6 of the first three axes, shape (min(n, 3),): RMS(x_ref - x) / RMS(x_ref), %.
-    displacement_peak : ndarray
-        J7, J8, J9, shape (min(n, 3),): max|x_ref - x| / max|x_ref|, %.
-    """
-
-    delay_ms: Floats
-    tracking_nrmse: Floats
-    tracking_peak: Floats
-    displacement_nrmse: Floats
-    displacement_peak: Floats
-
-    def of_axis(self, axis: int) -> dict[str, float]:
-        """Criteria that concern an axis (from 0): J1, J2, J3, and its own of J4-J6 and J7-J9."""
-        tracking = (self.delay_ms, self.tracking_nrmse, self.tracking_peak)
-        found = {f"J{number}": float(row[axis]) for number, row in enumerate(tracking, 1)}
-        if axis < FLOORS:
-            found[f"J{4 + axis}"] = float(self.displacement_nrmse[axis])
-            found[f"J{7 + axis}"] = float(self.displacement_peak[axis])
-        return found
-
-
 def benchmark_criteria(
     commanded: Floats,
     measured: Floats,
@@ -62,7 +28,7 @@ def benchmark_criteria(
     displacement: Floats,
     dt: float,
     steps: Steps | None = None,
-) -> BenchmarkCriteria:
+) -> list[dict[str, float]]:
     """Evaluate a test by the criteria of the benchmark problem for real-time hybrid simulation.
 
     Silva, Gomez, Maghareh, Dyke & Spencer 2020, Mechanical Systems and Signal Processing 135,
@@ -74,28 +40,39 @@ def benchmark_criteria(
     Parameters
     ----------
     commanded, measured : ndarray
-        What is tracked, M samples: reference force and measured force of a step, N.
+        What is tracked, c and m, M samples: reference force and measured force of a step, N.
     reference_displacement, displacement : ndarray
-        Of the reference structure and as measured, shape (L, n) or (L,), m.
+        x_ref of the reference structure and x as measured, shape (L, n) or (L,), m.
     dt : float
         Sampling period, s.
     steps : ndarray of int, optional
         Steps of ``commanded`` and ``measured``, shape (M,), strictly increasing; default all. For
         J1 what is missing is interpolated; J2 and J3 count the steps there are.
+
+    Returns
+    -------
+    list of dict
+        Of each axis ``J1``, the tracking delay, ms, positive where the measured signal lags;
+        ``J2``, RMS(m - c) / RMS(c), and ``J3``, max|m - c| / max|c|, %. The first axis has besides
+        ``J4``, RMS(x_ref - x) / RMS(x_ref), and ``J7``, max|x_ref - x| / max|x_ref|, %; the second
+        these as J5 and J8, the third as J6 and J9.
     """
     c, m = paired_columns(commanded, measured)
     reference, x = paired_columns(reference_displacement, displacement)
     if steps is None:
         steps = np.arange(len(c))
-    tracked = list(zip(m.T, c.T, strict=True))
-    floors = list(zip(x.T, reference.T, strict=True))[:FLOORS]
-    return BenchmarkCriteria(
-        delay_ms=np.array([1e3 * _delay(y, command, dt, steps) for y, command in tracked]),
-        tracking_nrmse=np.array([100 * nrmse(*pair) for pair in tracked]),
-        tracking_peak=np.array([100 * _peak_error(*pair) for pair in tracked]),
-        displacement_nrmse=np.array([100 * nrmse(*pair) for pair in floors]),
-        displacement_peak=np.array([100 * _peak_error(*pair) for pair in floors]),
-    )
+    found = []
+    for axis, tracked in enumerate(zip(m.T, c.T, strict=True)):
+        row = {
+            "J1": 1e3 * _delay(*tracked, dt, steps),
+            "J2": 100 * nrmse(*tracked),
+            "J3": 100 * _peak_error(*tracked),
+        }
+        if axis < FLOORS:
+            floor = x[:, axis], reference[:, axis]
+            row |= {f"J{4 + axis}": 100 * nrmse(*floor), f"J{7 + axis}": 100 * _peak_error(*floor)}
+        found.append(row)
+    return found
 
 
 def _delay(y: Floats, command: Floats, dt: float, steps: Steps) -> float:

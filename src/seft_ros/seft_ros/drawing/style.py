@@ -37,18 +37,8 @@ def tidy(panel: Axes) -> None:
 def legend_below(figure: Figure, entries: dict[str, Artist], columns: int, **font: Any) -> None:
     """Put a legend below all panels of a constrained layout, which makes room for it.
 
-    (matplotlib before 3.7 has no place "outside lower center".)
-
-    Parameters
-    ----------
-    figure : Figure
-        With its panels.
-    entries : dict
-        What is drawn, by its label.
-    columns : int
-        Of the legend.
-    **font : Any
-        ``fontsize`` of the legend.
+    (matplotlib before 3.7 has no place "outside lower center".) ``entries`` are what is drawn, by
+    its label; ``font`` is a ``fontsize``.
     """
     legend = figure.legend(
         list(entries.values()),
@@ -106,19 +96,9 @@ def save_figure(figure: Figure, path: str | Path) -> None:
 
 
 def thinned(y: Floats, most: int = MOST_POINTS) -> npt.NDArray[np.int64]:
-    """Choose samples of a signal that draw the same picture: least and largest of each stretch.
+    """Choose about ``most`` of N samples that draw the same picture; all where there are no more.
 
-    Parameters
-    ----------
-    y : ndarray
-        Shape (N,).
-    most : int
-        About how many to keep.
-
-    Returns
-    -------
-    ndarray of int64
-        Increasing indices; all N where there are no more than ``most``.
+    They are the least and the largest of each stretch; indices increase.
     """
     count = len(y)
     if count <= most:

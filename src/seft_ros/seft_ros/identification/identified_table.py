@@ -65,17 +65,7 @@ _ALWAYS = ("specimen", "coherence")
 
 
 def identified_table(title: str, axes: tuple[str, ...], summary: Mapping[str, Any]) -> Table:
-    """Tabulate a summary, one column for each axis; the caption holds its notes.
-
-    Parameters
-    ----------
-    title : str
-        Heading.
-    axes : tuple of str
-        Names of the axes.
-    summary : mapping
-        As `summarise_identified` gives it.
-    """
+    """Tabulate what `summarise_identified` gives, one column for each axis; notes below."""
     by_axis = [dict(axis) for axis in summary.get("axes", [summary])]
     for index, axis in enumerate(by_axis):
         specimen = {number.key.split(".")[1]: look_up(summary, number.key) for number in _TABLE[3]}
@@ -103,19 +93,11 @@ def summarise_identified(identified: Identified) -> dict[str, Any]:
     Returns
     -------
     dict
-        Of the first axis ``actuator`` (flow_gain_m_per_s_per_v, oil_stiffness_n_per_m,
-        leakage_per_s, force_capacity_n, null where the test does not show it,
-        valve_frequency_hz, valve_damping, dead_time_s; flow_explained, the share of the flow's
-        variance that the oil's balance explains, with a verdict; largest_force_n);
-        of the plant that it makes with the specimen ``plant_zero_hz``, ``plant_zero_damping``,
-        ``plant_pole_hz``, ``plant_pole_damping`` (oil column), ``fit_error``, and in the digital
-        loop ``crossover_hz``, ``phase_margin_deg``, ``gain_margin_db``, ``sensitivity_peak``;
-        ``closed_loop_flat_to_hz``, ``bandwidth_hz``, ``delay_s``, ``dip_db``, ``dip_hz``,
-        ``tracking_fit_error``, ``delay_by_frequency`` (hz, delay_s, magnitude_db, coherence)
-        of the measured closed loop; ``coherence`` of both tests. ``axes`` has these for each
-        axis where there are several. ``specimen`` has mass, damping and stiffness (numbers, of
-        several axes matrices), natural frequencies and dampings; ``notes`` says what could not
-        be told. What was not measured is null.
+        Of the first axis ``actuator``, the plant that it makes with the specimen, margins of the
+        digital loop, the measured closed loop with its ``delay_by_frequency``, and ``coherence``
+        of both tests; ``axes`` has these for each axis where there are several. ``specimen`` has
+        mass, damping and stiffness (numbers, of several axes matrices), natural frequencies and
+        dampings; ``notes`` says what could not be told. What was not measured is null.
     """
     by_axis = [_axis(identified, index) for index in range(len(identified.axes))]
     several = len(by_axis) > 1

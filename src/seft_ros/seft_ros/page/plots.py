@@ -25,18 +25,9 @@ def plot(
     log_y: bool = False,
     height: int = _HEIGHT,
 ) -> figure:
-    """Make an empty figure, as wide as the page gives it room.
+    """Make an empty figure, as wide as the page gives it room and so many pixels high.
 
-    Parameters
-    ----------
-    x_label, y_label : str
-        With unit: ``time / s``.
-    x_range : Range1d, optional
-        Figures with the same one zoom together.
-    log_x, log_y : bool
-        Logarithmic axes.
-    height : int
-        Pixels.
+    Labels are with unit: ``time / s``. Figures with the same ``x_range`` zoom together.
     """
     shared = {} if x_range is None else {"x_range": x_range}
     found = figure(
@@ -75,16 +66,9 @@ def line(
     width: float = 1.3,
     dash: str = "solid",
 ) -> None:
-    """Draw a line, thinned to `MOST_POINTS`; what is not finite is a gap.
+    """Draw a line over increasing x, thinned to `MOST_POINTS`; what is not finite is a gap.
 
-    Parameters
-    ----------
-    panel : figure
-        Of `plot`.
-    x, y : ndarray
-        Shape (N,), x increasing, in the units of the axes.
-    label : str
-        For the legend and under the pointer; empty: neither.
+    The label stands in the legend and under the pointer; empty: in neither.
     """
     at = thinned(y)
     renderer = panel.line(

@@ -24,13 +24,7 @@ def verdict(result: dict[str, Any]) -> str:
 
 
 def replay_table(result: dict[str, Any]) -> Group:
-    """Tabulate how the answers of a node differ from the recorded ones; the verdict below.
-
-    Parameters
-    ----------
-    result : dict
-        As `seft_ros.replay.verdict.judge` gives it.
-    """
+    """Tabulate how the answers of a node differ from the recorded ones; the verdict below."""
     rate = result["answered"] / result["wall_s"] if result["wall_s"] else 0.0
     groups = {result["topic"]: result["fields"]}
     if result["estimates"] is not None:

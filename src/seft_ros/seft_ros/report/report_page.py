@@ -50,22 +50,7 @@ _GAPS = (
 
 
 def write_report(findings: Findings, name: str, path: Path) -> None:
-    """Write the page of a test.
-
-    Parameters
-    ----------
-    findings : Findings
-        As `seft_ros.report.numbers.report_numbers` gives them.
-    name : str
-        What the test is called.
-    path : Path
-        File to be written.
-
-    Raises
-    ------
-    InputError
-        If it can't be written.
-    """
+    """Write the page of a test of this name; an InputError says that it can't be written."""
     write_page(path, f"Test {name}", title_of(findings.record), list(_sections(findings)))
 
 

@@ -40,15 +40,7 @@ _COLUMNS = (
 
 
 def standings_table(standings: Sequence[Standing], title: str) -> Table:
-    """Tabulate the methods at one mass ratio, best first; green: right on every rig.
-
-    Parameters
-    ----------
-    standings : sequence of Standing
-        Of one mass ratio.
-    title : str
-        Heading.
-    """
+    """Tabulate the methods at one mass ratio, best first; green: right on every rig."""
     table = make_table(
         [column.label for column in _COLUMNS],
         (),
