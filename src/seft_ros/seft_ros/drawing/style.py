@@ -58,10 +58,7 @@ def legend_below(figure: Figure, entries: dict[str, Artist], columns: int, **fon
 def check_figure(path: Path) -> Path:
     """Complete the name of a figure's file, before the work is done that it is to show.
 
-    Raises
-    ------
-    InputError
-        If there is no such folder, or figures have no such format.
+    An InputError says that there is no such folder, or that figures have no such format.
     """
     path = path if path.suffix else path.with_suffix(".png")
     known = FigureCanvasAgg.filetypes
@@ -81,10 +78,7 @@ def check_folder(path: Path) -> Path:
 def save_figure(figure: Figure, path: str | Path) -> None:
     """Save a figure; the suffix tells the format, png where there is none.
 
-    Raises
-    ------
-    InputError
-        If the file can't be written.
+    An InputError says why it can't be.
     """
     path = Path(path)
     path = path if path.suffix else path.with_suffix(".png")

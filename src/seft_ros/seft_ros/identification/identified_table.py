@@ -12,6 +12,7 @@ from seft_ros.drawing.tables import Number, look_up, make_table
 from seft_ros.identification.actuator_fit import ActuatorFit
 from seft_ros.identification.identified import ClosedLoop, Identified, ValveResponse
 from seft_ros.identification.measurement import Measurement
+from seft_ros.loop_shaping.design_table import plant_numbers
 
 LISTED_HZ = (1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
 """Frequencies of the table of delays."""
@@ -159,15 +160,10 @@ def _axis(identified: Identified, index: int) -> dict[str, Any]:
 
 
 def _of_valve(valve: ValveResponse | None) -> dict[str, Any]:
-    zero = valve and valve.loop.plant.antiresonance()
-    pole = valve and valve.loop.plant.oil_column()
     margins = valve.loop.margins if valve and valve.controller_known else None
     return {
         "actuator": valve and _of_actuator(valve.actuator),
-        "plant_zero_hz": zero and zero.hz,
-        "plant_zero_damping": zero and zero.damping,
-        "plant_pole_hz": pole and pole.hz,
-        "plant_pole_damping": pole and pole.damping,
+        **plant_numbers(valve and valve.loop.plant),
         "fit_error": valve and valve.error,
         **{key: margins and getattr(margins, key) for key in _MARGINS},
     }

@@ -10,6 +10,7 @@ from seft_ros.drawing.tables import CENTRED, Number, make_table, rows_of
 from seft_ros.loop_shaping.controller import Controller
 from seft_ros.loop_shaping.design import LoopDesign
 from seft_ros.loop_shaping.margins import LoopMargins
+from seft_ros.loop_shaping.plant import Plant
 
 _COMPARED = ("crossover_hz", "phase_margin_deg", "gain_margin_db", "sensitivity_peak")
 
@@ -86,14 +87,10 @@ def summarise(design: LoopDesign) -> dict[str, Any]:
 
     All but ``discretisation: continuous`` is of the sampled loop. What does not exist is None.
     """
-    zero, oil_column = design.plant.antiresonance(), design.plant.oil_column()
-    tracking = design.tracking
+    zero, tracking = design.plant.antiresonance(), design.tracking
     return {
         "plant_source": design.plant.source,
-        "plant_zero_hz": zero.hz if zero else None,
-        "plant_zero_damping": zero.damping if zero else None,
-        "plant_pole_hz": oil_column.hz if oil_column else None,
-        "plant_pole_damping": oil_column.damping if oil_column else None,
+        **plant_numbers(design.plant),
         **_margins(design.margins),
         "closed_loop_flat_to_hz": tracking.flat_to_hz,
         "bandwidth_hz": tracking.bandwidth_hz,
@@ -103,6 +100,16 @@ def summarise(design: LoopDesign) -> dict[str, Any]:
         "dip_hz": tracking.dip_hz,
         "controller": _controller(design.controller),
         "discretisation": _discretisation(design),
+    }
+
+
+def plant_numbers(plant: Plant | None) -> dict[str, float | None]:
+    """Zero (of the specimen) and pole (the oil column) of a plant; None where it has none."""
+    roots = {"zero": plant and plant.antiresonance(), "pole": plant and plant.oil_column()}
+    return {
+        f"plant_{name}_{key}": root and getattr(root, key)
+        for name, root in roots.items()
+        for key in ("hz", "damping")
     }
 
 

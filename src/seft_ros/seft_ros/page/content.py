@@ -128,10 +128,7 @@ class Section:
 def write_page(path: Path, title: str, subtitle: str, sections: Sequence[Section]) -> None:
     """Write a page; figures, the library that draws them, and styles are inside the file.
 
-    Raises
-    ------
-    InputError
-        If the file can't be written.
+    An InputError says why it can't be.
     """
     figures = {
         name: plot.figure
@@ -173,10 +170,7 @@ def _plots(name: str, block: Block) -> list[tuple[str, Plot]]:
 def check_page(path: Path) -> Path:
     """Complete the name of a page's file, before the work is done that it is to show.
 
-    Raises
-    ------
-    InputError
-        If there is no such folder, or it is the name of another kind of file.
+    An InputError says that there is no such folder, or that it names another kind of file.
     """
     path = path if path.suffix else path.with_suffix(SUFFIX)
     if path.suffix.lower() not in (SUFFIX, ".htm"):

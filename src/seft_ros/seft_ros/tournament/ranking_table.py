@@ -63,12 +63,8 @@ def standings_table(standings: Sequence[Standing], title: str) -> Table:
 
 def reasons(standings: Sequence[Standing]) -> list[str]:
     """Say once why each method that is not possible is not."""
-    told = {
-        f"{row.method}: not possible: {row.not_possible}": None
-        for row in standings
-        if row.not_possible is not None
-    }
-    return list(told)
+    without = [row for row in standings if row.not_possible is not None]
+    return list(dict.fromkeys(f"{r.method}: not possible: {r.not_possible}" for r in without))
 
 
 def plain_runs(runs: Sequence[Run]) -> list[str]:
