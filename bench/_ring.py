@@ -12,10 +12,10 @@ import time
 import rclpy
 from _udp_ring import MESSAGE_SIZE
 from rclpy.node import Node
-from seft_msgs_py.middleware import PROFILES, RANGE
-from seft_msgs_py.ros_types import message_class, qos_profile
-from seft_msgs_py.topics import JOINT_TRAJECTORY, Topic
-from seft_msgs_py.wait_set import WaitSet, raw_subscription, sender, take
+from seft_msgs_py.node.middleware import PROFILES, RANGE
+from seft_msgs_py.node.ros_types import message_class, qos_profile
+from seft_msgs_py.node.wait_set import WaitSet, raw_subscription, sender, take
+from seft_msgs_py.wire.topics import JOINT_TRAJECTORY, Topic
 
 
 class Station:

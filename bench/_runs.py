@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from rosbags.highlevel import AnyReader
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.messages import Status, decode_diagnostics
-from seft_msgs_py.middleware import prepare_on_this_host
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.node.middleware import prepare_on_this_host
+from seft_msgs_py.wire.messages import Status, decode_diagnostics
 from seft_ros.experiment.tables import TABLES
 from seft_ros.recording.bag_reader import read_bag
 from seft_ros.recording.record import Record

@@ -9,9 +9,9 @@ import time
 from pathlib import Path
 
 import numpy as np
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.topics import RIG_STATE
-from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.wire.topics import RIG_STATE
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES

@@ -10,8 +10,8 @@ import time
 from pathlib import Path
 
 import numpy as np
-from seft_msgs_py.experiment import Experiment
-from seft_plant_sim.whole_structure import reference_response
+from seft_msgs_py.config.experiment import Experiment
+from seft_plant_sim.reference.whole_structure import reference_response
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.tables import TABLES
 from seft_ros.reference_force.block import ReferenceForce

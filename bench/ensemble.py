@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 from _plain_loop import steps_per_second as plain_steps_per_second
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.topics import RIG_STATE
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.wire.topics import RIG_STATE
 from seft_ros.experiment.ensemble import Workshop, run_ensemble
 from seft_ros.experiment.tables import TABLES
 from seft_ros.tournament.entries import make_tournament

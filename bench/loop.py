@@ -13,7 +13,7 @@ from collections import defaultdict
 import _ring
 import _udp_ring
 from _runs import CONFIG, recorded_run, use_own_domain
-from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.config.experiment import Experiment
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES

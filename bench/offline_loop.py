@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from _plain_loop import steps_per_second as plain_steps_per_second
 from scipy.signal import dlsim
-from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.config.experiment import Experiment
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES

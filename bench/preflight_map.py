@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.config.experiment import Experiment
 from seft_ros.experiment.tables import TABLES
 from seft_ros.preflight.margins import find_margins
 from seft_ros.preflight.plan import Plan

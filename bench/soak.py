@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from _runs import CONFIG, use_own_domain
-from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.config.experiment import Experiment
 from seft_ros.experiment.tables import TABLES
 from seft_ros.recording.bag_reader import read_bag
 from seft_ros.running.processes import MODULES

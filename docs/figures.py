@@ -13,9 +13,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.parameters import Value
-from seft_plant_sim.whole_structure import reference_response
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import Value
+from seft_plant_sim.reference.whole_structure import reference_response
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.drawing.style import FIRST, MARK, OTHERS, REFERENCE, TEXT, save_figure, tidy
 from seft_ros.experiment.blocks import build_blocks

@@ -8,10 +8,10 @@ import time
 
 from rig_driver.driver_node import DriverNode, stand_in
 from rig_driver.parameters import TABLE
-from seft_msgs_py.node_main import NodeKind, run_node
-from seft_msgs_py.node_shell import NodeShell
-from seft_msgs_py.topics import RIG_STATE
-from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_msgs_py.node.node_main import NodeKind, run_node
+from seft_msgs_py.node.node_shell import NodeShell
+from seft_msgs_py.wire.topics import RIG_STATE
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 
 class WrongUnit(DriverNode):

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from graph_tools import JHU, PATIENCE
 from hostile import Hostile
-from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.config.experiment import Experiment
 from seft_ros.commands.main import main
 from seft_ros.experiment.tables import TABLES
 from seft_ros.running.observer import Observer

@@ -9,11 +9,12 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.leaving import leave_graph
-from seft_msgs_py.messages import Status, encode_status, encode_string
-from seft_msgs_py.ros_types import message_class, qos_profile
-from seft_msgs_py.topics import (
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.node.exit_watchdog import leave_graph
+from seft_msgs_py.node.ros_types import message_class, qos_profile
+from seft_msgs_py.node.wait_set import WaitSet, raw_subscription, take
+from seft_msgs_py.wire.messages import Status, encode_status, encode_string
+from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
     GROUND_MOTION,
@@ -24,8 +25,7 @@ from seft_msgs_py.topics import (
     LoopTopic,
     Topic,
 )
-from seft_msgs_py.trajectory import TrajectoryCodec
-from seft_msgs_py.wait_set import WaitSet, raw_subscription, take
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 FAR = 10**9  # a step that no test reaches
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from graph_tools import PATIENCE, ROOT, wait_for
-from seft_msgs_py.topics import NODES
+from seft_msgs_py.wire.topics import NODES
 from seft_ros.recording.bag_reader import read_bag
 
 SHORT = ("ground_motion:synthetic.duration:=3.0", "rig:pace:=lockstep", "recorder:name:=bag")

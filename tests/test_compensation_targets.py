@@ -7,9 +7,9 @@ Peak forces are the largest that the valve serves at these mass ratios. The mode
 import numpy as np
 import pytest
 from graph_tools import JHU, ROOT
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.parameter_file import parse_override
-from seft_msgs_py.topics import VALVE_COMMAND
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_file import parse_override
+from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_ros.analysis.summary import summarise
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.method import with_method

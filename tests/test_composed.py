@@ -11,7 +11,7 @@ from graph_tools import (
     thorough_but,
     wait_for,
 )
-from seft_msgs_py.topics import VALVE_COMMAND
+from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_ros.recording.bag_reader import read_bag
 from test_invariant import EXPERIMENTS, LOCKSTEP, SHORT
 

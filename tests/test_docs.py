@@ -6,9 +6,9 @@ from xml.etree import ElementTree
 
 import pytest
 from graph_tools import ROOT
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.parameter_file import parse_override
-from seft_msgs_py.topics import LOOP_TOPICS, TOPICS
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_file import parse_override
+from seft_msgs_py.wire.topics import LOOP_TOPICS, TOPICS
 from seft_ros.commands.main import APP
 from seft_ros.commands.parameters import parameters_text
 from seft_ros.experiment.tables import TABLES

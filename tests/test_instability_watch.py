@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 import pytest
 from graph_tools import JHU, ROOT, THOROUGH
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.parameter_file import parse_override
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_file import parse_override
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.method import with_method
 from seft_ros.experiment.offline import simulate

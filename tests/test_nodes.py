@@ -10,7 +10,7 @@ import pytest
 from graph_tools import JHU, MISSES_ALLOWED, PATIENCE, STALLS_ALLOWED, wait_for
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
-from seft_msgs_py.topics import NODES
+from seft_msgs_py.wire.topics import NODES
 from seft_ros.interlock.ramp_down import RampDown
 from seft_ros.recording.bag_reader import read_bag
 from seft_ros.running.processes import MODULES

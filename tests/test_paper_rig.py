@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from graph_tools import JHU, ROOT
-from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.config.experiment import Experiment
 from seft_ros.analysis.summary import reference_of, summarise
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate

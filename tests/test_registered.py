@@ -10,7 +10,7 @@ THEIRS = '''"""A compensation method, a controller and a spring."""
 from dataclasses import dataclass
 
 import numpy as np
-from seft_plant_sim.restoring_force import HystereticSpring
+from seft_plant_sim.specimen.restoring_force import HystereticSpring
 from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.reference_force.compensation.linear_filter import LinearCompensator, LinearFilter
 

@@ -14,9 +14,9 @@ from graph_tools import (
     thorough,
     wait_for,
 )
-from seft_msgs_py.rigs import rigs_of
-from seft_msgs_py.topics import RIG_STATE, VALVE_COMMAND
-from seft_msgs_py.trajectory_message import parse_trajectory
+from seft_msgs_py.wire.rigs import rigs_of
+from seft_msgs_py.wire.topics import RIG_STATE, VALVE_COMMAND
+from seft_msgs_py.wire.trajectory_message import parse_trajectory
 from seft_ros.recording.bag_reader import read_bag, read_messages
 from seft_ros.running.processes import COMPOSED, MODULES
 from two_hosts import two_hosts

@@ -7,9 +7,9 @@ import time
 from collections import defaultdict
 
 from graph_tools import JHU, MISSES_ALLOWED, PATIENCE, STALLS_ALLOWED, THOROUGH, children, wait_for
-from seft_msgs_py.messages import decode_diagnostics
-from seft_msgs_py.ros_types import message_class, qos_profile
-from seft_msgs_py.topics import (
+from seft_msgs_py.node.ros_types import message_class, qos_profile
+from seft_msgs_py.wire.messages import decode_diagnostics
+from seft_msgs_py.wire.topics import (
     DIAGNOSTICS,
     LOOP_TOPICS,
     REFERENCE_FORCE,

@@ -1,7 +1,7 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_msgs_py.awake_clock import LONGEST_LOOK, AwakeClock
+from seft_msgs_py.node.awake_clock import LONGEST_LOOK, AwakeClock
 
 
 class Hand:

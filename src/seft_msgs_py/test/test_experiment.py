@@ -6,15 +6,15 @@ import sys
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
-from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.parameter_file import (
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_file import (
     EVERY_NODE,
     parse_override,
     read_parameter_file,
     split_ros_arguments,
 )
-from seft_msgs_py.parameters import Parameter, Table
+from seft_msgs_py.config.parameter_table import Parameter, Table
+from seft_msgs_py.errors import InputError
 
 RIG = Table(
     "rig",

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from seft_msgs_py.description import decode_description
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.estimates import EstimatesCodec
-from seft_msgs_py.messages import (
+from seft_msgs_py.wire.estimates import EstimatesCodec
+from seft_msgs_py.wire.messages import (
     Status,
     decode_clock,
+    decode_description,
     decode_diagnostics,
     decode_status,
     decode_string,
@@ -21,12 +21,12 @@ from seft_msgs_py.messages import (
     encode_status,
     encode_string,
 )
-from seft_msgs_py.outcome import Saturation, Trip, read_outcome, rig_status
-from seft_msgs_py.timebase import Timebase
-from seft_msgs_py.topics import GROUND_MOTION, LOOP_TOPICS
-from seft_msgs_py.trajectory import TrajectoryCodec
-from seft_msgs_py.trajectory_batch import decode_batch
-from seft_msgs_py.trajectory_message import parse_trajectory
+from seft_msgs_py.wire.outcome import Saturation, Trip, read_outcome, rig_status
+from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import GROUND_MOTION, LOOP_TOPICS
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
+from seft_msgs_py.wire.trajectory_batch import decode_batch
+from seft_msgs_py.wire.trajectory_message import parse_trajectory
 
 TIMEBASE = Timebase.from_rate(500.0)
 AXES = ("east", "north")

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.messages import (
+from seft_msgs_py.wire.messages import (
     ERROR,
     OK,
     STALE,

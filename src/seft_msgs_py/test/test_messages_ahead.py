@@ -1,7 +1,7 @@
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_msgs_py.messages_ahead import MessagesAhead
+from seft_msgs_py.wire.messages_ahead import MessagesAhead
 
 D = 3
 NOTHING = np.zeros((1 + D, 1))

@@ -1,5 +1,5 @@
 import pytest
-from seft_msgs_py.middleware import NETWORK, ONE_HOST, PROFILES, RANGE, prepare_middleware
+from seft_msgs_py.node.middleware import NETWORK, ONE_HOST, PROFILES, RANGE, prepare_middleware
 
 
 @pytest.mark.parametrize(

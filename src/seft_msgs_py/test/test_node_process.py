@@ -4,7 +4,7 @@ import subprocess
 import sys
 
 PROGRAM = """
-from seft_msgs_py.node_process import NodeProcess
+from seft_msgs_py.node.node_process import NodeProcess
 process = NodeProcess([], ["somebody"])
 called = []
 process.every_turn(lambda: called.append("look"))

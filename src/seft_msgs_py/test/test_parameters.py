@@ -3,8 +3,8 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from seft_msgs_py.config.parameter_table import Parameter, Table, group, nearest, resolve
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.parameters import Parameter, Table, group, nearest, resolve
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 KINDS = ("float", "int", "bool", "string", "floats", "ints", "strings")

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from seft_msgs_py import realtime
+from seft_msgs_py.node import realtime
 
 EQUAL_ADDRESSES = pytest.mark.skipif(
     subprocess.run(["setarch", "-R", "true"], stderr=subprocess.DEVNULL).returncode != 0,
@@ -16,7 +16,7 @@ EQUAL_ADDRESSES = pytest.mark.skipif(
 WISH = {"cpu_core": -1, "keep_awake": False, "lock_memory": False, "thread_priority": 0}
 PROGRAM = """
 import ctypes, json, os, resource, sys
-from seft_msgs_py import realtime
+from seft_msgs_py.node import realtime
 realtime.granted()  # imports what nobody may not be allowed to read
 if sys.argv[2] == "deny":
     resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
@@ -32,7 +32,7 @@ OF_THE_LOOP = ("dds.udp.7411", "another")
 ASIDE = ("dds.ev.0", "dds.asyn.0.0", "dds.udp.7410")
 THREADS = """
 import ctypes, json, os, sys, threading
-from seft_msgs_py import realtime
+from seft_msgs_py.node import realtime
 names, ids, named, over = sys.argv[2:], [], threading.Semaphore(0), threading.Event()
 def live(name):
     ctypes.CDLL(None).prctl(15, name.encode())  # PR_SET_NAME
@@ -52,8 +52,8 @@ GRAPH = """
 from pathlib import Path
 import rclpy
 from rclpy.node import Node
-from seft_msgs_py.middleware import prepare_on_this_host
-from seft_msgs_py.realtime import side_threads
+from seft_msgs_py.node.middleware import prepare_on_this_host
+from seft_msgs_py.node.realtime import side_threads
 prepare_on_this_host()
 rclpy.init(args=[])
 node = Node("somebody")
@@ -167,7 +167,7 @@ def test_equal_addresses_are_told(equal):
 PRECEDENCE = """
 import os, subprocess, sys
 from pathlib import Path
-from seft_msgs_py.realtime import take_precedence
+from seft_msgs_py.node.realtime import take_precedence
 if sys.argv[1] == "deny":
     os.setgroups([])
     os.setgid(65534)
@@ -204,7 +204,7 @@ def test_precedence_is_taken_where_it_is_allowed_and_for_a_session_of_its_own(ho
 
 def test_threads_are_woken_on_time():
     program = (
-        "import ctypes, threading; from seft_msgs_py.realtime import wake_on_time\n"
+        "import ctypes, threading; from seft_msgs_py.node.realtime import wake_on_time\n"
         "def tell(): print(ctypes.CDLL(None).prctl(30))  # PR_GET_TIMERSLACK\n"
         "tell(); wake_on_time(); tell(); t = threading.Thread(target=tell); t.start(); t.join()"
     )

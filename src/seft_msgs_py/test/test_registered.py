@@ -4,8 +4,8 @@ import sys
 import types
 
 import pytest
+from seft_msgs_py.config.registered import Registered
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.registered import Registered
 
 
 def own_factory(knowledge, gain=1.0):

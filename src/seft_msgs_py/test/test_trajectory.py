@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.messages import typestore
-from seft_msgs_py.timebase import Timebase
-from seft_msgs_py.topics import (
+from seft_msgs_py.wire.messages import typestore
+from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import (
     GROUND_MOTION,
     JOINT_TRAJECTORY,
     LOOP_TOPICS,
@@ -18,8 +18,8 @@ from seft_msgs_py.topics import (
     RIG_STATE,
     TARGET,
 )
-from seft_msgs_py.trajectory import TrajectoryCodec
-from seft_msgs_py.trajectory_message import parse_trajectory
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
+from seft_msgs_py.wire.trajectory_message import parse_trajectory
 
 serialization = pytest.importorskip("rclpy.serialization")
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint  # noqa: E402

@@ -6,9 +6,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from seft_plant_sim.piston import COLUMNS as PISTON
-from seft_plant_sim.restoring_force import Spring
-from seft_plant_sim.specimen import Specimen
+from seft_plant_sim.actuator.hydraulics import COLUMNS as PISTON
+from seft_plant_sim.specimen.restoring_force import Spring
+from seft_plant_sim.specimen.specimen import Specimen
 
 Floats = npt.NDArray[np.float64]
 Drive = Literal["valve_command", "reference_force"]

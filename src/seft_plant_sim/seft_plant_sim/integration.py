@@ -8,10 +8,10 @@ import numpy.typing as npt
 from scipy.linalg import expm
 from seft_msgs_py.errors import InputError
 
+from seft_plant_sim.actuator.hydraulics import FASTEST, holding_force, lost_opening
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.continuous_model import ContinuousModel
-from seft_plant_sim.piston import FASTEST, holding_force, lost_opening
-from seft_plant_sim.spring_laws import (
+from seft_plant_sim.specimen.spring_laws import (
     BESIDE,
     GAP,
     HYSTERETIC,

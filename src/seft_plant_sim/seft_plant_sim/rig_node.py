@@ -9,14 +9,14 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from seft_msgs_py.awake_clock import AwakeClock
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.messages import Status, decode_status, encode_clock, restamp
-from seft_msgs_py.node_main import NodeKind, run_node
-from seft_msgs_py.node_shell import WARM_UP_STEPS, NodeShell
-from seft_msgs_py.outcome import FINISHED, LISTED_STEPS, STOPPED, TRIPPED, Trip, rig_status
-from seft_msgs_py.rigs import until_start
-from seft_msgs_py.topics import (
+from seft_msgs_py.node.awake_clock import AwakeClock
+from seft_msgs_py.node.node_main import NodeKind, run_node
+from seft_msgs_py.node.node_shell import WARM_UP_STEPS, NodeShell
+from seft_msgs_py.wire.messages import Status, decode_status, encode_clock, restamp
+from seft_msgs_py.wire.outcome import FINISHED, LISTED_STEPS, STOPPED, TRIPPED, Trip, rig_status
+from seft_msgs_py.wire.rigs import until_start
+from seft_msgs_py.wire.topics import (
     CLOCK_TOPIC,
     EXPERIMENT_STATE,
     REFERENCE_FORCE,
@@ -24,15 +24,13 @@ from seft_msgs_py.topics import (
     VALVE_COMMAND,
     LoopTopic,
 )
-from seft_msgs_py.trajectory import Floats, TrajectoryCodec
+from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
-from seft_plant_sim.command import Command
-from seft_plant_sim.parameters import TABLE
-from seft_plant_sim.rig import Rig
-from seft_plant_sim.rig_diagnostics import with_health
-from seft_plant_sim.round_trip import RoundTrip
-from seft_plant_sim.safe_stop import Stopped
-from seft_plant_sim.sample_clock import SampleClock
+from seft_plant_sim.rig.command import Command
+from seft_plant_sim.rig.rig import Rig, Stopped
+from seft_plant_sim.rig.rig_diagnostics import RoundTrip, with_health
+from seft_plant_sim.rig.rig_parameters import TABLE
+from seft_plant_sim.rig.sample_clock import SampleClock
 
 CLOCK_PERIOD = 0.1  # s of the test's time
 BREATH = 0.005  # s from the first answer in realtime to the time of step 0

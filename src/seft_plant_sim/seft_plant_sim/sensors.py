@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.arrays import per_axis
+from seft_msgs_py.config.arrays import per_axis
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.compiled import compiled

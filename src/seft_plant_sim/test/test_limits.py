@@ -4,10 +4,18 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from seft_msgs_py.config.parameter_table import Table
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.parameters import Table
-from seft_plant_sim.limits import NAMES, RATE_UNITS, ROWS, Limits, exceeds, limit_rows
-from seft_plant_sim.saturated_time import SaturatedTime, is_exceeded
+from seft_plant_sim.rig.limits import (
+    NAMES,
+    RATE_UNITS,
+    ROWS,
+    Limits,
+    SaturatedTime,
+    exceeds,
+    is_exceeded,
+    limit_rows,
+)
 
 PAPER = {"displacement": 0.076, "velocity": 0.5, "acceleration": 98.1, "force": 22200.0}
 RATES = {

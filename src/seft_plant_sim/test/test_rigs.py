@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_file import parse_override
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.parameter_file import parse_override
-from seft_plant_sim.parameters import TABLE
-from seft_plant_sim.rig import Rig
-from seft_plant_sim.rigs import Rigs
+from seft_plant_sim.rig.rig import Rig, Rigs
+from seft_plant_sim.rig.rig_parameters import TABLE
 
 PLAN = (
     "/**:axes:=[west/x, east/x, west/y]",

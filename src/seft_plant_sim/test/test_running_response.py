@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_msgs_py.experiment import Experiment
-from seft_plant_sim.parameters import TABLE
-from seft_plant_sim.running_response import RunningResponse
-from seft_plant_sim.whole_structure import reference_response
+from seft_msgs_py.config.experiment import Experiment
+from seft_plant_sim.reference.whole_structure import RunningResponse, reference_response
+from seft_plant_sim.rig.rig_parameters import TABLE
 
 MODEL = {"model.mass": [52.7], "method": "seft", "mass_ratio": 1.5, "rate": 500.0, "axes": ["x"]}
 

@@ -2,11 +2,18 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from seft_msgs_py.config.parameter_table import group, resolve
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.parameters import group, resolve
-from seft_plant_sim.parameters import TABLE
-from seft_plant_sim.specimen import Specimen
-from seft_plant_sim.spring_laws import BESIDE, EXPONENT, HYSTERETIC, SLIP, STIFFNESS_LOSS, Z_Y
+from seft_plant_sim.rig.rig_parameters import TABLE
+from seft_plant_sim.specimen.specimen import Specimen
+from seft_plant_sim.specimen.spring_laws import (
+    BESIDE,
+    EXPONENT,
+    HYSTERETIC,
+    SLIP,
+    STIFFNESS_LOSS,
+    Z_Y,
+)
 
 STOREYS = np.array([[1.0, 0.0, 0.0], [-1.0, 1.0, 0.0], [0.0, -1.0, 1.0]])  # of a shear frame
 

@@ -15,8 +15,8 @@ from launch.event_handlers import OnProcessStart
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.rigs import bare, rig_name, with_rigs
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.wire.rigs import bare, rig_name, with_rigs
 from seft_ros.experiment.tables import TABLES
 from seft_ros.running.arrangement import LOOP_NODES, Arrangement
 from seft_ros.running.placement import Placement

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.topics import LOOP_TOPICS
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.comparison import compare
 from seft_ros.analysis.comparison_text import comparison_table
 from seft_ros.recording.record import Estimates, Record, Series

@@ -5,9 +5,9 @@ import io
 import numpy as np
 import pytest
 from rich.console import Console
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.topics import LOOP_TOPICS
+from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.comparison import compare, compare_all
 from seft_ros.analysis.comparison_text import comparison_table, comparisons_table
 from seft_ros.recording.record import Record, Series

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.topics import LOOP_TOPICS
+from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.comparison import compare_all
 from seft_ros.analysis.figures import comparison_figure
 from seft_ros.recording.record import Record, Series

@@ -8,8 +8,8 @@ import math
 import numpy as np
 import pytest
 from rich.console import Console
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.topics import LOOP_TOPICS
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.figures import test_figure as draw
 from seft_ros.analysis.summary import summarise
 from seft_ros.analysis.summary_text import summary_table

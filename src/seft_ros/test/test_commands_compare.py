@@ -17,9 +17,9 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.messages import encode_string
-from seft_msgs_py.topics import CLOCK, DESCRIPTION, GROUND_MOTION, LOOP_TOPICS, STRING
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.wire.messages import encode_string
+from seft_msgs_py.wire.topics import CLOCK, DESCRIPTION, GROUND_MOTION, LOOP_TOPICS, STRING
 from seft_ros.recording.bag_reader import read_bag
 from seft_ros.recording.record import Record, Series
 from seft_ros.recording.record_bag import write_record

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 from matplotlib.figure import Figure
-from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.config.experiment import Experiment
 from seft_ros.experiment.tables import TABLES
 
 JHU = str(Path(__file__).parents[3] / "config" / "jhu.yaml")

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.parameter_file import parse_override, read_parameter_file
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_file import parse_override, read_parameter_file
 from seft_ros.experiment.tables import TABLES
 from seft_ros.loop_shaping.controller import Controller
 from seft_ros.loop_shaping.design import shape_loop

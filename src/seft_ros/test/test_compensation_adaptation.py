@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, lfilter
-from seft_msgs_py.parameters import resolve
-from seft_msgs_py.timebase import Timebase
+from seft_msgs_py.config.parameter_table import resolve
+from seft_msgs_py.wire.timebase import Timebase
 from seft_ros.reference_force.block import knowledge
 from seft_ros.reference_force.compensation.ats import parabola_weights
 from seft_ros.reference_force.compensation.delay.band_pass import BandPass

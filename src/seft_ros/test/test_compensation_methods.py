@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
+from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.parameters import resolve
-from seft_msgs_py.timebase import Timebase
+from seft_msgs_py.wire.timebase import Timebase
 from seft_ros.reference_force.block import knowledge
 from seft_ros.reference_force.compensation.methods import METHODS
 from seft_ros.reference_force.compensation.polynomial import lagrange_weights

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.parameters import resolve
-from seft_msgs_py.timebase import Timebase
-from seft_plant_sim.whole_structure import reference_response
+from seft_msgs_py.wire.timebase import Timebase
+from seft_plant_sim.reference.whole_structure import reference_response
 from seft_ros.reference_force.block import compensator, knowledge
 from seft_ros.reference_force.compensation.methods import METHODS
 from seft_ros.reference_force.compensation.names import TARGET_MOTION

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.messages import Status
-from seft_msgs_py.topics import RIG_STATE, VALVE_COMMAND
-from seft_msgs_py.trajectory import TrajectoryCodec
-from seft_plant_sim.command import Command
-from seft_plant_sim.rig import Rig
+from seft_msgs_py.wire.messages import Status
+from seft_msgs_py.wire.topics import RIG_STATE, VALVE_COMMAND
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
+from seft_plant_sim.rig.command import Command
+from seft_plant_sim.rig.rig import Rig
 from seft_ros.conformance import message_checks, motion_checks, obedience_checks, timing_checks
 from seft_ros.conformance.bad_commands import KINDS, BadCommands
 from seft_ros.conformance.drive import Drive

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_file import parse_override
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.parameter_file import parse_override
-from seft_msgs_py.rigs import rigs_of
+from seft_msgs_py.wire.rigs import rigs_of
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES

@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import pytest
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_file import parse_override
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.parameter_file import parse_override
-from seft_msgs_py.topics import NODES
+from seft_msgs_py.wire.topics import NODES
 from seft_ros.experiment.tables import TABLES
 
 CONFIG = Path(__file__).parents[3] / "config"

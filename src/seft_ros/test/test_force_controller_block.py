@@ -6,7 +6,7 @@ import scipy.signal
 from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.timebase import Timebase
+from seft_msgs_py.wire.timebase import Timebase
 from seft_ros.force_controller.block import ForceController, bilinear
 from seft_ros.force_controller.parameters import TABLE
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import SeftError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.messages import encode_diagnostics, encode_string
-from seft_msgs_py.outcome import rig_status
-from seft_msgs_py.topics import DESCRIPTION, DIAGNOSTICS, RIG_STATE
-from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_msgs_py.wire.messages import encode_diagnostics, encode_string
+from seft_msgs_py.wire.outcome import rig_status
+from seft_msgs_py.wire.topics import DESCRIPTION, DIAGNOSTICS, RIG_STATE
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.experiment.tables import TABLES
 from seft_ros.recording.bag_reader import read_bag
 from seft_ros.recording.bag_writer import BagWriter

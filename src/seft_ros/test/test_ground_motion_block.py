@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from seft_msgs_py.config.parameter_table import Table, resolve
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.parameters import Table, resolve
-from seft_msgs_py.timebase import Timebase
+from seft_msgs_py.wire.timebase import Timebase
 from seft_ros.ground_motion.block import GroundMotion
 from seft_ros.ground_motion.parameters import TABLE
 from seft_ros.ground_motion.resample import resample

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.timebase import Timebase
+from seft_msgs_py.wire.timebase import Timebase
 from seft_ros.ground_motion.block import GroundMotion
 from seft_ros.ground_motion.figure import motion_figure
 from seft_ros.ground_motion.spectrum import motion_summary, response_spectrum

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.timebase import Timebase
+from seft_msgs_py.wire.timebase import Timebase
 from seft_ros.ground_motion.block import GroundMotion
 from seft_ros.ground_motion.parameters import TABLE
 from seft_ros.identification.excitation import SIGNALS, excitation, write_excitation

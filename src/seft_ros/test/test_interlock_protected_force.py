@@ -3,7 +3,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from seft_plant_sim.computed_substructure import ComputedSubstructure
+from seft_plant_sim.reference.computed_substructure import ComputedSubstructure
 from seft_ros.interlock.instability import InstabilityWatch
 from seft_ros.interlock.plausibility import PlausibleForce
 from seft_ros.interlock.protected_force import ProtectedForce

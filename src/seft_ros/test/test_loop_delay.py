@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_file import parse_override
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.parameter_file import parse_override
 from seft_ros.analysis.summary import summarise
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from seft_msgs_py.config.parameter_file import read_parameter_file
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.parameter_file import read_parameter_file
 from seft_ros.loop_shaping.controller import Controller
 from seft_ros.loop_shaping.given_controller import given_controller
 from seft_ros.loop_shaping.parameter_file import write_controller

@@ -2,8 +2,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
 from seft_ros.experiment.tables import TABLES
 from seft_ros.loop_shaping.design import shape_loop
 from seft_ros.loop_shaping.plant import rig_plant

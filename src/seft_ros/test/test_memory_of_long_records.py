@@ -5,8 +5,8 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.topics import LOOP_TOPICS
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.comparison import compare
 from seft_ros.analysis.summary import reference_of, summarise
 from seft_ros.recording import bag_reader

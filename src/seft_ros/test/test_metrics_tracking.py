@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.config.experiment import Experiment
 from seft_ros.analysis.metrics import delayed
 from seft_ros.analysis.summary import summarise
 from seft_ros.analysis.tracking import tracking_of

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
-from seft_msgs_py.trajectory import TrajectoryCodec
-from seft_plant_sim.whole_structure import reference_response, whole_structure
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
+from seft_plant_sim.reference.whole_structure import reference_response, whole_structure
 from seft_ros.analysis.equivalent_motion import EquivalentMotion, motion_difference, told_structure
 from seft_ros.experiment.tables import TABLES
 from seft_ros.ground_motion.spectrum import response_spectrum

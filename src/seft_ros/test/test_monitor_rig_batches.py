@@ -1,8 +1,8 @@
 """States of several rigs, as a monitor puts them together."""
 
 import numpy as np
-from seft_msgs_py.messages import Status
-from seft_msgs_py.rigs import rigs_of
+from seft_msgs_py.wire.messages import Status
+from seft_msgs_py.wire.rigs import rigs_of
 from seft_ros.monitor.rig_batches import RigBatches
 from seft_ros.monitor.session import Session
 

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from seft_msgs_py.messages import ERROR, OK, Status
+from seft_msgs_py.wire.messages import ERROR, OK, Status
 from seft_ros.monitor.session import EVENTS, SILENCE, Session
 
 

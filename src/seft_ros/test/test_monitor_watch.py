@@ -4,10 +4,10 @@ import json
 from pathlib import Path
 
 import numpy as np
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.messages import encode_string
-from seft_msgs_py.topics import DESCRIPTION, RIG_STATE
-from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.wire.messages import encode_string
+from seft_msgs_py.wire.topics import DESCRIPTION, RIG_STATE
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.experiment.tables import TABLES
 from seft_ros.monitor.watch import Watch
 

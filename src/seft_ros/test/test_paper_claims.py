@@ -111,7 +111,7 @@ def test_a_simulation_explains_an_error_only_where_it_has_it():
 
 
 def test_a_test_that_ended_early_is_not_stable():
-    from seft_msgs_py.outcome import Trip
+    from seft_msgs_py.wire.outcome import Trip
 
     whole = outcome(SLOW)
     assert whole.stable

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from seft_msgs_py.outcome import Trip
+from seft_msgs_py.wire.outcome import Trip
 from seft_ros.loop_shaping.roots import Root
 from seft_ros.paper.claims_delay import claims_compensation, claims_delay
 from seft_ros.paper.claims_tests import claims_tests

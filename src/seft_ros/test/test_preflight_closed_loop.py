@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 from scipy.signal import ss2tf
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_plant_sim.limits import ROWS
-from seft_plant_sim.rig import Rig, continuous_model
+from seft_plant_sim.rig.limits import ROWS
+from seft_plant_sim.rig.rig import Rig, continuous_model
 from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.block import ForceController
 from seft_ros.preflight.closed_loop import ClosedLoop

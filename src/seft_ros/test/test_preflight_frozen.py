@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_plant_sim.limits import ROWS
-from seft_plant_sim.rig import Rig
+from seft_plant_sim.rig.limits import ROWS
+from seft_plant_sim.rig.rig import Rig
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES

@@ -7,11 +7,11 @@ import yaml
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.estimates import EstimatesCodec
-from seft_msgs_py.messages import Status, encode_diagnostics, encode_status, encode_string
-from seft_msgs_py.outcome import Trip, rig_status
-from seft_msgs_py.timebase import Timebase
-from seft_msgs_py.topics import (
+from seft_msgs_py.wire.estimates import EstimatesCodec
+from seft_msgs_py.wire.messages import Status, encode_diagnostics, encode_status, encode_string
+from seft_msgs_py.wire.outcome import Trip, rig_status
+from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import (
     CLOCK,
     DESCRIPTION,
     DIAGNOSTICS,
@@ -24,7 +24,7 @@ from seft_msgs_py.topics import (
     STRING,
     VALVE_COMMAND,
 )
-from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.recording.bag_reader import read_bag
 from seft_ros.recording.bag_writer import BagWriter
 

@@ -13,9 +13,9 @@ from mcap.reader import make_reader
 from rosbags.interfaces import QosDurability, QosHistory, QosReliability
 from rosbags.rosbag2 import Reader, StoragePlugin
 from seft_msgs_py.errors import ExperimentError, InputError
-from seft_msgs_py.messages import encode_diagnostics, encode_string
-from seft_msgs_py.timebase import Timebase
-from seft_msgs_py.topics import (
+from seft_msgs_py.wire.messages import encode_diagnostics, encode_string
+from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
     EXPERIMENT_STATE,
@@ -23,7 +23,7 @@ from seft_msgs_py.topics import (
     TOPICS,
     VALVE_COMMAND,
 )
-from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.recording import bag_writer
 from seft_ros.recording.bag_storage import UnsyncedWriter
 from seft_ros.recording.bag_writer import BagWriter
@@ -203,8 +203,8 @@ KILLED = """
 import sys, time
 from pathlib import Path
 sys.path[:0] = {paths}
-from seft_msgs_py.messages import encode_string
-from seft_msgs_py.topics import DESCRIPTION
+from seft_msgs_py.wire.messages import encode_string
+from seft_msgs_py.wire.topics import DESCRIPTION
 from seft_ros.recording import bag_writer
 bag_writer.FLUSH_PERIOD = {period}
 bag = bag_writer.BagWriter({path!r}, {storage!r})
@@ -270,8 +270,8 @@ FULL_DISK = """
 import resource, sys
 sys.path[:0] = {paths}
 from seft_msgs_py.errors import ExperimentError
-from seft_msgs_py.messages import encode_string
-from seft_msgs_py.topics import DESCRIPTION
+from seft_msgs_py.wire.messages import encode_string
+from seft_msgs_py.wire.topics import DESCRIPTION
 from seft_ros.recording import bag_writer
 bag_writer.FLUSH_PERIOD = 0.0
 try:
@@ -306,8 +306,8 @@ LITTLE_ROOM = """
 import sys
 sys.path[:0] = {paths}
 from seft_msgs_py.errors import SeftError
-from seft_msgs_py.messages import encode_string
-from seft_msgs_py.topics import DESCRIPTION
+from seft_msgs_py.wire.messages import encode_string
+from seft_msgs_py.wire.topics import DESCRIPTION
 from seft_ros.recording import bag_writer
 bag_writer.FLUSH_PERIOD = {period}
 written = 0

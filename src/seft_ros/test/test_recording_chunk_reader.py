@@ -8,8 +8,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 from rosbags.rosbag2.errors import ReaderError
 from rosbags.typesys import Stores, get_typestore
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.messages import encode_string
-from seft_msgs_py.topics import STRING
+from seft_msgs_py.wire.messages import encode_string
+from seft_msgs_py.wire.topics import STRING
 from seft_ros.recording import chunk_reader
 from seft_ros.recording.bag_files import open_bag, read_blocks
 from seft_ros.recording.chunk_reader import message_starts

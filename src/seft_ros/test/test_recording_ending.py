@@ -1,8 +1,8 @@
 """What rig and supervisor say of a test's end, put together."""
 
-from seft_msgs_py.messages import Status
-from seft_msgs_py.outcome import STOPPED, Outcome, Trip
-from seft_msgs_py.timebase import Timebase
+from seft_msgs_py.wire.messages import Status
+from seft_msgs_py.wire.outcome import STOPPED, Outcome, Trip
+from seft_msgs_py.wire.timebase import Timebase
 from seft_ros.recording.ending import trip_of
 
 TIMEBASE = Timebase.from_rate(500)

@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.messages import ERROR, OK, WARN, Status, decode_status, encode_status
-from seft_msgs_py.outcome import LISTED_STEPS, Outcome, Trip, read_outcome, rig_status
-from seft_msgs_py.timebase import Timebase
+from seft_msgs_py.wire.messages import ERROR, OK, WARN, Status, decode_status, encode_status
+from seft_msgs_py.wire.outcome import LISTED_STEPS, Outcome, Trip, read_outcome, rig_status
+from seft_msgs_py.wire.timebase import Timebase
 
 TIMEBASE = Timebase.from_rate(500.0)
 COUNT = st.integers(0, 10**9)

@@ -6,13 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from rosbags.rosbag2 import Reader
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.outcome import Trip
-from seft_msgs_py.timebase import Timebase
-from seft_msgs_py.topics import LOOP_TOPICS
-from seft_msgs_py.trajectory import TrajectoryCodec
-from seft_msgs_py.trajectory_message import parse_trajectory
+from seft_msgs_py.wire.outcome import Trip
+from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import LOOP_TOPICS
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
+from seft_msgs_py.wire.trajectory_message import parse_trajectory
 from seft_ros.recording.bag_reader import read_bag
 from seft_ros.recording.record import Estimates, Record, Series
 from seft_ros.recording.record_bag import write_record

@@ -14,10 +14,10 @@ from mcap.writer import Writer as PlainWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.messages import encode_string
-from seft_msgs_py.timebase import Timebase
-from seft_msgs_py.topics import DESCRIPTION, VALVE_COMMAND
-from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_msgs_py.wire.messages import encode_string
+from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import DESCRIPTION, VALVE_COMMAND
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.recording import recover as recover_module
 from seft_ros.recording.bag_files import open_bag
 from seft_ros.recording.bag_writer import BagWriter

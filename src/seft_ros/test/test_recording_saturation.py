@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import pytest
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.parameter_file import parse_override
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_file import parse_override
 from seft_ros.analysis.summary import summarise
 from seft_ros.analysis.summary_text import verdict
 from seft_ros.experiment.blocks import build_blocks

@@ -7,20 +7,20 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_file import parse_override
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.estimates import EstimatesCodec
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.messages import Status, encode_status
-from seft_msgs_py.parameter_file import parse_override
-from seft_msgs_py.timebase import Timebase
-from seft_msgs_py.topics import (
+from seft_msgs_py.wire.estimates import EstimatesCodec
+from seft_msgs_py.wire.messages import Status, encode_status
+from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import (
     ESTIMATES,
     EXPERIMENT_STATE,
     GROUND_MOTION,
     REFERENCE_FORCE,
     RIG_STATE,
 )
-from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.messages import Status, encode_status
-from seft_msgs_py.topics import EXPERIMENT_STATE, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
-from seft_plant_sim.rig import Rig
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.wire.messages import Status, encode_status
+from seft_msgs_py.wire.topics import EXPERIMENT_STATE, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
+from seft_plant_sim.rig.rig import Rig
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.compiled_loop import Course
 from seft_ros.experiment.offline import loop_series, simulate

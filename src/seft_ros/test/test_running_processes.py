@@ -5,7 +5,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from seft_msgs_py.realtime import FIRST
+from seft_msgs_py.node.realtime import FIRST
 from seft_ros.running.arrangement import LOOP_NODES, Arrangement
 from seft_ros.running.processes import NodeProcesses
 

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.arrays import per_axis
-from seft_msgs_py.parameters import Parameter
+from seft_msgs_py.config.arrays import per_axis
+from seft_msgs_py.config.parameter_table import Parameter
 
 Floats = npt.NDArray[np.float64]
 

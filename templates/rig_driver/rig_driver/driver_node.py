@@ -10,19 +10,19 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from seft_msgs_py.arrays import per_axis
-from seft_msgs_py.awake_clock import AwakeClock
+from seft_msgs_py.config.arrays import per_axis
+from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.messages import ERROR, OK, Status, decode_status, encode_clock
-from seft_msgs_py.node_main import NodeKind, run_node
-from seft_msgs_py.node_shell import NodeShell
-from seft_msgs_py.outcome import FINISHED, LISTED_STEPS, STOPPED, TRIPPED, Trip, rig_status
-from seft_msgs_py.parameters import group
-from seft_msgs_py.rigs import until_start
-from seft_msgs_py.topics import CLOCK_TOPIC, EXPERIMENT_STATE, RIG_STATE, VALVE_COMMAND
-from seft_msgs_py.trajectory import Floats, TrajectoryCodec
-from seft_plant_sim.command import Command
-from seft_plant_sim.limits import Limits
+from seft_msgs_py.node.awake_clock import AwakeClock
+from seft_msgs_py.node.node_main import NodeKind, run_node
+from seft_msgs_py.node.node_shell import NodeShell
+from seft_msgs_py.wire.messages import ERROR, OK, Status, decode_status, encode_clock
+from seft_msgs_py.wire.outcome import FINISHED, LISTED_STEPS, STOPPED, TRIPPED, Trip, rig_status
+from seft_msgs_py.wire.rigs import until_start
+from seft_msgs_py.wire.topics import CLOCK_TOPIC, EXPERIMENT_STATE, RIG_STATE, VALVE_COMMAND
+from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
+from seft_plant_sim.rig.command import Command
+from seft_plant_sim.rig.limits import Limits
 
 from rig_driver.calibration import Calibration
 from rig_driver.hardware import Hardware

@@ -1,8 +1,8 @@
 """Parameter table of the driver: the names that other nodes and the operator know it by."""
 
-from seft_msgs_py import realtime
-from seft_msgs_py.parameters import Parameter, Table
-from seft_plant_sim.limits import limit_rows
+from seft_msgs_py.config.parameter_table import Parameter, Table
+from seft_msgs_py.node import realtime
+from seft_plant_sim.rig.limits import limit_rows
 
 from rig_driver.calibration import PARAMETERS as CALIBRATION
 

@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.topics import LOOP_TOPICS
+from seft_msgs_py.wire.topics import LOOP_TOPICS
 
 from seft_ros.recording.record import Record, Series
 

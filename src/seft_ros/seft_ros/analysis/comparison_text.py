@@ -4,7 +4,7 @@ from typing import Any
 
 from rich.console import Group
 from rich.text import Text
-from seft_msgs_py.topics import LOOP_TOPICS, TARGET
+from seft_msgs_py.wire.topics import LOOP_TOPICS, TARGET
 
 from seft_ros.analysis.comparison import length_s
 from seft_ros.analysis.summary_text import title_of

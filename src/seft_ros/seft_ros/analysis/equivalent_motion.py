@@ -8,10 +8,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import eigh
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.topics import GROUND_MOTION, RIG_STATE
-from seft_plant_sim.whole_structure import WholeStructure, reference_response, whole_structure
+from seft_msgs_py.wire.topics import GROUND_MOTION, RIG_STATE
+from seft_plant_sim.reference.whole_structure import (
+    WholeStructure,
+    reference_response,
+    whole_structure,
+)
 
 from seft_ros.analysis.alignment import every_step
 from seft_ros.analysis.metrics import nrmse

@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.topics import RIG_STATE
-from seft_plant_sim.whole_structure import ReferenceResponse
+from seft_msgs_py.wire.topics import RIG_STATE
+from seft_plant_sim.reference.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.alignment import Alignment, common_steps
 from seft_ros.analysis.metrics import nrmse

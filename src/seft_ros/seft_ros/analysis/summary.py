@@ -6,12 +6,16 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.topics import GROUND_MOTION, LOOP_TOPICS, RIG_STATE
+from seft_msgs_py.wire.topics import GROUND_MOTION, LOOP_TOPICS, RIG_STATE
 from seft_plant_sim.dead_time import split_dead_time
-from seft_plant_sim.energy import EnergyBalance, energy_balance
-from seft_plant_sim.whole_structure import ReferenceResponse, reference_response, tested_specimen
+from seft_plant_sim.reference.whole_structure import (
+    ReferenceResponse,
+    reference_response,
+    tested_specimen,
+)
+from seft_plant_sim.specimen.energy_balance import EnergyBalance, energy_balance
 
 from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
 from seft_ros.analysis.metrics import Agreement, agreement, peak

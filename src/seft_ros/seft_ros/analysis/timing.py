@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
+from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 
 from seft_ros.analysis.alignment import common_steps
 from seft_ros.recording.record import Record

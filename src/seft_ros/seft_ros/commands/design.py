@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
+from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.parameters import nearest
 
 from seft_ros.commands.options import (
     ConfigArgument,

@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import Annotated, Any, Optional
 
 import typer
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.rigs import RigAxes
+from seft_msgs_py.wire.rigs import RigAxes
 
 from seft_ros.commands.options import (
     JsonOption,

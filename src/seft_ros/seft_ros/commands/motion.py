@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated, Optional
 
 import typer
-from seft_msgs_py.timebase import Timebase
+from seft_msgs_py.wire.timebase import Timebase
 
 from seft_ros.commands.options import JsonOption, print_json
 

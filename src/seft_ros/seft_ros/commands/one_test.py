@@ -4,8 +4,8 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError
-from seft_msgs_py.experiment import Experiment
 
 from seft_ros.commands.progress import step_progress
 from seft_ros.commands.results import save

@@ -8,12 +8,12 @@ from typing import Annotated, Any, Optional
 
 import typer
 from rich.console import Console
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_file import parse_override
+from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.parameter_file import parse_override
-from seft_msgs_py.parameters import nearest
-from seft_msgs_py.rigs import with_rigs
-from seft_msgs_py.topics import NODES
+from seft_msgs_py.wire.rigs import with_rigs
+from seft_msgs_py.wire.topics import NODES
 
 from seft_ros.experiment.tables import TABLES
 from seft_ros.loop_shaping.source import Source

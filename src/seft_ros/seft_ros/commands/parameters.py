@@ -3,8 +3,8 @@
 from typing import Annotated, Optional
 
 import typer
+from seft_msgs_py.config.parameter_table import COMMON, Parameter, nearest
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.parameters import COMMON, Parameter, nearest
 
 from seft_ros.experiment.tables import TABLES
 

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
+from seft_msgs_py.config.parameter_file import Override, parse_override
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.parameter_file import Override, parse_override
 
 from seft_ros.commands.options import JsonOption, OverrideOption, complain, print_json
 from seft_ros.commands.progress import step_progress

@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import Annotated, Optional
 
 import typer
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
 
 from seft_ros.commands.one_test import dds_test
 from seft_ros.commands.options import (

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Optional
 
 import typer
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError
-from seft_msgs_py.experiment import Experiment
 
 from seft_ros.commands.options import (
     ConfigArgument,

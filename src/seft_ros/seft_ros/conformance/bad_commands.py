@@ -4,9 +4,9 @@ import struct
 from dataclasses import dataclass
 
 import numpy as np
-from seft_msgs_py.timebase import Timebase
-from seft_msgs_py.topics import LoopTopic
-from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import LoopTopic
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 SETTLE, BLOCK = 0.1, 0.1  # s of rest before each kind, and of the kind
 KINDS = (

@@ -5,11 +5,10 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.description import decode_description
 from seft_msgs_py.errors import ExperimentError, InputError, WireError
-from seft_msgs_py.messages import Status, decode_clock
-from seft_msgs_py.outcome import FINISHED, TRIPPED
-from seft_msgs_py.topics import (
+from seft_msgs_py.wire.messages import Status, decode_clock, decode_description
+from seft_msgs_py.wire.outcome import FINISHED, TRIPPED
+from seft_msgs_py.wire.topics import (
     CLOCK_TOPIC,
     DESCRIPTION,
     EXPERIMENT_STATE,
@@ -17,7 +16,7 @@ from seft_msgs_py.topics import (
     RIG_STATE,
     LoopTopic,
 )
-from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.conformance.facts import Facts
 from seft_ros.conformance.guard import Guard

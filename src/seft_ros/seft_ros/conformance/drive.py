@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from seft_msgs_py.trajectory import Floats
+from seft_msgs_py.wire.trajectory import Floats
 
 REST, BELL, PAUSE, PULSE = 0.4, 2.0, 0.3, 0.05  # s
 DOUBLETS, APART = 5, 0.25  # s from one to the next

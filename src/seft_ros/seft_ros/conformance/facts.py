@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.topics import VALVE_COMMAND
-from seft_msgs_py.trajectory import Floats
-from seft_plant_sim.limits import NAMES
-from seft_plant_sim.specimen import Specimen
+from seft_msgs_py.wire.topics import VALVE_COMMAND
+from seft_msgs_py.wire.trajectory import Floats
+from seft_plant_sim.rig.limits import NAMES
+from seft_plant_sim.specimen.specimen import Specimen
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """When a conformance test must stop moving a rig."""
 
 import numpy as np
-from seft_msgs_py.trajectory import Floats
+from seft_msgs_py.wire.trajectory import Floats
 
 from seft_ros.conformance.facts import Facts
 

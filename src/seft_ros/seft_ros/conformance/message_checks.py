@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.outcome import FINISHED, TRIPPED, read_outcome
-from seft_msgs_py.topics import QUANTITIES, RIG_STATE
-from seft_msgs_py.trajectory_message import Trajectory, parse_trajectory
+from seft_msgs_py.wire.outcome import FINISHED, TRIPPED, read_outcome
+from seft_msgs_py.wire.topics import QUANTITIES, RIG_STATE
+from seft_msgs_py.wire.trajectory_message import Trajectory, parse_trajectory
 
 from seft_ros.conformance.finding import Finding, found
 from seft_ros.conformance.trial import Trial

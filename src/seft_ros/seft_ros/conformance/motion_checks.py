@@ -3,7 +3,7 @@
 import math
 
 import numpy as np
-from seft_msgs_py.trajectory import Floats
+from seft_msgs_py.wire.trajectory import Floats
 
 from seft_ros.conformance.drive import APART, Drive
 from seft_ros.conformance.facts import Facts

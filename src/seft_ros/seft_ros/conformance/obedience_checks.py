@@ -1,7 +1,7 @@
 """Whether a rig refuses what it must, trips when it must, and rests then."""
 
 import numpy as np
-from seft_msgs_py.outcome import FINISHED, TRIPPED
+from seft_msgs_py.wire.outcome import FINISHED, TRIPPED
 
 from seft_ros.conformance.bad_commands import KINDS, BadCommands
 from seft_ros.conformance.drive import Drive
@@ -35,7 +35,7 @@ def check_refusals(
     noise = moved.values[drive.rest, 3].std(axis=0)
     pulse = moved.values[drive.doublets[0] :, 3] - moved.values[drive.doublets[0], 3]
     least = np.maximum(SEEN * noise, PART * np.abs(pulse).max(axis=0))
-    mend = "refuse it: seft_plant_sim.command.Command shows how; to the rig it is missing"
+    mend = "refuse it: seft_plant_sim.rig.command.Command shows how; to the rig it is missing"
     findings = []
     for number, kind in enumerate(KINDS):
         name, block = f"command {kind}", bad.block(number)

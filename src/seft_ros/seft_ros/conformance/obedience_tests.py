@@ -3,9 +3,9 @@
 import time
 from collections.abc import Callable, Iterator
 
-from seft_msgs_py.outcome import FINISHED, TRIPPED
-from seft_msgs_py.topics import RIG_STATE, LoopTopic
-from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_msgs_py.wire.outcome import FINISHED, TRIPPED
+from seft_msgs_py.wire.topics import RIG_STATE, LoopTopic
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.conformance import obedience_checks
 from seft_ros.conformance.bad_commands import BadCommands

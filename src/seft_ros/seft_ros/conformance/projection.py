@@ -6,7 +6,7 @@ integrated; by parts, the derivative goes over to them (modulating functions, Sh
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.trajectory import Floats
+from seft_msgs_py.wire.trajectory import Floats
 
 Complex = npt.NDArray[np.complex128]
 

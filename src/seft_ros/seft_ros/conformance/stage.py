@@ -4,9 +4,9 @@ import os
 from collections.abc import Callable
 from contextlib import nullcontext
 
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.middleware import prepare_on_this_host
+from seft_msgs_py.node.middleware import prepare_on_this_host
 
 from seft_ros.conformance.conductor import Conductor
 from seft_ros.conformance.facts import Facts

@@ -5,9 +5,9 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from seft_msgs_py.outcome import FINISHED, TRIPPED
-from seft_msgs_py.topics import LOOP_TOPICS, RIG_STATE
-from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_msgs_py.wire.outcome import FINISHED, TRIPPED
+from seft_msgs_py.wire.topics import LOOP_TOPICS, RIG_STATE
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.conformance import message_checks, motion_checks, timing_checks
 from seft_ros.conformance.conductor import ATTEMPTS, SLOW, Conductor

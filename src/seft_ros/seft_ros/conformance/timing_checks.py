@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.trajectory import Floats
+from seft_msgs_py.wire.trajectory import Floats
 
 from seft_ros.conformance.finding import Finding, found, not_run
 from seft_ros.conformance.trial import Samples

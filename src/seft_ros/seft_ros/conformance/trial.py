@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.messages import Status
-from seft_msgs_py.trajectory import Floats, TrajectoryCodec
+from seft_msgs_py.wire.messages import Status
+from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
 
 @dataclass

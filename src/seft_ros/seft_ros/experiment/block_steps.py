@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from numba.extending import overload
 from seft_plant_sim.compiled import OPTIONS
-from seft_plant_sim.rig import Rig
+from seft_plant_sim.rig.rig import Rig
 
 from seft_ros.experiment.blocks import Blocks
 from seft_ros.force_controller.block import ForceController

@@ -4,11 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.topics import VALVE_COMMAND
-from seft_plant_sim.rig import Rig
-from seft_plant_sim.rigs import Rigs
+from seft_msgs_py.wire.topics import VALVE_COMMAND
+from seft_plant_sim.rig.rig import Rig, Rigs
 
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.interlocks import Interlocks, interlock_of

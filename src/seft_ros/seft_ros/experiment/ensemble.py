@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from typing import Any
 
-from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.config.experiment import Experiment
 
 from seft_ros.experiment.block_steps import obstacle
 from seft_ros.experiment.blocks import Blocks, build_blocks

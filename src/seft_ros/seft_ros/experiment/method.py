@@ -1,6 +1,6 @@
 """An experiment with another compensation method, and with the force controller of that method."""
 
-from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.config.experiment import Experiment
 
 from seft_ros.force_controller.names import TRANSFER_FUNCTION, VELOCITY_FEEDFORWARD
 from seft_ros.reference_force.compensation.names import TARGET_MOTION

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.timebase import Timebase
-from seft_msgs_py.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 
 from seft_ros.experiment.block_steps import obstacle
 from seft_ros.experiment.blocks import Blocks

@@ -4,10 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from seft_msgs_py.messages import Status
-from seft_msgs_py.outcome import FINISHED, RIG, TRIPPED
-from seft_msgs_py.rigs import RigAxes, bare, with_rigs
-from seft_msgs_py.topics import topics_of
+from seft_msgs_py.wire.messages import Status
+from seft_msgs_py.wire.outcome import FINISHED, RIG, TRIPPED
+from seft_msgs_py.wire.rigs import RigAxes, bare, with_rigs
+from seft_msgs_py.wire.topics import topics_of
 
 RAMPING_DOWN, AT_REST = "ramping_down", "at_rest"  # phases of the reference force
 ALL_ANSWERED = "ended"

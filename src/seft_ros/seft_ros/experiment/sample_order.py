@@ -5,8 +5,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.messages import Status
-from seft_msgs_py.timebase import Timebase
+from seft_msgs_py.wire.messages import Status
+from seft_msgs_py.wire.timebase import Timebase
 
 from seft_ros.experiment.state_machine import MOVING, PACE
 

@@ -1,6 +1,6 @@
 """Parameter tables of all nodes, in the order of the signal's way."""
 
-from seft_plant_sim.parameters import TABLE as RIG
+from seft_plant_sim.rig.rig_parameters import TABLE as RIG
 
 from seft_ros.experiment.watching import RECORDER, SUPERVISOR
 from seft_ros.force_controller.parameters import TABLE as FORCE_CONTROLLER

@@ -1,8 +1,8 @@
 """Parameter tables of the nodes that watch and record a test."""
 
-from seft_msgs_py.parameters import Parameter, Table
-from seft_msgs_py.topics import NODES
-from seft_plant_sim.limits import limit_rows
+from seft_msgs_py.config.parameter_table import Parameter, Table
+from seft_msgs_py.wire.topics import NODES
+from seft_plant_sim.rig.limits import limit_rows
 
 SUPERVISOR = Table(
     "supervisor",

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.timebase import Timebase
+from seft_msgs_py.wire.timebase import Timebase
 from seft_plant_sim.compiled import entry_point
-from seft_plant_sim.saturated_time import SaturatedTime
+from seft_plant_sim.rig.limits import SaturatedTime
 
 from seft_ros.force_controller.force_control import ForceControl
 from seft_ros.force_controller.interlock_step import (

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 from seft_plant_sim.compiled import compiled
-from seft_plant_sim.saturated_time import is_exceeded
+from seft_plant_sim.rig.limits import is_exceeded
 
 from seft_ros.interlock.plausibility import is_finite
 

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.topics import REFERENCE_FORCE
+from seft_msgs_py.wire.topics import REFERENCE_FORCE
 
 Floats = npt.NDArray[np.float64]
 

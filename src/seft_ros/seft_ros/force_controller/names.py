@@ -1,6 +1,6 @@
 """Names of the force controllers, for nodes that know their parameters but not the controllers."""
 
-from seft_msgs_py.registered import Registered
+from seft_msgs_py.config.registered import Registered
 
 TRANSFER_FUNCTION = "transfer_function"
 VELOCITY_FEEDFORWARD = "velocity_feedforward"

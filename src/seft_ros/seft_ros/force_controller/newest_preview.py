@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.messages_ahead import MessagesAhead
-from seft_msgs_py.timebase import Timebase
-from seft_msgs_py.topics import REFERENCE_FORCE
+from seft_msgs_py.wire.messages_ahead import MessagesAhead
+from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import REFERENCE_FORCE
 
 from seft_ros.force_controller.link_record import LinkRecord
 from seft_ros.interlock.ramp_down import RampDown

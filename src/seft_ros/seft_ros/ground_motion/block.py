@@ -8,10 +8,10 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.arrays import mass_matrix, per_axis
+from seft_msgs_py.config.arrays import mass_matrix, per_axis
+from seft_msgs_py.config.parameter_table import Section, group
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.parameters import Section, group
-from seft_msgs_py.timebase import Timebase
+from seft_msgs_py.wire.timebase import Timebase
 
 from seft_ros.ground_motion.record_file import RecordedMotion, read_record
 from seft_ros.ground_motion.resample import check_size, resample

@@ -1,6 +1,6 @@
 """Parameters of the ground_motion node."""
 
-from seft_msgs_py.parameters import Parameter, Table
+from seft_msgs_py.config.parameter_table import Parameter, Table
 
 from seft_ros.ground_motion.units import UNITS
 

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.timebase import Timebase
+from seft_msgs_py.wire.timebase import Timebase
 
 MOST_STEPS = 50_000_000
 """Longest motion that is accepted, in steps: beyond is a mistyped duration or rate."""

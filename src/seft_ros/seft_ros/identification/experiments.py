@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.arrays import mass_matrix
+from seft_msgs_py.config.arrays import mass_matrix
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.parameters import group
-from seft_msgs_py.topics import RIG_STATE
-from seft_plant_sim.limits import NAMES
+from seft_msgs_py.wire.topics import RIG_STATE
+from seft_plant_sim.rig.limits import NAMES
 
 from seft_ros.force_controller.kinds import one_controller
 from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD

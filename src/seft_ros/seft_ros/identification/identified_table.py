@@ -163,7 +163,7 @@ def _of_valve(valve: ValveResponse | None) -> dict[str, Any]:
     margins = valve.loop.margins if valve and valve.controller_known else None
     return {
         "actuator": valve and _of_actuator(valve.actuator),
-        **plant_numbers(valve and valve.loop.plant),
+        **plant_numbers(valve.loop.plant if valve else None),
         "fit_error": valve and valve.error,
         **{key: margins and getattr(margins, key) for key in _MARGINS},
     }

@@ -2,7 +2,7 @@
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
+from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 
 from seft_ros.identification.measurement import Measurement
 from seft_ros.identification.spectral import Response, response, segment_duration, spectra

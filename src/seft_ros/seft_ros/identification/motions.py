@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_plant_sim.rig import Rig
+from seft_plant_sim.rig.rig import Rig
 
 from seft_ros.force_controller.methods import force_control
 from seft_ros.ground_motion.resample import check_size

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from seft_msgs_py.parameter_file import write_parameter_file
+from seft_msgs_py.config.parameter_file import write_parameter_file
 
 from seft_ros.identification.identified import Identified
 from seft_ros.identification.plant_model import transfer_function

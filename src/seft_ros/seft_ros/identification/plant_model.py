@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-from seft_plant_sim.actuator import servo_hydraulic
-from seft_plant_sim.hydraulics import Hydraulics
-from seft_plant_sim.specimen import Specimen
+from seft_plant_sim.actuator.actuator import servo_hydraulic
+from seft_plant_sim.actuator.hydraulics import Hydraulics
+from seft_plant_sim.specimen.specimen import Specimen
 
 from seft_ros.identification.actuator_fit import ActuatorFit
 from seft_ros.identification.rational import Rational

@@ -5,10 +5,10 @@ from collections.abc import Callable
 import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from seft_msgs_py.leaving import leave_graph
-from seft_msgs_py.ros_types import message_class, qos_profile
-from seft_msgs_py.topics import LINK_PING, LINK_PONG
-from seft_msgs_py.wait_set import WaitSet, raw_subscription, sender, take
+from seft_msgs_py.node.exit_watchdog import leave_graph
+from seft_msgs_py.node.ros_types import message_class, qos_profile
+from seft_msgs_py.node.wait_set import WaitSet, raw_subscription, sender, take
+from seft_msgs_py.wire.topics import LINK_PING, LINK_PONG
 
 LOOK = 0.2  # s
 

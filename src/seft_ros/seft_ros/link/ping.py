@@ -10,12 +10,12 @@ import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from seft_msgs_py.errors import ExperimentError, InputError, WireError
-from seft_msgs_py.leaving import leave_graph
-from seft_msgs_py.messages import decode_string, encode_string
-from seft_msgs_py.rigs import RigAxes
-from seft_msgs_py.ros_types import message_class, qos_profile
-from seft_msgs_py.topics import LINK_PING, LINK_PONG
-from seft_msgs_py.wait_set import WaitSet, raw_subscription, sender, take
+from seft_msgs_py.node.exit_watchdog import leave_graph
+from seft_msgs_py.node.ros_types import message_class, qos_profile
+from seft_msgs_py.node.wait_set import WaitSet, raw_subscription, sender, take
+from seft_msgs_py.wire.messages import decode_string, encode_string
+from seft_msgs_py.wire.rigs import RigAxes
+from seft_msgs_py.wire.topics import LINK_PING, LINK_PONG
 
 from seft_ros.link.round_trips import RoundTrips
 

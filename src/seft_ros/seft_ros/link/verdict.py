@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.topics import TARGET
-from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_msgs_py.wire.topics import TARGET
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.link.round_trips import RoundTrips
 from seft_ros.preflight.verdict import MASS_RATIO_RESERVE as RESERVE

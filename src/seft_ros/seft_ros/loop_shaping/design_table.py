@@ -105,10 +105,10 @@ def summarise(design: LoopDesign) -> dict[str, Any]:
 
 def plant_numbers(plant: Plant | None) -> dict[str, float | None]:
     """Zero (of the specimen) and pole (the oil column) of a plant; None where it has none."""
-    roots = {"zero": plant and plant.antiresonance(), "pole": plant and plant.oil_column()}
+    zero, pole = (plant.antiresonance(), plant.oil_column()) if plant else (None, None)
     return {
-        f"plant_{name}_{key}": root and getattr(root, key)
-        for name, root in roots.items()
+        f"plant_{name}_{key}": getattr(root, key) if root else None
+        for name, root in (("zero", zero), ("pole", pole))
         for key in ("hz", "damping")
     }
 

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
+from seft_msgs_py.config.parameter_file import write_parameter_file
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.parameter_file import write_parameter_file
 
 from seft_ros.force_controller.kinds import one_controller
 from seft_ros.loop_shaping.controller import Controller

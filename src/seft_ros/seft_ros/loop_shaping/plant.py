@@ -6,8 +6,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
 
 from seft_ros.loop_shaping.companion import companion_form
 from seft_ros.loop_shaping.roots import Root, lightly_damped, roots_of, uncancelled
@@ -141,7 +141,7 @@ def rig_plant(section: dict[str, Any], axes: tuple[str, ...]) -> Plant:
     InputError
         If no valve drives the rig.
     """
-    from seft_plant_sim.rig import continuous_model
+    from seft_plant_sim.rig.rig import continuous_model
 
     model = continuous_model(section, axes)
     if model.drive != "valve_command":

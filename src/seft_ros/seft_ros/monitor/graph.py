@@ -16,9 +16,10 @@ from rclpy.executors import ExternalShutdownException, ShutdownException, Single
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
-from seft_msgs_py.leaving import leave_graph
-from seft_msgs_py.middleware import prepare_on_this_host
-from seft_msgs_py.topics import (
+from seft_msgs_py.node.exit_watchdog import leave_graph
+from seft_msgs_py.node.middleware import prepare_on_this_host
+from seft_msgs_py.node.wait_set import raw_subscription, take_all
+from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
     EXPERIMENT_STATE,
@@ -28,7 +29,6 @@ from seft_msgs_py.topics import (
     LoopTopic,
     Topic,
 )
-from seft_msgs_py.wait_set import raw_subscription, take_all
 from std_srvs.srv import Trigger
 
 from seft_ros.monitor.intake import Messages

@@ -4,9 +4,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.experiment import Experiment
-from seft_plant_sim.running_response import RunningResponse
-from seft_plant_sim.whole_structure import whole_structure
+from seft_msgs_py.config.experiment import Experiment
+from seft_plant_sim.reference.whole_structure import RunningResponse, whole_structure
 
 from seft_ros.analysis.equivalent_motion import (
     DAMPING,

@@ -4,7 +4,7 @@ from collections import deque
 
 import numpy as np
 import numpy.typing as npt
-from seft_plant_sim.running_response import RunningResponse
+from seft_plant_sim.reference.whole_structure import RunningResponse
 
 Floats = npt.NDArray[np.float64]
 

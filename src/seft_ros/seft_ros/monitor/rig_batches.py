@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.rigs import RigAxes
+from seft_msgs_py.wire.rigs import RigAxes
 
 Floats = npt.NDArray[np.float64]
 Steps = npt.NDArray[np.int64]

@@ -5,11 +5,11 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from seft_msgs_py.awake_clock import AwakeClock
-from seft_msgs_py.messages import Status
-from seft_msgs_py.outcome import RIG
-from seft_msgs_py.rigs import bare
-from seft_msgs_py.topics import NODES
+from seft_msgs_py.node.awake_clock import AwakeClock
+from seft_msgs_py.wire.messages import Status
+from seft_msgs_py.wire.outcome import RIG
+from seft_msgs_py.wire.rigs import bare
+from seft_msgs_py.wire.topics import NODES
 
 from seft_ros.experiment.state_machine import ENDED, State
 

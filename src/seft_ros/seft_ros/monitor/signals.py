@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from seft_msgs_py.topics import RIG_STATE
+from seft_msgs_py.wire.topics import RIG_STATE
 
 MEASURED = ("displacement", "acceleration", "force")
 ROWS = tuple(RIG_STATE.quantities.index(name) for name in ("positions", "accelerations", "effort"))

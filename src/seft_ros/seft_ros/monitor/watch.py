@@ -3,11 +3,10 @@
 import json
 from typing import Any, Protocol
 
-from seft_msgs_py.description import decode_description
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.messages import decode_diagnostics, decode_status
-from seft_msgs_py.timebase import Timebase
-from seft_msgs_py.topics import (
+from seft_msgs_py.wire.messages import decode_description, decode_diagnostics, decode_status
+from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
     EXPERIMENT_STATE,

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.messages import OK, Status, decode_status
-from seft_msgs_py.node_main import NodeKind, run_node
-from seft_msgs_py.node_process import MOST_AT_ONCE
-from seft_msgs_py.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell
-from seft_msgs_py.outcome import tripped_status
-from seft_msgs_py.topics import (
+from seft_msgs_py.node.node_main import NodeKind, run_node
+from seft_msgs_py.node.node_process import MOST_AT_ONCE
+from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell
+from seft_msgs_py.wire.messages import OK, Status, decode_status
+from seft_msgs_py.wire.outcome import tripped_status
+from seft_msgs_py.wire.topics import (
     EXPERIMENT_STATE,
     LINK_PING,
     LINK_PONG,
@@ -20,7 +20,7 @@ from seft_msgs_py.topics import (
     TARGET,
     VALVE_COMMAND,
 )
-from seft_msgs_py.trajectory import Floats, TrajectoryCodec
+from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
 from seft_ros.experiment.sample_order import SampleOrder, check_magnitude
 from seft_ros.experiment.state_machine import MOVING
@@ -156,10 +156,10 @@ class ForceControllerNode:
         for force in points[: self._settled, -1]:
             if nonsense := self._controller.nonsense(force):
                 raise WireError(f"{name} of step {step}: {nonsense}")
+        self._begin_with(step)  # it may be read before the state that it answers
         if self._previews is None:
-            self._begin_with(step)
             self._order.check(name, step)
-        elif step > self._order.last + 1:  # the state it answers would be here first
+        elif step > self._order.last + 1:  # no step that has begun
             raise WireError(f"{name} of step {step} after step {self._order.last}: in the future")
         self._forces.take(step, points)
         if self._previews is None:

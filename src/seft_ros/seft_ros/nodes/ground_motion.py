@@ -2,11 +2,11 @@
 
 import sys
 
-from seft_msgs_py.messages import Status, decode_clock, decode_status
-from seft_msgs_py.node_main import NodeKind, run_node
-from seft_msgs_py.node_shell import NodeShell
-from seft_msgs_py.topics import CLOCK_TOPIC, EXPERIMENT_STATE, GROUND_MOTION
-from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_msgs_py.node.node_main import NodeKind, run_node
+from seft_msgs_py.node.node_shell import NodeShell
+from seft_msgs_py.wire.messages import Status, decode_clock, decode_status
+from seft_msgs_py.wire.topics import CLOCK_TOPIC, EXPERIMENT_STATE, GROUND_MOTION
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.experiment.state_machine import ENDED, MOVING
 from seft_ros.experiment.tables import TABLES

@@ -9,7 +9,7 @@ and bits. What they send each other they hand over directly; everyone else hears
 import argparse
 import sys
 
-from seft_msgs_py.node_main import NodeKind, run_nodes
+from seft_msgs_py.node.node_main import NodeKind, run_nodes
 from seft_plant_sim.rig_node import KIND as RIG
 
 from seft_ros.nodes.force_controller import KIND as FORCE_CONTROLLER

@@ -12,13 +12,18 @@ from collections import deque
 from datetime import datetime
 from pathlib import Path
 
-from seft_msgs_py.description import decode_description
-from seft_msgs_py.messages import Status, decode_diagnostics, decode_status, encode_string
-from seft_msgs_py.node_main import NodeKind, run_node
-from seft_msgs_py.node_shell import Handler, NodeShell
-from seft_msgs_py.outcome import RIG
-from seft_msgs_py.realtime import FIRST, boot
-from seft_msgs_py.topics import (
+from seft_msgs_py.node.node_main import NodeKind, run_node
+from seft_msgs_py.node.node_shell import Handler, NodeShell
+from seft_msgs_py.node.realtime import FIRST, boot
+from seft_msgs_py.wire.messages import (
+    Status,
+    decode_description,
+    decode_diagnostics,
+    decode_status,
+    encode_string,
+)
+from seft_msgs_py.wire.outcome import RIG
+from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
     ESTIMATES,
@@ -29,7 +34,7 @@ from seft_msgs_py.topics import (
     Topic,
     topics_of,
 )
-from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.experiment.peers import ALL_ANSWERED, RECORDING, SILENT, WAITS
 from seft_ros.experiment.state_machine import ENDED, MOVING, State

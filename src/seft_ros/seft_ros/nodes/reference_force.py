@@ -10,18 +10,18 @@ from functools import partial
 
 import numpy as np
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.estimates import EstimatesCodec
-from seft_msgs_py.messages import ERROR, OK, Status, decode_status
-from seft_msgs_py.node_main import NodeKind, run_node
-from seft_msgs_py.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell
-from seft_msgs_py.outcome import tripped_status
-from seft_msgs_py.topics import (
+from seft_msgs_py.node.node_main import NodeKind, run_node
+from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell
+from seft_msgs_py.wire.estimates import EstimatesCodec
+from seft_msgs_py.wire.messages import ERROR, OK, Status, decode_status
+from seft_msgs_py.wire.outcome import tripped_status
+from seft_msgs_py.wire.topics import (
     ESTIMATES,
     EXPERIMENT_STATE,
     GROUND_MOTION,
     RIG_STATE,
 )
-from seft_msgs_py.trajectory import Floats, TrajectoryCodec
+from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
 from seft_ros.experiment.peers import ALL_ANSWERED, AT_REST, RAMPING_DOWN
 from seft_ros.experiment.sample_order import SampleOrder, check_magnitude

@@ -10,23 +10,23 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from seft_msgs_py.awake_clock import AwakeClock
-from seft_msgs_py.description import decode_description
-from seft_msgs_py.messages import (
+from seft_msgs_py.node.awake_clock import AwakeClock
+from seft_msgs_py.node.node_main import NodeKind, run_node
+from seft_msgs_py.node.node_shell import NodeShell
+from seft_msgs_py.wire.messages import (
     ERROR,
     OK,
     WARN,
     Status,
     decode_clock,
+    decode_description,
     decode_diagnostics,
     encode_status,
 )
-from seft_msgs_py.node_main import NodeKind, run_node
-from seft_msgs_py.node_shell import NodeShell
-from seft_msgs_py.outcome import FINISHED, RIG, TRIPPED
-from seft_msgs_py.rigs import START, with_rigs
-from seft_msgs_py.timebase import NANOSECONDS_PER_SECOND
-from seft_msgs_py.topics import CLOCK_TOPIC, DESCRIPTION, DIAGNOSTICS, EXPERIMENT_STATE
+from seft_msgs_py.wire.outcome import FINISHED, RIG, TRIPPED
+from seft_msgs_py.wire.rigs import START, with_rigs
+from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND
+from seft_msgs_py.wire.topics import CLOCK_TOPIC, DESCRIPTION, DIAGNOSTICS, EXPERIMENT_STATE
 from std_srvs.srv import Trigger
 
 from seft_ros.experiment.peers import (

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 import numpy as np
-from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.config.experiment import Experiment
 
 from seft_ros.identification.identified import Identified
 from seft_ros.loop_shaping.margins import BAND_HZ, FLATNESS_DB

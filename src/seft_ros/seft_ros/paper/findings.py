@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from seft_msgs_py.experiment import Experiment
+from seft_msgs_py.config.experiment import Experiment
 
 from seft_ros.ground_motion.block import GroundMotion
 from seft_ros.identification.identified import Identified

@@ -5,8 +5,8 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.topics import GROUND_MOTION, RIG_STATE
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.wire.topics import GROUND_MOTION, RIG_STATE
 
 from seft_ros.analysis.metrics import Agreement, agreement
 from seft_ros.analysis.summary import COMPARED, reference_of

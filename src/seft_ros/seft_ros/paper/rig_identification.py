@@ -3,8 +3,8 @@
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError
-from seft_msgs_py.experiment import Experiment
 
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate

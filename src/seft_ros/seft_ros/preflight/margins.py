@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.arrays import symmetric_matrix
+from seft_msgs_py.config.arrays import symmetric_matrix
 from seft_msgs_py.errors import InputError
 
 from seft_ros.loop_shaping.sampling import MAX_DELAY_STEPS

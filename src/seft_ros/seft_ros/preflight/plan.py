@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.topics import VALVE_COMMAND
+from seft_msgs_py.wire.topics import VALVE_COMMAND
 
 from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.methods import force_control

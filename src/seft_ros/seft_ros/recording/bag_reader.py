@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.messages import decode_string
-from seft_msgs_py.outcome import Saturation
-from seft_msgs_py.topics import (
+from seft_msgs_py.wire.messages import decode_string
+from seft_msgs_py.wire.outcome import Saturation
+from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
     ESTIMATES,

@@ -14,8 +14,8 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import Writer
 from rosbags.rosbag2.metadata import parse_qos
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from seft_msgs_py.messages import typestore
-from seft_msgs_py.topics import Topic
+from seft_msgs_py.wire.messages import typestore
+from seft_msgs_py.wire.topics import Topic
 
 from seft_ros.recording.salvage import Source
 

@@ -14,7 +14,7 @@ from typing import Any, Self
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, WriterError
 from seft_msgs_py.errors import ExperimentError, InputError, SeftError
-from seft_msgs_py.topics import Topic
+from seft_msgs_py.wire.topics import Topic
 
 from seft_ros.recording.bag_storage import (
     BagStorage,

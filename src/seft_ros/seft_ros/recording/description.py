@@ -5,10 +5,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.parameters import Section
-from seft_msgs_py.rigs import bare
+from seft_msgs_py.wire.rigs import bare
 
 
 @dataclass

@@ -1,8 +1,8 @@
 """Why a recorded test ended: the rig knows its own limits, the supervisor all else."""
 
-from seft_msgs_py.messages import Status
-from seft_msgs_py.outcome import STOPPED, Outcome, Trip
-from seft_msgs_py.timebase import Timebase
+from seft_msgs_py.wire.messages import Status
+from seft_msgs_py.wire.outcome import STOPPED, Outcome, Trip
+from seft_msgs_py.wire.timebase import Timebase
 
 from seft_ros.experiment.state_machine import State
 

@@ -7,10 +7,10 @@ from functools import lru_cache
 from math import inf
 from typing import Protocol
 
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.estimates import EstimatesCodec
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.messages import (
+from seft_msgs_py.wire.estimates import EstimatesCodec
+from seft_msgs_py.wire.messages import (
     ERROR,
     OK,
     STALE,
@@ -19,12 +19,12 @@ from seft_msgs_py.messages import (
     decode_diagnostics,
     decode_status,
 )
-from seft_msgs_py.outcome import Outcome, read_outcome
-from seft_msgs_py.rigs import RigAxes, bare
-from seft_msgs_py.timebase import NANOSECONDS_PER_SECOND, Timebase
-from seft_msgs_py.topics import GROUND_MOTION, REFERENCE_FORCE, TARGET, LoopTopic
-from seft_msgs_py.trajectory import TrajectoryCodec
-from seft_msgs_py.trajectory_batch import decode_batch
+from seft_msgs_py.wire.outcome import Outcome, read_outcome
+from seft_msgs_py.wire.rigs import RigAxes, bare
+from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND, Timebase
+from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, TARGET, LoopTopic
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
+from seft_msgs_py.wire.trajectory_batch import decode_batch
 
 from seft_ros.experiment.state_machine import ENDED
 from seft_ros.force_controller.link_record import LinkRecord

@@ -4,11 +4,11 @@ from collections import Counter
 from collections.abc import Iterable
 from itertools import islice, pairwise
 
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.timebase import NANOSECONDS_PER_SECOND
-from seft_msgs_py.topics import RIG_STATE
-from seft_msgs_py.trajectory_message import Trajectory, parse_trajectory
+from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND
+from seft_msgs_py.wire.topics import RIG_STATE
+from seft_msgs_py.wire.trajectory_message import Trajectory, parse_trajectory
 
 _ENOUGH = 2000  # messages
 

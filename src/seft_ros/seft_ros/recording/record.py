@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.outcome import Saturation, Trip
-from seft_msgs_py.topics import LOOP_TOPICS
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.wire.outcome import Saturation, Trip
+from seft_msgs_py.wire.topics import LOOP_TOPICS
 
 from seft_ros.force_controller.link_record import LinkRecord
 
@@ -80,7 +80,7 @@ class Record:
     experiment : Experiment
         The resolved configuration of every node.
     series : dict
-        Topic name (relative, as in `seft_msgs_py.topics`) -> `Series`. ``ground_motion`` is
+        Topic name (relative, as in `seft_msgs_py.wire.topics`) -> `Series`. ``ground_motion`` is
         cut at the last step of ``rig/state``: what was published ahead is not part of the
         test.
     estimates : Estimates or None

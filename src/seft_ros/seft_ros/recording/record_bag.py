@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.estimates import EstimatesCodec
-from seft_msgs_py.messages import encode_diagnostics, encode_string
-from seft_msgs_py.outcome import FINISHED, RIG, TRIPPED, rig_status
-from seft_msgs_py.rigs import RigAxes
-from seft_msgs_py.timebase import NANOSECONDS_PER_SECOND
-from seft_msgs_py.topics import (
+from seft_msgs_py.wire.estimates import EstimatesCodec
+from seft_msgs_py.wire.messages import encode_diagnostics, encode_string
+from seft_msgs_py.wire.outcome import FINISHED, RIG, TRIPPED, rig_status
+from seft_msgs_py.wire.rigs import RigAxes
+from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND
+from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
     ESTIMATES,
@@ -23,7 +23,7 @@ from seft_msgs_py.topics import (
     STEP_TOPICS,
     VALVE_COMMAND,
 )
-from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.recording.bag_reader import UNDECODABLE
 from seft_ros.recording.bag_writer import BagWriter

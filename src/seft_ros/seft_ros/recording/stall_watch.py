@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from seft_msgs_py.realtime import take_precedence
+from seft_msgs_py.node.realtime import take_precedence
 
 SLEEPER = Path(__file__).with_name("bare_sleeper.py")
 LATE = 0.5  # of the loop's period; a deadline met later than that is a stall

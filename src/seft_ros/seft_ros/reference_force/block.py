@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.arrays import mass_matrix, symmetric_matrix
+from seft_msgs_py.config.arrays import mass_matrix, symmetric_matrix
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.timebase import Timebase
-from seft_plant_sim.computed_substructure import ComputedSubstructure
-from seft_plant_sim.specimen import deformations
+from seft_msgs_py.wire.timebase import Timebase
+from seft_plant_sim.reference.computed_substructure import ComputedSubstructure
+from seft_plant_sim.specimen.specimen import deformations
 
 from seft_ros.reference_force.compensation.compensator import (
     Compensator,

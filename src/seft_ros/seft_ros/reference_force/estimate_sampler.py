@@ -4,7 +4,7 @@ from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.timebase import NANOSECONDS_PER_SECOND, Timebase
+from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND, Timebase
 
 Floats = npt.NDArray[np.float64]
 

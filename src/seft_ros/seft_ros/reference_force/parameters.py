@@ -1,7 +1,7 @@
 """Parameter table of the reference force."""
 
-from seft_msgs_py import realtime
-from seft_msgs_py.parameters import Parameter, Table
+from seft_msgs_py.config.parameter_table import Parameter, Table
+from seft_msgs_py.node import realtime
 
 from seft_ros.reference_force.compensation.names import REGISTERED
 

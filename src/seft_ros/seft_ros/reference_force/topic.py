@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from seft_msgs_py.topics import REFERENCE_FORCE, TARGET, LoopTopic
+from seft_msgs_py.wire.topics import REFERENCE_FORCE, TARGET, LoopTopic
 
 from seft_ros.reference_force.compensation.names import TARGET_MOTION
 

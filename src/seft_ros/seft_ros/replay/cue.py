@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from seft_msgs_py.topics import LoopTopic, Topic
+from seft_msgs_py.wire.topics import LoopTopic, Topic
 
 from seft_ros.recording.record import Estimates, Series
 

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.topics import RIG_STATE, VALVE_COMMAND, LoopTopic, Topic
-from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_msgs_py.wire.topics import RIG_STATE, VALVE_COMMAND, LoopTopic, Topic
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.methods import force_control

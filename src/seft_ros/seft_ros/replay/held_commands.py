@@ -5,9 +5,9 @@ from itertools import combinations, product
 
 import numpy as np
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.topics import REFERENCE_FORCE, VALVE_COMMAND
-from seft_msgs_py.trajectory import Floats
-from seft_plant_sim.rig import Rig
+from seft_msgs_py.wire.topics import REFERENCE_FORCE, VALVE_COMMAND
+from seft_msgs_py.wire.trajectory import Floats
+from seft_plant_sim.rig.rig import Rig
 
 from seft_ros.recording.record import Series
 from seft_ros.replay.recorded import Recorded

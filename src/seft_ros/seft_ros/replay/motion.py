@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from seft_msgs_py.trajectory import Floats
+from seft_msgs_py.wire.trajectory import Floats
 
 from seft_ros.reference_force.motion_buffer import MotionBuffer
 

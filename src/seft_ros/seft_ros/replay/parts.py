@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 
-from seft_msgs_py import realtime
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_file import EVERY_NODE, Override
+from seft_msgs_py.config.parameter_table import COMMON, nearest
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.parameter_file import EVERY_NODE, Override
-from seft_msgs_py.parameters import COMMON, nearest
+from seft_msgs_py.node import realtime
 
 from seft_ros.experiment.tables import TABLES
 from seft_ros.replay.cue import Part

@@ -1,7 +1,7 @@
 """The step from which on a recorded reference force was brought down at the supervisor's word."""
 
 import numpy as np
-from seft_msgs_py.topics import REFERENCE_FORCE, RIG_STATE
+from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE
 
 from seft_ros.interlock.protected_force import ProtectedForce
 from seft_ros.replay.motion import Motion

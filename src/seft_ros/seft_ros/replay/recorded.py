@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.messages import decode_status
-from seft_msgs_py.topics import (
+from seft_msgs_py.wire.messages import decode_status
+from seft_msgs_py.wire.topics import (
     EXPERIMENT_STATE,
     GROUND_MOTION,
     REFERENCE_FORCE,
@@ -14,7 +14,7 @@ from seft_msgs_py.topics import (
     LoopTopic,
     Topic,
 )
-from seft_msgs_py.trajectory import Floats, TrajectoryCodec
+from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
 from seft_ros.experiment.state_machine import State
 from seft_ros.recording.bag_reader import read_bag, read_messages

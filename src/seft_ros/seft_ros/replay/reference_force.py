@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.topics import (
+from seft_msgs_py.wire.topics import (
     GROUND_MOTION,
     RIG_STATE,
     VALVE_COMMAND,
     LoopTopic,
     Topic,
 )
-from seft_msgs_py.trajectory import Floats, TrajectoryCodec
+from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
 from seft_ros.interlock.protected_force import ProtectedForce
 from seft_ros.recording.record import Estimates, Series

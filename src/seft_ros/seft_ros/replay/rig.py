@@ -5,9 +5,16 @@ from typing import Any
 
 import numpy as np
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.topics import REFERENCE_FORCE, RIG_STATE, TARGET, VALVE_COMMAND, LoopTopic, Topic
-from seft_msgs_py.trajectory import TrajectoryCodec
-from seft_plant_sim.rig import Rig
+from seft_msgs_py.wire.topics import (
+    REFERENCE_FORCE,
+    RIG_STATE,
+    TARGET,
+    VALVE_COMMAND,
+    LoopTopic,
+    Topic,
+)
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
+from seft_plant_sim.rig.rig import Rig
 
 from seft_ros.recording.record import Estimates, Series
 from seft_ros.recording.samples import until

@@ -4,11 +4,11 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError, WireError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.outcome import TRIPPED
-from seft_msgs_py.topics import ESTIMATES, REFERENCE_FORCE, Topic
-from seft_msgs_py.trajectory import TrajectoryCodec
+from seft_msgs_py.wire.outcome import TRIPPED
+from seft_msgs_py.wire.topics import ESTIMATES, REFERENCE_FORCE, Topic
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.experiment.state_machine import State
 from seft_ros.recording.gathering import EstimatesGatherer, SeriesGatherer

@@ -4,7 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.topics import ESTIMATES, LOOP_TOPICS
+from seft_msgs_py.wire.topics import ESTIMATES, LOOP_TOPICS
 
 from seft_ros.analysis.comparison import compare
 from seft_ros.recording.environment import describe_environment

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.topics import GROUND_MOTION
+from seft_msgs_py.wire.topics import GROUND_MOTION
 
 from seft_ros.analysis.summary_text import title_of
 from seft_ros.analysis.timing import GAP

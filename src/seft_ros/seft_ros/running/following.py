@@ -4,8 +4,8 @@ import contextlib
 import time
 from collections.abc import Callable
 
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError
-from seft_msgs_py.experiment import Experiment
 
 from seft_ros.experiment.peers import SILENT
 from seft_ros.experiment.state_machine import ENDED, State

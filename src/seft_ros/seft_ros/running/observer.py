@@ -8,14 +8,14 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from seft_msgs_py.awake_clock import AwakeClock
-from seft_msgs_py.claim import is_claimed
 from seft_msgs_py.errors import ExperimentError
-from seft_msgs_py.leaving import leave_graph
-from seft_msgs_py.outcome import RIG
-from seft_msgs_py.rigs import bare
-from seft_msgs_py.ros_types import message_class, qos_profile
-from seft_msgs_py.topics import CLOCK_TOPIC, DIAGNOSTICS, EXPERIMENT_STATE, NODES, Topic
+from seft_msgs_py.node.awake_clock import AwakeClock
+from seft_msgs_py.node.exit_watchdog import leave_graph
+from seft_msgs_py.node.ros_types import message_class, qos_profile
+from seft_msgs_py.node.single_instance import is_claimed
+from seft_msgs_py.wire.outcome import RIG
+from seft_msgs_py.wire.rigs import bare
+from seft_msgs_py.wire.topics import CLOCK_TOPIC, DIAGNOSTICS, EXPERIMENT_STATE, NODES, Topic
 from std_srvs.srv import Trigger
 
 SERVICE_TIMEOUT = 10.0  # s

@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.middleware import prepare_on_this_host
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.node.middleware import prepare_on_this_host
 
 from seft_ros.running.arrangement import Arrangement
 from seft_ros.running.observer import Observer

@@ -5,8 +5,8 @@ import os
 from collections.abc import Iterable
 from typing import Self
 
-from seft_msgs_py.realtime import side_threads, take_precedence
-from seft_msgs_py.rigs import bare
+from seft_msgs_py.node.realtime import side_threads, take_precedence
+from seft_msgs_py.wire.rigs import bare
 
 from seft_ros.running.arrangement import LOOP_NODES
 from seft_ros.running.scheduling import prefer_latency, prefer_throughput

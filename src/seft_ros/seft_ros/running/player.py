@@ -10,11 +10,11 @@ from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from seft_msgs_py.errors import ExperimentError, WireError
-from seft_msgs_py.leaving import leave_graph
-from seft_msgs_py.messages import Status, decode_diagnostics, encode_status
-from seft_msgs_py.ros_types import message_class, qos_profile
-from seft_msgs_py.topics import DIAGNOSTICS, EXPERIMENT_STATE, Topic
-from seft_msgs_py.wait_set import WaitSet, raw_subscription, sender, take_timed
+from seft_msgs_py.node.exit_watchdog import leave_graph
+from seft_msgs_py.node.ros_types import message_class, qos_profile
+from seft_msgs_py.node.wait_set import WaitSet, raw_subscription, sender, take_timed
+from seft_msgs_py.wire.messages import Status, decode_diagnostics, encode_status
+from seft_msgs_py.wire.topics import DIAGNOSTICS, EXPERIMENT_STATE, Topic
 
 HEARTBEAT = 0.2  # s between two repeats of the test's state
 HEARD = 2.0  # s for a reader to acknowledge the test's state

@@ -9,8 +9,8 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
-from seft_msgs_py.realtime import take_equal_addresses
-from seft_msgs_py.rigs import bare, rig_name
+from seft_msgs_py.node.realtime import take_equal_addresses
+from seft_msgs_py.wire.rigs import bare, rig_name
 
 from seft_ros.running.arrangement import LOOP_NODES, Arrangement
 from seft_ros.running.placement import Placement

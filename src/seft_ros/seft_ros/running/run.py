@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.middleware import prepare_on_this_host
-from seft_msgs_py.rigs import bare, with_rigs
-from seft_msgs_py.topics import NODES, LoopTopic, Topic, topics_of
+from seft_msgs_py.node.middleware import prepare_on_this_host
+from seft_msgs_py.wire.rigs import bare, with_rigs
+from seft_msgs_py.wire.topics import NODES, LoopTopic, Topic, topics_of
 
 from seft_ros.experiment.peers import CONFLICT
 from seft_ros.experiment.state_machine import PACE, State

@@ -7,7 +7,7 @@ import platform
 import signal
 import struct
 
-from seft_msgs_py.realtime import threads_of
+from seft_msgs_py.node.realtime import threads_of
 
 LATENCY_SLICE_NS = 100_000
 """The shortest slice that Linux grants."""

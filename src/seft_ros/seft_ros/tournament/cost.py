@@ -4,7 +4,7 @@ import timeit
 from statistics import median
 
 import numpy as np
-from seft_plant_sim.whole_structure import reference_response
+from seft_plant_sim.reference.whole_structure import reference_response
 
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.tournament.entries import Entry, Tournament

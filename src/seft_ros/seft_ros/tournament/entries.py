@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import Section, nearest
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.parameters import Section, nearest
 
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.method import with_method

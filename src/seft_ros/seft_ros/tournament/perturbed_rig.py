@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.arrays import per_axis
+from seft_msgs_py.config.arrays import per_axis
+from seft_msgs_py.config.parameter_table import Section, Value
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.parameters import Section, Value
-from seft_msgs_py.timebase import Timebase
-from seft_plant_sim.parameters import TABLE
-from seft_plant_sim.rig import Rig
+from seft_msgs_py.wire.timebase import Timebase
+from seft_plant_sim.rig.rig import Rig
+from seft_plant_sim.rig.rig_parameters import TABLE
 
 Floats = npt.NDArray[np.float64]
 

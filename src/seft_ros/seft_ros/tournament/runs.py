@@ -5,10 +5,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from typing import Any
 
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, SeftError
-from seft_msgs_py.experiment import Experiment
-from seft_msgs_py.topics import RIG_STATE
-from seft_plant_sim.whole_structure import (
+from seft_msgs_py.wire.topics import RIG_STATE
+from seft_plant_sim.reference.whole_structure import (
     ReferenceResponse,
     reference_response,
 )

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
-from seft_plant_sim.computed_substructure import ComputedSubstructure
+from seft_plant_sim.reference.computed_substructure import ComputedSubstructure
 
 from seft_ros.reference_force.compensation.linear_filter import LinearFilter
 

@@ -3,7 +3,7 @@
 What the methods compute with takes a third of a second to import.
 """
 
-from seft_msgs_py.registered import Registered
+from seft_msgs_py.config.registered import Registered
 
 TARGET_MOTION = "target_motion"
 OWN = (

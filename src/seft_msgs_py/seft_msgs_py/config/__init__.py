@@ -1,0 +1,1 @@
+"""Experiments: parameter tables and files; without rclpy."""

@@ -1,0 +1,1 @@
+"""The shell of a node over rclpy, and how its process runs."""

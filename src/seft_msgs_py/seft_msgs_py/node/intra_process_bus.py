@@ -1,0 +1,77 @@
+"""Messages between nodes that live in one process."""
+
+import time
+from collections import deque
+from collections.abc import Callable, Collection
+
+from seft_msgs_py.wire.rigs import bare
+from seft_msgs_py.wire.topics import LoopTopic, Topic
+
+Receive = Callable[[bytes, int, int], bool]
+"""Takes a message's bytes, the wall-clock time in ns at which it came in, and how many its
+publisher has sent with it (0: unknown); tells whether it was acted upon."""
+
+
+class Mailbox:
+    """Messages of the loop between nodes of one process, delivered in the order they were sent.
+
+    Outside they are sent when those inside have been handed out, and what these have given rise
+    to: sending takes longer than a node's answer, and several in a row less than each by itself.
+
+    Parameters
+    ----------
+    nodes : collection of str
+        Names of the process's nodes.
+    """
+
+    def __init__(self, nodes: Collection[str]) -> None:
+        self._nodes = frozenset(nodes)
+        self._listeners: dict[str, list[tuple[str, Receive]]] = {}
+        self._posted: deque[tuple[str, bytes]] = deque()
+        self._outward: deque[tuple[Callable[[bytes], None], bytes]] = deque()
+
+    def serves(self, topic: Topic) -> bool:
+        """Whether the topic's messages come from a node of this process."""
+        # with several rigs, a process holds nodes of one of them
+        return isinstance(topic, LoopTopic) and bare(topic.publisher) in self._nodes
+
+    def subscribe(self, name: str, node: str, receive: Receive) -> None:
+        """Let ``receive`` have every message of the topic of this full name."""
+        self._listeners.setdefault(name, []).append((node, receive))
+
+    def listeners(self, name: str) -> list[str]:
+        """Nodes of this process that listen to a topic, by its full name."""
+        return [node for node, _ in self._listeners.get(name, [])]
+
+    def sender(self, name: str, send: Callable[[bytes], None]) -> Callable[[bytes], None]:
+        """Give what sends a message to the listeners in this process, and outside by ``send``."""
+        post, put_out = self._posted.append, self._outward.append
+
+        def send_to_all(raw: bytes) -> None:
+            if name in self._listeners:
+                post((name, raw))
+                put_out((send, raw))
+            else:
+                send(raw)
+
+        return send_to_all
+
+    def deliver(self) -> bool:
+        """Hand out all messages, also those that are sent meanwhile; tell whether any was there."""
+        posted = self._posted
+        if not posted:
+            return False
+        try:
+            while posted:
+                name, raw = posted.popleft()
+                for _, receive in self._listeners[name]:
+                    receive(raw, time.time_ns(), 0)
+        finally:
+            self.send_outside()
+        return True
+
+    def send_outside(self) -> None:
+        """Send outside what waits for it."""
+        while self._outward:
+            send, raw = self._outward.popleft()
+            send(raw)

@@ -1,0 +1,221 @@
+"""What the nodes of one process share: rclpy's context, signals, and the waiting for messages.
+
+The main thread waits for the loop's messages and handles them. Services (of parameters, of the
+supervisor) are served by a second thread, which sleeps while nobody calls. As a rule a process
+holds one node; several in one hand each other their messages directly (`Mailbox`).
+"""
+
+import gc
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Collection, Sequence
+from types import FrameType
+
+import numpy as np
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
+
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.node.intra_process_bus import Mailbox, Receive
+from seft_msgs_py.node.middleware import prepare_middleware
+from seft_msgs_py.node.realtime import wake_on_time
+from seft_msgs_py.node.wait_set import WaitSet, take
+
+OUTSIDE_LOOK = 0.002  # s between looks for messages from outside while those inside keep coming
+CHORE_PERIOD = 0.01  # s between chores, after messages were handled
+IDLE_CHORE_PERIOD = 0.05  # s, where none came: a wait may have ended because a sample is due
+MOST_AT_ONCE = 4096  # messages of a topic, as many as the longest queue holds
+MOST_REFUSED = 200  # a few ms of nonsense
+
+
+class NodeProcess:
+    """Waits for the messages of the nodes in this process.
+
+    Parameters
+    ----------
+    argv : sequence of str
+        Command line, with ``--ros-args``.
+    nodes : collection of str
+        Names of the nodes that it will hold.
+
+    Attributes
+    ----------
+    mailbox : Mailbox
+        Messages between its nodes.
+    stopping : bool
+        Set by SIGINT and SIGTERM.
+
+    Raises
+    ------
+    InputError
+        If ROS arguments are not understood.
+    """
+
+    def __init__(self, argv: Sequence[str], nodes: Collection[str]) -> None:
+        self.stopping = False
+        wake_on_time()
+        self.mailbox = Mailbox(nodes)
+        prepare_middleware()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._on_signal)
+        try:
+            rclpy.init(
+                args=_without_parameters(argv), signal_handler_options=SignalHandlerOptions.NO
+            )
+        except Exception as error:  # rclpy has several kinds, most of them private
+            raise InputError(
+                f"ROS arguments not understood: {str(error).splitlines()[0]}"
+            ) from None
+        self._waking: dict[Subscription, Callable[[], bool | None]] = {}
+        self._quiet: list[Callable[[], bool | None]] = []
+        self._looks: list[Callable[[], None]] = []
+        self._chores: list[Callable[[], None]] = []
+        self._wait_set: WaitSet | None = None
+        self._looked_outside_at = self._chores_at = 0.0
+        self._executor = SingleThreadedExecutor()
+        self._thread = threading.Thread(target=self._spin_executor, daemon=True)
+
+    def add_node(self, node: Node) -> None:
+        """Serve a node's services."""
+        self._executor.add_node(node)
+
+    def add_subscription(
+        self, subscription: Subscription, receive: Receive, wake: bool
+    ) -> Callable[[], bool | None]:
+        """Hand a subscription's messages to ``receive``.
+
+        Parameters
+        ----------
+        subscription : Subscription
+            Made for a `WaitSet`.
+        receive : callable
+            Takes a message.
+        wake : bool
+            Whether a message ends the waiting; else it is handled when nothing has ended it.
+
+        Returns
+        -------
+        callable
+            Hands over one message and tells whether it was acted upon; None if there is none.
+        """
+
+        def read_one() -> bool | None:
+            taken = take(subscription)
+            return None if taken is None else receive(*taken)
+
+        if wake:
+            self._waking[subscription] = read_one
+            self._wait_set = WaitSet(rclpy.get_default_context(), list(self._waking))
+        else:
+            self._quiet.append(read_one)
+        return read_one
+
+    def every_turn(self, look: Callable[[], None]) -> None:
+        """Have ``look`` called after each turn, when what was due has been answered."""
+        self._looks.append(look)
+
+    def now_and_then(self, chore: Callable[[], None]) -> None:
+        """Have ``chore`` called after some turns: it can wait, and must not be waited for."""
+        self._chores.append(chore)
+
+    def start(self) -> None:
+        """Begin to serve: all that is slow has been done."""
+        np.seterr(over="ignore", invalid="ignore")  # the limits see what is not finite
+        sys.setswitchinterval(2e-4)  # the second thread gives way to the loop at once
+        gc.collect()
+        gc.freeze()
+        self._thread.start()
+
+    def spin_once(self, timeout: float) -> bool:
+        """Wait for messages, at most ``timeout`` seconds, and handle those that have come.
+
+        Of topics that end the waiting it takes one message, and what is refused before it; the
+        next call finds the rest.
+
+        Returns
+        -------
+        bool
+            Whether such a message was handled.
+        """
+        handled = self.mailbox.deliver()
+        if not handled or time.monotonic() - self._looked_outside_at > OUTSIDE_LOOK:
+            handled |= self._look_outside(0.0 if handled else timeout)
+        if not handled:
+            for read_one in self._quiet:
+                drain(read_one)
+            self.mailbox.deliver()
+        for look in self._looks:
+            look()
+        pause = CHORE_PERIOD if handled else IDLE_CHORE_PERIOD
+        if (now := time.monotonic()) - self._chores_at >= pause:
+            self._chores_at = now
+            for chore in self._chores:
+                chore()
+        return handled
+
+    def close(self) -> None:
+        """Take the nodes off the graph, and end rclpy."""
+        self.stopping = True
+        self.mailbox.send_outside()
+        nodes = self._executor.get_nodes()
+        if self._thread.is_alive():  # it must not wait on what is being taken down
+            self._executor.wake()
+            self._thread.join(timeout=2.0)
+        self._executor.shutdown(timeout_sec=1.0)
+        for node in nodes:
+            node.destroy_node()
+        rclpy.try_shutdown()
+
+    def _look_outside(self, timeout: float) -> bool:
+        if self._wait_set is None:
+            time.sleep(timeout)
+            return False
+        handled = False
+        # to wait for no time at all takes longer than to look everywhere
+        ready = self._wait_set.wait(timeout) if timeout > 0.0 else self._waking
+        for subscription in ready:
+            read_one = self._waking[subscription]
+            for _ in range(MOST_REFUSED):  # a flood must not hold up what is true
+                acted = read_one()
+                handled |= acted is not None
+                if acted is not False:
+                    break
+        if self.mailbox.deliver():
+            handled = True
+        self._looked_outside_at = time.monotonic()
+        return handled
+
+    def _spin_executor(self) -> None:
+        try:
+            while not self.stopping and rclpy.ok():
+                self._executor.spin_once(timeout_sec=0.5)
+        except (ExternalShutdownException, rclpy.executors.ShutdownException):
+            return
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        self.stopping = True
+
+
+def drain(read_one: Callable[[], bool | None]) -> None:
+    """Hand over what has come, as much as the longest queue holds."""
+    for _ in range(MOST_AT_ONCE):
+        if read_one() is None:
+            return
+
+
+def _without_parameters(argv: Sequence[str]) -> list[str]:
+    """Command line without what `Experiment.load` has read of it already."""
+    kept: list[str] = []
+    words = iter(argv)
+    for word in words:
+        if word in ("--params-file", "-p", "--param"):
+            next(words, None)
+        else:
+            kept.append(word)
+    return kept

@@ -1,0 +1,274 @@
+"""Precedence, locked memory, awake cores and one of one's own, as far as the system grants them.
+
+The parameters are called as those of ros2_control's controller manager.
+"""
+
+import contextlib
+import ctypes
+import os
+import struct
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from seft_msgs_py.config.parameter_table import Parameter
+
+PARAMETERS = (
+    Parameter(
+        "thread_priority",
+        "int",
+        0,
+        "real-time priority of the node's process (SCHED_FIFO); 0: none",
+        minimum=0,
+        maximum=98,
+    ),
+    Parameter(
+        "lock_memory", "bool", False, "whether the node's memory is kept from being paged out"
+    ),
+    Parameter(
+        "cpu_core",
+        "int",
+        -1,
+        "processor core that the node keeps to; -1: as it was started",
+        minimum=-1,
+        maximum=4095,
+    ),
+    Parameter(
+        "keep_awake",
+        "bool",
+        False,
+        "whether the machine's cores stay awake while they wait, as long as the node runs",
+    ),
+)
+
+FIRST = -20
+"""The nice value of who goes before all others (`nice(1)`)."""
+_TRIES = 20
+_REMEDY = (
+    "a line `{user} - {item} {value}` in /etc/security/limits.conf and a new login allow it; "
+    "the test goes on without"
+)
+_MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
+_PR_SET_TIMERSLACK, _SLACK_NS = 29, 1
+_ADDR_NO_RANDOMIZE, _ASK = 0x0040000, 0xFFFFFFFF
+_AWAKE = Path("/dev/cpu_dma_latency")
+_LIBC = ctypes.CDLL(None, use_errno=True)
+_held: list[int] = []
+"""Open files that keep cores awake; the kernel lets go when they are closed."""
+
+
+def apply(section: Mapping[str, Any]) -> list[str]:
+    """Ask for what a node's parameters say; whatever is denied is left as it was.
+
+    Parameters
+    ----------
+    section : mapping
+        Parameters of a node, among them `PARAMETERS`.
+
+    Returns
+    -------
+    list of str
+        What was denied, each with its remedy.
+    """
+    denied = []
+    if section["cpu_core"] >= 0:
+        denied.append(_keep_to_core(section["cpu_core"]))
+    if section["keep_awake"]:
+        denied.append(_keep_awake())
+    if section["lock_memory"]:
+        denied.append(_lock_memory())
+    if section["thread_priority"] > 0:
+        denied.append(_take_priority(section["thread_priority"]))
+    return [each for each in denied if each]
+
+
+def wake_on_time() -> None:
+    """Have the threads that this one will start, and itself, sleep no longer than they ask for.
+
+    Else Linux may wake them up to 50 µs later, to save power.
+    """
+    _LIBC.prctl(_PR_SET_TIMERSLACK, _SLACK_NS, 0, 0, 0)
+
+
+def take_equal_addresses() -> None:
+    """Have the program that this process will execute put its parts where others put theirs.
+
+    Else Linux spreads each program's parts at random (`personality(2)`). The nodes of the loop
+    run the same interpreter and the same middleware, one after the other on one core; at equal
+    addresses each finds the processor prepared by the one before it. Where a container's filter
+    denies it, it changes nothing.
+    """
+    _LIBC.personality(_personality() | _ADDR_NO_RANDOMIZE)
+
+
+def take_precedence(pid: int) -> bool:
+    """Let a process go before all others without real-time priority, where that is allowed.
+
+    Linux weighs sessions against each other first, and the processes of each then (`sched(7)`,
+    autogroup): so the session of a process that has its own is raised, too.
+
+    Parameters
+    ----------
+    pid : int
+        Of the process; the threads that it will start have the same precedence.
+
+    Returns
+    -------
+    bool
+        Whether it was allowed.
+    """
+    try:
+        for thread in threads_of(pid):
+            with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
+                os.setpriority(os.PRIO_PROCESS, thread, FIRST)
+        has_its_own = os.getsid(pid) == pid
+    except OSError:
+        return False
+    if not has_its_own:
+        return True
+    session = Path(f"/proc/{pid}/autogroup")
+    for _ in range(_TRIES):
+        try:
+            session.write_text(str(FIRST))
+        except BlockingIOError:  # the kernel takes ten a second
+            time.sleep(0.1)
+        except OSError:
+            break  # it has none, or the process has ended
+        else:
+            break
+    return True
+
+
+def may_keep_awake() -> bool:
+    """Whether `PARAMETERS`' ``keep_awake`` would be granted."""
+    return os.access(_AWAKE, os.W_OK)
+
+
+def granted() -> dict[str, Any]:
+    """Tell what this process has.
+
+    Returns
+    -------
+    dict
+        ``priority`` (real-time; 0: none), ``nice``, ``locked_kb``, ``cores``, ``keeps_awake``,
+        ``equal_addresses``, and ``boot``, which is the same for all processes of a machine.
+    """
+    policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
+    is_realtime = policy in (os.SCHED_FIFO, os.SCHED_RR)
+    return {
+        "priority": os.sched_getparam(0).sched_priority if is_realtime else 0,
+        "nice": os.getpriority(os.PRIO_PROCESS, 0),
+        "locked_kb": _locked_kb(),
+        "cores": sorted(os.sched_getaffinity(0)),
+        "keeps_awake": bool(_held),
+        "equal_addresses": bool(_personality() & _ADDR_NO_RANDOMIZE),
+        "boot": boot(),
+    }
+
+
+def boot() -> str:
+    """Tell one machine, from its start to its end, from all others; names no host."""
+    return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+
+
+def _personality() -> int:
+    """Give this process's flags of `personality(2)`; none where even asking is denied."""
+    return max(0, int(_LIBC.personality(_ASK)))
+
+
+def side_threads(pid: int | str = "self") -> list[int]:
+    """Find the threads of a process through which no message of the loop passes.
+
+    FastDDS names its threads: ``dds.udp.`` and a port are those that receive, and of its ports the
+    odd ones are for messages, the even ones for who is there (RTPS 2.3, 9.6.1.1); ``dds.ev`` and
+    ``dds.asyn`` tell others who is here, which can take longer than a step's answer.
+
+    Parameters
+    ----------
+    pid : int or str
+        Of the process; default this one.
+
+    Raises
+    ------
+    OSError
+        If there is no such process.
+    """
+    found = []
+    for thread in threads_of(pid):
+        try:
+            name = Path(f"/proc/{pid}/task/{thread}/comm").read_text(encoding="utf-8").strip()
+        except OSError:  # it has ended meanwhile
+            continue
+        _, _, port = name.partition("dds.udp.")
+        if name.startswith(("dds.ev", "dds.asyn")) or (port.isdigit() and int(port) % 2 == 0):
+            found.append(thread)
+    return found
+
+
+def _keep_to_core(core: int) -> str:
+    try:
+        for thread in set(threads_of()).difference(side_threads()):
+            os.sched_setaffinity(thread, {core})
+    except OSError:
+        allowed = ", ".join(str(each) for each in sorted(os.sched_getaffinity(0)))
+        return f"core {core} is not to be had; choose cpu_core among {allowed}"
+    return ""
+
+
+def _keep_awake() -> str:
+    """Ask the kernel for no latency at all: a core with nothing to do then polls.
+
+    To wake one that sleeps takes long, and who wakes it pays, too (Documentation/power/
+    pm_qos_interface of the kernel).
+    """
+    try:
+        held = os.open(_AWAKE, os.O_WRONLY)
+        os.write(held, struct.pack("=i", 0))
+    except OSError:
+        return (
+            f'to keep the cores awake is denied: a udev rule `KERNEL=="{_AWAKE.name}", '
+            'GROUP="realtime", MODE="0660"` and a user in that group allow it; the test goes on '
+            "without"
+        )
+    _held.append(held)
+    return ""
+
+
+def _take_priority(priority: int) -> str:
+    """Raise all threads, those of DDS too: a message must not wait behind other processes.
+
+    Side threads only wait for those of the loop, which may need what they hold. Threads that are
+    made later, such as that of the services, have no priority.
+    """
+    policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+    try:
+        aside = side_threads()
+        for thread in threads_of():
+            own = max(1, priority - 1) if thread in aside else priority
+            os.sched_setscheduler(thread, policy, os.sched_param(own))
+    except OSError:
+        return f"real-time priority {priority} is denied: " + _REMEDY.format(
+            user="USER", item="rtprio", value=98
+        )
+    return ""
+
+
+def _lock_memory() -> str:
+    if _LIBC.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT):
+        return "locked memory is denied: " + _REMEDY.format(
+            user="USER", item="memlock", value="unlimited"
+        )
+    return ""
+
+
+def threads_of(pid: int | str = "self") -> list[int]:
+    """Numbers of the threads of a process."""
+    return [int(entry.name) for entry in Path(f"/proc/{pid}/task").iterdir()]
+
+
+def _locked_kb() -> int:
+    for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+        if line.startswith("VmLck"):
+            return int(line.split()[1])
+    return 0

@@ -1,0 +1,1 @@
+"""The wire: topics, samples and messages <-> bytes, experiment time; without rclpy."""

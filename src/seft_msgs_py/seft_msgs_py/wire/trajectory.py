@@ -1,0 +1,243 @@
+"""Samples of the loop <-> bytes of a trajectory_msgs/msg/JointTrajectory (CDR, little endian).
+
+A message with known axis names has a fixed layout, in which every double stands on a whole
+64-bit word counted from the end of the 4-byte encapsulation header, and the stamp is word 0.
+Encoding adds what varies to what is fixed; decoding checks what is fixed, padding aside (its
+bytes are arbitrary on the wire), and reads the doubles: of one point as whole numbers as long as
+the message, of more points word by word. Anything else is taken apart field by field, to be
+understood or refused with a reason.
+"""
+
+import math
+import struct
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from seft_msgs_py.errors import WireError
+from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND, Timebase
+from seft_msgs_py.wire.topics import TARGET, LoopTopic
+from seft_msgs_py.wire.trajectory_layout import STAMP, Layout
+from seft_msgs_py.wire.trajectory_message import ENCAPSULATION, parse_trajectory
+
+Floats = npt.NDArray[np.float64]
+
+_COUNTS = struct.Struct("<II")  # of points, and of the first's positions
+_FLOAT64 = np.dtype(np.float64)
+
+
+class TrajectoryCodec:
+    """Samples of one loop topic <-> message bytes.
+
+    Parameters
+    ----------
+    topic : LoopTopic
+        Which arrays of a point carry values.
+    axes : sequence of str
+        Names of the n axes, in order.
+    timebase : Timebase
+        Sampling clock that gives steps their stamps.
+    """
+
+    def __init__(self, topic: LoopTopic, axes: Sequence[str], timebase: Timebase) -> None:
+        self.topic = topic
+        self.axes = tuple(axes)
+        self.timebase = timebase
+        self._period_ns = timebase.period_ns
+        self._layouts: dict[tuple[int, tuple[str, ...]], Layout] = {}
+        self._single = single = self._layout(1)
+        shape = single.values.shape
+        self._single_shapes = (shape, shape[1:], *(((shape[2],),) if shape[1] == 1 else ()))
+        # one point, as whole numbers of so many bytes: what is fixed, and where that stands
+        fixed = b"\xff" * 4 + single.mask.tobytes() + b"\xff" * len(single.tail)
+        self._mask = int.from_bytes(fixed, "little")
+        self._fixed = int.from_bytes(single.template, "little") & self._mask
+        self._numbers = _struct_of_numbers(single)  # and the stamp before them
+        rows = (4 + 8 * single.values[0, :, 0]).tolist()
+        self._first_row = rows[0]
+        stride = rows[1] - rows[0] if len(rows) > 1 else 8 * len(self.axes)
+        self._single_strides = (stride * len(rows), stride, 8)
+
+    def encode(self, step: int, values: Floats) -> bytes:
+        """Make the message of one sample.
+
+        Parameters
+        ----------
+        step : int
+            Step of the sample.
+        values : ndarray
+            Shape (q, n) for q quantities over n axes, or (n,) where q is 1.
+
+        Raises
+        ------
+        WireError
+            If shape or type do not fit, or a value is not finite.
+        """
+        if (
+            values.__class__ is not np.ndarray
+            or values.dtype is not _FLOAT64
+            or values.shape not in self._single_shapes
+            or not math.hypot(*(numbers := values.ravel().tolist())) < math.inf
+        ):
+            return self._encode(self._single, step, values, 1)
+        stamp = divmod(step * self._period_ns, NANOSECONDS_PER_SECOND)
+        varying = int.from_bytes(self._numbers.pack(*stamp, *numbers), "little")
+        return (varying | self._fixed).to_bytes(self._single.size, "little")
+
+    def encode_points(self, step: int, values: Floats) -> bytes:
+        """Make the message of a sample and its known future, one point a step.
+
+        Parameters
+        ----------
+        step : int
+            Step of the first point.
+        values : ndarray
+            Shape (p, q, n), or (p, n) where q is 1.
+
+        Raises
+        ------
+        WireError
+            As `encode`.
+        """
+        count = len(values) if isinstance(values, np.ndarray) and values.ndim else 1
+        if count == 0:
+            raise WireError(f"{self.topic.name}: a message needs at least one point")
+        return self._encode(self._layout(count), step, values, count)
+
+    def decode(self, raw: bytes) -> tuple[int, Floats]:
+        """Read a message.
+
+        Returns
+        -------
+        step : int
+            Step of the first point.
+        values : ndarray
+            Shape (p, q, n): points, quantities, axes. All finite.
+
+        Raises
+        ------
+        WireError
+            If the bytes are no such message, or not of these axes, quantities and steps.
+        """
+        single = self._single
+        if len(raw) == single.size and int.from_bytes(raw, "little") & self._mask == self._fixed:
+            seconds, nanoseconds, *numbers = self._numbers.unpack(raw)
+            if math.hypot(*numbers) < math.inf:
+                shape, strides = self._single_shapes[0], self._single_strides
+                values = np.ndarray(shape, _FLOAT64, raw, self._first_row, strides)
+                stamp = seconds * NANOSECONDS_PER_SECOND + nanoseconds
+                return self.timebase.step(stamp), values
+        return self._decode_any(raw)
+
+    def _decode_any(self, raw: bytes) -> tuple[int, Floats]:
+        layout = self.layout_of(raw)
+        if len(raw) < layout.size or raw[:4] != ENCAPSULATION:
+            return self._decode_slowly(raw)
+        body = np.frombuffer(raw, "<u8", layout.words, 4)
+        tail = raw[4 + body.nbytes : layout.size]
+        if tail != layout.tail or np.count_nonzero((body & layout.mask) ^ layout.fixed):
+            return self._decode_slowly(raw)
+        seconds, nanoseconds = STAMP.unpack_from(raw, 4)
+        values = body.view(np.float64)[layout.values]
+        if not np.isfinite(values).all():
+            raise WireError(f"{self.topic.name}: {_describe_non_finite(values, self)}")
+        return self.timebase.step(seconds * NANOSECONDS_PER_SECOND + nanoseconds), values
+
+    def _encode(self, layout: Layout, step: int, values: Floats, count: int) -> bytes:
+        if not isinstance(values, np.ndarray) or values.dtype != np.float64:
+            raise WireError(
+                f"{self.topic.name}: values must be a float64 array, not {_type_name(values)}"
+            )
+        shape = layout.values.shape
+        if values.shape != shape:
+            single = count == 1 and values.shape == shape[1:]
+            flat = shape[1] == 1 and values.shape == (shape[0], shape[2])
+            flattest = shape[:2] == (1, 1) and values.shape == (shape[2],)
+            if not (single or flat or flattest):
+                raise WireError(
+                    f"{self.topic.name}: values have shape {values.shape}, not {shape} "
+                    f"(points, {'/'.join(self.topic.quantities)}, axes)"
+                )
+            values = values.reshape(shape)
+        if not np.isfinite(values).all():
+            raise WireError(f"{self.topic.name}: {_describe_non_finite(values, self)}")
+        message = bytearray(layout.template)
+        STAMP.pack_into(message, 4, *divmod(step * self.timebase.period_ns, NANOSECONDS_PER_SECOND))
+        np.frombuffer(message, "<f8", layout.words, 4)[layout.values] = values
+        return bytes(message)
+
+    def _layout(self, count: int, carried: tuple[str, ...] = ()) -> Layout:
+        carried = carried or self.topic.quantities
+        layout = self._layouts.get((count, carried))
+        if layout is None:
+            if len(self._layouts) > 64:
+                self._layouts.clear()
+            layout = Layout.of(self.topic, self.axes, self.timebase, count, carried)
+            self._layouts[count, carried] = layout
+        return layout
+
+    def layout_of(self, raw: bytes) -> Layout:
+        """Layout of as many points as a message claims; of one, if that number makes no sense.
+
+        A message may carry a target where the reference force alone is read.
+        """
+        single = self._single
+        at = single.points_at
+        if len(raw) < at + 8:
+            return single
+        count, first = _COUNTS.unpack_from(raw, at)
+        if not 1 <= count <= len(raw) // 24:
+            return single
+        if first and self.topic.name == TARGET.name:
+            return self._layout(count, TARGET.quantities)
+        return single if count == 1 else self._layout(count)
+
+    def _decode_slowly(self, raw: bytes) -> tuple[int, Floats]:
+        message = parse_trajectory(raw, self.topic.name)
+        name = self.topic.name
+        if message.axes != self.axes:
+            raise WireError(
+                f"{name}: axes are {list(message.axes)}, not {list(self.axes)} as configured"
+            )
+        if not message.points:
+            raise WireError(f"{name}: the message holds no point")
+        values = np.empty((len(message.points), len(self.topic.quantities), len(self.axes)))
+        for index, point in enumerate(message.points):
+            if point.time_from_start_ns != index * self.timebase.period_ns:
+                raise WireError(
+                    f"{name}: point {index} is {point.time_from_start_ns} ns after the stamp, "
+                    f"not {index} periods of {self.timebase.period_ns} ns"
+                )
+            for row, quantity in enumerate(self.topic.quantities):
+                given = getattr(point, quantity)
+                if len(given) != len(self.axes):
+                    raise WireError(
+                        f"{name}: {len(given)} {quantity} for {len(self.axes)} axes "
+                        f"{list(self.axes)}"
+                    )
+                values[index, row] = given
+        if not np.isfinite(values).all():
+            raise WireError(f"{name}: {_describe_non_finite(values, self)}")
+        return self.timebase.step(message.stamp_ns), values
+
+
+def _struct_of_numbers(layout: Layout) -> struct.Struct:
+    """Make what reads and writes the stamp and the doubles of a message, in their order."""
+    form, end = f"<{len(ENCAPSULATION)}x{STAMP.format.lstrip('<')}", len(ENCAPSULATION) + STAMP.size
+    for word in layout.values.ravel().tolist():
+        at = 4 + 8 * word
+        form += f"{at - end}xd"
+        end = at + 8
+    return struct.Struct(f"{form}{layout.size - end}x")
+
+
+def _describe_non_finite(values: Floats, codec: TrajectoryCodec) -> str:
+    point, row, column = np.argwhere(~np.isfinite(values))[0]
+    quantity = codec.topic.quantities[row]
+    return f"{quantity} of axis {codec.axes[column]} is {values[point, row, column]}"
+
+
+def _type_name(value: object) -> str:
+    dtype = getattr(value, "dtype", None)
+    return f"{type(value).__name__} of {dtype}" if dtype is not None else type(value).__name__

@@ -1,0 +1,130 @@
+"""Many messages of one loop topic decoded at once, as a bag holds them.
+
+Messages of equal length that all have the layout which the first of them claims differ in
+stamp and doubles alone: that is checked, and these are read, for all of them by a few array
+operations. Every other message goes through `TrajectoryCodec.decode`, one by one.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from seft_msgs_py.errors import WireError
+from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
+from seft_msgs_py.wire.trajectory_layout import Layout
+from seft_msgs_py.wire.trajectory_message import ENCAPSULATION
+
+Floats = npt.NDArray[np.float64]
+Steps = npt.NDArray[np.int64]
+Bytes = npt.NDArray[np.uint8]
+Flags = npt.NDArray[np.bool_]
+Samples = tuple[Steps, Floats]
+Part = tuple[Steps, Floats, Steps]  # of a batch, as in `Batch`
+
+
+class Batch(NamedTuple):
+    """What many messages hold.
+
+    Attributes
+    ----------
+    steps : ndarray of int64
+        Shape (N,): steps of all points of all messages that are understood, in their order.
+    values : ndarray
+        Shape (N, q, n): points, quantities, axes. All finite.
+    messages : ndarray of int64
+        Shape (N,): index of the message that each point is of.
+    refused : int
+        Messages that are not understood.
+    """
+
+    steps: Steps
+    values: Floats
+    messages: Steps
+    refused: int
+
+    def up_to(self, ahead: float) -> "Batch":
+        """Leave out the points that are more steps than this after the first of their message."""
+        first = np.searchsorted(self.messages, self.messages)
+        near = np.arange(len(self.steps)) - first <= ahead
+        if near.all():
+            return self
+        return Batch(self.steps[near], self.values[near], self.messages[near], self.refused)
+
+
+def decode_batch(codec: TrajectoryCodec, rows: Bytes) -> Batch:
+    """Read messages of equal length as `TrajectoryCodec.decode` does each of them.
+
+    Parameters
+    ----------
+    codec : TrajectoryCodec
+        Of their topic.
+    rows : ndarray of uint8
+        Shape (M, length): the messages; memory is a small multiple of theirs.
+    """
+    count, length = rows.shape
+    layout = codec.layout_of(rows[0].tobytes() if count else b"")
+    points, *shape = layout.values.shape
+    values = np.empty((count, layout.values.size))
+    steps, fits = np.zeros(count, np.int64), np.zeros(count, bool)
+    if length >= layout.size and count:
+        steps, fits = _steps(codec, rows)
+        words = np.ndarray((count, layout.words), "<u8", rows, 4, (length, 8))
+        values = words[:, layout.values.ravel()].view(np.float64)
+        fits &= np.isfinite(values).all(axis=1) & _as_laid_out(rows, words, layout)
+    every = steps[:, np.newaxis] + np.arange(points)
+    parts, refused, start = [_none(codec)], 0, 0
+    for end in [*np.flatnonzero(~fits).tolist(), count]:
+        if start < end:
+            messages = np.repeat(np.arange(start, end), points)
+            parts.append(
+                (every[start:end].ravel(), values[start:end].reshape(-1, *shape), messages)
+            )
+        if end < count:
+            single = _decode_one(codec, rows[end].tobytes())
+            if single is None:
+                refused += 1
+            else:
+                parts.append((*single, np.full(len(single[0]), end)))
+        start = end + 1
+    if len(parts) == 2:  # as mostly: nothing to be put together
+        return Batch(*parts[1], refused)
+    found, points_of, messages_of = zip(*parts, strict=True)
+    together = np.concatenate(found), np.concatenate(points_of), np.concatenate(messages_of)
+    return Batch(*together, refused)
+
+
+def _as_laid_out(rows: Bytes, words: npt.NDArray[np.uint64], layout: Layout) -> Flags:
+    """Whether all that is fixed in a layout is so in each message."""
+    checked = np.flatnonzero(layout.mask)
+    differing = words[:, checked]
+    differing &= layout.mask[checked]
+    differing ^= layout.fixed[checked]
+    headed = rows[:, : len(ENCAPSULATION)] == np.frombuffer(ENCAPSULATION, np.uint8)
+    tail = rows[:, layout.size - len(layout.tail) : layout.size] == list(layout.tail)
+    found: Flags = np.bitwise_or.reduce(differing, axis=1) == 0
+    return found & headed.all(axis=1) & tail.all(axis=1)
+
+
+def _none(codec: TrajectoryCodec) -> Part:
+    shape = (0, len(codec.topic.quantities), len(codec.axes))
+    return np.empty(0, np.int64), np.empty(shape), np.empty(0, np.int64)
+
+
+def _steps(codec: TrajectoryCodec, rows: Bytes) -> tuple[Steps, Flags]:
+    """Read the stamps of messages: the steps they name, and which of them are on the grid."""
+    seconds = rows[:, 4:8].copy().view("<i4")[:, 0].astype(np.int64)
+    nanoseconds = rows[:, 8:12].copy().view("<u4")[:, 0]
+    steps, rest = np.divmod(
+        seconds * NANOSECONDS_PER_SECOND + nanoseconds, codec.timebase.period_ns
+    )
+    return steps, (rest == 0) & (steps >= 0)
+
+
+def _decode_one(codec: TrajectoryCodec, raw: bytes) -> Samples | None:
+    try:
+        step, values = codec.decode(raw)
+    except WireError:
+        return None
+    return step + np.arange(len(values)), values

@@ -1,0 +1,104 @@
+"""Where things stand in the bytes of a JointTrajectory message."""
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND, Timebase
+from seft_msgs_py.wire.topics import QUANTITIES, LoopTopic
+from seft_msgs_py.wire.trajectory_message import ENCAPSULATION
+
+STAMP = struct.Struct("<iI")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A message of given axes, quantities and number of points, in 64-bit words.
+
+    Words are counted from the end of the encapsulation header; word 0 is the stamp.
+
+    Attributes
+    ----------
+    template : bytes
+        The message at time 0, all values zero.
+    size, words : int
+        Its bytes, and its whole words.
+    tail : bytes
+        What stands after the last whole word.
+    values : ndarray of intp
+        Shape (p, q, n): words that hold the values of points, quantities, axes.
+    mask, fixed : ndarray of uint64
+        Shape (words,): ones where bits must be as in the template, and what they are there.
+    points_at : int
+        Byte at which the number of points stands.
+    """
+
+    template: bytes
+    size: int
+    words: int
+    tail: bytes
+    values: npt.NDArray[np.intp]
+    mask: npt.NDArray[np.uint64]
+    fixed: npt.NDArray[np.uint64]
+    points_at: int
+
+    @classmethod
+    def of(
+        cls,
+        topic: LoopTopic,
+        axes: tuple[str, ...],
+        timebase: Timebase,
+        count: int,
+        carried: tuple[str, ...],
+    ) -> "Layout":
+        """Lay out a message of ``count`` points, a period apart.
+
+        Its points carry the quantities of the topic, and perhaps others, which are not looked at.
+        """
+        message, known = bytearray(ENCAPSULATION), bytearray(4)
+
+        def put(data: bytes, align: int = 4, fixed: bool = True) -> int:
+            padding = -(len(message) - 4) % align
+            message.extend(bytes(padding) + data)
+            known.extend(bytes(padding) + (b"\xff" if fixed else b"\x00") * len(data))
+            return len(message) - len(data)
+
+        def put_string(text: str) -> None:
+            data = text.encode() + b"\x00"
+            put(struct.pack("<I", len(data)))
+            put(data, align=1)
+
+        put(bytes(8), fixed=False)
+        put_string("")
+        put(struct.pack("<I", len(axes)))
+        for axis in axes:
+            put_string(axis)
+        points_at = put(struct.pack("<I", count))
+        values = np.empty((count, len(topic.quantities), len(axes)), np.intp)
+        for point in range(count):
+            for quantity in QUANTITIES:
+                if quantity not in carried:
+                    put(struct.pack("<I", 0))
+                    continue
+                put(struct.pack("<I", len(axes)))
+                at = [put(bytes(8), align=8, fixed=False) for _ in axes]
+                if quantity in topic.quantities:
+                    row = topic.quantities.index(quantity)
+                    values[point, row] = (np.array(at) - 4) // 8
+            put(STAMP.pack(*divmod(point * timebase.period_ns, NANOSECONDS_PER_SECOND)))
+        size = len(message)
+        words = (size - 4) // 8
+        mask = np.frombuffer(bytes(known), "<u8", words, 4)
+        fixed_words = np.frombuffer(bytes(message), "<u8", words, 4) & mask
+        return cls(
+            template=bytes(message),
+            size=size,
+            words=words,
+            tail=bytes(message[4 + 8 * words :]),
+            values=values,
+            mask=mask,
+            fixed=fixed_words,
+            points_at=points_at,
+        )

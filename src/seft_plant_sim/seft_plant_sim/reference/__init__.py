@@ -1,0 +1,1 @@
+"""The response that a perfect test would give."""

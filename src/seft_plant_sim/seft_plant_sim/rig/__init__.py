@@ -1,0 +1,1 @@
+"""The simulated rig: actuator, specimen, sensors and limits."""

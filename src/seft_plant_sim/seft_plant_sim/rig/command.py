@@ -1,0 +1,97 @@
+"""The newest command of a topic that a rig may apply."""
+
+import numpy as np
+from seft_msgs_py.errors import WireError
+from seft_msgs_py.wire.messages_ahead import MessagesAhead
+from seft_msgs_py.wire.rigs import RigAxes
+from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
+
+
+class Command:
+    """Takes the messages of one topic, and keeps the newest that fits the test.
+
+    A message that is refused leaves what is held as it is: to the rig, its command is missing.
+
+    Parameters
+    ----------
+    codec : TrajectoryCodec
+        Of the topic.
+    limit : float
+        Largest magnitude on any axis, in the topic's unit.
+    loop_delay : int
+        Steps beyond that of a message for which its points settle the command.
+    rig : RigAxes, optional
+        The rig that the command is for, of several whose axes the topic has; default all.
+
+    Attributes
+    ----------
+    step : int
+        Last step whose command is settled; -1 where none is.
+    current : int
+        Step of the rig's last sample: no later one can have been answered.
+    answered : int
+        Step of the sample that the newest message answers; -1 where none has come.
+    """
+
+    def __init__(
+        self,
+        codec: TrajectoryCodec,
+        limit: float,
+        loop_delay: int = 0,
+        rig: RigAxes | None = None,
+    ) -> None:
+        self.codec = codec
+        self._rig = rig or RigAxes.whole(codec.axes)
+        self._places = None if self._rig.axes == codec.axes else list(self._rig.places)
+        self._limit = limit
+        self._loop_delay = loop_delay
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to no drive, before the first sample of a test."""
+        self.answered = self.current = -1
+        self.step = self._loop_delay - 1
+        nothing = np.zeros((1 + self._loop_delay, len(self._rig.axes)))
+        self._messages = MessagesAhead(self._loop_delay, nothing)
+
+    @property
+    def value(self) -> Floats:
+        """Command to be applied after the last sample, shape (n,); zero where none has come.
+
+        Of a message that tells of coming steps it is the point of that sample's step, or the last.
+        """
+        age, points = self._messages.of(self.current)
+        value: Floats = points[min(age, len(points) - 1)]
+        return value
+
+    def take(self, raw: bytes) -> None:
+        """Take a message.
+
+        Raises
+        ------
+        WireError
+            If it is no command of these axes, is not finite or beyond the limit, answers a
+            sample that has not been taken, or is not newer than the one that is held.
+        """
+        step, values = self.codec.decode(raw)
+        name = self.codec.topic.name
+        if step > self.current:
+            raise WireError(f"{name} of step {step}, but the rig is at step {self.current}")
+        if step <= self.answered:
+            raise WireError(
+                f"{name} of step {step} after that of step {self.answered}: stale, duplicated or "
+                "out of order"
+            )
+        settled = values[: 1 + self._loop_delay, 0]  # beyond, a target tells of what may come
+        points = settled if self._places is None else settled[:, self._places]
+        worst = points[0] if len(points) == 1 else points[np.abs(points).max(axis=1).argmax()]
+        for axis, number in zip(self._rig.axes, worst.tolist(), strict=True):
+            if not abs(number) <= self._limit:
+                unit = self.codec.topic.units[0]
+                raise WireError(
+                    f"{name} of step {step} is {number:g} {unit} on axis {axis}, beyond the "
+                    f"limit of {self._limit:g} {unit}"
+                )
+        self.answered = step
+        self._messages.add(step, points)
+        self.step = step + self._loop_delay

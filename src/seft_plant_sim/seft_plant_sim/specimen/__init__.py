@@ -1,0 +1,1 @@
+"""The load-resisting member under test."""
