@@ -40,16 +40,15 @@ class Spectrum:
 def spectrum_of(y: Floats, dt: float, segment_s: float = 4.0) -> Spectrum:
     """Estimate a power spectral density from averaged segments (Welch 1967).
 
-    Hann windows that overlap by half, and no mean; a record shorter than a segment is one.
+    Hann windows that overlap by half, and no mean; a record shorter than a segment is one. What is
+    not finite makes a spectrum of NaN.
 
     Parameters
     ----------
     y : ndarray
-        Shape (N,); what is not finite makes a spectrum of NaN.
-    dt : float
-        Sampling period, s.
-    segment_s : float
-        Length of a segment, s; its inverse is the resolution.
+        Shape (N,).
+    dt, segment_s : float
+        Sampling period and length of a segment, s; the inverse of that is the resolution.
     """
     from scipy.signal import welch  # 20 MB that no node needs
 

@@ -43,12 +43,7 @@ def summarise(
 ) -> dict[str, Any]:
     """Summarise a test.
 
-    Parameters
-    ----------
-    record : Record
-        The test.
-    reference, balance, difference : optional
-        As `reference_of`, `balance_of` and `motion_difference` give them; computed if not given.
+    What `reference_of`, `balance_of` and `motion_difference` give is computed if not given.
 
     Returns
     -------
@@ -153,12 +148,9 @@ def reference_of(record: Record) -> ReferenceResponse | None:
 
 
 def balance_of(record: Record) -> EnergyBalance | None:
-    """Energies of the specimen at each step, as measured; from step 0.
+    """Energies of the specimen at each step, as measured, from step 0.
 
-    Returns
-    -------
-    EnergyBalance or None
-        None if the specimen is not known, or samples are missing or not finite.
+    None if the specimen is not known, or samples are missing or not finite.
     """
     states = record.series[RIG_STATE.name]
     count = len(states.steps)

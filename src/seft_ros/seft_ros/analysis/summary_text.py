@@ -41,15 +41,7 @@ def agreement_rows(part: dict[str, Any], prefix: str = "", delay_form: str = ".2
 
 
 def summary_table(record: Record, summary: dict[str, Any]) -> Table:
-    """Tabulate how a test agrees with the exact response; the caption is its `verdict`.
-
-    Parameters
-    ----------
-    record : Record
-        The test.
-    summary : dict
-        As `seft_ros.analysis.summary.summarise` gives it.
-    """
+    """Tabulate a test's summary: agreement with the exact response; the caption is its verdict."""
     lines = [title_of(record), _pace(summary), *_trust_lines(summary), *_estimate_lines(summary)]
     rows = agreement_rows(summary)
     if len(summary["axes"]) > 1:

@@ -46,13 +46,7 @@ class Timing:
 
 
 def timing_of(record: Record) -> Timing | None:
-    """Find round trips and gaps of a recorded test.
-
-    Returns
-    -------
-    Timing or None
-        None if the messages were not received one by one (offline loop).
-    """
+    """Find round trips and gaps; None if messages were not received one by one (offline loop)."""
     if record.environment.get("mode") == "simulate":
         return None
     states, commands = (record.series[topic.name] for topic in (RIG_STATE, VALVE_COMMAND))
@@ -141,13 +135,10 @@ def stalls_of(record: Record) -> dict[str, Any] | None:
 def link_numbers(record: Record) -> dict[str, Any] | None:
     """Summarise what the force controller counted on the link of a test on several hosts.
 
-    Returns
-    -------
-    dict or None
-        ``loop_delay`` (steps), ``age`` of the messages in steps (p50, p99, largest), ``late``
-        (forces whose message was older than the loop's delay: they are predictions), ``held``
-        (forces of which no message told: the one before was held), ``forces`` (all of them); None
-        where no link lies between reference force and force controller, or nothing was told.
+    These are ``loop_delay`` (steps), ``age`` of the messages in steps (p50, p99, largest), ``late``
+    (forces whose message was older than the loop's delay: they are predictions), ``held`` (forces
+    of which no message told: the one before was held), ``forces`` (all of them). None where no link
+    lies between reference force and force controller, or nothing was told.
     """
     link, section = record.link, record.experiment.sections.get("reference_force", {})
     loop_delay = section.get("loop_delay", 0)

@@ -96,12 +96,7 @@ def tracking_of(record: Record, reference: ReferenceResponse | None) -> dict[str
     lost ones errors are left out, and what needs every sample (spectra, areas, integrals, J1)
     interpolates them.
 
-    Parameters
-    ----------
-    record : Record
-        The test.
-    reference : ReferenceResponse or None
-        Exact response, for J4 and J7 (of the second axis J5 and J8...); None: they are NaN.
+    Without an exact response J4 to J9 are NaN.
 
     Returns
     -------

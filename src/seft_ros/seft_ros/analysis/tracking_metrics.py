@@ -129,14 +129,8 @@ def frequency_evaluation_index(
     `LONG` samples the few at the end are left out that would make its transform slow. Of a
     constant command the delay is NaN.
 
-    Parameters
-    ----------
-    commanded, measured : ndarray
-        Any unit.
-    dt : float
-        Sampling period, s.
-    power : float
-        l, positive, else a ValueError; at 2 F is the complex gain that fits best by least squares.
+    ``power`` is l, positive, else a ValueError; at 2 F is the complex gain that fits best by least
+    squares.
     """
     c, m = paired_columns(commanded, measured)
     if len(c) > LONG:
@@ -173,12 +167,8 @@ def tracking_indicator(commanded: Floats, measured: Floats) -> Floats:
     by (m' + m) / 2 (c' - c) (Mercan & Ricles 2007, Earthquake Engineering & Structural Dynamics
     36, 1523-1543). It grows while the measured signal lags and falls while it leads; a wrong
     amplitude alone leaves it at zero. A sine of amplitudes C and M whose measured signal lags by
-    phi adds pi C M sin(phi) in each cycle.
-
-    Returns
-    -------
-    ndarray
-        TI so far at each sample, of the signals' shape, in the square of the unit; 0 at the first.
+    phi adds pi C M sin(phi) in each cycle. Given is TI so far at each sample, of the signals'
+    shape, in the square of their unit; 0 at the first.
     """
     c, m = paired_columns(commanded, measured)
     indicator = np.zeros_like(c)
@@ -216,8 +206,6 @@ def energy_error(force_error: Floats, velocity: Floats, dt: float) -> Floats:
         Measured minus reference force, N.
     velocity : ndarray
         Of the specimen, relative to the ground, m/s.
-    dt : float
-        Sampling period, s.
 
     Returns
     -------

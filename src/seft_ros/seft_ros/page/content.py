@@ -56,14 +56,7 @@ class Verdict:
 class Table:
     """Rows under headings; columns after the first stand to the right where ``numbers``.
 
-    Attributes
-    ----------
-    headings : sequence of str
-        One for each column; none: a list of names and values.
-    rows : sequence of sequences
-        Text, or `Cell` with a mark.
-    wide : bool
-        Over the page's whole width.
+    Without headings it is a list of names and values. A wide one has the page's whole width.
     """
 
     headings: Sequence[str]
@@ -79,16 +72,9 @@ class Table:
 
 @dataclass(frozen=True)
 class Plot:
-    """A zoomable figure, and what it shows.
+    """A zoomable figure of `seft_ros.page.plots`, and in one or two sentences what to look for.
 
-    Attributes
-    ----------
-    figure : bokeh Model
-        As `seft_ros.page.plots` makes them; figures that share a range zoom together.
-    caption : str
-        One or two sentences: what to look for.
-    wide : bool
-        Over the page's whole width; else two stand side by side where there is room.
+    A wide one has the page's whole width; else two stand side by side where there is room.
     """
 
     figure: Model
@@ -99,15 +85,7 @@ class Plot:
 
 @dataclass(frozen=True)
 class Grid:
-    """Plots side by side, row after row, where there is room; else one below the other.
-
-    Attributes
-    ----------
-    plots : sequence of Plot
-        Row by row.
-    columns : int
-        Most in a row, 2 to 4.
-    """
+    """Plots side by side, 2 to 4 in a row, where there is room; else one below the other."""
 
     plots: Sequence[Plot]
     columns: int = 3

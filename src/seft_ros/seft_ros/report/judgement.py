@@ -30,17 +30,7 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that speaks for a test or against it.
-
-    Attributes
-    ----------
-    name : str
-        For programs.
-    verdict : Mark
-        What it means.
-    text : str
-        For people: what, how much, and how much would be good.
-    """
+    """One thing that speaks for a test or against it: what, how much, how much would be good."""
 
     name: str
     verdict: Mark
@@ -57,13 +47,7 @@ class Judgement:
 
 
 def judge(summary: dict[str, Any]) -> Judgement:
-    """Judge a test by its summary.
-
-    Parameters
-    ----------
-    summary : dict
-        As `seft_ros.report.numbers.report_numbers` gives it.
-    """
+    """Judge a test by the summary that `seft_ros.report.numbers.report_numbers` gives."""
     order = (Mark.BAD, Mark.DOUBT, Mark.GOOD, Mark.NONE)
     findings = sorted(_findings(summary), key=lambda finding: order.index(finding.verdict))
     worst = findings[0].verdict

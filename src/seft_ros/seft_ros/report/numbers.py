@@ -80,13 +80,7 @@ class Findings:
 
 
 def report_numbers(record: Record) -> Findings:
-    """Analyse a test.
-
-    Raises
-    ------
-    InputError
-        As `reference_of`.
-    """
+    """Analyse a test; an InputError is that of `reference_of`."""
     reference, balance = reference_of(record), balance_of(record)
     difference = motion_difference(record)
     summary = summarise(record, reference, balance, difference)
