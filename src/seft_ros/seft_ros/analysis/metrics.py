@@ -96,12 +96,10 @@ def nrmse_aligned(
         return math.nan
     last = len(reference) - 1 + math.floor(delay / dt + 1e-6)
     known = int(np.searchsorted(steps, last, side="right"))
-    if len(steps) == len(reference):
-        scale, shifted = _rms(reference), delayed(reference, delay, dt)[:known]
-    else:
-        scale, shifted = _rms(reference[steps]), delayed(reference, delay, dt)[steps[:known]]
+    whole = len(steps) == len(reference)
+    shifted = delayed(reference, delay, dt)[slice(known) if whole else steps[:known]]
     error = _rms(y[:known] - shifted) * math.sqrt(known / len(steps)) if known else 0.0
-    return _ratio(error, scale)
+    return _ratio(error, _rms(reference if whole else reference[steps]))
 
 
 def peak(y: Floats) -> float:

@@ -121,20 +121,19 @@ def _ground_motion_table(summary: dict[str, Any]) -> Table:
     frequencies, (low, high) = structure["frequency_hz"], structure["stiffness_factors"]
     few = zip(frequencies[:_FEW], structure["damping_ratio"], strict=False)
     modes = ", ".join(f"{hz:.3g} Hz ({percent(ratio)} damping)" for hz, ratio in few)
-    worst = f"worst of structures with {low:.2g} to {high:.2g} times the specimen's stiffness"
+    worst, deviation = (
+        f"{percent(numbers[value])}, at {number(numbers[hz], unit='Hz')}"
+        for value, hz in (
+            ("worst_response_nrmse", "worst_frequency_hz"),
+            ("spectrum_deviation", "spectrum_deviation_frequency_hz"),
+        )
+    )
     rows = [
         ["response of the linear whole structure differs by", percent(numbers["response_nrmse"])],
         ["its natural frequencies", modes + ", ..." * (len(frequencies) > _FEW)],
+        [f"worst of structures with {low:.2g} to {high:.2g} times the specimen's stiffness", worst],
+        ["largest deviation of the spectrum in their band", deviation],
     ]
-    for label, value, hz in (
-        (worst, "worst_response_nrmse", "worst_frequency_hz"),
-        (
-            "largest deviation of the spectrum in their band",
-            "spectrum_deviation",
-            "spectrum_deviation_frequency_hz",
-        ),
-    ):
-        rows.append([label, f"{percent(numbers[value])}, at {number(numbers[hz], unit='Hz')}"])
     return Table((), rows + (rows_of(_TARGET, tracking) if tracking is not None else []))
 
 
