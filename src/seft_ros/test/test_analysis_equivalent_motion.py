@@ -11,9 +11,9 @@ from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_plant_sim.reference.whole_structure import reference_response, whole_structure
 from seft_ros.analysis.equivalent_motion import (
     EquivalentMotion,
+    assumed_structure,
     motion_difference,
     secant_stiffness,
-    told_structure,
 )
 from seft_ros.analysis.metrics import delayed
 from seft_ros.analysis.summary import summarise
@@ -77,7 +77,7 @@ def make_record(test, asked, states, forces=None):
 
 
 def equivalent_of(test, states):
-    told = told_structure(test)
+    told = assumed_structure(test)
     return EquivalentMotion(whole_structure(told), test.timebase.dt).advance(states)
 
 
@@ -122,7 +122,7 @@ def test_a_known_error_of_force_is_a_known_error_of_ground_motion():
 def test_piece_by_piece_it_is_the_same(config):
     test = experiment(config)
     states = states_of(test, ground(test))
-    running = EquivalentMotion(whole_structure(told_structure(test)), test.timebase.dt)
+    running = EquivalentMotion(whole_structure(assumed_structure(test)), test.timebase.dt)
     cuts = np.split(states, [1, 2, 700])
     found = np.concatenate([running.advance(piece) for piece in cuts])
     np.testing.assert_allclose(found, equivalent_of(test, states), atol=1e-9)

@@ -35,8 +35,8 @@ _FACTORS = (0.1, 10.0)  # of secant stiffness: what is beyond is noise or a stop
 _SMALLEST = 0.1  # half cycle that counts, over the largest
 
 
-def told_structure(experiment: Experiment, stiffness_factor: float = 1.0) -> Experiment | None:
-    """Take of an experiment what the reference-force node was told of the structure.
+def assumed_structure(experiment: Experiment, stiffness_factor: float = 1.0) -> Experiment | None:
+    """Take of an experiment what the reference-force node assumes of the structure.
 
     Returns
     -------
@@ -47,11 +47,11 @@ def told_structure(experiment: Experiment, stiffness_factor: float = 1.0) -> Exp
     section = experiment.sections.get("reference_force", {})
     try:
         stiffness = np.multiply(section["model.stiffness"], stiffness_factor).tolist()
-        told = Experiment({"reference_force": section | {"model.stiffness": stiffness}})
-        whole_structure(told)
+        assumed = Experiment({"reference_force": section | {"model.stiffness": stiffness}})
+        whole_structure(assumed)
     except (InputError, KeyError):
         return None
-    return told
+    return assumed
 
 
 class EquivalentMotion:
@@ -207,22 +207,22 @@ def motion_difference(record: Record) -> MotionDifference | None:
         None if the record does not begin with step 0, lacks ground motion, holds what is not
         finite, or does not describe the structure.
     """
-    told = told_structure(record.experiment)
+    assumed = assumed_structure(record.experiment)
     states, motion = record.series[RIG_STATE.name], record.series[GROUND_MOTION.name]
     count = int(states.steps[-1]) + 1 if len(states.steps) else 0
     begun = count > 1 and states.steps[0] == 0
     whole = begun and np.array_equal(motion.steps[:count], np.arange(count))
-    if told is None or not whole or not np.isfinite(states.values).all():
+    if assumed is None or not whole or not np.isfinite(states.values).all():
         return None
     measured, asked = every_step(states, np.arange(count)), motion.values[:count, 0, :]
-    structure, dt = whole_structure(told), record.experiment.timebase.dt
+    structure, dt = whole_structure(assumed), record.experiment.timebase.dt
     equivalent = EquivalentMotion(structure, dt)
     with np.errstate(over="ignore", invalid="ignore"):  # of a test that went unstable
         tested = equivalent.advance(measured)
         factors = _factors(structure, measured, equivalent.mass)
-        tried = [one for one in (told_structure(record.experiment, f) for f in factors) if one]
+        tried = [one for one in (assumed_structure(record.experiment, f) for f in factors) if one]
         errors = [_response_nrmse(one, asked, tested) for one in tried]
-        told_error = _response_nrmse(told, asked, tested)
+        assumed_error = _response_nrmse(assumed, asked, tested)
         modes = [_modes(whole_structure(one))[0] for one in tried]
         natural, damping = _modes(structure)
         band = (float(modes[0][0]), float(modes[-1][-1]))
@@ -234,7 +234,7 @@ def motion_difference(record: Record) -> MotionDifference | None:
     return MotionDifference(
         natural_hz=natural,
         damping=damping,
-        response_nrmse=told_error,
+        response_nrmse=assumed_error,
         factors=factors,
         tried_hz=np.array([mode[0] for mode in modes]),
         tried_nrmse=np.array(errors),
@@ -259,9 +259,9 @@ def natural_frequencies(experiment: Experiment) -> Floats:
     return _modes(whole_structure(experiment))[0]
 
 
-def _response_nrmse(told: Experiment, asked: Floats, tested: Floats) -> float:
-    y = reference_response(told, asked).displacement
-    return nrmse(reference_response(told, tested).displacement, y)
+def _response_nrmse(assumed: Experiment, asked: Floats, tested: Floats) -> float:
+    y = reference_response(assumed, asked).displacement
+    return nrmse(reference_response(assumed, tested).displacement, y)
 
 
 def _modes(whole: WholeStructure) -> tuple[Floats, Floats]:

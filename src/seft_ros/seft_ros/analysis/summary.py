@@ -76,7 +76,7 @@ def summarise(
     difference = difference or motion_difference(record)
     simulated = "specimen.mass" in record.experiment.sections.get("rig", {})
     summary = {
-        **_course(record),
+        **_outcome(record),
         "first_step": int(recorded[0]) if len(recorded) else None,
         "rate_hz": record.experiment.timebase.rate,
         "duration_s": duration,
@@ -105,7 +105,7 @@ def summarise_briefly(record: Record, reference: ReferenceResponse) -> dict[str,
 
     For many tests of which no more is wanted: the rest takes most of the time.
     """
-    summary = {**_course(record), **_responses(record, reference, slice(None))}
+    summary = {**_outcome(record), **_responses(record, reference, slice(None))}
     return {key: json_safe(value) for key, value in summary.items()}
 
 
@@ -190,7 +190,7 @@ def energy_numbers(balance: EnergyBalance | None) -> dict[str, float] | None:
         return {**energies, "closure": float(np.abs(balance.error).max())}
 
 
-def _course(record: Record) -> dict[str, Any]:
+def _outcome(record: Record) -> dict[str, Any]:
     """How far a test came, and how it ended."""
     trip, counts = record.trip, record.saturation
     finite = all(np.isfinite(series.values).all() for series in record.series.values())

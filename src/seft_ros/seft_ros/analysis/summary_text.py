@@ -159,11 +159,11 @@ def _estimate_lines(summary: dict[str, Any]) -> list[str]:
     lines = []
     for name, by_axis in summary["estimates"].items():
         unit, scale = DISPLAY_UNITS.get(name, ("", 1.0))
-        courses = []
+        texts = []
         for axis, found in by_axis.items():
             values = (number(found[key], scale) for key in ("first", "last", "least", "largest"))
             first, last, least, largest = values
-            course = f"{first} to {last} {unit}".rstrip() + f" (between {least} and {largest})"
-            courses.append(f"{axis} {course}" if len(by_axis) > 1 else course)
-        lines.append(f"{name} as identified: {', '.join(courses)}")
+            text = f"{first} to {last} {unit}".rstrip() + f" (between {least} and {largest})"
+            texts.append(f"{axis} {text}" if len(by_axis) > 1 else text)
+        lines.append(f"{name} as identified: {', '.join(texts)}")
     return lines

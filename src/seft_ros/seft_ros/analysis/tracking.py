@@ -9,7 +9,7 @@ from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
 from seft_plant_sim.reference.whole_structure import ReferenceResponse, whole_structure
 
 from seft_ros.analysis.alignment import common_steps, every_step
-from seft_ros.analysis.equivalent_motion import EquivalentMotion, told_structure
+from seft_ros.analysis.equivalent_motion import EquivalentMotion, assumed_structure
 from seft_ros.analysis.metrics import nrmse, paired_columns, peak
 from seft_ros.analysis.tracking_metrics import (
     benchmark_criteria,
@@ -76,11 +76,11 @@ def tracked_of(record: Record) -> Tracked:
 def _derived(record: Record, measured: Floats, every: Steps) -> Floats | None:
     """Force that was meant by a method that sends it ahead, shape (N, n)."""
     section = record.experiment.sections.get("reference_force", {})
-    motion, told = record.series[GROUND_MOTION.name], told_structure(record.experiment)
+    motion, assumed = record.series[GROUND_MOTION.name], assumed_structure(record.experiment)
     ahead = section.get("compensation.method", "none") not in SENT_AS_MEANT
-    if not (ahead and len(motion.steps) and len(every)) or told is None:
+    if not (ahead and len(motion.steps) and len(every)) or assumed is None:
         return None
-    equivalent = EquivalentMotion(whole_structure(told), record.experiment.timebase.dt)
+    equivalent = EquivalentMotion(whole_structure(assumed), record.experiment.timebase.dt)
     with np.errstate(over="ignore", invalid="ignore"):  # of a test that went unstable
         difference = equivalent.advance(measured) - every_step(motion, every)[:, 0]
         command: Floats = measured[:, _FORCE] + difference @ equivalent.mass.T

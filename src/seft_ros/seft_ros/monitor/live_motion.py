@@ -10,9 +10,9 @@ from seft_plant_sim.reference.whole_structure import RunningResponse, whole_stru
 from seft_ros.analysis.equivalent_motion import (
     DAMPING,
     EquivalentMotion,
+    assumed_structure,
     natural_frequencies,
     spectrum_frequencies,
-    told_structure,
 )
 from seft_ros.ground_motion.spectrum import RunningSpectrum
 
@@ -25,7 +25,7 @@ class LiveMotion:
     Parameters
     ----------
     told : Experiment
-        What is told of the structure, as `told_structure` gives it.
+        What is told of the structure, as `assumed_structure` gives it.
     """
 
     def __init__(self, told: Experiment) -> None:
@@ -40,7 +40,7 @@ class LiveMotion:
     @classmethod
     def of(cls, experiment: Experiment) -> "LiveMotion | None":
         """Make one, if the structure is known."""
-        told = told_structure(experiment)
+        told = assumed_structure(experiment)
         return None if told is None else cls(told)
 
     def advance(self, asked: Floats, states: Floats) -> None:
