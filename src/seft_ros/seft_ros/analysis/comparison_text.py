@@ -8,7 +8,7 @@ from seft_msgs_py.wire.topics import LOOP_TOPICS, TARGET
 
 from seft_ros.analysis.comparison import length_s
 from seft_ros.analysis.summary_text import title_of
-from seft_ros.drawing.tables import make_table, number, small_percent
+from seft_ros.drawing.tables import make_table, small_percent
 from seft_ros.recording.bag_reader import UNDECODABLE
 from seft_ros.recording.record import Record
 
@@ -59,7 +59,7 @@ def comparison_table(comparison: dict[str, Any], a: str = "a", b: str = "b") -> 
     rows = []
     for topic, row in comparison["topics"].items():
         counts = [row[key] for key in ("samples_a", "samples_b", "missing_a", "missing_b")]
-        largest = number(row["max_abs"], 1.0, _unit(topic, row), ".2g")
+        largest = "-" if row["max_abs"] is None else f"{row['max_abs']:.2g} {_unit(topic, row)}"
         errors = (largest, small_percent(row["nrmse"])) if row["compared"] else ("-", "-")
         rows.append([topic, *map(str, counts), *errors])
     first, *more = difference_lines(comparison, a, b)

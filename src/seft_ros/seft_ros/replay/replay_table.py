@@ -32,7 +32,7 @@ def replay_table(result: dict[str, Any]) -> Group:
     rows = [
         [
             f"{topic} {name}",
-            number(row["max_abs"], 1.0, FIELD_UNITS.get((topic, name), ""), ".3g"),
+            f"{number(row['max_abs'], form='.3g')} {FIELD_UNITS.get((topic, name), '')}".strip(),
             small_percent(row["nrmse"]),
         ]
         for topic, fields in groups.items()
