@@ -21,7 +21,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from _runs import recorded_run, use_own_domain
-from seft_ros.analysis.stalls import stalls_of
+from seft_ros.analysis.timing import stalls_of
 from tornado.httpclient import HTTPRequest
 from tornado.ioloop import IOLoop
 from tornado.websocket import websocket_connect
@@ -135,7 +135,9 @@ def run(seconds: float, pid: int | None) -> tuple[float, float]:
     assert received is not None
     used = share.between(int(received[0]), int(received[-1])) if share else 0.0
     rate = missed / len(states.steps)
-    blame = f", {stalls.attributed} of {stalls.listed} listed the machine's" if stalls else ""
+    blame = ""
+    if stalls:
+        blame = f", {stalls['missed_in_a_stall']} of {stalls['missed_listed']} listed the machine's"
     shown = f"; monitor {used:.1%} of a core" if share else ""
     print(f"    {missed} of {len(states.steps):,} missed ({rate:.2%}{blame}){shown}", flush=True)
     return rate, used

@@ -9,8 +9,7 @@ import sys
 from dataclasses import dataclass
 
 from _runs import recorded_run, use_own_domain
-from seft_ros.analysis.stalls import stalls_of
-from seft_ros.analysis.timing import timing_of
+from seft_ros.analysis.timing import stalls_of, timing_of
 from seft_ros.running.process_layout import ProcessLayout
 
 PRIORITY = 50
@@ -51,17 +50,19 @@ def run(case: Case, seconds: float) -> bool:
     with recorded_run(*overrides, layout=case.layout) as (record, statuses):
         steps = len(record.series["rig/state"].steps)
         missed, stalls, timing = record.missed or 0, stalls_of(record), timing_of(record)
-    shown = ", ".join(f"{key} {1e6 * trip:.0f}" for key, trip in timing.at_the_rig_s.items())
+    at_the_rig = timing.numbers["round_trip_at_the_rig_s"]
+    shown = ", ".join(f"{key} {1e6 * trip:.0f}" for key, trip in at_the_rig.items())
     print(f"{case}: {missed} of {steps:,} commands missed, {missed / steps:.3%}")
     print(f"    round trip, µs: {shown}; the rig's clock held up {record.overruns} times")
     met = True
     if stalls is not None:
+        listed, blamed = stalls["missed_listed"], stalls["missed_in_a_stall"]
         print(
-            f"    machine: {stalls.count} of {stalls.beats:,} bare wake-ups late by more than "
-            f"{1e3 * stalls.late_s:g} ms, the worst by {1e3 * stalls.longest_s:.1f} ms; in them "
-            f"{stalls.attributed} of {stalls.listed} listed misses"
+            f"    machine: {stalls['count']} of {stalls['beats']:,} bare wake-ups late by more "
+            f"than {1e3 * stalls['late_s']:g} ms, the worst by {1e3 * stalls['longest_s']:.1f} ms; "
+            f"in them {blamed} of {listed} listed misses"
         )
-        own = missed * (1.0 - stalls.attributed / stalls.listed) if stalls.listed else 0.0
+        own = missed * (1.0 - blamed / listed) if listed else 0.0
         wanted = 0.0 if case.layout.priority else MISSED
         met = own <= max(wanted * steps, 0.5)
     if not case.layout.composed:

@@ -5,8 +5,8 @@ import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import LOOP_TOPICS
-from seft_ros.analysis.compare import compare_all
-from seft_ros.analysis.comparison_figure import comparison_figure
+from seft_ros.analysis.comparison import compare_all
+from seft_ros.analysis.figures import comparison_figure
 from seft_ros.recording.record import Record, Series
 
 

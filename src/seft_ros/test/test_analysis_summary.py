@@ -13,10 +13,10 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import Saturation, Trip
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_plant_sim.reference.whole_structure import reference_response
-from seft_ros.analysis import figure
+from seft_ros.analysis import figures
 from seft_ros.analysis.metrics import delayed, nrmse
 from seft_ros.analysis.summary import json_safe, reference_of, summarise
-from seft_ros.analysis.table import summary_table, verdict
+from seft_ros.analysis.summary_text import summary_table, verdict
 from seft_ros.drawing.style import save_figure
 from seft_ros.recording.record import Record, Series
 
@@ -279,7 +279,7 @@ def test_the_table_is_in_units_for_people():
 @pytest.mark.parametrize("axes", [("x",), ("x", "y", "z"), tuple("abcd")])
 def test_a_figure_has_a_column_for_each_axis_up_to_three(axes):
     record = make_record(axes)
-    drawn = figure.test_figure(record, reference_of(record))
+    drawn = figures.test_figure(record, reference_of(record))
     assert len(drawn.axes) == 3 * min(len(axes), 3)
     labels = [text.get_text() for text in drawn.legends[0].get_texts()]
     assert labels == ["exact response", "test"]
@@ -291,7 +291,7 @@ def test_a_figure_has_a_column_for_each_axis_up_to_three(axes):
 
 def test_a_figure_holds_the_samples_in_units_for_people_against_time():
     record = make_record(gain=1.1)
-    panel = figure.test_figure(record, reference_of(record)).axes[0]
+    panel = figures.test_figure(record, reference_of(record)).axes[0]
     exact, test = panel.lines
     assert panel.get_ylabel() == "displacement / mm"
     assert np.array_equal(test.get_ydata(), record.series["rig/state"].values[:, 0, 0] * 1e3)
@@ -302,7 +302,7 @@ def test_a_figure_holds_the_samples_in_units_for_people_against_time():
 
 def test_a_trip_is_a_line_across_all_panels_and_stands_in_the_title():
     record = make_record(trip=Trip("force of $5 on axis $x", 1999, 3.998))
-    drawn = figure.test_figure(record, reference_of(record))
+    drawn = figures.test_figure(record, reference_of(record))
     for panel in drawn.axes:
         assert list(panel.lines[-1].get_xdata()) == [3.998, 3.998]
     assert "tripped at 3.998 s: force of $5 on axis $x" in drawn.texts[0].get_text()
@@ -311,7 +311,7 @@ def test_a_trip_is_a_line_across_all_panels_and_stands_in_the_title():
 def test_figures_are_saved_as_png_without_touching_the_users_pyplot(tmp_path):
     backend = mpl.get_backend()
     record = make_record(trip=Trip("force of $5 on axis $x", 1999, 3.998))
-    save_figure(figure.test_figure(record, reference_of(record)), tmp_path / "figure")
+    save_figure(figures.test_figure(record, reference_of(record)), tmp_path / "figure")
     height, width, _ = imread(tmp_path / "figure.png").shape
     assert (width, height) == (1425, 1080)
     assert mpl.get_backend() == backend
@@ -320,11 +320,11 @@ def test_figures_are_saved_as_png_without_touching_the_users_pyplot(tmp_path):
 def test_what_can_not_be_compared_is_drawn_still(tmp_path):
     record = make_record()
     record.series["rig/state"].values[100:, 0] = math.nan
-    save_figure(figure.test_figure(record, reference_of(record)), tmp_path / "nan.png")
-    save_figure(figure.test_figure(record, None), tmp_path / "alone.png")
+    save_figure(figures.test_figure(record, reference_of(record)), tmp_path / "nan.png")
+    save_figure(figures.test_figure(record, None), tmp_path / "alone.png")
     for topic in LOOP_TOPICS:
         record = without(record, topic.name, range(COUNT))
-    save_figure(figure.test_figure(record, None), tmp_path / "empty.png")
+    save_figure(figures.test_figure(record, None), tmp_path / "empty.png")
     assert len(list(tmp_path.iterdir())) == 3
 
 
@@ -332,5 +332,5 @@ def test_what_can_not_be_compared_is_drawn_still(tmp_path):
 def test_a_figure_that_cannot_be_saved_is_an_input_error(tmp_path, name):
     record = make_record()
     with pytest.raises(InputError, match="can't be saved") as caught:
-        save_figure(figure.test_figure(record, None), tmp_path / name)
+        save_figure(figures.test_figure(record, None), tmp_path / name)
     assert "\n" not in str(caught.value)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import LOOP_TOPICS
-from seft_ros.analysis.compare import compare
+from seft_ros.analysis.comparison import compare
 from seft_ros.analysis.summary import reference_of, summarise
 from seft_ros.recording import bag_reader
 from seft_ros.recording.bag_reader import read_bag

@@ -8,8 +8,11 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_plant_sim.reference.whole_structure import reference_response, whole_structure
-from seft_ros.analysis.equivalent_motion import EquivalentMotion, told_structure
-from seft_ros.analysis.motion_difference import motion_difference
+from seft_ros.analysis.equivalent_motion import (
+    EquivalentMotion,
+    assumed_structure,
+    motion_difference,
+)
 from seft_ros.experiment.tables import TABLES
 from seft_ros.ground_motion.spectrum import response_spectrum
 from seft_ros.monitor.intake import Intake
@@ -112,7 +115,7 @@ def test_the_motion_that_is_tested_is_told_as_the_report_tells_it(intake):
     assert intake.own_motion["asked"]  # told once a second, so from its first samples alone
     found = intake._live_motion.summary()
     assert found["response_nrmse"] == pytest.approx(wanted.response_nrmse, rel=1e-6)
-    told = told_structure(EXPERIMENT)
+    told = assumed_structure(EXPERIMENT)
     own = EquivalentMotion(whole_structure(told), TIMEBASE.dt).advance(values)[:, 0]
     tested = response_spectrum(own, TIMEBASE.dt, 1 / np.array(found["frequency_hz"]))
     np.testing.assert_allclose(found["tested"][0], tested, rtol=1e-3)

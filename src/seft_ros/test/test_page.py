@@ -8,10 +8,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError
-from seft_ros.drawing.thinning import MOST_POINTS, thinned
-from seft_ros.page.content import Cell, Mark, Plot, Section, Table, Text, Verdict
+from seft_ros.drawing.style import MOST_POINTS, thinned
+from seft_ros.page.content import (
+    Cell,
+    Mark,
+    Plot,
+    Section,
+    Table,
+    Text,
+    Verdict,
+    check_page,
+    write_page,
+)
 from seft_ros.page.plots import line, plot
-from seft_ros.page.write import check_page, write_page
 
 
 def written(tmp_path: Path, *blocks: Text | Verdict | Table | Plot) -> str:

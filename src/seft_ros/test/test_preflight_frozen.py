@@ -18,9 +18,9 @@ from seft_ros.force_controller.velocity_feedforward import (
 )
 from seft_ros.preflight.frozen import frozen_target
 from seft_ros.preflight.plan import Plan
+from seft_ros.preflight.preflight_tables import summarise
 from seft_ros.preflight.stability_margins import HIGHEST_MASS_RATIO, find_margins
 from seft_ros.preflight.stability_verdict import preflight
-from seft_ros.preflight.summary import summarise
 from seft_ros.reference_force.block import knowledge
 from seft_ros.target.target_motion import TargetMotion
 

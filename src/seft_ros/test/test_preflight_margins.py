@@ -8,6 +8,7 @@ from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES
 from seft_ros.preflight.plan import Plan
+from seft_ros.preflight.preflight_tables import summarise
 from seft_ros.preflight.stability_margins import (
     HIGHEST_MASS_RATIO,
     critical_mass_ratio,
@@ -15,7 +16,6 @@ from seft_ros.preflight.stability_margins import (
     stability_change,
 )
 from seft_ros.preflight.stability_verdict import preflight
-from seft_ros.preflight.summary import summarise
 from seft_ros.reference_force.compensation.methods import METHODS
 
 M, C, K = 52.7, 800.3, 2.11e5

@@ -6,7 +6,7 @@ import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_file import parse_override
 from seft_ros.analysis.summary import summarise
-from seft_ros.analysis.table import verdict
+from seft_ros.analysis.summary_text import verdict
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES

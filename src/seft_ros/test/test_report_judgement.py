@@ -1,6 +1,7 @@
 """The verdict of a report: its worst finding, and each threshold from both sides."""
 
 import copy
+import dataclasses
 
 import pytest
 from seft_ros.page.content import Mark
@@ -48,9 +49,9 @@ def changed(**changes):
 
 def test_a_test_without_fault_can_be_trusted():
     judgement = judge(GOOD)
-    assert judgement.mark is Mark.GOOD
+    assert judgement.verdict is Mark.GOOD
     assert judgement.text == "This test can be trusted."
-    assert {f.mark for f in judgement.findings if f.name != "equivalent_motion"} == {Mark.GOOD}
+    assert {f.verdict for f in judgement.findings if f.name != "equivalent_motion"} == {Mark.GOOD}
 
 
 @pytest.mark.parametrize(
@@ -83,7 +84,7 @@ def test_a_test_without_fault_can_be_trusted():
 def test_each_fault_is_found_and_decides(changes, mark, name):
     judgement = judge(changed(**changes))
     worst = judgement.findings[0]
-    assert (judgement.mark, worst.mark, worst.name) == (mark, mark, name)
+    assert (judgement.verdict, worst.verdict, worst.name) == (mark, mark, name)
     assert "trusted" in judgement.text
     assert worst.text.split(" (")[0] in judgement.text
 
@@ -99,7 +100,7 @@ def test_each_fault_is_found_and_decides(changes, mark, name):
     ],
 )
 def test_what_is_within_its_threshold_is_good(changes):
-    assert judge(changed(**changes)).mark is Mark.GOOD
+    assert judge(changed(**changes)).verdict is Mark.GOOD
 
 
 OFF = {"rms": 1e-5, "peak": 1e-4, "nrmse": 0.2}
@@ -121,14 +122,14 @@ OFF = {"rms": 1e-5, "peak": 1e-4, "nrmse": 0.2}
 def test_a_rig_that_is_not_simulated_is_judged_without_a_model(changes, mark, name, specimen):
     judgement = judge(changed(reference_specimen=specimen, displacement__nrmse=9.0, **changes))
     worst = judgement.findings[0]
-    assert (judgement.mark, worst.mark, worst.name) == (mark, mark, name)
+    assert (judgement.verdict, worst.verdict, worst.name) == (mark, mark, name)
     assert not {f.name for f in judgement.findings} & {"displacement_error", "displacement_peak"}
 
 
 def test_a_simulated_rig_is_judged_by_its_exact_response():
     summary = changed(equivalent_motion__worst_response_nrmse=0.9, tracking_error=OFF)
     judgement = judge(summary)
-    assert judgement.mark is Mark.GOOD
+    assert judgement.verdict is Mark.GOOD
     assert [f.name for f in judgement.findings[-2:]] == ["equivalent_motion", "tracking_error"]
 
 
@@ -142,7 +143,7 @@ def test_what_is_not_known_is_left_out():
 
 
 def test_programs_find_the_same_as_people():
-    numbers = judge(changed(missed=3)).numbers()
+    numbers = dataclasses.asdict(judge(changed(missed=3)))
     assert numbers["verdict"] == "doubt"
     assert numbers["findings"][0]["name"] == "missed"
     assert "3 of 1000" in numbers["findings"][0]["text"]

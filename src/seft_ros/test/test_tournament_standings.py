@@ -11,9 +11,9 @@ from seft_msgs_py.errors import InputError
 from seft_ros.drawing.style import check_figure
 from seft_ros.tournament.entries import Entry, Tournament
 from seft_ros.tournament.figure import tournament_figure
+from seft_ros.tournament.ranking_table import percent, reasons, standings_table
 from seft_ros.tournament.runs import Run
 from seft_ros.tournament.standings import standings
-from seft_ros.tournament.table import percent, reasons, standings_table
 
 LOST = None
 """Error of an unstable test."""

@@ -1,14 +1,39 @@
-"""How two records lie on one another: the axes and the instants that both have."""
+"""How samples lie on one another: common steps of two series, common axes of two records."""
 
 import math
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 
 from seft_ros.recording.record import Record, Series
+
+Floats = npt.NDArray[np.float64]
+Steps = npt.NDArray[np.int64]
+Where = slice | npt.NDArray[np.intp]
+
+
+def common_steps(one: Steps, other: Steps) -> tuple[Steps, Where, Where]:
+    """Find the steps that are in both, and where they stand in each; both strictly increase.
+
+    Where both are the same, as they mostly are, places are slices: they copy nothing.
+    """
+    if np.array_equal(one, other):
+        return one, slice(None), slice(None)
+    common, in_one, in_other = np.intersect1d(one, other, assume_unique=True, return_indices=True)
+    return common, in_one, in_other
+
+
+def every_step(series: Series, every: Steps) -> Floats:
+    """Values at every one of these consecutive steps, shape (N, q, n); lost ones interpolated."""
+    if len(every) == 0 or np.array_equal(series.steps[: len(every)], every):
+        return series.values[: len(every)]
+    flat = series.values.reshape(len(series.steps), -1)
+    columns = [np.interp(every, series.steps, column) for column in flat.T]
+    return np.stack(columns, axis=1).reshape(len(every), *series.values.shape[1:])
 
 
 @dataclass(frozen=True)
@@ -19,21 +44,18 @@ class Alignment:
     ----------
     axes : tuple of str
         Common axes, in the order of the first record.
-    only_a, only_b : tuple of str
+    only : pair of tuple of str
         Axes that one record has and the other has not.
-    columns_a, columns_b : tuple of int
+    columns : pair of list of int
         Where the common axes stand in each record.
-    every_a, every_b : int
+    every : pair of int
         Steps of each record from one instant of the grid to the next; both 1 at equal rates.
     """
 
     axes: tuple[str, ...]
-    only_a: tuple[str, ...]
-    only_b: tuple[str, ...]
-    columns_a: tuple[int, ...]
-    columns_b: tuple[int, ...]
-    every_a: int
-    every_b: int
+    only: tuple[tuple[str, ...], ...]
+    columns: tuple[list[int], ...]
+    every: tuple[int, ...]
 
     @classmethod
     def of(cls, a: Record, b: Record) -> Self:
@@ -51,16 +73,13 @@ class Alignment:
                 f"the tests can't be compared, for they have no axis in common: axes are "
                 f"{list(one.axes)} in the first and {list(other.axes)} in the second"
             )
-        periods = one.timebase.period_ns, other.timebase.period_ns
-        grid = math.lcm(*periods)
+        grid = math.lcm(one.timebase.period_ns, other.timebase.period_ns)
+        both = (one, other)
         alignment = cls(
             axes,
-            tuple(axis for axis in one.axes if axis not in axes),
-            tuple(axis for axis in other.axes if axis not in axes),
-            tuple(one.axes.index(axis) for axis in axes),
-            tuple(other.axes.index(axis) for axis in axes),
-            grid // periods[0],
-            grid // periods[1],
+            tuple(tuple(axis for axis in test.axes if axis not in axes) for test in both),
+            tuple([test.axes.index(axis) for axis in axes] for test in both),
+            tuple(grid // test.timebase.period_ns for test in both),
         )
         if alignment.by_time and not alignment._meet(a, b):
             raise InputError(
@@ -73,27 +92,23 @@ class Alignment:
     @property
     def by_time(self) -> bool:
         """Whether the rates differ, so that steps do not coincide."""
-        return self.every_a != self.every_b
+        return self.every[0] != self.every[1]
 
-    def on_grid_a(self, series: Series) -> Series:
-        """Keep the samples of the first record at instants of the grid, their steps from now on."""
-        return _thinned(series, self.every_a, self.columns_a)
+    def on_grid(self, one: Series, other: Series) -> tuple[Series, Series]:
+        """Keep of both the samples at instants of the grid, and the common axes.
 
-    def on_grid_b(self, series: Series) -> Series:
-        """Keep those of the second record."""
-        return _thinned(series, self.every_b, self.columns_b)
+        One is of the first record, the other of the second; their steps are of the grid then.
+        """
+        return self._thinned(one, 0), self._thinned(other, 1)
+
+    def _thinned(self, series: Series, record: int) -> Series:
+        every, columns = self.every[record], self.columns[record]
+        if every == 1 and columns == list(range(series.values.shape[2])):
+            return series
+        kept = series.steps % every == 0
+        return Series(series.steps[kept] // every, series.values[kept][:, :, columns])
 
     def _meet(self, a: Record, b: Record) -> bool:
-        for topic in LOOP_TOPICS:
-            instants_a = self.on_grid_a(a.series[topic.name]).steps
-            instants_b = self.on_grid_b(b.series[topic.name]).steps
-            if np.intersect1d(instants_a, instants_b).any():  # the start alone is none
-                return True
-        return False
-
-
-def _thinned(series: Series, every: int, columns: tuple[int, ...]) -> Series:
-    if every == 1 and columns == tuple(range(series.values.shape[2])):
-        return series
-    kept = series.steps % every == 0
-    return Series(series.steps[kept] // every, series.values[kept][:, :, list(columns)])
+        pairs = (self.on_grid(a.series[t.name], b.series[t.name]) for t in LOOP_TOPICS)
+        # the start alone is none
+        return any(np.intersect1d(one.steps, other.steps).any() for one, other in pairs)

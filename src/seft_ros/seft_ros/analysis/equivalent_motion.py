@@ -1,38 +1,57 @@
-"""The ground motion of which a test, as it was measured, is the exact one."""
+"""The ground motion of which a test as measured is the exact one, against that asked for."""
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import eigh
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.reference.whole_structure import WholeStructure, whole_structure
+from seft_msgs_py.wire.topics import GROUND_MOTION, RIG_STATE
+from seft_plant_sim.reference.whole_structure import (
+    WholeStructure,
+    reference_response,
+    whole_structure,
+)
+
+from seft_ros.analysis.alignment import every_step
+from seft_ros.analysis.metrics import nrmse
+from seft_ros.ground_motion.spectrum import response_spectrum
+from seft_ros.recording.record import Record
 
 Floats = npt.NDArray[np.float64]
 
+DAMPING = 0.05
+"""Of the oscillators of a spectrum."""
+MARGIN = 2.0
+"""Stiffness up to which structures are tried, over the largest secant stiffness seen in the test;
+and down to which, under the smallest."""
+_PERIODS, _AROUND = 60, 4.0  # of a spectrum, and how far it goes beyond the structure's frequencies
+_FACTOR_STEP = 1.5  # at most, from a stiffness that is tried to the next
+_FACTORS = (0.1, 10.0)  # of secant stiffness: what is beyond is noise or a stop
+_SMALLEST = 0.1  # half cycle that counts, over the largest
 
-def told_structure(experiment: Experiment, stiffness_factor: float = 1.0) -> Experiment | None:
-    """Take of an experiment what the reference-force node was told of the structure.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        Of a test.
-    stiffness_factor : float
-        Times the stiffness of the specimen's model.
+def assumed_structure(experiment: Experiment, stiffness_factor: float = 1.0) -> Experiment | None:
+    """Take of an experiment what the reference-force node assumes of the structure.
 
     Returns
     -------
     Experiment or None
-        One without a rig: its whole structure is linear, the model and the computed
-        substructure. None if it does not describe one.
+        One without a rig: its whole structure is linear, the model (its stiffness times the
+        factor) and the computed substructure. None if it does not describe one.
     """
     section = experiment.sections.get("reference_force", {})
     try:
         stiffness = np.multiply(section["model.stiffness"], stiffness_factor).tolist()
-        told = Experiment({"reference_force": section | {"model.stiffness": stiffness}})
-        whole_structure(told)
+        assumed = Experiment({"reference_force": section | {"model.stiffness": stiffness}})
+        whole_structure(assumed)
     except (InputError, KeyError):
         return None
-    return told
+    return assumed
 
 
 class EquivalentMotion:
@@ -72,18 +91,9 @@ class EquivalentMotion:
         self._last: Floats | None = None  # input of the internal degrees of freedom
 
     def advance(self, states: Floats) -> Floats:
-        """Go on over the next N steps; the first of all is step 0, at rest.
+        """Go on over the next N >= 1 steps, the first of all step 0, at rest; give a_eq, (N, n).
 
-        Parameters
-        ----------
-        states : ndarray
-            Displacement, velocity, acceleration and force as measured, shape (N, 4, n), N at
-            least 1.
-
-        Returns
-        -------
-        ndarray
-            a_eq, shape (N, n), m/s^2.
+        ``states`` are displacement, velocity, acceleration and force as measured, (N, 4, n).
         """
         x, v, a, f = np.moveaxis(states, 1, 0)
         n, computed = len(self.mass), self._computed
@@ -117,3 +127,192 @@ class EquivalentMotion:
             force = (pull @ self._internal)[np.newaxis]
         self._last = given[-1:].copy()
         return force[len(inputs) - len(given) :]
+
+
+@dataclass(frozen=True)
+class MotionDifference:
+    """A test's own ground motion against the one that was asked for.
+
+    Attributes
+    ----------
+    natural_hz, damping : ndarray
+        Natural frequencies and damping ratios of the linear whole structure, shape (d,).
+    response_nrmse : float
+        RMS(y_eq - y) / RMS(y), with y and y_eq the displacements of that structure under both
+        motions.
+    factors : ndarray
+        Stiffnesses of specimens that were tried, over that of the model, shape (S,).
+    tried_hz : ndarray
+        First natural frequency of the whole structure with each, shape (S,).
+    tried_nrmse : ndarray
+        As ``response_nrmse``, of each, shape (S,).
+    band_hz : tuple of float
+        First natural frequency of the softest of them, and last of the stiffest.
+    frequency_hz : ndarray
+        Of the spectra, shape (P,), increasing.
+    asked, tested : ndarray
+        Response spectra (pseudo-acceleration, 5 % damping), shape (P, n), m/s^2.
+    """
+
+    natural_hz: Floats
+    damping: Floats
+    response_nrmse: float
+    factors: Floats
+    tried_hz: Floats
+    tried_nrmse: Floats
+    band_hz: tuple[float, float]
+    frequency_hz: Floats
+    asked: Floats
+    tested: Floats
+
+    @property
+    def deviation(self) -> Floats:
+        """Spectrum of what was tested over that of what was asked, less 1; shape (P, n)."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return self.tested / self.asked - 1.0
+
+    def numbers(self) -> dict[str, Any]:
+        """For JSON; docs/metrics.md tells what each number is."""
+        worst = int(np.argmax(np.nan_to_num(self.tried_nrmse, nan=-1.0)))
+        low, high = self.band_hz
+        inside = (self.frequency_hz >= low * (1 - 1e-9)) & (self.frequency_hz <= high * (1 + 1e-9))
+        frequency, deviation = self.frequency_hz[inside], self.deviation[inside]
+        size = np.where(np.isfinite(deviation), np.abs(deviation), -1.0)
+        place = np.unravel_index(np.argmax(size), size.shape) if (size >= 0).any() else None
+        return {
+            "response_nrmse": self.response_nrmse,
+            "worst_response_nrmse": float(self.tried_nrmse[worst]),
+            "worst_frequency_hz": float(self.tried_hz[worst]),
+            "spectrum_deviation": None if place is None else float(deviation[place]),
+            "spectrum_deviation_frequency_hz": place and float(frequency[place[0]]),
+            "structure": {
+                "frequency_hz": self.natural_hz.tolist(),
+                "damping_ratio": self.damping.tolist(),
+                "stiffness_factors": [float(self.factors[0]), float(self.factors[-1])],
+                "band_hz": list(self.band_hz),
+                "spectrum_damping_ratio": DAMPING,
+            },
+        }
+
+
+def motion_difference(record: Record) -> MotionDifference | None:
+    """Compare the ground motion of which a test is the exact one with the one asked for.
+
+    No specimen model decides it: the structures tried are linear, and their stiffness runs from
+    half the smallest to twice the largest secant stiffness that the specimen had in the test.
+
+    Returns
+    -------
+    MotionDifference or None
+        None if the record does not begin with step 0, lacks ground motion, holds what is not
+        finite, or does not describe the structure.
+    """
+    assumed = assumed_structure(record.experiment)
+    states, motion = record.series[RIG_STATE.name], record.series[GROUND_MOTION.name]
+    count = int(states.steps[-1]) + 1 if len(states.steps) else 0
+    begun = count > 1 and states.steps[0] == 0
+    whole = begun and np.array_equal(motion.steps[:count], np.arange(count))
+    if assumed is None or not whole or not np.isfinite(states.values).all():
+        return None
+    measured, asked = every_step(states, np.arange(count)), motion.values[:count, 0, :]
+    structure, dt = whole_structure(assumed), record.experiment.timebase.dt
+    equivalent = EquivalentMotion(structure, dt)
+    with np.errstate(over="ignore", invalid="ignore"):  # of a test that went unstable
+        tested = equivalent.advance(measured)
+        factors = _factors(structure, measured, equivalent.mass)
+        tried = [one for one in (assumed_structure(record.experiment, f) for f in factors) if one]
+        errors = [_response_nrmse(one, asked, tested) for one in tried]
+        assumed_error = _response_nrmse(assumed, asked, tested)
+        modes = [_modes(whole_structure(one))[0] for one in tried]
+        natural, damping = _modes(structure)
+        band = (float(modes[0][0]), float(modes[-1][-1]))
+        frequency = spectrum_frequencies(band, dt)
+        spectra = [
+            np.stack([response_spectrum(y, dt, 1 / frequency, DAMPING) for y in a.T], axis=1)
+            for a in (asked, tested)
+        ]
+    return MotionDifference(
+        natural_hz=natural,
+        damping=damping,
+        response_nrmse=assumed_error,
+        factors=factors,
+        tried_hz=np.array([mode[0] for mode in modes]),
+        tried_nrmse=np.array(errors),
+        band_hz=band,
+        frequency_hz=frequency,
+        asked=spectra[0],
+        tested=spectra[1],
+    )
+
+
+def spectrum_frequencies(band_hz: tuple[float, float], dt: float) -> Floats:
+    """Choose the frequencies (Hz) of a spectrum: the band, and two octaves on either side.
+
+    They end at a tenth of the sampling rate: above, peaks are between samples.
+    """
+    low, high = band_hz[0] / _AROUND, min(band_hz[1] * _AROUND, 0.1 / dt)
+    return np.geomspace(min(low, high / 2), high, _PERIODS)
+
+
+def natural_frequencies(experiment: Experiment) -> Floats:
+    """Natural frequencies of an experiment's whole structure, elastic, shape (d,), Hz."""
+    return _modes(whole_structure(experiment))[0]
+
+
+def _response_nrmse(assumed: Experiment, asked: Floats, tested: Floats) -> float:
+    y = reference_response(assumed, asked).displacement
+    return nrmse(reference_response(assumed, tested).displacement, y)
+
+
+def _modes(whole: WholeStructure) -> tuple[Floats, Floats]:
+    """Natural frequencies, Hz, of a whole structure that is not free, and damping ratios."""
+    structure = whole.structure
+    squares, shapes = eigh(structure.stiffness, structure.mass)
+    held = squares > 1e-12 * max(squares[-1], 1e-300)
+    w, shapes = np.sqrt(squares[held]), shapes[:, held]
+    damping = np.einsum("ij,ik,kj->j", shapes, structure.damping, shapes) / (2 * w)
+    return w / (2 * np.pi), damping
+
+
+def _factors(whole: WholeStructure, states: Floats, mass: Floats) -> Floats:
+    """Stiffnesses to be tried, over the model's: half to twice the secant stiffnesses seen."""
+    n = len(mass)
+    stiffness = (whole.structure.stiffness[:n, :n] - whole.computed.stiffness[:n, :n]).copy()
+    seen = secant_stiffness(states, mass, stiffness)
+    if not len(seen):
+        seen = np.ones(1)
+    low, high = np.clip([seen.min(), seen.max()], *_FACTORS) * [1 / MARGIN, MARGIN]
+    return np.geomspace(low, high, 1 + math.ceil(math.log(high / low) / math.log(_FACTOR_STEP)))
+
+
+def secant_stiffness(states: Floats, mass: Floats, stiffness: Floats) -> Floats:
+    """Find the secant stiffnesses that a specimen had, over that of its model.
+
+    Between two turning points of an axis, with the restoring force r = f - M_e a, it is
+    dx^T dr / dx^T K dx. Half cycles count with at least a tenth of the largest's amplitude.
+
+    Parameters
+    ----------
+    states : ndarray
+        Displacement, velocity, acceleration and force as measured, shape (N, 4, n).
+    mass, stiffness : ndarray
+        M_e and K of the specimen's model, shape (n, n).
+    """
+    from scipy.signal import find_peaks  # 20 MB that no node needs
+
+    x, _, a, f = np.moveaxis(states, 1, 0)
+    pairs = []
+    for column in x.T:
+        least = _SMALLEST * (column.max() - column.min())
+        turning = [find_peaks(sign * column, prominence=least)[0] for sign in (1.0, -1.0)]
+        at = np.sort(np.concatenate(turning))
+        pairs += list(pairwise(at))
+    if not pairs:
+        return np.empty(0)
+    begin, end = np.array(pairs).T
+    dx = x[end] - x[begin]
+    dr = (f[end] - f[begin]) - (a[end] - a[begin]) @ mass.T
+    elastic = np.einsum("ki,ij,kj->k", dx, stiffness, dx)
+    counts = elastic > _SMALLEST**2 * elastic.max()
+    secant = np.einsum("ki,ki->k", dx, dr)[counts] / elastic[counts]
+    return secant[secant > 0]

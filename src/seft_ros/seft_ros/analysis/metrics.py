@@ -36,11 +36,11 @@ class Agreement:
         Best-fit pure delay, s; positive where the response lags.
     """
 
-    nrmse: float
-    nrmse_aligned: float
-    peak: float
-    reference_peak: float
-    delay_s: float
+    nrmse: float = math.nan
+    nrmse_aligned: float = math.nan
+    peak: float = math.nan
+    reference_peak: float = math.nan
+    delay_s: float = math.nan
 
 
 def agreement(y: Floats, reference: Floats, dt: float, steps: Steps | None = None) -> Agreement:
@@ -59,15 +59,18 @@ def agreement(y: Floats, reference: Floats, dt: float, steps: Steps | None = Non
         missing is interpolated; errors count the steps there are.
     """
     y, reference = _columns(y), _columns(reference)
-    if steps is None:
-        steps = np.arange(len(reference))
-    at_steps = reference if len(steps) == len(reference) else reference[steps]
+    if steps is None or len(steps) == len(reference):  # no step lacks
+        steps, at_steps = np.arange(len(reference)), reference
+    else:
+        at_steps = reference[steps]
     delay, aligned = math.nan, math.nan
     if len(steps) and np.isfinite(y).all() and np.isfinite(reference).all():
-        if len(steps) == len(reference):  # no step lacks
+        if at_steps is reference:
             delay, aligned = _best_fit(y, reference, dt)
         else:
-            delay, _ = _best_fit(_filled(y, steps, len(reference)), reference, dt)
+            every = np.arange(len(reference))
+            filled = np.stack([np.interp(every, steps, column) for column in y.T], axis=1)
+            delay, _ = _best_fit(filled, reference, dt)
             aligned = nrmse_aligned(y, reference, dt, delay, steps)
     return Agreement(nrmse(y, at_steps), aligned, peak(y), peak(at_steps), delay)
 
@@ -93,12 +96,10 @@ def nrmse_aligned(
         return math.nan
     last = len(reference) - 1 + math.floor(delay / dt + 1e-6)
     known = int(np.searchsorted(steps, last, side="right"))
-    if len(steps) == len(reference):
-        scale, shifted = _rms(reference), delayed(reference, delay, dt)[:known]
-    else:
-        scale, shifted = _rms(reference[steps]), delayed(reference, delay, dt)[steps[:known]]
+    whole = len(steps) == len(reference)
+    shifted = delayed(reference, delay, dt)[slice(known) if whole else steps[:known]]
     error = _rms(y[:known] - shifted) * math.sqrt(known / len(steps)) if known else 0.0
-    return _ratio(error, scale)
+    return _ratio(error, _rms(reference if whole else reference[steps]))
 
 
 def peak(y: Floats) -> float:
@@ -112,14 +113,7 @@ def best_fit_delay(y: Floats, reference: Floats, dt: float) -> float:
     It is the largest value of the cross-correlation of both signals, each zero outside its
     record: found on the samples, up to half a record's length, then between them by Newton's
     method on the correlation's Fourier series, which is exact for band-limited signals. One
-    delay for all axes. Zero where no delay makes the error smaller.
-
-    Parameters
-    ----------
-    y, reference : ndarray
-        Shape (N, n) or (N,).
-    dt : float
-        Sampling period, s.
+    delay for all axes. Zero where no delay makes the error smaller. Shapes (N, n) or (N,).
     """
     return _best_fit(_columns(y), _columns(reference), dt)[0]
 
@@ -156,26 +150,11 @@ def _lag(correlation: Floats, longest: int) -> float:
     return float(lag)
 
 
-def _filled(y: Floats, steps: Steps, count: int) -> Floats:
-    every = np.arange(count)
-    return np.stack([np.interp(every, steps, column) for column in y.T], axis=1)
-
-
 def delayed(y: Floats, delay: float, dt: float) -> Floats:
-    """Shift a signal in time as if it were band-limited, shape (N, n) as given.
+    """Shift a signal of shape (N, n) or (N,) by a delay (s) as if it were band-limited.
 
     Before its start the signal is zero: a test begins at rest. Beyond its end it goes on
-    point-symmetrically and fades out, so that a record which ends in full swing does not
-    ring.
-
-    Parameters
-    ----------
-    y : ndarray
-        Shape (N, n) or (N,).
-    delay : float
-        s; negative: earlier.
-    dt : float
-        Sampling period, s.
+    point-symmetrically and fades out, so that a record which ends in full swing does not ring.
     """
     count, shift = len(y), delay / dt
     if shift == int(shift) and 0 <= shift < count:  # no interpolation, and exact
@@ -228,6 +207,28 @@ def _refine(cross: npt.NDArray[np.complex128], spacing: float, lag: float) -> fl
 def _blocks(count: int) -> Iterator[slice]:
     for start in range(0, count, _BLOCK):
         yield slice(start, min(start + _BLOCK, count))
+
+
+def paired_columns(commanded: Floats, measured: Floats) -> tuple[Floats, Floats]:
+    """Give two signals of the same shape, (N,) or (N, n), with an axis in each column.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ, or are of other dimensions.
+    """
+    one, other = (np.asarray(signal, dtype=np.float64) for signal in (commanded, measured))
+    if one.shape != other.shape or one.ndim not in (1, 2):
+        raise ValueError(
+            f"two signals of the same shape (N,) or (N, n) are needed, not {one.shape} "
+            f"and {other.shape}"
+        )
+    return _columns(one), _columns(other)
+
+
+def peaks(y: Floats) -> Floats:
+    """Largest magnitude of each column, shape (n,); NaN of no samples, or if one is NaN."""
+    return np.abs(y).max(axis=0) if len(y) else np.full(y.shape[1:], np.nan)
 
 
 def _columns(y: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""When the messages of a test came: round trips, and gaps on each topic.
+"""When the messages of a test came: round trips, gaps on each topic, stalls of the host, the link.
 
 Times are those at which the recorder received them, which is what a bag holds: on one host some
 tens of microseconds after the nodes did, and more where the recorder had to wait for its core, so
@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 
-from seft_ros.analysis.common_steps import common_steps
-from seft_ros.analysis.stalls import Stalls, stalls_of
+from seft_ros.analysis.alignment import common_steps
 from seft_ros.recording.record import Record
 
 Floats = npt.NDArray[np.floating[Any]]
@@ -25,91 +24,29 @@ GAP = 2.0
 
 
 @dataclass(frozen=True)
-class Gaps:
-    """Intervals between the messages of one topic.
-
-    Attributes
-    ----------
-    topic : str
-        Its name.
-    median_s, largest_s : float
-        Of all intervals, s.
-    largest_step : int
-        Step after which the largest was.
-    count : int
-        Intervals longer than `GAP` periods.
-    """
-
-    topic: str
-    median_s: float
-    largest_s: float
-    largest_step: int
-    count: int
-
-
-@dataclass(frozen=True)
 class Timing:
     """Timing of a test.
 
     Attributes
     ----------
-    paced : bool
-        Whether the rig kept a pace: in lockstep gaps mean nothing.
-    period_s : float
-        Of the loop.
     round_trip_s : ndarray
         From a step's state to the command that answers it, shape (M,), s; of the steps that
         have both.
-    at_the_rig_s : dict
-        The same as the rig measured it, s, by the keys of `ROUND_TRIPS`; empty where it did not.
-    gaps : list of Gaps
-        By topic.
-    stalls : Stalls or None
-        Of the machine, meanwhile; None where nobody watched.
+    numbers : dict
+        JSON values: ``paced`` (whether the rig kept a pace: in lockstep gaps mean nothing),
+        ``period_s`` of the loop, ``round_trip_s`` (percentiles, largest, how many of the steps
+        over_a_period), ``round_trip_at_the_rig_s`` (the same as the rig measured it, by the keys
+        of `ROUND_TRIPS`; empty where it did not), ``gaps`` (topic -> median_s and largest_s of the
+        intervals between its messages, largest_step after which the largest was, count of those
+        longer than `GAP` periods), ``stalls`` (see `stalls_of`).
     """
 
-    paced: bool
-    period_s: float
     round_trip_s: Floats
-    at_the_rig_s: dict[str, float]
-    gaps: list[Gaps]
-    stalls: Stalls | None
-
-    def numbers(self) -> dict[str, Any]:
-        """Give JSON values: percentiles of the round trip, the share over a period, gaps."""
-        trips = self.round_trip_s
-        percentiles = np.percentile(trips, PERCENTILES).tolist() if len(trips) else []
-        return {
-            "paced": self.paced,
-            "period_s": self.period_s,
-            "round_trip_s": {
-                **{f"p{p:g}": v for p, v in zip(PERCENTILES, percentiles, strict=False)},
-                "largest": float(trips.max()) if len(trips) else None,
-                "over_a_period": int((trips > self.period_s).sum()),
-                "steps": len(trips),
-            },
-            "round_trip_at_the_rig_s": self.at_the_rig_s,
-            "gaps": {
-                row.topic: {
-                    "median_s": row.median_s,
-                    "largest_s": row.largest_s,
-                    "largest_step": row.largest_step,
-                    "count": row.count,
-                }
-                for row in self.gaps
-            },
-            "stalls": self.stalls and self.stalls.numbers(),
-        }
+    numbers: dict[str, Any]
 
 
 def timing_of(record: Record) -> Timing | None:
-    """Find round trips and gaps of a recorded test.
-
-    Returns
-    -------
-    Timing or None
-        None if the messages were not received one by one (offline loop).
-    """
+    """Find round trips and gaps; None if messages were not received one by one (offline loop)."""
     if record.environment.get("mode") == "simulate":
         return None
     states, commands = (record.series[topic.name] for topic in (RIG_STATE, VALVE_COMMAND))
@@ -120,26 +57,101 @@ def timing_of(record: Record) -> Timing | None:
     _, at_state, at_command = common_steps(states.steps, commands.steps)
     trips = (commands.received_ns[at_command] - states.received_ns[at_state]) * 1e-9
     dt = record.experiment.timebase.dt
-    pace = record.experiment.sections.get("rig", {}).get("pace")
-    gaps, stalls = _gaps(record, dt), stalls_of(record)
-    return Timing(pace != "lockstep", dt, trips, record.round_trips, gaps, stalls)
+    percentiles = np.percentile(trips, PERCENTILES).tolist() if len(trips) else []
+    numbers = {
+        "paced": record.experiment.sections.get("rig", {}).get("pace") != "lockstep",
+        "period_s": dt,
+        "round_trip_s": {
+            **{f"p{p:g}": v for p, v in zip(PERCENTILES, percentiles, strict=False)},
+            "largest": float(trips.max()) if len(trips) else None,
+            "over_a_period": int((trips > dt).sum()),
+            "steps": len(trips),
+        },
+        "round_trip_at_the_rig_s": record.round_trips,
+        "gaps": _gaps(record, dt),
+        "stalls": stalls_of(record),
+    }
+    return Timing(trips, numbers)
 
 
-def _gaps(record: Record, dt: float) -> list[Gaps]:
-    found = []
+def _gaps(record: Record, dt: float) -> dict[str, dict[str, Any]]:
+    found = {}
     for topic in (RIG_STATE, REFERENCE_FORCE, VALVE_COMMAND):
         series = record.series[topic.name]
         if series.received_ns is None or len(series.steps) < 2:
             continue
         intervals = np.diff(series.received_ns) * 1e-9
         at = int(intervals.argmax())
-        found.append(
-            Gaps(
-                topic.name,
-                float(np.median(intervals)),
-                float(intervals[at]),
-                int(series.steps[at]),
-                int((intervals > GAP * dt).sum()),
-            )
-        )
+        found[topic.name] = {
+            "median_s": float(np.median(intervals)),
+            "largest_s": float(intervals[at]),
+            "largest_step": int(series.steps[at]),
+            "count": int((intervals > GAP * dt).sum()),
+        }
     return found
+
+
+def stalls_of(record: Record) -> dict[str, Any] | None:
+    """Hold a test's missed steps against the stalls of its host.
+
+    Returns
+    -------
+    dict or None
+        Of a bare process that slept on the loop's core while the test ran: ``beats`` (deadlines
+        it slept to), ``count`` (those that it met late), ``late_s`` (what counts as late) and
+        ``longest_s``; ``missed_listed`` (listed steps without a command in time that can be looked
+        at) and ``missed_in_a_stall`` (those in whose period it was late; that begins when the
+        state was due, a period after the one before). None where nobody watched: the offline
+        loop, lockstep, a rig on another host.
+    """
+    seen = record.environment.get("stalls")
+    if not isinstance(seen, dict):
+        return None
+    states = record.series[RIG_STATE.name]
+    intervals = np.array(seen["intervals_ns"], dtype=np.int64).reshape(-1, 2)
+    attributed = listed = 0
+    if states.received_ns is not None:
+        period_ns = record.experiment.timebase.period_ns
+        known = np.isin(record.missed_steps, states.steps)
+        steps = np.asarray(record.missed_steps, dtype=np.int64)[known]
+        received = np.asarray(states.received_ns)
+        at = np.searchsorted(states.steps, steps)
+        end = received[at] + period_ns
+        follows = (at > 0) & (states.steps[at - 1] == steps - 1)
+        due = np.where(follows, received[at - 1] + period_ns, received[at])
+        begin = np.minimum(due, received[at])
+        overlaps = (intervals[:, 0] < end[:, np.newaxis]) & (intervals[:, 1] > begin[:, np.newaxis])
+        listed, attributed = len(steps), int(overlaps.any(axis=1).sum())
+    return {
+        "beats": int(seen["beats"]),
+        "count": int(seen["count"]),
+        "late_s": float(seen["late_s"]),
+        "longest_s": float(seen["longest_s"]),
+        "missed_listed": listed,
+        "missed_in_a_stall": attributed,
+    }
+
+
+def link_numbers(record: Record) -> dict[str, Any] | None:
+    """Summarise what the force controller counted on the link of a test on several hosts.
+
+    These are ``loop_delay`` (steps), ``age`` of the messages in steps (p50, p99, largest), ``late``
+    (forces whose message was older than the loop's delay: they are predictions), ``held`` (forces
+    of which no message told: the one before was held), ``forces`` (all of them). None where no link
+    lies between reference force and force controller, or nothing was told.
+    """
+    link, section = record.link, record.experiment.sections.get("reference_force", {})
+    loop_delay = section.get("loop_delay", 0)
+    total = sum(link.ages.values()) if link is not None else 0
+    if link is None or not loop_delay or not total:
+        return None
+    ages = sorted(link.ages)
+    below = np.cumsum([link.ages[age] for age in ages])
+    places = {name: np.searchsorted(below, q * total) for name, q in (("p50", 0.5), ("p99", 0.99))}
+    return {
+        "loop_delay": loop_delay,
+        "age": {**{name: ages[at] for name, at in places.items()}, "largest": ages[-1]},
+        "late": link.older_than(loop_delay),
+        "held": link.held,
+        "forces": total,
+    }

@@ -77,11 +77,15 @@ def design(
     )
     from seft_ros.loop_shaping.design import shape_loop
     from seft_ros.loop_shaping.design_figure import design_figure
+    from seft_ros.loop_shaping.design_table import (
+        axes_table,
+        design_table,
+        summarise,
+        summarise_axes,
+    )
     from seft_ros.loop_shaping.plant import choose_plant
     from seft_ros.loop_shaping.proposal import propose_controller
     from seft_ros.loop_shaping.sampling import dominant_pole
-    from seft_ros.loop_shaping.summary import summarise, summarise_axes
-    from seft_ros.loop_shaping.table import axes_table, design_table
 
     if out is not None:
         check_new(out)

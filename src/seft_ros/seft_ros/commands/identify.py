@@ -98,6 +98,7 @@ def identify(
     from seft_ros.identification.excitation import Motions
     from seft_ros.identification.identified import identify as identify_rig
     from seft_ros.identification.identified_figure import identified_figure
+    from seft_ros.identification.identified_table import identified_table, summarise_identified
     from seft_ros.identification.model_file import write_model
     from seft_ros.identification.rig_tests import (
         PILOT_DURATION,
@@ -111,8 +112,6 @@ def identify(
         pilot_voltage,
         voltage_after,
     )
-    from seft_ros.identification.summary import summarise_identified
-    from seft_ros.identification.table import identified_table
     from seft_ros.loop_shaping.controller import Controller
 
     if set(external or ()) - {"rig"}:

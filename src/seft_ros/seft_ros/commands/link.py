@@ -59,9 +59,9 @@ def link(
         seft run config/demo.yaml --params-file link.yaml --external rig
         --external force_controller
     """
+    from seft_ros.link.link_table import link_table
     from seft_ros.link.ping import measure
     from seft_ros.link.round_trips import allowed, judge, message_size
-    from seft_ros.link.table import link_table
 
     if echo:
         return _echo()

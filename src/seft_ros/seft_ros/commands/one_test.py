@@ -94,14 +94,14 @@ def show_test(record: Record, bag: Path | None, *, as_json: bool, figure: bool) 
         Whether it was stable.
     """
     from seft_ros.analysis.summary import reference_of, summarise
-    from seft_ros.analysis.table import summary_table
+    from seft_ros.analysis.summary_text import summary_table
 
     reference = reference_of(record)
     summary = summarise(record, reference)
     if bag is not None:
         summary["bag"] = str(bag)
         if figure:
-            from seft_ros.analysis.figure import test_figure
+            from seft_ros.analysis.figures import test_figure
             from seft_ros.drawing.style import save_figure
 
             save_figure(test_figure(record, reference), bag / FIGURE)

@@ -59,13 +59,12 @@ def paper(
 
         seft paper --json -p rig:actuator.valve_frequency:=50.0
     """
-    from seft_ros.page.write import check_page
+    from seft_ros.page.content import check_page
     from seft_ros.paper.claim import judge
+    from seft_ros.paper.claims_table import claims_table, summarise_paper
     from seft_ros.paper.experiments import check_rig, default_config
     from seft_ros.paper.findings import CALCULATIONS, find
     from seft_ros.paper.page import write_paper
-    from seft_ros.paper.summary import summarise_paper
-    from seft_ros.paper.table import claims_table
     from seft_ros.tournament.workers import free_cores
 
     path = check_page(out)

@@ -52,10 +52,9 @@ def preflight(
     """
     from seft_ros.drawing.style import check_figure, save_figure
     from seft_ros.preflight.plan import Plan
+    from seft_ros.preflight.preflight_tables import preflight_tables, summarise
     from seft_ros.preflight.stability_map import preflight_figure, stability_maps
     from seft_ros.preflight.stability_verdict import preflight as fly
-    from seft_ros.preflight.summary import summarise
-    from seft_ros.preflight.table import preflight_tables
 
     path = check_figure(figure) if figure is not None else None
     plan = Plan(load_experiment(config, param, params_file, external), plant)

@@ -67,8 +67,8 @@ def replay(
         seft replay bags/lockstep --node rig --offline --json
     """
     from seft_ros.replay.recorded import read_recorded
+    from seft_ros.replay.replay_table import replay_table
     from seft_ros.replay.replays import REPLAYS
-    from seft_ros.replay.table import replay_table
 
     nodes = list(dict.fromkeys(node or REPLAYS))
     if out is not None:

@@ -67,10 +67,14 @@ def tournament(
     from seft_ros.drawing.style import check_figure, save_figure
     from seft_ros.tournament.entries import make_tournament
     from seft_ros.tournament.figure import tournament_figure
+    from seft_ros.tournament.ranking_table import (
+        plain_runs,
+        reasons,
+        standings_table,
+        summarise_tournament,
+    )
     from seft_ros.tournament.runs import count_calculations, run_all, step_cost
     from seft_ros.tournament.standings import standings
-    from seft_ros.tournament.summary import summarise_tournament
-    from seft_ros.tournament.table import plain_runs, reasons, standings_table
     from seft_ros.tournament.workers import free_cores
 
     path = check_figure(figure) if figure is not None else None

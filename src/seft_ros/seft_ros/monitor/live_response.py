@@ -7,8 +7,13 @@ import numpy.typing as npt
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.reference.whole_structure import RunningResponse, whole_structure
 
-from seft_ros.analysis.equivalent_motion import EquivalentMotion, told_structure
-from seft_ros.analysis.motion_difference import DAMPING, natural_frequencies, spectrum_frequencies
+from seft_ros.analysis.equivalent_motion import (
+    DAMPING,
+    EquivalentMotion,
+    assumed_structure,
+    natural_frequencies,
+    spectrum_frequencies,
+)
 from seft_ros.ground_motion.spectrum import RunningSpectrum
 
 Floats = npt.NDArray[np.float64]
@@ -101,7 +106,7 @@ class LiveMotion:
     Parameters
     ----------
     told : Experiment
-        What is told of the structure, as `told_structure` gives it.
+        What is told of the structure, as `assumed_structure` gives it.
     """
 
     def __init__(self, told: Experiment) -> None:
@@ -116,7 +121,7 @@ class LiveMotion:
     @classmethod
     def of(cls, experiment: Experiment) -> "LiveMotion | None":
         """Make one, if the structure is known."""
-        told = told_structure(experiment)
+        told = assumed_structure(experiment)
         return None if told is None else cls(told)
 
     def advance(self, asked: Floats, states: Floats) -> None:

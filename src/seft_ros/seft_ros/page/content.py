@@ -1,10 +1,20 @@
-"""What stands on a page, without how it looks."""
+"""What stands on a page, and its file: HTML that needs nothing else. Its look is in templates."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from pathlib import Path
 
+from bokeh.embed import components
 from bokeh.model import Model
+from bokeh.resources import Resources
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from seft_msgs_py.errors import InputError
+
+from seft_ros.drawing.style import check_folder
+
+SUFFIX = ".html"
 
 
 class Mark(StrEnum):
@@ -46,14 +56,7 @@ class Verdict:
 class Table:
     """Rows under headings; columns after the first stand to the right where ``numbers``.
 
-    Attributes
-    ----------
-    headings : sequence of str
-        One for each column; none: a list of names and values.
-    rows : sequence of sequences
-        Text, or `Cell` with a mark.
-    wide : bool
-        Over the page's whole width.
+    Without headings it is a list of names and values. A wide one has the page's whole width.
     """
 
     headings: Sequence[str]
@@ -69,16 +72,9 @@ class Table:
 
 @dataclass(frozen=True)
 class Plot:
-    """A zoomable figure, and what it shows.
+    """A zoomable figure of `seft_ros.page.plots`, and in one or two sentences what to look for.
 
-    Attributes
-    ----------
-    figure : bokeh Model
-        As `seft_ros.page.plots` makes them; figures that share a range zoom together.
-    caption : str
-        One or two sentences: what to look for.
-    wide : bool
-        Over the page's whole width; else two stand side by side where there is room.
+    A wide one has the page's whole width; else two stand side by side where there is room.
     """
 
     figure: Model
@@ -89,15 +85,7 @@ class Plot:
 
 @dataclass(frozen=True)
 class Grid:
-    """Plots side by side, row after row, where there is room; else one below the other.
-
-    Attributes
-    ----------
-    plots : sequence of Plot
-        Row by row.
-    columns : int
-        Most in a row, 2 to 4.
-    """
+    """Plots side by side, 2 to 4 in a row, where there is room; else one below the other."""
 
     plots: Sequence[Plot]
     columns: int = 3
@@ -113,3 +101,56 @@ class Section:
 
     title: str
     blocks: Sequence[Block] = field(default_factory=tuple)
+
+
+def write_page(path: Path, title: str, subtitle: str, sections: Sequence[Section]) -> None:
+    """Write a page; figures, the library that draws them, and styles are inside the file.
+
+    An InputError says why it can't be.
+    """
+    figures = {
+        name: plot.figure
+        for place, section in enumerate(sections)
+        for index, block in enumerate(section.blocks)
+        for name, plot in _plots(f"{place}-{index}", block)
+    }
+    script, places = components(figures) if figures else ("", {})
+    library = Resources(mode="inline", components=["bokeh"]).render_js() if figures else ""
+    environment = Environment(
+        loader=PackageLoader("seft_ros.page", "templates"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
+    )
+    text = environment.get_template("page.html").render(
+        title=title,
+        subtitle=subtitle,
+        sections=sections,
+        anchors=[re.sub(r"[^a-z0-9]+", "-", s.title.lower()).strip("-") for s in sections],
+        library=library,
+        script=script,
+        places=places,
+    )
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: the page can't be written ({error.strerror})") from None
+
+
+def _plots(name: str, block: Block) -> list[tuple[str, Plot]]:
+    """Name the plots of a block, as the template looks for them."""
+    if isinstance(block, Grid):
+        return [(f"{name}-{index}", plot) for index, plot in enumerate(block.plots)]
+    return [(name, block)] if isinstance(block, Plot) else []
+
+
+def check_page(path: Path) -> Path:
+    """Complete the name of a page's file, before the work is done that it is to show.
+
+    An InputError says that there is no such folder, or that it names another kind of file.
+    """
+    path = path if path.suffix else path.with_suffix(SUFFIX)
+    if path.suffix.lower() not in (SUFFIX, ".htm"):
+        raise InputError(f"{path}: pages end in {SUFFIX}")
+    return check_folder(path)

@@ -8,8 +8,7 @@ import numpy.typing as npt
 from bokeh.models import BoxAnnotation, HoverTool, NumeralTickFormatter, Range1d, Span
 from bokeh.plotting import figure
 
-from seft_ros.drawing.style import FIRST, GRID, MARK, TEXT
-from seft_ros.drawing.thinning import MOST_POINTS, thinned
+from seft_ros.drawing.style import FIRST, GRID, MARK, MOST_POINTS, TEXT, thinned
 
 Floats = npt.NDArray[np.floating[Any]]
 
@@ -24,23 +23,11 @@ def plot(
     x_range: Range1d | None = None,
     log_x: bool = False,
     log_y: bool = False,
-    equal: bool = False,
     height: int = _HEIGHT,
 ) -> figure:
-    """Make an empty figure, as wide as the page gives it room.
+    """Make an empty figure, as wide as the page gives it room and so many pixels high.
 
-    Parameters
-    ----------
-    x_label, y_label : str
-        With unit: ``time / s``.
-    x_range : Range1d, optional
-        Figures with the same one zoom together.
-    log_x, log_y : bool
-        Logarithmic axes.
-    equal : bool
-        Whether a unit has the same length along both axes.
-    height : int
-        Pixels.
+    Labels are with unit: ``time / s``. Figures with the same ``x_range`` zoom together.
     """
     shared = {} if x_range is None else {"x_range": x_range}
     found = figure(
@@ -52,7 +39,6 @@ def plot(
         y_axis_label=y_label,
         x_axis_type="log" if log_x else "linear",
         y_axis_type="log" if log_y else "linear",
-        match_aspect=equal,
         **shared,
     )
     found.toolbar.logo = None
@@ -80,16 +66,9 @@ def line(
     width: float = 1.3,
     dash: str = "solid",
 ) -> None:
-    """Draw a line, thinned to `MOST_POINTS`; what is not finite is a gap.
+    """Draw a line over increasing x, thinned to `MOST_POINTS`; what is not finite is a gap.
 
-    Parameters
-    ----------
-    panel : figure
-        Of `plot`.
-    x, y : ndarray
-        Shape (N,), x increasing, in the units of the axes.
-    label : str
-        For the legend and under the pointer; empty: neither.
+    The label stands in the legend and under the pointer; empty: in neither.
     """
     at = thinned(y)
     renderer = panel.line(

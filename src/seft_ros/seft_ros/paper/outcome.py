@@ -11,7 +11,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import GROUND_MOTION, RIG_STATE
 
 from seft_ros.analysis.metrics import Agreement, agreement
-from seft_ros.analysis.reference import COMPARED, quantity, reference_of
+from seft_ros.analysis.summary import COMPARED, reference_of
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.loop_shaping.margins import BAND_HZ
@@ -108,8 +108,8 @@ def run_test(experiment: Experiment) -> Outcome:
     motion = record.series[GROUND_MOTION.name].values
     return Outcome(
         experiment.timebase.dt,
-        {name: states[:, row, 0] for name, row in COMPARED},
-        {name: quantity(reference, name)[:, 0] for name, _ in COMPARED},
+        {name: states[:, row, 0] for name, row in COMPARED.items()},
+        {name: getattr(reference, name)[:, 0] for name in COMPARED},
         record.trip,
         tuple(sorted(record.saturation.samples)),
         mass * float(np.abs(motion).max()),

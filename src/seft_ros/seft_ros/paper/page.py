@@ -4,8 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from seft_ros.page.content import Block, Cell, Mark, Section, Table, Text, Verdict
-from seft_ros.page.write import write_page
+from seft_ros.page.content import Block, Cell, Mark, Section, Table, Text, Verdict, write_page
 from seft_ros.paper import figures as drawn
 from seft_ros.paper import measures
 from seft_ros.paper.claim import Claim, read_rows

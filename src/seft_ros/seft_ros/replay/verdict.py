@@ -5,7 +5,7 @@ from typing import Any
 
 from seft_msgs_py.wire.topics import ESTIMATES, LOOP_TOPICS
 
-from seft_ros.analysis.compare import compare
+from seft_ros.analysis.comparison import compare
 from seft_ros.recording.environment import describe_environment
 from seft_ros.recording.record import Estimates, Record
 from seft_ros.recording.samples import of_steps

@@ -11,13 +11,19 @@ from seft_msgs_py.wire.topics import RIG_STATE
 from seft_plant_sim.reference.whole_structure import ReferenceResponse
 from seft_plant_sim.specimen.energy_balance import EnergyBalance
 
-from seft_ros.analysis.energy import PARTS, balance_of
-from seft_ros.analysis.motion_difference import MotionDifference, motion_difference
-from seft_ros.analysis.reference import COMPARED, quantity, reference_of
-from seft_ros.analysis.spectrum import Spectrum, spectrum_of, vibration
-from seft_ros.analysis.summary import json_safe, summarise
+from seft_ros.analysis.alignment import every_step
+from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
+from seft_ros.analysis.spectra import Spectrum, spectrum_of, vibration
+from seft_ros.analysis.summary import (
+    COMPARED,
+    ENERGIES,
+    balance_of,
+    json_safe,
+    reference_of,
+    summarise,
+)
 from seft_ros.analysis.timing import Timing, timing_of
-from seft_ros.drawing.thinning import thinned
+from seft_ros.drawing.style import thinned
 from seft_ros.preflight.plan import Plan
 from seft_ros.preflight.stability_margins import instability_band
 from seft_ros.recording.record import Record
@@ -31,7 +37,7 @@ _SPECTRA = ("force", "acceleration")
 
 @dataclass(frozen=True)
 class Findings:
-    """What a report is made of, besides the record itself.
+    """What a report is made of; what is not known is None.
 
     Attributes
     ----------
@@ -43,8 +49,7 @@ class Findings:
         Part of the energy balance -> steps and J, thinned to be drawn; of parts that are not
         zero throughout. Empty if there is no balance.
     spectra : dict
-        ``force`` and ``acceleration`` -> a pair of spectra for each axis: test and exact (or
-        None).
+        ``force`` and ``acceleration`` -> for each axis the spectra of test and exact response.
     band : tuple of float or None
         Where instability would start, Hz.
     band_note : str
@@ -53,10 +58,13 @@ class Findings:
         The ground motion that was tested against the one asked for.
     timing : Timing or None
         None of a test that was not recorded message by message.
-    summary : dict
-        All numbers, JSON values.
     judgement : Judgement
         Verdict.
+    summary : dict
+        All numbers, JSON values: what `summarise` gives and ``instability_band_hz`` (two numbers
+        or null), ``vibration`` (``ratio``, the largest of all axes, and ``axes``: see
+        `seft_ros.analysis.spectra.vibration`), ``uncompensated_delay_s`` (how far the force lags
+        in a test that does nothing about it, else null), ``events`` and ``verdict``.
     """
 
     record: Record
@@ -67,61 +75,35 @@ class Findings:
     band_note: str
     difference: MotionDifference | None
     timing: Timing | None
-    summary: dict[str, Any]
     judgement: Judgement
+    summary: dict[str, Any]
 
 
 def report_numbers(record: Record) -> Findings:
-    """Analyse a test.
-
-    Returns
-    -------
-    Findings
-        ``summary`` has what `summarise` gives and ``instability_band_hz`` (two numbers or null),
-        ``vibration`` (``ratio``, the largest of all axes, and ``axes``: see
-        `seft_ros.analysis.spectrum.vibration`), ``uncompensated_delay_s`` (how far the force lags
-        in a test that does nothing about it, else null), ``events`` and ``verdict``.
-
-    Raises
-    ------
-    InputError
-        As `reference_of`.
-    """
-    reference = reference_of(record)
-    balance = balance_of(record)
+    """Analyse a test; an InputError is that of `reference_of`."""
+    reference, balance = reference_of(record), balance_of(record)
     difference = motion_difference(record)
     summary = summarise(record, reference, balance, difference)
     energies = _thinned(balance)
     del balance  # as long as the record, and drawn from a few points
     spectra = {name: _spectra(record, reference, name) for name in _SPECTRA}
     band, note = _band(record)
-    timing = timing_of(record)
     summary |= {
         "instability_band_hz": band and list(band),
         "vibration": _vibration(record, spectra["acceleration"], band),
         "uncompensated_delay_s": _uncompensated_delay(record, summary),
         "events": [asdict(event) for event in record.events],
     }
-    judgement = judge(summary)
-    summary |= {"verdict": judgement.numbers()}
-    return Findings(
-        record,
-        reference,
-        energies,
-        spectra,
-        band,
-        note,
-        difference,
-        timing,
-        json_safe(summary),
-        judgement,
-    )
+    judgement, timing = judge(summary), timing_of(record)
+    summary = json_safe(summary | {"verdict": asdict(judgement)})
+    made = (reference, energies, spectra, band, note, difference, timing, judgement, summary)
+    return Findings(record, *made)
 
 
 def _thinned(balance: EnergyBalance | None) -> dict[str, tuple[Steps, Floats]]:
     if balance is None:
         return {}
-    courses = {name: getattr(balance, name) for name in PARTS}
+    courses = {name: getattr(balance, name) for name in ENERGIES}
     places = {name: thinned(course) for name, course in courses.items() if np.any(course)}
     return {name: (at, courses[name][at]) for name, at in places.items()}
 
@@ -130,16 +112,13 @@ def _spectra(
     record: Record, reference: ReferenceResponse | None, name: str
 ) -> list[tuple[Spectrum, Spectrum | None]]:
     states, dt = record.series[RIG_STATE.name], record.experiment.timebase.dt
-    row = dict(COMPARED)[name]
     every = np.arange(states.steps[-1] + 1) if len(states.steps) else states.steps
-    found = []
-    for column in range(len(record.experiment.axes)):
-        y = states.values[:, row, column]
-        if len(every) != len(y):
-            y = np.interp(every, states.steps, y)
-        exact = None if reference is None else quantity(reference, name)[:, column]
-        found.append((spectrum_of(y, dt), None if exact is None else spectrum_of(exact, dt)))
-    return found
+    measured = every_step(states, every)[:, COMPARED[name]]
+    exact = None if reference is None else getattr(reference, name)
+    return [
+        (spectrum_of(y, dt), None if exact is None else spectrum_of(exact[:, column], dt))
+        for column, y in enumerate(measured.T)
+    ]
 
 
 def _band(record: Record) -> tuple[Band | None, str]:

@@ -1,16 +1,28 @@
-"""The claims and what they rest on as a dict of JSON values: ``seft paper --json``."""
+"""The claims and what they rest on: a table for the terminal, and JSON values."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from rich.table import Table
+
 from seft_ros.analysis.summary import json_safe
+from seft_ros.drawing.tables import CENTRED, make_table
 from seft_ros.paper.claim import Claim
 from seft_ros.paper.findings import BEYOND, Findings
 
 
+def claims_table(claims: Sequence[Claim], title: str) -> Table:
+    """Make a table of claim, paper, ours, agrees."""
+    headings = ("claim", "paper", "ours", "agrees")
+    verdicts = {True: "[green]yes[/]", False: "[bold red]no[/]"}
+    rows = [(f"{c.claim} ({c.where})", c.paper, c.ours, verdicts[c.agrees]) for c in claims]
+    return make_table(headings, rows, left=range(4), wrap=True, title=title, **CENTRED)
+
+
 def summarise_paper(found: Findings, claims: list[Claim], page: Path) -> dict[str, Any]:
-    """Summarise a reproduction.
+    """Summarise a reproduction: ``seft paper --json``.
 
     Returns
     -------

@@ -5,16 +5,18 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND
 from seft_msgs_py.wire.topics import ESTIMATES, LOOP_TOPICS, REFERENCE_FORCE, RIG_STATE, TARGET
 
-from seft_ros.analysis.alignment import Alignment
+from seft_ros.analysis.alignment import Alignment, common_steps
+from seft_ros.analysis.metrics import nrmse, peak
 from seft_ros.analysis.summary import json_safe
-from seft_ros.analysis.topic_difference import compare_topic
-from seft_ros.recording.record import Estimates, Record, Series
+from seft_ros.recording.record import Record, Series
 
-_FIRSTS = ("first_difference", "first_value_difference")
+Floats = npt.NDArray[np.float64]
+First = dict[str, Any] | None
 
 
 def compare(a: Record, b: Record) -> dict[str, Any]:
@@ -50,55 +52,41 @@ def compare(a: Record, b: Record) -> dict[str, Any]:
     """
     alignment = Alignment.of(a, b)
     topics: dict[str, Any] = {}
-    firsts: dict[str, dict[str, Any] | None] = dict.fromkeys(_FIRSTS)
+    values: list[First] = []
+    missing: list[First] = []
     for topic, fields, one, other in _pairs(a, b):
-        found = compare_topic(
-            topic, fields, alignment.axes, alignment.on_grid_a(one), alignment.on_grid_b(other)
-        )
+        pair = alignment.on_grid(one, other)
+        figures, value = _compare_values(fields, alignment.axes, *pair)
+        lacking = _first_missing(*pair)
         counts = {"samples_a": len(one.steps), "samples_b": len(other.steps)}
-        topics[topic] = counts | found.figures
-        for key, new in zip(_FIRSTS, (found.first, found.first_value), strict=True):
-            old = firsts[key]
-            if new is not None and (old is None or new["step"] < old["step"]):
-                firsts[key] = new
-    same_axes = not (alignment.only_a or alignment.only_b)
+        topics[topic] = {**counts, "identical": value is None and lacking is None, **figures}
+        values.append(value and {"topic": topic, **value})
+        # a sample that lacks stands before a value that differs in the same step
+        missing += [lacking and {"topic": topic, **lacking}, values[-1]]
+    first, first_value = _earliest(missing), _earliest(values)
+    only_a, only_b = alignment.only
     found_all = {
-        "identical": firsts["first_difference"] is None and same_axes and not alignment.by_time,
-        **{key: _in_own_steps(first, alignment) for key, first in firsts.items()},
+        "identical": first is None and not (only_a or only_b or alignment.by_time),
+        "first_difference": _in_own_steps(first, alignment),
+        "first_value_difference": _in_own_steps(first_value, alignment),
         "missed": {"a": a.missed, "b": b.missed},
         "aligned_by": "time" if alignment.by_time else "step",
         "rate_hz": {"a": a.experiment.timebase.rate, "b": b.experiment.timebase.rate},
         "length_s": {"a": length_s(a), "b": length_s(b)},
-        "axes": {
-            "compared": alignment.axes,
-            "only_a": alignment.only_a,
-            "only_b": alignment.only_b,
-        },
+        "axes": {"compared": alignment.axes, "only_a": only_a, "only_b": only_b},
         "topics": topics,
     }
     return {key: json_safe(value) for key, value in found_all.items()}
 
 
 def compare_all(names: Sequence[str], records: Sequence[Record]) -> dict[str, Any]:
-    """Compare each further record with the first.
-
-    Parameters
-    ----------
-    names : sequence of str
-        What the records are called in errors.
-    records : sequence of Record
-        Two or more.
+    """Compare each further record with the first; an InputError names the two.
 
     Returns
     -------
     dict
         Of two records as `compare`. Of more ``identical`` (all are), and ``comparisons``: for
         each further record what `compare` gives, the first record being a.
-
-    Raises
-    ------
-    InputError
-        As `compare`, with the names of the two.
     """
     comparisons = []
     for name, record in zip(names[1:], records[1:], strict=True):
@@ -141,8 +129,7 @@ def _pairs(a: Record, b: Record) -> Iterator[tuple[str, Sequence[str], Series, S
 
 def _rows(record: Record, names: Sequence[str]) -> Series:
     """Estimates by these names; NaN where there is none of a name."""
-    estimates: Estimates | None = record.estimates
-    axes = len(record.experiment.axes)
+    estimates, axes = record.estimates, len(record.experiment.axes)
     if estimates is None:
         return Series(np.empty(0, np.int64), np.empty((0, len(names), axes)))
     values = np.full((len(estimates.steps), len(names), axes), np.nan)
@@ -150,8 +137,59 @@ def _rows(record: Record, names: Sequence[str]) -> Series:
     return Series(estimates.steps, values)
 
 
-def _in_own_steps(first: dict[str, Any] | None, alignment: Alignment) -> dict[str, Any] | None:
+def _compare_values(
+    fields: Sequence[str], axes: Sequence[str], one: Series, other: Series
+) -> tuple[dict[str, Any], First]:
+    """Errors of the samples that both series have, by field, and the first that differs."""
+    common, in_a, in_b = common_steps(one.steps, other.steps)
+    a, b = one.values[in_a], other.values[in_b]
+    errors = {field: _errors(a[:, row], b[:, row]) for row, field in enumerate(fields)}
+    figures = {
+        "compared": len(common),
+        "missing_a": len(other.steps) - len(common),
+        "missing_b": len(one.steps) - len(common),
+        **{key: float(np.max([e[key] for e in errors.values()])) for key in ("max_abs", "nrmse")},
+        "fields": errors,
+    }
+    differing = _bits(a) != _bits(b)
+    if not differing.any():
+        return figures, None
+    sample, row, column = np.unravel_index(differing.argmax(), differing.shape)
+    return figures, {
+        "step": int(common[sample]),
+        "field": fields[row],
+        "axis": axes[column],
+        "a": float(a[sample, row, column]),
+        "b": float(b[sample, row, column]),
+    }
+
+
+def _errors(a: Floats, b: Floats) -> dict[str, float]:
+    """Largest and normalised error of a field; zero where all bits are equal."""
+    if np.array_equal(_bits(a), _bits(b)):
+        return {"max_abs": 0.0, "nrmse": 0.0}
+    with np.errstate(invalid="ignore", over="ignore"):
+        return {"max_abs": peak(a - b), "nrmse": nrmse(b, a)}
+
+
+def _bits(values: Floats) -> npt.NDArray[np.uint64]:
+    return np.ascontiguousarray(values).view(np.uint64)
+
+
+def _first_missing(one: Series, other: Series) -> First:
+    if np.array_equal(one.steps, other.steps):
+        return None
+    step = int(np.setxor1d(one.steps, other.steps, assume_unique=True)[0])
+    words = ("present", "missing") if step in one.steps else ("missing", "present")
+    return {"step": step, "field": None, "axis": None, "a": words[0], "b": words[1]}
+
+
+def _earliest(found: Sequence[First]) -> First:
+    return min((one for one in found if one), key=lambda one: one["step"], default=None)
+
+
+def _in_own_steps(first: First, alignment: Alignment) -> First:
     if first is None or not alignment.by_time:
         return first
-    instant = first["step"]
-    return first | {"step": instant * alignment.every_a, "step_b": instant * alignment.every_b}
+    step_a, step_b = (first["step"] * every for every in alignment.every)
+    return first | {"step": step_a, "step_b": step_b}
