@@ -38,8 +38,10 @@ from seft_ros.reference_force.compensation.substructure import substructure_moti
 
 Floats = npt.NDArray[np.float64]
 
-AVERAGE = 0.1
-"""Time constant of the mean square, s: some cycles of any vibration in question."""
+AVERAGE, LASTING = 0.025, 0.1
+"""Time constants of the mean square, s: a cycle or two of any vibration in question; and of its
+mean, which it must not have fallen below: what a knock rings on with dies away, what the loop makes
+does not."""
 MEMORY = 2.0
 """Time constant with which strong motion that was expected is forgotten, s."""
 SUSTAINED = 0.1
@@ -91,13 +93,14 @@ class InstabilityWatch:
         self.parameters = WatchParameters(
             product=np.ascontiguousarray(np.block([[a, b], [c, d]]).T),
             average=math.exp(-dt / AVERAGE),
+            lasting=math.exp(-dt / LASTING),
             memory=math.exp(-2 * dt / MEMORY),
             patience=SUSTAINED / dt,
             ratio=float(ratio),
             least=float(floor) ** 2,
         )
         work, result = map(np.zeros, self.parameters.product.shape)
-        self.state = WatchState(work, result, np.zeros((3, n)), np.zeros(1))
+        self.state = WatchState(work, result, np.zeros((4, n)), np.zeros(1))
         arguments = self.state.squares[EXPLAINED], np.zeros((4, n))
         self._step = entry_point(watch_step, self.parameters, self.state, *arguments)
         self.reset()
@@ -131,7 +134,7 @@ class InstabilityWatch:
 
     def describe(self) -> str:
         """Say what vibrates."""
-        _, measured, expected = self.state.squares
+        _, measured, expected, _ = self.state.squares
         axis = int((measured / expected).argmax())
         rms, over = math.sqrt(measured[axis]), math.sqrt(measured[axis] / expected[axis])
         return (

@@ -9,11 +9,13 @@ from seft_plant_sim.integration import multiply
 
 Floats = npt.NDArray[np.float64]
 
-HURRY = 10.0
+HURRY = 3.0
 """How many times faster the strongest vibration uses that time up."""
-EXPLAINED, MEASURED, EXPECTED = range(3)
-"""Rows of the mean squares: of the structure's acceleration, the measured one, and the largest
-of the structure's that is remembered."""
+RINGING = 0.7
+"""Least mean square over its own mean while vibration does not die away."""
+EXPLAINED, MEASURED, EXPECTED, LASTING = range(4)
+"""Rows of the mean squares: of the structure's acceleration, the measured one, the largest
+of the structure's that is remembered, and the mean of the measured one over some more cycles."""
 
 
 class WatchParameters(NamedTuple):
@@ -24,8 +26,8 @@ class WatchParameters(NamedTuple):
     product : ndarray
         Shape (s + 5n, s + 2n), transposed: takes (states, a_g, measured state) to (states, filtered
         accelerations of the structure and as measured).
-    average, memory : float
-        Factors per step with which mean squares and what was expected fade.
+    average, lasting, memory : float
+        Factors per step with which mean squares, their mean and what was expected fade.
     patience : float
         Steps for which vibration must be there.
     ratio : float
@@ -36,6 +38,7 @@ class WatchParameters(NamedTuple):
 
     product: Floats
     average: float
+    lasting: float
     memory: float
     patience: float
     ratio: float
@@ -51,9 +54,9 @@ class WatchState(NamedTuple):
         States and inputs, and what `WatchParameters.product` makes of them, shapes (s + 5n,) and
         (s + 2n,).
     squares : ndarray
-        See `EXPLAINED`, shape (3, n), (m/s^2)^2.
+        See `EXPLAINED`, shape (4, n), (m/s^2)^2.
     above : ndarray
-        Steps for which vibration has been there, shape (1,).
+        Steps for which vibration has been there without dying away, shape (1,).
     """
 
     work: Floats
@@ -91,10 +94,13 @@ def watch_step(
         explained, found = state.result[states + i], state.result[states + n + i]
         squares[EXPLAINED, i] = old * squares[EXPLAINED, i] + new * explained * explained
         squares[MEASURED, i] = old * squares[MEASURED, i] + new * found * found
+        squares[LASTING, i] += (1.0 - p.lasting) * (squares[MEASURED, i] - squares[LASTING, i])
         expected = max(squares[EXPLAINED, i], squares[EXPECTED, i] * p.memory, p.least)
         squares[EXPECTED, i] = expected
-        excess = max(excess, squares[MEASURED, i] / expected)
+        if squares[MEASURED, i] > RINGING * squares[LASTING, i]:
+            excess = max(excess, squares[MEASURED, i] / expected)
     # what is far beyond needs less patience than what is a little
     excess /= p.ratio * p.ratio
-    state.above[0] = state.above[0] + min(excess, HURRY) if excess > 1.0 else 0.0
+    change = min(excess, HURRY) if excess > 1.0 else -1.0
+    state.above[0] = max(state.above[0] + change, 0.0)
     return state.above[0] >= p.patience

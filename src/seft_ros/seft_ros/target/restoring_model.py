@@ -80,8 +80,12 @@ class ModelParameters(NamedTuple):
     prior, drift, change : ndarray
         Their variance at the beginning, per step, and of a change; shape (n, q).
     noise : ndarray
-        Variance of the restoring force by the sensors, of one sample and as it counts in a sum;
-        shape (n, 2), N^2.
+        Variance of the restoring force by the sensors of force and acceleration, and with what the
+        noise of the motion makes of it where the specimen is as told; shape (n, 2), N^2.
+    observed : ndarray
+        Variance of the deformations (m^2) and their rates (m^2/s^2), shape (n, 2).
+    alike : float
+        So many samples of these count as one, as the observer filters them.
     least : ndarray
         Deformation (m) and its rate (m/s) that stand out of the noise, shape (n, 2).
     recent, unexplained : float
@@ -98,6 +102,8 @@ class ModelParameters(NamedTuple):
     drift: Floats
     change: Floats
     noise: Floats
+    observed: Floats
+    alike: float
     least: Floats
     recent: float
     unexplained: float
@@ -144,6 +150,7 @@ def model_arrays(
     stiffness: Floats,
     noise: Floats,
     observed: Floats,
+    alike: float,
     dt: float,
 ) -> tuple[ModelParameters, ModelState]:
     """Make models of what is told of a specimen, all in coordinates of its springs.
@@ -153,19 +160,23 @@ def model_arrays(
     mass, damping, stiffness : ndarray
         Shape (n, n), kg, N s/m and N/m.
     noise : ndarray
-        RMS noise of the restoring force, of one sample and as it counts in a sum of samples;
-        shape (n, 2), N.
+        RMS noise of the restoring force by the sensors of force and acceleration, shape (n,), N.
     observed : ndarray
         RMS noise of deformations (m) and their rates (m/s), shape (n, 2).
+    alike : float
+        So many samples of these count as one.
     dt : float
         Sampling period, s.
     """
     n = len(mass)
     thresholds = SMALLEST_SLIDER * observed[:, :1] * 2.0 ** np.arange(THRESHOLDS)
-    force = SLIDER_TO_NOISE * noise[:, :1] / thresholds
+    white = noise**2
+    as_told = white + np.hstack([stiffness, damping]) ** 2 @ observed.T.ravel() ** 2
+    least_seen = np.sqrt(as_told)[:, np.newaxis]
+    force = SLIDER_TO_NOISE * least_seen / thresholds
     least = 2.0 * LEAST_DAMPING * np.sqrt(np.abs(np.diag(mass) * np.diag(stiffness)))
     damps = np.abs(damping) + np.diag(least / UNCERTAIN_DAMPING)
-    offset = OFFSET_TO_NOISE * noise[:, :1]
+    offset = OFFSET_TO_NOISE * least_seen
     stiff = np.abs(stiffness)
 
     def variance(p: float, k: float, c: float, w: float) -> Floats:
@@ -177,7 +188,9 @@ def model_arrays(
         prior=variance(1.0, UNCERTAIN_STIFFNESS, UNCERTAIN_DAMPING, 1.0),
         drift=variance(0.0, DRIFT, DRIFT, DRIFT) * dt,
         change=variance(1.0, CHANGING_STIFFNESS, CHANGING_DAMPING, CHANGING_SLIDER),
-        noise=noise**2,
+        noise=np.transpose([white, as_told]),
+        observed=observed**2,
+        alike=alike,
         least=STANDS_OUT * observed,
         recent=math.exp(-dt / RECENT),
         unexplained=math.exp(-dt / UNEXPLAINED),
@@ -255,6 +268,22 @@ def spring_force(values: Floats, j: int, e: Floats, rate: Floats) -> float:
 
 
 @compiled
+def motion_noise(parameters: ModelParameters, state: ModelState, j: int) -> float:
+    """Variance of the force of spring j by the noise of the motion, at the slope as found, N^2."""
+    found, observed, n = state.found[j], parameters.observed, len(state.found)
+    sticking = 0.0
+    for i in range(state.stops.shape[1]):
+        if abs(state.stops[j, i]) < parameters.thresholds[j, i]:
+            sticking += found[1 + 2 * n + i]
+    variance = 0.0
+    for i in range(n):
+        slope = found[1 + i] + (sticking if i == j else 0.0)
+        variance += slope * slope * observed[i, 0]
+        variance += found[1 + n + i] * found[1 + n + i] * observed[i, 1]
+    return variance
+
+
+@compiled
 def follow(
     parameters: ModelParameters, state: ModelState, e: Floats, rate: Floats, measured: Floats
 ) -> None:
@@ -273,7 +302,8 @@ def follow(
             phi[1 + n + i] = rate[i]
         for i in range(1 + 2 * n, q):
             phi[i] = state.stops[j, i - 1 - 2 * n]
-        innovation, variance = measured[j], parameters.noise[j, 0]
+        innovation, seen = measured[j], motion_noise(parameters, state, j)
+        variance = parameters.noise[j, 0] + seen
         told = used = measured[j]
         for i in range(q):
             state.before[j, i] = state.values[j, i]
@@ -290,12 +320,12 @@ def follow(
         moves = (e[j] / parameters.least[j, 0]) ** 2 + (rate[j] / parameters.least[j, 1]) ** 2 > 1.0
         was_right = sums[4] > 0.0
         # logarithm of the likelihoods' ratio, of what is told over what is found
-        gained = innovation**2 / variance + math.log(variance / parameters.noise[j, 0])
-        gained -= told**2 / parameters.noise[j, 0]
+        gained = innovation**2 / variance + math.log(variance / parameters.noise[j, 1])
+        gained -= told**2 / parameters.noise[j, 1]
         gained = min(0.5 * gained, MOST_EVIDENCE if sums[4] > 0.0 else parameters.confirming)
         sums[4] = min(max(sums[4] + gained, -MOST_EVIDENCE), MOST_EVIDENCE)
         sums[0] = parameters.recent * sums[0] + innovation
-        persistent = parameters.noise[j, 1] - parameters.noise[j, 0]
+        persistent = (parameters.alike - 1.0) * seen
         sums[1] = parameters.recent**2 * sums[1] + variance + persistent
         surprise = sums[0] * sums[0] / sums[1]
         is_change = surprise > parameters.surprise

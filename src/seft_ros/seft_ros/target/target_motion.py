@@ -130,13 +130,11 @@ def target_arrays(known: Knowledge) -> tuple[TargetParameters, TargetState]:
         return matrix**2 @ values**2
 
     white = through(to_springs, noise[3]) + through(to_springs @ known.mass, noise[2])
-    observed = through(to_springs @ known.stiffness, left[0])
-    observed += through(to_springs @ known.damping, left[1])
-    # what the observer leaves of the noise persists: so many samples count as one
-    alike = 2.0 / gains[:, 0, 0].min() - 1.0
-    restoring = np.sqrt(np.transpose([white + observed, white + alike * observed]))
     deformed = np.sqrt(np.transpose([through(deformation, left[0]), through(deformation, left[1])]))
-    model, model_state = model_arrays(own_mass, own_damping, own_stiffness, restoring, deformed, dt)
+    alike = 2.0 / gains[:, 0, 0].min() - 1.0  # what the observer leaves of the noise persists
+    model, model_state = model_arrays(
+        own_mass, own_damping, own_stiffness, np.sqrt(white), deformed, alike, dt
+    )
 
     specimen = [(0, computed.internal)] * 2
     mass, damping, stiffness = (
