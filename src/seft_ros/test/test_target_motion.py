@@ -152,8 +152,9 @@ def followed(restoring, x, v, stiffness=K, damping=800.0, noise=4.0, seed=1):
         np.array([[52.7]]),
         np.array([[damping]]),
         np.array([[stiffness]]),
-        np.full((1, 2), noise),
+        np.array([noise]),
         np.array([[2.6e-6, 4.5e-4]]),
+        1.0,
         dt,
     )
     begin_model(parameters, state)

@@ -12,8 +12,8 @@ from seft_msgs_py.wire.topics import QUANTITIES, RIG_STATE
 from seft_msgs_py.wire.trajectory import Floats
 from seft_msgs_py.wire.trajectory_message import Trajectory, parse_trajectory
 
+from seft_ros.conformance.driver import Samples, Trial
 from seft_ros.conformance.finding import Finding, found, not_run
-from seft_ros.conformance.test_driver import Samples, Trial
 
 SLOWEST_STATUS = 0.5  # s between two signs of life, as a rule
 SLOWEST_CLOCK = 0.25  # s between two messages of /clock, as a rule; a tenth is asked for

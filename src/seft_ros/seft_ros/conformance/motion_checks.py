@@ -7,8 +7,8 @@ import numpy.typing as npt
 from seft_msgs_py.wire.trajectory import Floats
 from seft_plant_sim.specimen.specimen import Specimen
 
+from seft_ros.conformance.driver import Samples
 from seft_ros.conformance.finding import Finding, found, not_run
-from seft_ros.conformance.test_driver import Samples
 
 REST, BELL, PAUSE, PULSE = 0.4, 2.0, 0.3, 0.05  # s
 DOUBLETS, APART = 5, 0.25  # s from one to the next

@@ -7,9 +7,9 @@ import numpy as np
 from seft_msgs_py.wire.outcome import TRIPPED
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
+from seft_ros.conformance.driver import Samples, Trial
 from seft_ros.conformance.finding import Finding, found, not_run
 from seft_ros.conformance.motion_checks import Drive
-from seft_ros.conformance.test_driver import Samples, Trial
 
 SETTLE, BLOCK = 0.1, 0.1  # s of rest before each kind of bad command, and of the kind
 KINDS = (

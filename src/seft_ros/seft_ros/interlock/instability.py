@@ -38,10 +38,8 @@ from seft_ros.reference_force.compensation.substructure import substructure_moti
 
 Floats = npt.NDArray[np.float64]
 
-AVERAGE, LASTING = 0.025, 0.1
-"""Time constants of the mean square, s: a cycle or two of any vibration in question; and of its
-mean, which it must not have fallen below: what a knock rings on with dies away, what the loop makes
-does not."""
+AVERAGE = 0.1
+"""Time constant of the mean square, s: some cycles of any vibration in question."""
 MEMORY = 2.0
 """Time constant with which strong motion that was expected is forgotten, s."""
 SUSTAINED = 0.1
@@ -93,7 +91,6 @@ class InstabilityWatch:
         self.parameters = WatchParameters(
             product=np.ascontiguousarray(np.block([[a, b], [c, d]]).T),
             average=math.exp(-dt / AVERAGE),
-            lasting=math.exp(-dt / LASTING),
             memory=math.exp(-2 * dt / MEMORY),
             patience=SUSTAINED / dt,
             ratio=float(ratio),
@@ -153,7 +150,7 @@ def _natural_hz(known: Knowledge) -> float:
 def _filtered(
     known: Knowledge, lowest: float, dt: float, n: int
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """State space from (a_g, measured state) to both accelerations, high-passed."""
+    """State space from (a_g, measured state) to both accelerations high-passed, and the structure's."""
     beside, inverse = substructure_motion(known, 0), np.linalg.inv(known.total_mass)
     own, r = np.eye(n, 4 * n, k=2 * n), np.eye(n, 4 * n, k=3 * n)
     r = r - known.mass @ own
@@ -172,8 +169,15 @@ def _filtered(
         ]
     )
     b = np.block([[beside.h, beside.b], [fb @ by_ground, fb @ by_measured], [fb @ none, fb @ own]])
-    c = np.block([[fd @ by_states, fc, np.zeros_like(fc)], [np.zeros((n, size + order)), fc]])
-    d = np.block([[fd @ by_ground, fd @ by_measured], [none, fd @ own]])
+    nothing = np.zeros_like(fc)
+    c = np.block(
+        [
+            [fd @ by_states, fc, nothing],
+            [np.zeros((n, size)), nothing, fc],
+            [by_states, nothing, nothing],
+        ]
+    )
+    d = np.block([[fd @ by_ground, fd @ by_measured], [none, fd @ own], [by_ground, by_measured]])
     return a, b, c, d
 
 

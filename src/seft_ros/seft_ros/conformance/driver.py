@@ -115,7 +115,9 @@ class Guard:
         """Take a sample, shape (4, n); say why the rig must not be moved on; empty if it may."""
         way = float(np.abs(self._moved).max())
         worst = np.abs(sample).max(axis=1).tolist()
-        for name, unit, value, limit in zip(NAMES, UNITS, worst, self._limits, strict=True):
+        for name, unit, value, limit in zip(
+            NAMES, UNITS[: len(NAMES)], worst, self._limits, strict=True
+        ):
             if not value <= limit:
                 told = f"{name} reads {value:.4g} {unit}, beyond the limit of {limit:g} {unit}"
                 return f"{told}; by its velocity the rig has moved {way:.2g} m"
