@@ -42,7 +42,7 @@ HIGHER, LOWER = 6.0, 4.0
 """Ratios about the default, 5: there is a margin on either side."""
 
 
-def run(motion, method, mass_ratio, peak_force, ratio, *words):
+def run(motion, method, mass_ratio, peak_force, ratio, *words, loop_delay=0):
     """Record of a test, and its largest acceleration until it began to come down."""
     record = ()
     if motion in FILES:
@@ -54,6 +54,7 @@ def run(motion, method, mass_ratio, peak_force, ratio, *words):
         *(f"ground_motion:{word}" for word in (*record, f"peak_force:={peak_force}")),
         f"reference_force:mass_ratio:={mass_ratio}",
         f"reference_force:instability.ratio:={ratio}",
+        f"reference_force:loop_delay:={loop_delay}",
         *(f"rig:{word}" for word in words),
     )
     loaded = Experiment.load(TABLES, [JHU], [parse_override(word) for word in given])
@@ -67,6 +68,15 @@ def run(motion, method, mass_ratio, peak_force, ratio, *words):
 def test_no_sound_test_trips_whatever_the_specimen_is(motion, mass_ratio, specimen):
     words = f"specimen.kind:={specimen.split(',')[0]}", *SPECIMENS[specimen]
     found, _ = run(motion, "target_motion", mass_ratio, PEAKS[mass_ratio], LOWER, *words)
+    assert found.trip is None
+
+
+@pytest.mark.parametrize("specimen", ["bilinear", "bouc_wen", "duffing"])
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_a_link_of_10_ms_to_a_specimen_that_yields_trips_nothing(motion, specimen):
+    """The target is told late, each corner knocks the oil, and it rings for some cycles."""
+    words = f"specimen.kind:={specimen}", *SPECIMENS[specimen]
+    found, _ = run(motion, "target_motion", 1.0, 330.0, 5.0, *words, loop_delay=5)
     assert found.trip is None
 
 

@@ -150,7 +150,7 @@ def _natural_hz(known: Knowledge) -> float:
 def _filtered(
     known: Knowledge, lowest: float, dt: float, n: int
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """State space from (a_g, measured state) to both accelerations high-passed, and the structure's."""
+    """State space from (a_g, measured state) to what `WatchParameters.product` gives."""
     beside, inverse = substructure_motion(known, 0), np.linalg.inv(known.total_mass)
     own, r = np.eye(n, 4 * n, k=2 * n), np.eye(n, 4 * n, k=3 * n)
     r = r - known.mass @ own

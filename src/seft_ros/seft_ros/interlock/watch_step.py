@@ -16,8 +16,8 @@ IN_BAND = 0.3
 specimen yields or bangs the control knocks the oil, which rings for some cycles: up to 0.9 of the
 structure's acceleration in sound tests, 5 times it and more where the loop is unstable."""
 EXPLAINED, MEASURED, EXPECTED, WHOLE = range(4)
-"""Rows of the mean squares: of the structure's acceleration in the band, the measured one there, the
-largest of the structure's that is remembered, and the structure's whole acceleration."""
+"""Rows of the mean squares: of the structure's acceleration in the band, the measured one there,
+the largest of the structure's that is remembered, and the structure's whole acceleration."""
 
 
 class WatchParameters(NamedTuple):
