@@ -284,6 +284,11 @@ def test_what_the_next_bag_is_called_may_be_set_and_what_a_node_was_started_with
     successful, reason = answer("rig", "specimen.mass", 3.0)
     assert not successful
     assert "read-only" in reason
+    for node in MODULES:  # each goes on to serve
+        for name in ("use_sim_time", "", "no_such"):
+            successful, reason = answer(node, name, True)
+            assert not successful, (node, name)
+            assert reason
     assert observer.call("start")[0]
     wait_for(lambda: (observer.spin(0.05), observer.recorder_phase == "saved")[1], "saved")
     record = read_bag(tmp_path / "bags" / "named")

@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Collection, Sequence
+from traceback import format_exc
 from types import FrameType
 
 import numpy as np
@@ -168,11 +169,14 @@ class NodeProcess:
         return handled
 
     def _spin_executor(self) -> None:
-        try:
-            while not self.stopping and rclpy.ok():
+        """Serve until the end: a service that fails must not take stop and estop with it."""
+        while not self.stopping and rclpy.ok():
+            try:
                 self._executor.spin_once(timeout_sec=0.5)
-        except (ExternalShutdownException, rclpy.executors.ShutdownException):
-            return
+            except (ExternalShutdownException, rclpy.executors.ShutdownException):
+                return
+            except Exception:
+                rclpy.logging.get_logger("seft").error(f"a service failed:\n{format_exc()}")
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         del number, frame

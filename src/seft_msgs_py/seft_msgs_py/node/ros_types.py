@@ -75,6 +75,9 @@ def declare_parameters(
 
     def take(parameters: Sequence[RosParameter]) -> SetParametersResult:
         try:
+            for p in parameters:
+                if p.name not in table.rows:  # rclpy's own, such as use_sim_time
+                    raise InputError(f"{node.get_name()}: {p.name!r} can't be set")
             values = {
                 p.name: table.rows[p.name].check(p.value, node.get_name()) for p in parameters
             }

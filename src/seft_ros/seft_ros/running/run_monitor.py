@@ -145,6 +145,9 @@ class RunMonitor:
             if time.monotonic() > deadline:
                 break
             self._look()
+        silent = {*observer.values.get(SILENT, "").split()} - {*self._processes.stopped()}
+        while silent and not self._broken and time.monotonic() < deadline:
+            self._look()  # who fell silent may be about to end, and then says why
         return self._broken or self._told()
 
     def bring_down(self) -> None:
