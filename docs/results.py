@@ -23,6 +23,7 @@ MODEL, METHOD = "reference_force:model.", "reference_force:compensation.method"
 WATCH = "reference_force:instability.ratio:=100.0"  # each test goes on to its end
 YIELD = f"{SPECIMEN}yield_displacement:="
 STOREYS = f"{SPECIMEN}springs:=[1.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, -1.0, 1.0]"
+LINK = "reference_force:loop_delay:=5"
 EXAMPLES = "three_storey_frame", "six_storey_frame", "two_pier_bridge", "water_tower", "demo"
 Row = tuple[str, ...]
 """Overrides; one that begins with ``config:`` names the file, with ``missed:`` every how many."""
@@ -118,6 +119,15 @@ TESTS: dict[str, list[Row]] = {
         (*PLAN, *ONE, *valve("dead_time", 0.01), "reference_force:compensation.horizon:=0.08"),
         *((*PLAN, *ONE, WATCH, f"missed:{every}") for every in (100, 20)),
     ],
+    "behind a link of 10 ms": [
+        (*PLAN, *ONE, LINK, *specimen(*words))
+        for words in (
+            ("linear",),
+            ("bouc_wen", "yield_displacement:=0.003"),
+            ("bilinear", "yield_displacement:=0.003"),
+            ("friction", "friction.force:=20.0"),
+        )
+    ],
     "driven by forces": [
         *((*DELAY, *loaded(alpha, newtons)) for alpha, newtons in ((1.0, 500.0), (3.0, 250.0))),
         *(
@@ -197,7 +207,8 @@ def main() -> None:
     for title, rows in TESTS.items():
         print(f"\n{title}\n\n| overrides | {' | '.join(motions)} |\n|{'---|' * (1 + len(motions))}")
         for row in rows:
-            words = [named(w) for w in row if w not in (*PLAN, *DELAY, *ONE, WATCH, STOREYS)]
+            hidden = {*PLAN, *DELAY, *ONE, WATCH, STOREYS, LINK}
+            words = [named(word) for word in row if word not in hidden]
             errors = [tested(row, motion) for motion in motions.values()]
             print(f"| {', '.join(words) or 'as it is'} | {' | '.join(errors)} |", flush=True)
 

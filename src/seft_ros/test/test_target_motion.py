@@ -240,9 +240,10 @@ LAWS: dict[str, tuple[tuple[str, ...], float]] = {
     "gap": (("kind:=gap", "gap.width:=0.004", f"gap.stiffness:={2 * K}"), 1.2),
     "flag": (("kind:=flag", "yield_displacement:=0.003", "flag.dissipation:=0.7"), 1.4),
     "pinching": (("kind:=pinching", "yield_displacement:=0.003"), 1.4),
-    "friction 20 N": (("kind:=friction", "friction.force:=20.0"), 2.0),
+    "friction 20 N": (("kind:=friction", "friction.force:=20.0"), 1.5),
     "friction 60 N": (("kind:=friction", "friction.force:=60.0"), 3.0),
-    "friction 120 N": (("kind:=friction", "friction.force:=120.0"), 8.0),
+    "friction 120 N": (("kind:=friction", "friction.force:=120.0"), 4.0),
+    "friction 190 N": (("kind:=friction", "friction.force:=190.0"), 8.0),
 }
 
 
