@@ -23,7 +23,7 @@ from seft_ros.link.round_trips import RoundTrips
 PATIENCE = 15.0  # s, until the other side is found
 LOOK = 0.05  # s
 SETTLING = 0.5  # s without being counted: first messages are the slowest
-LAST = 1.0  # s in which the last one may come back
+FIRST, LAST = 5.0, 1.0  # s in which the first and the last message may come back
 ECHO_LOOK = 0.2  # s
 
 
@@ -114,18 +114,25 @@ def measure(
                 except (WireError, ValueError):
                     continue  # of someone else
 
+    def send(number: int) -> None:
+        raw = encode_string(f"{own} {number} {'.' * size}"[:size])
+        sent[number] = time.monotonic()
+        link.send(raw)
+
     with closing(_LinkNode("seft_link", ping, pong)) as link:
         progress("looking for the other side", 0)
         _find_echo(link, pong)
+        deadline = time.monotonic() + FIRST
+        while not back and time.monotonic() < deadline:  # it may not have found this side yet
+            send(first - 1)
+            listen_until(time.monotonic() + LOOK)
         start = time.monotonic() - first / rate
         for number in range(first, count):
-            raw = encode_string(f"{own} {number} {'.' * size}"[:size])
             listen_until(start + number / rate)
-            sent[number] = time.monotonic()
-            link.send(raw)
+            send(number)
             progress("measuring the link", max(number, 0))
         deadline = time.monotonic() + LAST
-        while len(back) < len(sent) and time.monotonic() < deadline:
+        while len({number for number, _ in back}) < len(sent) and time.monotonic() < deadline:
             listen_until(min(deadline, time.monotonic() + LOOK))
     progress("measured", count)
     counted = [(number, took) for number, took in back if number >= 0]
