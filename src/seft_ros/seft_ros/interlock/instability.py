@@ -54,7 +54,8 @@ class InstabilityWatch:
     Both accelerations, measured and of the structure, go through the same high-pass filter
     (Butterworth, fourth order). Their mean squares are taken over `AVERAGE`; the structure's
     largest fades over `MEMORY`, as vibration rings on. It is a fault if the measured RMS stays
-    above ``ratio`` times the structure's (and the floor) for `SUSTAINED`.
+    above ``ratio`` times the structure's for `SUSTAINED`; as the structure's counts at least the
+    floor, and `IN_BAND` of its whole acceleration.
 
     Parameters
     ----------

@@ -13,8 +13,9 @@ HURRY = 10.0
 """How many times faster the strongest vibration uses that time up."""
 IN_BAND = 0.3
 """Part of the structure's whole acceleration that counts as its vibration in any case. Where the
-specimen yields or bangs the control knocks the oil, which rings for some cycles: up to 0.9 of the
-structure's acceleration in sound tests, 5 times it and more where the loop is unstable."""
+specimen yields or bangs the control knocks the oil, which rings for some cycles: in sound tests not
+above 1.5 times the structure's acceleration for long; where the loop is unstable it reaches 7 times
+that acceleration."""
 EXPLAINED, MEASURED, EXPECTED, WHOLE = range(4)
 """Rows of the mean squares: of the structure's acceleration in the band, the measured one there,
 the largest of the structure's that is remembered, and the structure's whole acceleration."""
