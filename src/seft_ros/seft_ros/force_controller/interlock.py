@@ -6,12 +6,16 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.wire.rigs import RigAxes
 from seft_msgs_py.wire.timebase import Timebase
 from seft_plant_sim.compiled import entry_point
 from seft_plant_sim.rig.limits import SaturatedTime
 
+from seft_ros.force_controller.detectors_of import detectors_of
 from seft_ros.force_controller.force_control import ForceControl
 from seft_ros.force_controller.interlock_step import (
+    DETECTED,
+    FAULT,
     NONSENSE,
     NOTHING,
     ODD_DRIVE,
@@ -21,8 +25,11 @@ from seft_ros.force_controller.interlock_step import (
     InterlockParameters,
     InterlockState,
     begin_control,
+    begin_interlock,
     end_control,
 )
+from seft_ros.interlock.detector_step import DetectorParameters, DetectorState
+from seft_ros.interlock.detectors import describe
 
 Floats = npt.NDArray[np.float64]
 
@@ -44,8 +51,8 @@ class Interlock:
         Magnitude of the reference force beyond which it is nonsense, N.
     longest_saturation : float
         Time within one second that the valve drive may be at its limit, s.
-    dt : float
-        Sampling period, s.
+    detectors : tuple of DetectorParameters and DetectorState
+        Of faults, see `detector_arrays`.
 
     Attributes
     ----------
@@ -61,21 +68,24 @@ class Interlock:
         axes: Sequence[str],
         largest_force: float,
         longest_saturation: float,
-        dt: float,
+        detectors: tuple[DetectorParameters, DetectorState],
     ) -> None:
         self.controller = controller
         self._axes, n = tuple(axes), len(axes)
+        dt = detectors[0].dt
         self._longest, saturated = longest_saturation, SaturatedTime(longest_saturation, dt)
-        self.parameters = InterlockParameters(float(largest_force), saturated.window)
+        self.parameters = InterlockParameters(float(largest_force), saturated.window, detectors[0])
         self.state = InterlockState(
-            np.zeros(3, dtype=np.int64),
+            np.zeros(4, dtype=np.int64),
             saturated.times(),
             np.zeros(n),
             np.zeros((4, n)),
             np.zeros(n),
+            detectors[1],
         )
         both, drive = (self.parameters, self.state), self.state.drive
         points = np.zeros((1, 1, n))
+        self._reset = entry_point(begin_interlock, self.state)
         self._begin = entry_point(begin_control, *both, 0, points, self.state.measured, drive)
         self._end = entry_point(end_control, *both, 0, False, drive)
         self.reset()
@@ -87,10 +97,28 @@ class Interlock:
         section: dict[str, Any],
         axes: tuple[str, ...],
         timebase: Timebase,
+        rig: RigAxes | None = None,
     ) -> "Interlock":
-        """Make it of the force controller's section of an experiment."""
-        longest = section["watchdog.saturation_time"]
-        return cls(controller, axes, section["limits.force"], longest, timebase.dt)
+        """Make it of the force controller's section of an experiment, which is for all axes.
+
+        Parameters
+        ----------
+        controller : ForceControl
+            Of the rig's axes.
+        section, axes, timebase
+            Of the experiment.
+        rig : RigAxes, optional
+            The one of several rigs that it controls; default all axes.
+
+        Raises
+        ------
+        InputError
+            If what is told of actuator or specimen does not fit the axes.
+        """
+        own = rig or RigAxes.whole(axes)
+        force, saturation = section["limits.force"], section["watchdog.saturation_time"]
+        detectors = detectors_of(section, axes, timebase.dt, own.places)
+        return cls(controller, own.axes, force, saturation, detectors)
 
     @property
     def reason(self) -> str:
@@ -107,7 +135,7 @@ class Interlock:
     def reset(self) -> None:
         """Forget the test so far, a trip too: before a new test."""
         self.controller.reset()
-        self.state.flags[:] = 0
+        self._reset(self.state)
         self._told, self._told_at = "", -1
 
     def step(self, index: int, points: Floats, state: Floats) -> Floats:
@@ -153,6 +181,9 @@ class Interlock:
             measured = zip(_MEASURED, state.measured[[3, 0, 1, 2]], strict=True)
             found = (self._not_a_number(f"measured {name}", values) for name, values in measured)
             return self.nonsense(state.force) or next(filter(None, found))
+        if code == FAULT:
+            detectors = state.detectors
+            return describe(int(state.flags[DETECTED]), detectors.found, self._axes)
         assert code == SATURATION
         return (
             f"the valve command is at its limit for more than {self._longest:g} s within one "

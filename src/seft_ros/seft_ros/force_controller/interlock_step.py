@@ -7,14 +7,22 @@ import numpy.typing as npt
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.rig.limits import is_exceeded
 
+from seft_ros.interlock.detector_step import (
+    DetectorParameters,
+    DetectorState,
+    begin_detectors,
+    detect,
+    take_command,
+)
 from seft_ros.interlock.plausibility import is_finite
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
-TRIP, STEP, SATURATED = range(3)
-"""Places of the flags: why it has tripped, at which step, and how often the drive was limited."""
-NOTHING, NONSENSE, ODD_DRIVE, SATURATION = range(4)
+TRIP, STEP, SATURATED, DETECTED = range(4)
+"""Places of the flags: why it has tripped, at which step, how often the drive was limited, and which
+detector has found a fault."""
+NOTHING, NONSENSE, ODD_DRIVE, SATURATION, FAULT = range(5)
 """Why."""
 
 
@@ -27,10 +35,13 @@ class InterlockParameters(NamedTuple):
         Magnitude of the reference force beyond which it is nonsense, N.
     window : int
         Steps of a second.
+    detectors : DetectorParameters
+        Of faults.
     """
 
     largest: float
     window: int
+    detectors: DetectorParameters
 
 
 class InterlockState(NamedTuple):
@@ -39,12 +50,14 @@ class InterlockState(NamedTuple):
     Attributes
     ----------
     flags : ndarray
-        See `TRIP`, shape (3,).
+        See `TRIP`, shape (4,).
     saturated : ndarray
         The last steps at which the drive was limited, see `is_exceeded`.
     force, measured, drive : ndarray
         Reference force, sample and drive of the step at which it tripped, shapes (n,), (4, n)
         and (n,).
+    detectors : DetectorState
+        Of faults.
     """
 
     flags: Ints
@@ -52,6 +65,14 @@ class InterlockState(NamedTuple):
     force: Floats
     measured: Floats
     drive: Floats
+    detectors: DetectorState
+
+
+@compiled
+def begin_interlock(state: InterlockState) -> None:
+    """Begin a test."""
+    state.flags[:] = 0
+    begin_detectors(state.detectors)
 
 
 @compiled
@@ -84,9 +105,13 @@ def begin_control(
         fits = is_finite(measured, 0 if last else 3)
         for i in range(n):
             fits &= abs(points[0, last, i]) <= parameters.largest
-        if fits:
+        found = -1
+        if fits and is_finite(measured, 0):  # without feedback, the motion need not be measured
+            found = detect(parameters.detectors, state.detectors, step, points, measured)
+        if fits and found < 0:
             return True
-        trip(state, NONSENSE, step)
+        trip(state, NONSENSE if found < 0 else FAULT, step)
+        state.flags[DETECTED] = found
         for i in range(n):
             state.force[i] = points[0, last, i]
             for row in range(4):
@@ -115,6 +140,7 @@ def end_control(
         for i in range(len(command)):
             state.drive[i] = command[i]
             command[i] = 0.0
+    take_command(parameters.detectors, state.detectors, command)
 
 
 @compiled

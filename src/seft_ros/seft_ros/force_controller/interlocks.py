@@ -51,9 +51,9 @@ def interlock_of(experiment: Experiment) -> Interlock | Interlocks:
     InputError
         If the force controller of a rig can't be made.
     """
-    section, timebase = experiment["force_controller"], experiment.timebase
+    section, axes, timebase = experiment["force_controller"], experiment.axes, experiment.timebase
     made = []
     for rig in experiment.rigs:
-        controller = force_control(section, experiment.axes, timebase, rig)
-        made.append((rig, Interlock.from_parameters(controller, section, rig.axes, timebase)))
+        controller = force_control(section, axes, timebase, rig)
+        made.append((rig, Interlock.from_parameters(controller, section, axes, timebase, rig)))
     return made[0][1] if len(made) == 1 else Interlocks(made)

@@ -47,6 +47,19 @@ _ROWS = parameter_rows(
         derived
     horizon | float | reference_force:compensation.horizon or 0.05 | s | > 0 .. 1 |
         velocity_feedforward: time ahead for which the coming motion is used
+    detectors.specimen_mass | floats | reference_force:model.mass or 0.0 | kg | |
+        mass of the specimen, for the detectors of faults in docs/safety.md; 0: not known
+    detectors.specimen_stiffness | floats | reference_force:model.stiffness or 0.0 | N/m | |
+        stiffness of the specimen, likewise
+    detectors.mass_ratio | float | reference_force:mass_ratio or 0.0 | | |
+        computed mass over that of the specimen, likewise
+    detectors.test | string | reference_force:method or seft | | seft, eft |
+        the test that reference_force does, likewise
+    detectors.actuator_kind | string | reference_force:compensation.actuator_kind or
+        servo_hydraulic | | ideal, delay, servo_hydraulic, servo_hydraulic_linear |
+        kind of the actuators, likewise: ideal and delay have no valve that is driven from here
+    detectors.warn_only | string | | | |
+        names of detectors, with commas between, that warn but do not end a test
     voltage_limit              | float  | 10.0  | V     | > 0       |
         largest valve drive, either way
     feedback                   | bool   | true  |       |           |

@@ -2,7 +2,7 @@
 
 import cmath
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import numpy.typing as npt
@@ -100,6 +100,25 @@ class ValveModel:
     def past(self, late: float = 0.0) -> Floats:
         """Flow now of past commands, the newest first, of a valve that is late by so many s."""
         return self.flow(self._dt * np.arange(1, self.memory + 1) - late)
+
+
+def valve_models(actuator: Mapping[str, Floats], dt: float) -> list[ValveModel]:
+    """Make the valves of n axes, all with the memory of the slowest.
+
+    Parameters
+    ----------
+    actuator : mapping
+        With ``valve_frequency`` (Hz), ``valve_damping`` and ``dead_time`` (s), shape (n,) each.
+    dt : float
+        Sampling period, s.
+    """
+    names = ("valve_frequency", "valve_damping", "dead_time")
+    each = zip(*(actuator[name].tolist() for name in names), strict=True)
+    valves = [ValveModel(*values, dt) for values in each]
+    memory = max(valve.memory for valve in valves)
+    for valve in valves:
+        valve.memory = memory
+    return valves
 
 
 def noncausal_inverse(

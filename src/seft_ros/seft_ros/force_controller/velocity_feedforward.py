@@ -30,7 +30,8 @@ from seft_msgs_py.wire.timebase import Timebase
 from seft_plant_sim.compiled import compiled, entry_point
 
 from seft_ros.force_controller.force_control import LinearControl
-from seft_ros.force_controller.valve_model import ValveModel
+from seft_ros.force_controller.valve_model import ValveModel, valve_models
+from seft_ros.interlock.detector_step import under_load
 from seft_ros.target.motion_observer import observe, observer_gains, sensor_noise
 
 Floats = npt.NDArray[np.float64]
@@ -38,8 +39,6 @@ Floats = npt.NDArray[np.float64]
 FEEDBACK = math.pi / 8
 """Gain of the feedback times the valve's mean delay: a quarter of what would oscillate without
 the prediction of Eq. (5)."""
-LEAST_PRESSURE = 0.2
-"""Part of the supply pressure that is always reckoned to be left for the flow."""
 UNCERTAIN_GAIN, UNCERTAIN_DELAY = 0.15, 2e-3
 """Standard deviation of the flow gain as told, relative, and of the valve's delay, s."""
 LARGEST_GAIN_ERROR, LARGEST_DELAY_ERROR = 0.3, 5e-3
@@ -221,13 +220,6 @@ def feedforward_step(
 
 
 @compiled
-def under_load(direction: float, force: float, capacity: float) -> float:
-    """Flow of a valve that opens in a direction, over that without load."""
-    left = 1.0 - force / capacity if direction > 0.0 else 1.0 + force / capacity
-    return math.sqrt(max(left, LEAST_PRESSURE))
-
-
-@compiled
 def follow_valve(p: FeedforwardParameters, state: FeedforwardState, i: int, force: float) -> None:
     """Follow gain and delay of a valve by Eq. (4): the flow as measured against the model's."""
     gain, oil, leakage = p.actuator[i, 0], p.actuator[i, 1], p.actuator[i, 2]
@@ -324,13 +316,7 @@ class VelocityFeedforward:
         """
         own, dt = list((rig or RigAxes.whole(axes)).places), timebase.dt
         known = cls.told(section, axes, rig)
-        valves = [
-            ValveModel(frequency, damping, dead_time, dt)
-            for frequency, damping, dead_time in zip(
-                *(known[name] for name in ("valve_frequency", "valve_damping", "dead_time")),
-                strict=True,
-            )
-        ]
+        valves = valve_models(known, dt)
         noise = sensor_noise(section, axes, "noise", "force_controller")[:, own]
         horizon = section["horizon"]
         steps = math.ceil(horizon / dt - 1e-9)
@@ -401,9 +387,7 @@ def feedforward_arrays(
             f"force_controller: the valves need {(needed + 1) * dt:g} s of the coming motion, but "
             f"reference_force: compensation.horizon is {horizon * dt:g} s; make it longer"
         )
-    memory = max(valve.memory for valve in valves)
-    for valve in valves:
-        valve.memory = memory
+    memory = valves[0].memory
     inverse = np.array([valve.inverse(needed) for valve in valves])
     under_way = dt * np.array([valve.under_way() for valve in valves])
     past = np.array([valve.past() for valve in valves])

@@ -53,7 +53,9 @@ class ForceControllerNode(NodeBody):
         section, timebase = experiment["force_controller"], experiment.timebase
         rig, axes = shell.rig, shell.rig.axes
         controller = force_control(section, experiment.axes, timebase, rig)
-        self._controller = Interlock.from_parameters(controller, section, axes, timebase)
+        self._controller = Interlock.from_parameters(
+            controller, section, experiment.axes, timebase, rig
+        )
         self._estimates = getattr(controller, "estimates", None)
         self._command_codec = TrajectoryCodec(VALVE_COMMAND.of(rig), axes, timebase)
         self._publish = shell.publisher(self._command_codec.topic)

@@ -1,0 +1,74 @@
+"""Detectors of faults, made of what a force controller is told."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from seft_msgs_py.config.arrays import mass_matrix, per_axis, symmetric_matrix
+from seft_msgs_py.errors import InputError
+
+from seft_ros.force_controller.valve_model import valve_models
+from seft_ros.force_controller.velocity_feedforward import ACTUATOR
+from seft_ros.interlock.detector_step import DetectorParameters, DetectorState
+from seft_ros.interlock.detectors import DETECTORS, detector_arrays
+from seft_ros.target.force_command import FORCE_DRIVEN
+from seft_ros.target.motion_observer import sensor_noise
+
+WHERE = "force_controller: "
+
+
+def detectors_of(
+    section: dict[str, Any], axes: tuple[str, ...], dt: float, places: Sequence[int]
+) -> tuple[DetectorParameters, DetectorState]:
+    """Put the detectors of some of the axes into arrays.
+
+    Parameters
+    ----------
+    section : dict
+        The force controller's, for all axes.
+    axes : tuple of str
+        Names of all axes.
+    dt : float
+        Sampling period, s.
+    places : sequence of int
+        Of the axes that are watched.
+
+    Raises
+    ------
+    InputError
+        If what is told does not fit the axes, or a detector has another name.
+    """
+    own = list(places)
+    warn_only = section["detectors.warn_only"].replace(",", " ").split()
+    unknown = set(warn_only) - {one.name for one in DETECTORS}
+    if unknown:
+        raise InputError(
+            f"{WHERE}detectors.warn_only: no detector {sorted(unknown)[0]!r}; there are "
+            + ", ".join(one.name for one in DETECTORS)
+        )
+    actuator = {
+        name: per_axis(section[f"actuator.{name}"], axes, f"{WHERE}actuator.{name}")[own]
+        for name in (*ACTUATOR, "valve_frequency", "valve_damping", "dead_time")
+    }
+    is_known = actuator["valve_frequency"] > 0.0
+    if section["detectors.actuator_kind"] in FORCE_DRIVEN:  # no valve is driven from here
+        is_known[:] = False
+    actuator["flow_gain"] = np.where(is_known, actuator["flow_gain"], 0.0)
+    actuator["valve_frequency"] = np.where(is_known, actuator["valve_frequency"], 1.0 / dt)
+    name, ratio = "detectors.specimen_stiffness", section["detectors.mass_ratio"]
+    stiffness = symmetric_matrix(section[name], axes, WHERE + name)[np.ix_(own, own)]
+    mass = np.zeros_like(stiffness)
+    if np.any(section["detectors.specimen_mass"]):
+        name = "detectors.specimen_mass"
+        mass = mass_matrix(section[name], axes, WHERE + name)[np.ix_(own, own)]
+    if section["detectors.test"] == "eft":  # the specimen carries all of the mass
+        mass, ratio = (1.0 + ratio) * mass, 0.0
+    return detector_arrays(
+        sensor_noise(section, axes, "noise", "force_controller")[:, own],
+        section["noise.velocity_source"] == "derived",
+        np.transpose([actuator[name] for name in ACTUATOR]),
+        np.array([valve.past() for valve in valve_models(actuator, dt)]),
+        *(np.ascontiguousarray(matrix) for matrix in (mass, stiffness, ratio * mass)),
+        warn_only,
+        dt,
+    )
