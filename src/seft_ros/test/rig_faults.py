@@ -52,15 +52,18 @@ class FaultyRig:
 
     Attributes
     ----------
-    peak_force : float
-        Largest true force so far, N.
+    peak_force, travel : float
+        Largest true force (N) and displacement (m) so far.
+    felt : int or None
+        Step from which on the fault can be seen: what is measured is off by more than noise, or the
+        valve by more than a twentieth of a volt.
     """
 
     def __init__(self, rig, fault, step, noise, largest):
         self._rig, self._fault, self._at = rig, fault, step
         self._noise, self._largest = noise, largest
         self._draw = np.random.default_rng(7)
-        self.sensors, self.peak_force = rig.sensors, 0.0
+        self.sensors, self.felt, self.peak_force, self.travel = rig.sensors, None, 0.0, 0.0
         self.drive = rig.drive
 
     violation = property(lambda self: self._rig.violation)
@@ -77,12 +80,15 @@ class FaultyRig:
             if self._volt is None:
                 self._volt = self._sent[-1]
             command = self._commanded(age, self._sent[-1])
+            if self.felt is None and np.abs(command - self._sent[-1]).max() > 0.05:
+                self.felt = self._rig.step_index
         return self._measured(self._rig.step(command))
 
     def stop(self):
         """Close the valve, as far as it obeys."""
         stopped = self._rig.stop()
         self.peak_force = max(self.peak_force, stopped.peak_force)
+        self.travel = max(self.travel, float(np.abs(self._rig.sample[0]).max()))
 
     def _commanded(self, age, command):
         name = self._fault.removeprefix("valve ")
@@ -93,10 +99,12 @@ class FaultyRig:
         if "supply" in self._fault and age == 0:
             pistons = self._rig.parameters.dynamics.pistons
             pistons[:, PER_CAPACITY] *= 100.0 if "lost" in name else 10.0
+            self.felt = self._at
         return command
 
     def _measured(self, state):
         self.peak_force = max(self.peak_force, float(np.abs(self._rig.sample[3]).max()))
+        self.travel = max(self.travel, float(np.abs(self._rig.sample[0]).max()))
         age, state = self._rig.step_index - self._at, state.copy()
         self._past.append(state.copy())
         if age < 0:
@@ -119,4 +127,7 @@ class FaultyRig:
             state = self._past[max(len(self._past) - 6, 0)].copy()
         elif self._fault == "axes dead but for noise":
             state = self._noise[:, np.newaxis] * draw
+        off = np.abs(state - self._past[-1]) > 6.0 * self._noise[:, np.newaxis]
+        if self.felt is None and off.any():
+            self.felt = self._rig.step_index
         return state

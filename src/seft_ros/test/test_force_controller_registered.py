@@ -6,6 +6,7 @@ from seft_msgs_py.errors import InputError
 from seft_ros.force_controller.force_control import ControlKnowledge, LinearControl
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.registered_control import RegisteredControl
+from warning_detectors import warning_detectors
 
 KNOWN = ControlKnowledge(axes=2, dt=0.002, voltage_limit=10.0)
 ZERO = np.zeros((4, 2))
@@ -80,7 +81,7 @@ def test_a_drive_that_is_no_number_trips_and_never_gets_out():
             return np.array([0.0, np.nan]) if reference_force.any() else np.zeros(2)
 
     control = RegisteredControl(Broken(), "theirs", KNOWN)
-    interlock = Interlock(control, ("x", "y"), 1e4, 0.5, 0.002)
+    interlock = Interlock(control, ("x", "y"), 1e4, 0.5, 0.0, warning_detectors(2))
     assert interlock.step(7, np.ones((1, 1, 2)), ZERO).tolist() == [0.0, 0.0]
     assert interlock.reason == "valve command on axis y is nan"
     assert interlock.step_index == 7

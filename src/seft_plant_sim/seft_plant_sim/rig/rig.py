@@ -28,16 +28,27 @@ RESTS = 10  # steps below that, so that a vibration's turning point is no rest
 
 @dataclass(frozen=True)
 class Safe:
-    """The safe valve command, shape (n,), V, and for how many steps the rig is followed to rest."""
+    """Where a rig goes when a test ends.
+
+    Attributes
+    ----------
+    command : ndarray
+        The safe valve command, shape (n,), V.
+    closing : int
+        Steps in which the valve goes there.
+    longest : int
+        For how many steps the rig is followed to rest.
+    """
 
     command: npt.NDArray[np.float64]
+    closing: int
     longest: int
 
     @classmethod
     def from_parameters(cls, group: dict[str, Any], axes: Sequence[str], dt: float) -> "Safe":
         """Make it of the parameters ``safe.*``; InputError if sizes do not fit the axes."""
         command = per_axis(group["valve_command"], axes, "rig: safe.valve_command")
-        return cls(command, round(group["settle_time"] / dt))
+        return cls(command, round(group["close_time"] / dt), round(group["settle_time"] / dt))
 
     def part(self, places: Sequence[int]) -> "Safe":
         """Take the valves at some places among the axes."""
@@ -155,9 +166,12 @@ class Rig:
         if self._safe is None:
             return Stopped(0, 0.0)
         valve_driven = self.drive == VALVE_COMMAND.name
-        command = self._safe.command if valve_driven else np.zeros_like(self._command)
+        safe = self._safe.command if valve_driven else np.zeros_like(self._command)
+        last = self.state.line[(self.state.counts[0] - 1) % len(self.state.line)].copy()
         steps, resting, peak = 0, 0, 0.0
         while steps < self._safe.longest and resting < RESTS:
+            left = max(1.0 - (steps + 1) / max(self._safe.closing, 1), 0.0)
+            command = safe + left * (last - safe)
             self._move(self.parameters, self.state, command)
             peak = max(peak, float(np.abs(self.sample[3]).max()))
             steps += 1

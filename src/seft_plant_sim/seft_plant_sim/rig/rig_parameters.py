@@ -118,6 +118,10 @@ SAFETY = parameter_rows(
         Idealised actuators refuse a reference force beyond limits.force instead
     safe.valve_command          | floats | 0.0 | V |         |
         valve command when a test trips or is stopped; an idealised actuator lets go instead
+    safe.close_time              | float  | 0.02 | s | 0 .. 1  |
+        time in which the valve goes from the last command to that. A valve that closes at once on
+        a moving mass M makes the oil hammer with v sqrt(k_oil M): longer than a period of the
+        oil; the specimen goes on moving meanwhile: shorter than a sixth of its period
     safe.settle_time            | float  | 0.2 | s | 0 .. 60 |
         longest time that the simulated rig is followed to rest after that; 0: not at all
     watchdog.command_timeout | float | supervisor:watchdog.command_timeout or 0.02 | s | > 0 |

@@ -18,6 +18,7 @@ from seft_plant_sim.reference.whole_structure import (
 from seft_plant_sim.specimen.energy_balance import EnergyBalance, energy_balance
 
 from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
+from seft_ros.analysis.fault_detection import shares_of
 from seft_ros.analysis.metrics import Agreement, agreement, peak
 from seft_ros.analysis.timing import link_numbers, timing_of
 from seft_ros.analysis.tracking import tracking_error_of, tracking_of
@@ -57,8 +58,9 @@ def summarise(
         ``lost`` (samples that the record lacks, by topic), ``energy`` (see `energy_numbers`),
         ``estimates`` (what the compensation identified on line: name -> axis -> first, last, least
         and largest, SI units), ``equivalent_motion`` (see `MotionDifference.numbers`),
-        ``tracking_error`` (see `tracking_error`), ``reference_specimen`` (of the exact response:
-        ``simulated``, or the ``model``, which is no truth to judge a test by), ``tracking`` (see
+        ``tracking_error`` (see `tracking_error`), ``detectors`` (of faults, see `shares_of`),
+        ``reference_specimen`` (of the exact response: ``simulated``, or the ``model``, which is no
+        truth to judge a test by), ``tracking`` (see
         `tracking_of`), and for displacement (m), acceleration (m/s^2) and force (N) what
         `Agreement` has, over all axes; ``axes`` has the same three for each axis. What is unknown,
         makes no sense or does not exist is null.
@@ -92,6 +94,7 @@ def summarise(
         "estimates": _estimates(record.estimates, axes),
         "equivalent_motion": difference and difference.numbers(),
         "tracking_error": tracking_error_of(record),
+        "detectors": shares_of(record),
         "reference_specimen": ("simulated" if simulated else "model") if reference else None,
         "tracking": tracking_of(record, reference),
         **(by_axis[axes[0]] if len(axes) == 1 else _responses(record, reference, slice(None))),

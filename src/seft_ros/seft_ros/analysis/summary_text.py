@@ -151,6 +151,9 @@ def _trust_lines(summary: dict[str, Any]) -> list[str]:
         )
     if tracking is not None:
         lines.append(f"displacement off its target by {percent(tracking['nrmse'])}")
+    if summary["detectors"]:
+        name, share = max(summary["detectors"].items(), key=lambda item: item[1])
+        lines.append(f"detectors of faults: {name} came to {percent(share)} of its threshold")
     return lines
 
 

@@ -39,6 +39,11 @@ def complain(text: str) -> None:
     print(f"seft: {text}", file=sys.stderr, flush=True)
 
 
+def warn(text: str) -> None:
+    """Say on stderr what does not keep a command from going on."""
+    print(f"warning: {text}", file=sys.stderr, flush=True)
+
+
 def stderr_console() -> Console:
     """Console for progress: stderr, so that stdout holds results alone."""
     return Console(stderr=True)

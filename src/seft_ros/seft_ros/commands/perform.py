@@ -8,7 +8,7 @@ from seft_msgs_py.errors import InputError
 
 from seft_ros.commands.one_test import check_out, dds_test, offline_test, show_test
 from seft_ros.commands.options import Config, External, Files, Json, Params, load_experiment, option
-from seft_ros.commands.output import complain, step_progress
+from seft_ros.commands.output import complain, step_progress, warn
 from seft_ros.experiment.tables import TABLES
 
 LINK_TIME = 5.0  # s for which a link is measured before a test
@@ -79,6 +79,7 @@ def run(
 
         seft run config/jhu.yaml -p reference_force:mass_ratio:=2.0 --accept-unstable
     """
+    from seft_ros.preflight.expected_peaks import expected_peaks, limit_warning
     from seft_ros.running.process_layout import ProcessLayout
     from seft_ros.running.run import bag_path
 
@@ -87,6 +88,8 @@ def run(
     experiment = _with_measured_delay(experiment)
     steps = _steps(experiment)
     _check_stable(experiment, accept_unstable)
+    if warning := limit_warning(experiment, expected_peaks(experiment)):
+        warn(warning)
     layout = ProcessLayout(pin=pin, composed=composed, priority=priority)
     record = dds_test(experiment, bag, steps, external or (), layout=layout)
     if show_test(record, bag, as_json=json, figure=figure):

@@ -31,6 +31,10 @@ def preflight(
             "FILE",
         ),
     ] = None,
+    write: Annotated[
+        Optional[Path],
+        option("Write limits that fit the test into a parameter file, for --params-file.", "FILE"),
+    ] = None,
     json: Json = False,
 ) -> int:
     """Tell whether a planned test is stable, and how far from its limits, without moving anything.
@@ -40,6 +44,8 @@ def preflight(
     false damping that the test will show; and sweeps the specimen's local stiffness from 0 to 3
     times the told one. Exact where the loop is linear; the table says what that does not promise.
 
+    The exact response of the planned test gives the peaks to expect, and limits that fit them.
+
     Exit status 1: the plan is unstable.
 
     Examples:
@@ -48,24 +54,34 @@ def preflight(
 
         seft preflight config/demo.yaml --figure preflight.png
 
+        seft preflight config/jhu.yaml --write limits.yaml
+
         seft preflight config/jhu.yaml --params-file identified/model.yaml --plant identified
     """
     from seft_ros.drawing.style import check_figure, save_figure
+    from seft_ros.preflight.expected_peaks import expected_peaks, proposed_limits, write_limits
     from seft_ros.preflight.plan import Plan
-    from seft_ros.preflight.preflight_tables import preflight_tables, summarise
+    from seft_ros.preflight.preflight_tables import limits_table, preflight_tables, summarise
     from seft_ros.preflight.stability_map import preflight_figure, stability_maps
     from seft_ros.preflight.stability_verdict import preflight as fly
 
     path = check_figure(figure) if figure is not None else None
-    plan = Plan(load_experiment(config, param, params_file, external), plant)
+    experiment = load_experiment(config, param, params_file, external)
+    plan = Plan(experiment, plant)
     with late_progress() as tell:
         found = fly(plan, tell)
         summary = summarise(plan, found)
+        peaks = expected_peaks(experiment)
+        limits = proposed_limits(peaks)
+        summary |= {"expected_peaks": peaks, "proposed_limits": limits}
+        if write is not None:
+            write_limits(write, limits)
         if path is not None:
             maps = stability_maps(plan, found.margins, tell)
             save_figure(preflight_figure(plan, found, maps), path)
             summary["figure"] = str(path)
-    show(summary, json, preflight_tables(plan, found, f"preflight of {config}"), "figure")
+    tables = preflight_tables(plan, found, f"preflight of {config}")
+    show(summary, json, [*tables, limits_table(experiment, peaks)], "figure")
     for reason in found.reasons:
         complain(f"{found.verdict}: {reason}")
     return 1 if found.verdict == "unstable" else 0

@@ -1,18 +1,29 @@
-"""Detectors of faults, made of what a force controller is told."""
+"""Detectors of faults, made of what a force controller is told; and of a test that was recorded."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from seft_msgs_py.config.arrays import mass_matrix, per_axis, symmetric_matrix
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
+from seft_plant_sim.rig.limits import NAMES
+from seft_plant_sim.sensors import CHANNELS
 
 from seft_ros.force_controller.valve_model import valve_models
 from seft_ros.force_controller.velocity_feedforward import ACTUATOR
-from seft_ros.interlock.detector_step import DetectorParameters, DetectorState
-from seft_ros.interlock.detectors import DETECTORS, detector_arrays
+from seft_ros.interlock.detector_arrays import (
+    DetectorParameters,
+    DetectorState,
+    detector_arrays,
+)
+from seft_ros.interlock.detector_step import begin_detectors, detect_all
+from seft_ros.interlock.detectors import DETECTORS
 from seft_ros.target.force_command import FORCE_DRIVEN
-from seft_ros.target.motion_observer import sensor_noise
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
 
 WHERE = "force_controller: "
 
@@ -63,12 +74,56 @@ def detectors_of(
         mass = mass_matrix(section[name], axes, WHERE + name)[np.ix_(own, own)]
     if section["detectors.test"] == "eft":  # the specimen carries all of the mass
         mass, ratio = (1.0 + ratio) * mass, 0.0
+    noise = [f"noise.{channel}" for channel in CHANNELS]
+    ranges = [f"detectors.{channel}_range" for channel in CHANNELS]
     return detector_arrays(
-        sensor_noise(section, axes, "noise", "force_controller")[:, own],
+        np.array([per_axis(section[n], axes, WHERE + n)[own] for n in noise]),
+        np.array([section[f"limits.{name}"] for name in NAMES]),
+        np.array([per_axis(section[n], axes, WHERE + n)[own] for n in ranges]),
         section["noise.velocity_source"] == "derived",
         np.transpose([actuator[name] for name in ACTUATOR]),
         np.array([valve.past() for valve in valve_models(actuator, dt)]),
-        *(np.ascontiguousarray(matrix) for matrix in (mass, stiffness, ratio * mass)),
+        np.ascontiguousarray(mass),
+        np.ascontiguousarray(stiffness),
+        np.ascontiguousarray(ratio * mass),
         warn_only,
         dt,
     )
+
+
+def detector_shares(
+    experiment: Experiment, steps: Ints, points: Floats, states: Floats, commands: Floats
+) -> dict[str, float]:
+    """Say how near each detector came to its threshold in a test, 1 at it.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Of the test.
+    steps : ndarray
+        Of the N samples that have been answered, shape (N,).
+    points, states, commands : ndarray
+        Reference force, state and valve command at these, shapes (N, q, n), (N, 4, n) and (N, n).
+
+    Returns
+    -------
+    dict
+        The largest share on any axis, by the detector's name.
+    """
+    section, axes, dt = experiment["force_controller"], experiment.axes, experiment.timebase.dt
+    shares = np.zeros(len(DETECTORS))
+    for rig in experiment.rigs:
+        parameters, state = detectors_of(section, axes, dt, rig.places)
+        own = list(rig.places)
+        begin_detectors(state)
+        detect_all(
+            parameters,
+            state,
+            steps,
+            np.ascontiguousarray(points[..., own]),
+            np.ascontiguousarray(states[..., own]),
+            np.ascontiguousarray(commands[..., own]),
+            section["voltage_limit"],
+        )
+        shares = np.maximum(shares, state.shares.max(axis=1))
+    return {one.name: share for one, share in zip(DETECTORS, shares.tolist(), strict=True)}

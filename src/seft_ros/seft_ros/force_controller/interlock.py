@@ -19,6 +19,7 @@ from seft_ros.force_controller.interlock_step import (
     NONSENSE,
     NOTHING,
     ODD_DRIVE,
+    OUTSIDE,
     SATURATION,
     STEP,
     TRIP,
@@ -28,8 +29,8 @@ from seft_ros.force_controller.interlock_step import (
     begin_interlock,
     end_control,
 )
-from seft_ros.interlock.detector_step import DetectorParameters, DetectorState
-from seft_ros.interlock.detectors import describe
+from seft_ros.interlock.detector_arrays import DetectorParameters, DetectorState
+from seft_ros.interlock.detectors import DETECTORS, describe
 
 Floats = npt.NDArray[np.float64]
 
@@ -39,7 +40,7 @@ _MEASURED = ("force", "displacement", "velocity", "acceleration")
 class Interlock:
     """A `ForceControl` that never computes with nonsense, nor stays at its limit for long.
 
-    Once it has tripped it answers 0 V, which closes the valve, until the next test.
+    Once it has tripped it closes the valve, and answers 0 V from then on until the next test.
 
     Parameters
     ----------
@@ -51,6 +52,8 @@ class Interlock:
         Magnitude of the reference force beyond which it is nonsense, N.
     longest_saturation : float
         Time within one second that the valve drive may be at its limit, s.
+    close_time : float
+        Time in which it closes the valve, s.
     detectors : tuple of DetectorParameters and DetectorState
         Of faults, see `detector_arrays`.
 
@@ -68,18 +71,22 @@ class Interlock:
         axes: Sequence[str],
         largest_force: float,
         longest_saturation: float,
+        close_time: float,
         detectors: tuple[DetectorParameters, DetectorState],
     ) -> None:
         self.controller = controller
         self._axes, n = tuple(axes), len(axes)
         dt = detectors[0].dt
         self._longest, saturated = longest_saturation, SaturatedTime(longest_saturation, dt)
-        self.parameters = InterlockParameters(float(largest_force), saturated.window, detectors[0])
+        self.parameters = InterlockParameters(
+            float(largest_force), saturated.window, dt / max(close_time, dt), detectors[0]
+        )
         self.state = InterlockState(
             np.zeros(4, dtype=np.int64),
             saturated.times(),
             np.zeros(n),
             np.zeros((4, n)),
+            np.zeros(n),
             np.zeros(n),
             detectors[1],
         )
@@ -116,27 +123,33 @@ class Interlock:
             If what is told of actuator or specimen does not fit the axes.
         """
         own = rig or RigAxes.whole(axes)
-        force, saturation = section["limits.force"], section["watchdog.saturation_time"]
+        names = ("limits.force", "watchdog.saturation_time", "watchdog.close_time")
         detectors = detectors_of(section, axes, timebase.dt, own.places)
-        return cls(controller, own.axes, force, saturation, detectors)
+        force, saturation, closing = (section[name] for name in names)
+        return cls(controller, own.axes, force, saturation, closing, detectors)
 
     @property
     def reason(self) -> str:
         """Why it has tripped, one line; empty while it has not."""
-        return self._told or self._found()
+        return self._outside or self._found()
 
     @property
     def step_index(self) -> int:
         """Step at which it tripped; -1 while it has not."""
-        if self._told:
-            return self._told_at
         return int(self.state.flags[STEP]) if self.state.flags[TRIP] else -1
+
+    @property
+    def nearest(self) -> tuple[str, float]:
+        """The detector that has come nearest to its threshold, and the part of it, in this test."""
+        shares = self.state.detectors.shares.max(axis=1)
+        row = int(shares.argmax())
+        return DETECTORS[row].name, float(shares[row])
 
     def reset(self) -> None:
         """Forget the test so far, a trip too: before a new test."""
         self.controller.reset()
         self._reset(self.state)
-        self._told, self._told_at = "", -1
+        self._outside = ""
 
     def step(self, index: int, points: Floats, state: Floats) -> Floats:
         """Compute the valve drive of one step.
@@ -153,10 +166,8 @@ class Interlock:
         Returns
         -------
         ndarray
-            Valve drive, shape (n,), V; zero once it has tripped.
+            Valve drive, shape (n,), V.
         """
-        if self._told:
-            return np.zeros(len(self._axes))
         points, state = (np.ascontiguousarray(values, np.float64) for values in (points, state))
         command = np.empty(len(self._axes))
         if self._begin(self.parameters, self.state, index, points, state, command):
@@ -166,9 +177,9 @@ class Interlock:
         return command
 
     def trip(self, index: int, reason: str) -> None:
-        """Answer 0 V from now on; the first reason counts."""
+        """Close the valve from now on; the first reason counts."""
         if not self.reason:
-            self._told, self._told_at = reason, index
+            self._outside, self.state.flags[TRIP], self.state.flags[STEP] = reason, OUTSIDE, index
 
     def _found(self) -> str:
         """Say what the step at which it tripped has found."""
@@ -176,7 +187,7 @@ class Interlock:
         if code == NOTHING:
             return ""
         if code == ODD_DRIVE:
-            return self._not_a_number("valve command", state.drive)
+            return self._not_a_number("valve command", state.odd)
         if code == NONSENSE:
             measured = zip(_MEASURED, state.measured[[3, 0, 1, 2]], strict=True)
             found = (self._not_a_number(f"measured {name}", values) for name, values in measured)

@@ -7,23 +7,18 @@ import numpy.typing as npt
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.rig.limits import is_exceeded
 
-from seft_ros.interlock.detector_step import (
-    DetectorParameters,
-    DetectorState,
-    begin_detectors,
-    detect,
-    take_command,
-)
+from seft_ros.interlock.detector_arrays import DetectorParameters, DetectorState
+from seft_ros.interlock.detector_step import SOUND, begin_detectors, detect, take_command
 from seft_ros.interlock.plausibility import is_finite
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
 TRIP, STEP, SATURATED, DETECTED = range(4)
-"""Places of the flags: why it has tripped, at which step, how often the drive was limited, and which
-detector has found a fault."""
-NOTHING, NONSENSE, ODD_DRIVE, SATURATION, FAULT = range(5)
-"""Why."""
+"""Places of the flags: why it has tripped, at which step, how often the drive was limited, and
+which detector has found a fault."""
+NOTHING, NONSENSE, ODD_DRIVE, SATURATION, FAULT, OUTSIDE = range(6)
+"""Why; of the last, the reason came from outside."""
 
 
 class InterlockParameters(NamedTuple):
@@ -35,12 +30,15 @@ class InterlockParameters(NamedTuple):
         Magnitude of the reference force beyond which it is nonsense, N.
     window : int
         Steps of a second.
+    closing : float
+        Part of the command by which the valve closes in a step once it has tripped.
     detectors : DetectorParameters
         Of faults.
     """
 
     largest: float
     window: int
+    closing: float
     detectors: DetectorParameters
 
 
@@ -53,9 +51,11 @@ class InterlockState(NamedTuple):
         See `TRIP`, shape (4,).
     saturated : ndarray
         The last steps at which the drive was limited, see `is_exceeded`.
-    force, measured, drive : ndarray
+    force, measured, odd : ndarray
         Reference force, sample and drive of the step at which it tripped, shapes (n,), (4, n)
         and (n,).
+    drive : ndarray
+        The last sound command, shape (n,), V.
     detectors : DetectorState
         Of faults.
     """
@@ -64,6 +64,7 @@ class InterlockState(NamedTuple):
     saturated: Ints
     force: Floats
     measured: Floats
+    odd: Floats
     drive: Floats
     detectors: DetectorState
 
@@ -72,6 +73,7 @@ class InterlockState(NamedTuple):
 def begin_interlock(state: InterlockState) -> None:
     """Begin a test."""
     state.flags[:] = 0
+    state.drive[:] = 0.0
     begin_detectors(state.detectors)
 
 
@@ -84,7 +86,10 @@ def begin_control(
     measured: Floats,
     command: Floats,
 ) -> bool:
-    """Say whether a step may be answered by the controller; else its command is 0 V.
+    """Say whether a step may be answered by the controller; else its command is given.
+
+    While a sample is under suspicion, the last sound command holds. Once it has tripped, the valve
+    closes from there: a valve that closes at once on a moving mass makes the oil hammer.
 
     Parameters
     ----------
@@ -99,24 +104,29 @@ def begin_control(
     command : ndarray
         Shape (n,), V.
     """
-    last, n = points.shape[1] - 1, points.shape[2]
+    last, n, left = points.shape[1] - 1, points.shape[2], 1.0
     if state.flags[TRIP] == NOTHING:
         # a target is held against the motion, too
         fits = is_finite(measured, 0 if last else 3)
         for i in range(n):
             fits &= abs(points[0, last, i]) <= parameters.largest
-        found = -1
+        found = SOUND
         if fits and is_finite(measured, 0):  # without feedback, the motion need not be measured
             found = detect(parameters.detectors, state.detectors, step, points, measured)
-        if fits and found < 0:
+        if fits and found == SOUND:
             return True
-        trip(state, NONSENSE if found < 0 else FAULT, step)
-        state.flags[DETECTED] = found
-        for i in range(n):
-            state.force[i] = points[0, last, i]
-            for row in range(4):
-                state.measured[row, i] = measured[row, i]
-    command[:] = 0.0
+        if not fits or found >= 0:
+            trip(state, FAULT if fits else NONSENSE, step)
+            state.flags[DETECTED] = found
+            for i in range(n):
+                state.force[i] = points[0, last, i]
+                for row in range(4):
+                    state.measured[row, i] = measured[row, i]
+    if state.flags[TRIP] != NOTHING:
+        left = max(1.0 - (step + 1 - state.flags[STEP]) * parameters.closing, 0.0)
+    for i in range(n):
+        command[i] = left * state.drive[i]
+    take_command(parameters.detectors, state.detectors, command, False)
     return False
 
 
@@ -128,7 +138,7 @@ def end_control(
     limited: bool,
     command: Floats,
 ) -> None:
-    """Look at the command of a controller, and whether it is limited: what must not be is 0 V."""
+    """Look at the command of a controller, and whether it is limited; if it is odd, trip."""
     for i in range(len(command)):
         if not np.isfinite(command[i]):
             trip(state, ODD_DRIVE, step)
@@ -136,15 +146,17 @@ def end_control(
         if is_exceeded(state.saturated, state.flags[SATURATED], step, parameters.window):
             trip(state, SATURATION, step)
         state.flags[SATURATED] += 1
-    if state.flags[TRIP] != NOTHING:
-        for i in range(len(command)):
+    for i in range(len(command)):
+        if state.flags[TRIP] == NOTHING:
             state.drive[i] = command[i]
-            command[i] = 0.0
-    take_command(parameters.detectors, state.detectors, command)
+        else:
+            state.odd[i] = command[i]
+            command[i] = max(1.0 - parameters.closing, 0.0) * state.drive[i]
+    take_command(parameters.detectors, state.detectors, command, limited)
 
 
 @compiled
 def trip(state: InterlockState, why: int, step: int) -> None:
-    """Answer 0 V from now on."""
+    """Close the valve from now on."""
     state.flags[TRIP] = why
     state.flags[STEP] = step

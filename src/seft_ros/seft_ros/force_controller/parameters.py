@@ -58,6 +58,14 @@ _ROWS = parameter_rows(
     detectors.actuator_kind | string | reference_force:compensation.actuator_kind or
         servo_hydraulic | | ideal, delay, servo_hydraulic, servo_hydraulic_linear |
         kind of the actuators, likewise: ideal and delay have no valve that is driven from here
+    detectors.position_range | floats | rig:sensors.position_range or 0.0 | m | 0 .. |
+        largest displacement that the sensor can measure, likewise; 0: not known
+    detectors.velocity_range | floats | rig:sensors.velocity_range or 0.0 | m/s | 0 .. |
+        largest velocity that the sensor can measure, likewise; 0: not known
+    detectors.acceleration_range | floats | rig:sensors.acceleration_range or 0.0 | m/s^2 | 0 .. |
+        largest acceleration that the sensor can measure, likewise; 0: not known
+    detectors.force_range | floats | rig:sensors.force_range or 0.0 | N | 0 .. |
+        largest force that the sensor can measure, likewise; 0: not known
     detectors.warn_only | string | | | |
         names of detectors, with commas between, that warn but do not end a test
     voltage_limit              | float  | 10.0  | V     | > 0       |
@@ -71,6 +79,12 @@ _ROWS = parameter_rows(
         measured before the test
     limits.force               | float  | supervisor:limits.force or 22200.0 | N     | > 0       |
         largest reference force on any axis; one beyond it is refused
+    limits.displacement        | float  | supervisor:limits.displacement or 0.076 | m | > 0 |
+        largest displacement; a thousandth is the noise of a sensor whose noise is not configured
+    limits.velocity            | float  | supervisor:limits.velocity or 0.5 | m/s | > 0 |
+        largest velocity, likewise
+    limits.acceleration        | float  | supervisor:limits.acceleration or 98.1 | m/s^2 | > 0 |
+        largest acceleration, likewise
     watchdog.state_timeout | float | supervisor:watchdog.command_timeout or 0.02 | s | > 0 |
         in realtime: longest time without a new rig/state in a running test before the force
         controller trips and answers 0 V until the next test
@@ -83,6 +97,8 @@ _ROWS = parameter_rows(
     watchdog.saturation_time   | float  | 0.5   | s     | 0 ..      |
         longest time within one second that the valve command may be at its limit before the
         force controller trips
+    watchdog.close_time | float | rig:safe.close_time or 0.02 | s | 0 .. 1 |
+        time in which the force controller closes the valve once it has tripped
     plant.numerator            | floats | [0.0] |       |           |
         numerator of the identified response from valve command in V to force in N, in s,
         highest power first; 0: not known. For design and preflight, the loop does not use

@@ -113,8 +113,8 @@ def valve_models(actuator: Mapping[str, Floats], dt: float) -> list[ValveModel]:
         Sampling period, s.
     """
     names = ("valve_frequency", "valve_damping", "dead_time")
-    each = zip(*(actuator[name].tolist() for name in names), strict=True)
-    valves = [ValveModel(*values, dt) for values in each]
+    each = np.transpose([actuator[name] for name in names]).tolist()
+    valves = [ValveModel(frequency, damping, late, dt) for frequency, damping, late in each]
     memory = max(valve.memory for valve in valves)
     for valve in valves:
         valve.memory = memory

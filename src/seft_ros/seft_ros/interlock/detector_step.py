@@ -17,137 +17,45 @@ What is wrong for a few samples is a spike; each detector has a persistence.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from seft_plant_sim.compiled import compiled
 
+from seft_ros.interlock.detector_arrays import DetectorParameters, DetectorState
+
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
+SAMPLE, TURN_AT, LIMITED_AT, AT_RANGE = range(4)
+"""Places of `DetectorState.step`."""
 DISPLACEMENT_VELOCITY, VELOCITY_ACCELERATION, OIL = range(3)
 """Relations (1) to (3)."""
-CHANGE, NOISE, ROUGH, SECOND_ORDER_WORK, NO_RESPONSE, TRACKING, FROZEN = 0, 3, 6, 7, 8, 9, 10
-"""Rows of the detectors: a relation's sums, its single steps, and so on; of frozen channels four."""
-DETECTORS = 14
+CHANNEL, OTHER = (0, 1, 3), (1, 2, 1)
+"""Channel of each whose change is compared, and with which other."""
+ACCELERATION, FORCE = 2, 3
+"""Rows of these channels."""
+CHANGE, NOISE, SECOND_ORDER_WORK, ROUGH, JUMP, NO_RESPONSE, TRACKING, FROZEN = 0, 3, *range(6, 12)
+"""Rows of the detectors: a relation's sums, its single steps, and so on; four frozen channels."""
+SOUND, SUSPECT = -1, -2
+"""What `detect` gives where no detector ends the test: nothing is beyond its threshold, or the
+sample is not to be used."""
 LEAST_PRESSURE = 0.2
 """Part of the supply pressure that is always reckoned to be left for the flow."""
 OPPOSED = 0.5
 """Part of the stiffness as told by which a specimen may soften: fracture, buckling."""
+SLIP, STIFFEST = 0.35, 6.0
+"""What a specimen may make of its force in a step: a part of its largest, and so many times its
+stiffness as told."""
+TURNED, TURN, MOVES = 3, 2.0, 0.2
+"""Samples after a turn of the motion in which friction turns round, what that makes of the force,
+and the part of the fastest motion of late from which on a specimen does not stick."""
 SILENT = 25.0
 """Mean square of the change of the computed mass's force over that of the noise, from which on a
 force that is but noise does not answer."""
+NEVER = -(2**40)
 SAME = 1e-9
 """Chance of as many equal samples of a channel that is not frozen."""
-
-
-class DetectorParameters(NamedTuple):
-    """What does not change of the detectors of n axes.
-
-    Attributes
-    ----------
-    dt : float
-        Sampling period, s.
-    fade, short, memory : float
-        Factors per step with which sums, short sums and the largest motion fade.
-    actuator : ndarray
-        Flow gain, oil stiffness, leakage and force capacity, see `FeedforwardParameters`; (n, 4).
-    past : ndarray
-        Part of past commands in the flow now, the newest first, shape (n, m).
-    mass, stiffness : ndarray
-        Of the specimen as told, shape (n, n), kg and N/m.
-    computed_mass : ndarray
-        M_c on the axes, shape (n, n), kg.
-    noise : ndarray
-        RMS noise of the sensors, shape (4, n).
-    sums, steps : ndarray
-        Noise of the differences of relations (1) to (3), `SIGMAS` times RMS: of sums and of a
-        single step, shape (3, n); infinite where a relation is not watched.
-    rough : ndarray
-        Likewise of the second difference of r, shape (n,), N.
-    unknown : float
-        0; infinite where the specimen is not known.
-    tolerance : ndarray
-        Part of the largest motion by which the sides of a relation may differ, shape (3,).
-    off_target : float
-        Part of the target's largest motion by which the specimen may be away from it; infinite
-        where there is no target.
-    persistence : ndarray
-        Samples for which a detector must be beyond its threshold, shape (D,).
-    acts : ndarray
-        Whether a detector ends the test, shape (D,); 0: it only warns.
-    """
-
-    dt: float
-    fade: float
-    short: float
-    memory: float
-    actuator: Floats
-    past: Floats
-    mass: Floats
-    stiffness: Floats
-    computed_mass: Floats
-    noise: Floats
-    sums: Floats
-    steps: Floats
-    rough: Floats
-    unknown: float
-    tolerance: Floats
-    off_target: float
-    persistence: Ints
-    acts: Ints
-
-
-class DetectorState(NamedTuple):
-    """What changes of them.
-
-    Attributes
-    ----------
-    last : ndarray
-        The last sample, shape (4, n).
-    flow : ndarray
-        Flow of the valve at the last sample, shape (n,), m/s.
-    sent : ndarray
-        Past commands as they act under load, the newest first, shape (n, m), V.
-    sums : ndarray
-        Both sides of relations (1) to (3), shape (3, 2, n).
-    largest : ndarray
-        Largest of these of late, of a single step, and of the target's motion; shape (7, n).
-    restoring : ndarray
-        r at the last sample, its last change, and room for this one; shape (3, n), N.
-    work : ndarray
-        Sums of dr dx, of dx K dx and of squares of its noise, shape (3,).
-    response : ndarray
-        Sums of squares of the changes of f and of M_c a, shape (2, n), N^2.
-    repeats : ndarray
-        How often the last value of a channel has come, shape (4, n).
-    resolution : ndarray
-        Least change of a channel that was ever seen, shape (4, n); infinite before.
-    counts : ndarray
-        Samples for which each detector has been beyond its threshold, shape (D, n).
-    shares : ndarray
-        Largest part of its threshold that each has reached, shape (D, n).
-    found : ndarray
-        What a detector saw when it tripped, and its threshold; shape (2,).
-    step : ndarray
-        Step of the last sample, shape (1,); before the first -2.
-    """
-
-    last: Floats
-    flow: Floats
-    sent: Floats
-    sums: Floats
-    largest: Floats
-    restoring: Floats
-    work: Floats
-    response: Floats
-    repeats: Ints
-    resolution: Floats
-    counts: Ints
-    shares: Floats
-    found: Floats
-    step: Ints
 
 
 @compiled
@@ -164,7 +72,7 @@ def begin_detectors(state: DetectorState) -> None:
     state.resolution[:] = np.inf
     state.counts[:] = 0
     state.shares[:] = 0.0
-    state.step[0] = -2
+    state.step[:] = NEVER
 
 
 @compiled
@@ -175,8 +83,12 @@ def under_load(direction: float, force: float, capacity: float) -> float:
 
 
 @compiled
-def take_command(p: DetectorParameters, state: DetectorState, command: Floats) -> None:
-    """Remember the command that answers the last sample, shape (n,), V."""
+def take_command(
+    p: DetectorParameters, state: DetectorState, command: Floats, limited: bool
+) -> None:
+    """Remember the command that answers the last sample, (n,), V, and whether it is limited."""
+    if limited:
+        state.step[LIMITED_AT] = state.step[SAMPLE]
     for i in range(len(command)):
         for j in range(state.sent.shape[1] - 1, 0, -1):
             state.sent[i, j] = state.sent[i, j - 1]
@@ -201,94 +113,154 @@ def look(
 
 
 @compiled
+def find_flow(p: DetectorParameters, state: DetectorState, lost: int) -> None:
+    """Find the flow of each valve now; where samples were lost, the last command was held."""
+    for i in range(len(state.flow[0])):
+        for _ in range(min(lost, state.sent.shape[1])):
+            for j in range(state.sent.shape[1] - 1, 0, -1):
+                state.sent[i, j] = state.sent[i, j - 1]
+        flow = 0.0
+        for j in range(state.sent.shape[1]):
+            flow += p.past[i, j] * state.sent[i, j]
+        state.flow[0, i], state.flow[1, i] = state.flow[1, i], p.actuator[i, 0] * flow
+
+
+@compiled
+def sees(state: DetectorState, step: int, row: int) -> bool:
+    """Say whether a channel was within its range at this sample and the last one."""
+    return step - state.step[AT_RANGE + row] > 1
+
+
+@compiled
+def worse(found: int, other: int) -> int:
+    """Give the first of two findings that is one."""
+    return found if found >= 0 else other
+
+
+@compiled
 def detect(
     p: DetectorParameters, state: DetectorState, step: int, points: Floats, measured: Floats
 ) -> int:
-    """Take a sample in; say which detector ends the test, row * n + axis, or -1.
+    """Take a sample in; say which detector ends the test, row * n + axis, or `SOUND` or `SUSPECT`.
 
     Parameters
     ----------
     p, state
         The state is brought up to date.
     step : int
-        Of the sample. Where that of the step before is missing, nothing is compared.
+        Of the sample. Where that of the step before is missing, nothing is compared; what is at the
+        end of a sensor's range is not, either.
     points : ndarray
         Of the reference force, shape (h + 1, q, n); q is 3 where it is of a target.
     measured : ndarray
         Displacement, velocity, acceleration and force, finite, shape (4, n).
     """
-    n, found, is_first = measured.shape[1], -1, state.step[0] != step - 1
-    state.step[0] = step
+    n, found = measured.shape[1], SOUND
+    lost = step - state.step[SAMPLE] - 1
+    for row in range(4):
+        for i in range(n):
+            if abs(measured[row, i]) >= p.range[row, i]:
+                state.step[AT_RANGE + row] = step
+    is_first = lost > 0
+    state.step[SAMPLE] = step
+    find_flow(p, state, lost)
     last, restoring = state.last, state.restoring
     for i in range(n):
         total = measured[3, i]
         for k in range(n):
             total -= p.mass[i, k] * measured[2, k]
-        restoring[2, i] = total
+        restoring[3, i] = total
     if not is_first:
         for i in range(n):
-            for at in (_relations(p, state, measured, i), _channels(p, state, measured, i)):
-                found = at if found < 0 else found
+            if measured[1, i] * last[1, i] <= 0.0:
+                state.step[TURN_AT] = step
+        knows_force = sees(state, step, ACCELERATION) and sees(state, step, FORCE)
+        if knows_force:
+            found = worse(found, _work(p, state, measured))
+        for i in range(n):
+            found = worse(found, _relations(p, state, step, measured, i))
+            found = worse(found, _channels(p, state, step, measured, i))
+            if knows_force:
+                found = worse(found, _restoring_force(p, state, step, measured, i))
+                found = worse(found, _response(p, state, measured, i))
             if points.shape[1] > 1:
-                away = abs(points[0, 0, i] - measured[0, i])
-                largest = max(abs(points[0, 0, i]), abs(measured[0, i]))
-                largest = max(largest, p.memory * state.largest[6, i])
-                state.largest[6, i] = largest
-                threshold = p.sums[DISPLACEMENT_VELOCITY, i] + p.off_target * largest
-                if look(p, state, TRACKING, i, away, threshold) and found < 0:
-                    found = TRACKING * n + i
-        at = _specimen(p, state, measured)
-        found = at if found < 0 else found
+                found = worse(found, _tracking(p, state, step, points, measured, i))
     for i in range(n):
-        restoring[1, i] = 0.0 if is_first else restoring[2, i] - restoring[0, i]
-        restoring[0, i] = restoring[2, i]
+        restoring[1, i] = 0.0 if is_first else restoring[3, i] - restoring[0, i]
+        restoring[0, i] = restoring[3, i]
         for row in range(4):
             last[row, i] = measured[row, i]
+    if found < 0:
+        for row in range(JUMP + 1):
+            for i in range(n):
+                if state.counts[row, i] and p.acts[row] and row != ROUGH:
+                    return SUSPECT
     return found
 
 
 @compiled
-def _relations(p: DetectorParameters, state: DetectorState, measured: Floats, i: int) -> int:
+def _tracking(
+    p: DetectorParameters, state: DetectorState, step: int, points: Floats, measured: Floats, i: int
+) -> int:
+    """Whether the specimen is where the target is, while the valve can bring it there."""
+    away = abs(points[0, 0, i] - measured[0, i])
+    largest = max(abs(points[0, 0, i]), abs(measured[0, i]), p.memory * state.largest[6, i])
+    state.largest[6, i] = largest
+    threshold = p.sums[DISPLACEMENT_VELOCITY, i] + p.off_target * largest
+    if step - state.step[LIMITED_AT] <= p.limited:
+        threshold = np.inf  # the interlock counts these
+    is_off = look(p, state, TRACKING, i, away, threshold)
+    return TRACKING * measured.shape[1] + i if is_off else -1
+
+
+@compiled
+def _relations(
+    p: DetectorParameters, state: DetectorState, step: int, measured: Floats, i: int
+) -> int:
     """Relations (1) to (3) of an axis."""
     n, dt, last, found = measured.shape[1], p.dt, state.last, -1
-    gain, oil, leakage = p.actuator[i, 0], p.actuator[i, 1], p.actuator[i, 2]
-    flow = 0.0
-    for j in range(state.sent.shape[1]):
-        flow += p.past[i, j] * state.sent[i, j]
-    flow *= gain
+    oil, leakage = p.actuator[i, 1], p.actuator[i, 2]
     moved = 0.5 * dt * (measured[1, i] + last[1, i])
     for relation in range(3):
+        if not (sees(state, step, CHANNEL[relation]) and sees(state, step, OTHER[relation])):
+            continue
         if relation == DISPLACEMENT_VELOCITY:
             one, other = measured[0, i] - last[0, i], moved
         elif relation == VELOCITY_ACCELERATION:
             one = measured[1, i] - last[1, i]
             other = 0.5 * dt * (measured[2, i] + last[2, i])
         else:
-            one = 0.5 * dt * (flow + state.flow[i])
+            one = 0.5 * dt * (state.flow[0, i] + state.flow[1, i])
             other = 0.5 * dt * leakage * (measured[3, i] + last[3, i])
             other = moved + (measured[3, i] - last[3, i] + other) / oil
         sums, largest = state.sums[relation], state.largest
         sums[0, i] = p.fade * sums[0, i] + one
         sums[1, i] = p.fade * sums[1, i] + other
         whole = max(abs(sums[0, i]), abs(sums[1, i]), p.memory * largest[relation, i])
-        step = max(abs(one), abs(other), p.memory * largest[3 + relation, i])
-        largest[relation, i], largest[3 + relation, i] = whole, step
-        tolerance = p.tolerance[relation]
+        single = max(abs(one), abs(other), p.fade * largest[3 + relation, i])
+        largest[relation, i], largest[3 + relation, i] = whole, single
+        tolerance, coarse = p.tolerance[relation], state.resolution[CHANNEL[relation], i]
+        coarse = coarse / oil if relation == OIL else coarse
+        coarse = coarse if coarse < np.inf else 0.0
         off, threshold = abs(sums[0, i] - sums[1, i]), p.sums[relation, i] + tolerance * whole
+        threshold += coarse
         if look(p, state, CHANGE + relation, i, off, threshold) and found < 0:
             found = (CHANGE + relation) * n + i
-        off, threshold = abs(one - other), p.steps[relation, i] + tolerance * step
+        off, threshold = abs(one - other), p.steps[relation, i] + tolerance * single + coarse
         if look(p, state, NOISE + relation, i, off, threshold) and found < 0:
             found = (NOISE + relation) * n + i
-    state.flow[i] = flow
     return found
 
 
 @compiled
-def _channels(p: DetectorParameters, state: DetectorState, measured: Floats, i: int) -> int:
+def _channels(
+    p: DetectorParameters, state: DetectorState, step: int, measured: Floats, i: int
+) -> int:
     """Whether a channel of an axis repeats one value."""
     n, found = measured.shape[1], -1
     for row in range(4):
+        if not sees(state, step, row):
+            continue
         change = abs(measured[row, i] - state.last[row, i])
         if change > 0.0:
             state.repeats[row, i] = 0
@@ -297,7 +269,7 @@ def _channels(p: DetectorParameters, state: DetectorState, measured: Floats, i: 
         else:
             state.repeats[row, i] += 1
         # the chance of the same value twice is its step over 2 sqrt(pi) times the noise
-        chance = state.resolution[row, i] / (2.0 * math.sqrt(math.pi) * p.noise[row, i])
+        chance = state.resolution[row, i] / (2.0 * math.sqrt(math.pi) * p.dither[row, i])
         threshold = math.log(SAME) / math.log(chance) if chance < 0.5 else np.inf
         seen = float(state.repeats[row, i])
         if look(p, state, FROZEN + row, i, seen, threshold) and found < 0:
@@ -306,37 +278,95 @@ def _channels(p: DetectorParameters, state: DetectorState, measured: Floats, i: 
 
 
 @compiled
-def _specimen(p: DetectorParameters, state: DetectorState, measured: Floats) -> int:
-    """Relation (4), and whether each force answers the motion, and does so smoothly."""
+def _restoring_force(
+    p: DetectorParameters, state: DetectorState, step: int, measured: Floats, i: int
+) -> int:
+    """Whether the specimen's force jumps, once or from sample to sample as with noise."""
     n, found, last, r = measured.shape[1], -1, state.last, state.restoring
-    done = elastic = doubt = 0.0
-    for i in range(n):
-        moved, change = measured[0, i] - last[0, i], r[2, i] - r[0, i]
-        done += change * moved
-        inertia = noise = curvature = 0.0
-        for k in range(n):
-            elastic += moved * p.stiffness[i, k] * (measured[0, k] - last[0, k])
-            curvature += p.stiffness[i, k] * p.dt * p.dt * (measured[2, k] + last[2, k])
-            inertia += p.computed_mass[i, k] * (measured[2, k] - last[2, k])
-            noise += (p.mass[i, k] * p.noise[2, k]) ** 2
-        noise = 2.0 * (noise + p.noise[3, i] ** 2)
-        doubt += noise * moved * moved
-        threshold = p.rough[i] + abs(curvature)
-        if look(p, state, ROUGH, i, abs(change - r[1, i]), threshold) and found < 0:
-            found = ROUGH * n + i
-        response, change = state.response, measured[3, i] - last[3, i]
-        response[0, i] = p.short * response[0, i] + change * change
-        response[1, i] = p.short * response[1, i] + inertia * inertia
-        # a force that is noise, while the computed mass alone asks for far more
-        white = 2.0 * p.noise[3, i] ** 2 / (1.0 - p.short)
-        threshold = SILENT * white if response[0, i] < 2.0 * white else np.inf
-        if look(p, state, NO_RESPONSE, i, response[1, i], threshold) and found < 0:
-            found = NO_RESPONSE * n + i
-    work = state.work
-    work[0] = p.short * work[0] + done
-    work[1] = p.short * work[1] + elastic
-    work[2] = p.short * work[2] + doubt
-    threshold = OPPOSED * work[1] + 6.0 * math.sqrt(work[2]) + p.unknown
-    if look(p, state, SECOND_ORDER_WORK, 0, -work[0], threshold) and found < 0:
-        found = SECOND_ORDER_WORK * n
+    curvature = spring = 0.0
+    for k in range(n):
+        spring += p.stiffness[i, k] * (measured[0, k] - last[0, k])
+        curvature += p.stiffness[i, k] * p.dt * p.dt * (measured[2, k] + last[2, k])
+    change, moved = r[3, i] - r[0, i], abs(measured[0, i] - last[0, i])
+    moves = p.steps[DISPLACEMENT_VELOCITY, i] + MOVES * state.largest[3, i]
+    slips = moved < moves or step - state.step[TURN_AT] <= TURNED
+    largest = max(abs(r[0, i]), p.memory * state.largest[7, i])
+    state.largest[7, i] = largest
+    threshold = p.rough[i] + abs(curvature) + (largest if slips else 0.0)
+    if look(p, state, ROUGH, i, abs(change - r[1, i]), threshold):
+        found = ROUGH * n + i
+    # what has jumped must stay there
+    before = r[1, i] if state.counts[JUMP, i] else 0.0
+    threshold = (TURN if slips else SLIP) * largest + p.rough[i]
+    threshold += STIFFEST * (abs(spring) + (abs(r[2, i]) if state.counts[JUMP, i] else 0.0))
+    if look(p, state, JUMP, i, abs(change + before), threshold) and found < 0:
+        found = JUMP * n + i
+    r[2, i] = spring
     return found
+
+
+@compiled
+def _response(p: DetectorParameters, state: DetectorState, measured: Floats, i: int) -> int:
+    """Whether a force is but noise, while the computed mass alone asks for far more."""
+    n, last, response = measured.shape[1], state.last, state.response
+    inertia = hiss = 0.0
+    for k in range(n):
+        inertia += p.computed_mass[i, k] * (measured[2, k] - last[2, k])
+        hiss += 2.0 * (p.computed_mass[i, k] * p.noise[2, k]) ** 2
+    response[0, i] = p.short * response[0, i] + (measured[3, i] - last[3, i]) ** 2
+    response[1, i] = p.short * response[1, i] + inertia * inertia
+    white, samples = 2.0 * p.noise[3, i] ** 2, 1.0 / (1.0 - p.short)
+    is_noise = response[0, i] < 2.0 * samples * white
+    threshold = SILENT * samples * (white + hiss) if is_noise else np.inf
+    return NO_RESPONSE * n + i if look(p, state, NO_RESPONSE, i, response[1, i], threshold) else -1
+
+
+@compiled
+def _work(p: DetectorParameters, state: DetectorState, measured: Floats) -> int:
+    """Relation (4), over all axes."""
+    n, last, r, work = measured.shape[1], state.last, state.restoring, state.work
+    for row in range(3):
+        work[row] *= p.short
+    for i in range(n):
+        moved, change = measured[0, i] - last[0, i], r[3, i] - r[0, i]
+        noise = p.noise[3, i] ** 2
+        for k in range(n):
+            noise += (p.mass[i, k] * p.noise[2, k]) ** 2
+            work[1] += moved * p.stiffness[i, k] * (measured[0, k] - last[0, k])
+        work[0] += change * moved
+        work[2] += 2.0 * (noise * moved * moved + (p.noise[0, i] * change) ** 2)
+    threshold = OPPOSED * work[1] + 6.0 * math.sqrt(work[2]) + p.unknown
+    return (
+        SECOND_ORDER_WORK * n if look(p, state, SECOND_ORDER_WORK, 0, -work[0], threshold) else -1
+    )
+
+
+@compiled
+def detect_all(
+    p: DetectorParameters,
+    state: DetectorState,
+    steps: Ints,
+    points: Floats,
+    states: Floats,
+    commands: Floats,
+    limit: float,
+) -> None:
+    """Take in the samples of a whole test.
+
+    Parameters
+    ----------
+    p, state
+        The state, which has begun, is brought up to date.
+    steps : ndarray
+        Of the N samples, shape (N,).
+    points, states, commands : ndarray
+        Reference force, state and valve command at these, shapes (N, q, n), (N, 4, n) and (N, n).
+    limit : float
+        Largest command, V.
+    """
+    for k in range(len(steps)):
+        detect(p, state, steps[k], points[k : k + 1], states[k])
+        limited = False
+        for i in range(commands.shape[1]):
+            limited |= abs(commands[k, i]) >= limit
+        take_command(p, state, commands[k], limited)

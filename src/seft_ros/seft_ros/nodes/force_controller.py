@@ -9,7 +9,7 @@ from seft_msgs_py.errors import WireError
 from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_process import MOST_AT_ONCE
 from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell
-from seft_msgs_py.wire.messages import OK, Status, decode_status
+from seft_msgs_py.wire.messages import OK, WARN, Status, decode_status
 from seft_msgs_py.wire.outcome import tripped_status
 from seft_msgs_py.wire.topics import (
     EXPERIMENT_STATE,
@@ -32,6 +32,7 @@ from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.newest_preview import NewestPreview
 from seft_ros.force_controller.parameters import TABLE
 from seft_ros.force_controller.silence import Silence
+from seft_ros.interlock.detectors import WARNING
 
 TELL_PERIOD = 1.0  # s, of what is told of the link and the valves while a test runs
 STATE_WAIT = 0.0005  # s between polls for a state that comes after its reference force
@@ -64,7 +65,6 @@ class ForceControllerNode(NodeBody):
         if section["loop_delay"]:
             self._previews = NewestPreview.from_parameters(section, axes, timebase)
         self._forces = self._previews or MatchedForces()
-        self._tells_while_running = self._previews is not None or self._estimates is not None
         self._told_at = 0.0
         self._moving = False  # as the supervisor says
         self._order = SampleOrder(timebase)
@@ -121,8 +121,8 @@ class ForceControllerNode(NodeBody):
         moving, self._moving = self._moving, status.message in MOVING
         if not self._moving:
             self._silence.end()
-            if moving and self._tells_while_running:
-                self._tell()  # how the link did, in full
+            if moving:
+                self._tell()  # how it went, in full
         if status.message == "idle" and self._controller.reason:  # the operator knows
             self._controller.reset()
             self._tell()
@@ -211,7 +211,7 @@ class ForceControllerNode(NodeBody):
                 f"no {REFERENCE_FORCE.name} for {step - previews.newest} steps (the last is of "
                 f"step {previews.newest}); is the link to the reference_force node cut?"
             )
-        elif self._tells_while_running and time.monotonic() - self._told_at >= TELL_PERIOD:
+        elif time.monotonic() - self._told_at >= TELL_PERIOD:
             self._tell()  # the answer is out, and there is time
 
     def _trip(self, reason: str) -> None:
@@ -227,9 +227,15 @@ class ForceControllerNode(NodeBody):
         self._told_at = time.monotonic()
         reason, step = self._controller.reason, self._controller.step_index
         status = Status("force_controller", OK, "ready", values={"phase": "ready"})
+        name, share = self._controller.nearest
+        if share >= WARNING:
+            text = f"detector {name} came to {share:.0%} of its threshold"
+            status = Status("force_controller", WARN, text, values=status.values)
         if reason:
             status = tripped_status("force_controller", reason, step)
-        told = {} if self._previews is None else {"link": self._previews.record().to_json()}
+        told = {"nearest detector": f"{name}: {share:.2f} of its threshold"}
+        if self._previews is not None:
+            told["link"] = self._previews.record().to_json()
         for name, values in (self._estimates() if self._estimates else {}).items():
             for axis, value in zip(self._shell.rig.axes, values.tolist(), strict=True):
                 told[f"{name} {axis}"] = f"{value:.4g}"

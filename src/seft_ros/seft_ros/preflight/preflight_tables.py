@@ -6,9 +6,11 @@ from typing import Any
 
 import numpy as np
 from rich.table import Table
+from seft_msgs_py.config.experiment import Experiment
 
 from seft_ros.drawing.tables import CENTRED, Number, make_table
 from seft_ros.preflight.closed_loop import growth_rate
+from seft_ros.preflight.expected_peaks import limit_rows
 from seft_ros.preflight.plan import Plan
 from seft_ros.preflight.stability_margins import HIGHEST_MASS_RATIO, Critical, Range, added_delays
 from seft_ros.preflight.stability_verdict import Preflight
@@ -48,6 +50,13 @@ def preflight_tables(plan: Plan, found: Preflight, title: str) -> list[Table]:
     none = [["no oscillating mode", "", "", ""]]
     options = {**CENTRED, "title_justify": "left"}
     return [margins, make_table(headings, modes or none, title=title, **options)]
+
+
+def limits_table(experiment: Experiment, peaks: dict[str, float]) -> Table:
+    """Tabulate what a test is expected to reach, its limits, and limits that fit."""
+    headings = ("", "", "expected peak", "limit", "proposed limit")
+    rows = limit_rows(experiment, peaks)
+    return make_table(headings, rows, title="limits", **{**CENTRED, "title_justify": "left"})
 
 
 def _margin_rows(plan: Plan, found: Preflight) -> Iterator[list[str]]:

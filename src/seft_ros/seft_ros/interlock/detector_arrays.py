@@ -1,0 +1,240 @@
+"""Parameters and state of the detectors in arrays, and where their thresholds come from."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from seft_ros.interlock.detectors import DETECTORS
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+
+MEMORY = 0.05
+"""Time constant of the sums of both sides of a relation, s."""
+SHORT = 0.015
+"""Time constant of the second-order work, s."""
+LARGEST = 0.3
+"""Time constant with which the largest motion is forgotten, s: a quarter of a cycle at 1 Hz."""
+SIGMAS = 6.0
+"""Threshold over the RMS of the noise alone."""
+TOLERANCE = 0.1
+"""Part of the motion by which sensors may disagree: calibration, channels 3 ms apart at 10 Hz."""
+VALVE_TOLERANCE = 0.35
+"""Part of the flow by which the valve may be off: the controller follows a gain error of 0.3."""
+OFF_TARGET = 0.5
+"""Part of the target's motion by which a test may be off it."""
+LIMITED = 0.1
+"""Time after a command at the valve's limit in which it may be so, s."""
+ASSUMED_NOISE = 1e-3
+"""RMS noise of a sensor whose noise is not configured, over the largest value that is allowed."""
+
+
+class DetectorParameters(NamedTuple):
+    """What does not change of the detectors of n axes.
+
+    Attributes
+    ----------
+    dt : float
+        Sampling period, s.
+    fade, short, memory : float
+        Factors per step with which sums, short sums and the largest motion fade.
+    actuator : ndarray
+        Flow gain, oil stiffness, leakage and force capacity, see `FeedforwardParameters`; (n, 4).
+    past : ndarray
+        Part of past commands in the flow now, the newest first, shape (n, m).
+    mass, stiffness : ndarray
+        Of the specimen as told, shape (n, n), kg and N/m.
+    computed_mass : ndarray
+        M_c on the axes, shape (n, n), kg.
+    noise, dither : ndarray
+        RMS noise of the sensors, shape (4, n): as assumed, and as configured, 0 where it is not.
+    range : ndarray
+        Largest value that each sensor can measure, shape (4, n); infinite where it is not known.
+    limited : int
+        Samples after one at the valve's limit in which the target need not be followed.
+    sums, steps : ndarray
+        Noise of the differences of relations (1) to (3), `SIGMAS` times RMS: of sums and of a
+        single step, shape (3, n); infinite where a relation is not watched.
+    rough : ndarray
+        Likewise of the second difference of r, shape (n,), N.
+    unknown : float
+        0; infinite where the specimen is not known.
+    tolerance : ndarray
+        Part of the largest motion by which the sides of a relation may differ, shape (3,).
+    off_target : float
+        Part of the target's largest motion by which the specimen may be away from it; infinite
+        where there is no target.
+    persistence : ndarray
+        Samples for which a detector must be beyond its threshold, shape (D,).
+    acts : ndarray
+        Whether a detector ends the test, shape (D,); 0: it only warns.
+    """
+
+    dt: float
+    fade: float
+    short: float
+    memory: float
+    actuator: Floats
+    past: Floats
+    mass: Floats
+    stiffness: Floats
+    computed_mass: Floats
+    noise: Floats
+    dither: Floats
+    range: Floats
+    limited: int
+    sums: Floats
+    steps: Floats
+    rough: Floats
+    unknown: float
+    tolerance: Floats
+    off_target: float
+    persistence: Ints
+    acts: Ints
+
+
+class DetectorState(NamedTuple):
+    """What changes of them.
+
+    Attributes
+    ----------
+    last : ndarray
+        The last sample, shape (4, n).
+    flow : ndarray
+        Flow of the valve at the last sample and at this one, shape (2, n), m/s.
+    sent : ndarray
+        Past commands as they act under load, the newest first, shape (n, m), V.
+    sums : ndarray
+        Both sides of relations (1) to (3), shape (3, 2, n).
+    largest : ndarray
+        Largest of these of late, of a single step, of the target's motion, and of r; (8, n).
+    restoring : ndarray
+        r at the last sample, its last change, that of the springs as told, and r now; (4, n), N.
+    work : ndarray
+        Sums of dr dx, of dx K dx and of squares of its noise, shape (3,).
+    response : ndarray
+        Sums of squares of the changes of f and of M_c a, shape (2, n), N^2.
+    repeats : ndarray
+        How often the last value of a channel has come, shape (4, n).
+    resolution : ndarray
+        Least change of a channel that was ever seen, shape (4, n); infinite before.
+    counts : ndarray
+        Samples for which each detector has been beyond its threshold, shape (D, n).
+    shares : ndarray
+        Largest part of its threshold that each has reached, shape (D, n).
+    found : ndarray
+        What a detector saw when it tripped, and its threshold; shape (2,).
+    step : ndarray
+        Steps of the last sample, the last turn of the motion, the last command at the valve's
+        limit and the last sample at the end of each channel's range, shape (7,); long ago before.
+    """
+
+    last: Floats
+    flow: Floats
+    sent: Floats
+    sums: Floats
+    largest: Floats
+    restoring: Floats
+    work: Floats
+    response: Floats
+    repeats: Ints
+    resolution: Floats
+    counts: Ints
+    shares: Floats
+    found: Floats
+    step: Ints
+
+
+def detector_arrays(
+    noise: Floats,
+    limits: Floats,
+    ranges: Floats,
+    velocity_is_derived: bool,
+    actuator: Floats,
+    past: Floats,
+    mass: Floats,
+    stiffness: Floats,
+    computed_mass: Floats,
+    warn_only: Sequence[str],
+    dt: float,
+) -> tuple[DetectorParameters, DetectorState]:
+    """Put the detectors of n axes into arrays.
+
+    Parameters
+    ----------
+    noise : ndarray
+        RMS noise of displacement, velocity, acceleration and force, shape (4, n); 0: not known.
+    limits : ndarray
+        Their largest values, shape (4,).
+    ranges : ndarray
+        Largest value that each sensor can measure, shape (4, n); 0: not known.
+    velocity_is_derived : bool
+        Whether the velocity is that of the displacement.
+    actuator, past : ndarray
+        See `DetectorParameters`; a flow gain or an oil stiffness of 0 is not known.
+    mass, stiffness, computed_mass : ndarray
+        Shape (n, n), kg, N/m and kg.
+    warn_only : sequence of str
+        Names of the detectors that do not end a test.
+    dt : float
+        Sampling period, s.
+    """
+    n, fade, short = noise.shape[1], math.exp(-dt / MEMORY), math.exp(-dt / SHORT)
+    x, v, a, f = np.where(noise > 0.0, noise, ASSUMED_NOISE * limits[:, np.newaxis])
+    if velocity_is_derived:
+        v = math.sqrt(2.0) * x / dt
+    known = (actuator[:, 0] > 0.0) & (actuator[:, 1] > 0.0)
+    actuator = actuator.copy()
+    actuator[~known, 1] = 1.0
+    actuator[actuator[:, 3] <= 0.0, 3] = np.inf
+    oil = np.where(known, f / actuator[:, 1], np.inf)
+    jumps, rates = np.array([x, v, oil]), dt * np.array([v, a, v])
+    sums = np.sqrt(jumps**2 * 2.0 / (1.0 + fade) + rates**2 / (2.0 * (1.0 - fade)))
+    steps = np.sqrt(2.0 * jumps**2 + rates**2 / 2.0)
+    rough = np.sqrt(6.0 * (f**2 + mass**2 @ a**2))
+    unknown = 0.0 if mass.any() and stiffness.any() else math.inf
+    lasts = [max(2, math.ceil(each.lasts / dt - 1e-9)) for each in DETECTORS]
+    acts = [each.name not in warn_only for each in DETECTORS]
+    parameters = DetectorParameters(
+        dt=dt,
+        fade=fade,
+        short=short,
+        memory=math.exp(-dt / LARGEST),
+        actuator=actuator,
+        past=past,
+        mass=mass,
+        stiffness=stiffness,
+        computed_mass=computed_mass,
+        noise=np.array([x, v, a, f]),
+        dither=noise,
+        range=np.where(ranges > 0.0, ranges, np.inf),
+        limited=math.ceil(LIMITED / dt),
+        sums=SIGMAS * sums,
+        steps=SIGMAS * steps,
+        rough=SIGMAS * rough + unknown,
+        unknown=unknown,
+        tolerance=np.array([TOLERANCE, TOLERANCE, VALVE_TOLERANCE]),
+        off_target=OFF_TARGET,
+        persistence=np.array(lasts),
+        acts=np.array(acts, dtype=np.int64),
+    )
+    state = DetectorState(
+        last=np.zeros((4, n)),
+        flow=np.zeros((2, n)),
+        sent=np.zeros_like(past),
+        sums=np.zeros((3, 2, n)),
+        largest=np.zeros((8, n)),
+        restoring=np.zeros((4, n)),
+        work=np.zeros(3),
+        response=np.zeros((2, n)),
+        repeats=np.zeros((4, n), dtype=np.int64),
+        resolution=np.zeros((4, n)),
+        counts=np.zeros((len(DETECTORS), n), dtype=np.int64),
+        shares=np.zeros((len(DETECTORS), n)),
+        found=np.zeros(2),
+        step=np.zeros(7, dtype=np.int64),
+    )
+    return parameters, state

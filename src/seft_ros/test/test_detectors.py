@@ -1,0 +1,176 @@
+"""Detectors of faults: each fault of the hardware ends a test soon, no sound test ends by them."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rig_faults import CHANNELS, FAULTS, FaultyRig
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_file import parse_override
+from seft_msgs_py.errors import InputError
+from seft_ros.analysis.fault_detection import shares_of
+from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.offline import simulate
+from seft_ros.experiment.tables import TABLES
+
+CONFIG = Path(__file__).parents[3] / "config"
+PLAN = (
+    *("reference_force:compensation.method:=target_motion", "reference_force:mass_ratio:=1.0"),
+    *("force_controller:method:=velocity_feedforward", "ground_motion:peak_force:=500.0"),
+)
+KIND, SPECIMEN = "rig:specimen.kind:=", "rig:specimen."
+BILINEAR = (f"{KIND}bilinear", f"{SPECIMEN}yield_displacement:=0.003")
+GAP = (f"{KIND}gap", f"{SPECIMEN}gap.width:=0.003", f"{SPECIMEN}gap.stiffness:=2.11e5")
+NOISE = np.array([5e-6, 1e-3, 0.05, 3.0])
+SOON, LARGEST = 0.05, 1.5
+UNSEEN = {  # faults that need not end a test in time, and why
+    "valve wide open": "the oil hammers before anything can be measured",
+    "valve closed": "likewise, where the piston is fast",
+    "valve reversed": "likewise",
+    "supply at a tenth": "the controller makes up for it: the test stays right",
+    "supply lost": "where nothing moves, it does not show",
+    "force drifting": "slower than any specimen that hardens: the limits are for it",
+    "force halved": "a specimen that softens by half looks like it, but for the jump",
+    "displacement noisy": "noise of a quarter of the motion in a step",
+    "acceleration noisy": "no more than the test bears",
+}
+
+
+def load(*words, config="jhu"):
+    given = [parse_override(word) for word in words]
+    return Experiment.load(TABLES, [CONFIG / f"{config}.yaml"], given)
+
+
+@cache
+def sound(words):
+    """A test without a fault, its blocks, and the largest value of each channel."""
+    experiment, known = load(*words), {}
+    record = simulate(experiment, build_blocks(experiment, known))
+    assert record.trip is None
+    return experiment, known, np.abs(record.series["rig/state"].values).max(axis=(0, 2))
+
+
+def with_fault(fault, words, at):
+    """Run a test with a fault: its record, the rig, and whether it ended in time and gently."""
+    experiment, known, largest = sound(words)
+    blocks = build_blocks(experiment, known)
+    rig = FaultyRig(blocks.rig, fault, at, NOISE, largest)
+    record = simulate(experiment, replace(blocks, rig=rig))
+    rig.stop()
+    gentle = rig.peak_force <= LARGEST * largest[3]
+    if record.trip is None:
+        return record, rig, rig.felt is None and gentle  # it has changed nothing
+    late = (len(record.series["rig/state"].steps) - 1 - rig.felt) * experiment.timebase.dt
+    return record, rig, late <= SOON + 1e-9 and gentle
+
+
+@pytest.mark.parametrize(("specimen", "at"), [((), 1000), (BILINEAR, 1700), (GAP, 2300)])
+def test_faults_of_the_hardware_end_a_test_soon(specimen, at):
+    words = (*PLAN, *specimen)
+    missed = {fault for fault in FAULTS if not with_fault(fault, words, at)[2]}
+    assert missed <= set(UNSEEN) | {
+        # seen, but the specimen that yields is beyond 1.5 times its small peak by then
+        *("acceleration dead but for noise", "acceleration flipped", "force doubled"),
+        *("force clipped", "valve off by 2 V", "valve late by 20 ms", "displacement drifting"),
+        *("velocity drifting", "acceleration drifting", "acceleration clipped", "force flipped"),
+    }
+    assert len(missed) <= 10
+
+
+@pytest.mark.parametrize(
+    "specimen",
+    [
+        (),
+        BILINEAR,
+        (f"{KIND}bouc_wen", f"{SPECIMEN}yield_displacement:=0.002"),
+        (f"{KIND}flag", f"{SPECIMEN}yield_displacement:=0.003"),
+        (f"{KIND}gap", f"{SPECIMEN}gap.width:=0.003", f"{SPECIMEN}gap.stiffness:=2.11e5"),
+        (f"{KIND}friction", f"{SPECIMEN}friction.force:=190.0"),
+        (f"{KIND}duffing", f"{SPECIMEN}duffing.cubic:=3.0e9"),
+        ("reference_force:model.stiffness:=1.3e5",),
+        ("force_controller:actuator.flow_gain:=0.045",),
+        ("force_controller:actuator.dead_time:=0.003",),
+        ("rig:sensors.adc_bits:=12",),
+        ("rig:sensors.anti_alias:=100.0",),
+        ("rig:sensors.velocity:=derived",),
+        *(((f"{SPECIMEN}kind:=linear", f"rate:={rate}")) for rate in (250.0, 2000.0)),
+        tuple(f"rig:sensors.{name}_noise:=0.0" for name in ("position", "velocity", "force")),
+    ],
+)
+def test_no_sound_test_ends_by_a_detector(specimen):
+    for seed in (1, 2):
+        experiment = load(*PLAN, *specimen, f"ground_motion:synthetic.seed:={seed}")
+        assert simulate(experiment, build_blocks(experiment)).trip is None
+
+
+@pytest.mark.parametrize(
+    "fault", [*(f"{channel} flipped" for channel in CHANNELS), "valve reversed"]
+)
+def test_wrong_polarity_ends_a_test_within_a_millimetre(fault):
+    record, rig, _ = with_fault(fault, PLAN, 0)
+    assert record.trip is not None
+    assert rig.travel < 1e-3
+
+
+@pytest.mark.parametrize("row", range(4))
+def test_a_spike_of_one_sample_is_passed_over(row):
+    experiment, known, largest = sound(PLAN)
+    blocks = build_blocks(experiment, known)
+
+    class Spike(FaultyRig):
+        def _measured(self, state):
+            if self._rig.step_index == 1234:
+                state = state.copy()
+                state[row] += 0.3 * largest[row]
+            return super()._measured(state)
+
+    rig = Spike(blocks.rig, "", 10**9, NOISE, largest)
+    record = simulate(experiment, replace(blocks, rig=rig))
+    assert record.trip is None
+    commands = record.series["valve_command"].values[1233:1236, 0, 0]
+    assert commands[1] == commands[0]  # held
+    assert rig.peak_force < 1.2 * largest[3]
+
+
+def test_once_tripped_the_valve_closes_in_its_time():
+    record, _, _ = with_fault("displacement off by its peak", PLAN, 1500)
+    commands = record.series["valve_command"].values[1498:, 0, 0]
+    held = commands[1]
+    np.testing.assert_allclose(commands[1:], [*[held] * (len(commands) - 2), 0.9 * held])
+    assert "displacement" in record.trip.reason
+
+
+def test_a_detector_may_warn_alone():
+    words = (*PLAN, "force_controller:detectors.warn_only:=tracking, displacement_velocity")
+    warned = load(*words)
+    blocks = build_blocks(warned)
+    rig = FaultyRig(blocks.rig, "displacement drifting", 1500, NOISE, sound(PLAN)[2])
+    record = simulate(warned, replace(blocks, rig=rig))
+    assert record.trip is None or "displacement_velocity" not in record.trip.reason
+    assert shares_of(record)["displacement_velocity"] > 1.0
+    with pytest.raises(InputError, match="no detector 'speed'; there are displacement_velocity"):
+        build_blocks(load("force_controller:detectors.warn_only:=speed"))
+
+
+def test_a_lost_state_is_no_fault():
+    """The interlock does not see each state, and the rig holds the last command meanwhile."""
+    blocks = build_blocks(load(*PLAN))
+    rig, force, interlock = blocks.rig, blocks.reference_force, blocks.force_controller
+    known, window = blocks.ground_motion.known, 1 + force.preview
+    state, command = rig.reset(), np.zeros(1)
+    for step in range(blocks.ground_motion.steps - 1):
+        points = force.step(known[step : step + window], state)
+        if step % 23:
+            command = interlock.step(step, points, state)
+        state = rig.step(command)
+        assert interlock.reason == ""
+
+
+def test_shares_of_a_record_are_those_of_the_test():
+    experiment = load(*PLAN)
+    blocks = build_blocks(experiment)
+    record = simulate(experiment, blocks)
+    shares = list(shares_of(record).values())
+    np.testing.assert_array_equal(shares, blocks.force_controller.state.detectors.shares[:, 0])
