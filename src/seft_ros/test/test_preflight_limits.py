@@ -1,0 +1,63 @@
+"""Limits that fit a test: expected peaks, what is proposed, and what is far beyond."""
+
+from pathlib import Path
+
+import pytest
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_file import parse_override, read_parameter_file
+from seft_msgs_py.errors import InputError
+from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.offline import simulate
+from seft_ros.experiment.tables import TABLES
+from seft_ros.preflight.expected_peaks import (
+    expected_peaks,
+    limit_warning,
+    proposed_limits,
+    write_limits,
+)
+
+DEMO = Path(__file__).parents[3] / "config" / "demo.yaml"
+
+
+def load(*words, files=(), nodes=None):
+    given = [parse_override(word) for word in words]
+    return Experiment.load(TABLES, [DEMO, *files], given, nodes)
+
+
+def test_a_test_stays_within_limits_that_fit_it(tmp_path):
+    limits = proposed_limits(expected_peaks(load()))
+    write_limits(tmp_path / "limits.yaml", limits)
+    written = read_parameter_file(tmp_path / "limits.yaml")["supervisor"]
+    assert written == {f"limits.{name}": limit for name, limit in limits.items()}
+    experiment = load(files=[tmp_path / "limits.yaml"])
+    blocks = build_blocks(experiment)
+    assert simulate(experiment, blocks).trip is None
+    assert all(0.2 < blocks.rig.limits.largest[i] / limits[n] < 1 for i, n in enumerate(limits))
+    halved = {name: limit / 2 for name, limit in limits.items()}
+    write_limits(tmp_path / "limits.yaml", halved)
+    experiment = load(files=[tmp_path / "limits.yaml"])
+    assert "beyond the limit" in simulate(experiment, build_blocks(experiment)).trip.reason
+
+
+def test_peaks_grow_with_the_motion():
+    once, twice = (
+        expected_peaks(load(f"ground_motion:peak_force:={newtons}")) for newtons in (200.0, 400.0)
+    )
+    assert twice == pytest.approx({name: 2.0 * peak for name, peak in once.items()}, rel=1e-6)
+
+
+def test_limits_far_beyond_are_told():
+    experiment = load("supervisor:limits.force:=22200.0")
+    peaks = expected_peaks(experiment)
+    assert peaks["force"] == pytest.approx(1533.0, rel=0.01)
+    told = limit_warning(experiment, peaks)
+    assert "force 22200 N (expected: 1.53e+03)" in told
+    assert "displacement" not in told
+    assert limit_warning(load(), peaks) == ""
+
+
+def test_a_motion_that_runs_elsewhere_has_no_peaks(tmp_path):
+    elsewhere = load(nodes=["reference_force", "force_controller", "rig", "supervisor"])
+    assert expected_peaks(elsewhere) == {}
+    with pytest.raises(InputError, match="no limits to write"):
+        write_limits(tmp_path / "limits.yaml", {})
