@@ -27,6 +27,7 @@ from seft_msgs_py.wire.topics import (
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
 from seft_plant_sim.rig.command import Command
+from seft_plant_sim.rig.command_watch import CommandWatch, elapsed
 from seft_plant_sim.rig.rig import Rig, Stopped
 from seft_plant_sim.rig.rig_diagnostics import RoundTrip, with_health
 from seft_plant_sim.rig.rig_parameters import TABLE
@@ -73,6 +74,9 @@ class RigNode(NodeBody):
         self.facts = {"drive": self._drive.codec.topic.name}
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
         self._clock: SampleClock | None = None  # of a test in realtime
+        self._watch = CommandWatch(
+            self._drive.codec.topic, self._timebase.dt, self._section["watchdog.command_timeout"]
+        )
         self._armed = False
         self._latched = False  # tripped: no new test before the supervisor has said idle
         self._wanted: Status | None = None
@@ -229,17 +233,18 @@ class RigNode(NodeBody):
     def _lockstep(self, step: int, is_last: bool) -> str | None:
         """Wait for the commands of a step, however long that takes; say why the test must end."""
         del is_last
-        timeout = self._section["lockstep_timeout"]
+        shell, timeout = self._shell, self._section["lockstep_timeout"]
         deadline = time.monotonic() + timeout
         while self._valve.step < step or self._drive.step < step:
-            if not self._shell.spin_once(0.05):
+            if not shell.spin_once(0.05):
                 self._publish_clock(step)  # perhaps there is no ground motion so far ahead
             if (why := self._unwanted()) is not None:
                 return why
             if time.monotonic() > deadline:
                 late = self._valve if self._valve.step < step else self._drive
-                text = f"for step {step} within {timeout:g} s in lockstep"
-                return self._nothing_from(late, f"no {late.codec.topic.name} {text}")
+                topic, foreign = late.codec.topic, shell.foreign_publishers(self._refused_before)
+                text = f"no {topic.name} for step {step} within {timeout:g} s in lockstep"
+                return f"{text}; is {topic.publisher} running?{foreign}"
         return None
 
     def _start_clock(self) -> None:
@@ -265,6 +270,8 @@ class RigNode(NodeBody):
         period, timeout = self._timebase.dt, self._section["watchdog.command_timeout"]
         if step == 0 and self._is_alone:
             clock.fall_back(self._wait_for_answer(0, timeout) + BREATH)
+        if step == 0:
+            self._watch.begin(elapsed() + clock.deadline(0) - time.monotonic())
         deadline = clock.deadline(step + 1)
         while (left := deadline - time.monotonic()) > 0:
             if shell.spin_once(left) and drive.step >= step:
@@ -275,22 +282,16 @@ class RigNode(NodeBody):
             pass  # what came while we were late counts as in time; a flood does not stop us
         if self._waits and drive.step < step:
             clock.fall_back(self._wait_for_answer(step - 1, timeout) + FALL_BACK * period)
-        if (why := self._unwanted()) is not None:
+        if (why := self._unwanted()) is not None or is_last or self._rig.violation is not None:
             return why
-        if drive.step < step and not is_last and self._rig.violation is None:
+        if drive.step < step:
             self._missed_count += 1
             if len(self._missed) < LISTED_STEPS:
                 self._missed.append(step)
                 self._held.append(drive.step)
-            if step - drive.step > max(1, round(timeout / period)) or self._waited_in_vain:
-                text = f"for {timeout:g} s (the last is of step {drive.step})"
-                return self._nothing_from(drive, f"no new {drive.codec.topic.name} {text}")
-        return None
-
-    def _nothing_from(self, command: Command, what: str) -> str:
-        """Add to what failed to come who sends it, and which foreign nodes may be the cause."""
-        foreign = self._shell.foreign_publishers(self._refused_before)
-        return f"{what}; is {command.codec.topic.publisher} running?{foreign}"
+        in_vain = self._waited_in_vain and drive.step < step
+        fault = self._watch.fault(elapsed(), step, drive.step, in_vain=in_vain)
+        return fault + self._shell.foreign_publishers(self._refused_before) if fault else None
 
     def _wait_for_answer(self, step: int, longest: float) -> float:
         """Wait for the command of a step; return for how long, s."""

@@ -22,6 +22,7 @@ from seft_msgs_py.wire.rigs import until_start
 from seft_msgs_py.wire.topics import CLOCK_TOPIC, EXPERIMENT_STATE, RIG_STATE, VALVE_COMMAND
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 from seft_plant_sim.rig.command import Command
+from seft_plant_sim.rig.command_watch import CommandWatch, elapsed
 from seft_plant_sim.rig.limits import Limits
 
 from rig_driver.calibration import Calibration
@@ -59,6 +60,8 @@ class DriverNode(NodeBody):
         self._states = TrajectoryCodec(RIG_STATE.of(rig), axes, self._timebase)
         commands = TrajectoryCodec(VALVE_COMMAND.of(rig), axes, self._timebase)
         self._command = Command(commands, section["limits.command"])
+        timeout = section["watchdog.command_timeout"]
+        self._watch = CommandWatch(commands.topic, self._timebase.dt, timeout)
         self.facts = {"drive": commands.topic.name}
         self._publish_state = shell.publisher(self._states.topic)
         self._tells_time = axes[0] == experiment.axes[0]  # one rig does
@@ -120,6 +123,7 @@ class DriverNode(NodeBody):
         self._missed_count = 0
         self._resting = None
         self._command.reset()
+        self._watch.begin(elapsed())
         self._limits.reset()
         self._started = time.monotonic()
         self._clock_at = -CLOCK_PERIOD
@@ -155,18 +159,18 @@ class DriverNode(NodeBody):
             self._end(f"node supervisor has been silent for {patience:g} s")
         elif step + 1 == self._total:
             self._end(None)
-        elif self._command.step < step:
-            self._missed_count += 1
-            if len(self._missed) < LISTED_STEPS:
-                self._missed.append(step)
+        else:
+            if self._command.step < step:
+                self._missed_count += 1
+                if len(self._missed) < LISTED_STEPS:
+                    self._missed.append(step)
             self._look_after_commands(step)
         return self._phase == "running"
 
     def _look_after_commands(self, step: int) -> None:
-        timeout = self._section["watchdog.command_timeout"]
-        if (step - self._command.step) * self._timebase.dt > timeout:
-            last = self._command.step
-            self._end(f"no new valve_command for {timeout:g} s (the last is of step {last})")
+        """End a test that has been without a new command, also while this process was stopped."""
+        if fault := self._watch.fault(elapsed(), step, self._command.step):
+            self._end(fault)
 
     def _end(self, reason: str | None) -> None:
         """End a test: the rig comes to rest whatever the reason; None if all steps are done."""
