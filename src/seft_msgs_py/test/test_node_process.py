@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 PROGRAM = """
 from seft_msgs_py.node.node_process import NodeProcess
 process = NodeProcess([], ["somebody"])
@@ -25,3 +27,38 @@ def test_a_look_is_taken_after_each_turn_and_chores_are_done_now_and_then():
     assert (looks, more_looks) == (51, 52)
     assert 1 <= chores < 25
     assert more_chores == chores + 1
+
+
+ENDED = """
+import os, pty, signal, sys
+from seft_msgs_py.node.node_process import NodeProcess
+if sys.argv[1] == "nohup":
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+report = os.dup(1)
+keyboard, terminal = pty.openpty()
+os.dup2(terminal, 1)
+os.close(terminal)
+process = NodeProcess([], ["somebody"])
+os.close(keyboard)
+os.kill(os.getpid(), getattr(signal, sys.argv[2]))
+if sys.argv[2] == "SIGHUP" and sys.argv[1] != "nohup":
+    print("the terminal is gone", flush=True)  # which is no fault
+os.write(report, str(process.stopping).encode())
+os.dup2(report, 1)
+process.close()
+"""
+
+
+@pytest.mark.parametrize(
+    ("how", "number", "stops"),
+    [
+        ("run", "SIGINT", True),
+        ("run", "SIGTERM", True),
+        ("run", "SIGHUP", True),
+        ("nohup", "SIGHUP", False),
+    ],
+)
+def test_a_process_ends_when_it_is_told_to_or_its_terminal_is_closed(how, number, stops):
+    words = [sys.executable, "-c", ENDED, how, number]
+    done = subprocess.run(words, stdout=subprocess.PIPE, check=True)
+    assert done.stdout.decode() == str(stops)

@@ -6,7 +6,6 @@ holds one node; several in one hand each other their messages directly (`IntraPr
 """
 
 import gc
-import signal
 import sys
 import threading
 import time
@@ -22,6 +21,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.node.ending import on_ending
 from seft_msgs_py.node.intra_process_bus import IntraProcessBus, Receive
 from seft_msgs_py.node.middleware import prepare_middleware
 from seft_msgs_py.node.realtime import wake_on_time
@@ -42,7 +42,7 @@ class NodeProcess:
     bus : IntraProcessBus
         Messages between its nodes.
     stopping : bool
-        Set by SIGINT and SIGTERM.
+        Set by SIGINT, SIGTERM and SIGHUP.
 
     Raises
     ------
@@ -55,8 +55,7 @@ class NodeProcess:
         wake_on_time()
         self.bus = IntraProcessBus(nodes)
         prepare_middleware()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._on_signal)
+        on_ending(self._on_signal)
         try:
             rclpy.init(
                 args=_without_parameters(argv), signal_handler_options=SignalHandlerOptions.NO
