@@ -13,7 +13,6 @@ from seft_msgs_py.node.node_shell import NodeShell
 from seft_msgs_py.wire.topics import RIG_STATE
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-
 TIMEOUT = "watchdog.command_timeout"
 
 

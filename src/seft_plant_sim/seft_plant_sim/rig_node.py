@@ -77,6 +77,7 @@ class RigNode(NodeBody):
         self._watch = CommandWatch(
             self._drive.codec.topic, self._timebase.dt, self._section["watchdog.command_timeout"]
         )
+        self._fault = ""  # of the program
         self._armed = False
         self._latched = False  # tripped: no new test before the supervisor has said idle
         self._wanted: Status | None = None
@@ -100,6 +101,10 @@ class RigNode(NodeBody):
                     self._wanted = None  # a test runs once
             elif self._ended and self._wanted is not None and self._wanted.message == "idle":
                 self._rest()  # how the last test ended has been told
+
+    def fault(self, reason: str) -> None:
+        """End the test that runs, or the next one, as long as the operator has not reset it."""
+        self._fault = reason
 
     def _command(
         self, topic: LoopTopic, axes: tuple[str, ...], limit: str, loop_delay: int = 0
@@ -148,7 +153,7 @@ class RigNode(NodeBody):
         if reason:
             self._publish(0, state)
         else:
-            reason = self._run_steps(steps, state)
+            reason = self._fault or self._run_steps_safely(steps, state)
         self._publish_clock(self._rig.step_index)
         self._ended = True
         if reason is None:
@@ -159,6 +164,13 @@ class RigNode(NodeBody):
             trip = Trip(reason, step, self._timebase.stamp_ns(step) / 1e9)
             self._tell(TRIPPED, trip)  # before the rig comes to rest: others can stop at once
             self._tell(TRIPPED, trip, self._rig.stop())
+
+    def _run_steps_safely(self, steps: int, state: Floats) -> str | None:
+        """Take the samples of a test; a fault of the program ends it as a limit does."""
+        try:
+            return self._run_steps(steps, state)
+        except Exception as error:
+            return self._shell.fault("a step", error)
 
     def _run_steps(self, steps: int, state: Floats) -> str | None:
         """Take the samples of a test at its pace; say why it ended early, if it did."""
@@ -325,6 +337,8 @@ class RigNode(NodeBody):
         """Say why the test must end here, if it must: no rig moves without a supervisor."""
         if self._shell.stopping:
             return "the rig node was told to end"
+        if self._fault:
+            return self._fault
         if not self._is_moving():
             return STOPPED
         patience = self._section["watchdog.supervisor_timeout"]
@@ -345,7 +359,7 @@ class RigNode(NodeBody):
         if status.message == "running" and not status.number("steps"):
             raise WireError("a test that does not say how many steps it has")
         if status.message == "idle":
-            self._latched = False
+            self._latched, self._fault = False, ""
         self._armed = status.message == "ready" and not self._latched
         self._wanted = status
 

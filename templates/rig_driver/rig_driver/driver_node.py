@@ -94,15 +94,18 @@ class DriverNode(NodeBody):
                 if late:  # held up for more than a period: go on from here, without hurry
                     self._overruns += self._phase == "running"
                 deadline += (1 + late) * period
-                self._tick()
+                self._shell.attempt("a sample", self._tick)
             if self._phase == "running":
                 self._end("the rig node was told to end")
         finally:
             self._hardware.to_safe_position()
             self._hardware.close()
 
-    def look(self) -> None:
-        """Nothing here falls due while another node of the process spins."""
+    def fault(self, reason: str) -> None:
+        """Bring the rig to its safe position, whatever it is in, and end a test that runs."""
+        self._hardware.to_safe_position()
+        if self._phase == "running":
+            self._end(reason)
 
     def _tick(self) -> None:
         """Take one sample, and do with it what the phase asks for."""

@@ -14,7 +14,7 @@ from rclpy.subscription import Subscription
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_file import split_ros_arguments
 from seft_msgs_py.config.parameter_table import Table
-from seft_msgs_py.errors import InputError, WireError
+from seft_msgs_py.errors import InputError, SeftError, WireError
 from seft_msgs_py.node import realtime
 from seft_msgs_py.node.intra_process_bus import Receive
 from seft_msgs_py.node.node_process import NodeProcess, drain
@@ -162,6 +162,18 @@ class NodeShell:
         """Let the process wait for messages and handle them, see `NodeProcess.spin_once`."""
         return self._process.spin_once(timeout)
 
+    def attempt(self, what: str, call: Callable[..., Any], *arguments: Any) -> Any:
+        """Call something of this node, see `NodeProcess.attempt`."""
+        return self._process.attempt(f"{self.name}, {what}", call, *arguments)
+
+    def fault(self, what: str, error: Exception) -> str:
+        """Count and tell a fault of this node's program, see `NodeProcess.fault`."""
+        return self._process.fault(f"{self.name}, {what}", error)
+
+    def on_fault(self, hear: Callable[[str], None]) -> None:
+        """Have ``hear`` called with the reason of each fault in this process."""
+        self._process.on_fault(hear)
+
     def refuse(self, reason: str) -> None:
         """Count a message that was not acted upon; a warning follows, at most once a second.
 
@@ -249,6 +261,11 @@ class NodeShell:
             except WireError as error:
                 self.refuse(str(error))
                 return False
+            except SeftError:
+                raise  # why the node can't go on, for the user
+            except Exception as error:
+                self.fault(topic.name, error)
+                return False
             last = number
             return True
 
@@ -266,8 +283,9 @@ class NodeShell:
         sent_at, sent = self._status_sent
         if now - self._handled_at < LOOP_PAUSE:
             if now - sent_at >= STATUS_PERIOD:
-                if self._status.values.get("refused") != str(self.refused):
-                    values = {**self._status.values, "refused": str(self.refused)}
+                counted = self._counted()
+                if counted.items() - self._status.values.items():
+                    values = {**self._status.values, **counted}
                     self._status = replace(self._status, values=values)
                 self._publish_status()
             return
@@ -287,7 +305,10 @@ class NodeShell:
 
     def _own_values(self) -> dict[str, str]:
         peak = round(realtime.memory_kb("VmHWM") / 1024)
-        return {"refused": str(self.refused), "peak_memory_mb": str(peak)}
+        return {**self._counted(), "peak_memory_mb": str(peak)}
+
+    def _counted(self) -> dict[str, str]:
+        return {"refused": str(self.refused), "faults": str(self._process.faults)}
 
     def _publish_status(self) -> None:
         now = time.time_ns()

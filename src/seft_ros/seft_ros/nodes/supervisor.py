@@ -51,6 +51,7 @@ SOFT_PEERS = ("ground_motion", "recorder")
 """Nodes without which the loop can still bring the force down."""
 START_AHEAD_NS = 200_000_000  # in which the word of the start reaches all rigs
 LOCKSTEP_PATIENCE = 10.0  # times the margin of realtime
+FAULTY = Answer(False, "a fault of the program; the supervisor's log has it, and a test is ended")
 
 
 class SupervisorNode(NodeBody):
@@ -96,7 +97,13 @@ class SupervisorNode(NodeBody):
             for _ in range(MOST_AT_ONCE):
                 if not self._shell.spin_once(0.0):
                     break  # nobody is called silent before all that came has been heard
-            self.poll()
+            self._shell.attempt("a look", self.poll)
+
+    def fault(self, reason: str) -> None:
+        """End a test at once; the services go on answering."""
+        with self._lock:
+            self._machine.hard_trip(reason, self._step())
+            self._publish_if_due()
 
     def poll(self) -> None:
         """Watch the peers, and publish the state if it has changed or is due."""
@@ -177,12 +184,16 @@ class SupervisorNode(NodeBody):
                 self._machine.note(silence(node, self._heard))
 
     def _service(self, request: Callable[[], Answer]) -> Callable[[Any, Any], Any]:
-        def serve(_: Any, response: Any) -> Any:
+        def answer() -> Answer:
             with self._lock:
-                answer = request()
+                found = request()
                 self._follow_state()
                 self._publish_if_due()
-            response.success, response.message = answer.accepted, answer.text
+            return found
+
+        def serve(_: Any, response: Any) -> Any:
+            found = self._shell.attempt("a service", answer) or FAULTY
+            response.success, response.message = found.accepted, found.text
             return response
 
         return serve
@@ -225,10 +236,9 @@ class SupervisorNode(NodeBody):
         phase, reason = status.values.get("phase"), status.values.get("reason")
         is_rig = status.name in self._rig_nodes
         if phase == TRIPPED:
-            reason = reason or status.message
-            self._machine.hard_trip(
-                reason if is_rig else f"{status.name}: {reason}", status.number("step")
-            )
+            reason, machine = reason or status.message, self._machine
+            trip = machine.soft_trip if status.name in SOFT_PEERS else machine.hard_trip
+            trip(reason if is_rig else f"{status.name}: {reason}", status.number("step"))
         elif is_rig and phase == FINISHED:
             if all(self._phase(rig) == FINISHED for rig in self._rig_nodes):
                 self._machine.finish(f"{status.values.get('steps')} steps done")
