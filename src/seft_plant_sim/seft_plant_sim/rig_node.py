@@ -14,7 +14,15 @@ from seft_msgs_py.node.awake_clock import AwakeClock
 from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import WARM_UP_STEPS, NodeShell
 from seft_msgs_py.wire.messages import Status, decode_status, encode_clock, restamp
-from seft_msgs_py.wire.outcome import FINISHED, LISTED_STEPS, STOPPED, TRIPPED, Trip, rig_status
+from seft_msgs_py.wire.outcome import (
+    FINISHED,
+    LISTED_STEPS,
+    MOVING,
+    STOPPED,
+    TRIPPED,
+    Trip,
+    rig_status,
+)
 from seft_msgs_py.wire.rigs import until_start
 from seft_msgs_py.wire.topics import (
     CLOCK_TOPIC,
@@ -37,7 +45,6 @@ CLOCK_PERIOD = 0.1  # s of the test's time
 BREATH = 0.005  # s from the first answer in realtime to the time of step 0
 LATEST = 256  # steps: an answer that is older has no round trip
 FALL_BACK = 0.25  # of a period, by which a rig that is ahead of others delays each next sample
-MOVING = ("running", "ramping_down")  # states of a test in which the rig obeys
 TELL_PERIOD = 1.0  # s, of the diagnostics of a running test
 
 

@@ -17,7 +17,15 @@ from seft_msgs_py.node.awake_clock import AwakeClock
 from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import NodeShell
 from seft_msgs_py.wire.messages import ERROR, OK, Status, decode_status, encode_clock
-from seft_msgs_py.wire.outcome import FINISHED, LISTED_STEPS, STOPPED, TRIPPED, Trip, rig_status
+from seft_msgs_py.wire.outcome import (
+    FINISHED,
+    LISTED_STEPS,
+    MOVING,
+    STOPPED,
+    TRIPPED,
+    Trip,
+    rig_status,
+)
 from seft_msgs_py.wire.rigs import until_start
 from seft_msgs_py.wire.topics import CLOCK_TOPIC, EXPERIMENT_STATE, RIG_STATE, VALVE_COMMAND
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
@@ -31,7 +39,6 @@ from rig_driver.parameters import TABLE
 from rig_driver.rest import Rest
 from rig_driver.stand_in import StandIn
 
-MOVING = ("running", "ramping_down")  # states of a test in which the rig obeys
 CLOCK_PERIOD = 0.1  # s between two messages of /clock
 
 

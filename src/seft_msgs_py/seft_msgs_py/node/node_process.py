@@ -28,7 +28,7 @@ from seft_msgs_py.node.ending import on_ending
 from seft_msgs_py.node.intra_process_bus import IntraProcessBus, Receive
 from seft_msgs_py.node.middleware import prepare_middleware
 from seft_msgs_py.node.realtime import wake_on_time
-from seft_msgs_py.node.wait_set import WaitSet, take
+from seft_msgs_py.node.wait_set import WaitSet, taker
 
 OUTSIDE_PERIOD = 0.002  # s between polls for messages from outside while those inside keep coming
 CHORE_PERIOD = 0.01  # s between chores, after messages were handled
@@ -98,9 +98,10 @@ class NodeProcess:
         Returns what hands over one message and tells whether it was acted upon, None if there is
         none.
         """
+        take = taker(subscription)
 
         def read_one() -> bool | None:
-            taken = take(subscription)
+            taken = take()
             return None if taken is None else receive(*taken)
 
         if wake:

@@ -9,7 +9,7 @@ from typing import Self
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.node.ending import as_before, on_ending
-from seft_msgs_py.wire.topics import LoopTopic, topics_of
+from seft_msgs_py.wire.topics import EXPERIMENT_STATE, LoopTopic, topics_of
 
 from seft_ros.experiment.peers import CONFLICT, SILENT
 from seft_ros.experiment.state_machine import ENDED, PACE, State
@@ -83,7 +83,11 @@ class RunMonitor:
         self._observer, self._processes, self._progress = observer, processes, progress
         self._period_ns = test.timebase.period_ns
         self._timeout: float = test["supervisor"]["watchdog.peer_timeout"] + SLACK
-        self._topics = [topic for topic in topics_of(test.rigs) if isinstance(topic, LoopTopic)]
+        self._topics = [
+            topic
+            for topic in topics_of(test.rigs)
+            if isinstance(topic, LoopTopic) or topic == EXPERIMENT_STATE
+        ]
         self._broken = ""
 
     def start(self) -> None:
