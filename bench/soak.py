@@ -1,4 +1,4 @@
-"""Memory of each node process in a long test in lockstep; it must be flat after warm-up.
+"""Memory and open files of each node process in a long test in lockstep, flat after warm-up.
 
 python bench/soak.py --minutes 30
 """
@@ -39,6 +39,7 @@ class Samples:
     def __init__(self, minutes: float) -> None:
         self.times: list[float] = []
         self.memory: dict[str, list[float]] = {}
+        self.files: dict[str, list[int]] = {}
         self.steps = 0
         self._seconds = 60.0 * minutes
         self._started = 0.0
@@ -52,6 +53,7 @@ class Samples:
         if not self._pids:
             self._pids = {"seft": os.getpid(), **node_processes()}
             self.memory = {name: [] for name in self._pids}
+            self.files = {name: [] for name in self._pids}
             self._started = now
         self.steps = done
         if now - self._started > self._seconds:
@@ -60,6 +62,7 @@ class Samples:
             self.times.append(now - self._started)
             for name, pid in self._pids.items():
                 self.memory[name].append(anonymous_memory(pid))
+                self.files[name].append(len(list(Path(f"/proc/{pid}/fd").iterdir())))
 
 
 def node_processes() -> dict[str, int]:
@@ -109,21 +112,25 @@ def main() -> int:
 
 
 def is_flat(samples: Samples, minutes: float) -> bool:
-    """Print how memory went; say whether it is flat in all processes."""
+    """Print how memory and open files went; say whether they are flat in all processes."""
     times = np.array(samples.times)
     late = times >= WARM_UP * 60.0 * minutes
     allowed = MOST_GROWTH + INDEX * (1.0 - WARM_UP) * minutes / 60.0
     flat = True
-    print("private memory, MB  at first  after warm-up  largest  at last   slope, MB/h")
+    print("private memory, MB  at first  after warm-up  largest  at last   slope, MB/h  files")
     for name, values in samples.memory.items():
         memory = np.array(values)
         after = memory[late]
         slope = np.polyfit(times[late], after, 1)[0] * 3600.0
         growth = after[-1] - after[0]
-        flat &= growth <= allowed
+        files = [
+            number for number, is_late in zip(samples.files[name], late, strict=True) if is_late
+        ]
+        holds = growth <= allowed and max(files) <= files[0] + 1  # one may be read in passing
+        flat &= holds
         print(
             f"{name:18} {memory[0]:9.1f} {after[0]:14.1f} {after.max():8.1f} {after[-1]:8.1f} "
-            f"{slope:13.2f}{'' if growth <= allowed else '   NOT FLAT'}"
+            f"{slope:13.2f} {files[0]:3} {max(files):3}{'' if holds else '   NOT FLAT'}"
         )
     return flat
 

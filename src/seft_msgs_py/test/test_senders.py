@@ -13,7 +13,7 @@ class Graph:
     """Who publishes one topic: identifiers and names; as many are connected."""
 
     def __init__(self, **publishers):
-        self.publishers = {"/rig": TRUE} if not publishers else publishers
+        self.publishers = publishers or {"/rig": TRUE}
         self.connected = None
 
     def get_publishers_info_by_topic(self, name):

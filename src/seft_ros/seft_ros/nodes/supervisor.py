@@ -23,7 +23,7 @@ from seft_msgs_py.wire.messages import (
     decode_diagnostics,
     encode_status,
 )
-from seft_msgs_py.wire.outcome import FINISHED, RIG, TRIPPED
+from seft_msgs_py.wire.outcome import FINISHED, RIG, STOPPED, TRIPPED
 from seft_msgs_py.wire.rigs import START, with_rigs
 from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND
 from seft_msgs_py.wire.topics import CLOCK_TOPIC, DESCRIPTION, DIAGNOSTICS, EXPERIMENT_STATE
@@ -75,6 +75,7 @@ class SupervisorNode(NodeBody):
         self._publish = shell.publisher(EXPERIMENT_STATE)
         self._state, self._since = State.IDLE, self._now  # as the last look found it
         self._silent: list[str] | None = None  # who fell silent before a trip, once it is known
+        self._lost: set[str] = set()  # who has fallen silent in this test
         self._published: Status | None = None
         self._message = b""
         self._published_at = self._polled_graph_at = self._told_at = self._now - AGES_PERIOD
@@ -137,6 +138,7 @@ class SupervisorNode(NodeBody):
         if machine.state is not self._state:
             self._state, self._since, self._silent = machine.state, self._now, None
             if self._state is State.RUNNING:
+                self._lost.clear()
                 self._test_s = 0.0
                 self._start_ns = time.time_ns() + START_AHEAD_NS
 
@@ -155,6 +157,7 @@ class SupervisorNode(NodeBody):
     def _watch_peers(self) -> None:
         """Trip where a peer falls silent: softly, if the loop can go on without it."""
         gone = silent(self._peers, self._heard, self._now, self._timeout)
+        self._lost.update(gone)
         for node in sorted(gone, key=SOFT_PEERS.__contains__):
             soft = node in SOFT_PEERS
             trip = self._machine.soft_trip if soft else self._machine.hard_trip
@@ -180,6 +183,7 @@ class SupervisorNode(NodeBody):
         gone = silent(unheard, self._heard, self._now, self._timeout)
         if unheard == gone:
             self._silent = gone
+            self._lost.update(gone)
             for node in gone:
                 self._machine.note(silence(node, self._heard))
 
@@ -238,7 +242,10 @@ class SupervisorNode(NodeBody):
         if phase == TRIPPED:
             reason, machine = reason or status.message, self._machine
             trip = machine.soft_trip if status.name in SOFT_PEERS else machine.hard_trip
-            trip(reason if is_rig else f"{status.name}: {reason}", status.number("step"))
+            told = reason if is_rig else f"{status.name}: {reason}"
+            trip(told, status.number("step"))
+            if status.name in self._lost and reason != STOPPED:
+                machine.note(told)  # a link that was cut is back: this is what it did there
         elif is_rig and phase == FINISHED:
             if all(self._phase(rig) == FINISHED for rig in self._rig_nodes):
                 self._machine.finish(f"{status.values.get('steps')} steps done")
