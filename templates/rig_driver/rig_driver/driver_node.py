@@ -86,6 +86,7 @@ class DriverNode(NodeBody):
         self._overruns = 0
         self._status = Status("rig", OK, "idle", values={"phase": "idle"})
         self._resting: bool | None = None  # None: nobody looks
+        self._limits.violation(np.zeros((4, len(axes))))  # the first call takes longest
 
     def run(self) -> None:
         """Sample until told to stop."""
@@ -133,7 +134,6 @@ class DriverNode(NodeBody):
         self._missed_count = 0
         self._resting = None
         self._command.reset()
-        self._watch.begin(elapsed())
         self._limits.reset()
         self._started = time.monotonic()
         self._clock_at = -CLOCK_PERIOD
@@ -144,6 +144,7 @@ class DriverNode(NodeBody):
             self._end(conflict)
             return
         self._publish(0, sample)
+        self._watch.begin(elapsed())  # nothing has moved before
 
     def _publish(self, step: int, sample: Floats) -> None:
         self._step = self._command.current = step

@@ -145,10 +145,12 @@ class Observer:
         twice = [node for node in self._nodes if found.count(node) > 1]
         self._refuse(twice + self._of_other_namespaces(found))
         for topic in topics:
-            if (count := self._node.count_publishers(topic.name)) > 1:
+            infos = self._node.get_publishers_info_by_topic(topic.name)
+            if len(infos) > 1:
+                names = ", ".join(sorted(i.node_name for i in infos))
                 raise InputError(
-                    f"{count} nodes publish {topic.name} in ROS domain {_domain()}, and only one "
-                    "is this test's: end the other"
+                    f"{len(infos)} nodes publish {topic.name} in ROS domain {_domain()} ({names}), "
+                    "and only one is this test's: end the other"
                 )
 
     def _refuse(self, nodes: Sequence[str]) -> None:
