@@ -126,16 +126,16 @@ def taker(subscription: Subscription) -> Callable[[], tuple[bytes, int, bytes] |
         raise MemoryError("no memory for a message")
     rcl_take = rcl.rcl_take_serialized_message
     rcl_take.argtypes = (ctypes.c_void_p,) * 4
-    handle = subscription.handle  # kept, as its pointer is
-    here, there = ctypes.c_void_p(handle.pointer), ctypes.c_void_p(ctypes.addressof(message))
-    beside, gid = ctypes.c_void_p(ctypes.addressof(info)), info.publisher_gid.data
-    string_at = ctypes.string_at
+    here = ctypes.c_void_p(subscription.handle.pointer)  # valid as long as its node
+    there = ctypes.c_void_p(ctypes.addressof(message))
+    beside, gid = ctypes.c_void_p(ctypes.addressof(info)), ctypes.addressof(info.publisher_gid.data)
+    string_at, size = ctypes.string_at, ctypes.sizeof(info.publisher_gid.data)
 
     def take() -> tuple[bytes, int, bytes] | None:
         result = rcl_take(here, there, beside, None)
         if result == _OK:
             raw = string_at(message.buffer, message.length)
-            return raw, info.received_timestamp, bytes(gid)
+            return raw, info.received_timestamp, string_at(gid, size)
         if result == _NOTHING:
             return None
         rcutils.rcutils_reset_error()
