@@ -82,8 +82,7 @@ class Observer:
         while True:
             self._executor.spin_once(timeout_sec=max(0.0, deadline - time.monotonic()))
             self._awake.time()
-            while (taken := self._take_state()) is not None:
-                self._on_state(taken[0], taken[2])
+            self._hear_states()
             if time.monotonic() >= deadline:
                 return
 
@@ -105,6 +104,7 @@ class Observer:
                 raise ExperimentError(f"service {service} is not there; is supervisor running?")
             future = client.call_async(Trigger.Request())
             self._executor.spin_until_future_complete(future, patience)
+            self._hear_states()
             response = future.result()
             if response is None:
                 raise ExperimentError(f"supervisor did not answer {service}")
@@ -174,6 +174,10 @@ class Observer:
         """Leave the graph."""
         self._executor.shutdown()
         leave_graph(self._node)
+
+    def _hear_states(self) -> None:
+        while (taken := self._take_state()) is not None:
+            self._on_state(taken[0], taken[2])
 
     def _on_state(self, raw: bytes, gid: bytes) -> None:
         """Take the state of a test that runs from the one supervisor that it began with."""
