@@ -14,7 +14,7 @@ from _udp_ring import MESSAGE_SIZE
 from rclpy.node import Node
 from seft_msgs_py.node.middleware import PROFILES, RANGE
 from seft_msgs_py.node.ros_types import message_class, qos_profile
-from seft_msgs_py.node.wait_set import WaitSet, raw_subscription, sender, take
+from seft_msgs_py.node.wait_set import WaitSet, raw_subscription, sender, taker
 from seft_msgs_py.wire.topics import JOINT_TRAJECTORY, Topic
 
 
@@ -30,11 +30,12 @@ class Station:
             message_class(outward), outward.name, qos_profile(outward)
         )
         self.send = sender(self.publisher)
+        self._take = taker(self.subscription)
         self.wait_set = WaitSet(self.node.context, [self.subscription])
 
     def receive(self, timeout: float) -> bytes | None:
         """Wait for a message and take it."""
-        taken = take(self.subscription) if self.wait_set.wait(timeout) else None
+        taken = self._take() if self.wait_set.wait(timeout) else None
         return taken and taken[0]
 
     def matched(self) -> bool:

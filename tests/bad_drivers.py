@@ -13,6 +13,8 @@ from seft_msgs_py.node.node_shell import NodeShell
 from seft_msgs_py.wire.topics import RIG_STATE
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
+TIMEOUT = "watchdog.command_timeout"
+
 
 class WrongUnit(DriverNode):
     """Sends one of the four quantities in a unit of its own."""
@@ -81,6 +83,14 @@ class NoWatchdog(DriverNode):
         """Nothing."""
 
 
+class StandsStill(DriverNode):
+    """Counts steps without a command, and no time: it goes on as if it had never stood still."""
+
+    def _look_after_commands(self, step):
+        if (step - self._command.step) * self._timebase.dt > self._section[TIMEOUT]:
+            self._end("no new valve_command")
+
+
 class Careless(DriverNode):
     """Applies whatever number comes last, of whatever step; a trip is over with the next ready."""
 
@@ -106,6 +116,7 @@ NODES = {
     "wrong_stamp": WrongStamp,
     "late_state": LateState,
     "no_watchdog": NoWatchdog,
+    "stands_still": StandsStill,
     "careless": Careless,
 }
 

@@ -12,7 +12,7 @@ from rclpy.signals import SignalHandlerOptions
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.node.exit_watchdog import leave_graph
 from seft_msgs_py.node.ros_types import message_class, qos_profile
-from seft_msgs_py.node.wait_set import WaitSet, raw_subscription, take
+from seft_msgs_py.node.wait_set import WaitSet, raw_subscription, taker
 from seft_msgs_py.wire.messages import Status, encode_status, encode_string
 from seft_msgs_py.wire.topics import (
     DESCRIPTION,
@@ -60,10 +60,10 @@ class Hostile:
         states, commands = (TrajectoryCodec(t, axes, timebase) for t in (RIG_STATE, VALVE_COMMAND))
         subscription = raw_subscription(self._node, RIG_STATE, reliable=False)
         waiting = WaitSet(self._node.context, [subscription])
-        count = 0
+        take, count = taker(subscription), 0
         while not until():
             waiting.wait(0.1)
-            while (taken := take(subscription)) is not None:
+            while (taken := take()) is not None:
                 step, _ = states.decode(taken[0])
                 self.send(VALVE_COMMAND, commands.encode(step, np.full(len(axes), value)))
                 count += 1
@@ -76,9 +76,10 @@ class Hostile:
         for index in range(count):
             self.send(topic, bad[index % len(bad)])
 
-    def send(self, topic: Topic, raw: bytes) -> None:
+    def send(self, topic: Topic, raw: bytes, times: int = 1) -> None:
         """Publish bytes as they are."""
-        self._publishers[topic].publish(raw)
+        for _ in range(times):
+            self._publishers[topic].publish(raw)
 
     def listeners(self, topic: Topic) -> int:
         """How many nodes listen to what is published here on a topic."""

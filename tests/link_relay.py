@@ -1,11 +1,13 @@
 """A link between two network interfaces, in user space: delay, jitter, loss, and a cut.
 
-Run as ``python link_relay.py INTERFACE INTERFACE SEED``. Frames go through as they are and in
-order. Reads commands on stdin, a JSON object a line, and answers each with the counts so far:
+Run as ``python link_relay.py INTERFACE INTERFACE SEED``. Frames go through as they are. Reads
+commands on stdin, a JSON object a line, and answers each with the counts so far:
 
 - ``delay``, ``jitter``: s each way, jitter uniform to either side
 - ``loss``: share of the frames that are lost, each by itself
 - ``burst``: s for which all frames of a direction are lost, every ``burst_period`` s
+- ``twice``: share of the frames that come twice
+- ``unordered``: share of the frames that those behind them may overtake, by a millisecond
 - ``cut``: whether nothing goes through
 """
 
@@ -15,11 +17,13 @@ import select
 import socket
 import sys
 import time
-from collections import deque
+from bisect import insort
+from operator import itemgetter
 
 ALL_PROTOCOLS = 0x0003
 OUTGOING = 4  # what this host itself sends on the interface
 LARGEST = 65_536
+OVERTAKEN = 0.001  # s
 
 
 class Way:
@@ -27,7 +31,7 @@ class Way:
 
     def __init__(self, source, target, rng):
         self.source, self.target, self.rng = source, target, rng
-        self.queue = deque()
+        self.queue, self.last = [], 0.0
         self.counts = {"passed": 0, "lost": 0}
 
     def take(self, link, now):
@@ -43,13 +47,16 @@ class Way:
                 self.counts["lost"] += 1
                 continue
             due = now + link["delay"] + self.rng.uniform(-1.0, 1.0) * link["jitter"]
-            if self.queue:
-                due = max(due, self.queue[-1][0])
-            self.queue.append((due, frame))
+            if self.rng.random() < link["unordered"]:
+                due += OVERTAKEN
+            else:
+                self.last = due = max(due, self.last)
+            for _ in range(1 + (self.rng.random() < link["twice"])):
+                insort(self.queue, (due, frame), key=itemgetter(0))
 
     def give(self, now):
         while self.queue and self.queue[0][0] <= now:
-            self.target.send(self.queue.popleft()[1])
+            self.target.send(self.queue.pop(0)[1])
             self.counts["passed"] += 1
 
 
@@ -66,7 +73,7 @@ def main():
     rng = random.Random(int(sys.argv[3]))
     ways = [Way(one, other, rng), Way(other, one, rng)]
     link = {"delay": 0.0, "jitter": 0.0, "loss": 0.0, "burst": 0.0, "burst_period": 1.0}
-    link["cut"] = False
+    link |= {"twice": 0.0, "unordered": 0.0, "cut": False}
     print("ready", flush=True)
     while True:
         due = [way.queue[0][0] for way in ways if way.queue]

@@ -72,7 +72,8 @@ def test_the_template_conforms(seft, start_driver):
         thorough("displacement_in_mm", {"stays within limits"}),  # stopped, whatever else is seen
         thorough("wrong_stamp", {"stamps"}),
         thorough("late_state", {"late states"}),
-        ("no_watchdog", {"watchdog: valve_command silent"}),
+        ("no_watchdog", {"watchdog: valve_command silent", "stands still"}),
+        thorough("stands_still", {"stands still"}),
         thorough("no_safe_position", {"safe position"}),
         thorough("careless", {"command stale", "command of the future", "trip is latched"}),
     ],

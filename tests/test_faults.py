@@ -1,11 +1,14 @@
 """Runs that break: one line says why, the bag is readable, no process is left."""
 
+import fcntl
 import json
 import os
+import pty
 import shlex
 import signal
 import subprocess
 import sys
+import termios
 from pathlib import Path
 
 import pytest
@@ -14,7 +17,6 @@ from graph_tools import (
     MISSES_ALLOWED,
     PATIENCE,
     STALLS_ALLOWED,
-    THOROUGH,
     children,
     kill,
     shared_memory,
@@ -44,10 +46,11 @@ class Run:
         Its node processes.
     """
 
-    def __init__(self, start, folder, *words):
+    def __init__(self, start, folder, *words, **options):
         self._bag = folder / "bag"
         words = (*LONG, *NO_COMMAND_ALLOWED, *MISSES_ALLOWED, *words)
-        self.process = start("seft_ros.commands.main", "run", JHU, *words, "--out", "bag")
+        words = ("seft_ros.commands.main", "run", JHU, *words, "--out", "bag")
+        self.process = start(*words, **options)
         self.nodes = {}
 
     def wait_for_nodes(self):
@@ -85,7 +88,7 @@ class Run:
 @pytest.fixture
 def run(start, tmp_path):
     """Start a `seft run`."""
-    return lambda *words: Run(start, tmp_path, *words)
+    return lambda *words, **options: Run(start, tmp_path, *words, **options)
 
 
 def is_alive(pid):
@@ -255,13 +258,22 @@ def test_a_second_interruption_is_an_emergency_stop(run, tmp_path):
     )
 
 
-@THOROUGH
-def test_a_run_that_is_terminated_comes_down_softly(run, tmp_path):
-    found = run(*STALLS_ALLOWED)
+def test_a_run_whose_terminal_is_closed_comes_down_softly(run, tmp_path):
+    keyboard, terminal = pty.openpty()
+
+    def take_terminal():
+        fcntl.ioctl(terminal, termios.TIOCSCTTY, 0)
+
+    options = {"stderr": terminal, "start_new_session": True, "preexec_fn": take_terminal}
+    found = run(*STALLS_ALLOWED, **options)
+    os.close(terminal)
     found.wait_for_data()
-    found.process.terminate()
-    assert "interrupted" in found.ending()
-    assert recorded(tmp_path).trip.reason == "stopped by the operator"
+    os.close(keyboard)
+    assert found.process.wait(PATIENCE) == 1
+    assert not [pid for pid in found.nodes.values() if is_alive(pid)]
+    record = recorded(tmp_path)
+    assert record.complete
+    assert record.trip.reason == "stopped by the operator"
 
 
 def test_a_killed_run_leaves_nothing_though_one_node_is_stopped(run, tmp_path):

@@ -189,8 +189,8 @@ def test_a_node_that_is_terminated_ends_cleanly_and_the_others_miss_it(start_nod
     assert observer.call("start")[0]
     wait_for(lambda: (observer.spin(0.05), observer.time_ns > 10**9)[1], "a second of the test")
 
-    def terminate(node):
-        nodes[node].terminate()
+    def terminate(node, number=signal.SIGTERM):
+        nodes[node].send_signal(number)
         _, errors = nodes[node].communicate(timeout=PATIENCE)
         assert (nodes[node].returncode, "Traceback" in errors) == (0, False), (node, errors)
 
@@ -200,7 +200,7 @@ def test_a_node_that_is_terminated_ends_cleanly_and_the_others_miss_it(start_nod
     wait_for(lambda: observer.call("reset")[0], "the rig at rest")
     gone = ["force_controller"]
     for node in ("rig", "recorder", "ground_motion", "reference_force"):
-        terminate(node)
+        terminate(node, signal.SIGHUP)  # as a closed terminal does
         gone.append(node)
         missed = "waiting for node " + ", ".join(sorted(gone, key=NODES.index))
         wait_for(

@@ -8,9 +8,10 @@ from collections import defaultdict
 
 from graph_tools import JHU, MISSES_ALLOWED, PATIENCE, STALLS_ALLOWED, THOROUGH, children, wait_for
 from seft_msgs_py.node.ros_types import message_class, qos_profile
-from seft_msgs_py.wire.messages import decode_diagnostics
+from seft_msgs_py.wire.messages import Status, decode_diagnostics, encode_status
 from seft_msgs_py.wire.topics import (
     DIAGNOSTICS,
+    EXPERIMENT_STATE,
     LOOP_TOPICS,
     REFERENCE_FORCE,
     RIG_STATE,
@@ -171,20 +172,37 @@ def test_a_trip_for_want_of_commands_tells_what_was_refused_meanwhile(start, hos
     assert " messages were refused meanwhile; 2 nodes publish valve_command" in reason
 
 
-def test_who_joins_a_test_with_commands_that_are_valid_is_not_obeyed(
-    seft_json, start, hostile, tmp_path
+def test_who_joins_a_test_with_what_is_valid_is_named_and_not_obeyed(
+    seft_json, start, hostile, observer, tmp_path
 ):
+    """Not even who has sent more messages than the test's own node, as a counterfeit would."""
     seft_json("simulate", JHU, *LONG, "--out", "simulated")
+    told = statuses(observer)
     process = start_run(start, tmp_path, *LOCKSTEP, *STALLS_ALLOWED)
-    hostile.join(VALVE_COMMAND)
+    hostile.join(VALVE_COMMAND, EXPERIMENT_STATE)
+    hostile.send(VALVE_COMMAND, b"\0" * 8, 3000)  # more than the test's own has sent
     wait_for(lambda: hostile.listeners(VALVE_COMMAND) == 2, "rig and recorder")
-    assert hostile.answer(5.0, lambda: process.poll() is not None) > 100
+    wait_for(lambda: hostile.listeners(EXPERIMENT_STATE) == 7, "all but the supervisor")
+    for state in ("idle", "done", "tripped"):
+        hostile.send(EXPERIMENT_STATE, encode_status(Status("experiment", 0, state, values={})))
+
+    def is_named():
+        """Whether each node tells of the stranger what it has refused of it."""
+        observer.spin(0.0)
+        told_by = lambda node, text: text in told[node].get("strangers", "")  # noqa: E731
+        return told_by("rig", "/hostile on valve_command: ") and all(
+            told_by(node, "/hostile on experiment/state: 3")
+            for node in (*READERS, "ground_motion", "recorder")
+        )
+
+    assert hostile.answer(5.0, lambda: is_named() or process.poll() is not None) > 0
+    assert is_named(), told
     errors = ending(process)
     assert process.returncode == 0, errors
-    compared = seft_json("compare", "simulated", "bag", status=None)
-    for topic in ("rig/state", "reference_force"):
-        assert compared["topics"][topic]["max_abs"] == 0.0
-    assert refusals(tmp_path / "bag")["rig"] > 100
+    compared = seft_json("compare", "simulated", "bag")
+    assert compared["identical"] is True
+    log = (tmp_path / "bag" / "logs" / "rig.log").read_text()
+    assert log.count("/hostile publishes valve_command, too: it is not heard in this test") == 1
 
 
 def test_two_publishers_of_a_topic_of_the_loop_end_the_test_before_anything_moves(

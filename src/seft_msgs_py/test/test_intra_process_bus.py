@@ -6,9 +6,9 @@ from seft_msgs_py.wire.topics import DIAGNOSTICS, RIG_STATE, VALVE_COMMAND
 
 
 def listener(heard, name, then=None):
-    def receive(raw, received_ns, number):
+    def receive(raw, received_ns, gid):
         assert received_ns > 0
-        assert number == 0
+        assert gid == b""
         heard.append((name, raw))
         if then is not None:
             then(raw)

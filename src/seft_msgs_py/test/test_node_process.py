@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 PROGRAM = """
 from seft_msgs_py.node.node_process import NodeProcess
 process = NodeProcess([], ["somebody"])
@@ -25,3 +27,76 @@ def test_a_look_is_taken_after_each_turn_and_chores_are_done_now_and_then():
     assert (looks, more_looks) == (51, 52)
     assert 1 <= chores < 25
     assert more_chores == chores + 1
+
+
+ENDED = """
+import os, pty, signal, sys
+from seft_msgs_py.node.node_process import NodeProcess
+if sys.argv[1] == "nohup":
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+report = os.dup(1)
+keyboard, terminal = pty.openpty()
+os.dup2(terminal, 1)
+os.close(terminal)
+process = NodeProcess([], ["somebody"])
+os.close(keyboard)
+os.kill(os.getpid(), getattr(signal, sys.argv[2]))
+if sys.argv[2] == "SIGHUP" and sys.argv[1] != "nohup":
+    print("the terminal is gone", flush=True)  # which is no fault
+os.write(report, str(process.stopping).encode())
+os.dup2(report, 1)
+process.close()
+"""
+
+
+@pytest.mark.parametrize(
+    ("how", "number", "stops"),
+    [
+        ("run", "SIGINT", True),
+        ("run", "SIGTERM", True),
+        ("run", "SIGHUP", True),
+        ("nohup", "SIGHUP", False),
+    ],
+)
+def test_a_process_ends_when_it_is_told_to_or_its_terminal_is_closed(how, number, stops):
+    words = [sys.executable, "-c", ENDED, how, number]
+    done = subprocess.run(words, stdout=subprocess.PIPE, check=True)
+    assert done.stdout.decode() == str(stops)
+
+
+FAULTY = """
+import time
+from seft_msgs_py.errors import ExperimentError, WireError
+from seft_msgs_py.node.node_process import NodeProcess
+process = NodeProcess([], ["somebody"])
+heard = []
+process.on_fault(heard.append)
+process.on_fault(lambda reason: heard.missing)  # who can't be told
+def fails():
+    raise KeyError("name")
+process.every_turn(fails)
+process.spin_once(0.0)
+print(process.faults, len(heard), heard[-1])
+process._polls.clear()
+process._take_turn = fails  # whatever the middleware may raise
+process.spin_once(0.0)
+print(process.faults, len(heard))
+print(process.attempt("this", lambda: {}["x"]), process.attempt("this", lambda: 3))
+try:
+    process.attempt("this", lambda: (_ for _ in ()).throw(ExperimentError("told")))
+except ExperimentError as error:
+    print(error)
+process.close()
+"""
+
+
+def test_a_fault_is_counted_and_told_and_the_process_goes_on():
+    done = subprocess.run([sys.executable, "-c", FAULTY], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == [
+        "2 1 a fault of the program in a look: KeyError: 'name'",
+        "4 2",
+        "None 3",
+        "told",
+    ]
+    assert done.stderr.count("Traceback") == 1  # a second one is logged a second later

@@ -14,7 +14,15 @@ from seft_msgs_py.node.awake_clock import AwakeClock
 from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import WARM_UP_STEPS, NodeShell
 from seft_msgs_py.wire.messages import Status, decode_status, encode_clock, restamp
-from seft_msgs_py.wire.outcome import FINISHED, LISTED_STEPS, STOPPED, TRIPPED, Trip, rig_status
+from seft_msgs_py.wire.outcome import (
+    FINISHED,
+    LISTED_STEPS,
+    MOVING,
+    STOPPED,
+    TRIPPED,
+    Trip,
+    rig_status,
+)
 from seft_msgs_py.wire.rigs import until_start
 from seft_msgs_py.wire.topics import (
     CLOCK_TOPIC,
@@ -27,6 +35,7 @@ from seft_msgs_py.wire.topics import (
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
 from seft_plant_sim.rig.command import Command
+from seft_plant_sim.rig.command_watch import CommandWatch, elapsed
 from seft_plant_sim.rig.rig import Rig, Stopped
 from seft_plant_sim.rig.rig_diagnostics import RoundTrip, with_health
 from seft_plant_sim.rig.rig_parameters import TABLE
@@ -36,7 +45,6 @@ CLOCK_PERIOD = 0.1  # s of the test's time
 BREATH = 0.005  # s from the first answer in realtime to the time of step 0
 LATEST = 256  # steps: an answer that is older has no round trip
 FALL_BACK = 0.25  # of a period, by which a rig that is ahead of others delays each next sample
-MOVING = ("running", "ramping_down")  # states of a test in which the rig obeys
 TELL_PERIOD = 1.0  # s, of the diagnostics of a running test
 
 
@@ -73,6 +81,10 @@ class RigNode(NodeBody):
         self.facts = {"drive": self._drive.codec.topic.name}
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
         self._clock: SampleClock | None = None  # of a test in realtime
+        self._watch = CommandWatch(
+            self._drive.codec.topic, self._timebase.dt, self._section["watchdog.command_timeout"]
+        )
+        self._fault = ""  # of the program
         self._armed = False
         self._latched = False  # tripped: no new test before the supervisor has said idle
         self._wanted: Status | None = None
@@ -96,6 +108,10 @@ class RigNode(NodeBody):
                     self._wanted = None  # a test runs once
             elif self._ended and self._wanted is not None and self._wanted.message == "idle":
                 self._rest()  # how the last test ended has been told
+
+    def fault(self, reason: str) -> None:
+        """End the test that runs, or the next one, as long as the operator has not reset it."""
+        self._fault = reason
 
     def _command(
         self, topic: LoopTopic, axes: tuple[str, ...], limit: str, loop_delay: int = 0
@@ -144,7 +160,7 @@ class RigNode(NodeBody):
         if reason:
             self._publish(0, state)
         else:
-            reason = self._run_steps(steps, state)
+            reason = self._fault or self._run_steps_safely(steps, state)
         self._publish_clock(self._rig.step_index)
         self._ended = True
         if reason is None:
@@ -155,6 +171,13 @@ class RigNode(NodeBody):
             trip = Trip(reason, step, self._timebase.stamp_ns(step) / 1e9)
             self._tell(TRIPPED, trip)  # before the rig comes to rest: others can stop at once
             self._tell(TRIPPED, trip, self._rig.stop())
+
+    def _run_steps_safely(self, steps: int, state: Floats) -> str | None:
+        """Take the samples of a test; a fault of the program ends it as a limit does."""
+        try:
+            return self._run_steps(steps, state)
+        except Exception as error:
+            return self._shell.fault("a step", error)
 
     def _run_steps(self, steps: int, state: Floats) -> str | None:
         """Take the samples of a test at its pace; say why it ended early, if it did."""
@@ -229,17 +252,18 @@ class RigNode(NodeBody):
     def _lockstep(self, step: int, is_last: bool) -> str | None:
         """Wait for the commands of a step, however long that takes; say why the test must end."""
         del is_last
-        timeout = self._section["lockstep_timeout"]
+        shell, timeout = self._shell, self._section["lockstep_timeout"]
         deadline = time.monotonic() + timeout
         while self._valve.step < step or self._drive.step < step:
-            if not self._shell.spin_once(0.05):
+            if not shell.spin_once(0.05):
                 self._publish_clock(step)  # perhaps there is no ground motion so far ahead
             if (why := self._unwanted()) is not None:
                 return why
             if time.monotonic() > deadline:
                 late = self._valve if self._valve.step < step else self._drive
-                text = f"for step {step} within {timeout:g} s in lockstep"
-                return self._nothing_from(late, f"no {late.codec.topic.name} {text}")
+                topic, foreign = late.codec.topic, shell.foreign_publishers(self._refused_before)
+                text = f"no {topic.name} for step {step} within {timeout:g} s in lockstep"
+                return f"{text}; is {topic.publisher} running?{foreign}"
         return None
 
     def _start_clock(self) -> None:
@@ -265,6 +289,8 @@ class RigNode(NodeBody):
         period, timeout = self._timebase.dt, self._section["watchdog.command_timeout"]
         if step == 0 and self._is_alone:
             clock.fall_back(self._wait_for_answer(0, timeout) + BREATH)
+        if step == 0:
+            self._watch.begin(elapsed() + clock.deadline(0) - time.monotonic())
         deadline = clock.deadline(step + 1)
         while (left := deadline - time.monotonic()) > 0:
             if shell.spin_once(left) and drive.step >= step:
@@ -275,22 +301,16 @@ class RigNode(NodeBody):
             pass  # what came while we were late counts as in time; a flood does not stop us
         if self._waits and drive.step < step:
             clock.fall_back(self._wait_for_answer(step - 1, timeout) + FALL_BACK * period)
-        if (why := self._unwanted()) is not None:
+        if (why := self._unwanted()) is not None or is_last or self._rig.violation is not None:
             return why
-        if drive.step < step and not is_last and self._rig.violation is None:
+        if drive.step < step:
             self._missed_count += 1
             if len(self._missed) < LISTED_STEPS:
                 self._missed.append(step)
                 self._held.append(drive.step)
-            if step - drive.step > max(1, round(timeout / period)) or self._waited_in_vain:
-                text = f"for {timeout:g} s (the last is of step {drive.step})"
-                return self._nothing_from(drive, f"no new {drive.codec.topic.name} {text}")
-        return None
-
-    def _nothing_from(self, command: Command, what: str) -> str:
-        """Add to what failed to come who sends it, and which foreign nodes may be the cause."""
-        foreign = self._shell.foreign_publishers(self._refused_before)
-        return f"{what}; is {command.codec.topic.publisher} running?{foreign}"
+        in_vain = self._waited_in_vain and drive.step < step
+        fault = self._watch.fault(elapsed(), step, drive.step, in_vain=in_vain)
+        return fault + self._shell.foreign_publishers(self._refused_before) if fault else None
 
     def _wait_for_answer(self, step: int, longest: float) -> float:
         """Wait for the command of a step; return for how long, s."""
@@ -324,6 +344,8 @@ class RigNode(NodeBody):
         """Say why the test must end here, if it must: no rig moves without a supervisor."""
         if self._shell.stopping:
             return "the rig node was told to end"
+        if self._fault:
+            return self._fault
         if not self._is_moving():
             return STOPPED
         patience = self._section["watchdog.supervisor_timeout"]
@@ -344,7 +366,7 @@ class RigNode(NodeBody):
         if status.message == "running" and not status.number("steps"):
             raise WireError("a test that does not say how many steps it has")
         if status.message == "idle":
-            self._latched = False
+            self._latched, self._fault = False, ""
         self._armed = status.message == "ready" and not self._latched
         self._wanted = status
 

@@ -17,11 +17,20 @@ from seft_msgs_py.node.awake_clock import AwakeClock
 from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import NodeShell
 from seft_msgs_py.wire.messages import ERROR, OK, Status, decode_status, encode_clock
-from seft_msgs_py.wire.outcome import FINISHED, LISTED_STEPS, STOPPED, TRIPPED, Trip, rig_status
+from seft_msgs_py.wire.outcome import (
+    FINISHED,
+    LISTED_STEPS,
+    MOVING,
+    STOPPED,
+    TRIPPED,
+    Trip,
+    rig_status,
+)
 from seft_msgs_py.wire.rigs import until_start
 from seft_msgs_py.wire.topics import CLOCK_TOPIC, EXPERIMENT_STATE, RIG_STATE, VALVE_COMMAND
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 from seft_plant_sim.rig.command import Command
+from seft_plant_sim.rig.command_watch import CommandWatch, elapsed
 from seft_plant_sim.rig.limits import Limits
 
 from rig_driver.calibration import Calibration
@@ -30,7 +39,6 @@ from rig_driver.parameters import TABLE
 from rig_driver.rest import Rest
 from rig_driver.stand_in import StandIn
 
-MOVING = ("running", "ramping_down")  # states of a test in which the rig obeys
 CLOCK_PERIOD = 0.1  # s between two messages of /clock
 
 
@@ -59,6 +67,8 @@ class DriverNode(NodeBody):
         self._states = TrajectoryCodec(RIG_STATE.of(rig), axes, self._timebase)
         commands = TrajectoryCodec(VALVE_COMMAND.of(rig), axes, self._timebase)
         self._command = Command(commands, section["limits.command"])
+        timeout = section["watchdog.command_timeout"]
+        self._watch = CommandWatch(commands.topic, self._timebase.dt, timeout)
         self.facts = {"drive": commands.topic.name}
         self._publish_state = shell.publisher(self._states.topic)
         self._tells_time = axes[0] == experiment.axes[0]  # one rig does
@@ -76,6 +86,7 @@ class DriverNode(NodeBody):
         self._overruns = 0
         self._status = Status("rig", OK, "idle", values={"phase": "idle"})
         self._resting: bool | None = None  # None: nobody looks
+        self._limits.violation(np.zeros((4, len(axes))))  # the first call takes longest
 
     def run(self) -> None:
         """Sample until told to stop."""
@@ -91,15 +102,18 @@ class DriverNode(NodeBody):
                 if late:  # held up for more than a period: go on from here, without hurry
                     self._overruns += self._phase == "running"
                 deadline += (1 + late) * period
-                self._tick()
+                self._shell.attempt("a sample", self._tick)
             if self._phase == "running":
                 self._end("the rig node was told to end")
         finally:
             self._hardware.to_safe_position()
             self._hardware.close()
 
-    def look(self) -> None:
-        """Nothing here falls due while another node of the process spins."""
+    def fault(self, reason: str) -> None:
+        """Bring the rig to its safe position, whatever it is in, and end a test that runs."""
+        self._hardware.to_safe_position()
+        if self._phase == "running":
+            self._end(reason)
 
     def _tick(self) -> None:
         """Take one sample, and do with it what the phase asks for."""
@@ -130,6 +144,7 @@ class DriverNode(NodeBody):
             self._end(conflict)
             return
         self._publish(0, sample)
+        self._watch.begin(elapsed())  # nothing has moved before
 
     def _publish(self, step: int, sample: Floats) -> None:
         self._step = self._command.current = step
@@ -155,18 +170,18 @@ class DriverNode(NodeBody):
             self._end(f"node supervisor has been silent for {patience:g} s")
         elif step + 1 == self._total:
             self._end(None)
-        elif self._command.step < step:
-            self._missed_count += 1
-            if len(self._missed) < LISTED_STEPS:
-                self._missed.append(step)
+        else:
+            if self._command.step < step:
+                self._missed_count += 1
+                if len(self._missed) < LISTED_STEPS:
+                    self._missed.append(step)
             self._look_after_commands(step)
         return self._phase == "running"
 
     def _look_after_commands(self, step: int) -> None:
-        timeout = self._section["watchdog.command_timeout"]
-        if (step - self._command.step) * self._timebase.dt > timeout:
-            last = self._command.step
-            self._end(f"no new valve_command for {timeout:g} s (the last is of step {last})")
+        """End a test that has been without a new command, also while this process was stopped."""
+        if fault := self._watch.fault(elapsed(), step, self._command.step):
+            self._end(fault)
 
     def _end(self, reason: str | None) -> None:
         """End a test: the rig comes to rest whatever the reason; None if all steps are done."""

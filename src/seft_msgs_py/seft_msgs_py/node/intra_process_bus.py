@@ -7,9 +7,9 @@ from collections.abc import Callable, Collection
 from seft_msgs_py.wire.rigs import bare
 from seft_msgs_py.wire.topics import LoopTopic, Topic
 
-Receive = Callable[[bytes, int, int], bool]
-"""Takes a message's bytes, the wall-clock time in ns at which it came in, and how many its
-publisher has sent with it (0: unknown); tells whether it was acted upon."""
+Receive = Callable[[bytes, int, bytes], bool]
+"""Takes a message's bytes, the wall-clock time in ns at which it came in, and the identifier of its
+publisher (empty: a node of this process); tells whether it was acted upon."""
 
 
 class IntraProcessBus:
@@ -61,7 +61,7 @@ class IntraProcessBus:
             while posted:
                 name, raw = posted.popleft()
                 for _, receive in self._listeners[name]:
-                    receive(raw, time.time_ns(), 0)
+                    receive(raw, time.time_ns(), b"")
         finally:
             self.send_outside()
         return True

@@ -11,6 +11,7 @@ from seft_msgs_py.node.exit_watchdog import exit_watchdog
 from seft_msgs_py.node.node_process import NodeProcess
 from seft_msgs_py.node.node_shell import IDLE_WAIT, NodeShell
 from seft_msgs_py.wire.messages import OK, Status
+from seft_msgs_py.wire.outcome import tripped_status
 
 CLOSE_PATIENCE = 5.0  # s
 
@@ -42,7 +43,11 @@ class NodeBody:
         """Work until told to stop, spinning the shell."""
         while not self._shell.stopping:
             self._shell.spin_once(self.period())
-            self.poll()
+            self._shell.attempt("a look", self.poll)
+
+    def fault(self, reason: str) -> None:
+        """Hear of a fault of the program, in this node or another of its process; end the test."""
+        self._shell.report(tripped_status(self._shell.name, reason, 0))
 
     def poll(self) -> None:
         """Do what falls due by time alone; called after each turn, whoever spins."""
@@ -97,6 +102,7 @@ def run_nodes(*kinds: NodeKind) -> int:
             node = kind.make(shell)
             shell.start(node.facts)
             node.begin()
+            shell.on_fault(node.fault)
             nodes.append(node)
         for node in nodes[1:]:
             process.every_turn(node.poll)

@@ -6,13 +6,15 @@ holds one node; several in one hand each other their messages directly (`IntraPr
 """
 
 import gc
-import signal
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Collection, Sequence
-from traceback import format_exc
+from pathlib import Path
+from traceback import extract_tb, format_exception
 from types import FrameType
+from typing import Any
 
 import numpy as np
 import rclpy
@@ -21,17 +23,21 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
-from seft_msgs_py.errors import InputError
+from seft_msgs_py.errors import InputError, SeftError, WireError
+from seft_msgs_py.node.ending import on_ending
 from seft_msgs_py.node.intra_process_bus import IntraProcessBus, Receive
 from seft_msgs_py.node.middleware import prepare_middleware
 from seft_msgs_py.node.realtime import wake_on_time
-from seft_msgs_py.node.wait_set import WaitSet, take
+from seft_msgs_py.node.wait_set import WaitSet, taker
 
 OUTSIDE_PERIOD = 0.002  # s between polls for messages from outside while those inside keep coming
 CHORE_PERIOD = 0.01  # s between chores, after messages were handled
 IDLE_CHORE_PERIOD = 0.05  # s, where none came: a wait may have ended because a sample is due
 MOST_AT_ONCE = 4096  # messages of a topic, as many as the longest queue holds
 MOST_REFUSED = 200  # a few ms of nonsense
+LOG_PERIOD = 1.0  # s between two faults that are logged; all are counted
+REQUESTS = "rclpy/parameter_service.py"
+"""Where requests for parameters are read, which may make no sense."""
 
 
 class NodeProcess:
@@ -42,7 +48,9 @@ class NodeProcess:
     bus : IntraProcessBus
         Messages between its nodes.
     stopping : bool
-        Set by SIGINT and SIGTERM.
+        Set by SIGINT, SIGTERM and SIGHUP.
+    faults : int
+        Exceptions that the nodes' program has raised where nobody expected any.
 
     Raises
     ------
@@ -52,11 +60,14 @@ class NodeProcess:
 
     def __init__(self, argv: Sequence[str], nodes: Collection[str]) -> None:
         self.stopping = False
+        self.faults = 0
+        self._new_faults: deque[str] = deque()
+        self._fault_logged_at = -LOG_PERIOD
+        self._hear_of_faults: list[Callable[[str], None]] = []
         wake_on_time()
         self.bus = IntraProcessBus(nodes)
         prepare_middleware()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._on_signal)
+        on_ending(self._on_signal)
         try:
             rclpy.init(
                 args=_without_parameters(argv), signal_handler_options=SignalHandlerOptions.NO
@@ -87,9 +98,10 @@ class NodeProcess:
         Returns what hands over one message and tells whether it was acted upon, None if there is
         none.
         """
+        take = taker(subscription)
 
         def read_one() -> bool | None:
-            taken = take(subscription)
+            taken = take()
             return None if taken is None else receive(*taken)
 
         if wake:
@@ -107,6 +119,42 @@ class NodeProcess:
         """Have ``chore`` called after some turns: it can wait, and must not be waited for."""
         self._chores.append(chore)
 
+    def on_fault(self, hear: Callable[[str], None]) -> None:
+        """Have ``hear`` called, in the main thread, with the reason of each fault."""
+        self._hear_of_faults.append(hear)
+
+    def attempt(self, what: str, call: Callable[..., Any], *arguments: Any) -> Any:
+        """Call something; an exception that nobody expects is a fault, and the process goes on.
+
+        A process that died of it would leave a test without its node, and the supervisor's an
+        operator without an emergency stop. What a user is told in one line passes.
+        """
+        try:
+            return call(*arguments)
+        except Exception as error:
+            if isinstance(error, SeftError) and not isinstance(error, WireError):
+                raise
+            self.fault(what, error)
+            return None
+
+    def fault(self, what: str, error: Exception) -> str:
+        """Count a fault, log it, tell the nodes of it in this turn or the next; give its reason.
+
+        May be called from any thread.
+        """
+        reason = f"a fault of the program in {what}: {type(error).__name__}: {error}"
+        reason = " ".join(reason.splitlines())
+        self.faults += 1
+        self._new_faults.append(reason)
+        self._log(reason, error)
+        return reason
+
+    def _log(self, reason: str, error: Exception) -> None:
+        if (now := time.monotonic()) - self._fault_logged_at >= LOG_PERIOD:
+            self._fault_logged_at = now
+            trace = "".join(format_exception(error))
+            rclpy.logging.get_logger("seft").error(f"{reason} ({self.faults} so far)\n{trace}")
+
     def start(self) -> None:
         """Begin to serve: all that is slow has been done."""
         np.seterr(over="ignore", invalid="ignore")  # the limits see what is not finite
@@ -121,6 +169,28 @@ class NodeProcess:
         Of topics that end the waiting it takes one message, and what is refused before it; the
         next call finds the rest. Tells whether such a message was handled.
         """
+        handled = bool(self.attempt("the turn", self._take_turn, timeout))
+        for poll in self._polls:
+            self.attempt("a look", poll)
+        pause = CHORE_PERIOD if handled else IDLE_CHORE_PERIOD
+        if (now := time.monotonic()) - self._chores_at >= pause:
+            self._chores_at = now
+            for chore in self._chores:
+                self.attempt("a chore", chore)
+        while self._new_faults:
+            reason = self._new_faults.popleft()
+            for hear in self._hear_of_faults:
+                self._tell_fault(hear, reason)
+        return handled
+
+    def _tell_fault(self, hear: Callable[[str], None], reason: str) -> None:
+        try:
+            hear(reason)
+        except Exception as error:  # which must not be told in turn
+            self.faults += 1
+            self._log(f"{reason}; it could not be told", error)
+
+    def _take_turn(self, timeout: float) -> bool:
         handled = self.bus.deliver()
         if not handled or time.monotonic() - self._polled_outside_at > OUTSIDE_PERIOD:
             handled |= self._poll_outside(0.0 if handled else timeout)
@@ -128,13 +198,6 @@ class NodeProcess:
             for read_one in self._quiet:
                 drain(read_one)
             self.bus.deliver()
-        for poll in self._polls:
-            poll()
-        pause = CHORE_PERIOD if handled else IDLE_CHORE_PERIOD
-        if (now := time.monotonic()) - self._chores_at >= pause:
-            self._chores_at = now
-            for chore in self._chores:
-                chore()
         return handled
 
     def close(self) -> None:
@@ -175,12 +238,23 @@ class NodeProcess:
                 self._executor.spin_once(timeout_sec=0.5)
             except (ExternalShutdownException, rclpy.executors.ShutdownException):
                 return
-            except Exception:
-                rclpy.logging.get_logger("seft").error(f"a service failed:\n{format_exc()}")
+            except Exception as error:
+                if _was_senseless(error):
+                    self._log("refused a request for parameters that makes no sense", error)
+                else:
+                    self.fault("a service", error)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         del number, frame
         self.stopping = True
+
+
+def _was_senseless(error: Exception) -> bool:
+    """Tell whether rclpy could not read a request for parameters, and no node has seen it."""
+    files = [frame.filename for frame in extract_tb(error.__traceback__)]
+    read = [number for number, file in enumerate(files) if file.endswith(REQUESTS)]
+    here = str(Path(__file__).parent)
+    return bool(read) and not any(file.startswith(here) for file in files[read[0] :])
 
 
 def drain(read_one: Callable[[], bool | None]) -> None:

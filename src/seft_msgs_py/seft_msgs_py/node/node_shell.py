@@ -9,21 +9,28 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.publisher import Publisher
-from rclpy.subscription import Subscription
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_file import split_ros_arguments
 from seft_msgs_py.config.parameter_table import Table
-from seft_msgs_py.errors import InputError, WireError
+from seft_msgs_py.errors import InputError, SeftError, WireError
 from seft_msgs_py.node import realtime
 from seft_msgs_py.node.intra_process_bus import Receive
 from seft_msgs_py.node.node_process import NodeProcess, drain
 from seft_msgs_py.node.ros_types import declare_parameters, message_class, qos_profile
+from seft_msgs_py.node.senders import Senders
 from seft_msgs_py.node.single_instance import single_instance
 from seft_msgs_py.node.wait_set import raw_subscription, sender
-from seft_msgs_py.wire.messages import Status, encode_diagnostics, encode_string, restamp
+from seft_msgs_py.wire.messages import (
+    Status,
+    decode_status,
+    encode_diagnostics,
+    encode_string,
+    restamp,
+)
+from seft_msgs_py.wire.outcome import MOVING
 from seft_msgs_py.wire.rigs import RIG_NODES, RigAxes
-from seft_msgs_py.wire.topics import DESCRIPTION, DIAGNOSTICS, LoopTopic, Topic
+from seft_msgs_py.wire.topics import DESCRIPTION, DIAGNOSTICS, EXPERIMENT_STATE, LoopTopic, Topic
 
 IDLE_WAIT = 0.05  # s; a signal is noticed within this time
 STATUS_PERIOD = 0.2  # s: a sign of life
@@ -76,12 +83,10 @@ class NodeShell:
         self._facts: dict[str, Any] | None = None  # none before it has described itself
         declare_parameters(self.node, table, section, self._describe)
         self._publishers: dict[str, Publisher] = {}
-        self._subscriptions: dict[str, Subscription] = {}
         self._readers: dict[str, Callable[[], bool | None]] = {}
-        self._inside: dict[str, str] = {}  # topics that come from this process, and full names
-        self._loop_names: set[str] = set()  # of the topics of the loop that it listens to
+        self._senders = Senders(self.node)
         self._handled_at = 0.0  # s, monotonic: the last message of the loop
-        self._polled_at = 0.0
+        self._polled_at = self._looked_at = 0.0
         self._status = Status(self.name, 0, "starting", values={})
         self._status_sent: tuple[float, Status | None] = (0.0, None)
         self._status_message = bytearray()
@@ -130,16 +135,15 @@ class NodeShell:
         callable
             Handles one message and tells whether it was acted upon; None if there is none.
         """
-        if isinstance(topic, LoopTopic):
-            self._loop_names.add(topic.name)
         here, receive = replace(topic, name=self._full_name(topic)), self._guarded(handler, topic)
         if self._process.bus.serves(topic):
-            self._inside[topic.name] = full_name = self.node.resolve_topic_name(here.name)
+            full_name = self.node.resolve_topic_name(here.name)
+            self._senders.add(topic, full_name)
             self._process.bus.subscribe(full_name, self.name, receive)
             read_one = _nothing
         else:
             subscription = raw_subscription(self.node, here, depth, reliable)
-            self._subscriptions[topic.name] = subscription
+            self._senders.add(topic, subscription.topic_name, subscription)
             read_one = self._process.add_subscription(subscription, receive, wake)
         self._readers[topic.name] = read_one
         return read_one
@@ -162,6 +166,18 @@ class NodeShell:
         """Let the process wait for messages and handle them, see `NodeProcess.spin_once`."""
         return self._process.spin_once(timeout)
 
+    def attempt(self, what: str, call: Callable[..., Any], *arguments: Any) -> Any:
+        """Call something of this node, see `NodeProcess.attempt`."""
+        return self._process.attempt(f"{self.name}, {what}", call, *arguments)
+
+    def fault(self, what: str, error: Exception) -> str:
+        """Count and tell a fault of this node's program, see `NodeProcess.fault`."""
+        return self._process.fault(f"{self.name}, {what}", error)
+
+    def on_fault(self, hear: Callable[[str], None]) -> None:
+        """Have ``hear`` called with the reason of each fault in this process."""
+        self._process.on_fault(hear)
+
     def refuse(self, reason: str) -> None:
         """Count a message that was not acted upon; a warning follows, at most once a second.
 
@@ -183,8 +199,7 @@ class NodeShell:
 
     def matched(self) -> dict[str, str]:
         """Names of the nodes that listen to each topic, separated by blanks; number of senders."""
-        names = (*self._inside, *self._subscriptions)
-        found = {f"senders {name}": str(self._senders(name)) for name in names}
+        found = {f"senders {name}": str(n) for name, n in self._senders.counts().items()}
         for name, publisher in self._publishers.items():
             infos = self.node.get_subscriptions_info_by_topic(publisher.topic_name)
             listeners = {self._seen_from_the_test(i.node_namespace, i.node_name) for i in infos}
@@ -195,19 +210,8 @@ class NodeShell:
         return found
 
     def several_senders(self) -> str:
-        """Say which topic of the loop more than one node publishes; empty if none.
-
-        One of them is not of this test, and whose messages count would be chance.
-        """
-        for name in (*self._subscriptions, *self._inside):
-            if name in self._loop_names and (count := self._senders(name)) > 1:
-                return f"{count} nodes publish {name}"
-        return ""
-
-    def _senders(self, name: str) -> int:
-        if name in self._inside:
-            return int(self.node.count_publishers(self._inside[name]))
-        return int(self._subscriptions[name].get_publisher_count())
+        """Say which topic of the test more than one node publishes, see `Senders.conflict`."""
+        return self._senders.conflict()
 
     def foreign_publishers(self, refused_before: int) -> str:
         """Say which foreign nodes may be why something fails to come, to be put after that.
@@ -230,26 +234,28 @@ class NodeShell:
         return full.removeprefix(f"{self._test_namespace}/")
 
     def _guarded(self, handler: Handler, topic: Topic) -> Receive:
-        """Refuse what is no message of the test; note when the loop was last seen to turn.
-
-        The publisher of a topic that has a message in each step numbers them, outside this
-        process. One that joins later has sent fewer than were acted upon.
-        """
+        """Refuse what is no message of the test; note when the loop was last seen to turn."""
         is_of_each_step = isinstance(topic, LoopTopic) and not topic.latched
-        last = 0
+        name, senders = topic.name, self._senders
 
-        def receive(raw: bytes, received_ns: int, number: int) -> bool:
-            nonlocal last
+        def receive(raw: bytes, received_ns: int, gid: bytes) -> bool:
             if is_of_each_step:
                 self._handled_at = time.monotonic()
+            if senders.is_stranger(name, gid):
+                self.refused += 1
+                return False
             try:
-                if is_of_each_step and 0 < number <= last and self._senders(topic.name) > 1:
-                    raise WireError(f"{topic.name} of a second publisher")
                 handler(raw, received_ns)
             except WireError as error:
                 self.refuse(str(error))
                 return False
-            last = number
+            except SeftError:
+                raise  # why the node can't go on, for the user
+            except Exception as error:
+                self.fault(name, error)
+                return False
+            if topic == EXPERIMENT_STATE:
+                senders.follow(decode_status(raw).message in MOVING)
             return True
 
         return receive
@@ -263,11 +269,16 @@ class NodeShell:
         if self._warning and now - self._warned_at >= WARN_PERIOD:
             self.node.get_logger().warning(f"refused ({self.refused} so far): {self._warning}")
             self._warning, self._warned_at = "", now
+        if now - self._looked_at >= STATUS_PERIOD:
+            self._looked_at = now
+            for news in self._senders.look():
+                self.node.get_logger().warning(news)
         sent_at, sent = self._status_sent
         if now - self._handled_at < LOOP_PAUSE:
             if now - sent_at >= STATUS_PERIOD:
-                if self._status.values.get("refused") != str(self.refused):
-                    values = {**self._status.values, "refused": str(self.refused)}
+                counted = self._counted()
+                if counted.items() - self._status.values.items():
+                    values = {**self._status.values, **counted}
                     self._status = replace(self._status, values=values)
                 self._publish_status()
             return
@@ -287,7 +298,11 @@ class NodeShell:
 
     def _own_values(self) -> dict[str, str]:
         peak = round(realtime.memory_kb("VmHWM") / 1024)
-        return {"refused": str(self.refused), "peak_memory_mb": str(peak)}
+        return {**self._counted(), "peak_memory_mb": str(peak)}
+
+    def _counted(self) -> dict[str, str]:
+        counted = {"refused": str(self.refused), "faults": str(self._process.faults)}
+        return {**counted, "strangers": self._senders.strangers()}
 
     def _publish_status(self) -> None:
         now = time.time_ns()

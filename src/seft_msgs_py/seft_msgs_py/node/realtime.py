@@ -114,7 +114,7 @@ def may_keep_awake() -> bool:
 def granted() -> dict[str, Any]:
     """Tell what this process has: its real-time priority (0: none), nice value, cores...
 
-    ``boot`` is the same for all processes of a machine.
+    ``boot`` is the same for all processes of a machine, ``process`` tells one of them from others.
     """
     policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     is_realtime = policy in (os.SCHED_FIFO, os.SCHED_RR)
@@ -126,12 +126,25 @@ def granted() -> dict[str, Any]:
         "keeps_awake": bool(_held),
         "equal_addresses": bool(_personality() & _ADDR_NO_RANDOMIZE),
         "boot": boot(),
+        "process": [os.getpid(), started(os.getpid())],
     }
 
 
 def boot() -> str:
     """Tell one machine, from its start to its end, from all others; names no host."""
     return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+
+
+def started(pid: int) -> int:
+    """Time at which a process of this machine started, in ticks of the kernel; -1: there is none.
+
+    A number may be given anew, and a container has numbers of its own.
+    """
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return -1
+    return int(stat.rsplit(")", 1)[1].split()[19])
 
 
 def _personality() -> int:

@@ -5,6 +5,7 @@ step of the loop. rclpy's own ``wait_for_message`` shows the way taken here: a w
 some subscriptions, from which bytes are taken as they came.
 """
 
+import ctypes
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -69,17 +70,78 @@ class WaitSet:
         return [known[pointer] for pointer in wait_set.get_ready_entities("subscription")]
 
 
-def take(subscription: Subscription) -> tuple[bytes, int, int] | None:
-    """Take the oldest message that has arrived on a raw subscription; None if there is none.
+class _Gid(ctypes.Structure):
+    """``rmw_gid_t``: tells one publisher from all others."""
 
-    Beside it are the wall-clock time in ns at which it came in, and how many its publisher has
-    sent with it, 0 where the middleware does not tell.
+    _fields_ = (("implementation", ctypes.c_char_p), ("data", ctypes.c_uint8 * 16))
+
+
+class _Info(ctypes.Structure):
+    """``rmw_message_info_t``, of which rclpy does not hand on the last."""
+
+    _fields_ = (
+        ("source_timestamp", ctypes.c_int64),
+        ("received_timestamp", ctypes.c_int64),
+        ("publication_sequence_number", ctypes.c_uint64),
+        ("reception_sequence_number", ctypes.c_uint64),
+        ("publisher_gid", _Gid),
+        ("from_intra_process", ctypes.c_bool),
+    )
+
+
+class _Allocator(ctypes.Structure):
+    """``rcutils_allocator_t``."""
+
+    _fields_ = tuple((name, ctypes.c_void_p) for name in ("new", "free", "grow", "zero", "state"))
+
+
+class _Bytes(ctypes.Structure):
+    """``rcutils_uint8_array_t``: grows where a message needs it."""
+
+    _fields_ = (
+        ("buffer", ctypes.c_void_p),
+        ("length", ctypes.c_size_t),
+        ("capacity", ctypes.c_size_t),
+        ("allocator", _Allocator),
+    )
+
+
+_OK, _NOTHING = 0, 401  # RCL_RET_OK, RCL_RET_SUBSCRIPTION_TAKE_FAILED
+
+
+def taker(subscription: Subscription) -> Callable[[], tuple[bytes, int, bytes] | None]:
+    """Give what takes the oldest message that has arrived on a raw subscription.
+
+    It returns None if there is none; else its bytes, the wall-clock time in ns at which it came
+    in, and the identifier of its publisher, which is the ``endpoint_gid`` of the graph.
     """
-    taken = subscription.handle.take_message(subscription.msg_type, True)
-    if taken is None:
-        return None
-    raw, info = taken
-    return raw, info["received_timestamp"], info["publication_sequence_number"] or 0
+    rcl, rcutils = ctypes.PyDLL("librcl.so"), ctypes.PyDLL("librcutils.so")
+    rcutils.rcutils_get_default_allocator.restype = _Allocator
+    allocator = rcutils.rcutils_get_default_allocator()
+    message, info = _Bytes(), _Info()
+    rcutils.rcutils_uint8_array_init.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p)
+    if rcutils.rcutils_uint8_array_init(
+        ctypes.addressof(message), 1024, ctypes.addressof(allocator)
+    ):
+        raise MemoryError("no memory for a message")
+    rcl_take = rcl.rcl_take_serialized_message
+    rcl_take.argtypes = (ctypes.c_void_p,) * 4
+    here = ctypes.c_void_p(subscription.handle.pointer)  # valid as long as its node
+    there = ctypes.c_void_p(ctypes.addressof(message))
+    beside, gid = ctypes.c_void_p(ctypes.addressof(info)), ctypes.addressof(info.publisher_gid.data)
+    string_at, size = ctypes.string_at, ctypes.sizeof(info.publisher_gid.data)
+
+    def take() -> tuple[bytes, int, bytes] | None:
+        result = rcl_take(here, there, beside, None)
+        if result == _OK:
+            raw = string_at(message.buffer, message.length)
+            return raw, info.received_timestamp, string_at(gid, size)
+        if result == _NOTHING:
+            return None
+        rcutils.rcutils_reset_error()
+        raise RuntimeError(f"a message can't be taken: error {result} of rcl")
+
+    return take
 
 
 def take_timed(subscription: Subscription) -> tuple[bytes, int] | None:

@@ -15,6 +15,8 @@ FINISHED = "finished"
 TRIPPED = "tripped"
 STOPPED = "stopped"
 """Reason of a rig that only did what the supervisor said: that one knows why."""
+MOVING = ("running", "ramping_down")
+"""States of a test in which a rig obeys."""
 LISTED_STEPS = 100
 """Missed steps that a status lists; all are counted."""
 ROUND_TRIPS = {

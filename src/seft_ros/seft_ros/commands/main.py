@@ -1,10 +1,12 @@
 """The `seft` command."""
 
+import signal
 import sys
 from contextlib import redirect_stdout
 
 import typer
 from seft_msgs_py.errors import SeftError
+from seft_msgs_py.node.ending import as_before, on_ending
 
 from seft_ros.commands.bags import compare, recover, report
 from seft_ros.commands.conform import conform
@@ -48,7 +50,11 @@ def seft(context: typer.Context) -> None:
 
 
 def main() -> int:
-    """Run the command line; return 0 done, 1 tripped or unstable, 2 wrong input."""
+    """Run the command line; return 0 done, 1 tripped or unstable, 2 wrong input.
+
+    SIGTERM and a closed terminal are as Ctrl-C: whatever a command has set in motion rests first.
+    """
+    before = on_ending(signal.default_int_handler)
     try:
         return int(APP(standalone_mode=False) or 0)
     except SeftError as error:
@@ -67,6 +73,8 @@ def main() -> int:
         # wrong use; whose class this is, typer's or click's, depends on typer's version
         complain(f"{error.format_message()} (seft --help shows what there is)")
         return 2
+    finally:
+        as_before(before)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
 """What the commands print: results on stdout, complaints and progress on stderr."""
 
 import json
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -76,8 +75,6 @@ def step_progress(total: int, lost: str = "") -> Iterator[Callable[[str, int], N
         MofNCompleteColumn(),
         TimeRemainingColumn(),
     )
-    if lost:
-        signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: end the workers
     try:
         with Progress(*columns, console=stderr_console()) as bar:
             task = bar.add_task("", total=total)

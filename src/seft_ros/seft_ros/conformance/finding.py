@@ -42,6 +42,8 @@ _OBEDIENCE = {
     "and tell 'stop time (s)' and 'stop peak force (N)' in the status of the trip",
     "trip is latched": "keep a trip until experiment/state is idle",
     "watchdog: supervisor silent": "",
+    "stands still": "before each command look how long the last new one is ago, by a clock that "
+    "goes on meanwhile: seft_plant_sim.rig.command_watch.CommandWatch shows how",
     "rests when done": "end the test at once when experiment/state is done",
     "rests when tripped": "end the test at once when experiment/state is tripped",
     "rests in a test under way": "begin only where experiment/state was ready before: a rig that "

@@ -141,6 +141,21 @@ def check_watchdog(trial: Trial, timeout: float, silent: str, *, by_itself: bool
     return found(name, passed, told, mend, tripped_s=took, last_state_s=last)
 
 
+def check_stood_still(trial: Trial) -> Finding:
+    """See that a rig whose process was stopped trips when it goes on, before it takes a sample.
+
+    One state may have been taken before and be sent after.
+    """
+    name, tripped = "stands still", trial.status_of(TRIPPED)
+    if "goes on" not in trial.marks or not trial.states:
+        return found(name, False, "the test ended before")
+    later = int((trial.samples.times > trial.marks["goes on"]).sum())
+    told = f"{later} states after its process was stopped and went on"
+    reason = tripped[1].values.get("reason", "") if tripped else ""
+    told += f", tripped: {reason or 'no reason told'}" if tripped else ", no trip"
+    return found(name, later <= 1 and bool(reason), told, states=later)
+
+
 def check_safe_position(trial: Trial, next_one: Samples) -> Finding:
     """See that the rig comes to rest after a trip in the middle of a motion.
 

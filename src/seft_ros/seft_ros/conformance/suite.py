@@ -1,6 +1,7 @@
 """All checks over DDS, in an order in which each relies on those before it."""
 
 import os
+import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, nullcontext
@@ -8,6 +9,7 @@ from dataclasses import replace
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.node.realtime import boot, started
 from seft_msgs_py.wire.outcome import FINISHED, TRIPPED
 from seft_msgs_py.wire.topics import LOOP_TOPICS, VALVE_COMMAND
 from seft_plant_sim.reference.whole_structure import tested_specimen
@@ -36,6 +38,7 @@ TIMING = ("period", "late states")
 LONG = 60.0  # s that a test is said to have, which ends before
 LEAD, GOING = 0.3, 0.2  # s of rest at the start of a test, and of motion before a watchdog's
 BRIEF = 0.5  # s
+STILL = 0.5  # s beyond its watchdog's time for which the driver is stopped
 STOP = 0.3  # s from a word of the supervisor to the last state
 
 
@@ -111,6 +114,7 @@ class Suite:
                 return
         yield from self._command_badly()
         yield from self._fall_silent()
+        yield self._stand_still()
         yield from self._stop()
 
     def _meet(self) -> Iterator[Finding]:
@@ -257,6 +261,30 @@ class Suite:
             if finding.verdict == "passed" or not by_itself:
                 break
         return trial, finding
+
+    def _stand_still(self) -> Finding:
+        """Stop the driver's process in a test in which the rig rests, and let it go on."""
+        driver, pid = self._driver, self._process()
+        if pid is None:
+            why = "the driver does not tell its process, or is on another host: stop it by hand"
+            return not_run("stands still", why)
+        trial = driver.run(self._long, driver.command, BRIEF, ())
+        try:
+            os.kill(pid, signal.SIGSTOP)
+            driver.listen_for(self._timeout("command") + STILL)
+        finally:
+            os.kill(pid, signal.SIGCONT)
+        driver.mark("goes on")
+        driver.wait(lambda: trial.phase == TRIPPED, PATIENCE)
+        driver.end(State.TRIPPED)
+        return obedience_checks.check_stood_still(trial)
+
+    def _process(self) -> int | None:
+        """Find the driver's process, if it is of this machine."""
+        assert self._driver.description is not None
+        told = self._driver.description.get("realtime", {})
+        pid, start = told.get("process", (0, -1))
+        return pid if told.get("boot") == boot() and started(pid) == start != -1 else None
 
     def _stop(self) -> Iterator[Finding]:
         """End a test as the supervisor; then begin one that the rig was not ready for."""

@@ -13,7 +13,7 @@ from rclpy.signals import SignalHandlerOptions
 from seft_msgs_py.errors import ExperimentError, InputError, WireError
 from seft_msgs_py.node.exit_watchdog import leave_graph
 from seft_msgs_py.node.ros_types import message_class, qos_profile
-from seft_msgs_py.node.wait_set import WaitSet, raw_subscription, sender, take
+from seft_msgs_py.node.wait_set import WaitSet, raw_subscription, sender, taker
 from seft_msgs_py.wire.messages import decode_string, encode_string
 from seft_msgs_py.wire.rigs import RigAxes
 from seft_msgs_py.wire.topics import LINK_PING, LINK_PONG, Topic
@@ -38,12 +38,13 @@ class _LinkNode:
         )
         self.send = sender(self.publisher)
         self.subscription = raw_subscription(self.node, hears, reliable=False)
+        self._take = taker(self.subscription)
         self._wait_set = WaitSet(self.node.context, [self.subscription])
 
     def listen(self, timeout: float) -> Iterator[bytes]:
         """Give what comes until ``timeout`` s are over or something has come."""
         self._wait_set.wait(timeout)
-        while (taken := take(self.subscription)) is not None:
+        while (taken := self._take()) is not None:
             yield taken[0]
 
     def close(self) -> None:

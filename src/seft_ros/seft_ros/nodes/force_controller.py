@@ -109,6 +109,10 @@ class ForceControllerNode(NodeBody):
                 f"{self._order.last}); is rig running?{foreign}"
             )
 
+    def fault(self, reason: str) -> None:
+        """Answer with 0 V from now on."""
+        self._trip(reason)
+
     def period(self) -> float:
         """Poll soon while a force waits for its state, and for the watchdog."""
         if isinstance(self._forces, MatchedForces) and self._forces.pending:

@@ -92,6 +92,10 @@ class ReferenceForceNode(NodeBody):
         if self._gathering is not None and running and not self._conflict:
             self._trip_for(self._gathering.lost(time.monotonic()), max(self._order.last, 0))
 
+    def fault(self, reason: str) -> None:
+        """End the test: nothing is answered any more."""
+        self._trip_for(reason, max(self._order.last, 0))
+
     def period(self) -> float:
         """Poll soon while the state of a rig is late."""
         waiting = self._gathering is not None and self._gathering.is_waiting

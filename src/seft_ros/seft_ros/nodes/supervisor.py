@@ -23,7 +23,7 @@ from seft_msgs_py.wire.messages import (
     decode_diagnostics,
     encode_status,
 )
-from seft_msgs_py.wire.outcome import FINISHED, RIG, TRIPPED
+from seft_msgs_py.wire.outcome import FINISHED, RIG, STOPPED, TRIPPED
 from seft_msgs_py.wire.rigs import START, with_rigs
 from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND
 from seft_msgs_py.wire.topics import CLOCK_TOPIC, DESCRIPTION, DIAGNOSTICS, EXPERIMENT_STATE
@@ -51,6 +51,7 @@ SOFT_PEERS = ("ground_motion", "recorder")
 """Nodes without which the loop can still bring the force down."""
 START_AHEAD_NS = 200_000_000  # in which the word of the start reaches all rigs
 LOCKSTEP_PATIENCE = 10.0  # times the margin of realtime
+FAULTY = Answer(False, "a fault of the program; the supervisor's log has it, and a test is ended")
 
 
 class SupervisorNode(NodeBody):
@@ -74,6 +75,7 @@ class SupervisorNode(NodeBody):
         self._publish = shell.publisher(EXPERIMENT_STATE)
         self._state, self._since = State.IDLE, self._now  # as the last look found it
         self._silent: list[str] | None = None  # who fell silent before a trip, once it is known
+        self._lost: set[str] = set()  # who has fallen silent in this test
         self._published: Status | None = None
         self._message = b""
         self._published_at = self._polled_graph_at = self._told_at = self._now - AGES_PERIOD
@@ -96,7 +98,13 @@ class SupervisorNode(NodeBody):
             for _ in range(MOST_AT_ONCE):
                 if not self._shell.spin_once(0.0):
                     break  # nobody is called silent before all that came has been heard
-            self.poll()
+            self._shell.attempt("a look", self.poll)
+
+    def fault(self, reason: str) -> None:
+        """End a test at once; the services go on answering."""
+        with self._lock:
+            self._machine.hard_trip(reason, self._step())
+            self._publish_if_due()
 
     def poll(self) -> None:
         """Watch the peers, and publish the state if it has changed or is due."""
@@ -130,6 +138,7 @@ class SupervisorNode(NodeBody):
         if machine.state is not self._state:
             self._state, self._since, self._silent = machine.state, self._now, None
             if self._state is State.RUNNING:
+                self._lost.clear()
                 self._test_s = 0.0
                 self._start_ns = time.time_ns() + START_AHEAD_NS
 
@@ -148,6 +157,7 @@ class SupervisorNode(NodeBody):
     def _watch_peers(self) -> None:
         """Trip where a peer falls silent: softly, if the loop can go on without it."""
         gone = silent(self._peers, self._heard, self._now, self._timeout)
+        self._lost.update(gone)
         for node in sorted(gone, key=SOFT_PEERS.__contains__):
             soft = node in SOFT_PEERS
             trip = self._machine.soft_trip if soft else self._machine.hard_trip
@@ -173,16 +183,21 @@ class SupervisorNode(NodeBody):
         gone = silent(unheard, self._heard, self._now, self._timeout)
         if unheard == gone:
             self._silent = gone
+            self._lost.update(gone)
             for node in gone:
                 self._machine.note(silence(node, self._heard))
 
     def _service(self, request: Callable[[], Answer]) -> Callable[[Any, Any], Any]:
-        def serve(_: Any, response: Any) -> Any:
+        def answer() -> Answer:
             with self._lock:
-                answer = request()
+                found = request()
                 self._follow_state()
                 self._publish_if_due()
-            response.success, response.message = answer.accepted, answer.text
+            return found
+
+        def serve(_: Any, response: Any) -> Any:
+            found = self._shell.attempt("a service", answer) or FAULTY
+            response.success, response.message = found.accepted, found.text
             return response
 
         return serve
@@ -225,10 +240,12 @@ class SupervisorNode(NodeBody):
         phase, reason = status.values.get("phase"), status.values.get("reason")
         is_rig = status.name in self._rig_nodes
         if phase == TRIPPED:
-            reason = reason or status.message
-            self._machine.hard_trip(
-                reason if is_rig else f"{status.name}: {reason}", status.number("step")
-            )
+            reason, machine = reason or status.message, self._machine
+            trip = machine.soft_trip if status.name in SOFT_PEERS else machine.hard_trip
+            told = reason if is_rig else f"{status.name}: {reason}"
+            trip(told, status.number("step"))
+            if status.name in self._lost and reason != STOPPED:
+                machine.note(told)  # a link that was cut is back: this is what it did there
         elif is_rig and phase == FINISHED:
             if all(self._phase(rig) == FINISHED for rig in self._rig_nodes):
                 self._machine.finish(f"{status.values.get('steps')} steps done")

@@ -10,13 +10,16 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from seft_msgs_py.errors import ExperimentError, InputError
+from seft_msgs_py.errors import ExperimentError, InputError, WireError
 from seft_msgs_py.node.awake_clock import AwakeClock
 from seft_msgs_py.node.exit_watchdog import leave_graph
 from seft_msgs_py.node.middleware import prepare_on_this_host
 from seft_msgs_py.node.ros_types import message_class, qos_profile
+from seft_msgs_py.node.senders import Senders
 from seft_msgs_py.node.single_instance import is_running
-from seft_msgs_py.wire.outcome import RIG
+from seft_msgs_py.node.wait_set import raw_subscription, taker
+from seft_msgs_py.wire.messages import decode_status
+from seft_msgs_py.wire.outcome import MOVING, RIG
 from seft_msgs_py.wire.rigs import bare
 from seft_msgs_py.wire.topics import CLOCK_TOPIC, DIAGNOSTICS, EXPERIMENT_STATE, NODES, Topic
 from std_srvs.srv import Trigger
@@ -60,8 +63,10 @@ class Observer:
         self._since = time.monotonic()
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self._node = Node("seft", start_parameter_services=False)
+        states = raw_subscription(self._node, EXPERIMENT_STATE)
+        self._take_state, self._senders = taker(states), Senders(self._node)
+        self._senders.add(EXPERIMENT_STATE, states.topic_name, states)
         for topic, receive in (
-            (EXPERIMENT_STATE, self._on_state),
             (CLOCK_TOPIC, self._on_clock),
             (DIAGNOSTICS, self._on_diagnostics),
         ):
@@ -77,6 +82,7 @@ class Observer:
         while True:
             self._executor.spin_once(timeout_sec=max(0.0, deadline - time.monotonic()))
             self._awake.time()
+            self._hear_states()
             if time.monotonic() >= deadline:
                 return
 
@@ -98,6 +104,7 @@ class Observer:
                 raise ExperimentError(f"service {service} is not there; is supervisor running?")
             future = client.call_async(Trigger.Request())
             self._executor.spin_until_future_complete(future, patience)
+            self._hear_states()
             response = future.result()
             if response is None:
                 raise ExperimentError(f"supervisor did not answer {service}")
@@ -138,10 +145,12 @@ class Observer:
         twice = [node for node in self._nodes if found.count(node) > 1]
         self._refuse(twice + self._of_other_namespaces(found))
         for topic in topics:
-            if (count := self._node.count_publishers(topic.name)) > 1:
+            infos = self._node.get_publishers_info_by_topic(topic.name)
+            if len(infos) > 1:
+                names = ", ".join(sorted(i.node_name for i in infos))
                 raise InputError(
-                    f"{count} nodes publish {topic.name} in ROS domain {_domain()}, and only one "
-                    "is this test's: end the other"
+                    f"{len(infos)} nodes publish {topic.name} in ROS domain {_domain()} ({names}), "
+                    "and only one is this test's: end the other"
                 )
 
     def _refuse(self, nodes: Sequence[str]) -> None:
@@ -166,10 +175,21 @@ class Observer:
         self._executor.shutdown()
         leave_graph(self._node)
 
-    def _on_state(self, message: Any) -> None:
+    def _hear_states(self) -> None:
+        while (taken := self._take_state()) is not None:
+            self._on_state(taken[0], taken[2])
+
+    def _on_state(self, raw: bytes, gid: bytes) -> None:
+        """Take the state of a test that runs from the one supervisor that it began with."""
+        if self._senders.is_stranger(EXPERIMENT_STATE.name, gid):
+            return
+        try:
+            status = decode_status(raw)
+        except WireError:
+            return
         self._heard_at = self._awake.time()
-        self.state = message.message
-        self.values = {item.key: item.value for item in message.values}
+        self.state, self.values = status.message, dict(status.values)
+        self._senders.follow(self.state in MOVING)
 
     def _on_clock(self, message: Any) -> None:
         self.time_ns = message.clock.sec * 1_000_000_000 + message.clock.nanosec

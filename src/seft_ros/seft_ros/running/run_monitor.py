@@ -1,7 +1,6 @@
 """Watches a test that runs, to its end, whoever dies, stands still or interrupts on the way."""
 
 import contextlib
-import signal
 import time
 from collections.abc import Callable
 from types import FrameType
@@ -9,7 +8,8 @@ from typing import Self
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
-from seft_msgs_py.wire.topics import LoopTopic, topics_of
+from seft_msgs_py.node.ending import as_before, on_ending
+from seft_msgs_py.wire.topics import EXPERIMENT_STATE, LoopTopic, topics_of
 
 from seft_ros.experiment.peers import CONFLICT, SILENT
 from seft_ros.experiment.state_machine import ENDED, PACE, State
@@ -21,7 +21,6 @@ READY_TIMEOUT, SAVE_TIMEOUT = 60.0, 20.0  # s
 SLACK = 1.0  # s beyond the supervisor's own patience
 STANDING_STILL = 60.0  # s; a ramp that has not come to its end by then never will
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
 AT_ONCE = 2  # signals that are remembered: for a soft stop, and for an emergency stop
 
 Progress = Callable[[str, int], None]
@@ -29,7 +28,7 @@ Progress = Callable[[str, int], None]
 
 
 class Interruption:
-    """Remembers Ctrl-C and SIGTERM until it is asked for them; the third one acts at once.
+    """Remembers Ctrl-C and its like until it is asked for them; the third one acts at once.
 
     An exception that a handler raises comes out wherever the program happens to be; within a
     callback that C++ code has called, it is lost, and the test goes on.
@@ -39,12 +38,11 @@ class Interruption:
         self._seen = self._given = 0
 
     def __enter__(self) -> Self:
-        self._before = {number: signal.signal(number, self._remember) for number in SIGNALS}
+        self._before = on_ending(self._remember)
         return self
 
     def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
+        as_before(self._before)
 
     def check(self) -> None:
         """Give way to what was asked for, once for each time.
@@ -85,7 +83,11 @@ class RunMonitor:
         self._observer, self._processes, self._progress = observer, processes, progress
         self._period_ns = test.timebase.period_ns
         self._timeout: float = test["supervisor"]["watchdog.peer_timeout"] + SLACK
-        self._topics = [topic for topic in topics_of(test.rigs) if isinstance(topic, LoopTopic)]
+        self._topics = [
+            topic
+            for topic in topics_of(test.rigs)
+            if isinstance(topic, LoopTopic) or topic == EXPERIMENT_STATE
+        ]
         self._broken = ""
 
     def start(self) -> None:

@@ -1,0 +1,95 @@
+"""Of several nodes that send on a topic of a running test, the one that was there before counts."""
+
+from types import SimpleNamespace
+
+import pytest
+from seft_msgs_py.node.senders import NAMELESS, UNNAMED, Senders
+from seft_msgs_py.wire.topics import DIAGNOSTICS, EXPERIMENT_STATE, RIG_STATE
+
+TRUE, FALSE = bytes([1] * 16), bytes([2] * 16)
+
+
+class Graph:
+    """Who publishes one topic: identifiers and names; as many are connected."""
+
+    def __init__(self, **publishers):
+        self.publishers = publishers or {"/rig": TRUE}
+        self.connected = None
+
+    def get_publishers_info_by_topic(self, name):
+        return [
+            SimpleNamespace(endpoint_gid=list(gid), node_name=name[1:], node_namespace="/")
+            for name, gid in self.publishers.items()
+        ]
+
+    def get_publisher_count(self):
+        return len(self.publishers) if self.connected is None else self.connected
+
+
+@pytest.fixture(params=[RIG_STATE, EXPERIMENT_STATE])
+def topic(request):
+    return request.param
+
+
+def senders_of(graph, topic):
+    found = Senders(graph)
+    found.add(topic, f"/{topic.name}", graph)
+    return found
+
+
+def test_before_a_test_nobody_is_a_stranger(topic):
+    senders = senders_of(Graph(), topic)
+    assert not senders.is_stranger(topic.name, FALSE)
+
+
+def test_who_joins_a_test_is_a_stranger_until_it_ends(topic):
+    graph = Graph()
+    senders = senders_of(graph, topic)
+    senders.follow(True)
+    assert senders.look() == []
+    graph.publishers["/other"] = FALSE
+    senders.follow(True)  # running, then ramping down: one test
+    assert not senders.is_stranger(topic.name, TRUE)
+    assert senders.is_stranger(topic.name, FALSE)
+    assert senders.strangers() == f"{UNNAMED} on {topic.name}: 1"
+    assert senders.look() == [f"/other publishes {topic.name}, too: it is not heard in this test"]
+    assert senders.look() == []
+    assert senders.is_stranger(topic.name, FALSE)
+    assert senders.strangers() == f"/other on {topic.name}: 2"
+    senders.follow(False)
+    assert not senders.is_stranger(topic.name, FALSE)
+    senders.follow(True)
+    assert senders.strangers() == ""
+
+
+def test_a_stranger_that_says_nothing_is_named_too_once_its_name_is_known():
+    graph = Graph()
+    senders = senders_of(graph, RIG_STATE)
+    senders.follow(True)
+    graph.publishers[f"/{NAMELESS}"] = FALSE
+    assert senders.look() == []
+    graph.publishers = {"/rig": TRUE, "/other": FALSE}
+    assert len(senders.look()) == 1
+    assert senders.strangers() == "/other on rig/state: 0"
+
+
+def test_of_two_who_are_there_at_the_begin_both_are_named_and_none_is_chosen():
+    senders = senders_of(Graph(**{"/rig": TRUE, "/other": FALSE}), RIG_STATE)
+    assert senders.conflict() == "2 nodes publish rig/state (/other, /rig)"
+    senders.follow(True)
+    assert not senders.is_stranger(RIG_STATE.name, FALSE)
+
+
+def test_who_is_known_and_not_connected_yet_is_told_apart_by_its_name():
+    graph = Graph(**{"/rig": TRUE, "/other": FALSE})
+    graph.connected = 1
+    senders = senders_of(graph, RIG_STATE)
+    senders.follow(True)
+    assert senders.is_stranger(RIG_STATE.name, FALSE)
+
+
+def test_what_every_node_publishes_knows_no_strangers():
+    senders = senders_of(Graph(**{"/rig": TRUE, "/other": FALSE}), DIAGNOSTICS)
+    assert senders.conflict() == ""
+    senders.follow(True)
+    assert not senders.is_stranger(DIAGNOSTICS.name, FALSE)

@@ -1,0 +1,125 @@
+"""What the supervisor makes of what nodes tell, without a network."""
+
+from types import SimpleNamespace
+
+import pytest
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.node.awake_clock import AwakeClock
+from seft_msgs_py.wire.messages import Status, decode_status, encode_diagnostics
+from seft_msgs_py.wire.outcome import tripped_status
+from seft_msgs_py.wire.topics import DIAGNOSTICS
+from seft_ros.experiment.state_machine import State
+from seft_ros.experiment.tables import TABLES
+
+supervisor = pytest.importorskip("seft_ros.nodes.supervisor")
+
+
+class Shell:
+    """A node's shell without a network."""
+
+    name = "supervisor"
+
+    def __init__(self, experiment):
+        self.experiment = experiment
+        self.handlers, self.services, self.sent, self.faults = {}, {}, [], []
+        self.node = SimpleNamespace(
+            create_service=lambda _, name, serve: self.services.update({name: serve})
+        )
+
+    def publisher(self, topic):
+        return self.sent.append
+
+    def subscribe(self, topic, handler, **_):
+        self.handlers[topic.name] = handler
+
+    def report(self, status):
+        """Nothing."""
+
+    def matched(self):
+        return {}
+
+    def attempt(self, what, call, *arguments):
+        try:
+            return call(*arguments)
+        except KeyError as error:
+            self.faults.append(error)
+            return None
+
+
+class Watched:
+    """A supervisor in a test that runs, of whose nodes each may tell something or be silent."""
+
+    def __init__(self):
+        self.shell = Shell(Experiment.load(TABLES, [], [], nodes=["supervisor"]))
+        self.node = supervisor.SupervisorNode(self.shell)
+        self._now = 0.0
+        self.node._awake = AwakeClock(lambda: self._now)
+        self.peers = self.shell.experiment["supervisor"]["peers"]
+        self.node._machine.peers("")
+        assert self.node._machine.start().accepted
+
+    def tell(self, status):
+        self.shell.handlers[DIAGNOSTICS.name](encode_diagnostics(0, [status]), 0)
+
+    def wait(self, seconds, *silent):
+        """Let time go by in which all nodes give signs of life but for some."""
+        for _ in range(round(seconds / 0.1)):
+            self._now += 0.1
+            for node in set(self.peers) - set(silent):
+                self.tell(Status(node, 0, "", values={"phase": "x"}))
+            self.node.poll()
+
+    @property
+    def state(self):
+        return decode_status(self.shell.sent[-1])
+
+    def ask(self, service):
+        return self.shell.services[service](None, SimpleNamespace())
+
+
+@pytest.fixture
+def test():
+    return Watched()
+
+
+def test_what_a_silent_node_has_done_meanwhile_is_added_when_its_link_is_back(test):
+    test.wait(1.0)
+    test.wait(3.0, "rig", "force_controller")
+    detail = test.state.values["detail"]
+    assert test.state.message == State.TRIPPED
+    assert detail.startswith("node force_controller has been silent since")
+    cut = "no reference_force for 50 steps; is the link to the reference_force node cut?"
+    for _ in range(3):  # it says so again and again
+        test.tell(tripped_status("force_controller", cut, 100))
+        test.tell(tripped_status("rig", "stopped", 120))
+        test.tell(tripped_status("reference_force", "something that follows", 120))
+    assert test.state.values["detail"] == f"{detail}; force_controller: {cut}"
+
+
+def test_the_first_cause_is_kept_where_others_follow(test):
+    test.wait(1.0)
+    test.tell(tripped_status("rig", "force beyond the limit", 7))
+    test.tell(tripped_status("force_controller", "no rig/state", 9))
+    test.wait(3.0)
+    assert test.state.values["detail"] == "force beyond the limit"
+    assert test.state.values["step"] == "7"
+
+
+def test_a_recorder_or_ground_motion_that_is_faulty_brings_the_test_down_softly(test):
+    test.wait(1.0)
+    test.tell(tripped_status("recorder", "a fault of the program", 0))
+    assert test.state.message == State.RAMPING_DOWN
+
+
+def test_a_fault_of_its_own_trips_and_its_services_go_on_answering(test, monkeypatch):
+    test.wait(1.0)
+    test.node.fault("a fault of the program")
+    assert (test.state.message, test.state.values["detail"]) == (
+        State.TRIPPED,
+        "a fault of the program",
+    )
+    assert test.ask("estop").success
+    monkeypatch.setattr(test.node, "_follow_state", lambda: {}["x"])
+    answer = test.ask("reset")
+    assert (answer.success, len(test.shell.faults)) == (False, 1)
+    assert "a fault of the program" in answer.message
