@@ -20,10 +20,9 @@ LARGEST = 0.3
 """Time constant with which the largest motion is forgotten, s: a quarter of a cycle at 1 Hz."""
 SIGMAS = 6.0
 """Threshold over the RMS of the noise alone."""
-TOLERANCE = 0.1
-"""Part of the motion by which sensors may disagree: calibration, channels 3 ms apart at 10 Hz."""
-VALVE_TOLERANCE = 0.35
-"""Part of the flow by which the valve may be off: the controller follows a gain error of 0.3."""
+TOLERANCES = (0.1, 0.15, 0.35)
+"""Part of the motion by which relations (1) to (3) may be off: calibration and channels 2 ms apart
+at 7 Hz; an acceleration that jumps between samples; a flow gain of which the controller mends 0.3."""
 OFF_TARGET = 0.5
 """Part of the target's motion by which a test may be off it."""
 LIMITED = 0.1
@@ -110,7 +109,8 @@ class DetectorState(NamedTuple):
     sums : ndarray
         Both sides of relations (1) to (3), shape (3, 2, n).
     largest : ndarray
-        Largest of these of late, of a single step, of the target's motion, and of r; (8, n).
+        Largest of these of late, of a single step, of the target's motion, of r, and of the change
+        of the flow in a step (m/s); shape (9, n).
     restoring : ndarray
         r at the last sample, its last change, that of the springs as told, and r now; (4, n), N.
     work : ndarray
@@ -216,7 +216,7 @@ def detector_arrays(
         steps=SIGMAS * steps,
         rough=SIGMAS * rough + unknown,
         unknown=unknown,
-        tolerance=np.array([TOLERANCE, TOLERANCE, VALVE_TOLERANCE]),
+        tolerance=np.array(TOLERANCES),
         off_target=OFF_TARGET,
         persistence=np.array(lasts),
         acts=np.array(acts, dtype=np.int64),
@@ -226,7 +226,7 @@ def detector_arrays(
         flow=np.zeros((2, n)),
         sent=np.zeros_like(past),
         sums=np.zeros((3, 2, n)),
-        largest=np.zeros((8, n)),
+        largest=np.zeros((9, n)),
         restoring=np.zeros((4, n)),
         work=np.zeros(3),
         response=np.zeros((2, n)),

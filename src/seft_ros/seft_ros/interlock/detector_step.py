@@ -44,6 +44,8 @@ LEAST_PRESSURE = 0.2
 """Part of the supply pressure that is always reckoned to be left for the flow."""
 OPPOSED = 0.5
 """Part of the stiffness as told by which a specimen may soften: fracture, buckling."""
+MISSED = 3.0
+"""Commands in a row that the rig may miss unseen."""
 SLIP, STIFFEST = 0.35, 6.0
 """What a specimen may make of its force in a step: a part of its largest, and so many times its
 stiffness as told."""
@@ -241,7 +243,11 @@ def _relations(
         largest[relation, i], largest[3 + relation, i] = whole, single
         tolerance, coarse = p.tolerance[relation], state.resolution[CHANNEL[relation], i]
         coarse = coarse / oil if relation == OIL else coarse
-        coarse = coarse if coarse < np.inf else 0.0
+        coarse = 1.5 * coarse if coarse < np.inf else 0.0
+        if relation == OIL:  # the rig may have missed commands, and held the one before
+            change = abs(state.flow[1, i] - state.flow[0, i])
+            largest[8, i] = max(change, p.fade * largest[8, i])
+            coarse += MISSED * dt * largest[8, i]
         off, threshold = abs(sums[0, i] - sums[1, i]), p.sums[relation, i] + tolerance * whole
         threshold += coarse
         if look(p, state, CHANGE + relation, i, off, threshold) and found < 0:
