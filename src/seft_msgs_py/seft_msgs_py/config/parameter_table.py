@@ -108,7 +108,7 @@ class Parameter:
                 raise self._error(where, value, "must be finite")
         if number:
             self._check_range(value, where)
-        if kind == "string" and (rule := _refusal(value, self.file_name)):
+        if self.kind == "string" and (rule := _refusal(value, self.file_name)):
             raise self._error(where, value, rule)
         if self.choices and value not in self.choices:
             hint = nearest(str(value), self.choices)

@@ -232,6 +232,8 @@ class SupervisorNode(NodeBody):
         elif is_rig and phase == FINISHED:
             if all(self._phase(rig) == FINISHED for rig in self._rig_nodes):
                 self._machine.finish(f"{status.values.get('steps')} steps done")
+        elif status.name == "recorder" and reason:
+            self._machine.soft_trip(reason, self._step())
         elif status.name == "reference_force" and phase in (RAMPING_DOWN, AT_REST):
             if reason:
                 self._machine.soft_trip(reason, status.number("step"))

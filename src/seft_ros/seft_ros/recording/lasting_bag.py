@@ -109,7 +109,8 @@ class LastingBag:
 
     def _lose(self, why: str) -> None:
         self._writes = False
-        self.trouble = self.trouble or why
+        place = self._writer.displaced() if self._writer is not None else ""
+        self.trouble = self.trouble or place or why
 
     def _places(self) -> Iterator[Path]:
         """Places that are free: where the bag was, beside it, among temporary files."""
