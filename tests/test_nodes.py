@@ -88,7 +88,8 @@ def test_a_name_that_is_taken_is_told_before_the_start(start_node, observer, tmp
         "the supervisor's words",
     )
     assert observer.values["detail"] == (
-        "waiting for the recorder, as bags/taken exists already; set its parameter name to another"
+        "waiting for the recorder, as bags/taken exists already; "
+        "mend that or set its parameter name or directory to another"
     )
     assert observer.call("start")[0] is False
     bag.rmdir()

@@ -18,6 +18,7 @@ from seft_msgs_py.wire.outcome import FINISHED, LISTED_STEPS, STOPPED, TRIPPED, 
 from seft_msgs_py.wire.rigs import until_start
 from seft_msgs_py.wire.topics import (
     CLOCK_TOPIC,
+    DIAGNOSTICS,
     EXPERIMENT_STATE,
     REFERENCE_FORCE,
     RIG_STATE,
@@ -27,6 +28,7 @@ from seft_msgs_py.wire.topics import (
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
 from seft_plant_sim.rig.command import Command
+from seft_plant_sim.rig.recorder_lag import RecorderLag
 from seft_plant_sim.rig.rig import Rig, Stopped
 from seft_plant_sim.rig.rig_diagnostics import RoundTrip, with_health
 from seft_plant_sim.rig.rig_parameters import TABLE
@@ -72,6 +74,9 @@ class RigNode(NodeBody):
             self._drive = self._command(REFERENCE_FORCE, axes, "limits.force", delay)
         self.facts = {"drive": self._drive.codec.topic.name}
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
+        self._recorder_lag = RecorderLag(self._section["lockstep_timeout"])
+        if self._section["pace"] == "lockstep":
+            shell.subscribe(DIAGNOSTICS, self._recorder_lag.hear)
         self._clock: SampleClock | None = None  # of a test in realtime
         self._armed = False
         self._latched = False  # tripped: no new test before the supervisor has said idle
@@ -133,6 +138,7 @@ class RigNode(NodeBody):
         self._held: list[int] = []  # step of the command applied at each of them
         self._missed_count = 0
         self._clock = None
+        self._recorder_lag.reset()
         self._round_trip.reset()
         self._answered_at = 0.0
         self._waited_in_vain = False
@@ -227,8 +233,12 @@ class RigNode(NodeBody):
             self._shell.note(self._status("running"))
 
     def _lockstep(self, step: int, is_last: bool) -> str | None:
-        """Wait for the commands of a step, however long that takes; say why the test must end."""
+        """Wait for the commands of a step, and for the recorder; say why the test must end."""
         del is_last
+        while self._recorder_lag.is_large(step) and self._told == "running":
+            self._shell.spin_once(0.05)
+            if (why := self._unwanted()) is not None:
+                return why
         timeout = self._section["lockstep_timeout"]
         deadline = time.monotonic() + timeout
         while self._valve.step < step or self._drive.step < step:

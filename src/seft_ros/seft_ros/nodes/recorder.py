@@ -9,7 +9,7 @@ bag is lost, the parameter ``on_loss`` says; it is recorded in any case.
 import json
 import sys
 import time
-from collections import deque
+from collections import Counter, deque
 from datetime import datetime
 from pathlib import Path
 
@@ -26,7 +26,7 @@ from seft_msgs_py.wire.messages import (
     decode_status,
     encode_string,
 )
-from seft_msgs_py.wire.outcome import RIG
+from seft_msgs_py.wire.outcome import RECORDED, RIG
 from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
@@ -54,9 +54,7 @@ LONG_SILENCE = 3.5  # s, where something lacks: DDS may send it again every 3 s 
 LONGEST_DRAIN = 15.0  # s
 TICK = 0.02  # s
 PLACE_PERIOD = 0.5  # s between two looks at the next bag's place, or for one where it can be saved
-READ_DEPTH = (
-    4096  # messages that may wait while the recorder is held up; depth decides what is lost
-)
+READ_DEPTH = 4096  # messages that may wait while the recorder is held up
 
 
 class RecorderNode(NodeBody):
@@ -82,11 +80,12 @@ class RecorderNode(NodeBody):
         self._told_in_full = True  # how the test ended
         self._force_phase = ""  # of the reference force
         self._step_message_at = 0.0
-        self._samples, self._expected = 0, 0  # of the rig
+        self._samples = Counter[str]()  # by topic
+        self._expected = 0  # of each
         self._environment = describe_environment("run")  # asks git once, before a test runs
         self._watch: StallWatch | None = None
         rigs = shell.experiment.rigs
-        self._rig_states = [RIG_STATE.of(rig) for rig in rigs]
+        self._rig_states = [RIG_STATE.of(rig).name for rig in rigs]
         self._paced_by = rigs[0].node(RIG)
         for topic in topics_of(rigs):
             if not topic.recorded:
@@ -100,8 +99,7 @@ class RecorderNode(NodeBody):
             super().run()
         finally:
             self._shell.spin_once(0.0)  # what has come
-            if self._bag is not None and not self._close():
-                self._shell.node.get_logger().error(f"a test is lost: {self._unsaved}")
+            self._close_or_lose()
 
     def period(self) -> float:
         """Time between two polls, s."""
@@ -118,15 +116,17 @@ class RecorderNode(NodeBody):
             return
         self._bag.look()
         self._tell_trouble(self._bag)
+        self._values = {**self._values, RECORDED: str(self._recorded())}
+        self._shell.note(self._status())
         if self._ended_at is not None:
             now = time.monotonic()
-            complete = self._samples >= self._expected and self._told_in_full
+            complete = self._recorded() >= self._expected and self._told_in_full
             if self._phase == State.DONE and "reference_force" in self._descriptions:
                 complete &= self._force_phase == ALL_ANSWERED
             patience = SILENCE if complete else LONG_SILENCE
             silent = now - max(self._step_message_at, self._ended_at) > patience
-            is_over = silent or now - self._ended_at > LONGEST_DRAIN
-            if is_over and now - self._checked_at >= PLACE_PERIOD:
+            over = silent or now - self._ended_at > LONGEST_DRAIN
+            if over and now - self._checked_at >= PLACE_PERIOD:
                 self._checked_at = now
                 self._close()
 
@@ -134,10 +134,9 @@ class RecorderNode(NodeBody):
         """Tell what has become of the bag; as a reason to end the test, if it shall end."""
         if bag.trouble and (self._section["on_loss"] == "stop" or bag.is_full):
             self._reason = f"the recorder's bag is lost: {bag.trouble}"
-        problem = self._unsaved or bag.trouble
-        told = self._values.get("reason", ""), self._values.get("problem", "")
-        if told != (self._reason, problem):
-            self._report(RECORDING, reason=self._reason, problem=problem)
+        found = {"reason": self._reason, "problem": self._unsaved or bag.trouble}
+        if not found.items() <= self._values.items():
+            self._report(RECORDING, **found)
 
     def _receiver(self, topic: Topic) -> Handler:
         of_a_step = topic == ESTIMATES or isinstance(topic, LoopTopic)
@@ -154,7 +153,7 @@ class RecorderNode(NodeBody):
                 self._keep(topic, raw, now)
             elif self._bag is not None:
                 self._bag.write(topic, raw, now)
-                self._samples += topic in self._rig_states
+                self._samples[topic.name] += 1
             elif of_a_step:
                 self._keep(topic, raw, now)
             if topic == DIAGNOSTICS:
@@ -183,8 +182,7 @@ class RecorderNode(NodeBody):
         if phase == State.READY and self._watch is None:
             self._watch = StallWatch()
         if phase in MOVING and self._phase not in MOVING:
-            if not self._close():  # of a test whose successor did not wait
-                self._shell.node.get_logger().error(f"a test is lost: {self._unsaved}")
+            self._close_or_lose()  # of a test whose successor did not wait
             self._open()
         elif phase in ENDED and self._bag is not None:
             # a trip is only told in full when it is known who has fallen silent
@@ -195,7 +193,7 @@ class RecorderNode(NodeBody):
             last = test.number("step")  # where it tripped
             steps = test.number("steps") if phase == State.DONE else None
             expected = last + 1 if last is not None else steps or 0
-            self._expected = expected * len(self._rig_states)
+            self._expected = expected
         self._phase = phase
 
     def _open(self) -> None:
@@ -208,16 +206,21 @@ class RecorderNode(NodeBody):
         for topic, raw, _ in self._descriptions.values():
             self._bag.write(topic, raw, now)
         self._watch_the_machine()
-        self._samples = sum(topic in self._rig_states for topic, _, _ in self._before)
+        self._samples = Counter(topic.name for topic, _, _ in self._before)
         while self._before:
             self._bag.write(*self._before.popleft())
-        self._report(RECORDING)
+        self._report(RECORDING, reason="", problem="")
 
-    def _close(self) -> bool:
-        """Save the bag, if one is open; tell whether none is left to be saved."""
-        bag = self._bag
-        if bag is None:
-            return True
+    def _close_or_lose(self) -> None:
+        """Save the bag, if one is open, for the last time."""
+        self._close()
+        if self._bag is not None:
+            self._shell.node.get_logger().error(f"a test is lost: {self._unsaved}")
+
+    def _close(self) -> None:
+        """Save the bag, if one is open; where that fails, it stays open."""
+        if (bag := self._bag) is None:
+            return
         if self._watch is not None:
             self._environment["stalls"] = self._watch.end()
             self._watch = None
@@ -226,17 +229,16 @@ class RecorderNode(NodeBody):
             path = bag.close()
         except ExperimentError as error:
             self._unsaved = str(error)
-            return False
+            return
         self._bag, self._checked_at = None, -PLACE_PERIOD  # is there a place for the next one?
         self._report("saved", bag=str(path))
-        return True
 
     def _write_environment(self, bag: LastingBag) -> None:
         text = json.dumps({"environment": self._environment})
         bag.write(DESCRIPTION, encode_string(text), time.time_ns())
 
     def _watch_the_machine(self) -> None:
-        """Have stalls of the loop's core noted, where the rig keeps a pace and is on this host."""
+        """Note stalls of the loop's core, where the rig keeps a pace and is on this host."""
         if self._watch is None or self._paced_by not in self._descriptions:
             return
         _, rig = decode_description(self._descriptions[self._paced_by][1])
@@ -259,16 +261,14 @@ class RecorderNode(NodeBody):
 
     def _check_place(self) -> None:
         """Have the next test wait as long as its bag can't be made."""
-        now = time.monotonic()
-        if now - self._checked_at < PLACE_PERIOD:
+        if (now := time.monotonic()) - self._checked_at < PLACE_PERIOD:
             return
         self._checked_at = now
         why = obstacle(self._place(), self._expected_size(self._steps))
         if why:
-            why += "; mend that, or set its parameter directory or name to another"
+            why += "; mend that or set its parameter name or directory to another"
         if why != self._values.get(WAITS, ""):
-            others = {key: value for key, value in self._values.items() if key != "phase"}
-            self._report(self._values["phase"], **(others | {WAITS: why}))
+            self._report(**(self._values | {WAITS: why}))
 
     def _expected_size(self, steps: int) -> int:
         """Size of the coming test's samples, bytes, as far as the others have described it."""
@@ -278,10 +278,18 @@ class RecorderNode(NodeBody):
         _, force = decode_description(self._descriptions["reference_force"][1])
         return expected_size(force["parameters"], experiment.axes, experiment.timebase, steps)
 
+    def _recorded(self) -> int:
+        """Count the samples that have come of each rig."""
+        return min(self._samples[name] for name in self._rig_states)
+
     def _report(self, phase: str, **values: str) -> None:
         self._values = {"phase": phase, **values}
-        problem = values.get("problem", "")
-        self.report(phase, values, ERROR if problem else OK, problem)
+        self._shell.report(self._status())
+
+    def _status(self) -> Status:
+        problem = self._values.get("problem", "")
+        text, level = problem or self._values["phase"], ERROR if problem else OK
+        return Status(self._shell.name, level, text, values=self._values)
 
 
 KIND = NodeKind(RECORDER, TABLES, RecorderNode)
