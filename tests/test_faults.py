@@ -256,7 +256,7 @@ def test_in_lockstep_the_rig_waits_for_a_recorder_that_stands_still(run, tmp_pat
         assert len(record.series[topic].steps) >= len(record.series["rig/state"].steps) - 1
 
 
-def test_a_second_interruption_is_an_emergency_stop(run, tmp_path):
+def test_a_second_interruption_is_an_abort(run, tmp_path):
     """SIGTERM is one as Ctrl-C is."""
     found = run(*LONG_RAMP, *STALLS_ALLOWED)
     found.wait_for_data()
@@ -265,7 +265,7 @@ def test_a_second_interruption_is_an_emergency_stop(run, tmp_path):
     assert "interrupted" in found.ending()
     assert found.process.returncode == 1
     assert recorded(tmp_path).trip.reason == (
-        "emergency stop (while ramping down: stopped by the operator)"
+        "aborted by the operator (while ramping down: stopped by the operator)"
     )
 
 

@@ -68,7 +68,7 @@ def test_tests_that_follow_one_another_at_once_have_a_whole_bag_each(
     records = [read_bag(bag) for bag in sorted((tmp_path / "bags").iterdir())]
     assert len(records) == 6
     assert all(record.complete for record in records)
-    assert {record.trip.reason for record in records[1::2]} == {"emergency stop"}
+    assert {record.trip.reason for record in records[1::2]} == {"aborted by the operator"}
     first, *others = records[::2]
     assert len(first.series["rig/state"].steps) == 851
     for other in others:

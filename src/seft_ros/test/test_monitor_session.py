@@ -123,6 +123,13 @@ def test_a_supervisor_that_goes_and_comes_back_is_shown(session, clock):
     assert what(session) == ["ready", "gone", "ready"]
 
 
+def test_nodes_that_leave_after_a_test_are_no_fault(session, clock):
+    session.on_state(state("done"))
+    clock.now += SILENCE + 0.1
+    session.poll()
+    assert [(e["what"], e["level"]) for e in session.events()] == [("done", OK), ("left", 4)]
+
+
 def test_a_silent_node_is_marked(session, clock):
     session.on_diagnostics([rig(1), Status("stranger", OK, "hello")], 0.002)
     assert [node["level"] for node in session.summary()["nodes"]] == [OK]

@@ -69,7 +69,10 @@ class Session:
         heard = self._nodes.get("")
         silent = heard is not None and self._now - heard[1] > SILENCE
         if silent and not self._silent:
-            self._note("gone", "nothing is heard of the supervisor any more", 3)
+            if self._experiment.message in ENDED:
+                self._note("left", "the nodes of the test have left", 4)
+            else:
+                self._note("gone", "nothing is heard of the supervisor any more", 3)
         self._silent = silent
 
     def on_state(self, status: Status) -> bool:

@@ -57,6 +57,11 @@ export class Buttons {
     }
   }
 
+  /** Take away what was answered in another test. */
+  forget() {
+    say("", "");
+  }
+
   async call(service, number) {
     const label = LABELS[service];
     say(`${label}: asking the supervisor …`, "");
@@ -70,7 +75,7 @@ export class Buttons {
     } catch (error) {
       const stops = !QUESTIONS[service] || service === "stop";
       const why = error.name === "TimeoutError"
-        ? `there was no answer to ${label}${stops ? ": it may not have been delivered" : ""}.`
+        ? `No answer to ${label}${stops ? ": it may not have been delivered" : ""}.`
         : `${label} was not delivered (${error.message.trim()}).`;
       say(`${why} ${stops ? "Use the emergency stop, in hardware." : LATE_NEVER}`, "bad");
     }

@@ -32,7 +32,8 @@ function connect() {
 /** Say so where nothing has come for a second, grey out what is old, and offer no start. */
 function judge() {
   const silence = performance.now() - clock.heard, stale = silence > OLD;
-  document.body.dataset.stale = stale || Boolean(known.status?.heard && known.status.silent);
+  const { heard, silent, ended } = known.status ?? {}; // of a test that has ended nothing is old
+  document.body.dataset.stale = stale || Boolean(heard && silent && !ended);
   if (stale) show.showSilence(silence, known.status);
   else if (known.status) show.showState(known.status, known.test.domain);
   if (known.status) buttons.follow(known.status, stale);
@@ -79,6 +80,7 @@ const columnsOf = ({ signals }) => signals.answer + 1;
 /** Begin a test: nothing is left of the one before. */
 function begin(test, columns) {
   history = new History(test, columns);
+  buttons.forget();
   release();
 }
 

@@ -1,7 +1,7 @@
 // Texts and tables of the page. Whatever a node tells is text, never markup.
 
 const NAMES = { "": "no test", idle: "idle", ready: "ready", running: "running",
-  ramping_down: "ramping down", done: "done", tripped: "tripped", gone: "silent" };
+  ramping_down: "ramping down", done: "done", tripped: "tripped", gone: "silent", left: "ended" };
 const LEVELS = ["ok", "warning", "error", "silent", "ended"];
 const NARROW = 0.1; // of a limit
 
