@@ -4,8 +4,8 @@ from seft_msgs_py.node.awake_clock import AwakeClock
 from seft_msgs_py.wire.messages import decode_diagnostics
 from seft_msgs_py.wire.outcome import RECORDED, RECORDER
 
-MOST = 2048
-"""Steps: half of what queues hold. The recorder tells where it is five times a second."""
+MOST = 3072
+"""Steps: three quarters of what queues hold. The recorder tells five times a second where it is."""
 
 
 class RecorderLag:

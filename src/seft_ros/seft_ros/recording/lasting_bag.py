@@ -101,7 +101,6 @@ class LastingBag:
             try:
                 self._build(place)
             except (SeftError, OSError) as error:
-                shutil.rmtree(place, ignore_errors=True)
                 why = why or f"{error}"
             else:
                 return place
@@ -122,12 +121,17 @@ class LastingBag:
                 yield next(place for name in names if not (place := folder / name).exists())
 
     def _build(self, place: Path) -> None:
-        """Write a whole bag of all that there is."""
-        with BagWriter(place, self._storage) as bag:
-            if self._writer is not None:
-                for found in self._writer.written():
-                    bag.copy(found)
-                for message in self._writer.unwritten():
+        """Write a whole bag of all that there is; leave nothing where that fails."""
+        bag = BagWriter(place, self._storage)
+        try:
+            with bag:
+                if self._writer is not None:
+                    for found in self._writer.written():
+                        bag.copy(found)
+                    for message in self._writer.unwritten():
+                        bag.write(*message)
+                for message in self._kept:
                     bag.write(*message)
-            for message in self._kept:
-                bag.write(*message)
+        except BaseException:
+            shutil.rmtree(place, ignore_errors=True)
+            raise
