@@ -69,13 +69,12 @@ class RecorderNode(NodeBody):
         self._descriptions: dict[str, tuple[Topic, bytes, int]] = {}
         self._before: deque[tuple[Topic, bytes, int]] = deque(maxlen=20_000)
         self._bag: LastingBag | None = None
-        self._reason = ""  # for which the test is to be brought down
+        self._reason = self._unsaved = ""  # to bring the test down; why its bag can't be saved
         self._checked_at = -PLACE_PERIOD
         self._steps = 0  # of the coming test
         self._phase = "idle"
         self._ended_at: float | None = None
         self._next_began = False  # ground motion of the next test has come
-        self._unsaved = ""  # why a bag that is over can't be saved
         self._values = {"phase": "idle"}
         self._told_in_full = True  # how the test ended
         self._force_phase = ""  # of the reference force
