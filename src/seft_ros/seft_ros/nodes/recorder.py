@@ -86,9 +86,8 @@ class RecorderNode(NodeBody):
         rigs = shell.experiment.rigs
         self._rig_states = [RIG_STATE.of(rig).name for rig in rigs]
         self._paced_by = rigs[0].node(RIG)
-        for topic in topics_of(rigs):
-            if not topic.recorded:
-                continue
+        self._topics = [topic for topic in topics_of(rigs) if topic.recorded]
+        for topic in self._topics:
             depth = 64 if topic.latched and topic != GROUND_MOTION else READ_DEPTH
             shell.subscribe(topic, self._receiver(topic), depth=depth, wake=False)
 
@@ -97,7 +96,8 @@ class RecorderNode(NodeBody):
         try:
             super().run()
         finally:
-            self._shell.spin_once(0.0)  # what has come
+            for topic in self._topics:
+                self._shell.catch_up(topic)
             self._close_or_lose()
 
     def period(self) -> float:
