@@ -34,7 +34,7 @@ def recorded_run(
     experiment = Experiment.load(TABLES, [CONFIG], overrides)
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / "bag"
-        fault = run_experiment(experiment, bag, lambda *_: None, layout=layout)
+        fault, bag = run_experiment(experiment, bag, lambda *_: None, layout=layout)
         if fault:
             raise RuntimeError(fault)
         statuses = {}

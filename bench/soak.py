@@ -102,7 +102,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / "bag"
         try:
-            fault = run_experiment(experiment, bag, samples.take)
+            fault, bag = run_experiment(experiment, bag, samples.take)
         except KeyboardInterrupt:
             fault = ""
         record = read_bag(bag)

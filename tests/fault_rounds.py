@@ -322,7 +322,7 @@ def check_end(plan: Plan, run: Run, done: bool) -> None:
         "kill": (f"node {node} ended (killed by signal 9)",),
         "halt": (f"node {node} ", f"is {node} running?"),
         "stop": ("stopped by the operator",),
-        "estop": ("emergency stop",),
+        "estop": ("aborted by the operator",),
         "three": ("interrupted",),
     }.get(what, ())
     if not done or not any(words in told[0] for words in expected):

@@ -5,10 +5,12 @@ import json
 import os
 import pty
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
 import termios
+import time
 from pathlib import Path
 
 import pytest
@@ -227,8 +229,7 @@ def test_a_killed_recorder_loses_at_most_half_a_second(run, seft, tmp_path):
 def test_an_interrupted_run_comes_down_softly_and_keeps_its_bag(run, seft, tmp_path):
     """Before that, a second test on the same domain is refused.
 
-    In realtime: in lockstep a recorder that gets no processor meanwhile falls behind and loses
-    samples, or the test is over before the second one is refused.
+    In realtime: in lockstep the test may be over before the second one is refused.
     """
     found = run(*STALLS_ALLOWED, *MISSES_ALLOWED)
     found.wait_for_data()
@@ -245,7 +246,20 @@ def test_an_interrupted_run_comes_down_softly_and_keeps_its_bag(run, seft, tmp_p
     assert record.series["reference_force"].values[-1, 0, 0] == 0.0
 
 
-def test_a_second_interruption_is_an_emergency_stop(run, tmp_path):
+def test_in_lockstep_the_rig_waits_for_a_recorder_that_stands_still(run, tmp_path):
+    found = run("-p", "rig:pace:=lockstep", "-p", "supervisor:watchdog.peer_timeout:=60.0")
+    found.wait_for_data()
+    os.kill(found.nodes["recorder"], signal.SIGSTOP)
+    time.sleep(4.0)  # in which the rig would take twice the steps that queues hold
+    os.kill(found.nodes["recorder"], signal.SIGCONT)
+    found.process.send_signal(signal.SIGINT)
+    found.ending()
+    record = recorded(tmp_path)
+    for topic in ("reference_force", "valve_command"):
+        assert len(record.series[topic].steps) >= len(record.series["rig/state"].steps) - 1
+
+
+def test_a_second_interruption_is_an_abort(run, tmp_path):
     """SIGTERM is one as Ctrl-C is."""
     found = run(*LONG_RAMP, *STALLS_ALLOWED)
     found.wait_for_data()
@@ -254,7 +268,7 @@ def test_a_second_interruption_is_an_emergency_stop(run, tmp_path):
     assert "interrupted" in found.ending()
     assert found.process.returncode == 1
     assert recorded(tmp_path).trip.reason == (
-        "emergency stop (while ramping down: stopped by the operator)"
+        "aborted by the operator (while ramping down: stopped by the operator)"
     )
 
 
@@ -342,24 +356,57 @@ def test_a_missing_peer_in_lockstep_ends_the_run_with_its_name(seft, tmp_path):
     assert len(read_bag(tmp_path / "bag").series["rig/state"].steps) == 1
 
 
-def test_a_full_disk_brings_the_test_down_softly_and_the_bag_is_readable(domain, tmp_path):
+def test_a_disk_that_fills_up_brings_the_test_down_softly_and_all_is_recorded(domain, tmp_path):
     disk = tmp_path / "disk"
     disk.mkdir()
     run = [sys.executable, "-m", "seft_ros.commands.main", "run", str(JHU), *LONG]
-    run += ["-p", "rig:pace:=lockstep", "--out", "bag"]
+    run += [*STALLS_ALLOWED, *MISSES_ALLOWED, "--out", "bag"]
     report = [sys.executable, "-m", "seft_ros.commands.main", "report", "bag", "--out", "page.html"]
     shell = (
-        f"mount -t tmpfs -o size=11m tmpfs {disk} && cd {disk} || exit 77\n"
-        f"{shlex.join(run)}; echo run $?\n{shlex.join([*report, '--json'])}"
+        f"mount -t tmpfs -o size=60m tmpfs {disk} && cd {disk} || exit 77\n"
+        f"{shlex.join(run)} & pid=$!\n"
+        "until [ $(cat bag/bag.mcap 2> /dev/null | wc -c) -gt 60000 ]; do sleep 0.1; done\n"
+        "cat /dev/zero > filler 2> /dev/null; wait $pid; echo run $?; rm filler\n"
+        f"{shlex.join([*report, '--json'])}"
     )
     done = subprocess.run(
         ["unshare", "-m", "sh", "-c", shell], capture_output=True, text=True, timeout=PATIENCE
     )
     if done.returncode == 77 or "unshare" in done.stderr:
         pytest.skip("may not mount a file system here")
-    status, summary = done.stdout.split("\n", 1)
-    (line,) = [line for line in done.stderr.splitlines() if "node recorder ended" in line]
-    assert status == "run 1"
-    assert "the bag ends here (No space left on device)" in line
+    _, summary = done.stdout.split("run 1\n")
     assert "Traceback" not in done.stderr
-    assert json.loads(summary)["steps"] > 1000
+    found = json.loads(summary)
+    assert found["steps"] > 100
+    reason = found["trip"]["reason"]
+    assert reason.startswith("the recorder's bag is lost: ")
+    assert "nearly full" in reason or "No space left" in reason
+    assert f"seft: the test tripped: {reason}" in done.stderr
+
+
+@pytest.mark.parametrize("on_loss", ["stop", thorough("go_on")])
+def test_the_bag_of_a_test_under_way_is_deleted_and_nothing_is_lost(run, tmp_path, on_loss):
+    found = run(*STALLS_ALLOWED, *MISSES_ALLOWED, "-p", f"recorder:on_loss:={on_loss}")
+    found.wait_for_data()
+    shutil.rmtree(tmp_path / "bag")
+    if on_loss == "go_on":
+        time.sleep(3.0)  # the test goes on all the while
+        found.process.send_signal(signal.SIGINT)
+    line = found.ending()
+    record = recorded(tmp_path)
+    assert record.complete
+    if on_loss == "stop":
+        assert line == f"seft: the test tripped: {record.trip.reason}"
+        assert record.trip.reason.endswith("bag: the bag was deleted")
+    else:
+        assert record.trip.reason == "stopped by the operator"
+        assert len(record.series["rig/state"].steps) > 1500
+    assert record.series["reference_force"].values[-1, 0, 0] == 0.0  # the ramp, too
+
+
+def test_no_test_begins_that_cannot_be_recorded(told_at_once, tmp_path):
+    (tmp_path / "bags").write_text("")
+    line = told_at_once("--out", "bags/bag")
+    assert line.startswith(f"seft: nothing can be written in {tmp_path / 'bags'} (Not a directory)")
+    assert "without a path" in told_at_once("-p", "recorder:name:=../bag")
+    assert "must not begin with -" in told_at_once("--out", "./-bag")

@@ -14,6 +14,7 @@ from seft_msgs_py.wire.topics import NODES
 from seft_ros.interlock.ramp_down import RampDown
 from seft_ros.recording.bag_reader import read_bag
 from seft_ros.running.processes import MODULES
+from std_srvs.srv import Trigger
 
 SHORT = ("ground_motion:synthetic.duration:=3.0", "ground_motion:tail:=0.2")
 
@@ -56,7 +57,7 @@ def test_tests_that_follow_one_another_at_once_have_a_whole_bag_each(
     nodes = {node: start_node(node, *SHORT, "rig:pace:=lockstep") for node in MODULES}
     for _ in range(3):
         wait_for(is_in_state(observer, "ready"), "ready")
-        assert observer.call("start")[0]
+        assert observer.call("start") == (True, "the test is running")
         wait_for(is_in_state(observer, "done"), "done")
         assert observer.call("reset")[0]
         wait_for(is_in_state(observer, "ready"), "ready")
@@ -68,7 +69,7 @@ def test_tests_that_follow_one_another_at_once_have_a_whole_bag_each(
     records = [read_bag(bag) for bag in sorted((tmp_path / "bags").iterdir())]
     assert len(records) == 6
     assert all(record.complete for record in records)
-    assert {record.trip.reason for record in records[1::2]} == {"emergency stop"}
+    assert {record.trip.reason for record in records[1::2]} == {"aborted by the operator"}
     first, *others = records[::2]
     assert len(first.series["rig/state"].steps) == 851
     for other in others:
@@ -88,7 +89,8 @@ def test_a_name_that_is_taken_is_told_before_the_start(start_node, observer, tmp
         "the supervisor's words",
     )
     assert observer.values["detail"] == (
-        "waiting for the recorder, as bags/taken exists already; set its parameter name to another"
+        "waiting for the recorder, as bags/taken exists already; "
+        "mend that or set its parameter name or directory to another"
     )
     assert observer.call("start")[0] is False
     bag.rmdir()
@@ -122,6 +124,22 @@ def test_the_supervisor_names_what_is_missing_and_refuses_to_start(start_node, o
     accepted, answer = observer.call("start")
     assert not accepted
     assert "force_controller" in answer
+
+
+def test_a_start_that_waited_while_the_supervisor_stood_still_is_refused(start_node, observer):
+    peers = "supervisor:peers:=[ground_motion, rig]"
+    nodes = {node: start_node(node, peers) for node in ("supervisor", "ground_motion", "rig")}
+    wait_for(is_in_state(observer, "ready"), "ready")
+    client = observer._node.create_client(Trigger, "start")
+    wait_for(client.service_is_ready, "the service")
+    os.kill(nodes["supervisor"].pid, signal.SIGSTOP)
+    asked = client.call_async(Trigger.Request())
+    observer.spin(1.5)
+    assert not asked.done()
+    os.kill(nodes["supervisor"].pid, signal.SIGCONT)
+    wait_for(lambda: (observer.spin(0.05), asked.done())[1], "the answer")
+    assert not asked.result().success
+    assert "has stood still" in asked.result().message
 
 
 def test_nodes_of_different_rates_do_not_start(start_node, observer):

@@ -174,6 +174,15 @@ def wildcard(text):
     return f"/**: {{ros__parameters: {{{text}}}}}\n"
 
 
+def test_a_file_that_is_too_large_is_refused_without_a_look_into_it(tmp_path, monkeypatch):
+    monkeypatch.setattr("seft_msgs_py.config.parameter_file._parse_yaml", None)
+    path = tmp_path / "large.yaml"
+    path.write_text("#" * 1_000_001)
+    for each in (path, "/dev/zero"):
+        with pytest.raises(InputError, match=rf"^{each}: is larger than 1 MB"):
+            read_parameter_file(each)
+
+
 def test_a_parameter_of_every_node_reaches_every_node(load):
     experiment = load(RIG_HAS_MASS, wildcard("rate: 512, seed: 4"))
     for node in ("rig", "reference_force"):

@@ -229,3 +229,32 @@ def test_a_chain_that_bites_its_tail_ends_in_the_default():
 
 def test_common_parameters_have_the_documented_defaults():
     assert resolve({"rig": Table("rig", [])}, {}) == {"rig": {"rate": 500.0, "axes": ["x"]}}
+
+
+@pytest.mark.parametrize("name", ["", "run", "größe 2", "2026-11-24_15.30", "x" * 200])
+def test_a_name_of_a_file_is_any_that_a_disk_takes(name):
+    assert check("string", name, file_name=True) == name
+
+
+@pytest.mark.parametrize(
+    ("name", "rule"),
+    [
+        ("../run", "without a path"),
+        ("/run", "without a path"),
+        ("bags/", "without a path"),
+        ("..", "without a path"),
+        (".", "without a path"),
+        ("-run", "must not begin with -"),
+        (" run", "must not begin"),
+        ("   ", "must not begin"),
+        ("a\nb", "control characters"),
+        ("a\0b", "NUL"),
+        ("ö" * 101, "at most 200 bytes"),
+    ],
+)
+def test_a_name_of_a_file_is_no_path(name, rule):
+    assert len(refused("string", name, rule, file_name=True)) < 400
+
+
+def test_no_text_holds_a_nul_character_which_ends_it_elsewhere():
+    refused("string", "a\0b", "NUL")

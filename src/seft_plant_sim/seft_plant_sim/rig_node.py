@@ -26,6 +26,7 @@ from seft_msgs_py.wire.outcome import (
 from seft_msgs_py.wire.rigs import until_start
 from seft_msgs_py.wire.topics import (
     CLOCK_TOPIC,
+    DIAGNOSTICS,
     EXPERIMENT_STATE,
     REFERENCE_FORCE,
     RIG_STATE,
@@ -36,6 +37,7 @@ from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
 from seft_plant_sim.rig.command import Command
 from seft_plant_sim.rig.command_watch import CommandWatch, elapsed
+from seft_plant_sim.rig.recorder_lag import RecorderLag
 from seft_plant_sim.rig.rig import Rig, Stopped
 from seft_plant_sim.rig.rig_diagnostics import RoundTrip, with_health
 from seft_plant_sim.rig.rig_parameters import TABLE
@@ -80,6 +82,9 @@ class RigNode(NodeBody):
             self._drive = self._command(REFERENCE_FORCE, axes, "limits.force", delay)
         self.facts = {"drive": self._drive.codec.topic.name}
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
+        self._recorder_lag = RecorderLag(self._section["lockstep_timeout"])
+        if self._section["pace"] == "lockstep":
+            shell.subscribe(DIAGNOSTICS, self._recorder_lag.hear)
         self._clock: SampleClock | None = None  # of a test in realtime
         self._watch = CommandWatch(
             self._drive.codec.topic, self._timebase.dt, self._section["watchdog.command_timeout"]
@@ -149,6 +154,7 @@ class RigNode(NodeBody):
         self._held: list[int] = []  # step of the command applied at each of them
         self._missed_count = 0
         self._clock = None
+        self._recorder_lag.reset()
         self._round_trip.reset()
         self._answered_at = 0.0
         self._waited_in_vain = False
@@ -250,9 +256,13 @@ class RigNode(NodeBody):
             self._shell.note(self._status("running"))
 
     def _lockstep(self, step: int, is_last: bool) -> str | None:
-        """Wait for the commands of a step, however long that takes; say why the test must end."""
+        """Wait for the commands of a step, and for the recorder; say why the test must end."""
         del is_last
         shell, timeout = self._shell, self._section["lockstep_timeout"]
+        while self._recorder_lag.is_large(step) and self._told == "running":
+            shell.spin_once(0.05)
+            if (why := self._unwanted()) is not None:
+                return why
         deadline = time.monotonic() + timeout
         while self._valve.step < step or self._drive.step < step:
             if not shell.spin_once(0.05):

@@ -44,14 +44,73 @@ def test_before_anything_is_heard_nothing_is_told(session):
 
 
 def test_a_repeated_state_is_no_event_and_begins_no_test(session):
-    assert session.on_state(state("running"))
-    assert not session.on_state(state("running"))
+    for _ in range(2):
+        assert not session.on_state(state("running"))
     session.on_state(state("tripped", "force is beyond", ERROR, step="7", time_s="0.014"))
     assert what(session) == ["running", "tripped"]
     told = session.summary()
     assert (told["state"], told["step"], told["time_s"]) == ("tripped", 7, 0.014)
     assert told["detail"] == "force is beyond"
     assert told["ended"]
+
+
+@pytest.mark.parametrize("last", ["done", "tripped", "running", "ramping_down"])
+@pytest.mark.parametrize("new", ["idle", "ready", "running"])
+def test_what_came_before_is_of_another_test_once_it_can_be(session, last, new):
+    session.on_state(state("ready"))
+    assert not session.on_state(state("ramping_down"))
+    session.on_state(state(last))
+    assert session.on_state(state(new)) == (last != new)
+    if new != "running":
+        assert not session.on_state(state("running"))
+
+
+def test_what_a_rig_still_tells_of_the_last_test_is_not_the_next_one_s(session):
+    session.on_state(state("done"))
+    session.on_diagnostics([rig(500, missed="3", **{"margin force": "0.25"})], 0.002)
+    assert session.summary()["missed"] == 3
+    assert session.on_state(state("idle"))
+    session.begin()
+    session.on_diagnostics([rig(500, missed="3", **{"margin force": "0.25"})], 0.002)
+    told = session.summary()
+    assert (told["missed"], told["margins"], session.round_trips) == (None, {}, [])
+
+
+def test_states_are_numbered_and_what_waits_is_none(session):
+    numbers = []
+    for name, detail in (("idle", "a"), ("idle", "b"), ("ready", ""), ("ready", ""), ("idle", "")):
+        session.on_state(state(name, detail))
+        numbers.append(session.summary()["number"])
+    assert numbers == [1, 1, 2, 2, 3]
+
+
+def test_a_test_has_a_name(session):
+    assert session.summary()["name"] == ""
+    session.on_description("ground_motion", {"file": "records/kobe.txt"})
+    session.on_description(
+        "reference_force", {"mass_ratio": 1.5, "compensation.method": "target_motion"}
+    )
+    assert session.summary()["name"] == "kobe.txt, mass ratio 1.5, target_motion"
+    session.on_description("ground_motion", {"file": ""})
+    session.on_description("recorder", {"name": "third"})
+    assert session.summary()["name"].startswith("synthetic motion, ")
+    assert session.summary()["name"].endswith(", bag third")
+
+
+def test_a_node_that_leaves_after_its_test_has_ended_and_one_before_is_silent(session, clock):
+    session.on_state(state("running"))
+    force = Status("reference_force", OK, "running", values={})
+    session.on_diagnostics([rig(1), force], 0.002)
+    clock.now += 1.0
+    session.poll()
+    session.on_diagnostics([rig(500)], 0.002)
+    session.on_state(state("tripped"))
+    clock.now += 2 * SILENCE
+    session.poll()
+    assert {n["name"]: n["level"] for n in session.summary()["nodes"]} == {
+        "reference_force": 3,
+        "rig": 4,
+    }
 
 
 def test_a_supervisor_that_goes_and_comes_back_is_shown(session, clock):
@@ -62,6 +121,13 @@ def test_a_supervisor_that_goes_and_comes_back_is_shown(session, clock):
     session.on_state(state("ready"))
     assert not session.summary()["silent"]
     assert what(session) == ["ready", "gone", "ready"]
+
+
+def test_nodes_that_leave_after_a_test_are_no_fault(session, clock):
+    session.on_state(state("done"))
+    clock.now += SILENCE + 0.1
+    session.poll()
+    assert [(e["what"], e["level"]) for e in session.events()] == [("done", OK), ("left", 4)]
 
 
 def test_a_silent_node_is_marked(session, clock):

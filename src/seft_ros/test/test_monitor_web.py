@@ -5,7 +5,16 @@ import json
 
 import pytest
 from seft_msgs_py.errors import InputError
-from seft_ros.monitor.access import is_loopback, page_address
+from seft_ros.monitor.access import (
+    FIRST_WAIT,
+    LONGEST_WAIT,
+    MOST_ADDRESSES,
+    Access,
+    Tokens,
+    TooEarlyError,
+    is_loopback,
+    page_address,
+)
 from seft_ros.monitor.serve import listen
 from seft_ros.monitor.web import Pages, application
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
@@ -13,7 +22,7 @@ from tornado.httpserver import HTTPServer
 from tornado.websocket import websocket_connect
 
 
-def serving(scenario, token="", local_only=True, everything=lambda: ["all"]):
+def serving(scenario, token="", local_only=True, everything=lambda: ["all"], watch=""):
     """Serve, and do what ``scenario(ask, pages, calls)`` does."""
     calls = []
 
@@ -25,7 +34,9 @@ def serving(scenario, token="", local_only=True, everything=lambda: ["all"]):
         socket = listen("127.0.0.1", 0)
         port = socket.getsockname()[1]
         pages = Pages(everything)
-        server = HTTPServer(application(token, local_only, port, pages, call))
+        tokens = Tokens(token, watch)
+        late = lambda state, at_ms: "" if (state, at_ms) == (3, 500.0) else "late"  # noqa: E731
+        server = HTTPServer(application(tokens, local_only, port, pages, call, late))
         server.add_socket(socket)
         client = AsyncHTTPClient()
 
@@ -123,14 +134,7 @@ def test_only_the_page_itself_is_told():
 
 def test_without_the_token_there_is_nothing():
     async def scenario(ask, _, calls):
-        for path in (
-            "/",
-            "/live",
-            "/assets/monitor.js",
-            "/figures.json",
-            "/?token=wrong",
-            "/nothing",
-        ):
+        for path in ("/", "/live", "/assets/monitor.js", "/figures.json", "/nothing"):
             answer = await ask(path, host="rig.lab:8765")
             assert answer.code == 401
             assert b"running" not in answer.body
@@ -160,10 +164,113 @@ def test_a_token_in_the_address_becomes_a_cookie():
     serving(scenario, token="secret", local_only=False)
 
 
+def test_a_wrong_token_is_told_and_the_next_has_to_wait():
+    async def scenario(ask, *_):
+        assert b"wrong" not in (await ask("/")).body
+        wrong = await ask("/?token=guess")
+        assert (wrong.code, b"this token is wrong." in wrong.body) == (401, True)
+        early = await ask("/?token=secret")
+        assert (early.code, early.headers["Retry-After"]) == (429, "1")
+        assert b"wait 1 s" in early.body and b"<form" in early.body
+        while (answer := await ask("/?token=secret")).code == 429:
+            await asyncio.sleep(0.05)
+        assert answer.code == 302
+
+    serving(scenario, token="secret", local_only=False)
+
+
+def test_who_guesses_waits_longer_each_time_and_holds_up_nobody_else():
+    now = 0.0
+    access = Access(Tokens("secret", "look"), lambda: now)
+    key = access.new_key(controls=True)
+    waits = []
+    for _ in range(10):
+        assert access.of_token("guess", "10.0.0.1") is None
+        with pytest.raises(TooEarlyError) as caught:
+            access.of_token("secret", "10.0.0.1")
+        waits.append(caught.value.wait)
+        assert access.of_key(key)  # of the same address
+        assert access.of_token("look", "10.0.0.2") is False
+        now += waits[-1]
+    assert waits[:3] == [FIRST_WAIT, 2 * FIRST_WAIT, 4 * FIRST_WAIT]
+    assert waits[-1] == LONGEST_WAIT
+    assert access.of_token("secret", "10.0.0.1") is True
+    assert access.of_token("guess", "10.0.0.1") is None  # all is forgiven
+    with pytest.raises(TooEarlyError) as caught:
+        access.of_token("guess", "10.0.0.1")
+    assert caught.value.wait == FIRST_WAIT
+    for number in range(2 * MOST_ADDRESSES):
+        access.of_token("guess", f"of many {number}")
+    assert len(access._failures) == MOST_ADDRESSES
+
+
+def test_the_cookie_is_not_the_token():
+    async def scenario(ask, *_):
+        cookie = (await ask("/?token=secret")).headers["Set-Cookie"].split(";")[0]
+        name = cookie.split("=")[0]
+        assert (await ask("/", headers={"Cookie": f"{name}=secret"})).code == 401
+
+    serving(scenario, token="secret", local_only=False)
+
+
+def test_a_token_to_watch_shows_all_and_presses_nothing():
+    async def scenario(ask, pages, calls):
+        answer = await ask("/?token=look")
+        known = {"Cookie": answer.headers["Set-Cookie"].split(";")[0]}
+        assert (await ask("/", headers=known)).code == 200
+        assert (await ask("/figures.json", headers=known)).code == 200
+        for service in ("start", "stop", "estop", "reset"):
+            asked = post(f"/service/{service}", ask.own)
+            asked["headers"] |= known
+            answer = await ask(**asked)
+            assert answer.code == 403
+            assert b"may watch, and not control" in answer.body
+        assert not calls
+        headers = {"Origin": ask.own, **known}
+        page = await websocket_connect(ask.request("/live", kind="ws", headers=headers))
+        assert json.loads(await page.read_message())["controls"] is False
+        page.close()
+        while len(pages):
+            await asyncio.sleep(0.01)
+
+    serving(scenario, token="secret", local_only=False, watch="look")
+
+
+@pytest.mark.parametrize("service", ["start", "reset"])
+def test_a_start_that_is_late_is_not_carried_out(service):
+    async def scenario(ask, _, calls):
+        asked = post(f"/service/{service}", ask.own)
+        for body, told in (
+            ("", "does not say"),
+            ("{}", "does not say"),
+            ("[]", "does not say"),
+            ('{"state": 3, "at": "soon"}', "does not say"),
+            ('{"state": 2, "at": 500}', "late"),
+            ('{"state": 3, "at": 400}', "late"),
+        ):
+            answer = json.loads((await ask(**asked | {"body": body})).body)
+            assert not answer["done"] and told in answer["text"]
+        assert not calls
+        done = json.loads((await ask(**asked | {"body": '{"state": 3, "at": 500}'})).body)
+        assert done["done"] and calls == [service]
+
+    serving(scenario)
+
+
+@pytest.mark.parametrize("service", ["stop", "estop"])
+def test_a_stop_may_come_late(service):
+    async def scenario(ask, _, calls):
+        await ask(**post(f"/service/{service}", ask.own, body='{"state": 2, "at": 0}'))
+        assert calls == [service]
+
+    serving(scenario)
+
+
 def test_a_page_is_told_all_and_then_what_is_new():
     async def scenario(ask, pages, _):
         request = ask.request("/live", kind="ws", headers={"Origin": ask.own})
         page = await websocket_connect(request)
+        assert json.loads(await page.read_message()) == {"kind": "rights", "controls": True}
         assert await page.read_message() == "all"
         pages.send(["new", b"\x01\x02"])
         assert await page.read_message() == "new"

@@ -47,5 +47,5 @@ def test_a_record_that_ended_while_the_test_was_brought_down_keeps_the_cause():
 
 
 def test_a_dead_rig_leaves_the_supervisors_word():
-    ending = supervisor("tripped", "emergency stop")
-    assert trip_of(None, ending, TIMEBASE) == Trip("emergency stop", 0, 0.0)
+    ending = supervisor("tripped", "aborted by the operator")
+    assert trip_of(None, ending, TIMEBASE) == Trip("aborted by the operator", 0, 0.0)

@@ -159,12 +159,12 @@ def test_a_fault_makes_a_trip_of_a_stop():
 def test_a_hard_end_of_the_ramp_names_both_causes(how):
     machine = machine_in(State.RAMPING_DOWN)
     send(machine, how)
-    reason = {"hard_trip": "force", "estop": "emergency stop"}[how]
+    reason = {"hard_trip": "force", "estop": "aborted by the operator"}[how]
     assert machine.state is State.TRIPPED
     assert machine.detail == f"{reason} (while ramping down: node recorder is silent)"
 
 
-def test_an_emergency_stop_after_a_trip_keeps_the_reason_of_that_and_names_it():
+def test_an_abort_after_a_trip_keeps_the_reason_of_that_and_names_it():
     machine = machine_in(State.TRIPPED)
     answer = machine.estop()
     assert answer.accepted

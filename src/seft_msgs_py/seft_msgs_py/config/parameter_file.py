@@ -14,6 +14,9 @@ from seft_msgs_py.wire.topics import NODES
 EVERY_NODE = "/**"
 PARAMETERS_KEY = "ros__parameters"
 
+LARGEST_FILE = 1_000_000
+"""Bytes; a test of many axes has some thousand, and to parse a million takes a minute."""
+
 Override = tuple[str, str, Value]  # node, parameter, value
 
 
@@ -23,11 +26,19 @@ def read_parameter_file(path: str | Path) -> dict[str, Section]:
     Raises
     ------
     InputError
-        If the file can't be read, is no YAML, or has not the form of a parameter file.
+        If the file can't be read, is larger than `LARGEST_FILE`, is no YAML, or has not the form
+        of a parameter file.
     """
     path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8")
+        with path.open("rb") as file:
+            content = file.read(LARGEST_FILE + 1)
+        if len(content) > LARGEST_FILE:
+            raise InputError(
+                f"{path}: is larger than {LARGEST_FILE / 1e6:g} MB, which no parameter file is; "
+                "name another file"
+            )
+        text = content.decode()
     except UnicodeDecodeError:
         raise InputError(f"{path}: not a text file; expected a ROS 2 parameter file") from None
     except OSError as error:

@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 from seft_msgs_py.errors import InputError
 
+LONGEST_NAME = 200  # bytes; of the 255 that a file's name may have, the rest is for endings
 Kind = Literal["float", "int", "bool", "string", "floats", "ints", "strings"]
 Value = Any
 Section = dict[str, Value]
@@ -53,6 +54,8 @@ class Parameter:
         The value must be greater than zero.
     choices : tuple of str
         Allowed texts; empty: any.
+    file_name : bool
+        The text must be fit for the name of a file or folder, and no path; it may be empty.
     default_from : str
         ``node:parameter`` of the same experiment whose value stands in where this one is
         not given.
@@ -69,6 +72,7 @@ class Parameter:
     maximum: float | None = None
     positive: bool = False
     choices: tuple[str, ...] = ()
+    file_name: bool = False
     default_from: str = ""
     live: bool = False
 
@@ -104,6 +108,8 @@ class Parameter:
                 raise self._error(where, value, "must be finite")
         if number:
             self._check_range(value, where)
+        if self.kind == "string" and (rule := _refusal(value, self.file_name)):
+            raise self._error(where, value, rule)
         if self.choices and value not in self.choices:
             hint = nearest(str(value), self.choices)
             allowed = ", ".join(choice or '""' for choice in self.choices)
@@ -120,8 +126,29 @@ class Parameter:
             raise self._error(where, value, f"must be at most {self.maximum:g}{unit}")
 
     def _error(self, where: str, value: Value, rule: str) -> InputError:
-        shown = f'"{value}"' if isinstance(value, str) else value
+        shown = _shown(value) if isinstance(value, str) else value
         return InputError(f"{where}: {self.name} is {shown}, but {rule}")
+
+
+def _refusal(text: str, file_name: bool) -> str:
+    """Say what a text must be and is not; empty if it may be used."""
+    if "\0" in text:
+        return "must hold no NUL character"
+    if not file_name or not text:
+        return ""
+    if "/" in text or text in (".", ".."):
+        return "must be a name alone, without a path"
+    if text.startswith("-") or not text.isprintable() or text != text.strip():
+        return "must not begin with -, begin or end with a blank, nor hold control characters"
+    if len(text.encode()) > LONGEST_NAME:
+        return f"must be at most {LONGEST_NAME} bytes long"
+    return ""
+
+
+def _shown(text: str) -> str:
+    """Text in one line, and not too long."""
+    text = text if text.isprintable() else repr(text)[1:-1]
+    return f'"{text[:100]}..."' if len(text) > 103 else f'"{text}"'
 
 
 def parameter_rows(text: str, group: str = "") -> tuple[Parameter, ...]:
@@ -129,9 +156,9 @@ def parameter_rows(text: str, group: str = "") -> tuple[Parameter, ...]:
 
     An indented line goes on with the row above. The default is empty where the parameter
     must be given, and may be ``NODE:PARAMETER or DEFAULT``, see `Parameter.default_from`.
-    Allowed is empty, ``> 0``, ``> 0 .. MAXIMUM``, ``MINIMUM ..``, ``MINIMUM .. MAXIMUM``, or a list
-    of texts. Names
-    are put into a group: ``specimen`` makes ``specimen.mass`` of ``mass``.
+    Allowed is empty, ``> 0``, ``> 0 .. MAXIMUM``, ``MINIMUM ..``, ``MINIMUM .. MAXIMUM``,
+    ``a file's name``, or a list of texts. Names are put into a group: ``specimen`` makes
+    ``specimen.mass`` of ``mass``.
     """
     prefix = f"{group}." if group else ""
     lines: list[str] = []
@@ -156,6 +183,8 @@ def _row(
     row = Parameter(prefix + name, kind, value, description, unit, default_from=default_from)
     if allowed.startswith("> 0"):
         row, allowed = replace(row, positive=True), allowed.removeprefix("> 0")
+    if allowed == "a file's name":
+        return replace(row, file_name=True)
     if ".." not in allowed:
         return replace(row, choices=tuple(allowed.replace(",", " ").split()))
     minimum, maximum = (float(end) if end.strip() else None for end in allowed.split(".."))

@@ -34,6 +34,7 @@ OUTSIDE_PERIOD = 0.002  # s between polls for messages from outside while those 
 CHORE_PERIOD = 0.01  # s between chores, after messages were handled
 IDLE_CHORE_PERIOD = 0.05  # s, where none came: a wait may have ended because a sample is due
 MOST_AT_ONCE = 4096  # messages of a topic, as many as the longest queue holds
+MOST_IN_A_TURN = 512  # of a topic that ends no waiting: who is behind still gives signs of life
 MOST_REFUSED = 200  # a few ms of nonsense
 LOG_PERIOD = 1.0  # s between two faults that are logged; all are counted
 REQUESTS = "rclpy/parameter_service.py"
@@ -196,7 +197,7 @@ class NodeProcess:
             handled |= self._poll_outside(0.0 if handled else timeout)
         if not handled:
             for read_one in self._quiet:
-                drain(read_one)
+                drain(read_one, MOST_IN_A_TURN)
             self.bus.deliver()
         return handled
 
@@ -257,9 +258,9 @@ def _was_senseless(error: Exception) -> bool:
     return bool(read) and not any(file.startswith(here) for file in files[read[0] :])
 
 
-def drain(read_one: Callable[[], bool | None]) -> None:
-    """Hand over what has come, as much as the longest queue holds."""
-    for _ in range(MOST_AT_ONCE):
+def drain(read_one: Callable[[], bool | None], most: int = MOST_AT_ONCE) -> None:
+    """Hand over what has come, at most so many messages: as many as the longest queue holds."""
+    for _ in range(most):
         if read_one() is None:
             return
 

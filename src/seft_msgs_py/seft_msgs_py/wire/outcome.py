@@ -11,6 +11,9 @@ from seft_msgs_py.wire.rigs import bare
 from seft_msgs_py.wire.timebase import Timebase
 
 RIG = "rig"
+RECORDER = "recorder"
+RECORDED = "recorded"
+"""Key of the recorder's values: states of each rig that are in the bag, or safe in memory."""
 FINISHED = "finished"
 TRIPPED = "tripped"
 STOPPED = "stopped"

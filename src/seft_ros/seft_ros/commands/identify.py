@@ -136,7 +136,7 @@ def identify(
         bag, label = folder / name, f"{name}: "
         if over_dds or external:
             steps = motions.steps(seconds)
-            tests[name] = dds_test(test, bag, steps, external or (), label=label)
+            tests[name] = dds_test(test, bag, steps, external or (), label=label)[0]
         else:
             tests[name] = offline_test(test, bag, label)
         return tests[name].trip is None and has_valve(tests[name].experiment)

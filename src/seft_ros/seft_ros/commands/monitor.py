@@ -29,6 +29,15 @@ def monitor(
             envvar="SEFT_MONITOR_TOKEN",
         ),
     ] = "",
+    watch_token: Annotated[
+        str,
+        option(
+            "What a browser must know to watch only, without buttons; control needs a token then, "
+            "also on this host. SEFT_MONITOR_WATCH_TOKEN keeps it out of the list of processes.",
+            "TEXT",
+            envvar="SEFT_MONITOR_WATCH_TOKEN",
+        ),
+    ] = "",
     namespace: Annotated[str, option("Namespace of the test's topics.", "NAME")] = "",
     open_page: Annotated[
         bool, option("Open the page in the browser, off the loop's core too.", "--open")
@@ -40,8 +49,8 @@ def monitor(
     state and trips, displacement, acceleration and force with their reference, round trip and
     missed commands, margins to the limits. What it has seen survives a reload of the page.
 
-    Buttons call the supervisor: start, stop and reset ask once more, the emergency stop takes two
-    presses. A button in a browser is no emergency stop circuit.
+    Buttons call the supervisor: Start, Stop and Reset ask once more, Abort test takes one press.
+    A button in a browser is no emergency stop: that is a circuit in hardware.
 
     It listens at 127.0.0.1 alone unless --host says otherwise. Ctrl-C ends it, not the test.
 
@@ -55,25 +64,29 @@ def monitor(
 
         seft monitor --host 0.0.0.0 --token "$(openssl rand -hex 16)"
     """
-    from seft_ros.monitor.access import is_loopback, page_address
+    from seft_ros.monitor.access import Tokens, is_loopback, page_address
     from seft_ros.monitor.serve import keep_off_the_loop, listen, serve
 
-    if any(not c.isprintable() or c.isspace() for c in token) or not token.isascii():
-        raise InputError("--token: use printable ASCII characters without blanks")
+    for name, text in (("--token", token), ("--watch-token", watch_token)):
+        if any(not c.isprintable() or c.isspace() for c in text) or not text.isascii():
+            raise InputError(f"{name}: use printable ASCII characters without blanks")
+    if token and token == watch_token:
+        raise InputError("--watch-token: is the token that controls; use another")
     if not re.fullmatch(r"(/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*)?", namespace, re.ASCII):
         raise InputError(f"--namespace {namespace}: is no name of ROS, such as /lab2")
-    if not is_loopback(host) and not token:
+    if not token and (watch_token or not is_loopback(host)):
         token = secrets.token_urlsafe(24)
     keep_off_the_loop()
     listening = listen(host, port)
-    address = page_address(host, listening.getsockname()[1])
-    if token:
-        address += f"?token={token}"
+    page = page_address(host, listening.getsockname()[1])
+    address = f"{page}?token={token}" if token else page
 
     def ready() -> None:
         print(f"seft monitor: {address}", flush=True)
+        if watch_token:
+            print(f"to watch only: {page}?token={watch_token}", flush=True)
         if open_page:
             webbrowser.open(address)
 
-    serve(listening, host, token, namespace, ready)
+    serve(listening, host, Tokens(token, watch_token), namespace, ready)
     return 0

@@ -53,10 +53,11 @@ def dds_test(
     *,
     layout: "ProcessLayout | None" = None,
     label: str = "",
-) -> Record:
+) -> tuple[Record, Path]:
     """Run a test as separate nodes over DDS, with a progress bar, and read its bag.
 
-    The label stands before what is told of the test, where there are several.
+    Beside the record is the bag's folder: another, where the place for it was lost. The label
+    stands before what is told of the test, where there are several.
 
     Raises
     ------
@@ -76,13 +77,13 @@ def dds_test(
             show_steps(f"{label}{what}", done)
 
         try:
-            fault = run_experiment(experiment, bag, tell, layout, external)
+            fault, bag = run_experiment(experiment, bag, tell, layout, external)
         except KeyboardInterrupt:
             kept = f"; what was recorded is in {bag}" if bag.exists() else ""
             raise ExperimentError(f"{label}interrupted{kept}") from None
     if fault:
         raise ExperimentError(f"{label}{fault}; what was recorded is in {bag}")
-    return read_bag(bag)
+    return read_bag(bag), bag
 
 
 def show_test(record: Record, bag: Path | None, *, as_json: bool, figure: bool) -> bool:

@@ -57,6 +57,8 @@ def _table(rows: tuple[Parameter, ...]) -> str:
 def _type(row: Parameter) -> str:
     if row.choices:
         return " \\| ".join(f"`{choice}`" for choice in row.choices)
+    if row.file_name:
+        return "name of a file"
     limits = ((">", 0 if row.positive else None), (">=", row.minimum), ("<=", row.maximum))
     bounds = [f"{sign} {value:g}" for sign, value in limits if value is not None]
     return f"{row.kind} {', '.join(bounds)}".strip()

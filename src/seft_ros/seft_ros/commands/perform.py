@@ -91,7 +91,7 @@ def run(
     if warning := limit_warning(experiment, expected_peaks(experiment)):
         warn(warning)
     layout = ProcessLayout(pin=pin, composed=composed, priority=priority)
-    record = dds_test(experiment, bag, steps, external or (), layout=layout)
+    record, bag = dds_test(experiment, bag, steps, external or (), layout=layout)
     if show_test(record, bag, as_json=json, figure=figure):
         return 0
     complain(f"the test tripped: {record.trip.reason}" if record.trip else "unstable")

@@ -22,6 +22,8 @@ MOVING = (State.RUNNING, State.RAMPING_DOWN)
 """States in which the rig obeys commands."""
 ENDED = (State.DONE, State.TRIPPED)
 """States that only a reset leaves."""
+ABORTED = "aborted by the operator"
+"""Reason of a trip by ``estop``: the emergency stop proper is a button in hardware."""
 PACE = "pace"
 """Key of what a state comes with: the pace of the rig, as the rig has told it."""
 
@@ -126,10 +128,10 @@ class StateMachine:
         if self.state is State.TRIPPED:
             return Answer(True, f"the test has tripped already ({self.detail}); reset it")
         if self.state is State.RAMPING_DOWN:
-            self.hard_trip("emergency stop")
+            self.hard_trip(ABORTED)
         else:
-            self._go(State.TRIPPED, "emergency stop")
-        return Answer(True, "emergency stop; reset before the next test")
+            self._go(State.TRIPPED, ABORTED)
+        return Answer(True, f"{ABORTED}; reset before the next test")
 
     def reset(self, moving: bool = False) -> Answer:
         """Make the next test possible after one has ended and the rig has come to rest."""

@@ -36,9 +36,13 @@ SUPERVISOR = Table(
 
 _LIVE = parameter_rows(
     """
-    directory | string | bags |  |  | folder in which a test's bag is made
-    name      | string |      |  |  | name of the bag in it; empty: date and time of the start
+    directory | string | bags |  |               | folder in which a test's bag is made
+    name      | string |      |  | a file's name |
+        name of the bag in it; empty: date and time of the start
     storage   | string | mcap |  | mcap, sqlite3 | file format of the bag
+    on_loss   | string | stop |  | stop, go_on   |
+        what becomes of a test whose bag is deleted, moved or can't be written on: it is brought
+        down, or goes on; the recorder keeps what comes, and saves it at the end
     """
 )
 RECORDER = Table("recorder", [replace(row, live=True) for row in _LIVE])

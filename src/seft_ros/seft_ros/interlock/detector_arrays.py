@@ -22,7 +22,7 @@ SIGMAS = 6.0
 """Threshold over the RMS of the noise alone."""
 TOLERANCES = (0.1, 0.15, 0.35)
 """Part of the motion by which relations (1) to (3) may be off: calibration and channels 2 ms apart
-at 7 Hz; an acceleration that jumps between samples; a flow gain of which the controller mends 0.3."""
+at 7 Hz; an acceleration that jumps between samples; a flow gain of which 0.3 is mended."""
 OFF_TARGET = 0.5
 """Part of the target's motion by which a test may be off it."""
 LIMITED = 0.1

@@ -2,13 +2,17 @@
 
 A page in a browser can be asked for by any other page that the browser shows: so the names under
 which this one is asked for, and the page that a request comes from, are looked at. Beyond this
-host a token is needed as well.
+host a token is needed as well: one that controls, or one that only watches.
 """
 
-import asyncio
 import hmac
 import ipaddress
+import math
 import re
+import secrets
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -16,7 +20,9 @@ from urllib.parse import urlsplit
 from tornado.web import HTTPError, RequestHandler
 
 ASSETS = Path(__file__).with_name("assets")
-WRONG_TOKEN = 0.5  # s that a wrong token costs who tries it
+FIRST_WAIT, LONGEST_WAIT = 0.5, 30.0
+"""s that an address waits after its first wrong token; each further one doubles it."""
+MOST_ADDRESSES = 1000
 
 _AUTHORITY = re.compile(r"(\[[0-9A-Fa-f:.%]+\]|[A-Za-z0-9._-]+)(:\d{1,5})?")
 _HEADERS = {
@@ -48,14 +54,103 @@ def page_address(host: str, port: int) -> str:
     return f"http://{text}:{port}/"
 
 
+class TooEarlyError(Exception):
+    """A token is offered before its address may try again, in so many s."""
+
+    def __init__(self, wait: float) -> None:
+        super().__init__(wait)
+        self.wait = wait
+
+
+@dataclass(frozen=True)
+class Tokens:
+    """What gives a request its rights.
+
+    Attributes
+    ----------
+    control : str
+        Sees all, and may press buttons; empty: nobody needs to know anything.
+    watch : str
+        Sees all, and may press none; empty: there is no such token.
+    """
+
+    control: str = ""
+    watch: str = ""
+
+
+class Access:
+    """Tells who may do what; slows down who guesses.
+
+    A token is exchanged for a key that nobody can guess, which the browser keeps: keys are looked
+    at without delay, whoever else guesses at the same address.
+
+    Parameters
+    ----------
+    tokens : Tokens
+        What there is to be known.
+    monotonic : callable, optional
+        Time, s.
+    """
+
+    def __init__(self, tokens: Tokens, monotonic: Callable[[], float] = time.monotonic) -> None:
+        self._tokens, self._monotonic = tokens, monotonic
+        self._keys: dict[str, bool] = {}  # and whether it controls
+        self._failures: dict[str, tuple[int, float]] = {}  # address -> how many, blocked until
+
+    @property
+    def is_open(self) -> bool:
+        """Whether nothing must be known."""
+        return not self._tokens.control
+
+    def of_key(self, key: str) -> bool | None:
+        """Tell whether a key controls; None if it is none."""
+        return self._keys.get(key)
+
+    def of_token(self, given: str, address: str) -> bool | None:
+        """Tell whether a token controls; None if it is wrong.
+
+        Raises
+        ------
+        TooEarlyError
+            If the address must wait. The token is not looked at then.
+        """
+        number, until = self._failures.get(address, (0, 0.0))
+        now = self._monotonic()
+        if now < until:
+            raise TooEarlyError(until - now)
+        for token, controls in ((self._tokens.control, True), (self._tokens.watch, False)):
+            if token and hmac.compare_digest(given.encode(), token.encode()):
+                self._failures.pop(address, None)
+                return controls
+        wait = min(FIRST_WAIT * 2.0 ** min(number, 30), LONGEST_WAIT)
+        self._failures.pop(address, None)  # the newest stands last
+        self._failures[address] = (number + 1, now + wait)
+        if len(self._failures) > MOST_ADDRESSES:
+            del self._failures[next(iter(self._failures))]
+        return None
+
+    def new_key(self, controls: bool) -> str:
+        """Make a key for who knew a token."""
+        key = secrets.token_urlsafe(24)
+        self._keys[key] = controls
+        return key
+
+
 class Guarded(RequestHandler):
     """What every request must pass, and every answer says.
 
-    The application's settings have ``token``, what a request must know, empty: nothing;
-    ``local_only``, whether the page is served on this host alone: then it has no name but
-    localhost, and who asks for another was led here by a name server (DNS rebinding); and
-    ``port``.
+    The application's settings have ``access``, an `Access`; ``local_only``, whether the page is
+    served on this host alone: then it has no name but localhost, and who asks for another was led
+    here by a name server (DNS rebinding); and ``port``.
+
+    Attributes
+    ----------
+    controls : bool
+        Whether who asks may press buttons.
     """
+
+    controls = False
+    _wait = 0  # s
 
     def set_default_headers(self) -> None:
         """Let the page load what is its own, be shown in no other page, and be kept nowhere."""
@@ -77,18 +172,36 @@ class Guarded(RequestHandler):
         acts = self.request.method != "GET" or "Upgrade" in self.request.headers
         if acts and not self.is_own_page(self.request.headers.get("Origin", "")):
             raise HTTPError(403, reason="a request of another page")
-        bearer = self.request.headers.get("Authorization", "").removeprefix("Bearer ")
-        given = self.get_query_argument("token", "") or bearer or self.get_cookie(self.cookie, "")
-        if self.token and not hmac.compare_digest(given.encode(), self.token.encode()):
-            if given:
-                await asyncio.sleep(WRONG_TOKEN)
+        rights = True if self.access.is_open else self._rights()
+        if rights is None:
             raise HTTPError(401, reason="a token is needed")
+        self.controls = rights
+
+    def _rights(self) -> bool | None:
+        """Tell whether who asks controls; None if nothing is known or offered."""
+        bearer = self.request.headers.get("Authorization", "").removeprefix("Bearer ")
+        offered = self.get_query_argument("token", "") or bearer
+        if not offered:
+            return self.access.of_key(self.get_cookie(self.cookie, "") or "")
+        try:
+            rights = self.access.of_token(offered, self.request.remote_ip or "")
+        except TooEarlyError as error:
+            self._wait = math.ceil(error.wait)
+            text = f"after a wrong token wait {self._wait} s, then try again"
+            raise HTTPError(429, reason=text) from None
+        if rights is None:
+            raise HTTPError(401, reason="this token is wrong")
+        return rights
 
     def write_error(self, status_code: int, **_: Any) -> None:
         """Say in plain text what is wrong; who lacks the token may type it."""
+        if self._wait:
+            self.set_header("Retry-After", str(self._wait))
         wants_page = self.request.method == "GET" and self.request.path == "/"
-        if status_code == 401 and wants_page:
-            self.finish((ASSETS / "token.html").read_text(encoding="utf-8"))
+        if status_code in (401, 429) and wants_page:
+            page = (ASSETS / "token.html").read_text(encoding="utf-8")
+            offered = self.get_query_argument("token", "")
+            self.finish(page.replace("<!--told-->", f"{self._reason}." if offered else ""))
             return
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish(f"{status_code}: {self._reason}\n")
@@ -99,9 +212,10 @@ class Guarded(RequestHandler):
         return origin.lower() in (f"http://{host}", f"https://{host}")
 
     @property
-    def token(self) -> str:
-        """What a request must know; empty: nothing."""
-        return str(self.settings["token"])
+    def access(self) -> Access:
+        """Who may do what."""
+        found: Access = self.settings["access"]
+        return found
 
     @property
     def host(self) -> str:
@@ -110,7 +224,7 @@ class Guarded(RequestHandler):
 
     @property
     def cookie(self) -> str:
-        """Name of the cookie that holds the token; cookies of all ports of a host are one."""
+        """Name of the cookie that holds the key; cookies of all ports of a host are one."""
         return f"seft_monitor_{self.settings['port']}"
 
     def _is_host(self) -> bool:

@@ -34,7 +34,7 @@ from std_srvs.srv import Trigger
 from seft_ros.monitor.intake import Messages
 
 SERVICES = ("start", "stop", "estop", "reset")
-PATIENCE = 3.0  # s for an answer
+PATIENCE = {"start": 1.0, "stop": 3.0, "estop": 3.0, "reset": 1.0}  # s for an answer
 READ_DEPTH = 4096
 MOST_AT_ONCE = 8192
 _TOPICS = (EXPERIMENT_STATE, DESCRIPTION, DIAGNOSTICS, GROUND_MOTION, RIG_STATE, REFERENCE_FORCE)
@@ -68,7 +68,7 @@ class Graph:
         self._subscriptions: dict[str, Subscription] = {}
         for topic in _TOPICS:
             self._subscribe(topic)
-        # made now, and so found by the time that an emergency stop is wanted
+        # made now, and so found by the time that a stop is wanted
         self._clients: dict[str, Client] = {
             name: self._node.create_client(Trigger, name) for name in SERVICES
         }
@@ -108,10 +108,10 @@ class Graph:
         pending = client.call_async(Trigger.Request())
         pending.add_done_callback(lambda done: loop.call_soon_threadsafe(answer, done.result()))
         try:
-            response = await asyncio.wait_for(answered, PATIENCE)
+            response = await asyncio.wait_for(answered, PATIENCE[service])
         except TimeoutError:
             client.remove_pending_request(pending)
-            return False, f"the supervisor did not answer {service} within {PATIENCE:g} s"
+            return False, f"the supervisor did not answer {service} within {PATIENCE[service]:g} s"
         return response.success, response.message
 
     def close(self) -> None:

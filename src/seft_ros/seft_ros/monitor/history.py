@@ -143,6 +143,11 @@ class History:
         if step >= self.head:
             self._begin = self.head = self.released = step
 
+    def subtract(self, until: int, target: slice, minuend: slice, subtrahend: slice) -> None:
+        """Write differences of signals, of the steps before ``until`` not released yet."""
+        slots = np.arange(self.released, min(until, self.head)) & self._mask
+        self._ring[slots, target] = self._ring[slots, minuend] - self._ring[slots, subtrahend]
+
     def release(self, until: int) -> Stretch | None:
         """Take what was written of the steps before ``until`` into the history; give it."""
         first, until = self.released, min(until, self.head)

@@ -63,6 +63,7 @@ class Intake:
         self.number, self.refused = number, 0
         self.reference_note = ""
         self._expected = True  # whether the next sample may be the first of a test
+        self._cleared = False  # whether nothing has been seen of the test that is counted
         self._new: list[Stretch] = []
         self._sections: dict[str, dict[str, Any]] = {}
         self._reference = LiveReference()
@@ -86,9 +87,12 @@ class Intake:
             self._reference.response = self._response()  # of who came up in the middle of a test
             self._follow_motion()
 
-    def expect(self) -> None:
-        """Take in that a test begins: the next sample is its first that is seen."""
-        self._expected = True
+    def clear(self) -> None:
+        """Forget the last test; the next sample is the first that is seen of another."""
+        self.number += 1
+        self.history = History(self.signals.count)
+        self.own_motion = {}
+        self._cleared = self._expected = True
 
     def motion(self, messages: Messages) -> None:
         """Take in ground motion."""
@@ -122,7 +126,10 @@ class Intake:
         return self._new
 
     def _release(self, held_back: int) -> None:
-        stretch = self.history.release(self.history.head - held_back)
+        signals, until = self.signals, self.history.head - held_back
+        for name, error in signals.error.items():
+            self.history.subtract(until, error, signals.measured[name], signals.reference[name])
+        stretch = self.history.release(until)
         if stretch is not None:
             self._new.append(stretch)
 
@@ -149,7 +156,11 @@ class Intake:
     def _take_states(self, steps: Steps, values: Floats, sent: Steps) -> None:
         """Take in states of increasing steps without long gaps."""
         first = int(steps[0])
-        if not self.number or (first < self.history.head and (self._expected or first == 0)):
+        if (
+            not self.number
+            or self._cleared
+            or (first < self.history.head and (self._expected or first == 0))
+        ):
             self._begin(first)
         elif first < self.history.head:
             return  # of somebody else
@@ -173,7 +184,8 @@ class Intake:
         self.history.write(steps, self.signals.answer, times[:, np.newaxis])
 
     def _begin(self, first: int) -> None:
-        self.number += 1
+        self.number += not self._cleared
+        self._cleared = False
         self.history = History(self.signals.count)
         self.history.begin(first)
         self._new = []

@@ -18,10 +18,12 @@ MOST_WAITING = 2**14
 MEASURED = {"displacement": "positions", "acceleration": "accelerations", "force": "effort"}
 ROWS = {name: RIG_STATE.quantities.index(quantity) for name, quantity in MEASURED.items()}
 """Rows of a sample of rig/state that are shown."""
+FOLLOWED = ("displacement", "force")
+"""Of which the error is shown, too."""
 
 
 class Signals:
-    """Columns of a history over n axes: measured, reference, and the answer's time.
+    """Columns of a history over n axes: measured, reference, their error, the answer's time.
 
     Attributes
     ----------
@@ -29,6 +31,8 @@ class Signals:
         Names of the n axes.
     measured, reference : dict of str to slice
         Columns of a quantity in `ROWS`, one an axis; m, m/s^2, N.
+    error : dict of str to slice
+        Columns of measured less reference, of the quantities in `FOLLOWED`.
     answer : slice
         Time from a state's publication to that of its reference force, ms.
     count : int
@@ -40,7 +44,9 @@ class Signals:
         starts = {name: 2 * number * n for number, name in enumerate(ROWS)}
         self.measured = {name: slice(start, start + n) for name, start in starts.items()}
         self.reference = {name: slice(start + n, start + 2 * n) for name, start in starts.items()}
-        self.count = 2 * n * len(ROWS) + 1
+        errors = {name: (2 * len(ROWS) + number) * n for number, name in enumerate(FOLLOWED)}
+        self.error = {name: slice(start, start + n) for name, start in errors.items()}
+        self.count = (2 * len(ROWS) + len(FOLLOWED)) * n + 1
         self.answer = slice(self.count - 1, self.count)
 
     def layout(self) -> dict[str, Any]:
@@ -49,6 +55,7 @@ class Signals:
             "axes": list(self.axes),
             "measured": {name: part.start for name, part in self.measured.items()},
             "reference": {name: part.start for name, part in self.reference.items()},
+            "error": {name: part.start for name, part in self.error.items()},
             "answer": self.answer.start,
         }
 

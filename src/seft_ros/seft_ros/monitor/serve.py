@@ -12,11 +12,11 @@ from collections.abc import Callable
 from seft_msgs_py.errors import InputError
 from tornado.httpserver import HTTPServer
 
-from seft_ros.monitor.access import is_loopback
+from seft_ros.monitor.access import Tokens, is_loopback
 
 PERIOD = 0.1  # s
 NICE = 3
-"""Gives way to the nodes, and still answers an emergency stop on a busy machine."""
+"""Gives way to the nodes, and still answers a stop on a busy machine."""
 
 
 def listen(host: str, port: int) -> socket.socket:
@@ -54,7 +54,7 @@ def keep_off_the_loop() -> None:
 
 
 def serve(
-    listening: socket.socket, host: str, token: str, namespace: str, ready: Callable[[], None]
+    listening: socket.socket, host: str, tokens: Tokens, namespace: str, ready: Callable[[], None]
 ) -> None:
     """Serve the page until SIGINT or SIGTERM.
 
@@ -62,8 +62,8 @@ def serve(
     ----------
     listening : socket
         As `listen` gives it for ``host``.
-    token : str
-        What pages must know; empty: nothing.
+    tokens : Tokens
+        What pages must know.
     namespace : str
         Of the test's topics.
     ready : callable
@@ -78,7 +78,8 @@ def serve(
         watch = Watch(graph)
         pages = Pages(watch.everything)
         port = listening.getsockname()[1]
-        web = application(token, is_loopback(host), port, pages, graph.call)
+        local = is_loopback(host)
+        web = application(tokens, local, port, pages, graph.call, watch.lateness)
 
         async def run() -> None:
             stopping = asyncio.Event()

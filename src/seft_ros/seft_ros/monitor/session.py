@@ -3,6 +3,7 @@
 import time
 from collections import deque
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from seft_msgs_py.node.awake_clock import AwakeClock
@@ -13,13 +14,16 @@ from seft_msgs_py.wire.topics import NODES
 
 from seft_ros.experiment.state_machine import ENDED, State
 
-SILENCE = 1.5  # s; nodes give a sign of life five times a second
+SILENCE = 1.0  # s; nodes give a sign of life five times a second
+ENDED_WITH_TEST = 0.5  # s before a test's end: who spoke then has left after it
+NOT_BEGUN = (State.IDLE, State.READY)
 EVENTS = 200
 MARGIN, ROUND_TRIP = "margin ", "round trip "
 SHOWN = {
     "ground_motion": ("file", "peak_force", "time_scale"),
     "reference_force": ("method", "mass_ratio", "compensation.method", "loop_delay"),
     "rig": ("pace",),
+    "recorder": ("name",),
 }
 """Parameters that tell which test it is."""
 
@@ -40,6 +44,8 @@ class Session:
         Node -> its parameters.
     round_trips : list
         Of the running test, by the rig: (test time in s, median, largest in ms, missed).
+    number : int
+        Counts the states; a request that was made in another one is not carried out.
     """
 
     def __init__(
@@ -51,6 +57,8 @@ class Session:
         self.round_trips: list[tuple[float, float | None, float | None, int]] = []
         self._experiment = Status("", 0, "", values={})  # nothing is heard yet
         self._silent = False
+        self.number = 0
+        self._ended_at = 0.0
         self._nodes: dict[str, tuple[Status, float]] = {}
         self._rigs: dict[str, dict[str, str]] = {}
         self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS)
@@ -61,18 +69,27 @@ class Session:
         heard = self._nodes.get("")
         silent = heard is not None and self._now - heard[1] > SILENCE
         if silent and not self._silent:
-            self._note("gone", "nothing is heard of the supervisor any more", 3)
+            if self._experiment.message in ENDED:
+                self._note("left", "the nodes of the test have left", 4)
+            else:
+                self._note("gone", "nothing is heard of the supervisor any more", 3)
         self._silent = silent
 
     def on_state(self, status: Status) -> bool:
-        """Take in experiment/state; tell whether a test begins with it."""
+        """Take in experiment/state; tell whether what came before is of another test."""
         before, self._experiment = self._experiment, status
         self._nodes[""] = (status, self._now)
         last, news = ((each.message, each.values.get("detail", "")) for each in (before, status))
         if self._silent or last != news:
             self._note(*news, status.level)
         self._silent = False
-        return status.message == State.RUNNING != before.message
+        if status.message == before.message:
+            return False
+        self.number += 1
+        if status.message in ENDED:
+            self._ended_at = self._now
+        begins = status.message in (*NOT_BEGUN, State.RUNNING)
+        return begins and before.message in (*ENDED, State.RUNNING, State.RAMPING_DOWN)
 
     def begin(self) -> None:
         """Forget the last test's round trips and margins."""
@@ -85,7 +102,8 @@ class Session:
             if bare(status.name) not in NODES:
                 continue
             self._nodes[status.name] = (status, self._now)
-            if bare(status.name) == RIG and status.values.get("phase", "idle") != "idle":
+            is_rig = bare(status.name) == RIG and status.values.get("phase", "idle") != "idle"
+            if is_rig and self._experiment.message not in NOT_BEGUN:  # else it is of the last test
                 self._follow_rig(status, dt)
 
     def on_description(self, node: str, parameters: dict[str, Any]) -> None:
@@ -98,6 +116,8 @@ class Session:
         rig = self._of_all_rigs()
         return {
             "heard": "" in self._nodes,
+            "number": self.number,
+            "name": self._name(),
             "silent": self._silent,
             "state": state,
             "detail": values.get("detail", ""),
@@ -120,12 +140,27 @@ class Session:
     def _node(self, name: str) -> dict[str, Any]:
         status, at = self._nodes[name]
         silent = self._now - at > SILENCE
+        ended = self._experiment.message in ENDED and at > self._ended_at - ENDED_WITH_TEST
         return {
             "name": name,
-            "level": 3 if silent else status.level,
+            "level": (4 if ended else 3) if silent else status.level,
             "text": status.message,
             "refused": _whole(status.values.get("refused")),
         }
+
+    def _name(self) -> str:
+        """Say which test it is, in a few words."""
+        motion, force = (self.sections.get(n, {}) for n in ("ground_motion", "reference_force"))
+        if not motion and not force:
+            return ""
+        words = [Path(str(motion.get("file") or "synthetic motion")).name]
+        if "mass_ratio" in force:
+            words.append(f"mass ratio {force['mass_ratio']}")
+        if method := force.get("compensation.method"):
+            words.append(f"{method}" if method != "none" else "uncompensated")
+        if bag := self.sections.get("recorder", {}).get("name"):
+            words.append(f"bag {bag}")
+        return ", ".join(words)
 
     def _parameters(self) -> dict[str, str]:
         return {

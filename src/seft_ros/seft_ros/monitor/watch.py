@@ -1,6 +1,7 @@
 """The graph polled again and again: what is new, for all pages that are open."""
 
 import json
+import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +28,8 @@ if TYPE_CHECKING:  # a watch needs no ROS
 TELLERS = ("rig", "reference_force", "force_controller", "ground_motion", "supervisor")
 """Who is believed about rate and axes, the first first."""
 
+LATEST = 1.0  # s from a press to the supervisor
+
 Frame = str | bytes
 
 
@@ -37,10 +40,12 @@ class Watch:
     ----------
     graph : Graph
         What is watched.
+    now : callable, optional
+        Time that requests of pages are dated by, s.
     """
 
-    def __init__(self, graph: "Graph") -> None:
-        self._graph = graph
+    def __init__(self, graph: "Graph", now: Callable[[], float] = time.monotonic) -> None:
+        self._graph, self._now = graph, now
         self.session = Session()
         self.intake: Intake | None = None
         self._told: dict[str, str] = {}
@@ -56,18 +61,34 @@ class Watch:
         intake.motion(take(GROUND_MOTION))
         forces = take(REFERENCE_FORCE)  # before the states: of each the state has come, too
         new = intake.samples([take(RIG_STATE.of(rig)) for rig in intake.rigs], forces)
-        if intake.number != before:
+        if intake.number != before:  # also without word of the supervisor
             self.session.begin()
         return self._news() + [samples_frame(intake.number, stretch) for stretch in new]
 
     def everything(self) -> list[Frame]:
         """Give all that a page needs which has just been opened."""
-        frames: list[Frame] = list(self._told.values())
+        frames: list[Frame] = [*self._told.values(), self._time()]
         if self.intake is not None and self.intake.number:
             history, number = self.intake.history, self.intake.number
             frames.append(envelope_frame(number, history.envelope))
             frames.append(samples_frame(number, history.recent(), RECENT))
         return frames
+
+    def lateness(self, state: int, at_ms: float) -> str:
+        """Say why a request to start or reset is not carried out; empty if it may be.
+
+        Parameters
+        ----------
+        state : int
+            `Session.number` when it was made.
+        at_ms : float
+            Time of this process when it was made, as the page knows it, ms.
+        """
+        if not 0.0 <= (late := self._now() - at_ms / 1e3) <= LATEST:
+            return f"it came {late:.1f} s late, and only a stop may; press it again"
+        if state != self.session.number:
+            return f"the test is {self.session.summary()['state']} by now; look, and press it again"
+        return ""
 
     def _hear_nodes(self) -> None:
         session = self.session
@@ -76,8 +97,10 @@ class Watch:
             session.on_description(node, description["parameters"])
             self._follow_description()
         for status in self._decoded(EXPERIMENT_STATE, decode_status):
-            if session.on_state(status) and self.intake is not None:
-                self.intake.expect()
+            if session.on_state(status):
+                session.begin()
+                if self.intake is not None:
+                    self.intake.clear()
         dt = self.intake.timebase.dt if self.intake else 0.0
         for _, statuses in self._decoded(DIAGNOSTICS, decode_diagnostics):
             session.on_diagnostics(statuses, dt)
@@ -136,4 +159,8 @@ class Watch:
             if self._told.get(kind) != text:
                 self._told[kind] = text
                 news.append(text)
-        return news
+        return [*news, self._time()]
+
+    def _time(self) -> str:
+        """Tell the time of this process: that it lives, and when a page was told what it shows."""
+        return json.dumps({"kind": "time", "at": round(1e3 * self._now())})

@@ -11,10 +11,10 @@ import bokeh
 from bokeh.embed import json_item
 from bokeh.models import ColumnDataSource, NumeralTickFormatter, Range1d
 from bokeh.plotting import figure
-from tornado.web import Application, StaticFileHandler
+from tornado.web import Application, HTTPError, StaticFileHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
-from seft_ros.monitor.access import ASSETS, Guarded, Missing
+from seft_ros.monitor.access import ASSETS, Access, Guarded, Missing, Tokens
 from seft_ros.monitor.watch import Frame
 from seft_ros.page.plots import plot
 
@@ -27,6 +27,8 @@ HEIGHT = 230  # pixels
 LEFT = 64  # pixels for the numbers: all figures begin at the same place, and nothing jumps
 LINES = {
     "displacement": ("displacement / mm", ("reference", "measured")),
+    "displacement_error": ("displacement error / mm", ("error",)),
+    "force_error": ("force error / kN", ("error",)),
     "acceleration": ("acceleration / (m/s²)", ("reference", "measured")),
     "force": ("force / kN", ("reference", "measured")),
     "spectrum": ("pseudo-acceleration / (m/s²)", ("natural", "reference", "measured")),
@@ -38,17 +40,19 @@ WIDTHS = {"natural": 1.0, "reference": 3.0, "answer": 1.0, "period": 1.0, "media
 STEPPED = ("largest", "median", "missed")
 """What is told once a second, of the second before."""
 
+STOPS = ("stop", "estop")
 Call = Callable[[str], Awaitable[tuple[bool, str]]]
+Lateness = Callable[[int, float], str]
 
 
 class Page(Guarded):
-    """The page itself; a token in its address goes into a cookie, and out of sight."""
+    """The page itself; a token in its address becomes a key in a cookie, and goes out of sight."""
 
     def get(self) -> None:
         """Answer with the page."""
-        token = self.get_query_argument("token", "")
-        if token and self.token:
-            self.set_cookie(self.cookie, token, httponly=True, samesite="Strict", path="/")
+        if self.get_query_argument("token", "") and not self.access.is_open:
+            key = self.access.new_key(self.controls)
+            self.set_cookie(self.cookie, key, httponly=True, samesite="Strict", path="/")
             self.redirect("/")
             return
         self.set_header("Content-Type", "text/html; charset=utf-8")
@@ -74,12 +78,28 @@ class File(Guarded, StaticFileHandler):
 
 
 class Service(Guarded):
-    """A button of the page."""
+    """A button of the page.
+
+    A request to start or to reset says in which state the page has made it, and when; a stop may
+    come late.
+    """
 
     async def post(self, name: str) -> None:
         """Call the supervisor; answer with what it says."""
-        done, text = await self.settings["call"](name)
+        if not self.controls:
+            raise HTTPError(403, reason="this token may watch, and not control")
+        why = "" if name in STOPS else self._lateness()
+        done, text = (False, why) if why else await self.settings["call"](name)
         self.finish({"done": done, "text": text})
+
+    def _lateness(self) -> str:
+        try:
+            request = json.loads(self.request.body)
+            state, at_ms = int(request["state"]), float(request["at"])
+        except (KeyError, TypeError, ValueError):
+            return "the request does not say in which state and when it was made"
+        why: str = self.settings["lateness"](state, at_ms)
+        return why
 
 
 class Live(Guarded, WebSocketHandler):
@@ -95,6 +115,7 @@ class Live(Guarded, WebSocketHandler):
     def open(self, *_: str, **__: str) -> None:
         """Begin to tell."""
         self.set_nodelay(True)
+        self.send(json.dumps({"kind": "rights", "controls": self.controls}))
         if not self.settings["pages"].add(self):
             self.close(1013, "too many pages")
 
@@ -200,9 +221,11 @@ def _figure(name: str, label: str, lines: tuple[str, ...]) -> figure:
     return panel
 
 
-def application(token: str, local_only: bool, port: int, pages: Pages, call: Call) -> Application:
-    """Make the web application; see `Guarded` for token and local_only."""
-    drawn = json.dumps(figures())  # now: it takes a second, for which an emergency stop would wait
+def application(
+    tokens: Tokens, local_only: bool, port: int, pages: Pages, call: Call, lateness: Lateness
+) -> Application:
+    """Make the web application; see `Guarded` for local_only, `Watch.lateness` for lateness."""
+    drawn = json.dumps(figures())  # now: it takes a second, for which a stop would wait
     return Application(
         [
             (r"/", Page),
@@ -213,7 +236,8 @@ def application(token: str, local_only: bool, port: int, pages: Pages, call: Cal
             (r"/library/(bokeh\.min\.js)", File, {"path": str(LIBRARY)}),
         ],
         default_handler_class=Missing,
-        token=token,
+        access=Access(tokens),
+        lateness=lateness,
         local_only=local_only,
         port=port,
         pages=pages,

@@ -2,27 +2,31 @@
 
 It keeps what is needed from before the start (descriptions, ground motion ahead), opens a bag
 when the test runs, and closes it when the test has ended and the topics have fallen silent. The
-next test waits for that.
+next test waits for that, and for a place where its bag can be made. What becomes of a test whose
+bag is lost, the parameter ``on_loss`` says; it is recorded in any case.
 """
 
 import json
 import sys
 import time
-from collections import deque
+from collections import Counter, deque
 from datetime import datetime
 from pathlib import Path
 
+from seft_msgs_py.errors import ExperimentError
 from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import Handler, NodeShell
 from seft_msgs_py.node.realtime import FIRST, boot
 from seft_msgs_py.wire.messages import (
+    ERROR,
+    OK,
     Status,
     decode_description,
     decode_diagnostics,
     decode_status,
     encode_string,
 )
-from seft_msgs_py.wire.outcome import RIG
+from seft_msgs_py.wire.outcome import RECORDED, RIG
 from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
@@ -40,21 +44,21 @@ from seft_ros.experiment.peers import ALL_ANSWERED, RECORDING, SILENT, WAITS
 from seft_ros.experiment.state_machine import ENDED, MOVING, State
 from seft_ros.experiment.tables import TABLES
 from seft_ros.experiment.watching import RECORDER
-from seft_ros.recording.bag_writer import BagWriter
 from seft_ros.recording.environment import describe_environment
+from seft_ros.recording.lasting_bag import LastingBag
+from seft_ros.recording.room import expected_size, obstacle
 from seft_ros.recording.stall_watch import StallWatch
 
 SILENCE = 0.3  # s without a message of a step: the test's last message has come
 LONG_SILENCE = 3.5  # s, where something lacks: DDS may send it again every 3 s only
 LONGEST_DRAIN = 15.0  # s
 TICK = 0.02  # s
-READ_DEPTH = (
-    4096  # messages that may wait while the recorder is held up; depth decides what is lost
-)
+PLACE_PERIOD = 0.5  # s between two looks at the next bag's place, or for one where it can be saved
+READ_DEPTH = 4096  # messages that may wait while the recorder is held up
 
 
 class RecorderNode(NodeBody):
-    """Moves bytes from topics to a `BagWriter`."""
+    """Moves bytes from topics to a `LastingBag`."""
 
     def __init__(self, shell: NodeShell) -> None:
         super().__init__(shell)
@@ -64,7 +68,10 @@ class RecorderNode(NodeBody):
         )
         self._descriptions: dict[str, tuple[Topic, bytes, int]] = {}
         self._before: deque[tuple[Topic, bytes, int]] = deque(maxlen=20_000)
-        self._bag: BagWriter | None = None
+        self._bag: LastingBag | None = None
+        self._reason = self._unsaved = ""  # to bring the test down; why its bag can't be saved
+        self._checked_at = -PLACE_PERIOD
+        self._steps = 0  # of the coming test
         self._phase = "idle"
         self._ended_at: float | None = None
         self._next_began = False  # ground motion of the next test has come
@@ -72,15 +79,15 @@ class RecorderNode(NodeBody):
         self._told_in_full = True  # how the test ended
         self._force_phase = ""  # of the reference force
         self._step_message_at = 0.0
-        self._samples, self._expected = 0, 0  # of the rig
+        self._samples = Counter[str]()  # by topic
+        self._expected = 0  # of each
         self._environment = describe_environment("run")  # asks git once, before a test runs
         self._watch: StallWatch | None = None
         rigs = shell.experiment.rigs
-        self._rig_states = [RIG_STATE.of(rig) for rig in rigs]
+        self._rig_states = [RIG_STATE.of(rig).name for rig in rigs]
         self._paced_by = rigs[0].node(RIG)
-        for topic in topics_of(rigs):
-            if not topic.recorded:
-                continue
+        self._topics = [topic for topic in topics_of(rigs) if topic.recorded]
+        for topic in self._topics:
             depth = 64 if topic.latched and topic != GROUND_MOTION else READ_DEPTH
             shell.subscribe(topic, self._receiver(topic), depth=depth, wake=False)
 
@@ -89,8 +96,9 @@ class RecorderNode(NodeBody):
         try:
             super().run()
         finally:
-            self._shell.spin_once(0.0)  # what has come
-            self._close()
+            for topic in self._topics:
+                self._shell.catch_up(topic)
+            self._close_or_lose()
 
     def period(self) -> float:
         """Time between two polls, s."""
@@ -105,16 +113,29 @@ class RecorderNode(NodeBody):
         if self._bag is None:
             self._check_place()
             return
-        self._bag.flush_if_due()
+        self._bag.look()
+        self._tell_trouble(self._bag)
+        self._values = {**self._values, RECORDED: str(self._recorded())}
+        self._shell.note(self._status())
         if self._ended_at is not None:
             now = time.monotonic()
-            complete = self._samples >= self._expected and self._told_in_full
+            complete = self._recorded() >= self._expected and self._told_in_full
             if self._phase == State.DONE and "reference_force" in self._descriptions:
                 complete &= self._force_phase == ALL_ANSWERED
             patience = SILENCE if complete else LONG_SILENCE
             silent = now - max(self._step_message_at, self._ended_at) > patience
-            if silent or now - self._ended_at > LONGEST_DRAIN:
+            over = silent or now - self._ended_at > LONGEST_DRAIN
+            if over and now - self._checked_at >= PLACE_PERIOD:
+                self._checked_at = now
                 self._close()
+
+    def _tell_trouble(self, bag: LastingBag) -> None:
+        """Tell what has become of the bag; as a reason to end the test, if it shall end."""
+        if bag.trouble and (self._section["on_loss"] == "stop" or bag.is_full):
+            self._reason = f"the recorder's bag is lost: {bag.trouble}"
+        found = {"reason": self._reason, "problem": self._unsaved or bag.trouble}
+        if not found.items() <= self._values.items():
+            self._report(RECORDING, **found)
 
     def _receiver(self, topic: Topic) -> Handler:
         of_a_step = topic == ESTIMATES or isinstance(topic, LoopTopic)
@@ -131,7 +152,7 @@ class RecorderNode(NodeBody):
                 self._keep(topic, raw, now)
             elif self._bag is not None:
                 self._bag.write(topic, raw, now)
-                self._samples += topic in self._rig_states
+                self._samples[topic.name] += 1
             elif of_a_step:
                 self._keep(topic, raw, now)
             if topic == DIAGNOSTICS:
@@ -156,10 +177,11 @@ class RecorderNode(NodeBody):
 
     def _follow(self, test: Status) -> None:
         phase = test.message
+        self._steps = int(test.number("steps") or 0)
         if phase == State.READY and self._watch is None:
             self._watch = StallWatch()
         if phase in MOVING and self._phase not in MOVING:
-            self._close()  # of a test whose successor did not wait
+            self._close_or_lose()  # of a test whose successor did not wait
             self._open()
         elif phase in ENDED and self._bag is not None:
             # a trip is only told in full when it is known who has fallen silent
@@ -170,11 +192,12 @@ class RecorderNode(NodeBody):
             last = test.number("step")  # where it tripped
             steps = test.number("steps") if phase == State.DONE else None
             expected = last + 1 if last is not None else steps or 0
-            self._expected = expected * len(self._rig_states)
+            self._expected = expected
         self._phase = phase
 
     def _open(self) -> None:
-        self._bag = BagWriter(self._place(), self._section["storage"])
+        self._bag = LastingBag(self._place(), self._section["storage"])
+        self._reason = self._unsaved = ""
         self._ended_at, self._next_began = None, False
         now = time.time_ns()
         self._environment = describe_environment("run")
@@ -182,28 +205,39 @@ class RecorderNode(NodeBody):
         for topic, raw, _ in self._descriptions.values():
             self._bag.write(topic, raw, now)
         self._watch_the_machine()
-        self._samples = sum(topic in self._rig_states for topic, _, _ in self._before)
+        self._samples = Counter(topic.name for topic, _, _ in self._before)
         while self._before:
             self._bag.write(*self._before.popleft())
-        self._bag.flush()
-        self._report(RECORDING)
+        self._report(RECORDING, reason="", problem="")
+
+    def _close_or_lose(self) -> None:
+        """Save the bag, if one is open, for the last time."""
+        self._close()
+        if self._bag is not None:
+            self._shell.node.get_logger().error(f"a test is lost: {self._unsaved}")
 
     def _close(self) -> None:
-        bag, self._bag = self._bag, None
-        if bag is not None:
-            if self._watch is not None:
-                self._environment["stalls"] = self._watch.end()
-                self._watch = None
-                self._write_environment(bag)
-            bag.close({})
-            self._report("saved", bag=str(bag.path))
+        """Save the bag, if one is open; where that fails, it stays open."""
+        if (bag := self._bag) is None:
+            return
+        if self._watch is not None:
+            self._environment["stalls"] = self._watch.end()
+            self._watch = None
+            self._write_environment(bag)
+        try:
+            path = bag.close()
+        except ExperimentError as error:
+            self._unsaved = str(error)
+            return
+        self._bag, self._checked_at = None, -PLACE_PERIOD  # is there a place for the next one?
+        self._report("saved", bag=str(path))
 
-    def _write_environment(self, bag: BagWriter) -> None:
+    def _write_environment(self, bag: LastingBag) -> None:
         text = json.dumps({"environment": self._environment})
         bag.write(DESCRIPTION, encode_string(text), time.time_ns())
 
     def _watch_the_machine(self) -> None:
-        """Have stalls of the loop's core noted, where the rig keeps a pace and is on this host."""
+        """Note stalls of the loop's core, where the rig keeps a pace and is on this host."""
         if self._watch is None or self._paced_by not in self._descriptions:
             return
         _, rig = decode_description(self._descriptions[self._paced_by][1])
@@ -226,15 +260,35 @@ class RecorderNode(NodeBody):
 
     def _check_place(self) -> None:
         """Have the next test wait as long as its bag can't be made."""
-        place = self._place() if self._section["name"] else None
-        is_taken = place is not None and place.exists()
-        why = f"{place} exists already; set its parameter name to another" if is_taken else ""
+        if (now := time.monotonic()) - self._checked_at < PLACE_PERIOD:
+            return
+        self._checked_at = now
+        why = obstacle(self._place(), self._expected_size(self._steps))
+        if why:
+            why += "; mend that or set its parameter name or directory to another"
         if why != self._values.get(WAITS, ""):
-            self._report(**{**self._values, WAITS: why})
+            self._report(**(self._values | {WAITS: why}))
+
+    def _expected_size(self, steps: int) -> int:
+        """Size of the coming test's samples, bytes, as far as the others have described it."""
+        if not steps or "reference_force" not in self._descriptions:
+            return 0
+        experiment = self._shell.experiment
+        _, force = decode_description(self._descriptions["reference_force"][1])
+        return expected_size(force["parameters"], experiment.axes, experiment.timebase, steps)
+
+    def _recorded(self) -> int:
+        """Count the samples that have come of each rig."""
+        return min(self._samples[name] for name in self._rig_states)
 
     def _report(self, phase: str, **values: str) -> None:
         self._values = {"phase": phase, **values}
-        self.report(phase, values)
+        self._shell.report(self._status())
+
+    def _status(self) -> Status:
+        problem = self._values.get("problem", "")
+        text, level = problem or self._values["phase"], ERROR if problem else OK
+        return Status(self._shell.name, level, text, values=self._values)
 
 
 KIND = NodeKind(RECORDER, TABLES, RecorderNode)

@@ -45,6 +45,7 @@ from seft_ros.experiment.watching import SUPERVISOR
 HEARTBEAT = 0.2  # s between two publications of the state
 AGES_PERIOD = 1.0  # s
 GRAPH_PERIOD = 0.2  # s between two polls of the graph
+STOOD_STILL = 1.0  # s without a look; requests to start or reset that waited so long have expired
 MOST_AT_ONCE = 1000  # messages that are heard between two polls, in a flood
 LEVELS = {State.RAMPING_DOWN: WARN, State.TRIPPED: ERROR}
 SOFT_PEERS = ("ground_motion", "recorder")
@@ -69,6 +70,7 @@ class SupervisorNode(NodeBody):
         self._lock = threading.Lock()
         self._awake = AwakeClock()
         self._now = self._awake.time()
+        self._looked_at, self._woke_at = time.monotonic(), -STOOD_STILL
         self._test_s = 0.0
         self._heard: dict[str, Heard] = {}
         self._descriptions: dict[str, dict[str, Any]] = {}
@@ -84,10 +86,10 @@ class SupervisorNode(NodeBody):
         shell.subscribe(CLOCK_TOPIC, self._on_clock, wake=False)
         machine = self._machine
         for name, request in (
-            ("start", machine.start),
+            ("start", self._in_time(machine.start, "start")),
             ("stop", machine.stop),
             ("estop", machine.estop),
-            ("reset", lambda: machine.reset(moving=self._is_any("running"))),
+            ("reset", self._in_time(self._reset, "reset")),
         ):
             shell.node.create_service(Trigger, name, self._service(request))
 
@@ -109,6 +111,9 @@ class SupervisorNode(NodeBody):
     def poll(self) -> None:
         """Watch the peers, and publish the state if it has changed or is due."""
         with self._lock:
+            before, self._looked_at = self._looked_at, time.monotonic()
+            if self._looked_at - before > STOOD_STILL:
+                self._woke_at = self._looked_at
             self._now = self._awake.time()
             self._follow_state()
             if self._state in (State.IDLE, State.READY):
@@ -187,6 +192,20 @@ class SupervisorNode(NodeBody):
             for node in gone:
                 self._machine.note(silence(node, self._heard))
 
+    def _reset(self) -> Answer:
+        return self._machine.reset(moving=self._is_any("running"))
+
+    def _in_time(self, request: Callable[[], Answer], what: str) -> Callable[[], Answer]:
+        """Refuse what may have waited while this process stood still: who asked has given up."""
+
+        def answer() -> Answer:
+            now = time.monotonic()
+            if now - self._looked_at > STOOD_STILL or now - self._woke_at < STOOD_STILL:
+                return Answer(False, f"can't {what}: the supervisor has stood still; ask once more")
+            return request()
+
+        return answer
+
     def _service(self, request: Callable[[], Answer]) -> Callable[[Any, Any], Any]:
         def answer() -> Answer:
             with self._lock:
@@ -249,6 +268,8 @@ class SupervisorNode(NodeBody):
         elif is_rig and phase == FINISHED:
             if all(self._phase(rig) == FINISHED for rig in self._rig_nodes):
                 self._machine.finish(f"{status.values.get('steps')} steps done")
+        elif status.name == "recorder" and reason:
+            self._machine.soft_trip(reason, self._step())
         elif status.name == "reference_force" and phase in (RAMPING_DOWN, AT_REST):
             if reason:
                 self._machine.soft_trip(reason, status.number("step"))

@@ -17,6 +17,8 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 
 RESERVED = 4 << 20
 """Bytes: an open chunk, and the index of a bag of hours."""
+SPARE = 8 << 20
+"""Bytes in which a test can be brought down when a disk is suddenly full."""
 
 
 class _UnsyncedSqlite(Sqlite3Writer):
@@ -53,8 +55,11 @@ class BagStorage(ABC):
         """Where the file stands now, for `undo`."""
 
     @abstractmethod
-    def undo(self, mark: Any) -> None:
-        """Take back all that was written after the mark."""
+    def undo(self, mark: Any) -> bool:
+        """Take back all that was written after the mark.
+
+        Tells whether nothing else is lost: of a database, all that was not committed can be.
+        """
 
     @abstractmethod
     def flush(self) -> None:
@@ -88,7 +93,7 @@ class McapStorage(BagStorage):
         )
 
     @override
-    def undo(self, mark: tuple[Any, ...]) -> None:
+    def undo(self, mark: tuple[Any, ...]) -> bool:
         chunk, chunk_size, file_size, chunks, connections, counts = mark
         storage, writer = self._storage, self._writer
         if storage.bio.tell() != file_size:
@@ -104,6 +109,7 @@ class McapStorage(BagStorage):
         self._forget_connections(connections, counts)
         storage.schemas[:] = [s for s in storage.schemas if s.name in writer.added_types]
         del storage.channels[connections:]
+        return True
 
     @override
     def flush(self) -> None:
@@ -131,14 +137,16 @@ class SqliteStorage(BagStorage):
         return len(self._writer.connections), dict(self._writer.counts)
 
     @override
-    def undo(self, mark: tuple[int, dict[int, int]]) -> None:
+    def undo(self, mark: tuple[int, dict[int, int]]) -> bool:
         # on a full disk sqlite has taken back by itself what was not committed
-        connections, counts = mark if self._storage.conn.in_transaction else self._committed
+        holds = self._storage.conn.in_transaction or mark == self._committed
+        connections, counts = mark if holds else self._committed
         execute = self._storage.cursor.execute
         execute("DELETE FROM messages WHERE id > ?", (sum(counts.values()),))
         execute("DELETE FROM topics WHERE id > ?", (connections,))
         execute("DELETE FROM message_definitions WHERE topic_type NOT IN (SELECT type FROM topics)")
         self._forget_connections(connections, counts)
+        return bool(holds)
 
     @override
     def flush(self) -> None:
@@ -147,24 +155,24 @@ class SqliteStorage(BagStorage):
 
 
 class Reserve:
-    """Room on a disk that is kept for the end: a bag on a full disk can still be closed.
+    """Room on a disk that is kept, bytes: a bag on a full disk can still be closed.
 
     It belongs to a file without a name: a process that is killed leaves none. Raises OSError if
     there is not so much room.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, size: int) -> None:
         self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  it is kept open
         try:
-            os.posix_fallocate(self._file.fileno(), 0, RESERVED)
+            os.posix_fallocate(self._file.fileno(), 0, size)
         except OSError:
             self._file.close()
             raise
 
-    def is_last(self) -> bool:
-        """Tell whether less than that is left beside it."""
+    def beside(self) -> int:
+        """Room that is left on the disk beside it, bytes."""
         system = os.fstatvfs(self._file.fileno())
-        return system.f_bavail * system.f_frsize < RESERVED
+        return system.f_bavail * system.f_frsize
 
     def release(self) -> None:
         """Give the room away."""

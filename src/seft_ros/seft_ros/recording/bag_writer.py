@@ -5,8 +5,9 @@ import os
 import shutil
 import sqlite3
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -16,17 +17,24 @@ from rosbags.rosbag2 import StoragePlugin, WriterError
 from seft_msgs_py.errors import ExperimentError, InputError, SeftError
 from seft_msgs_py.wire.topics import Topic
 
+from seft_ros.recording.bag_place import BagPlace
 from seft_ros.recording.bag_storage import (
+    RESERVED,
+    SPARE,
     BagStorage,
     McapStorage,
     Reserve,
     SqliteStorage,
     UnsyncedWriter,
 )
-from seft_ros.recording.bag_topics import add_topic
+from seft_ros.recording.bag_topics import add_source, add_topic
+from seft_ros.recording.salvage import Found
 
 FLUSH_PERIOD = 0.25  # s of wall time
+LONGEST_END = 10.0  # s in which a test that is recorded can be brought down
 STORAGES = ("mcap", "sqlite3")
+
+Message = tuple[Topic, bytes, int]  # with the time in ns at which it was received
 
 
 class BagWriter:
@@ -44,6 +52,13 @@ class BagWriter:
     storage : str
         ``mcap`` or ``sqlite3``.
 
+    Attributes
+    ----------
+    path : Path
+        The bag's folder; where it was moved to, once the bag is closed.
+    running_out : str
+        That the disk is nearly full; empty as long as there is room for a test's end.
+
     Raises
     ------
     InputError
@@ -52,6 +67,7 @@ class BagWriter:
 
     def __init__(self, path: str | Path, storage: str = "mcap") -> None:
         self.path = Path(path)
+        self.running_out = ""
         if storage not in STORAGES:
             raise InputError(f"storage is {storage}, but must be one of {', '.join(STORAGES)}")
         there = self.path.exists()
@@ -62,7 +78,9 @@ class BagWriter:
             self._writer.open()
             make = McapStorage if storage == "mcap" else SqliteStorage
             self._storage: BagStorage = make(self._writer)
-            self._reserve = Reserve(self.path)
+            self._place = BagPlace(self.path, self._writer)
+            self._reserve = Reserve(self.path, RESERVED)
+            self._spare: Reserve | None = Reserve(self.path, SPARE)
         except WriterError:
             raise InputError(f"{self.path} exists already; name another with --out") from None
         except (OSError, sqlite3.Error) as error:
@@ -73,9 +91,11 @@ class BagWriter:
                 "name another folder with --out"
             ) from None
         self._connections: dict[str, Connection] = {}
+        self._safe = 0  # messages that the file has
+        self._unsafe: list[Message] = []  # what it may not have yet
         self._error: ExperimentError | None = None
-        self._open = True
-        self._flushed = time.monotonic()
+        self._open, self._whole = True, False
+        self._flushed = self._began = time.monotonic()
 
     def write(self, topic: Topic, raw: bytes, time_ns: int) -> None:
         """Append a message.
@@ -96,15 +116,30 @@ class BagWriter:
         """
         if self._error is not None:
             raise self._error
-        mark = self._storage.mark()
+        mark, unsafe = self._storage.mark(), len(self._unsafe)
+        self._unsafe.append((topic, raw, time_ns))
         try:
             self._append(topic, raw, time_ns)
         except (OSError, sqlite3.Error) as error:
-            raise self._ended_by(error, mark, lambda: self._append(topic, raw, time_ns)) from None
+            self._mend(error, mark, unsafe)
         except BaseException:
             self._undo(mark)
+            del self._unsafe[unsafe:]
             raise
         self.flush_if_due()
+
+    def copy(self, found: Found) -> None:
+        """Append a message as another bag had it; raises as `write`."""
+        source, time_ns, raw = found
+        name = source.topic.lstrip("/")
+        connection = self._connections.get(name)
+        try:
+            if connection is None:
+                connection = add_source(self._writer, source)
+                self._connections[name] = connection
+            self._writer.write(connection, time_ns, raw)
+        except (OSError, sqlite3.Error) as error:
+            raise self._broken(error) from None
 
     def flush_if_due(self) -> None:
         """Flush if the last time is `FLUSH_PERIOD` ago, also when nothing is written."""
@@ -121,11 +156,15 @@ class BagWriter:
         try:
             self._storage.flush()
         except (OSError, sqlite3.Error) as error:
-            raise self._ended_by(error, mark) from None
+            self._mend(error, mark, len(self._unsafe))
+        self._now_safe()
         self._flushed = time.monotonic()
-        if self._reserve.is_last():  # sooner than a write fails, which may take others with it
+        room = self._reserve.beside()
+        if room < RESERVED + self._bytes_of_an_end():
+            self.running_out = f"{self.path}: the disk is nearly full, {room >> 20} MiB are left"
+        if room < RESERVED:  # sooner than a write fails, which may take others with it
             full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            raise self._ended_by(full, self._storage.mark())
+            self._mend(full, self._storage.mark(), 0)
 
     def close(self, custom_data: Mapping[str, str] | None = None) -> None:
         """Write index and metadata, with ``custom_data``; raises as `write`.
@@ -137,15 +176,34 @@ class BagWriter:
         self.flush()
         for key, value in (custom_data or {}).items():
             self._writer.set_custom_data(key, value)
-        self._open = False
-        self._reserve.release()
+        for reserve in (self._spare, self._reserve):
+            if reserve is not None:
+                reserve.release()
         try:
-            self._writer.close()
+            self._close_writer()
         except (OSError, sqlite3.Error) as error:
             raise self._broken(error) from None
         except BaseException:
+            self._open = False
             self._writer.abort()
             raise
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the bag is closed with all that it was given, and can be read."""
+        return self._whole
+
+    def displaced(self) -> str:
+        """Say what has become of the folder or its file; empty if they are where they were made."""
+        return self._place.displaced()
+
+    def written(self) -> Iterator[Found]:
+        """Messages that are safe in the file, wherever it is, also of one that was deleted."""
+        return islice(self._place.messages(), self._safe)
+
+    def unwritten(self) -> list[Message]:
+        """Messages that the bag was given after those; its file may have some of them."""
+        return list(self._unsafe)
 
     def __enter__(self) -> Self:
         return self
@@ -169,31 +227,60 @@ class BagWriter:
         self._writer.write(connection, time_ns, raw)
         self._connections[topic.name] = connection
 
-    def _undo(self, mark: Any) -> None:
-        self._storage.undo(mark)
+    def _undo(self, mark: Any) -> bool:
+        holds = self._storage.undo(mark)
         known = {item.id for item in self._writer.connections}
         self._connections = {k: c for k, c in self._connections.items() if c.id in known}
+        return holds
 
-    def _ended_by(
-        self, error: Exception, mark: Any, again: Callable[[], None] = lambda: None
-    ) -> ExperimentError:
-        """Close the bag in the room that was kept, with the message that did not fit before."""
+    def _now_safe(self) -> None:
+        self._unsafe.clear()
+        self._safe = sum(self._writer.counts.values())
+
+    def _bytes_of_an_end(self) -> float:
+        """Room that a test needs to be brought down, bytes, as fast as the bag has grown so far."""
+        return self._place.size() / max(1.0, time.monotonic() - self._began) * LONGEST_END
+
+    def _mend(self, error: Exception, mark: Any, again: int) -> None:
+        """Write on in spare room what did not fit; where that is used up, end the bag.
+
+        Of the messages that are not safe, those before the number ``again`` are before the mark.
+        """
+        if self._spare is not None:
+            self._spare.release()
+            self._spare = None
+            self.running_out = f"{self.path}: {_reason(error)}"
+            with suppress(OSError, sqlite3.Error):
+                self._redo(mark, again)
+                return
         self._reserve.release()
         try:
-            self._undo(mark)
-            again()
-            self._storage.flush()
-            self._writer.close()
+            self._redo(mark, again)
+            self._close_writer()
         except (OSError, sqlite3.Error):
-            return self._broken(error)
-        self._open = False
+            raise self._broken(error) from None
         self._error = ExperimentError(
             f"{self.path}: the bag ends here ({_reason(error)}); what was recorded can be read. "
             "Make room before the next test"
         )
-        return self._error
+        raise self._error from None
+
+    def _redo(self, mark: Any, again: int) -> None:
+        holds = self._undo(mark)
+        for message in self._unsafe[again if holds else 0 :]:
+            self._append(*message)
+        self._storage.flush()
+        self._now_safe()
+
+    def _close_writer(self) -> None:
+        if not self._place.has_file():
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
+        self._writer.close()
+        self._open, self._whole = False, True
+        self.path = self._place.folder()
 
     def _broken(self, error: Exception) -> ExperimentError:
+        self._open = False
         with suppress(OSError, sqlite3.Error):
             self._writer.abort()
         self._error = ExperimentError(

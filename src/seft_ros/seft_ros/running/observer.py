@@ -47,6 +47,8 @@ class Observer:
         Experiment time, nanoseconds.
     recorder_phase : str
         ``idle``, ``recording``, ``saved``.
+    recorder_bag : str
+        Folder of the bag that it has saved.
     running : set of str
         Rigs that say that they run.
     """
@@ -57,6 +59,7 @@ class Observer:
         self.values: dict[str, str] = {}
         self.time_ns = 0
         self.recorder_phase = ""
+        self.recorder_bag = ""
         self.running: set[str] = set()
         self._awake = AwakeClock()
         self._heard_at = self._awake.time()
@@ -199,7 +202,7 @@ class Observer:
             values = {item.key: item.value for item in status.values}
             phase = values.get("phase", "")
             if status.name == "recorder":
-                self.recorder_phase = phase
+                self.recorder_phase, self.recorder_bag = phase, values.get("bag", "")
             elif bare(status.name) == RIG:
                 (self.running.add if phase == "running" else self.running.discard)(status.name)
 

@@ -51,6 +51,11 @@ class NodeProcesses:
         Where they run.
     lockstep : bool
         Schedule the loop's nodes for throughput rather than for latency, until told otherwise.
+
+    Attributes
+    ----------
+    bag : Path or None
+        Where the test's bag is.
     """
 
     def __init__(
@@ -63,6 +68,7 @@ class NodeProcesses:
         lockstep: bool,
     ) -> None:
         self._logs, nodes = logs, list(nodes)
+        self.bag: Path | None = None
         self._cores = os.sched_getaffinity(0)
         self._placement = layout.placement(nodes, lockstep=lockstep)
         if self._placement is not None:
@@ -200,7 +206,8 @@ def node_processes(
     lockstep : bool
         Whether they need not keep time.
     bag : Path, optional
-        Folder that keeps parameters and logs, if it is there at the end.
+        Folder that keeps parameters and logs, if it is there at the end; `NodeProcesses.bag`,
+        where that has become another.
     """
     folder = Path(tempfile.mkdtemp(prefix="seft-"))
     parameters = folder / "parameters.yaml"
@@ -210,8 +217,10 @@ def node_processes(
             processes = NodeProcesses(nodes, parameters, folder, layout, lockstep=lockstep)
             try:
                 reaper.watch(processes.pids().values())
+                processes.bag = bag
                 yield processes
             finally:
+                bag = processes.bag
                 processes.stop()
     finally:
         if bag is not None and bag.is_dir():

@@ -4,6 +4,7 @@ from collections.abc import Collection
 from contextlib import closing
 from datetime import datetime
 from pathlib import Path
+from typing import NamedTuple
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
@@ -11,6 +12,8 @@ from seft_msgs_py.node.middleware import prepare_on_this_host
 from seft_msgs_py.wire.rigs import bare, with_rigs
 from seft_msgs_py.wire.topics import NODES
 
+from seft_ros.experiment.watching import RECORDER
+from seft_ros.recording.room import obstacle
 from seft_ros.running.observer import Observer
 from seft_ros.running.process_layout import LOOP_NODES, ProcessLayout
 from seft_ros.running.processes import MODULES, node_processes
@@ -23,14 +26,30 @@ def bag_path(experiment: Experiment, out: Path | None) -> Path:
     Raises
     ------
     InputError
-        If it exists already.
+        If no bag can be made there.
     """
     section = experiment["recorder"]
     name = section["name"] or datetime.now().strftime("seft_%Y-%m-%d_%H-%M-%S")
     path = out or Path(section["directory"]) / name
-    if path.exists():
-        raise InputError(f"{path}: exists already; name another folder with --out")
+    RECORDER.check({"name": path.name}, "recorder")
+    if why := obstacle(path):
+        raise InputError(f"{why}; name another folder with --out")
     return path
+
+
+class Ending(NamedTuple):
+    """How a run ended.
+
+    Attributes
+    ----------
+    fault : str
+        What broke it, if it was no trip that the bag tells of; else empty.
+    bag : Path
+        Folder of its bag: another than it was to be, where that was lost.
+    """
+
+    fault: str
+    bag: Path
 
 
 def run_experiment(
@@ -39,7 +58,7 @@ def run_experiment(
     progress: Progress,
     layout: ProcessLayout | None = None,
     external: Collection[str] = (),
-) -> str:
+) -> "Ending":
     """Run a test over DDS and record it.
 
     Parameters
@@ -58,8 +77,8 @@ def run_experiment(
 
     Returns
     -------
-    str
-        What broke the run, if it was no trip that the bag tells of; else empty.
+    Ending
+        What broke it, and where its bag is.
 
     Raises
     ------
@@ -93,6 +112,9 @@ def run_experiment(
                 monitor.bring_down()
                 raise
             monitor.wait_until_saved()
+            saved = observer.recorder_bag
+            if saved and Path(saved).resolve() != bag.resolve():  # its own place was lost
+                bag = processes.bag = Path(saved)
     if not bag.exists():
         raise ExperimentError(fault or "the recorder made no bag")
-    return fault
+    return Ending(fault, bag)

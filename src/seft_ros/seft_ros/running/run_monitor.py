@@ -21,7 +21,7 @@ READY_TIMEOUT, SAVE_TIMEOUT = 60.0, 20.0  # s
 SLACK = 1.0  # s beyond the supervisor's own patience
 STANDING_STILL = 60.0  # s; a ramp that has not come to its end by then never will
 
-AT_ONCE = 2  # signals that are remembered: for a soft stop, and for an emergency stop
+AT_ONCE = 2  # signals that are remembered: for a soft stop, and to abort
 
 Progress = Callable[[str, int], None]
 """Called with what is going on and the steps done."""

@@ -1,34 +1,17 @@
-// Buttons of the operator. The emergency stop takes two presses and no dialog; the others ask.
+// Buttons of the operator. Abort takes one press and no dialog; the others ask.
 
-const ARMED = 3000; // ms
-const PATIENCE = 6000; // ms
+const PATIENCE = { start: 1000, reset: 1000, stop: 6000, estop: 6000 }; // ms
 const QUESTIONS = {
-  start: ["Start the test?", "The rig moves."],
+  start: ["Start this test?", "The rig moves."],
   stop: ["Stop the test?", "The force comes down, then the rig rests."],
   reset: ["Reset?", "The supervisor forgets how the test ended, and makes ready for the next."],
 };
 const POSSIBLE = { start: ["ready"], stop: ["running", "ramping_down"], reset: ["done", "tripped"] };
+const MOVING = POSSIBLE.stop;
+const LABELS = { start: "Start", stop: "Stop", reset: "Reset", estop: "Abort test" };
+const LATE_NEVER = "It is not carried out later."; // the monitor refuses what is a second old
 
 const element = (id) => document.getElementById(id);
-const capital = (word) => word[0].toUpperCase() + word.slice(1);
-
-async function call(service) {
-  const label = service === "estop" ? "Emergency stop" : capital(service);
-  say(`${label}: asking the supervisor …`, "");
-  try {
-    const answer = await fetch(`/service/${service}`,
-      { method: "POST", signal: AbortSignal.timeout(PATIENCE) });
-    if (!answer.ok) throw new Error(await answer.text());
-    const { done, text } = await answer.json();
-    say(`${label}: ${text}`, done ? "good" : "bad");
-  } catch (error) {
-    const more = service === "estop" ? " Use the emergency stop in hardware." : "";
-    const why = error.name === "TimeoutError"
-      ? `there was no answer to ${label}: it may not have been delivered.`
-      : `${label} was not delivered (${error.message.trim()}).`;
-    say(why + more, "bad");
-  }
-}
 
 function say(text, mark) {
   const answer = element("answer");
@@ -37,10 +20,13 @@ function say(text, mark) {
 }
 
 export class Buttons {
-  constructor() {
-    this.armed = 0;
+  /** now gives the monitor's time, in ms, as far as the page knows it. */
+  constructor(now) {
+    this.now = now;
     this.asked = null;
-    element("estop").addEventListener("click", () => this.estop());
+    this.status = {};
+    this.controls = true;
+    element("estop").addEventListener("click", () => this.call("estop"));
     for (const service of Object.keys(QUESTIONS))
       element(service).addEventListener("click", () => this.ask(service));
     element("confirm-yes").addEventListener("click", () => this.answer(true));
@@ -48,48 +34,63 @@ export class Buttons {
     document.addEventListener("keydown", (event) => {
       if (event.key !== "Escape" || event.repeat) return;
       if (this.asked) this.answer(false);
-      else this.estop();
+      else if (this.controls && MOVING.includes(this.status.state)) this.call("estop");
     });
   }
 
-  /** Let only those be pressed that the supervisor would obey. */
-  follow({ state, silent, heard }) {
+  /** Show buttons to who may press them. */
+  allow(controls) {
+    this.controls = controls;
+    element("buttons").hidden = !controls;
+    element("watching").hidden = controls;
+  }
+
+  /** Let only those be pressed that the supervisor would obey; stops also where nobody knows. */
+  follow(status, stale) {
+    this.status = status;
+    const { state, silent, heard } = status;
     for (const [service, states] of Object.entries(POSSIBLE)) {
-      const possible = heard && !silent && states.includes(state);
+      const known = heard && ((!silent && !stale) || service === "stop");
+      const possible = known && states.includes(state);
       element(service).disabled = !possible;
-      if (!possible && this.asked === service) this.answer(false);
+      if (this.asked === service && (!possible || this.number !== status.number)) this.answer(false);
     }
   }
 
-  estop() {
-    const button = element("estop");
-    clearTimeout(this.armed);
-    if (button.dataset.armed) {
-      this.disarm();
-      call("estop");
-      return;
-    }
-    button.dataset.armed = "yes";
-    button.textContent = "Press again: stop";
-    say("Emergency stop: press again within three seconds.", "bad");
-    this.armed = setTimeout(() => {
-      this.disarm();
-      say("", "");
-    }, ARMED);
+  /** Take away what was answered in another test. */
+  forget() {
+    say("", "");
   }
 
-  disarm() {
-    const button = element("estop");
-    delete button.dataset.armed;
-    button.textContent = "Emergency stop";
+  async call(service, number) {
+    const label = LABELS[service];
+    say(`${label}: asking the supervisor …`, "");
+    try {
+      const answer = await fetch(`/service/${service}`, { method: "POST",
+        body: JSON.stringify({ state: number, at: this.now() }),
+        signal: AbortSignal.timeout(PATIENCE[service]) });
+      if (!answer.ok) throw new Error(await answer.text());
+      const { done, text } = await answer.json();
+      say(`${label}: ${text}`, done ? "good" : "bad");
+    } catch (error) {
+      const stops = !QUESTIONS[service] || service === "stop";
+      const why = error.name === "TimeoutError"
+        ? `No answer to ${label}${stops ? ": it may not have been delivered" : ""}.`
+        : `${label} was not delivered (${error.message.trim()}).`;
+      say(`${why} ${stops ? "Use the emergency stop, in hardware." : LATE_NEVER}`, "bad");
+    }
   }
 
   ask(service) {
     this.asked = service;
+    this.number = this.status.number;
     say("", "");
-    [element("confirm-what").textContent, element("confirm-why").textContent] = QUESTIONS[service];
+    const [what, why] = QUESTIONS[service];
+    element("confirm-what").textContent = what;
+    const name = service === "start" && this.status.name ? `${this.status.name}. ` : "";
+    element("confirm-why").textContent = name + why;
     element("confirm").hidden = false;
-    element("confirm-yes").textContent = capital(service);
+    element("confirm-yes").textContent = LABELS[service];
     element("confirm-yes").focus();
   }
 
@@ -100,6 +101,6 @@ export class Buttons {
     const button = element(service);
     if (button.disabled) element("estop").focus();
     else button.focus();
-    if (confirmed) call(service);
+    if (confirmed) this.call(service, this.number);
   }
 }

@@ -11,8 +11,10 @@ const LEAST = FEW ? 180 : 90, MOST = 1000; // ms between two pictures
 const SHARE = FEW ? 0.08 : 0.12; // of the time may go into them
 
 const element = (id) => document.getElementById(id);
-const buttons = new Buttons();
 const known = { test: { domain: "" }, status: null, trips: [], motion: {} };
+const OLD = 1000; // ms without a word, after which what is shown is old
+const clock = { at: 0, heard: -Infinity }; // the monitor's time, and when it came, ms
+const buttons = new Buttons(() => clock.at + performance.now() - clock.heard);
 let history = null, plots = null, planned = false, held = null, interval = LEAST, drawnAt = 0;
 
 function connect() {
@@ -21,26 +23,44 @@ function connect() {
   socket.onopen = () => (history = null); // it comes anew, and may be another monitor's
   socket.onmessage = ({ data }) => (typeof data === "string" ? tell(JSON.parse(data)) : take(data));
   socket.onclose = () => {
-    element("state").dataset.state = "lost";
-    element("state-name").textContent = "not connected";
-    element("state-detail").textContent = "to seft monitor; what is below is old";
+    clock.heard = -Infinity;
+    judge();
     setTimeout(connect, AGAIN);
   };
 }
 
+/** Say so where nothing has come for a second, grey out what is old, and offer no start. */
+function judge() {
+  const silence = performance.now() - clock.heard, stale = silence > OLD;
+  const { heard, silent, ended } = known.status ?? {}; // of a test that has ended nothing is old
+  document.body.dataset.stale = stale || Boolean(heard && silent && !ended);
+  if (stale) show.showSilence(silence, known.status);
+  else if (known.status) show.showState(known.status, known.test.domain);
+  if (known.status) buttons.follow(known.status, stale);
+}
+
 function tell({ kind, ...content }) {
+  if (kind === "time") {
+    [clock.at, clock.heard] = [content.at, performance.now()];
+    if (document.body.dataset.stale === "true") judge();
+    return;
+  }
+  if (kind === "rights") {
+    buttons.allow(content.controls);
+    return;
+  }
   if (kind === "test") {
     known.test = content;
+    if (content.signals && history?.test !== content.test) begin(content.test, columnsOf(content));
     offerAxes(content.signals?.axes ?? []);
     element("domain").textContent = `on ROS domain ${content.domain}`;
     element("reference-note").textContent = content.reference_note ?? "";
   } else if (kind === "status") {
     known.status = content;
-    show.showState(content, known.test.domain);
+    judge();
     show.showMargins(content.margins);
     show.showNodes(content.nodes, content.refused);
     show.showParameters(content.parameters);
-    buttons.follow(content);
   } else if (kind === "events") show.showEvents(content.events);
   else if (kind === "motion") known.motion = content.motion;
   else if (kind === "round_trips") known.trips = content.round_trips;
@@ -49,12 +69,19 @@ function tell({ kind, ...content }) {
 
 function take(buffer) {
   const frame = readFrame(buffer);
-  if (history?.test !== frame.test || history.columns !== frame.columns) {
-    history = new History(frame.test, frame.columns);
-    release();
-  }
+  if (history?.test !== frame.test || history.columns !== frame.columns)
+    begin(frame.test, frame.columns);
   history.take(frame);
   renew();
+}
+
+const columnsOf = ({ signals }) => signals.answer + 1;
+
+/** Begin a test: nothing is left of the one before. */
+function begin(test, columns) {
+  history = new History(test, columns);
+  buttons.forget();
+  release();
 }
 
 function offerAxes(axes) {
@@ -116,6 +143,7 @@ element("hold").addEventListener("click", () => {
 });
 for (const id of ["window", "axis"]) element(id).addEventListener("change", release);
 
+setInterval(judge, OLD / 4);
 connect(); // first: the buttons must work whatever becomes of the figures
 plots = await Plots.make(follow);
 renew();

@@ -1,12 +1,13 @@
 // The figures: what of the history is seen, put into their lines.
 
 const SCALES = { displacement: 1e3, acceleration: 1, force: 1e-3 };
+const ERRORS = { displacement_error: ["displacement", 1e3], force_error: ["force", 1e-3] };
 const LIGHT = { text: "#33383d", grid: "#e3e7ea", axis: "#aab1b8", measured: "#0b5fa5",
   median: "#0b5fa5", reference: "#98a1ab", largest: "#98a1ab", answer: "#2f8034",
-  period: "#c1272d", missed: "#c1272d", natural: "#c1272d" };
+  period: "#c1272d", missed: "#c1272d", natural: "#c1272d", error: "#8f5500" };
 const DARK = { text: "#d5dade", grid: "#2d3439", axis: "#5c666e", measured: "#63b3f2",
   median: "#63b3f2", reference: "#8b959e", largest: "#8b959e", answer: "#6cc070",
-  period: "#ff7b72", missed: "#ff7b72", natural: "#ff7b72" };
+  period: "#ff7b72", missed: "#ff7b72", natural: "#ff7b72", error: "#e5a64b" };
 const PIECES = 500; // of a line: as many as one can see
 const LEAST_TIME = 0.05; // ms, where the logarithmic axis may begin
 
@@ -99,6 +100,9 @@ export class Plots {
         (kind) => [kind, line(signals[kind][name] + axis, scale)]));
       this.show(name, from, to, lines, even);
     }
+    for (const [name, [quantity, scale]] of Object.entries(ERRORS))
+      if (this.panels[name].seen)
+        this.show(name, from, to, { error: line(signals.error[quantity] + axis, scale) }, even);
     // of the time before, too: it holds up to the first that is told
     const some = told.filter(([time], at) => time >= from && (told[at - 1]?.[0] ?? 0) <= to);
     const column = (at) => ({ x: some.map(([time]) => time), y: some.map((row) => row[at] ?? NaN) });
@@ -122,8 +126,13 @@ export class Plots {
   drawMotion({ frequency_hz: x, natural_hz, asked, tested }, axis) {
     const panel = this.panels.spectrum;
     const drawn = JSON.stringify([asked?.[axis], tested?.[axis]]);
-    if (!x || !panel.seen || panel.drawn === drawn) return;
+    if (!panel.seen || panel.drawn === drawn) return;
     panel.drawn = drawn;
+    if (!x) {
+      const none = { x: [], y: [] };
+      this.show("spectrum", 1, 50, { natural: none, reference: none, measured: none }, upwards);
+      return;
+    }
     const reference = { x, y: asked[axis] }, measured = { x, y: tested[axis] };
     const top = Math.max(...reference.y, ...measured.y);
     const natural = { x: natural_hz.flatMap((hz) => [hz, hz, NaN]),
@@ -174,6 +183,7 @@ function decades(low, high) {
 }
 
 function upwards(_, high) {
+  if (!(high > 0)) return [0, 1];
   return [0, even(0, high)[1]];
 }
 

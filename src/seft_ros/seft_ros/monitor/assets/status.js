@@ -1,8 +1,9 @@
 // Texts and tables of the page. Whatever a node tells is text, never markup.
 
 const NAMES = { "": "no test", idle: "idle", ready: "ready", running: "running",
-  ramping_down: "ramping down", done: "done", tripped: "tripped", gone: "silent" };
-const LEVELS = ["ok", "warning", "error", "silent"];
+  ramping_down: "ramping down", done: "done", tripped: "tripped", gone: "silent", left: "ended" };
+const LEVELS = ["ok", "warning", "error", "silent", "ended"];
+const NARROW = 0.1; // of a limit
 
 const element = (id) => document.getElementById(id);
 const set = (id, text) => {
@@ -25,6 +26,23 @@ function row(...parts) {
 const milliseconds = (value) => (value === undefined ? "–" : `${value.toFixed(2)} ms`);
 const left = (margin) => (margin > 0 ? `${(100 * margin).toFixed(0)} % left` : "beyond");
 
+/** Have a number stand out: "" | "warning" | "error". */
+function mark(id, trouble) {
+  element(id).parentElement.dataset.trouble = trouble;
+}
+
+/** Say that the monitor says nothing. */
+export function showSilence(silence, status) {
+  element("state").dataset.state = "lost";
+  set("state-name", "no data");
+  const since = Number.isFinite(silence) ? `for ${(silence / 1000).toFixed(0)} s` : "";
+  const last = status?.heard ? `; the test was ${NAMES[status.state] ?? status.state} last` : "";
+  const old = "what is below is old";
+  set("state-detail", since ? `nothing has come from seft monitor ${since}: ${old}${last}`
+    : `not connected to seft monitor: ${old}${last}`);
+  document.title = "no data – seft monitor";
+}
+
 export function showState(status, domain) {
   const gone = status.heard && status.silent;
   const key = !status.heard ? "" : gone && !status.ended ? "gone" : status.state;
@@ -37,6 +55,7 @@ export function showState(status, domain) {
   element("state").dataset.state = key;
   set("state-name", NAMES[key] ?? key);
   set("state-detail", details[key] ?? last + when + (gone ? "; its nodes have left" : ""));
+  set("name", status.name);
   document.title = `${NAMES[key] ?? key} – seft monitor`;
 }
 
@@ -51,7 +70,14 @@ export function showNumbers(status, test, head, motion) {
   set("motion-error", error === undefined ? "–" : `${(100 * error).toPrecision(3)} %`);
   set("trip-median", milliseconds(status.round_trip["median (ms)"]));
   set("trip-largest", milliseconds(status.round_trip["largest (ms)"]));
+  mark("missed", status.missed ? "error" : "");
+  mark("overruns", status.overruns ? "warning" : "");
+  const period = 1e3 * test.dt, { "median (ms)": median, "largest (ms)": largest } = status.round_trip;
+  mark("trip-median", median > period ? "error" : "");
+  mark("trip-largest", largest > period ? "error" : "");
   const margins = Object.entries(status.margins).sort((a, b) => a[1] - b[1]);
+  const least = margins.length ? margins[0][1] : 1;
+  mark("margin", least <= 0 ? "error" : least < NARROW ? "warning" : "");
   set("margin", margins.length ? `${left(margins[0][1])}: ${margins[0][0]}` : "–");
 }
 
