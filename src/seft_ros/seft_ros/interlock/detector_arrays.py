@@ -16,6 +16,8 @@ MEMORY = 0.05
 """Time constant of the sums of both sides of a relation, s."""
 SHORT = 0.015
 """Time constant of the second-order work, s."""
+BIAS = 2.0
+"""Constant error of a sensor over its RMS noise that is no fault."""
 LARGEST = 0.3
 """Time constant with which the largest motion is forgotten, s: a quarter of a cycle at 1 Hz."""
 SIGMAS = 6.0
@@ -212,7 +214,7 @@ def detector_arrays(
         dither=noise,
         range=np.where(ranges > 0.0, ranges, np.inf),
         limited=math.ceil(LIMITED / dt),
-        sums=SIGMAS * sums,
+        sums=SIGMAS * sums + BIAS * rates / (1.0 - fade),
         steps=SIGMAS * steps,
         rough=SIGMAS * rough + unknown,
         unknown=unknown,

@@ -44,7 +44,7 @@ LEAST_PRESSURE = 0.2
 """Part of the supply pressure that is always reckoned to be left for the flow."""
 OPPOSED = 0.5
 """Part of the stiffness as told by which a specimen may soften: fracture, buckling."""
-MISSED = 3.0
+MISSED = 2.0
 """Commands in a row that the rig may miss unseen."""
 SLIP, STIFFEST = 0.35, 6.0
 """What a specimen may make of its force in a step: a part of its largest, and so many times its
