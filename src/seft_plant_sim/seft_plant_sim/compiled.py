@@ -11,6 +11,9 @@ import numba as typed_numba
 import numpy as np
 
 numba: Any = typed_numba  # older ones have no types
+# most loops run over one axis, or a few: what prepares a loop for vectors takes longer than it
+# saves; what stands in a row is put into vectors all the same, where numba would not
+numba.config.LOOP_VECTORIZE, numba.config.SLP_VECTORIZE = 0, 1
 _entry_points: dict[Hashable, Callable[..., Any]] = {}
 OPTIONS = {"error_model": "numpy", "forceinline": True, "_nrt": False}
 
