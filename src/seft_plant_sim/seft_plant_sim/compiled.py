@@ -58,7 +58,7 @@ def entry_point(function: Any, *arguments: Any) -> Callable[..., Any]:
     return _entry_points[key]
 
 
-def kind_of(argument: Any) -> Hashable:
+def kind_of(argument: Any) -> Any:
     """Give what numba's type of an argument depends on."""
     if isinstance(argument, np.ndarray):
         return argument.dtype.char, argument.ndim, argument.flags.num

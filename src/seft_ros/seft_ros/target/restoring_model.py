@@ -77,7 +77,8 @@ class ModelParameters(NamedTuple):
     thresholds : ndarray
         y, shape (n, m), m.
     start : ndarray
-        Parameters (p, K, C, w) of each spring at the beginning, shape (n, q), q = 1 + 2n + m.
+        Parameters (p, K, C, w) of each spring at the beginning, shape (n, q): 1 + 2n + m, and up
+        to three zeros, so that they are fours.
     prior, drift, change : ndarray
         Their variance at the beginning, per step, and of a change; shape (n, q).
     noise : ndarray
@@ -180,12 +181,16 @@ def model_arrays(
     offset = OFFSET_TO_NOISE * least_seen
     stiff = np.abs(stiffness)
 
+    def fours(*columns: Floats) -> Floats:
+        values = np.hstack(columns)
+        return np.pad(values, [(0, 0), (0, -values.shape[1] % 4)])
+
     def variance(p: float, k: float, c: float, w: float) -> Floats:
-        return np.hstack([p * offset, k * stiff, c * damps, w * force]) ** 2
+        return fours(p * offset, k * stiff, c * damps, w * force) ** 2
 
     parameters = ModelParameters(
         thresholds=thresholds,
-        start=np.hstack([np.zeros((n, 1)), stiffness, damping, np.zeros_like(thresholds)]),
+        start=fours(np.zeros((n, 1)), stiffness, damping, np.zeros_like(thresholds)),
         prior=variance(1.0, UNCERTAIN_STIFFNESS, UNCERTAIN_DAMPING, 1.0),
         drift=variance(0.0, DRIFT, DRIFT, DRIFT) * dt,
         change=variance(1.0, CHANGING_STIFFNESS, CHANGING_DAMPING, CHANGING_SLIDER),
@@ -252,7 +257,7 @@ def move_stops(thresholds: Floats, change: Floats, stops: Floats) -> None:
 @compiled
 def slider_forces(values: Floats, stops: Floats, forces: Floats) -> None:
     """Force of the sliders of each spring by its parameters, shape (n,), N: the result."""
-    first = values.shape[1] - THRESHOLDS
+    first = 1 + 2 * len(values)
     for j in range(len(forces)):
         one = two = three = four = 0.0
         for i in range(0, THRESHOLDS, 4):
@@ -297,8 +302,8 @@ def follow(
         for i in range(n):
             phi[1 + i] = e[i]
             phi[1 + n + i] = rate[i]
-        for i in range(1 + 2 * n, q):
-            phi[i] = state.stops[j, i - 1 - 2 * n]
+        for i in range(THRESHOLDS):
+            phi[1 + 2 * n + i] = state.stops[j, i]
         innovation, seen = measured[j], motion_noise(parameters, state, j)
         variance = parameters.noise[j, 0] + seen
         told = used = measured[j]
@@ -352,8 +357,11 @@ def follow(
             last[i] = phi[i]
         for i in range(q):
             one, all_of_it = taken[i], gain[i]
-            for k in range(q):
+            for k in range(0, q, 4):
                 p[i, k] += one * left[k] - all_of_it * taken[k]
+                p[i, k + 1] += one * left[k + 1] - all_of_it * taken[k + 1]
+                p[i, k + 2] += one * left[k + 2] - all_of_it * taken[k + 2]
+                p[i, k + 3] += one * left[k + 3] - all_of_it * taken[k + 3]
         impulse, is_wrong = parameters.unexplained * sums[2] + used, was_right and sums[4] <= 0.0
         acts = is_wrong or (is_change and sums[4] <= 0.0)
         sums[2] = 0.0 if acts else impulse

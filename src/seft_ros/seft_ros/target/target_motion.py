@@ -153,19 +153,18 @@ def target_arrays(known: Knowledge) -> tuple[TargetParameters, TargetState]:
     free, start, change = first_order_hold(a, b, dt / substeps)
     influence = np.vstack([np.eye(n), computed.influence])
     by_spring = np.ascontiguousarray(inverse[:, :n] @ deformation.T)
+    # the coming motion, see `predict`
     hold = np.ascontiguousarray(np.hstack([free, start]))
     deforming = deformation @ (hold[:n] - np.eye(n, 3 * size))
-    steady, force = (
-        np.zeros((3 * size + 2 * n + 1, 3 * size + n)),
-        np.zeros((3 * size + 2 * n + 1, n)),
-    )
+    columns = 3 * size + 2 * n + 1
+    steady, force = np.zeros((columns, 3 * size + n)), np.zeros((columns, n))
     stays = np.vstack([hold, np.eye(size, 3 * size, 2 * size)])
     steady[: 3 * size] = np.vstack([stays, deforming @ stays]).T
     force[: 3 * size] = (known.mass @ np.hstack([a[size : size + n], np.eye(n, size)])).T
     force[-n:] = deformation
-    rise = np.zeros((size, len(steady)))
+    rise, mending = np.zeros((size, columns)), np.zeros((size, 3 * size + n))
     rise[:, 3 * size : -n - 1], rise[:, -n:] = -influence, -by_spring
-    mending = np.hstack([change.T, np.zeros((size, size + n))])
+    mending[:, : 2 * size] = change.T
     squares = np.linalg.eigvals(inverse @ stiffness).real
     parameters = TargetParameters(
         dt=dt,
@@ -200,7 +199,7 @@ def target_arrays(known: Knowledge) -> tuple[TargetParameters, TargetState]:
         mending=mending,
         substep=np.zeros_like(steady),
         force=force.copy(),
-        coming=np.zeros(len(steady)),
+        coming=np.zeros(columns),
         next=np.zeros(3 * size + n),
         is_running=np.zeros(1),
         axes=np.zeros((3, n)),

@@ -57,8 +57,8 @@ class TargetParameters(NamedTuple):
     deforming : ndarray
         Change of the springs' deformations in a substep, by these; shape (n, 3N).
     steady, force : ndarray
-        G of `predict` if the push stayed as it is, and F without the springs' stiffness, damping and
-        offset; transposed, shapes (s, 3N + n) and (s, n).
+        G of `predict` if the push stayed as it is, and F without stiffness, damping and offset of
+        the springs; transposed, shapes (s, 3N + n) and (s, n), s = 3N + 2n + 1.
     influence, by_spring : ndarray
         Accelerations per ground acceleration, and per force of each spring: shape (N, n).
     by_told : ndarray
@@ -108,12 +108,12 @@ class TargetState(NamedTuple):
         The push of the model at the last sample and at this one: accelerations by the states, and
         without them; shapes (2, N, 2N) and (2, N).
     rise, mending : ndarray
-        Change of the push in a substep by z of `predict`, and what it adds to the result, transposed;
-        shapes (N, s) and (N, 3N + n).
+        Change of the push in a substep by z of `predict`, and what it adds to the result,
+        transposed; shapes (N, s) and (N, 3N + n).
     substep, force : ndarray
         G and F of `predict`, transposed; shapes (s, 3N + n) and (s, n).
     coming, next : ndarray
-        z of `predict`, and G z; shapes (s,) and (3N + n,), s = 3N + 2n + 1.
+        z of `predict`, and G z; shapes (s,) and (3N + n,).
     is_running : ndarray
         Whether a sample has been taken, shape (1,).
     axes, dofs, springs : ndarray
@@ -272,13 +272,13 @@ def push(
     ground: Floats,
     result: Floats,
 ) -> None:
-    """Find what acts on the elastic whole structure, as an acceleration, shape (N,).
+    """Find what acts on the elastic whole structure, as an acceleration: N of the result.
 
     It is the ground motion (times the pace), and the force by which the specimen is not the elastic
     one told: by the model of the last sample (0) or this one (1), with these forces of sliders.
     """
     by_state, constant = state.by_state[model], state.constant[model]
-    for i in range(len(result)):
+    for i in range(len(constant)):
         total = constant[i]
         for k in range(by_state.shape[1]):
             total += by_state[i, k] * y[k]
@@ -307,27 +307,23 @@ def advance(
     p: TargetParameters, state: TargetState, before: Floats, now: Floats, pace: float
 ) -> None:
     """Integrate Eq. (1) from the last sample to this one; the model changes linearly."""
-    n, half, y, sliders, ground = (
-        len(now),
-        len(p.influence),
-        state.target,
-        state.springs[5],
-        state.axes[1],
-    )
-    old, new, moved, begin = state.dofs[0], state.dofs[1], state.dofs[2], y[2 * half :]
+    n, half, model, ground = len(now), len(p.influence), state.model, state.axes[1]
+    y, begin, stops = state.target, state.target[2 * half :], state.stops
+    old, new, moved = state.dofs[0], state.dofs[1], state.dofs[2]
+    change, of_old, of_new = state.springs[4], state.springs[5], state.springs[6]
+    slider_forces(model.before, stops, of_old)
+    slider_forces(model.values, stops, of_new)
     for step in range(p.substeps):
         for side in range(2):
             part = (step + side) / p.substeps
             for i in range(n):
                 ground[i] = pace * (before[i] + part * (now[i] - before[i]))
-            slider_forces(state.model.before, state.stops, sliders)
-            push(p, state, 0, y, sliders, ground, old[:half])
-            slider_forces(state.model.values, state.stops, sliders)
-            push(p, state, 1, y, sliders, ground, new[:half])
+            push(p, state, 0, y, of_old, ground, old)
+            push(p, state, 1, y, of_new, ground, new)
             for i in range(half):
                 new[i] = old[i] + part * (new[i] - old[i])
                 for j in range(n):  # what was not seen in time of the restoring force
-                    new[i] -= p.by_spring[i, j] * state.model.sums[j, 3]
+                    new[i] -= p.by_spring[i, j] * model.sums[j, 3]
             if side:  # mends the state by how much the push has changed
                 for i in range(2 * half):
                     for k in range(half):
@@ -335,8 +331,10 @@ def advance(
                 continue
             for i in range(half):
                 begin[i] = new[i]
-            times(p.deforming, y, state.springs[4])
-            move_stops(p.model.thresholds, state.springs[4], state.stops)
+            times(p.deforming, y, change)
+            move_stops(p.model.thresholds, change, stops)
+            slider_forces(model.before, stops, of_old)
+            slider_forces(model.values, stops, of_new)
             times(p.hold, y, moved)
             for i in range(2 * half):
                 y[i] = moved[i]
@@ -406,7 +404,7 @@ def predict(
         for i in range(stops.shape[1]):
             stops[j, i] = state.stops[j, i]
     slider_forces(state.model.values, stops, sliders)
-    push(p, state, 1, z, sliders, ground, z[2 * half : size])
+    push(p, state, 1, z, sliders, ground, z[2 * half :])
     times(p.deforming, z, change)
     for point in range(len(points)):
         for i in range(n):
