@@ -16,7 +16,7 @@ from seft_plant_sim.rig.rig_parameters import TABLE
 from seft_plant_sim.rig.rig_step import rig_step
 
 CONFIG = Path(__file__).parent.parent / "config" / "demo.yaml"
-STEPS = 5000
+STEPS = 4000
 ROUNDS = 20
 WANTED = {"linear": 5e6, "nonlinear": 2.5e6}  # steps/s in a compiled loop
 WANTED_CALL = 4e-6  # s from Python, of the nonlinear rig
@@ -77,7 +77,7 @@ def main() -> int:
             2.3 * turn + np.arange(len(experiment.axes))
         )
         samples = np.empty((STEPS, *rig.state.measured.shape))
-        arrays = rig.parameters, rig.state, commands, rig.sensors.noise(STEPS), samples
+        arrays = rig.parameters, rig.state, commands, rig.sensors.noise_block(0, STEPS), samples
         speeds[case] = STEPS / shortest(run, *arrays)
         calls[case] = shortest(call_all, rig, commands) / STEPS
         if case == "linear":

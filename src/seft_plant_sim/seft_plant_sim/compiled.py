@@ -2,14 +2,19 @@
 
 import hashlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numba as typed_numba
+import numpy as np
 
 numba: Any = typed_numba  # older ones have no types
+# most loops run over one axis, or a few: what prepares a loop for vectors takes longer than it
+# saves; what stands in a row is put into vectors all the same, where numba would not
+numba.config.LOOP_VECTORIZE, numba.config.SLP_VECTORIZE = 0, 1
+_entry_points: dict[Hashable, Callable[..., Any]] = {}
 OPTIONS = {"error_model": "numpy", "forceinline": True, "_nrt": False}
 
 
@@ -45,9 +50,21 @@ def entry_point(function: Any, *arguments: Any) -> Callable[..., Any]:
     Called directly, it does without numba's look at each argument's type, which takes longer than
     a step does. It trusts its arguments to be of the same types, arrays to be contiguous.
     """
-    signature = tuple(numba.typeof(argument) for argument in arguments)
-    function.compile(signature)
-    return function.overloads[signature].entry_point
+    key = function, kind_of(arguments)
+    if key not in _entry_points:  # numba's look takes as long as thousands of steps
+        signature = tuple(numba.typeof(argument) for argument in arguments)
+        function.compile(signature)
+        _entry_points[key] = function.overloads[signature].entry_point
+    return _entry_points[key]
+
+
+def kind_of(argument: Any) -> Any:
+    """Give what numba's type of an argument depends on."""
+    if isinstance(argument, np.ndarray):
+        return argument.dtype.char, argument.ndim, argument.flags.num
+    if isinstance(argument, tuple):
+        return type(argument), *map(kind_of, argument)
+    return type(argument)
 
 
 @lru_cache

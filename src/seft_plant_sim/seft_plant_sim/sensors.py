@@ -139,10 +139,11 @@ class Sensors:
             self._block = self.noise_block(index)
         return self._block[row]
 
-    def noise_block(self, index: int) -> Floats:
-        """Noise of `BLOCK` steps, the first of which is so many blocks on, shape (BLOCK, 4, n)."""
-        drawn = [
-            np.random.default_rng([self._seed, index, axis]).standard_normal((BLOCK, 4))
-            for axis in self._places
-        ]
-        return np.stack(drawn, axis=2) * self.channels.noise
+    def noise_block(self, index: int, steps: int = BLOCK) -> Floats:
+        """Noise of the first steps of a block, shape (steps, 4, n); `BLOCK` steps are all of it."""
+        noise = np.empty((steps, *self.channels.noise.shape))
+        for place, axis in enumerate(self._places):
+            random = np.random.default_rng([self._seed, index, axis])
+            noise[:, :, place] = random.standard_normal((steps, 4))
+        noise *= self.channels.noise
+        return noise

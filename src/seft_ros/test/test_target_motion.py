@@ -13,7 +13,13 @@ from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES
 from seft_ros.reference_force.block import knowledge
 from seft_ros.target.motion_observer import observe, observer_gains
-from seft_ros.target.restoring_model import begin_model, follow, model_arrays, move_stops
+from seft_ros.target.restoring_model import (
+    THRESHOLDS,
+    begin_model,
+    follow,
+    model_arrays,
+    move_stops,
+)
 from seft_ros.target.target_motion import TargetMotion
 
 ROOT = Path(__file__).parents[3]
@@ -204,7 +210,7 @@ def friction(x, force, presliding=2e-5):
 def test_sliders_find_friction(force):
     x, v = swing(8000)
     parameters, state, left = followed(K * x + 800 * v + friction(x, force), x, v)
-    sliders = state.values[0, 3:] * parameters.thresholds[0]
+    sliders = state.values[0, 3 : 3 + THRESHOLDS] * parameters.thresholds[0]
     assert sliders.sum() == pytest.approx(force, rel=0.25)
     assert np.sqrt(np.mean(left[4000:] ** 2)) < 0.12 * force + 2
 

@@ -65,6 +65,6 @@ def mass_matrix(value: float | Sequence[float], axes: Sequence[str], where: str)
 def symmetric_matrix(value: float | Sequence[float], axes: Sequence[str], where: str) -> Floats:
     """Matrix over n axes, shape (n, n), see `as_matrix`; InputError if it is not symmetric."""
     matrix = as_matrix(value, axes, where)
-    if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0):
+    if not (np.abs(matrix - matrix.T) <= 1e-9 * np.abs(matrix.T)).all():
         raise InputError(f"{where}: the matrix {matrix.tolist()} is not symmetric")
     return matrix

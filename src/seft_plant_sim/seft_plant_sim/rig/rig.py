@@ -211,10 +211,10 @@ class Rig:
 
 def saturation_of(found: Ints) -> Saturation:
     """Count what was at the end of its range, of what `rig_step` gave by step, shape (N,)."""
-    saturation = Saturation()
+    saturation, ever = Saturation(), int(np.bitwise_or.reduce(found))
     for name, bit in ENDS.items():
-        steps = np.flatnonzero(found & bit)
-        if len(steps):
+        if ever & bit:
+            steps = np.flatnonzero(found & bit)
             saturation.count(name, len(steps), int(steps[0]))
     return saturation
 

@@ -76,7 +76,7 @@ class Specimen:
             If a matrix or a spring couples axes of different rigs.
         """
         own = list(rig.places)
-        others = np.setdiff1d(np.arange(self.axes), own)
+        others = [place for place in range(self.axes) if place not in own]
         for name in ("mass", "damping", "stiffness"):
             if getattr(self, name)[np.ix_(own, others)].any():
                 raise InputError(

@@ -130,12 +130,12 @@ def run_compiled(blocks: Blocks, course: Course, loop_delay: int, period: int) -
         period,
     )
     known = np.ascontiguousarray(blocks.ground_motion.known)
-    total, noise = len(course.commands), rig.sensors.noise_block(0)
-    steps: Callable[..., int] = entry_point(run_steps, loop, course, known, noise, 0, 0)
+    total = len(course.commands)
+    steps: Callable[..., int] = entry_point(run_steps, loop, course, known, course.states, 0, 0)
     yield 0  # it is compiled
     for first in range(0, total, BLOCK):
         last = min(first + BLOCK, total)
-        noise = rig.sensors.noise_block(first // BLOCK)
+        noise = rig.sensors.noise_block(first // BLOCK, last - first)
         done = steps(loop, course, known, noise, first, last)
         yield done
         if done < last or last == total:

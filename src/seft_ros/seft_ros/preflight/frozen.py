@@ -49,7 +49,8 @@ def frozen_target(method: TargetMotion, measured: bool) -> LinearFilter:
     n = len(parameters.mass)
     y, points = np.zeros((4, n)), np.zeros((1 + method.preview, 3, n))
     ground = np.zeros((1 + method.preview, n))
-    states = [state.measured, state.target, state.ground]
+    motion = state.target[: 2 * len(parameters.influence)]  # the push on it is made anew
+    states = [state.measured, motion, state.ground]
     if measured:
         states.append(state.constant[1])  # the push of the offset, which the next step starts from
 

@@ -35,6 +35,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 from seft_plant_sim.compiled import compiled
+from seft_plant_sim.integration import multiply
 
 Floats = npt.NDArray[np.float64]
 
@@ -76,7 +77,8 @@ class ModelParameters(NamedTuple):
     thresholds : ndarray
         y, shape (n, m), m.
     start : ndarray
-        Parameters (p, K, C, w) of each spring at the beginning, shape (n, q), q = 1 + 2n + m.
+        Parameters (p, K, C, w) of each spring at the beginning, shape (n, q): 1 + 2n + m, and up
+        to three zeros, so that they are fours.
     prior, drift, change : ndarray
         Their variance at the beginning, per step, and of a change; shape (n, q).
     noise : ndarray
@@ -130,7 +132,7 @@ class ModelState(NamedTuple):
         Of each spring: recent innovations, their variance, the impulse over a period that was not
         explained, what of it acts now (N), and the evidence for what is told; shape (n, 5).
     work : ndarray
-        Shape (q,).
+        Shape (3, q).
     """
 
     values: Floats
@@ -179,12 +181,16 @@ def model_arrays(
     offset = OFFSET_TO_NOISE * least_seen
     stiff = np.abs(stiffness)
 
+    def fours(*columns: Floats) -> Floats:
+        values = np.hstack(columns)
+        return np.pad(values, [(0, 0), (0, -values.shape[1] % 4)])
+
     def variance(p: float, k: float, c: float, w: float) -> Floats:
-        return np.hstack([p * offset, k * stiff, c * damps, w * force]) ** 2
+        return fours(p * offset, k * stiff, c * damps, w * force) ** 2
 
     parameters = ModelParameters(
         thresholds=thresholds,
-        start=np.hstack([np.zeros((n, 1)), stiffness, damping, np.zeros_like(thresholds)]),
+        start=fours(np.zeros((n, 1)), stiffness, damping, np.zeros_like(thresholds)),
         prior=variance(1.0, UNCERTAIN_STIFFNESS, UNCERTAIN_DAMPING, 1.0),
         drift=variance(0.0, DRIFT, DRIFT, DRIFT) * dt,
         change=variance(1.0, CHANGING_STIFFNESS, CHANGING_DAMPING, CHANGING_SLIDER),
@@ -207,7 +213,7 @@ def model_arrays(
         last=np.zeros((n, q)),
         stops=np.zeros((n, THRESHOLDS)),
         sums=np.zeros((n, 5)),
-        work=np.zeros(q),
+        work=np.zeros((3, q)),
     )
     return parameters, state
 
@@ -229,42 +235,37 @@ def begin_model(parameters: ModelParameters, state: ModelState) -> None:
 
 
 @compiled
+def stopped(z: float, y: float) -> float:
+    """Keep z between -y and y."""
+    z = y if z > y else z
+    return -y if z < -y else z
+
+
+@compiled
 def move_stops(thresholds: Floats, change: Floats, stops: Floats) -> None:
     """Move stop operators by a change of each deformation, shape (n,), m."""
     for j in range(len(change)):
         moved = change[j]
-        for i in range(stops.shape[1]):
-            y = thresholds[j, i]
-            z = stops[j, i] + moved
-            z = y if z > y else z
-            stops[j, i] = -y if z < -y else z
+        for i in range(0, THRESHOLDS, 4):  # the processor has instructions for four at a time
+            one = stopped(stops[j, i] + moved, thresholds[j, i])
+            two = stopped(stops[j, i + 1] + moved, thresholds[j, i + 1])
+            three = stopped(stops[j, i + 2] + moved, thresholds[j, i + 2])
+            four = stopped(stops[j, i + 3] + moved, thresholds[j, i + 3])
+            stops[j, i], stops[j, i + 1], stops[j, i + 2], stops[j, i + 3] = one, two, three, four
 
 
 @compiled
 def slider_forces(values: Floats, stops: Floats, forces: Floats) -> None:
     """Force of the sliders of each spring by its parameters, shape (n,), N: the result."""
-    first, count = values.shape[1] - stops.shape[1], stops.shape[1]
-    whole = count - count % 4
+    first = 1 + 2 * len(values)
     for j in range(len(forces)):
         one = two = three = four = 0.0
-        for i in range(0, whole, 4):  # four at a time, which the processor has instructions for
+        for i in range(0, THRESHOLDS, 4):
             one += values[j, first + i] * stops[j, i]
             two += values[j, first + i + 1] * stops[j, i + 1]
             three += values[j, first + i + 2] * stops[j, i + 2]
             four += values[j, first + i + 3] * stops[j, i + 3]
-        for i in range(whole, count):
-            one += values[j, first + i] * stops[j, i]
         forces[j] = (one + two) + (three + four)
-
-
-@compiled
-def spring_force(values: Floats, j: int, e: Floats, rate: Floats) -> float:
-    """Force of spring j by its parameters, at deformations and rates of all; without sliders, N."""
-    n = len(e)
-    force = values[j, 0]
-    for i in range(n):
-        force += values[j, 1 + i] * e[i] + values[j, 1 + n + i] * rate[i]
-    return force
 
 
 @compiled
@@ -272,7 +273,7 @@ def motion_noise(parameters: ModelParameters, state: ModelState, j: int) -> floa
     """Variance of the force of spring j by the noise of the motion, at the slope as found, N^2."""
     found, observed, n = state.found[j], parameters.observed, len(state.found)
     sticking = 0.0
-    for i in range(state.stops.shape[1]):
+    for i in range(THRESHOLDS):
         if abs(state.stops[j, i]) < parameters.thresholds[j, i]:
             sticking += found[1 + 2 * n + i]
     variance = 0.0
@@ -294,14 +295,15 @@ def follow(
     """
     n, q = parameters.start.shape
     for j in range(n):
-        phi, last, gain, p = state.regressors[j], state.last[j], state.work, state.covariance[j]
+        phi, last, p = state.regressors[j], state.last[j], state.covariance[j]
+        gain, taken, left = state.work[0], state.work[1], state.work[2]
         found, change, sums = state.found[j], parameters.change[j], state.sums[j]
         phi[0] = 1.0
         for i in range(n):
             phi[1 + i] = e[i]
             phi[1 + n + i] = rate[i]
-        for i in range(1 + 2 * n, q):
-            phi[i] = state.stops[j, i - 1 - 2 * n]
+        for i in range(THRESHOLDS):
+            phi[1 + 2 * n + i] = state.stops[j, i]
         innovation, seen = measured[j], motion_noise(parameters, state, j)
         variance = parameters.noise[j, 0] + seen
         told = used = measured[j]
@@ -310,11 +312,7 @@ def follow(
             innovation -= found[i] * phi[i]
             told -= parameters.start[j, i] * phi[i]
             p[i, i] += parameters.drift[j, i]
-            gain[i] = 0.0
-        for k in range(q):  # p is symmetric: its columns are rows, which are added at once
-            factor = phi[k]
-            for i in range(q):
-                gain[i] += p[k, i] * factor
+        multiply(p, phi, gain)  # p is symmetric
         for i in range(q):
             variance += phi[i] * gain[i]
         moves = (e[j] / parameters.least[j, 0]) ** 2 + (rate[j] / parameters.least[j, 1]) ** 2 > 1.0
@@ -350,15 +348,20 @@ def follow(
         weight, per_variance = 1.0 / (1.0 + math.exp(-sums[4])), 1.0 / variance
         for i in range(q):
             # what does not move tells of the offset alone (Schmidt-Kalman)
-            one = gain[i] * per_variance if moves or i == 0 else 0.0
-            found[i] += one * innovation
+            taken[i] = gain[i] * per_variance if moves or i == 0 else 0.0
+            left[i] = taken[i] * variance - gain[i]
+            found[i] += taken[i] * innovation
             start = parameters.start[j, i]
             state.values[j, i] = found[i] + weight * (start - found[i])
             used -= state.values[j, i] * phi[i]
             last[i] = phi[i]
-            for k in range(q):
-                other = gain[k] * per_variance if moves or k == 0 else 0.0
-                p[i, k] += one * (other * variance - gain[k]) - gain[i] * other
+        for i in range(q):
+            one, all_of_it = taken[i], gain[i]
+            for k in range(0, q, 4):
+                p[i, k] += one * left[k] - all_of_it * taken[k]
+                p[i, k + 1] += one * left[k + 1] - all_of_it * taken[k + 1]
+                p[i, k + 2] += one * left[k + 2] - all_of_it * taken[k + 2]
+                p[i, k + 3] += one * left[k + 3] - all_of_it * taken[k + 3]
         impulse, is_wrong = parameters.unexplained * sums[2] + used, was_right and sums[4] <= 0.0
         acts = is_wrong or (is_change and sums[4] <= 0.0)
         sums[2] = 0.0 if acts else impulse

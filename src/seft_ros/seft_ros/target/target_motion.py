@@ -150,9 +150,21 @@ def target_arrays(known: Knowledge) -> tuple[TargetParameters, TargetState]:
     a[:size, size:], b[size:] = np.eye(size), np.eye(size)
     a[size:, :size], a[size:, size:] = -inverse @ stiffness, -inverse @ damping
     substeps = max(1, math.ceil(dt / LONGEST_SUBSTEP - 1e-9))
-    free, start, change = (
-        np.ascontiguousarray(part) for part in first_order_hold(a, b, dt / substeps)
-    )
+    free, start, change = first_order_hold(a, b, dt / substeps)
+    influence = np.vstack([np.eye(n), computed.influence])
+    by_spring = np.ascontiguousarray(inverse[:, :n] @ deformation.T)
+    # the coming motion, see `predict`
+    hold = np.ascontiguousarray(np.hstack([free, start]))
+    deforming = deformation @ (hold[:n] - np.eye(n, 3 * size))
+    columns = 3 * size + 2 * n + 1
+    steady, force = np.zeros((columns, 3 * size + n)), np.zeros((columns, n))
+    stays = np.vstack([hold, np.eye(size, 3 * size, 2 * size)])
+    steady[: 3 * size] = np.vstack([stays, deforming @ stays]).T
+    force[: 3 * size] = (known.mass @ np.hstack([a[size : size + n], np.eye(n, size)])).T
+    force[-n:] = deformation
+    rise, mending = np.zeros((size, columns)), np.zeros((size, 3 * size + n))
+    rise[:, 3 * size : -n - 1], rise[:, -n:] = -influence, -by_spring
+    mending[:, : 2 * size] = change.T
     squares = np.linalg.eigvals(inverse @ stiffness).real
     parameters = TargetParameters(
         dt=dt,
@@ -161,12 +173,13 @@ def target_arrays(known: Knowledge) -> tuple[TargetParameters, TargetState]:
         mass=np.ascontiguousarray(known.mass, dtype=np.float64),
         deformation=np.ascontiguousarray(deformation),
         to_springs=np.ascontiguousarray(to_springs),
-        free=free,
-        start=start,
-        change=change,
-        acceleration=np.ascontiguousarray(a[size : size + n]),
-        influence=np.vstack([np.eye(n), computed.influence]),
-        by_spring=np.ascontiguousarray(inverse[:, :n] @ deformation.T),
+        hold=hold,
+        change=np.ascontiguousarray(change),
+        deforming=deforming,
+        steady=steady,
+        force=force,
+        influence=influence,
+        by_spring=by_spring,
         by_told=inverse[:, :n] @ np.hstack([known.stiffness, known.damping]),
         damper=2.0 * math.sqrt(max(float(squares.min()), 0.0)),  # critical for the slowest mode
         model=model,
@@ -175,18 +188,23 @@ def target_arrays(known: Knowledge) -> tuple[TargetParameters, TargetState]:
     state = TargetState(
         model=model_state,
         measured=np.zeros((3, n)),
-        target=np.zeros(2 * size),
-        coming=np.zeros(2 * size),
+        target=np.zeros(3 * size),
         stops=np.zeros(thresholds),
         coming_stops=np.zeros(thresholds),
         ground=np.zeros(n),
+        by_motion=np.zeros((n, 2 * n)),
         by_state=np.zeros((2, size, 2 * size)),
         constant=np.zeros((2, size)),
-        settling=np.zeros((size, size)),
+        rise=rise,
+        mending=mending,
+        substep=np.zeros_like(steady),
+        force=force.copy(),
+        coming=np.zeros(columns),
+        next=np.zeros(3 * size + n),
         is_running=np.zeros(1),
-        axes=np.zeros((4, n)),
-        dofs=np.zeros((4, 2 * size)),
-        springs=np.zeros((8, n)),
+        axes=np.zeros((3, n)),
+        dofs=np.zeros((3, 2 * size)),
+        springs=np.zeros((7, n)),
     )
     return parameters, state
 

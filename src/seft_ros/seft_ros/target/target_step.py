@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 from seft_plant_sim.compiled import compiled
+from seft_plant_sim.integration import multiply
 
 from seft_ros.interlock.plausibility import is_finite
 from seft_ros.target.motion_observer import observe
@@ -25,7 +26,6 @@ from seft_ros.target.restoring_model import (
     follow,
     move_stops,
     slider_forces,
-    spring_force,
 )
 
 Floats = npt.NDArray[np.float64]
@@ -51,11 +51,14 @@ class TargetParameters(NamedTuple):
         M_e on the rig, shape (n, n), kg.
     deformation, to_springs : ndarray
         D, and D^-T, which makes springs' forces of the axes'; shape (n, n).
-    free, start, change : ndarray
-        Integration over a substep, see `first_order_hold`: shapes (2N, 2N), (2N, N), (2N, N). The
-        states are displacements, then velocities; the input is an acceleration.
-    acceleration : ndarray
-        Of the axes by the states, shape (n, 2N).
+    hold, change : ndarray
+        Integration over a substep, see `first_order_hold`: shapes (2N, 3N) and (2N, N). The states
+        are displacements, then velocities; the input is an acceleration, which stands below them.
+    deforming : ndarray
+        Change of the springs' deformations in a substep, by these; shape (n, 3N).
+    steady, force : ndarray
+        G of `predict` if the push stayed as it is, and F without stiffness, damping and offset of
+        the springs; transposed, shapes (s, 3N + n) and (s, n), s = 3N + 2n + 1.
     influence, by_spring : ndarray
         Accelerations per ground acceleration, and per force of each spring: shape (N, n).
     by_told : ndarray
@@ -72,10 +75,11 @@ class TargetParameters(NamedTuple):
     mass: Floats
     deformation: Floats
     to_springs: Floats
-    free: Floats
-    start: Floats
+    hold: Floats
     change: Floats
-    acceleration: Floats
+    deforming: Floats
+    steady: Floats
+    force: Floats
     influence: Floats
     by_spring: Floats
     by_told: Floats
@@ -92,33 +96,45 @@ class TargetState(NamedTuple):
         Of the restoring force.
     measured : ndarray
         Displacement and velocity as observed, and the last acceleration, shape (3, n).
-    target, coming : ndarray
-        Displacements and velocities of the target now, and while it is predicted; shape (2N,).
+    target : ndarray
+        Displacements and velocities of the target, and the push on it; shape (3N,).
     stops, coming_stops : ndarray
-        Its stop operators, likewise; shape (n, m).
+        Its stop operators, and those while it is predicted; shape (n, m).
     ground : ndarray
         Last ground acceleration, shape (n,).
+    by_motion : ndarray
+        Force of each spring by displacement and velocity of the axes, shape (n, 2n).
     by_state, constant : ndarray
         The push of the model at the last sample and at this one: accelerations by the states, and
         without them; shapes (2, N, 2N) and (2, N).
-    settling : ndarray
-        Change of the push at the end of a substep as the state is mended there, shape (N, N).
+    rise, mending : ndarray
+        Change of the push in a substep by z of `predict`, and what it adds to the result,
+        transposed; shapes (N, s) and (N, 3N + n).
+    substep, force : ndarray
+        G and F of `predict`, transposed; shapes (s, 3N + n) and (s, n).
+    coming, next : ndarray
+        z of `predict`, and G z; shapes (s,) and (3N + n,).
     is_running : ndarray
         Whether a sample has been taken, shape (1,).
     axes, dofs, springs : ndarray
-        Room for vectors, shapes (4, n), (4, 2N) and (8, n).
+        Room for vectors, shapes (3, n), (3, 2N) and (7, n).
     """
 
     model: ModelState
     measured: Floats
     target: Floats
-    coming: Floats
     stops: Floats
     coming_stops: Floats
     ground: Floats
+    by_motion: Floats
     by_state: Floats
     constant: Floats
-    settling: Floats
+    rise: Floats
+    mending: Floats
+    substep: Floats
+    force: Floats
+    coming: Floats
+    next: Floats
     is_running: Floats
     axes: Floats
     dofs: Floats
@@ -132,6 +148,7 @@ def begin_target(parameters: TargetParameters, state: TargetState) -> None:
     state.target[:] = 0.0
     state.stops[:] = 0.0
     state.is_running[0] = 0.0
+    state.coming[3 * len(parameters.influence) + len(parameters.mass)] = 1.0
     take_model(parameters, state, 1.0)
 
 
@@ -221,7 +238,13 @@ def times(matrix: Floats, vector: Floats, result: Floats) -> None:
 @compiled
 def take_model(p: TargetParameters, state: TargetState, pace: float) -> None:
     """Make the push of the model's parameters; what was this sample's is the last one's now."""
-    n, half, values = len(p.mass), len(p.influence), state.model.values
+    n, half, values, by_motion = len(p.mass), len(p.influence), state.model.values, state.by_motion
+    for j in range(n):
+        for k in range(n):
+            by_motion[j, k] = by_motion[j, n + k] = 0.0
+            for m in range(n):
+                by_motion[j, k] += values[j, 1 + m] * p.deformation[m, k]
+                by_motion[j, n + k] += values[j, 1 + n + m] * p.deformation[m, k]
     by_state, constant = state.by_state[1], state.constant[1]
     for i in range(half):
         state.constant[0, i], constant[i] = constant[i], 0.0
@@ -234,17 +257,9 @@ def take_model(p: TargetParameters, state: TargetState, pace: float) -> None:
         for j in range(n):
             factor = p.by_spring[i, j]
             constant[i] -= factor * values[j, 0]
-            for m in range(n):
-                stiffness, damping = factor * values[j, 1 + m], factor * values[j, 1 + n + m]
-                for k in range(n):
-                    by_state[i, k] -= stiffness * p.deformation[m, k]
-                    by_state[i, half + k] -= damping * p.deformation[m, k]
-    for i in range(half):
-        for j in range(half):
-            total = 0.0
-            for k in range(2 * half):
-                total += by_state[i, k] * p.change[k, j]
-            state.settling[i, j] = total
+            for k in range(n):
+                by_state[i, k] -= factor * by_motion[j, k]
+                by_state[i, half + k] -= factor * by_motion[j, n + k]
 
 
 @compiled
@@ -257,15 +272,15 @@ def push(
     ground: Floats,
     result: Floats,
 ) -> None:
-    """Find what acts on the elastic whole structure, as an acceleration, shape (N,).
+    """Find what acts on the elastic whole structure, as an acceleration: N of the result.
 
     It is the ground motion (times the pace), and the force by which the specimen is not the elastic
     one told: by the model of the last sample (0) or this one (1), with these forces of sliders.
     """
     by_state, constant = state.by_state[model], state.constant[model]
-    for i in range(len(result)):
+    for i in range(len(constant)):
         total = constant[i]
-        for k in range(len(y)):
+        for k in range(by_state.shape[1]):
             total += by_state[i, k] * y[k]
         for k in range(len(ground)):
             total -= p.influence[i, k] * ground[k] + p.by_spring[i, k] * sliders[k]
@@ -277,51 +292,14 @@ def specimen_force(
     p: TargetParameters, state: TargetState, y: Floats, sliders: Floats, r: Floats
 ) -> None:
     """Force of the specimen at the state y by this sample's model: r = D^T s, shape (n,), N."""
-    n, half, values = len(r), len(y) // 2, state.model.values
-    e, rate = state.springs[1], state.springs[2]
+    n = len(r)
+    r[:] = 0.0
     for j in range(n):
-        e[j] = rate[j] = 0.0
-        for i in range(n):
-            e[j] += p.deformation[j, i] * y[i]
-            rate[j] += p.deformation[j, i] * y[half + i]
-    for i in range(n):
-        r[i] = 0.0
-    for j in range(n):
-        s = spring_force(values, j, e, rate) + sliders[j]
+        s = state.model.values[j, 0] + sliders[j]
+        for k in range(2 * n):
+            s += state.by_motion[j, k] * y[k]
         for i in range(n):
             r[i] += p.deformation[j, i] * s
-
-
-@compiled
-def move(p: TargetParameters, state: TargetState, y: Floats, stops: Floats, begin: Floats) -> None:
-    """Move the state y over a substep under the push at its beginning; the stops move along."""
-    n, size = len(p.mass), len(y)
-    new = state.dofs[2]
-    for i in range(size):
-        total = 0.0
-        for k in range(size):
-            total += p.free[i, k] * y[k]
-        for k in range(size // 2):
-            total += p.start[i, k] * begin[k]
-        new[i] = total
-    for j in range(n):
-        change = 0.0
-        for i in range(n):
-            change += p.deformation[j, i] * (new[i] - y[i])
-        state.springs[4, j] = change
-    move_stops(p.model.thresholds, state.springs[4], stops)
-    for i in range(size):
-        y[i] = new[i]
-
-
-@compiled
-def correct(p: TargetParameters, y: Floats, begin: Floats, end: Floats) -> None:
-    """Mend the state y at the end of a substep by how much the push has changed in it."""
-    for i in range(len(y)):
-        total = y[i]
-        for k in range(len(y) // 2):
-            total += p.change[i, k] * (end[k] - begin[k])
-        y[i] = total
 
 
 @compiled
@@ -329,59 +307,110 @@ def advance(
     p: TargetParameters, state: TargetState, before: Floats, now: Floats, pace: float
 ) -> None:
     """Integrate Eq. (1) from the last sample to this one; the model changes linearly."""
-    n, y, sliders, ground = len(now), state.target, state.springs[6], state.axes[2]
-    old, begin, end = state.dofs[3], state.dofs[0], state.dofs[1]
-    half = len(p.influence)
+    n, half, model, ground = len(now), len(p.influence), state.model, state.axes[1]
+    y, begin, stops = state.target, state.target[2 * half :], state.stops
+    old, new, moved = state.dofs[0], state.dofs[1], state.dofs[2]
+    change, of_old, of_new = state.springs[4], state.springs[5], state.springs[6]
+    slider_forces(model.before, stops, of_old)
+    slider_forces(model.values, stops, of_new)
     for step in range(p.substeps):
         for side in range(2):
             part = (step + side) / p.substeps
-            result = end if side else begin
             for i in range(n):
                 ground[i] = pace * (before[i] + part * (now[i] - before[i]))
-            slider_forces(state.model.before, state.stops, sliders)
-            push(p, state, 0, y, sliders, ground, old[:half])
-            slider_forces(state.model.values, state.stops, sliders)
-            push(p, state, 1, y, sliders, ground, result[:half])
+            push(p, state, 0, y, of_old, ground, old)
+            push(p, state, 1, y, of_new, ground, new)
             for i in range(half):
-                result[i] = old[i] + part * (result[i] - old[i])
+                new[i] = old[i] + part * (new[i] - old[i])
                 for j in range(n):  # what was not seen in time of the restoring force
-                    result[i] -= p.by_spring[i, j] * state.model.sums[j, 3]
-            if side:
-                correct(p, y, begin, end)
-            else:
-                move(p, state, y, state.stops, begin)
+                    new[i] -= p.by_spring[i, j] * model.sums[j, 3]
+            if side:  # mends the state by how much the push has changed
+                for i in range(2 * half):
+                    for k in range(half):
+                        y[i] += p.change[i, k] * (new[k] - begin[k])
+                continue
+            for i in range(half):
+                begin[i] = new[i]
+            times(p.deforming, y, change)
+            move_stops(p.model.thresholds, change, stops)
+            slider_forces(model.before, stops, of_old)
+            slider_forces(model.values, stops, of_new)
+            times(p.hold, y, moved)
+            for i in range(2 * half):
+                y[i] = moved[i]
+
+
+@compiled
+def take_substep(p: TargetParameters, state: TargetState) -> None:
+    """Make G and F of `predict` of this sample's model, what of them depends on it.
+
+    If the push stayed b, it would be c at the end. The state is mended by ``change (c - b)``, and
+    with it the push: ``G z`` is what a constant push does, and `mending` of the rise c - b.
+    """
+    n, half, by_state, by_motion = len(p.mass), len(p.influence), state.by_state[1], state.by_motion
+    rise, mending, substep, force = state.rise, state.mending, state.substep, state.force
+    size, one = 3 * half, 3 * half + n
+    for i in range(half):
+        for k in range(size):
+            rise[i, k] = -1.0 if k == 2 * half + i else 0.0
+            for m in range(2 * half):
+                rise[i, k] += by_state[i, m] * p.hold[m, k]
+        rise[i, one] = state.constant[1, i]
+        for m in range(half):
+            total = 1.0 if m == i else 0.0
+            for k in range(2 * half):
+                total += by_state[m, k] * p.change[k, i]
+            mending[i, 2 * half + m] = total
+        times(p.deforming, mending[i], mending[i, size:])
+    for k in range(len(substep)):
+        for m in range(size + n):
+            total = p.steady[k, m]
+            for i in range(half):
+                total += rise[i, k] * mending[i, m]
+            substep[k, m] = total
+    for i in range(n):
+        force[one, i] = 0.0
+        for j in range(n):
+            force[one, i] += p.deformation[j, i] * state.model.values[j, 0]
+        for k in range(n):
+            x, v = p.force[k, i], p.force[half + k, i]
+            for j in range(n):
+                x += p.deformation[j, i] * by_motion[j, k]
+                v += p.deformation[j, i] * by_motion[j, n + k]
+            force[k, i], force[half + k, i] = x, v
 
 
 @compiled
 def predict(
     p: TargetParameters, state: TargetState, known: Floats, pace: float, points: Floats
 ) -> None:
-    """Integrate Eq. (1) over the coming steps, and write the points, see `target_step`."""
-    n, y, half = points.shape[2], state.coming, len(p.influence)
-    r, a, ground = state.axes[0], state.axes[3], state.axes[2]
-    begin, end, mended = state.dofs[0], state.dofs[1], state.dofs[3]
-    stops, sliders = state.coming_stops, state.springs[6]
-    for i in range(len(y)):
-        y[i] = state.target[i]
+    """Integrate Eq. (1) over the coming steps, and write the points, see `target_step`.
+
+    The model stays as it is, so that all but the stops is linear in the state y, the push b, the
+    ground acceleration a_g and the forces s of the sliders at the end of a substep; so is the
+    force, which is f_r of Eq. 2.5 with a*::
+
+        f* = M_e a* + r = F z,  z = (y, b, a_g, 1, s)                                          (3)
+        (y, b, change of the deformations in the next substep) = G z                           (4)
+    """
+    n, half, z, new = points.shape[2], len(p.influence), state.coming, state.next
+    size, stops = 3 * half, state.coming_stops
+    ground, sliders, change = z[size : size + n], z[size + n + 1 :], new[size:]
+    take_substep(p, state)
+    for i in range(2 * half):
+        z[i] = state.target[i]
     for j in range(n):
         ground[j] = pace * known[0, j]
         for i in range(stops.shape[1]):
             stops[j, i] = state.stops[j, i]
     slider_forces(state.model.values, stops, sliders)
-    push(p, state, 1, y, sliders, ground, begin[:half])
+    push(p, state, 1, z, sliders, ground, z[2 * half :])
+    times(p.deforming, z, change)
     for point in range(len(points)):
-        specimen_force(p, state, y, sliders, r)
         for i in range(n):
-            a[i] = begin[i]  # and what the elastic structure makes of its state
-            for k in range(len(y)):
-                a[i] += p.acceleration[i, k] * y[k]
-        for i in range(n):  # f* = M_e a* + r (3), which is f_r of Eq. 2.5 with a*
-            force = r[i]
-            for k in range(n):
-                force += p.mass[i, k] * a[k]
-            points[point, 0, i] = y[i]
-            points[point, 1, i] = y[half + i]
-            points[point, 2, i] = force
+            points[point, 0, i] = z[i]
+            points[point, 1, i] = z[half + i]
+        multiply(state.force, z, points[point, 2])
         if point + 1 == len(points):
             break
         for step in range(p.substeps):
@@ -389,17 +418,11 @@ def predict(
             for i in range(n):
                 rise = known[point + 1, i] - known[point, i]
                 ground[i] = pace * (known[point, i] + part * rise)
-            move(p, state, y, stops, begin)
+            move_stops(p.model.thresholds, change, stops)
             slider_forces(state.model.values, stops, sliders)
-            push(p, state, 1, y, sliders, ground, end[:half])
-            correct(p, y, begin, end)
-            for i in range(half):  # the push at the state that is mended
-                total = end[i]
-                for k in range(half):
-                    total += state.settling[i, k] * (end[k] - begin[k])
-                mended[i] = total
-            for i in range(half):
-                begin[i] = mended[i]
+            multiply(state.substep, z, new)
+            for i in range(size):
+                z[i] = new[i]
 
 
 @compiled
@@ -431,7 +454,7 @@ def move_by_force(
         date.
     """
     n, h = len(force), span / p.substeps
-    r, new, change, sliders = state.axes[0], state.axes[1], state.springs[4], state.springs[6]
+    r, new, change, sliders = state.axes[0], state.axes[1], state.springs[4], state.springs[5]
     for _ in range(p.substeps):
         for side in range(2):
             slider_forces(state.model.values, stops, sliders)
