@@ -248,6 +248,8 @@ def _relations(
             change = abs(state.flow[1, i] - state.flow[0, i])
             largest[8, i] = max(change, p.fade * largest[8, i])
             coarse += MISSED * dt * largest[8, i]
+        elif relation == VELOCITY_ACCELERATION:  # a force may have jumped between the samples
+            coarse += 0.5 * dt * abs(measured[2, i] - last[2, i])
         off, threshold = abs(sums[0, i] - sums[1, i]), p.sums[relation, i] + tolerance * whole
         threshold += coarse
         if look(p, state, CHANGE + relation, i, off, threshold) and found < 0:
