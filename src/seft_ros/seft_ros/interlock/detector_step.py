@@ -243,7 +243,7 @@ def _relations(
         largest[relation, i], largest[3 + relation, i] = whole, single
         tolerance, coarse = p.tolerance[relation], state.resolution[CHANNEL[relation], i]
         coarse = coarse / oil if relation == OIL else coarse
-        coarse = 1.5 * coarse if coarse < np.inf else 0.0
+        coarse = 2.0 * coarse if coarse < np.inf else 0.0
         if relation == OIL:  # the rig may have missed commands, and held the one before
             change = abs(state.flow[1, i] - state.flow[0, i])
             largest[8, i] = max(change, p.fade * largest[8, i])
