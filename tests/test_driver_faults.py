@@ -94,10 +94,71 @@ def test_a_fault_brings_the_hardware_to_its_safe_position_and_the_driver_lives_o
     hardware.fails = True
     node.run()
     assert set(hardware.calls) <= {"safe", "write", "close"}
-    assert hardware.calls.count("write") == (phase == "running")  # before the first fault
+    # one before the first fault, and one that begins to close the valve
+    assert hardware.calls.count("write") == 2 * (phase == "running")
     assert "safe" in hardware.calls[-4:-2]
     assert hardware.calls[-2:] == ["safe", "close"]
     if phase == "running":
         trip = driver.shell.reports[-1].values
         assert trip["phase"] == "tripped"
         assert "the converter does not answer" in trip["reason"]
+
+
+class Valve:
+    """A valve that is written to, and a pump."""
+
+    def __init__(self):
+        self.written, self.has_pressure = [], True
+
+    def write_command(self, volts):
+        self.written.append(volts[0])
+
+    def to_safe_position(self):
+        self.written.append(0.0)
+
+    def dump_pressure(self):
+        self.has_pressure = False
+
+
+def stop_of(valve):
+    from rig_driver.safe_stop import SafeStop
+
+    return SafeStop(valve, np.zeros(1), close_time=0.02, farthest=0.001, dt=0.002)
+
+
+def test_a_valve_closes_within_its_time(driver):
+    valve = Valve()
+    stop = stop_of(valve)
+    stop.begin(np.array([5.0]))
+    for _ in range(30):
+        stop.follow(np.array([0.01]))
+    np.testing.assert_allclose(valve.written, 5.0 * (1.0 - np.arange(1, 11) / 10.0), atol=1e-12)
+    assert valve.has_pressure
+    stop.begin(np.array([-5.0]))
+    stop.finish()
+    assert valve.written[-1] == 0.0
+    assert len(valve.written) == 20
+
+
+def test_a_piston_that_goes_on_loses_its_pressure(driver):
+    valve = Valve()
+    stop = stop_of(valve)
+    stop.begin(np.array([5.0]))
+    moved = 0.01 + 0.0002 * np.arange(60)
+    for x in moved[:10]:
+        stop.follow(np.array([x]))
+    assert valve.has_pressure  # it may move until the valve is closed
+    for x in moved[10:]:
+        stop.follow(np.array([x]))
+    assert stop.has_dumped
+    assert not valve.has_pressure
+
+
+def test_a_fault_while_the_valve_closes_ends_that(driver):
+    valve = Valve()
+    stop = stop_of(valve)
+    stop.begin(np.array([5.0]))
+    stop.at_once()
+    for _ in range(5):
+        stop.follow(np.zeros(1))
+    assert valve.written == [4.5, 0.0]

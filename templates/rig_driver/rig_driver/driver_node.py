@@ -37,8 +37,11 @@ from rig_driver.calibration import Calibration
 from rig_driver.hardware import Hardware
 from rig_driver.parameters import TABLE
 from rig_driver.rest import Rest
+from rig_driver.safe_stop import SafeStop
 from rig_driver.stand_in import StandIn
 
+GOES_ON = 0.05
+"""Part of the largest displacement that a piston may move after its valve was closed."""
 CLOCK_PERIOD = 0.1  # s between two messages of /clock
 
 
@@ -64,6 +67,10 @@ class DriverNode(NodeBody):
         self._calibration = Calibration.from_parameters(group(section, "calibration"), axes)
         self._limits = Limits(group(section, "limits"), axes, self._timebase.dt)
         self._rest = Rest(section["safe.rest_velocity"], self._timebase.dt)
+        at = per_axis(section["safe.valve_command"], axes, "rig: safe.valve_command")
+        farthest = GOES_ON * section["limits.displacement"]
+        closing, dt = section["safe.close_time"], self._timebase.dt
+        self._stop = SafeStop(hardware, np.asarray(at), closing, farthest, dt)
         self._states = TrajectoryCodec(RIG_STATE.of(rig), axes, self._timebase)
         commands = TrajectoryCodec(VALVE_COMMAND.of(rig), axes, self._timebase)
         self._command = Command(commands, section["limits.command"])
@@ -105,15 +112,16 @@ class DriverNode(NodeBody):
                 self._shell.attempt("a sample", self._tick)
             if self._phase == "running":
                 self._end("the rig node was told to end")
+                self._stop.finish()
         finally:
             self._hardware.to_safe_position()
             self._hardware.close()
 
     def fault(self, reason: str) -> None:
         """Bring the rig to its safe position, whatever it is in, and end a test that runs."""
-        self._hardware.to_safe_position()
         if self._phase == "running":
             self._end(reason)
+        self._stop.at_once()
 
     def _tick(self) -> None:
         """Take one sample, and do with it what the phase asks for."""
@@ -125,6 +133,7 @@ class DriverNode(NodeBody):
         elif self._steps and self._told in MOVING and time.monotonic() >= self._start:
             self._begin(sample)
         else:
+            self._stop.follow(sample[0])
             self._follow_to_rest(sample)
 
     def _begin(self, sample: Floats) -> None:
@@ -185,7 +194,7 @@ class DriverNode(NodeBody):
 
     def _end(self, reason: str | None) -> None:
         """End a test: the rig comes to rest whatever the reason; None if all steps are done."""
-        self._hardware.to_safe_position()
+        self._stop.begin(self._command.value)
         self._phase = FINISHED if reason is None else TRIPPED
         self._armed = False
         self._rest.begin()
@@ -205,6 +214,7 @@ class DriverNode(NodeBody):
         elif self._rest.time > self._section["safe.settle_time"]:
             self._resting = None
             text = f"{self._status.message}; not at rest after {self._rest.time:.3g} s"
+            text += ", the pressure was dumped" if self._stop.has_dumped else ""
             self._status = replace(self._status, level=ERROR, message=text)
         else:
             return

@@ -35,5 +35,8 @@ class Hardware(Protocol):
         times in a row. It must work whatever state the rig is in.
         """
 
+    # A rig that can take the pressure away may have dump_pressure(self), too: called where a piston
+    # goes on after its valve was closed.
+
     def close(self) -> None:
         """Give the devices back."""

@@ -16,6 +16,9 @@ TABLE = Table(
         ),
         Parameter("safe.valve_command", "floats", 0.0, "valve command of the safe position", "V"),
         Parameter(
+            "safe.close_time", "float", 0.02, "time in which the valve goes there", "s", minimum=0.0
+        ),
+        Parameter(
             "safe.rest_velocity",
             "float",
             1e-3,
