@@ -5,6 +5,7 @@ python -m bad_drivers FAULT --ros-args --params-file FILE
 
 import sys
 import time
+from types import SimpleNamespace
 
 from rig_driver.driver_node import DriverNode, stand_in
 from rig_driver.parameters import TABLE
@@ -40,14 +41,23 @@ class ForceInKn(WrongUnit):
     row, factor = 3, 1e-3
 
 
-class NoSafePosition:
-    """Hardware whose valve stays where it is when the test is over."""
+class NoSafePosition(DriverNode):
+    """Its valve stays where it is when the test is over."""
+
+    def __init__(self, shell, hardware):
+        super().__init__(shell, hardware)
+        nothing = {name: lambda *_: None for name in ("begin", "follow", "finish", "at_once")}
+        self._stop = SimpleNamespace(has_dumped=False, **nothing)
+
+
+class Reversed:
+    """Hardware whose valve is connected the other way round."""
 
     def __init__(self, hardware):
         self._hardware = hardware
 
-    def to_safe_position(self):
-        """Nothing."""
+    def write_command(self, volts):
+        self._hardware.write_command(-volts)
 
     def __getattr__(self, name):
         return getattr(self._hardware, name)
@@ -113,6 +123,7 @@ class Careless(DriverNode):
 NODES = {
     "displacement_in_mm": DisplacementInMm,
     "force_in_kn": ForceInKn,
+    "no_safe_position": NoSafePosition,
     "wrong_stamp": WrongStamp,
     "late_state": LateState,
     "no_watchdog": NoWatchdog,
@@ -126,8 +137,8 @@ def main() -> int:
 
     def make(shell: NodeShell) -> DriverNode:
         hardware = stand_in(shell)
-        if fault == "no_safe_position":
-            hardware = NoSafePosition(hardware)
+        if fault == "valve_reversed":
+            hardware = Reversed(hardware)
         return NODES.get(fault, DriverNode)(shell, hardware)
 
     return NodeKind(TABLE, [TABLE], make).main()

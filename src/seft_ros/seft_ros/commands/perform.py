@@ -1,5 +1,6 @@
 """The experiment performed: ``seft run`` over DDS, ``seft simulate`` in one process."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Optional
 
@@ -11,6 +12,8 @@ from seft_ros.commands.options import Config, External, Files, Json, Params, loa
 from seft_ros.commands.output import complain, step_progress, warn
 from seft_ros.experiment.tables import TABLES
 
+TRAVEL, FORCE = 0.005, 2000.0
+"""Displacement (m) and force (N) at which a motion that looks at signs is stopped."""
 LINK_TIME = 5.0  # s for which a link is measured before a test
 
 Figure = Annotated[bool, option("Draw a figure into the bag's folder.", "--figure/--no-figure")]
@@ -51,6 +54,14 @@ def run(
             max=98,
         ),
     ] = 0,
+    check_signs: Annotated[
+        bool,
+        option(
+            "First move the rig by a few tenths of a millimetre, to see that units and signs of "
+            "channels and valve fit one another (seft conform looks at more).",
+            "--check-signs",
+        ),
+    ] = False,
     accept_unstable: Annotated[
         bool, option("Run a test that preflight finds unstable all the same.", "--accept-unstable")
     ] = False,
@@ -75,7 +86,7 @@ def run(
 
         seft run config/jhu.yaml --composed --priority 50 -p rate:=2000.0
 
-        seft run config/jhu.yaml --external rig
+        seft run config/jhu.yaml --external rig --check-signs
 
         seft run config/jhu.yaml -p reference_force:mass_ratio:=2.0 --accept-unstable
     """
@@ -90,6 +101,8 @@ def run(
     _check_stable(experiment, accept_unstable)
     if warning := limit_warning(experiment, expected_peaks(experiment)):
         warn(warning)
+    if check_signs:
+        _check_signs(experiment, external or ())
     layout = ProcessLayout(pin=pin, composed=composed, priority=priority)
     record, bag = dds_test(experiment, bag, steps, external or (), layout=layout)
     if show_test(record, bag, as_json=json, figure=figure):
@@ -192,6 +205,35 @@ def _check_stable(experiment: Experiment, accept_unstable: bool) -> None:
         f"{told}{where}; see seft preflight, lower reference_force: mass_ratio, choose another "
         "compensation.method, or run it all the same with --accept-unstable"
     )
+
+
+def _check_signs(experiment: Experiment, external: Sequence[str]) -> None:
+    """Move the rig a little, and refuse the test where its channels do not fit one another.
+
+    Raises
+    ------
+    InputError
+        If they do not, or the test has several rigs.
+    """
+    from seft_ros.conformance.suite import TIMING, conform
+
+    if len(experiment.rigs) > 1:
+        raise InputError("--check-signs: of several rigs, look at each with seft conform")
+    alone, starts = Experiment(experiment.sections), "rig" not in external
+    if starts:
+        alone["rig"]["pace"] = "realtime"
+    found = conform(
+        alone,
+        lambda finding: None,
+        start_rig=starts,
+        amplitude=None,
+        travel=TRAVEL,
+        force=FORCE,
+        moves_only=True,
+    )
+    for finding in found:
+        if finding.verdict == "failed" and finding.check not in TIMING:
+            raise InputError(f"the rig: {finding.check}: {finding.told}; {finding.mend}")
 
 
 def _steps(experiment: Experiment) -> int:
