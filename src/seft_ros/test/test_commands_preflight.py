@@ -22,7 +22,7 @@ KEYS = {
     *("critical_added_delay_s", "delay_crossing_hz", "gain", "sure_delay_s", "sure_gain"),
     *("local_stiffness", "local_stiffness_followed", "told_delay_error_s"),
     *("false_damping_ratio", "frequency_error", "modes", "spectral_radius", "growth_rate"),
-    *("dominant_hz", "states"),
+    *("dominant_hz", "states", "expected_peaks", "proposed_limits"),
 }
 
 
@@ -35,6 +35,9 @@ def told(seft):
         return status, json.loads(out)
 
     return run
+
+
+FAR = "warning: limits are more than 4 times"
 
 
 def test_ten_milliseconds_end_at_the_known_mass_ratio(told):
@@ -134,14 +137,14 @@ def test_run_takes_an_unstable_plan_that_is_accepted(seft, flown):
 def test_run_starts_a_stable_plan_without_a_word(seft, flown):
     status, _, err = seft("run", JHU, "-p", f"{RATIO}0.5")
     assert (status, len(flown)) == (1, 1)
-    assert err == "seft: started\n"
+    assert [line for line in err.splitlines() if FAR not in line] == ["seft: started"]
 
 
 @pytest.mark.parametrize("node", ["rig", "reference_force", "force_controller"])
 def test_run_says_where_no_preflight_can_be_done(seft, flown, node):
     status, _, err = seft("run", JHU, "--external", node)
     assert (status, len(flown)) == (1, 1)
-    first, second = err.splitlines()
+    first, second = (line for line in err.splitlines() if FAR not in line)
     assert first.startswith("seft: preflight could not be done: ")
     assert second == "seft: started"
 

@@ -63,6 +63,7 @@ def experiment(*parts):
         for node, values in part.items():
             sections[node] = sections.get(node, {}) | values
     words = [(node, *item) for node, values in sections.items() for item in values.items()]
+    words += [("force_controller", "detectors.warn_only", "all")]
     return Experiment.load(TABLES, overrides=words)
 
 

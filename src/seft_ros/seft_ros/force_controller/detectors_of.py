@@ -19,7 +19,7 @@ from seft_ros.interlock.detector_arrays import (
     detector_arrays,
 )
 from seft_ros.interlock.detector_step import begin_detectors, detect_all
-from seft_ros.interlock.detectors import DETECTORS
+from seft_ros.interlock.detectors import ALL, DETECTORS
 from seft_ros.target.force_command import FORCE_DRIVEN
 
 Floats = npt.NDArray[np.float64]
@@ -51,6 +51,8 @@ def detectors_of(
     """
     own = list(places)
     warn_only = section["detectors.warn_only"].replace(",", " ").split()
+    if warn_only == [ALL]:
+        warn_only = [one.name for one in DETECTORS]
     unknown = set(warn_only) - {one.name for one in DETECTORS}
     if unknown:
         raise InputError(

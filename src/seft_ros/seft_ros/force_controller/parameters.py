@@ -67,7 +67,7 @@ _ROWS = parameter_rows(
     detectors.force_range | floats | rig:sensors.force_range or 0.0 | N | 0 .. |
         largest force that the sensor can measure, likewise; 0: not known
     detectors.warn_only | string | | | |
-        names of detectors, with commas between, that warn but do not end a test
+        names of detectors, with commas between, or all: those that warn but do not end a test
     voltage_limit              | float  | 10.0  | V     | > 0       |
         largest valve drive, either way
     feedback                   | bool   | true  |       |           |

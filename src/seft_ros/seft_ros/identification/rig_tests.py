@@ -15,6 +15,7 @@ from seft_plant_sim.rig.limits import NAMES
 
 from seft_ros.force_controller.kinds import one_controller
 from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
+from seft_ros.interlock.detectors import MODEL_BASED
 from seft_ros.recording.record import Record
 from seft_ros.target.force_command import FORCE_DRIVEN
 
@@ -135,7 +136,7 @@ def _with(experiment: Experiment, record: Path, controller: dict[str, Any]) -> E
             "tail": TAIL,
         },
         "reference_force": {"method": "eft", "mass_ratio": 0.0, "compensation.method": "none"},
-        "force_controller": controller,
+        "force_controller": {"detectors.warn_only": ",".join(MODEL_BASED)} | controller,
     }
     return Experiment(
         {node: {**own, **changes.get(node, {})} for node, own in experiment.sections.items()}

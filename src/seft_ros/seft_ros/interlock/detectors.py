@@ -84,6 +84,13 @@ DETECTORS = (
 )
 """In the order of the rows in `detector_step`."""
 
+MODEL_BASED = (
+    *("oil_balance", "oil_noise", "second_order_work"),
+    *("force_noise", "force_jump", "force_response"),
+)
+"""Those which need to know actuators or specimen: they only warn where these are to be found."""
+ALL = "all"
+
 
 def describe(place: int, found: Floats, axes: Sequence[str]) -> str:
     """Say in a sentence what a detector saw, of what `detect` gave and `DetectorState.found`."""
