@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 import numpy.typing as npt
+from seft_plant_sim.rig.closing import left_open
 
 from rig_driver.hardware import Hardware
 
@@ -85,5 +86,5 @@ class SafeStop:
         if self._taken >= self._steps:
             self._hardware.to_safe_position()
             return
-        left = 1.0 - self._taken / self._steps
+        left = left_open(self._taken, self._steps)
         self._hardware.write_command(self._safe + left * (self._command - self._safe))

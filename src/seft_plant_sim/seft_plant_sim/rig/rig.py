@@ -17,6 +17,7 @@ from seft_plant_sim.actuator.actuator import delayed_force, servo_hydraulic
 from seft_plant_sim.actuator.hydraulics import Hydraulics
 from seft_plant_sim.compiled import entry_point
 from seft_plant_sim.continuous_model import ContinuousModel, Drive, with_low_pass
+from seft_plant_sim.rig.closing import left_open
 from seft_plant_sim.rig.limits import Limits, SaturatedTime
 from seft_plant_sim.rig.rig_step import BLIND, ENDS, LIMIT, move, rig_arrays, rig_step
 from seft_plant_sim.sensors import Sensors
@@ -170,8 +171,7 @@ class Rig:
         last = self.state.line[(self.state.counts[0] - 1) % len(self.state.line)].copy()
         steps, resting, peak = 0, 0, 0.0
         while steps < self._safe.longest and resting < RESTS:
-            left = max(1.0 - (steps + 1) / max(self._safe.closing, 1), 0.0)
-            command = safe + left * (last - safe)
+            command = safe + left_open(steps + 1, self._safe.closing) * (last - safe)
             self._move(self.parameters, self.state, command)
             peak = max(peak, float(np.abs(self.sample[3]).max()))
             steps += 1

@@ -79,7 +79,7 @@ class Interlock:
         dt = detectors[0].dt
         self._longest, saturated = longest_saturation, SaturatedTime(longest_saturation, dt)
         self.parameters = InterlockParameters(
-            float(largest_force), saturated.window, dt / max(close_time, dt), detectors[0]
+            float(largest_force), saturated.window, close_time / dt, detectors[0]
         )
         self.state = InterlockState(
             np.zeros(4, dtype=np.int64),

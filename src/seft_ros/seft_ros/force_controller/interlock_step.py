@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 from seft_plant_sim.compiled import compiled
+from seft_plant_sim.rig.closing import left_open
 from seft_plant_sim.rig.limits import is_exceeded
 
 from seft_ros.interlock.detector_arrays import DetectorParameters, DetectorState
@@ -31,7 +32,7 @@ class InterlockParameters(NamedTuple):
     window : int
         Steps of a second.
     closing : float
-        Part of the command by which the valve closes in a step once it has tripped.
+        Steps in which the valve closes once it has tripped.
     detectors : DetectorParameters
         Of faults.
     """
@@ -123,7 +124,7 @@ def begin_control(
                 for row in range(4):
                     state.measured[row, i] = measured[row, i]
     if state.flags[TRIP] != NOTHING:
-        left = max(1.0 - (step + 1 - state.flags[STEP]) * parameters.closing, 0.0)
+        left = left_open(step + 1 - state.flags[STEP], parameters.closing)
     for i in range(n):
         command[i] = left * state.drive[i]
     take_command(parameters.detectors, state.detectors, command, False)
@@ -151,7 +152,7 @@ def end_control(
             state.drive[i] = command[i]
         else:
             state.odd[i] = command[i]
-            command[i] = max(1.0 - parameters.closing, 0.0) * state.drive[i]
+            command[i] = left_open(1, parameters.closing) * state.drive[i]
     take_command(parameters.detectors, state.detectors, command, limited)
 
 
