@@ -269,17 +269,17 @@ def _channels(
     for row in range(4):
         if not sees(state, step, row):
             continue
-        change = abs(measured[row, i] - state.last[row, i])
+        change, seen, threshold = abs(measured[row, i] - state.last[row, i]), 0.0, np.inf
         if change > 0.0:
             state.repeats[row, i] = 0
             if change < state.resolution[row, i]:
                 state.resolution[row, i] = change
         else:
             state.repeats[row, i] += 1
-        # the chance of the same value twice is its step over 2 sqrt(pi) times the noise
-        chance = state.resolution[row, i] / (2.0 * math.sqrt(math.pi) * p.dither[row, i])
-        threshold = math.log(SAME) / math.log(chance) if chance < 0.5 else np.inf
-        seen = float(state.repeats[row, i])
+            seen = float(state.repeats[row, i])
+            # the chance of the same value twice is its step over 2 sqrt(pi) times the noise
+            chance = state.resolution[row, i] / (2.0 * math.sqrt(math.pi) * p.dither[row, i])
+            threshold = math.log(SAME) / math.log(chance) if chance < 0.5 else np.inf
         if look(p, state, FROZEN + row, i, seen, threshold) and found < 0:
             found = (FROZEN + row) * n + i
     return found
