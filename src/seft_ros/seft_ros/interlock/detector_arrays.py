@@ -114,7 +114,7 @@ class DetectorState(NamedTuple):
         Largest of these of late, of a single step, of the target's motion, of r, and of the change
         of the flow in a step (m/s); shape (9, n).
     restoring : ndarray
-        r at the last sample, its last change, that of the springs as told, and r now; (4, n), N.
+        r at the last sample, its last change, and r now; shape (3, n), N.
     work : ndarray
         Sums of dr dx, of dx K dx and of squares of its noise, shape (3,).
     response : ndarray
@@ -229,7 +229,7 @@ def detector_arrays(
         sent=np.zeros_like(past),
         sums=np.zeros((3, 2, n)),
         largest=np.zeros((9, n)),
-        restoring=np.zeros((4, n)),
+        restoring=np.zeros((3, n)),
         work=np.zeros(3),
         response=np.zeros((2, n)),
         repeats=np.zeros((4, n), dtype=np.int64),

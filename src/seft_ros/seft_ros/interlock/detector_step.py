@@ -171,7 +171,7 @@ def detect(
         total = measured[3, i]
         for k in range(n):
             total -= p.mass[i, k] * measured[2, k]
-        restoring[3, i] = total
+        restoring[2, i] = total
     if not is_first:
         for i in range(n):
             if measured[1, i] * last[1, i] <= 0.0:
@@ -188,8 +188,8 @@ def detect(
             if points.shape[1] > 1:
                 found = worse(found, _tracking(p, state, step, points, measured, i))
     for i in range(n):
-        restoring[1, i] = 0.0 if is_first else restoring[3, i] - restoring[0, i]
-        restoring[0, i] = restoring[3, i]
+        restoring[1, i] = 0.0 if is_first else restoring[2, i] - restoring[0, i]
+        restoring[0, i] = restoring[2, i]
         for row in range(4):
             last[row, i] = measured[row, i]
     if found < 0:
@@ -295,7 +295,7 @@ def _restoring_force(
     for k in range(n):
         spring += p.stiffness[i, k] * (measured[0, k] - last[0, k])
         curvature += p.stiffness[i, k] * p.dt * p.dt * (measured[2, k] + last[2, k])
-    change, moved = r[3, i] - r[0, i], abs(measured[0, i] - last[0, i])
+    change, moved = r[2, i] - r[0, i], abs(measured[0, i] - last[0, i])
     moves = p.steps[DISPLACEMENT_VELOCITY, i] + MOVES * state.largest[3, i]
     slips = moved < moves or step - state.step[TURN_AT] <= TURNED
     largest = max(abs(r[0, i]), p.memory * state.largest[7, i])
@@ -305,11 +305,9 @@ def _restoring_force(
         found = ROUGH * n + i
     # what has jumped must stay there
     before = r[1, i] if state.counts[JUMP, i] else 0.0
-    threshold = (TURN if slips else SLIP) * largest + p.rough[i]
-    threshold += STIFFEST * (abs(spring) + (abs(r[2, i]) if state.counts[JUMP, i] else 0.0))
+    threshold = (TURN if slips else SLIP) * largest + p.rough[i] + STIFFEST * abs(spring)
     if look(p, state, JUMP, i, abs(change + before), threshold) and found < 0:
         found = JUMP * n + i
-    r[2, i] = spring
     return found
 
 
@@ -336,7 +334,7 @@ def _work(p: DetectorParameters, state: DetectorState, measured: Floats) -> int:
     for row in range(3):
         work[row] *= p.short
     for i in range(n):
-        moved, change = measured[0, i] - last[0, i], r[3, i] - r[0, i]
+        moved, change = measured[0, i] - last[0, i], r[2, i] - r[0, i]
         noise = p.noise[3, i] ** 2
         for k in range(n):
             noise += (p.mass[i, k] * p.noise[2, k]) ** 2
