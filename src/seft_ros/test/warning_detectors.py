@@ -11,4 +11,6 @@ def warning_detectors(axes, dt=0.002):
     nothing, none = np.zeros((axes, axes)), np.zeros((4, axes))
     actuator, past = np.zeros((axes, 4)), np.zeros((axes, 1))
     limits = np.ones(4)
-    return detector_arrays(none, limits, none, False, actuator, past, *[nothing] * 3, names, dt)
+    return detector_arrays(
+        none, limits, none, False, actuator, past, *[nothing] * 3, names, 0.0, dt
+    )

@@ -89,6 +89,7 @@ def detectors_of(
         np.ascontiguousarray(stiffness),
         np.ascontiguousarray(ratio * mass),
         warn_only,
+        section["watchdog.state_timeout"],
         dt,
     )
 

@@ -161,6 +161,7 @@ def detector_arrays(
     stiffness: Floats,
     computed_mass: Floats,
     warn_only: Sequence[str],
+    longest_hold: float,
     dt: float,
 ) -> tuple[DetectorParameters, DetectorState]:
     """Put the detectors of n axes into arrays.
@@ -181,6 +182,8 @@ def detector_arrays(
         Shape (n, n), kg, N/m and kg.
     warn_only : sequence of str
         Names of the detectors that do not end a test.
+    longest_hold : float
+        Time for which a rig that misses commands holds the last one, s: no fault of the valve.
     dt : float
         Sampling period, s.
     """
@@ -198,7 +201,8 @@ def detector_arrays(
     steps = np.sqrt(2.0 * jumps**2 + rates**2 / 2.0)
     rough = np.sqrt(6.0 * (f**2 + mass**2 @ a**2))
     unknown = 0.0 if mass.any() and stiffness.any() else math.inf
-    lasts = [max(2, math.ceil(each.lasts / dt - 1e-9)) for each in DETECTORS]
+    spans = [each.lasts + longest_hold * each.name.startswith("oil") for each in DETECTORS]
+    lasts = [max(2, math.ceil(span / dt - 1e-9)) for span in spans]
     acts = [each.name not in warn_only for each in DETECTORS]
     parameters = DetectorParameters(
         dt=dt,

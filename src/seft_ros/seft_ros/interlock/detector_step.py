@@ -195,7 +195,8 @@ def detect(
     if found < 0:
         for row in range(JUMP + 1):
             for i in range(n):
-                if state.counts[row, i] and p.acts[row] and row != ROUGH:
+                of_sensors = row not in (CHANGE + OIL, NOISE + OIL, ROUGH)
+                if state.counts[row, i] and p.acts[row] and of_sensors:
                     return SUSPECT
     return found
 
