@@ -204,7 +204,9 @@ def test_a_rig_without_commands_trips_and_the_silent_node_is_found_out(run, tmp_
     os.kill(found.nodes["reference_force"], signal.SIGSTOP)
     line = found.ending()
     assert found.process.returncode == 1
-    assert "new valve_command" in line  # none for so long; or a busy host stood still meanwhile
+    # a busy host may have stood still meanwhile: the rig tells that instead
+    waited = "no new valve_command for 0.5 s", "(0.5 s without a new valve_command are allowed)"
+    assert any(words in line for words in waited)
     assert "; node reference_force has been silent since " in line
     trip = recorded(tmp_path).trip
     assert "; node reference_force has been silent since " in trip.reason

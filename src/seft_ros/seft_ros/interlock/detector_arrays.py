@@ -201,7 +201,7 @@ def detector_arrays(
     steps = np.sqrt(2.0 * jumps**2 + rates**2 / 2.0)
     rough = np.sqrt(6.0 * (f**2 + mass**2 @ a**2))
     unknown = 0.0 if mass.any() and stiffness.any() else math.inf
-    spans = [each.lasts + longest_hold * each.name.startswith("oil") for each in DETECTORS]
+    spans = [each.lasts + longest_hold * each.of_valve for each in DETECTORS]
     lasts = [max(2, math.ceil(span / dt - 1e-9)) for span in spans]
     acts = [each.name not in warn_only for each in DETECTORS]
     parameters = DetectorParameters(

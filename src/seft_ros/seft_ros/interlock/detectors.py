@@ -31,12 +31,15 @@ class Detector:
         Of these.
     lasts : float
         Persistence, s; two samples at least.
+    of_valve : bool
+        Whether it knows the flow by the commands, of which a rig may have missed some.
     """
 
     name: str
     text: str
     unit: str
     lasts: float = LASTS
+    of_valve: bool = False
 
 
 _SUMS = "disagree on axis {axis}: they differ by {seen} over the last 50 ms"
@@ -46,10 +49,10 @@ _SAME = "measured {} on axis {{axis}} has repeated one value for {{seen}}"
 DETECTORS = (
     Detector("displacement_velocity", f"measured displacement and velocity {_SUMS}", "m"),
     Detector("velocity_acceleration", f"measured velocity and acceleration {_SUMS}", "m/s"),
-    Detector("oil_balance", f"{_OIL} {_SUMS}", "m"),
+    Detector("oil_balance", f"{_OIL} {_SUMS}", "m", of_valve=True),
     Detector("displacement_noise", f"measured displacement and velocity {_STEP}", "m"),
     Detector("velocity_noise", f"measured velocity and acceleration {_STEP}", "m/s"),
-    Detector("oil_noise", f"{_OIL} {_STEP}", "m"),
+    Detector("oil_noise", f"{_OIL} {_STEP}", "m", of_valve=True),
     Detector(
         "second_order_work",
         "the measured force falls as the specimen is deformed further: work of {seen} against it",
