@@ -98,7 +98,7 @@ def test_package_xml_names_what_is_imported(package):
 def test_one_line_of_pip_has_what_no_rosdep_key_brings():
     run = set.union(*(required(package)[0] for package in OURS))
     line = "pip install " + " ".join(sorted(n for n, key in NAMES.values() if not key and n in run))
-    assert f"      {line}  " in (ROOT / "README.md").read_text()
+    assert f"    {line}  " in (ROOT / "docs" / "nodes.md").read_text()
     assert f"{line} -->" in (ROOT / "src" / "seft_ros" / "package.xml").read_text()
 
 
