@@ -17,17 +17,17 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Value
 from seft_plant_sim.reference.whole_structure import reference_response
 from seft_ros.analysis.metrics import nrmse
+from seft_ros.design.controller import Controller
+from seft_ros.design.loop_design import LoopDesign, shape_loop
+from seft_ros.design.plan import Plan
+from seft_ros.design.plant import choose_plant
+from seft_ros.design.stability_margins import HIGHEST_MASS_RATIO, critical_mass_ratio
+from seft_ros.design.stability_verdict import predicted_modes
 from seft_ros.drawing.style import FIRST, MARK, OTHERS, REFERENCE, TEXT, save_figure, tidy
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
-from seft_ros.loop_shaping.controller import Controller
-from seft_ros.loop_shaping.design import LoopDesign, shape_loop
-from seft_ros.loop_shaping.plant import choose_plant
-from seft_ros.preflight.modes import predicted_modes
-from seft_ros.preflight.plan import Plan
-from seft_ros.preflight.stability_margins import HIGHEST_MASS_RATIO, critical_mass_ratio
 from seft_ros.reference_force.compensation.names import TARGET_MOTION
 
 Floats = npt.NDArray[np.float64]

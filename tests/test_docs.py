@@ -11,9 +11,9 @@ from seft_msgs_py.config.parameter_file import parse_override
 from seft_msgs_py.wire.topics import LOOP_TOPICS, TOPICS
 from seft_ros.commands.main import APP
 from seft_ros.commands.parameters import parameters_text
+from seft_ros.design.plan import Plan
+from seft_ros.design.stability_margins import critical_mass_ratio
 from seft_ros.experiment.tables import TABLES
-from seft_ros.preflight.plan import Plan
-from seft_ros.preflight.stability_margins import critical_mass_ratio
 from seft_ros.reference_force.compensation.methods import METHODS
 
 COMPENSATION = ROOT / "docs" / "compensation.md"

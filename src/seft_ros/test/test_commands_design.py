@@ -36,7 +36,7 @@ def design(seft):
 @pytest.fixture
 def undrawn(monkeypatch):
     """Spare a test the second that the figure takes."""
-    monkeypatch.setattr("seft_ros.loop_shaping.design_figure.design_figure", lambda *_: Figure())
+    monkeypatch.setattr("seft_ros.design.loop_figures.design_figure", lambda *_: Figure())
 
 
 def test_the_papers_rig_does_what_the_paper_says(design, tmp_path):

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 from seft_msgs_py.errors import ExperimentError
-from seft_ros.preflight import stability_map
+from seft_ros.design import stability_map
 
 JHU = str(Path(__file__).parents[3] / "config" / "jhu.yaml")
 DELAY = ("-p", "rig:actuator.kind:=delay", "-p", "rig:actuator.delay:=0.01")
@@ -96,8 +96,8 @@ def test_the_figure_is_drawn_of_both_maps(seft, tmp_path, monkeypatch):
     ],
 )
 def test_wrong_input_is_told_in_one_line(seft, tmp_path, monkeypatch, words, named):
-    monkeypatch.setattr("seft_ros.preflight.stability_map.preflight_figure", lambda *_: Figure())
-    monkeypatch.setattr("seft_ros.preflight.stability_map.stability_maps", lambda *_: None)
+    monkeypatch.setattr("seft_ros.design.stability_map.preflight_figure", lambda *_: Figure())
+    monkeypatch.setattr("seft_ros.design.stability_map.stability_maps", lambda *_: None)
     status, out, err = seft("preflight", *words)
     assert (status, out) == (2, "")
     assert err.count("\n") == 1

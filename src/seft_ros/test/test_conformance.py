@@ -12,10 +12,9 @@ from seft_plant_sim.rig.command import Command
 from seft_plant_sim.rig.rig import Rig
 from seft_ros.conformance import message_checks, motion_checks, obedience_checks
 from seft_ros.conformance.driver import Guard, Samples, Trial
-from seft_ros.conformance.finding import found, not_run
+from seft_ros.conformance.finding import finding_line, found, not_run, verdict
 from seft_ros.conformance.motion_checks import Drive
 from seft_ros.conformance.obedience_checks import KINDS, BadCommands
-from seft_ros.conformance.table import finding_line, verdict
 from seft_ros.experiment.tables import TABLES
 
 RATE = 500.0

@@ -11,9 +11,7 @@ from hypothesis import strategies as st
 from seft_msgs_py.config.parameter_table import Table, resolve
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.timebase import Timebase
-from seft_ros.ground_motion.block import GroundMotion
-from seft_ros.ground_motion.parameters import TABLE
-from seft_ros.ground_motion.resample import resample
+from seft_ros.ground_motion.ground_motion_block import TABLE, GroundMotion, resample
 
 
 def build(axes=("x",), rate=200.0, **values):
@@ -182,7 +180,7 @@ def test_what_can_not_be_used_is_refused_in_one_line(tent, values, what):
 
 def test_the_node_loads_neither_scipy_nor_matplotlib():
     code = (
-        "import sys, seft_ros.ground_motion.block, seft_ros.ground_motion.parameters;"
+        "import sys, seft_ros.ground_motion.ground_motion_block;"
         "sys.exit(bool({'scipy', 'matplotlib'} & set(sys.modules)))"
     )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}

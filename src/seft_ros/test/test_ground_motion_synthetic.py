@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError
-from seft_ros.ground_motion.synthetic import (
+from seft_ros.ground_motion.synthetic_motion import (
     envelope,
     motion_spectrum,
     stationary_motion,

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_file import parse_override
 from seft_plant_sim.rig.rig import Rig
+from seft_ros.design.actuator_fit import fit_actuator
 from seft_ros.experiment.tables import TABLES
-from seft_ros.identification.actuator_fit import fit_actuator
-from seft_ros.identification.excitation import excitation
+from seft_ros.ground_motion.synthetic_motion import excitation
 
 CONFIG = Path(__file__).parents[3] / "config"
 DURATION, TAIL = 40.0, 1.0

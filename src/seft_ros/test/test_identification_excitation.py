@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.timebase import Timebase
-from seft_ros.ground_motion.block import GroundMotion
-from seft_ros.ground_motion.parameters import TABLE
-from seft_ros.identification.excitation import SIGNALS, excitation, write_excitation
+from seft_ros.design.rig_tests import write_excitation
+from seft_ros.ground_motion.ground_motion_block import TABLE, GroundMotion
+from seft_ros.ground_motion.synthetic_motion import SIGNALS, excitation
 
 DT = 0.002
 BAND = (1.0, 100.0)

@@ -7,11 +7,7 @@ import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_file import parse_override
 from seft_msgs_py.errors import InputError
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.offline import simulate
-from seft_ros.experiment.tables import TABLES
-from seft_ros.identification.excitation import excitation, write_excitation
-from seft_ros.identification.rig_tests import (
+from seft_ros.design.rig_tests import (
     Levels,
     check_levels,
     closed_loop,
@@ -21,7 +17,12 @@ from seft_ros.identification.rig_tests import (
     open_loop,
     pilot_voltage,
     voltage_after,
+    write_excitation,
 )
+from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.offline import simulate
+from seft_ros.experiment.tables import TABLES
+from seft_ros.ground_motion.synthetic_motion import excitation
 
 JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
 LEVELS = Levels(voltage=0.1, force=200.0)

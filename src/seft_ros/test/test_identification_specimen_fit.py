@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from seft_ros.identification.specimen_fit import fit_specimen
-from seft_ros.identification.spectral import response, spectra
+from seft_ros.design.measured_test import response, spectra
+from seft_ros.design.response_fits import fit_specimen
 
 RATE, SEGMENT, COUNT = 500.0, 8.0, 60_000
 MASS = np.array([[52.7, 3.0], [3.0, 40.0]])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from seft_plant_sim.lti import TransferFunction
-from seft_ros.identification.tracking_fit import fit_tracking
+from seft_ros.design.response_fits import fit_tracking
 
 F = np.arange(0.3, 100.0, 0.1)
 ONES = np.ones(len(F))

@@ -4,8 +4,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.config.parameter_file import read_parameter_file
 from seft_msgs_py.errors import InputError
-from seft_ros.loop_shaping.controller import Controller, given_controller, write_controller
-from seft_ros.loop_shaping.roots import Root, lightly_damped, roots_of
+from seft_ros.design.controller import (
+    Controller,
+    Root,
+    given_controller,
+    lightly_damped,
+    roots_of,
+    write_controller,
+)
 
 HZ = st.floats(0.1, 200.0)
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from seft_ros.loop_shaping.margins import loop_margins, tracking_measures
+from seft_ros.design.loop_margins import loop_margins, tracking_measures
 
 F = np.geomspace(0.05, 200.0, 600)
 S = 2j * np.pi * F

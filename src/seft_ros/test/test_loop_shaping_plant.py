@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig.rig import continuous_model
+from seft_ros.design.closed_loop import force_loop
+from seft_ros.design.controller import Controller
+from seft_ros.design.loop_design import shape_loop
+from seft_ros.design.plant import SampledPlant, choose_plant
 from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.block import ForceController
-from seft_ros.loop_shaping.controller import Controller
-from seft_ros.loop_shaping.design import shape_loop
-from seft_ros.loop_shaping.plant import choose_plant
-from seft_ros.loop_shaping.sampling import SampledPlant, closed_loop_poles, dominant_pole
 
 PAPER = Controller.from_coefficients(37.0, [1.0, 17.14, 4002.0])
 MASS, DAMPING, STIFFNESS = 52.7, 800.0, 2.11e5
@@ -188,7 +188,7 @@ def test_the_dominant_pole_is_how_the_blocks_grow_or_die_out(axes, gain):
     test = experiment(axes=axes, **(coupled if len(axes) == 2 else {}))
     dt = test.timebase.dt
     controller = PAPER.scaled(gain)
-    pole = dominant_pole(choose_plant(test), controller, dt)
+    pole = force_loop(choose_plant(test), controller, dt).dominant()
     block = ForceController([(controller.numerator, controller.denominator)] * len(axes), 1e150, dt)
     rig = BareRig(continuous_model(test["rig"], test.axes), dt, linear=True)
     state, forces = rig.reset(), []
@@ -206,14 +206,13 @@ def test_nyquists_criterion_agrees_with_the_eigenvalues(gain, dead_time, rate):
     test = experiment(rate, actuator__dead_time=dead_time)
     plant, dt = choose_plant(test), test.timebase.dt
     design = shape_loop(plant, PAPER.scaled(gain), dt)
-    if abs(abs(dominant_pole(plant, design.controller, dt)) - 1) > 1e-4:
+    if abs(abs(force_loop(plant, design.controller, dt).dominant()) - 1) > 1e-4:
         assert design.margins.stable is design.stable
 
 
 def test_a_static_controller_closes_the_loop_too():
-    plant = SampledPlant.of(choose_plant(experiment()), 0.002)
-    poles = closed_loop_poles(plant, Controller.from_coefficients(1e-6, 1.0))
-    assert np.abs(poles).max() < 1
+    controller = Controller.from_coefficients(1e-6, 1.0)
+    assert abs(force_loop(choose_plant(experiment()), controller, 0.002).dominant()) < 1
 
 
 def test_uncoupled_axes_are_each_as_if_alone():
@@ -238,7 +237,7 @@ def test_springs_at_rest_do_not_make_a_loop_unstable():
     test = experiment(specimen__kind="bilinear", specimen__yield_displacement=0.01)
     plant = choose_plant(test)
     assert len(plant.a) == 5
-    assert abs(dominant_pole(plant, PAPER, test.timebase.dt)) < 1
+    assert abs(force_loop(plant, PAPER, test.timebase.dt).dominant()) < 1
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from seft_ros.analysis.equivalent_motion import (
     motion_difference,
 )
 from seft_ros.experiment.tables import TABLES
-from seft_ros.ground_motion.spectrum import response_spectrum
+from seft_ros.ground_motion.response_spectrum import response_spectrum
 from seft_ros.monitor.intake import Intake
 from seft_ros.recording.record import Record, Series
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from seft_msgs_py.wire.outcome import Trip
-from seft_ros.loop_shaping.roots import Root
+from seft_ros.design.controller import Root
 from seft_ros.paper.claim import judge, statements
 from seft_ros.paper.findings import Findings, Growth
 from seft_ros.paper.outcome import Outcome

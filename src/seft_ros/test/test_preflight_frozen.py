@@ -9,6 +9,11 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig.limits import ROWS
 from seft_plant_sim.rig.rig import Rig
+from seft_ros.design.closed_loop import frozen_target
+from seft_ros.design.plan import Plan
+from seft_ros.design.preflight_tables import summarise
+from seft_ros.design.stability_margins import HIGHEST_MASS_RATIO, find_margins
+from seft_ros.design.stability_verdict import preflight
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES
@@ -16,11 +21,6 @@ from seft_ros.force_controller.velocity_feedforward import (
     LARGEST_GAIN_ERROR,
     VelocityFeedforward,
 )
-from seft_ros.preflight.frozen import frozen_target
-from seft_ros.preflight.plan import Plan
-from seft_ros.preflight.preflight_tables import summarise
-from seft_ros.preflight.stability_margins import HIGHEST_MASS_RATIO, find_margins
-from seft_ros.preflight.stability_verdict import preflight
 from seft_ros.reference_force.block import knowledge
 from seft_ros.target.target_motion import TargetMotion
 

@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.rig.limits import ROWS
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.offline import simulate
-from seft_ros.experiment.tables import TABLES
-from seft_ros.preflight.plan import Plan
-from seft_ros.preflight.preflight_tables import summarise
-from seft_ros.preflight.stability_margins import (
+from seft_ros.design.plan import Plan
+from seft_ros.design.preflight_tables import summarise
+from seft_ros.design.stability_margins import (
     HIGHEST_MASS_RATIO,
     critical_mass_ratio,
     find_margins,
     stability_change,
 )
-from seft_ros.preflight.stability_verdict import preflight
+from seft_ros.design.stability_verdict import preflight
+from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.offline import simulate
+from seft_ros.experiment.tables import TABLES
 from seft_ros.reference_force.compensation.methods import METHODS
 
 M, C, K = 52.7, 800.3, 2.11e5

@@ -54,8 +54,8 @@ def conform(
 
         seft conform config/laboratory.yaml --yes --json
     """
+    from seft_ros.conformance.finding import finding_line, verdict
     from seft_ros.conformance.suite import conform as look_at
-    from seft_ros.conformance.table import finding_line, verdict
 
     experiment = load_experiment(config, param, params_file, None if start_rig else ["rig"])
     if len(experiment.rigs) > 1:

@@ -9,7 +9,7 @@ from seft_msgs_py.errors import InputError
 
 from seft_ros.commands.options import Config, Files, Json, Params, Plant, load_experiment, option
 from seft_ros.commands.output import complain, show
-from seft_ros.loop_shaping import Source
+from seft_ros.design import Source
 
 
 def design(
@@ -68,24 +68,24 @@ def design(
 
         seft design config/jhu.yaml --numerator 37 --denominator "1 17.14 4002" --json
     """
-    from seft_ros.drawing.style import save_figure
-    from seft_ros.loop_shaping.controller import (
+    from seft_ros.design.closed_loop import force_loop
+    from seft_ros.design.controller import (
         Controller,
         check_new,
         given_controller,
         write_controller,
     )
-    from seft_ros.loop_shaping.design import shape_loop
-    from seft_ros.loop_shaping.design_figure import design_figure
-    from seft_ros.loop_shaping.design_table import (
+    from seft_ros.design.controller_proposal import propose_controller
+    from seft_ros.design.loop_design import (
         axes_table,
         design_table,
+        shape_loop,
         summarise,
         summarise_axes,
     )
-    from seft_ros.loop_shaping.plant import choose_plant
-    from seft_ros.loop_shaping.proposal import propose_controller
-    from seft_ros.loop_shaping.sampling import dominant_pole
+    from seft_ros.design.loop_figures import design_figure
+    from seft_ros.design.plant import choose_plant
+    from seft_ros.drawing.style import save_figure
 
     if out is not None:
         check_new(out)
@@ -103,7 +103,7 @@ def design(
     elif controller is None:
         controller = Controller.from_parameters(experiment["force_controller"])
     loops = [shape_loop(whole.axis(index), controller, dt) for index in range(len(axes))]
-    slowest = dominant_pole(whole, controller, dt)
+    slowest = force_loop(whole, controller, dt).dominant()
 
     loop, stable = loops[shown], abs(slowest) < 1
     title = f"{config}, axis {axes[shown]}: force loop at {1 / dt:g} Hz, plant: {whole.source}"

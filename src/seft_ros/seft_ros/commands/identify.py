@@ -93,16 +93,15 @@ def identify(
 
         seft identify config/lab.yaml --external rig --amplitude 0.1 --duration 300
     """
-    from seft_ros.drawing.style import save_figure
-    from seft_ros.force_controller.kinds import is_one_controller
-    from seft_ros.identification.excitation import Motions
-    from seft_ros.identification.identified import identify as identify_rig
-    from seft_ros.identification.identified_figure import identified_figure
-    from seft_ros.identification.identified_table import identified_table, summarise_identified
-    from seft_ros.identification.model_file import write_model
-    from seft_ros.identification.rig_tests import (
+    from seft_ros.design.controller import Controller
+    from seft_ros.design.identified import identify as identify_rig
+    from seft_ros.design.identified import write_model
+    from seft_ros.design.identified_table import identified_table, summarise_identified
+    from seft_ros.design.loop_figures import identified_figure
+    from seft_ros.design.rig_tests import (
         PILOT_DURATION,
         Levels,
+        Motions,
         check_levels,
         closed_loop,
         default_force,
@@ -112,7 +111,8 @@ def identify(
         pilot_voltage,
         voltage_after,
     )
-    from seft_ros.loop_shaping.controller import Controller
+    from seft_ros.drawing.style import save_figure
+    from seft_ros.force_controller.kinds import is_one_controller
 
     if set(external or ()) - {"rig"}:
         raise InputError("--external: only the rig may be, the other nodes are set up here")

@@ -43,10 +43,9 @@ def motion(
     from rich.table import Table
 
     from seft_ros.drawing.style import save_figure
-    from seft_ros.ground_motion.block import GroundMotion
-    from seft_ros.ground_motion.figure import motion_figure
-    from seft_ros.ground_motion.parameters import TABLE
-    from seft_ros.ground_motion.spectrum import motion_summary
+    from seft_ros.ground_motion.ground_motion_block import TABLE, GroundMotion
+    from seft_ros.ground_motion.motion_figure import motion_figure
+    from seft_ros.ground_motion.response_spectrum import motion_summary
 
     columns = column or [0]
     axes = [f"column {index}" for index in columns]
@@ -66,7 +65,7 @@ def motion(
     path = figure or Path(f"{file.stem}.png")
     drawn = motion_figure(block.samples, block.timebase.dt, axes, f"{file.name}, {rate:g} Hz")
     save_figure(drawn, path)
-    numbers = motion_summary(block)
+    numbers = motion_summary(block.samples, block.timebase.dt)
     table = Table(title=f"{block.source}: {numbers['steps']} steps at {rate} Hz")
     table.add_column("")
     for axis in axes:

@@ -12,8 +12,8 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.rigs import with_rigs
 from seft_msgs_py.wire.topics import NODES
 
+from seft_ros.design import Source
 from seft_ros.experiment.tables import TABLES
-from seft_ros.loop_shaping import Source
 
 
 def option(text: str, named: str | None = None, **more: Any) -> Any:

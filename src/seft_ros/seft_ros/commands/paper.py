@@ -86,7 +86,7 @@ def paper(
 
 def _with_motion(experiment: Experiment, file: Path | None, given: dict[str, Any]) -> Experiment:
     """Put the record of the command line in the place of the experiment's own."""
-    from seft_ros.ground_motion.parameters import TABLE
+    from seft_ros.ground_motion.ground_motion_block import TABLE
     from seft_ros.paper.experiments import changed
 
     words = {name: value for name, value in given.items() if value is not None}

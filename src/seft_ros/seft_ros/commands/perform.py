@@ -90,7 +90,7 @@ def run(
 
         seft run config/jhu.yaml -p reference_force:mass_ratio:=2.0 --accept-unstable
     """
-    from seft_ros.preflight.expected_peaks import expected_peaks, limit_warning
+    from seft_ros.design.preflight_tables import expected_peaks, limit_warning
     from seft_ros.running.process_layout import ProcessLayout
     from seft_ros.running.run import bag_path
 
@@ -184,9 +184,9 @@ def _check_stable(experiment: Experiment, accept_unstable: bool) -> None:
     InputError
         If the closed loop is unstable, and that is not accepted.
     """
-    from seft_ros.preflight.plan import Plan
-    from seft_ros.preflight.stability_margins import critical_mass_ratio
-    from seft_ros.preflight.stability_verdict import instability
+    from seft_ros.design.plan import Plan
+    from seft_ros.design.stability_margins import critical_mass_ratio
+    from seft_ros.design.stability_verdict import instability
 
     try:
         plan = Plan(experiment)
@@ -243,7 +243,7 @@ def _steps(experiment: Experiment) -> int:
     of steps is not known here.
     """
     from seft_ros.experiment.blocks import build_blocks
-    from seft_ros.ground_motion.block import GroundMotion
+    from seft_ros.ground_motion.ground_motion_block import GroundMotion
 
     if all(table.node in experiment.sections for table in TABLES):
         return build_blocks(experiment).ground_motion.steps

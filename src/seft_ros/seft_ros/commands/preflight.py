@@ -14,7 +14,7 @@ from seft_ros.commands.options import (
     option,
 )
 from seft_ros.commands.output import complain, late_progress, show
-from seft_ros.loop_shaping import Source
+from seft_ros.design import Source
 
 
 def preflight(
@@ -58,12 +58,18 @@ def preflight(
 
         seft preflight config/jhu.yaml --params-file identified/model.yaml --plant identified
     """
+    from seft_ros.design.plan import Plan
+    from seft_ros.design.preflight_tables import (
+        expected_peaks,
+        limits_table,
+        preflight_tables,
+        proposed_limits,
+        summarise,
+        write_limits,
+    )
+    from seft_ros.design.stability_map import preflight_figure, stability_maps
+    from seft_ros.design.stability_verdict import preflight as fly
     from seft_ros.drawing.style import check_figure, save_figure
-    from seft_ros.preflight.expected_peaks import expected_peaks, proposed_limits, write_limits
-    from seft_ros.preflight.plan import Plan
-    from seft_ros.preflight.preflight_tables import limits_table, preflight_tables, summarise
-    from seft_ros.preflight.stability_map import preflight_figure, stability_maps
-    from seft_ros.preflight.stability_verdict import preflight as fly
 
     path = check_figure(figure) if figure is not None else None
     experiment = load_experiment(config, param, params_file, external)

@@ -12,7 +12,7 @@ from seft_plant_sim.rig.rig import Rig, Rigs
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.interlocks import Interlocks, interlock_of
 from seft_ros.force_controller.names import TRANSFER_FUNCTION, VELOCITY_FEEDFORWARD
-from seft_ros.ground_motion.block import GroundMotion
+from seft_ros.ground_motion.ground_motion_block import GroundMotion
 from seft_ros.interlock.protected_force import ProtectedForce
 from seft_ros.reference_force.compensation.names import TARGET_MOTION
 

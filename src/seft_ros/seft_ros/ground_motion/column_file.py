@@ -2,25 +2,26 @@
 
 import re
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 
-from seft_ros.ground_motion.text_file import (
-    COMMENT_MARKS,
-    NUMBER,
-    is_comment,
-    not_finite,
-    read_unit,
-    to_float,
-)
+STANDARD_GRAVITY = 9.80665
+"""Standard acceleration of gravity in m/s^2, exact by definition (ISO 80000-3)."""
 
+UNITS = {"g": STANDARD_GRAVITY, "m/s2": 1.0, "cm/s2": 0.01}
+"""Unit as it is written in a parameter file -> its size in m/s^2."""
+
+NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[EeDd][+-]?\d+)?", re.ASCII)
+"""A number as Fortran, C and spreadsheets write it; D is Fortran's double exponent."""
+
+_COMMENT_MARKS = ("%", "#", "//", "!", ";")
+_NOT_FINITE = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
+_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+")
+_LONE_DECIMAL_COMMA = re.compile(r"[+-]?\d+,0\d+")  # 0,005 would read as two columns
 _LIKE_A_NUMBER = re.compile(r"[+-]?\.?\d")
-_DECIMAL_COMMA = re.compile(r"[+-]?\d+,0\d+")  # a lone 0,005 would read as two columns
-_NOT_FINITE = ("nan", "inf", "infinity")
 _IN_BRACKETS = re.compile(r"[\[(]([^\[\]()]+)[\])]")
 _TIME = re.compile(r"(?:time|t)[\s_,/]*[\[(]?\s*([a-z]*)\s*[\])]?", re.IGNORECASE)
 _SECONDS = {
@@ -32,48 +33,36 @@ _UNEVEN = 0.01  # of a step
 
 @dataclass(frozen=True)
 class Columns:
-    """Numbers of a record in columns; those of an AT2 file are one.
+    """Numbers of a record in columns; those of an AT2 file are one column.
 
     Attributes
     ----------
     path : Path
         The file.
     values : ndarray
-        Shape (N, c), as they stand; may hold NaN and infinities.
-    lines : list of str
-        The file's lines.
-    start : int
-        Index of the first data line.
+        Shape (N, c), as they are in the file; may contain NaN and infinities.
+    lines : list of int
+        Number of the line of each row, or of each value of AT2.
     names : tuple of str
-        Column names from the line above the data; empty if it names no c columns.
+        Column names from the line above the data; empty if it does not name c columns.
     header_line : int
-        Number of that line; 0: there is none, or AT2's.
+        Number of that line; 0: there is none, or it is an AT2 file.
     own_dt : float or None
-        Sampling period that the header gives, s; None: a column of time may.
+        Sampling period in the header, s; None: a column of time may give it.
     """
 
     path: Path
     values: npt.NDArray[np.float64]
-    lines: list[str]
-    start: int
+    lines: list[int]
     names: tuple[str, ...] = ()
     header_line: int = 0
     own_dt: float | None = None
 
-    @property
-    def header(self) -> str:
-        """Where names and units stand."""
-        return f"the header (line {self.header_line})" if self.header_line else "the header"
+    def unit(self, column: int) -> str | None:
+        """Acceleration unit in the brackets of a column's name, ``acc (g)``, or None."""
+        found = _IN_BRACKETS.search(self.names[column]) if self.names else None
+        return read_unit(found.group(1)) if found else None
 
-    @property
-    def units(self) -> tuple[str | None, ...]:
-        """Acceleration unit in the brackets of each column's name, ``acc (g)``, or None."""
-        if not self.names:
-            return (None,) * self.values.shape[1]
-        found = (_IN_BRACKETS.search(name) for name in self.names)
-        return tuple(read_unit(unit.group(1)) if unit else None for unit in found)
-
-    @cached_property
     def time(self) -> tuple[int, float] | None:
         """Index of the column whose name says time, and its unit in s; None if there is none."""
         for index, name in enumerate(self.names):
@@ -88,11 +77,12 @@ class Columns:
         Raises
         ------
         InputError
-            If the times do not increase evenly, within 1 % of the usual step; names the line.
+            If the times do not increase evenly, within 1 % of the median step; names the line.
         """
-        if self.time is None:
+        time = self.time()
+        if time is None:
             return self.own_dt
-        column, unit = self.time
+        column, unit = time
         self.check_finite(column)
         times = self.values[:, column]
         steps = np.diff(times)
@@ -101,7 +91,7 @@ class Columns:
         if typical <= 0 or uneven.size:
             row = int(uneven[0]) + 1 if uneven.size else 1
             raise InputError(
-                f"{self.path}: line {self._line_of(row)}: time goes from {times[row - 1]:g} to "
+                f"{self.path}: line {self.lines[row]}: time goes from {times[row - 1]:g} to "
                 f"{times[row]:g}, but its usual step is {typical:g}; resample the record evenly"
             )
         return float(f"{unit * (times[-1] - times[0]) / len(steps):.12g}")  # not 0.00500...1
@@ -111,17 +101,89 @@ class Columns:
         bad = np.flatnonzero(~np.isfinite(self.values[:, column]))
         if bad.size:
             row = int(bad[0])
-            raise not_finite(self.values[row, column], self.path, self._line_of(row))
+            raise InputError(
+                f"{self.path}: line {self.lines[row]}: the value is {self.values[row, column]}, "
+                "not a finite number; mend the record there, or cut it off before"
+            )
 
-    def _line_of(self, row: int) -> int:
-        return _data_lines(self.lines, self.start)[row][0]
+
+def read_lines(path: Path) -> list[str]:
+    """Read a text file, UTF-8 with any line ends; line n of it is item n - 1.
+
+    Raises
+    ------
+    InputError
+        If it can't be read, is empty, or is no text.
+    """
+    try:
+        if path.is_dir():
+            raise InputError(f"{path}: is a folder; give the record file in it")
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: is no regular file; give a record file")
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(
+            f"{path}: no such file; give its full path, or one from the working directory"
+        ) from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
+    bad = data.find(b"\0")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        bad = error.start
+    if bad >= 0:
+        raise InputError(
+            f"{path}: line {data.count(b'\n', 0, bad) + 1}: byte 0x{data[bad]:02x} is no text; "
+            "save the record as plain text (UTF-8)"
+        )
+    text = text.replace("\r\n", "\n").replace("\r", "\n").rstrip("\n\x1a")  # x1a: end in DOS
+    if not text.strip():
+        raise InputError(f"{path}: is empty; give a file that holds a record")
+    return text.split("\n")
+
+
+def is_comment(line: str) -> bool:
+    """Whether a line begins with a comment mark."""
+    return line.lstrip().startswith(_COMMENT_MARKS)
+
+
+def to_float(token: str, path: Path, line: int) -> float:
+    """Convert a piece of text to a number; it may overflow to infinity.
+
+    Raises
+    ------
+    InputError
+        If it is no number; names the file and the line.
+    """
+    if NUMBER.fullmatch(token):
+        return float(token.upper().replace("D", "E"))
+    if _NOT_FINITE.fullmatch(token):
+        return float(token)
+    if not token:
+        raise InputError(f"{path}: line {line}: a field is empty; write a number there")
+    shown = "".join(sign if sign.isprintable() else "?" for sign in token[:30])
+    mend = "correct it, or begin the line with % if it is a comment"
+    if _DECIMAL_COMMA.fullmatch(token):
+        mend = "write decimal points, not commas"
+    raise InputError(f'{path}: line {line}: "{shown}" is no number; {mend}')
+
+
+def read_unit(text: str) -> str | None:
+    """Recognise an acceleration unit in any spelling, as G, gal, cm/sec/sec, m/s^2.
+
+    Returns a key of `UNITS`; None if the text is none of them.
+    """
+    word = text.strip().strip(".,;'").lower().replace("²", "2").replace(" ", "")
+    word = re.sub(r"\*\*|\^", "", word).replace("sec", "s").replace("s/s", "s2")
+    word = {"gal": "cm/s2", "gals": "cm/s2", "g's": "g", "gs": "g"}.get(word, word)
+    return word if word in UNITS else None
 
 
 def read_columns(path: Path, lines: list[str]) -> Columns:
     """Read the numbers of a file in columns.
 
-    Comment lines (%, #, //, !, ;) and blank lines may stand anywhere, lines of text above
-    the data.
+    Comment lines (%, #, //, !, ;) and blank lines may be anywhere, lines of text above the data.
 
     Raises
     ------
@@ -129,13 +191,24 @@ def read_columns(path: Path, lines: list[str]) -> Columns:
         At text in the data, or where the number of columns changes; names the line.
     """
     start, separator = _find_data(path, lines)
-    try:
-        values = np.loadtxt(lines[start:], delimiter=separator, comments=None, ndmin=2)
-    except ValueError:  # comments among the data, or a fault
-        values = _read_by_line(path, lines, start, separator)
-    count = values.shape[1]
+    data = [
+        (number, _fields(line, separator))
+        for number, line in enumerate(lines[start:], start=start + 1)
+        if line.strip() and not is_comment(line)
+    ]
+    count, rows = len(data[0][1]), []
+    for number, fields in data:
+        if len(fields) != count:
+            what, mend = "", "make the columns even"
+            if number == data[-1][0] and len(fields) < count:
+                what = "a half-written last row: "
+                mend = "remove it, or fetch the record again"
+            raise InputError(
+                f"{path}: line {number}: {what}{len(fields)} columns, but {count} before; {mend}"
+            )
+        rows.append([to_float(field, path, number) for field in fields])
     names: tuple[str, ...] = ()
-    header = start
+    header = 0
     for number, line in enumerate(lines[:start], start=1):
         fields = _fields(line, separator)
         suspect = any(_is_number(field) or _LIKE_A_NUMBER.match(field) for field in fields)
@@ -144,7 +217,7 @@ def read_columns(path: Path, lines: list[str]) -> Columns:
                 to_float(field, path, number)
         if line.strip():
             header, names = number, _names(line, separator, count)
-    return Columns(path, values, lines, start, names, header)
+    return Columns(path, np.array(rows), [number for number, _ in data], names, header)
 
 
 def _find_data(path: Path, lines: list[str]) -> tuple[int, str | None]:
@@ -154,7 +227,7 @@ def _find_data(path: Path, lines: list[str]) -> tuple[int, str | None]:
         if not line.strip() or is_comment(line):
             continue
         separator = ";" if ";" in line else "," if "," in line else None
-        if _DECIMAL_COMMA.fullmatch(line.strip()):
+        if _LONE_DECIMAL_COMMA.fullmatch(line.strip()):
             to_float(line.strip(), path, index + 1)
         if all(_is_number(field) for field in _fields(line, separator)):
             return index, separator
@@ -166,33 +239,6 @@ def _find_data(path: Path, lines: list[str]) -> tuple[int, str | None]:
     raise InputError(f"{path}: holds no line of numbers; give a record in columns, or AT2")
 
 
-def _read_by_line(
-    path: Path, lines: list[str], start: int, separator: str | None
-) -> npt.NDArray[np.float64]:
-    rows: list[list[float]] = []
-    data = _data_lines(lines, start)
-    for number, line in data:
-        fields = _fields(line, separator)
-        if rows and len(fields) != len(rows[0]):
-            half = number == data[-1][0] and len(fields) < len(rows[0])
-            what = "a half-written last row: " if half else ""
-            mend = "remove it, or fetch the record again" if half else "make the columns even"
-            raise InputError(
-                f"{path}: line {number}: {what}{len(fields)} columns, but {len(rows[0])} "
-                f"before; {mend}"
-            )
-        rows.append([to_float(field, path, number) for field in fields])
-    return np.array(rows)
-
-
-def _data_lines(lines: list[str], start: int) -> list[tuple[int, str]]:
-    return [
-        (number, line)
-        for number, line in enumerate(lines[start:], start=start + 1)
-        if line.strip() and not is_comment(line)
-    ]
-
-
 def _fields(line: str, separator: str | None) -> list[str]:
     if separator is None:
         return line.split()
@@ -200,22 +246,19 @@ def _fields(line: str, separator: str | None) -> list[str]:
 
 
 def _is_number(field: str) -> bool:
-    return bool(NUMBER.fullmatch(field)) or field.lstrip("+-").lower() in _NOT_FINITE
+    return bool(NUMBER.fullmatch(field) or _NOT_FINITE.fullmatch(field))
 
 
 def _names(line: str, separator: str | None, count: int) -> tuple[str, ...]:
     """Column names in a header line, if it splits into as many as there are columns."""
     text = line.strip()
-    for mark in COMMENT_MARKS:
+    for mark in _COMMENT_MARKS:
         text = text.removeprefix(mark)
     text = text.strip()
-    ways = (
-        _fields(text, separator),
+    for fields in (
         re.split(r"\t+|\s{2,}", text),
-        _fields(text, ","),
-        _fields(text, ";"),
-    )
-    for fields in ways:
+        *(_fields(text, mark) for mark in (separator, ",", ";")),
+    ):
         if len(fields) == count:
             return tuple(field.strip().strip("\"'").strip() for field in fields)
     return ()

@@ -11,7 +11,7 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import TARGET
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
-from seft_ros.preflight.stability_verdict import MASS_RATIO_RESERVE as RESERVE
+from seft_ros.design.stability_verdict import MASS_RATIO_RESERVE as RESERVE
 from seft_ros.reference_force.topic import reference_force_topic
 
 Verdict = Literal["good", "marginal", "unusable"]
@@ -146,8 +146,8 @@ def message_size(experiment: Experiment) -> int:
 
 def allowed(experiment: Experiment, loop_delay: int) -> Allowed:
     """Ask preflight about a test with a delay of the loop, in steps."""
-    from seft_ros.preflight.plan import Plan
-    from seft_ros.preflight.stability_margins import critical_mass_ratio
+    from seft_ros.design.plan import Plan
+    from seft_ros.design.stability_margins import critical_mass_ratio
 
     planned = float(experiment["reference_force"]["mass_ratio"])
     try:

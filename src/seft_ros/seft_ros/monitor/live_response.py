@@ -14,7 +14,7 @@ from seft_ros.analysis.equivalent_motion import (
     natural_frequencies,
     spectrum_frequencies,
 )
-from seft_ros.ground_motion.spectrum import RunningSpectrum
+from seft_ros.ground_motion.response_spectrum import RunningSpectrum
 
 Floats = npt.NDArray[np.float64]
 

@@ -10,8 +10,7 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.experiment.state_machine import ENDED, MOVING
 from seft_ros.experiment.tables import TABLES
-from seft_ros.ground_motion.block import GroundMotion
-from seft_ros.ground_motion.parameters import TABLE
+from seft_ros.ground_motion.ground_motion_block import TABLE, GroundMotion
 
 TIMER_PERIOD = 0.02  # s
 

@@ -9,9 +9,9 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 
 import seft_ros
+from seft_ros.design.rig_tests import has_valve
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.method import with_method
-from seft_ros.identification.rig_tests import has_valve
 from seft_ros.reference_force.compensation.names import TARGET_MOTION
 
 DELAY = 0.01

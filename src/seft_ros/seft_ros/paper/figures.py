@@ -7,8 +7,8 @@ import numpy.typing as npt
 from bokeh.models import Range1d
 from bokeh.plotting import figure
 
+from seft_ros.design.loop_margins import BAND_HZ
 from seft_ros.drawing.style import FIRST, OTHERS, REFERENCE
-from seft_ros.loop_shaping.margins import BAND_HZ
 from seft_ros.page.content import Grid, Plot
 from seft_ros.page.plots import band, level, line, mark, plot, time_range
 from seft_ros.paper.findings import BEYOND, COMPUTED, Findings

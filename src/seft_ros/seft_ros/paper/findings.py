@@ -9,22 +9,23 @@ import numpy as np
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError
 
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.offline import simulate
-from seft_ros.ground_motion.block import GroundMotion
-from seft_ros.identification.excitation import Motions
-from seft_ros.identification.identified import ClosedLoop, Identified, ValveResponse, identify
-from seft_ros.identification.rig_tests import (
+from seft_ros.design import Source
+from seft_ros.design.controller import Controller
+from seft_ros.design.identified import ClosedLoop, Identified, ValveResponse, identify
+from seft_ros.design.plan import Plan
+from seft_ros.design.rig_tests import (
     PILOT_DURATION,
     Levels,
+    Motions,
     closed_loop,
     default_force,
     open_loop,
     pilot_voltage,
     voltage_after,
 )
-from seft_ros.loop_shaping import Source
-from seft_ros.loop_shaping.controller import Controller
+from seft_ros.experiment.blocks import build_blocks
+from seft_ros.experiment.offline import simulate
+from seft_ros.ground_motion.ground_motion_block import GroundMotion
 from seft_ros.paper.experiments import (
     BEYOND_SHARE,
     DELAY,
@@ -37,7 +38,6 @@ from seft_ros.paper.experiments import (
     uncompensated,
 )
 from seft_ros.paper.outcome import Outcome, run_test
-from seft_ros.preflight.plan import Plan
 from seft_ros.recording.record import Record
 from seft_ros.tournament.workers import parallel_map
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import median_filter
 
-from seft_ros.loop_shaping.margins import BAND_HZ
+from seft_ros.design.loop_margins import BAND_HZ
 from seft_ros.paper.experiments import DELAY, told_delay
 from seft_ros.paper.findings import Findings
 from seft_ros.paper.outcome import VIBRATION_HZ, explained, magnitude_and_phase

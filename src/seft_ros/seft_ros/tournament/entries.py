@@ -11,7 +11,7 @@ from seft_msgs_py.errors import InputError
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.method import with_method
 from seft_ros.force_controller.methods import force_control
-from seft_ros.ground_motion.block import GroundMotion
+from seft_ros.ground_motion.ground_motion_block import GroundMotion
 from seft_ros.reference_force.block import knowledge
 from seft_ros.reference_force.compensation.methods import METHODS
 from seft_ros.reference_force.parameters import TABLE

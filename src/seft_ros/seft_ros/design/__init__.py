@@ -1,0 +1,11 @@
+"""Design of a test: identification of the rig, force loop, preflight."""
+
+from enum import StrEnum
+
+
+class Source(StrEnum):
+    """The simulated rig's linear model, or what was identified; auto: the latter, where given."""
+
+    AUTO = "auto"
+    RIG = "rig"
+    IDENTIFIED = "identified"

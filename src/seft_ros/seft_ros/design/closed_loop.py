@@ -1,0 +1,265 @@
+"""The sampled closed loop of a test, exact: rig, compensation and force control."""
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import eig
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+
+from seft_ros.design.controller import Controller
+from seft_ros.design.plant import Plant, SampledPlant
+from seft_ros.force_controller.block import ForceController
+from seft_ros.force_controller.force_control import LinearControl
+from seft_ros.force_controller.velocity_feedforward import (
+    LARGEST_DELAY_ERROR,
+    LARGEST_GAIN_ERROR,
+    VelocityFeedforward,
+    begin_feedforward,
+    feedforward_step,
+)
+from seft_ros.reference_force.compensation.linear_filter import LinearFilter
+from seft_ros.target.target_motion import TargetMotion
+from seft_ros.target.target_step import begin_target, target_step
+
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+
+LARGE = 60
+"""Number of states from which on it pays to split a loop."""
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """States q of a whole test over n axes: q[k+1] = matrix q[k] + ground g[k...], x = c q.
+
+    Attributes
+    ----------
+    matrix : ndarray
+        Shape (N, N).
+    ground : ndarray
+        Shape (N, (1 + preview) n), from the ground accelerations of this step and the coming ones.
+    displacement : ndarray
+        c, shape (n, N).
+    dt : float
+        Sampling period, s.
+    """
+
+    matrix: Floats
+    ground: Floats
+    displacement: Floats
+    dt: float
+
+    def eigenvalues(self) -> Complexes:
+        """All N eigenvalues z; the test is stable where every |z| < 1.
+
+        A large loop is first split into its strongly connected parts: they have the same
+        eigenvalues and cost less.
+        """
+        if len(self.matrix) < LARGE:
+            return np.linalg.eigvals(self.matrix).astype(np.complex128)
+        _, block = connected_components(csr_array(self.matrix), connection="strong")
+        sizes = np.bincount(block)
+        found = [np.diag(self.matrix)[sizes[block] == 1]]
+        for index in np.flatnonzero(sizes > 1):
+            part = np.flatnonzero(block == index)
+            found.append(np.linalg.eigvals(self.matrix[np.ix_(part, part)]))
+        return np.concatenate(found).astype(np.complex128)
+
+    def dominant(self) -> complex:
+        """Eigenvalue of the largest magnitude, of a pair the upper."""
+        found = self.eigenvalues()
+        z = complex(found[np.abs(found).argmax()])
+        return complex(z.real, abs(z.imag))
+
+    def growth_rate(self) -> float:
+        """ln|z| / dt of that eigenvalue, 1/s: positive where the test is unstable."""
+        return growth_rate(self.dominant(), self.dt)
+
+    def modes(self) -> tuple[Complexes, Complexes]:
+        """Eigenvalues z, shape (N,), and their residues, shape (N, n, n).
+
+        The residues are those of the transfer function from ground acceleration to displacement.
+        """
+        z, left, right = eig(self.matrix, left=True)
+        n = len(self.displacement)
+        known_ahead = self.ground.reshape(len(z), -1, n)
+        powers = z[:, np.newaxis] ** np.arange(known_ahead.shape[1])
+        entering = np.einsum("si,spn,ip->in", left.conj(), known_ahead, powers)
+        scale = np.einsum("si,si->i", left.conj(), right)
+        leaving = (self.displacement @ right).T
+        with np.errstate(divide="ignore", invalid="ignore"):  # of delays, which are defective
+            return z, leaving[:, :, np.newaxis] * (entering / scale[:, np.newaxis])[:, np.newaxis]
+
+
+def force_loop(plant: Plant, controller: Controller, dt: float) -> ClosedLoop:
+    """Close the force loop alone on all n axes, as long as no valve is at its limit.
+
+    Where axes are coupled through the specimen this says more than the margins of each.
+    An InputError says if the dead time of the plant is many samples long.
+    """
+    a, b, c = SampledPlant.of(plant, dt).state_space()
+    n, polynomials = b.shape[1], (controller.numerator, controller.denominator)
+    control = ForceController([polynomials] * n, np.inf, dt).linear()
+    forces = np.pad(c, ((3 * n, 0), (0, 0)))
+    no_reference = LinearFilter.of_gains(np.zeros((n, 4 * n)), np.zeros((n, n)))
+    return closed_loop((a, b, forces), no_reference, control, dt)
+
+
+def growth_rate(z: complex, dt: float) -> float:
+    """Rate ln|z| / dt at which a mode with this eigenvalue grows, 1/s."""
+    return float(np.log(max(abs(z), 1e-300)) / dt)
+
+
+def closed_loop(
+    rig: tuple[Floats, Floats, Floats],
+    compensation: LinearFilter,
+    control: LinearControl,
+    dt: float,
+) -> ClosedLoop:
+    """Close the loop as the blocks run it.
+
+    The rig with states q (a, b, c of `LoopRig.sampled`) gives y = (x, v, a, f) = c q at sample k;
+    the compensation gives p = c s + d y + e g, the reference force or what else the controller
+    reads; the controller makes the drive u of p and y; u acts on the rig from sample k+1 on. The
+    states are those of the rig, the compensation and the controller.
+    """
+    a, b, c = rig
+    size, axes = len(compensation.d), b.shape[1]
+    # what p and y do to the rig, and to the states of the controller
+    rig_by_p, rig_by_y = np.split(b @ control.d, [size], axis=1)
+    control_by_p, control_by_y = np.split(control.b, [size], axis=1)
+    p_by_rig = compensation.d @ c
+    none = np.zeros((len(compensation.a), len(control.a)))
+    matrix = np.block(
+        [
+            [a + rig_by_p @ p_by_rig + rig_by_y @ c, rig_by_p @ compensation.c, b @ control.c],
+            [compensation.b @ c, compensation.a, none],
+            [control_by_p @ p_by_rig + control_by_y @ c, control_by_p @ compensation.c, control.a],
+        ]
+    )
+    ground = np.vstack([rig_by_p @ compensation.e, compensation.h, control_by_p @ compensation.e])
+    displacement = np.pad(c[:axes], ((0, 0), (0, len(matrix) - len(b))))
+    return ClosedLoop(matrix, ground, displacement, dt)
+
+
+CERTAIN = 1e30
+"""Variance, or evidence, beside which all others are nothing."""
+BOUNDS = list(
+    itertools.product(
+        (-LARGEST_GAIN_ERROR, LARGEST_GAIN_ERROR), (-LARGEST_DELAY_ERROR, LARGEST_DELAY_ERROR)
+    )
+)
+"""Errors of a valve that are as large as the controller may take them for."""
+
+
+def frozen_target(method: TargetMotion, measured: bool) -> LinearFilter:
+    """Linear filter from the measured state to all points of the target; the method is reset.
+
+    The output has the shape ((1 + preview) 3 n,). ``measured``: the restoring force is the
+    measured one, as after a change of the specimen: r* = r + K (x* - x) + C (v* - v). Else it is
+    K x* + C v*, as at the start of a test. The parameters are such that the method adapts nothing.
+    """
+    state, model = method.state, method.parameters.model
+    nothing = np.zeros_like(model.prior)
+    model = model._replace(prior=nothing, drift=nothing, change=nothing, surprise=np.inf)
+    parameters = method.parameters._replace(model=model)
+    n = len(parameters.mass)
+    y, points = np.zeros((4, n)), np.zeros((1 + method.preview, 3, n))
+    ground = np.zeros((1 + method.preview, n))
+    motion = state.target[: 2 * len(parameters.influence)]  # the push on it is made anew
+    states = [state.measured, motion, state.ground]
+    if measured:
+        states.append(state.constant[1])  # the push of the offset, which the next step starts from
+
+    def begin() -> None:
+        begin_target(parameters, state)
+        state.is_running[0] = 1.0
+        if measured:  # the offset follows at once, and nothing speaks for what is told
+            state.model.covariance[:, 0, 0] = CERTAIN
+            state.model.sums[:, 4] = -CERTAIN
+
+    def step() -> None:
+        target_step(parameters, state, ground, y, 1.0, points)
+
+    (c, d, e), (a, b, h) = _system(begin, step, states, [y, ground], points)
+    method.reset()
+    return LinearFilter(a, b, h, c, d, e)
+
+
+def frozen_feedforward(
+    control: VelocityFeedforward, errors: tuple[float, float] = (0.0, 0.0)
+) -> LinearControl:
+    """Linear controller from points and measured state to the valves; the controller is reset.
+
+    In place of the reference force its input has the points that it reads. ``errors`` are its
+    estimates for each valve: of the flow gain, relative, and of the delay, s. The pressure drop
+    under load is left out: it is of second order in the motion.
+    """
+    parameters, state = control.parameters, control.state
+    actuator = parameters.actuator.copy()
+    actuator[:, 3] = np.inf
+    parameters = parameters._replace(limit=np.inf, actuator=actuator)
+    n = len(actuator)
+    y, command = np.zeros((4, n)), np.zeros(n)
+    points = np.zeros((1 + parameters.inverse.shape[1], 3, n))
+
+    def begin() -> None:
+        begin_feedforward(parameters, state)
+        state.errors[:] = errors
+        state.covariance[:] = 0.0
+        state.steps[0] = 1.0
+
+    def step() -> None:
+        feedforward_step(parameters, state, points, y, command)
+
+    states = [state.measured, state.sent, state.flows]
+    (c, *d), (a, *b) = _system(begin, step, states, [points, y], command)
+    control.reset()
+    return LinearControl(a, np.hstack(b), c, np.hstack(d))
+
+
+def read_of_points(control: LinearControl) -> tuple[Floats, LinearControl]:
+    """Split a controller of points into a matrix of few rows, (q, points), and a controller of q.
+
+    The q values are all that the controller needs of the points.
+    """
+    axes = len(control.d)
+    known = control.d.shape[1] - 4 * axes
+    by_points = np.vstack([control.d[:, :known], control.b[:, :known]])
+    used = np.flatnonzero(by_points.any(axis=1))
+    handed_on = np.eye(len(by_points))[:, used]
+    d = np.hstack([handed_on[:axes], control.d[:, known:]])
+    b = np.hstack([handed_on[axes:], control.b[:, known:]])
+    return by_points[used], LinearControl(control.a, b, control.c, d)
+
+
+def _system(
+    begin: Callable[[], None],
+    step: Callable[[], None],
+    states: Sequence[Floats],
+    inputs: Sequence[Floats],
+    output: Floats,
+) -> tuple[list[Floats], list[Floats]]:
+    """Find the matrices of a linear step, which ``begin`` prepares and ``step`` runs in place.
+
+    The compiled step is applied to each unit vector of states and inputs; it writes the output
+    and the next states. Returned are the matrices of the outputs, then those of the next states:
+    by the states, then by each input.
+    """
+    columns = []
+    for array in (*states, *inputs):
+        for place in np.ndindex(array.shape):
+            begin()
+            for other in (*states, *inputs):
+                other[...] = 0.0
+            array[place] = 1.0
+            step()
+            columns.append(np.concatenate([part.ravel() for part in (output, *states)]))
+    sizes = [sum(part.size for part in states), *(part.size for part in inputs)]
+    outputs, next_states = np.split(np.array(columns).T, [output.size])
+    ends = np.cumsum(sizes)[:-1]
+    return np.split(outputs, ends, axis=1), np.split(next_states, ends, axis=1)

@@ -1,0 +1,233 @@
+"""The controller of the force loop, by gain, zeros and poles or by coefficients."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from seft_msgs_py.config.parameter_file import write_parameter_file
+from seft_msgs_py.errors import InputError
+from seft_plant_sim.lti import TransferFunction, ratio
+
+from seft_ros.force_controller.block import bilinear
+from seft_ros.force_controller.kinds import is_one_controller, one_controller
+from seft_ros.force_controller.names import TRANSFER_FUNCTION
+
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+
+LIGHTLY_DAMPED = 0.5
+"""Damping ratio up to which a pair counts as lightly damped: it shows in the magnitude."""
+
+_CANCELLED = 0.01  # distance of a pole and a zero, over the decay rate, that nobody sees
+
+
+@dataclass(frozen=True)
+class Root:
+    """A real pole or zero, or a conjugate pair of them.
+
+    Attributes
+    ----------
+    hz : float
+        Natural frequency of a pair, corner frequency of a real one (0: at the origin), Hz;
+        negative for a real one in the right half-plane.
+    damping : float or None
+        Damping ratio of a pair; None: it is real.
+    """
+
+    hz: float
+    damping: float | None = None
+
+    @classmethod
+    def parse(cls, text: str, option: str) -> "Root":
+        """Read ``HZ`` or ``HZ,DAMPING``.
+
+        Raises
+        ------
+        InputError
+            If it does not have that form, or would lie in the right half-plane.
+        """
+        values = _numbers(text.split(","))
+        if len(values) not in (1, 2) or min(values) < 0:
+            raise InputError(
+                f"{option} {text}: expected HZ or HZ,DAMPING, neither below zero, such as 10,0.13"
+            )
+        return cls(*values)
+
+    def __str__(self) -> str:
+        if self.damping is None:
+            return f"{self.hz:.4g} Hz" if self.hz else "0"
+        return f"{self.hz:.4g} Hz (damping {self.damping:.3g})"
+
+
+def _numbers(words: Iterable[str]) -> list[float]:
+    """Finite numbers of some words; none if one is no such number."""
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        return []
+    return values if np.isfinite(values).all() else []
+
+
+def polynomial_of(roots: Iterable[Root]) -> Floats:
+    """Monic polynomial in s with these roots, highest power first."""
+    product = np.ones(1)
+    for root in roots:
+        w = 2 * np.pi * root.hz
+        factor = [1.0, w] if root.damping is None else [1.0, 2 * root.damping * w, w * w]
+        product = np.convolve(product, factor)
+    return product
+
+
+def roots_of(values: npt.ArrayLike) -> list[Root]:
+    """Poles or zeros given in rad/s, complex; lowest first."""
+    values = np.asarray(values, dtype=np.complex128)
+    # what rounding leaves of an imaginary part makes no pair
+    real = np.abs(values.imag) <= 1e-9 * np.abs(values)
+    found = [Root(float(-value.real / (2 * np.pi)) or 0.0) for value in values[real]]
+    for value in values[~real & (values.imag > 0)]:
+        damping = round(float(-value.real / abs(value)), 12) or 0.0  # no -1e-17 of an undamped one
+        found.append(Root(float(abs(value) / (2 * np.pi)), damping))
+    return sorted(found, key=lambda root: abs(root.hz))
+
+
+def lightly_damped(roots: Iterable[Root]) -> list[Root]:
+    """Pairs in the left half-plane, or on its edge, that are lightly damped; same order."""
+    return [r for r in roots if r.damping is not None and 0 <= r.damping <= LIGHTLY_DAMPED]
+
+
+def uncancelled(roots: Complexes, others: Complexes) -> Complexes:
+    """Poles (or zeros) in rad/s that no zero (or pole) cancels."""
+    kept, others = [], others[np.isfinite(others)]
+    for root in roots[np.isfinite(roots)]:
+        near = np.abs(others - root) <= _CANCELLED * abs(root.real) + 1e-9 * abs(root)
+        if near.any():
+            others = np.delete(others, near.argmax())
+        else:
+            kept.append(root)
+    return np.array(kept, dtype=np.complex128)
+
+
+class Controller(TransferFunction):
+    """C_f from force error (N) to valve drive (V)."""
+
+    @classmethod
+    def from_coefficients(
+        cls, numerator: npt.ArrayLike, denominator: npt.ArrayLike
+    ) -> "Controller":
+        """Make it of two polynomials, both not zero; a number has degree 0."""
+        num, den = (
+            tuple(np.atleast_1d(values).astype(float).tolist())
+            for values in (numerator, denominator)
+        )
+        if not any(num) or not any(den):
+            raise InputError(
+                f"force_controller: {'denominator' if any(num) else 'numerator'} is zero"
+            )
+        return cls(num, den)
+
+    @classmethod
+    def from_parameters(cls, section: dict[str, Any]) -> "Controller":
+        """Make it of a force controller's section of an experiment.
+
+        An InputError says if the controller is another package's, is not the same on all axes,
+        or has a polynomial that is zero.
+        """
+        if not is_one_controller(section):
+            raise InputError(
+                "force_controller: method, per_axis or gain make it something else than one "
+                f"{TRANSFER_FUNCTION} for all axes, the only kind that can be judged; give one as "
+                "options"
+            )
+        gain = float(np.ravel(section.get("gain", 1.0))[0])
+        return cls.from_coefficients(section["numerator"], section["denominator"]).scaled(gain)
+
+    @classmethod
+    def from_roots(cls, gain: float, zeros: Iterable[Root], poles: Iterable[Root]) -> "Controller":
+        """Make it of its factors: gain * product(s - zeros) / product(s - poles)."""
+        return cls.from_coefficients(gain * polynomial_of(zeros), polynomial_of(poles))
+
+    @property
+    def gain(self) -> float:
+        """Gain of the factored form: the quotient of the leading coefficients."""
+        leading = [next(filter(None, part)) for part in (self.numerator, self.denominator)]
+        return leading[0] / leading[1]
+
+    @property
+    def zeros(self) -> list[Root]:
+        """Zeros, lowest first."""
+        return roots_of(np.roots(self.numerator))
+
+    @property
+    def poles(self) -> list[Root]:
+        """Poles, lowest first."""
+        return roots_of(np.roots(self.denominator))
+
+    def scaled(self, factor: float) -> "Controller":
+        """Multiply the gain."""
+        return Controller(tuple(factor * value for value in self.numerator), self.denominator)
+
+    def sampled_response(self, frequencies_hz: Floats, dt: float) -> Complexes:
+        """Frequency response as `force_controller` runs it, by the bilinear transform."""
+        b, a = bilinear(self.numerator, self.denominator, dt)
+        return ratio(b, a, np.exp(2j * np.pi * frequencies_hz * dt))
+
+
+def given_controller(
+    gain: float | None,
+    zeros: Sequence[str],
+    poles: Sequence[str],
+    numerator: str | None,
+    denominator: str | None,
+) -> Controller | None:
+    """Read the controller that options give; None if they give none.
+
+    Either gain, zeros and poles, ``HZ`` or ``HZ,DAMPING`` each, or the coefficients in s, highest
+    power first, with blanks or commas between them. An InputError says if both forms are mixed,
+    one is incomplete, or a text can't be read.
+    """
+    factored = gain is not None or zeros or poles
+    if numerator is None and denominator is None:
+        if not factored:
+            return None
+        if gain is None:
+            raise InputError("--zero and --pole need --gain beside them")
+        return Controller.from_roots(
+            gain,
+            [Root.parse(text, "--zero") for text in zeros],
+            [Root.parse(text, "--pole") for text in poles],
+        )
+    if factored:
+        raise InputError(
+            "give the controller by --gain, --zero and --pole or by --numerator and "
+            "--denominator, not by both"
+        )
+    if numerator is None or denominator is None:
+        raise InputError("--numerator and --denominator go together; one of them is missing")
+    return Controller.from_coefficients(
+        _coefficients(numerator, "--numerator"), _coefficients(denominator, "--denominator")
+    )
+
+
+def _coefficients(text: str, option: str) -> list[float]:
+    values = _numbers(text.replace(",", " ").split())
+    if not values:
+        raise InputError(f'{option} "{text}": expected numbers, such as "1 17.14 4002"')
+    return values
+
+
+def check_new(path: Path) -> None:
+    """Refuse a file that exists already, or whose folder does not, by an InputError."""
+    if path.exists():
+        raise InputError(f"{path}: exists already; name another file with --out")
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: there is no folder {path.parent}")
+
+
+def write_controller(controller: Controller, path: Path) -> None:
+    """Write a new parameter file, to be read after the experiment's own."""
+    section = one_controller(controller.numerator, controller.denominator)
+    comment = "Controller of the force loop, by seft design: force error (N) to valve (V)"
+    write_parameter_file(path, {"force_controller": section}, [comment])

@@ -1,0 +1,274 @@
+"""An identified rig: its actuators, its specimen and its force loop; the parameter file of them."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from seft_msgs_py.config.parameter_file import write_parameter_file
+from seft_msgs_py.errors import ExperimentError
+from seft_plant_sim.lti import TransferFunction
+from seft_plant_sim.specimen.specimen import Specimen
+
+from seft_ros.design.actuator_fit import ActuatorFit, fit_actuator
+from seft_ros.design.controller import Controller, polynomial_of
+from seft_ros.design.loop_design import LoopDesign, shape_loop
+from seft_ros.design.loop_margins import Tracking, tracking_measures
+from seft_ros.design.measured_test import (
+    FORCE,
+    MOTION,
+    MOTION_TO,
+    REFERENCE,
+    VALVE,
+    MeasuredTest,
+    Measurement,
+)
+from seft_ros.design.plant import Plant, SampledPlant, small_signal
+from seft_ros.design.response_fits import SpecimenFit, TrackingFit, fit_specimen, fit_tracking
+from seft_ros.recording.record import Record
+
+Floats = npt.NDArray[np.float64]
+
+_COHERENT = 0.8  # up to there the closed loop is fitted
+_FLOOR = 0.01  # of a response: what a model is asked to explain
+_OPEN_LOOP, _CLOSED_LOOP = "open loop", "closed loop"
+
+
+@dataclass(frozen=True)
+class ValveResponse:
+    """Open loop of one axis: the actuator, and the loop that it makes with the specimen.
+
+    Attributes
+    ----------
+    actuator : ActuatorFit
+        The actuator, whatever the specimen is.
+    measured : Measurement
+        Valve command u_k to force f_k, N/V.
+    error : float
+        RMS of what actuator and specimen, as fitted, leave of it, relative, 0 to 1.
+    loop : LoopDesign
+        Their plant, sampled, with the experiment's controller.
+    controller_known : bool
+        Whether that is a transfer function; else the loop is of the plant alone.
+    """
+
+    actuator: ActuatorFit
+    measured: Measurement
+    error: float
+    loop: LoopDesign
+    controller_known: bool
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """Closed loop of one axis: reference force to measured force of the same step."""
+
+    measured: Measurement
+    tracking: Tracking
+    fit: TrackingFit
+
+
+@dataclass(frozen=True)
+class Identified:
+    """Everything that was identified.
+
+    Attributes
+    ----------
+    axes : tuple of str
+        Names of the n axes.
+    band : tuple of float
+        Lowest and highest frequency excited, Hz.
+    specimen : SpecimenFit
+        The specimen.
+    valves : tuple of ValveResponse
+        One for each axis; empty where no valve was driven.
+    closed_loops : tuple of ClosedLoop
+        One for each axis; empty where the closed loop did not run to its end.
+    unusable : tuple of str
+        Why a test could not be used, one line each.
+    faults : tuple of str
+        What else was wrong, likewise.
+    """
+
+    axes: tuple[str, ...]
+    band: tuple[float, float]
+    specimen: SpecimenFit
+    valves: tuple[ValveResponse, ...]
+    closed_loops: tuple[ClosedLoop, ...]
+    unusable: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()
+
+
+def identify(
+    open_loop: Record | None,
+    closed_loop: Record | None,
+    band: tuple[float, float],
+    controller: Controller | None,
+) -> Identified:
+    """Identify a rig from the records of its tests.
+
+    Parameters
+    ----------
+    open_loop, closed_loop : Record or None
+        One may be missing.
+    band : tuple of float
+        Lowest and highest frequency of the excitation, Hz.
+    controller : Controller or None
+        Of the force loop whose margins are wanted; None: not known as a transfer function.
+
+    Raises
+    ------
+    ExperimentError
+        If no test says anything.
+    """
+    tests: dict[str, MeasuredTest] = {}
+    unusable: list[str] = []
+    faults: list[str] = []
+    for what, record, option in (
+        (_OPEN_LOOP, open_loop, "--amplitude"),
+        (_CLOSED_LOOP, closed_loop, "--force"),
+    ):
+        if record is None:
+            continue
+        test = MeasuredTest(record, band)
+        if test.at_limit():
+            faults.append(
+                f"{what}: a valve command was at its limit in {test.at_limit()} of {test.steps} "
+                f"steps, which bends what is linear; lower {option}, or mend an unstable loop"
+            )
+        if incoherent := test.incoherent():
+            unusable.append(f"{what}: {incoherent}; raise {option} or --duration")
+        else:
+            tests[what] = test
+    actuators: list[ActuatorFit] = []
+    if opened := tests.get(_OPEN_LOOP):
+        each = range(len(opened.axes))
+        actuators = [fit_actuator(*opened.of_actuator(axis), opened.dt, band) for axis in each]
+        named = zip(opened.axes, actuators, strict=True)
+        bad = [f"{_OPEN_LOOP}: axis {axis}: {fit.fault()}" for axis, fit in named if fit.fault()]
+        if bad:
+            unusable += bad
+            del tests[_OPEN_LOOP]
+    if not tests:
+        raise ExperimentError(unusable[0])
+    specimen = fit_specimen(
+        [test.response(REFERENCE, MOTION, MOTION_TO) for test in tests.values()]
+    )
+    valves, loops = [], []
+    if opened := tests.get(_OPEN_LOOP):
+        valves = _valves(opened, specimen, actuators, controller)
+    if closed := tests.get(_CLOSED_LOOP):
+        each = range(len(closed.axes))
+        loops = [_closed_loop(closed.of(REFERENCE, FORCE, axis), closed.dt) for axis in each]
+    axes = next(iter(tests.values())).axes
+    return Identified(
+        axes, band, specimen, tuple(valves), tuple(loops), tuple(unusable), tuple(faults)
+    )
+
+
+def _valves(
+    test: MeasuredTest,
+    specimen: SpecimenFit,
+    actuators: list[ActuatorFit],
+    controller: Controller | None,
+) -> list[ValveResponse]:
+    """Let the fitted actuators act on the fitted specimen, the valves of other axes closed."""
+    names = ("oil_stiffness", "leakage", "flow_gain", "valve_frequency", "valve_damping")
+    known = {name: np.array([getattr(fit, name) for fit in actuators]) for name in names}
+    model = small_signal(
+        Specimen(specimen.mass, specimen.damping, specimen.stiffness),
+        viscous_friction=np.array([fit.drag for fit in actuators]),
+        dead_time=0.0,
+        **known,
+    )
+    whole, dt, valves = Plant.of_model("identified", model), test.dt, []
+    for axis, actuator in enumerate(actuators):
+        plant = replace(whole.axis(axis), delay=actuator.dead_time)
+        measured = test.of(VALVE, FORCE, axis)
+        loop = shape_loop(plant, controller or Controller((1.0,), (1.0,)), dt)
+        wrong = SampledPlant.of(plant, dt).response(measured.frequencies_hz) - measured.response
+        size = np.abs(measured.response)
+        deviation = np.hypot(measured.deviation, _FLOOR * size)
+        error = float(np.linalg.norm(wrong / deviation) / np.linalg.norm(size / deviation))
+        valves.append(ValveResponse(actuator, measured, error, loop, controller is not None))
+    return valves
+
+
+def _closed_loop(measured: Measurement, dt: float) -> ClosedLoop:
+    f, tracking = measured.frequencies_hz, measured.response
+    # to the end of what is known: a pole beyond would be made up
+    coherent = np.flatnonzero(measured.coherence >= _COHERENT)
+    known = slice(0, int(coherent[-1]) + 1)
+    weight = 1.0 / np.hypot(measured.deviation, _FLOOR)[known]
+    fit = fit_tracking(f[known], tracking[known], weight, least_dead_time=dt)  # the loop's latency
+    return ClosedLoop(measured, tracking_measures(f, tracking), fit)
+
+
+ACTUATOR = (
+    *("flow_gain", "oil_stiffness", "leakage", "force_capacity"),
+    *("valve_frequency", "valve_damping", "dead_time"),
+)
+"""Names of an actuator's parameters, as of `ActuatorFit`."""
+_LONGEST_DELAY = 1.0  # s, as the table has it
+
+
+def model_parameters(identified: Identified, specimen: bool) -> dict[str, dict[str, Any]]:
+    """Parameters of `reference_force` and `force_controller`, by node.
+
+    The actuators are those of all axes; of a force capacity that the test does not show on every
+    axis there is no word, so that what is configured counts. Force loop and plant, of which the
+    tables hold one, are those of the first axis, with the specimen of the tests. The specimen's
+    matrices are given where ``specimen`` says so.
+    """
+    reference: dict[str, Any] = {}
+    controller: dict[str, Any] = {}
+    if specimen:
+        for name in ("mass", "damping", "stiffness"):
+            reference[f"model.{name}"] = getattr(identified.specimen, name).ravel().tolist()
+    if identified.closed_loops:
+        closed = identified.closed_loops[0]
+        if closed.tracking.delay_s is not None:
+            delay = min(max(closed.tracking.delay_s, 0.0), _LONGEST_DELAY)
+            reference["compensation.delay"] = float(delay)
+        reference |= _response("tracking", closed.fit.model)
+    if identified.valves:
+        for name in ACTUATOR:
+            values = [float(getattr(valve.actuator, name)) for valve in identified.valves]
+            if name != "force_capacity" or all(values):
+                controller[f"actuator.{name}"] = values
+        controller |= _response("plant", _transfer_function(identified.valves[0]))
+    sections = {"reference_force": reference, "force_controller": controller}
+    return {node: section for node, section in sections.items() if section}
+
+
+def write_model(identified: Identified, path: Path, source: str, specimen: bool) -> None:
+    """Write `model_parameters` to a new file, to be read after the experiment's own.
+
+    ``source`` says for people where they come from. An InputError says if it can't be written.
+    """
+    comments = [f"Identified by seft identify from {source}", f"Axes: {identified.axes}"]
+    if identified.valves:
+        comments.append(
+            "actuator: of the actuators alone; another specimen needs no new identification"
+        )
+        comments.append(f"plant and tracking: with this specimen, of axis {identified.axes[0]}")
+    write_parameter_file(path, model_parameters(identified, specimen), comments)
+
+
+def _transfer_function(valve: ValveResponse) -> TransferFunction:
+    """Plant of one axis, of its poles and zeros."""
+    actuator, plant = valve.actuator, valve.loop.plant
+    # f' = k_oil q w and w'' = w_v^2 u at the highest frequencies
+    gain = actuator.oil_stiffness * actuator.flow_gain * (2 * np.pi * actuator.valve_frequency) ** 2
+    poles, zeros = plant.roots
+    numerator, denominator = gain * polynomial_of(zeros), polynomial_of(poles)
+    return TransferFunction(tuple(numerator.tolist()), tuple(denominator.tolist()), plant.delay)
+
+
+def _response(prefix: str, model: TransferFunction) -> dict[str, Any]:
+    return {
+        f"{prefix}.numerator": list(model.numerator),
+        f"{prefix}.denominator": list(model.denominator),
+        f"{prefix}.dead_time": float(model.dead_time),
+    }

@@ -1,0 +1,266 @@
+"""A force loop as designed: its responses, its margins, tables and JSON values."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from rich.table import Table
+
+from seft_ros.design.closed_loop import force_loop
+from seft_ros.design.controller import Controller, lightly_damped
+from seft_ros.design.loop_margins import LoopMargins, Tracking, loop_margins, tracking_measures
+from seft_ros.design.plant import Plant, SampledPlant
+from seft_ros.drawing.tables import CENTRED, Number, make_table, rows_of
+
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+
+LOWEST_HZ = 0.1
+_COMPARED = ("crossover_hz", "phase_margin_deg", "gain_margin_db", "sensitivity_peak")
+_TRACKING = ("flat_to_hz", "bandwidth_hz", "delay_s", "dip_db", "dip_hz")
+
+
+@dataclass(frozen=True)
+class Responses:
+    """Frequency responses of plant (N/V) and controller (V/N), shape (N,) each."""
+
+    frequencies_hz: Floats
+    plant: Complexes
+    controller: Complexes
+
+    @property
+    def loop(self) -> Complexes:
+        """L = C_f H_fu."""
+        return self.controller * self.plant
+
+    @property
+    def tracking(self) -> Complexes:
+        """T = L / (1 + L), from reference force to measured force."""
+        return self.loop / (1 + self.loop)
+
+    @cached_property
+    def numbers(self) -> tuple[LoopMargins, Tracking]:
+        """Margins of L, and measures of T."""
+        f = self.frequencies_hz
+        return loop_margins(f, self.loop), tracking_measures(f, self.tracking)
+
+
+@dataclass(frozen=True)
+class PhaseCost:
+    """Phase that a loop loses at its crossover, against one in continuous time; degrees.
+
+    By the zero-order hold (and what it folds back from above half the rate), the step from a
+    sample to the command that answers it, and the discretisation of the controller.
+    """
+
+    hold: float
+    latency: float
+    dead_time: float
+    bilinear: float
+
+    @property
+    def total(self) -> float:
+        """All together."""
+        return self.hold + self.latency + self.dead_time + self.bilinear
+
+
+@dataclass(frozen=True)
+class LoopDesign:
+    """The force loop of one axis.
+
+    Attributes
+    ----------
+    plant : Plant
+        Of that axis alone.
+    controller : Controller
+        That closes the loop.
+    frequencies_hz : ndarray
+        Shape (N,), up to half the sampling rate, Hz.
+    continuous, sampled : Responses
+        In continuous time and without dead time; and as it runs.
+    phase_cost : PhaseCost or None
+        Where ``margins`` lost phase; None without a crossover.
+    stable : bool
+        Whether the sampled loop is stable, by its eigenvalues.
+    """
+
+    plant: Plant
+    controller: Controller
+    frequencies_hz: Floats
+    continuous: Responses
+    sampled: Responses
+    phase_cost: PhaseCost | None
+    stable: bool
+
+    @property
+    def margins(self) -> LoopMargins:
+        """Margins of the loop as it runs."""
+        return self.sampled.numbers[0]
+
+    @property
+    def tracking(self) -> Tracking:
+        """Tracking of the loop as it runs."""
+        return self.sampled.numbers[1]
+
+    def delay_at(self, frequency_hz: float) -> float:
+        """Delay of the measured force at one frequency, s."""
+        delays = self.tracking.delay_by_frequency
+        known = np.isfinite(delays)
+        return float(np.interp(frequency_hz, self.frequencies_hz[known], delays[known]))
+
+
+def shape_loop(plant: Plant, controller: Controller, dt: float) -> LoopDesign:
+    """Close the force loop of a plant's first axis with a sampling period of ``dt`` s.
+
+    An InputError says if controller or plant can't be discretised.
+    """
+    plant = plant.axis(0)
+    f = loop_frequencies(plant, dt)
+    continuous = Responses(f, replace(plant, delay=0.0).response(f), controller.response(f))
+    sampled_plant = SampledPlant.of(plant, dt)
+    sampled = Responses(f, sampled_plant.response(f), controller.sampled_response(f, dt))
+    cost, crossover = None, sampled.numbers[0].crossover_hz
+    if crossover is not None:
+        at, latency = np.array([crossover]), 360.0 * crossover * dt
+        held = plant.response(at) / sampled_plant.response(at)
+        discretised = controller.response(at) / controller.sampled_response(at, dt)
+        hold, bilinear = (float(np.angle(part, deg=True)[0]) for part in (held, discretised))
+        hold = (hold - latency + 180.0) % 360.0 - 180.0
+        cost = PhaseCost(hold, latency, 360.0 * crossover * plant.delay, bilinear)
+    stable = abs(force_loop(plant, controller, dt).dominant()) < 1
+    return LoopDesign(plant, controller, f, continuous, sampled, cost, stable)
+
+
+def loop_frequencies(plant: Plant, dt: float, count: int = 1500) -> Floats:
+    """Frequencies that show all of a loop, ascending, Hz.
+
+    ``count`` of them are spaced evenly on a logarithmic scale, more lie about the lightly damped
+    roots of the plant's first axis. Half the rate itself, where controllers are zero, is left out.
+    """
+    highest = 0.499 / dt
+    poles, zeros = plant.roots
+    roots = lightly_damped([*zeros, *poles])
+    lowest = min([LOWEST_HZ, highest / 100, *(root.hz / 100 for root in roots[:1])])
+    spread = np.linspace(-5.0, 5.0, 41)
+    near = [root.hz * (1 + max(root.damping or 0.0, 1e-4) * spread) for root in roots]
+    f = np.concatenate([np.geomspace(lowest, highest, count), *near])
+    return np.unique(f[(f >= lowest) & (f <= highest)])
+
+
+def _number(label: str, key: str, unit: str, at: str = "", scale: float = 1.0) -> Number:
+    return Number(label, key, unit, scale, ".3g", "none", at)
+
+
+_MARGINS = (
+    _number("crossover", "crossover_hz", "Hz"),
+    _number("phase margin", "phase_margin_deg", "deg"),
+    _number("gain margin", "gain_margin_db", "dB", "phase_crossover_hz"),
+)
+_LOOP = (
+    *_MARGINS,
+    _number("sensitivity peak", "sensitivity_peak", "", "sensitivity_peak_hz"),
+    _number("flat within 1 dB to", "flat_to_hz", "Hz"),
+    _number("bandwidth (-3 dB)", "bandwidth_hz", "Hz"),
+    _number("delay", "delay_s", "ms", scale=1e3),
+    _number("dip within 25 Hz", "dip_db", "dB", "dip_hz"),
+)
+
+
+def design_table(design: LoopDesign, title: str) -> Table:
+    """Tabulate the force loop of one axis under a title."""
+    plant, controller, cost = design.plant, design.controller, design.phase_cost
+    zero = plant.antiresonance()
+    loops = (vars(m) | vars(t) for m, t in (design.continuous.numbers, design.sampled.numbers))
+    rows: list[list[str] | None] = [
+        ["plant zero (specimen)", "", str(zero or "none")],
+        ["plant pole (oil column)", "", str(plant.oil_column() or "none")],
+        None,
+        ["controller gain", "", f"{controller.gain:.4g}"],
+        *(["controller zero", "", str(root)] for root in controller.zeros),
+        *(["controller pole", "", str(root)] for root in controller.poles),
+        None,
+        *rows_of(_LOOP, *loops),
+    ]
+    if zero is not None:
+        rows.append(["delay at the zero", "", f"{1e3 * design.delay_at(zero.hz):.3g} ms"])
+    caption = cost and (
+        f"phase lost at crossover: {cost.total:.3g} deg (hold {cost.hold:.2g}, "
+        f"latency {cost.latency:.2g}, dead time {cost.dead_time:.2g}, bilinear {cost.bilinear:.2g})"
+    )
+    headings = ("", "continuous", "as it runs")
+    return make_table(headings, rows, title=title, caption=caption, **CENTRED)
+
+
+def axes_table(axes: list[dict[str, Any]]) -> Table:
+    """Tabulate the margins of several axes, as `summarise_axes` gives them."""
+    columns = [Number("axis", "axis"), *(replace(number, at="") for number in _MARGINS)]
+    rows = [
+        [*(column.text(axis) for column in columns), "stable" if axis["stable"] else "unstable"]
+        for axis in axes
+    ]
+    headings = (*(column.label for column in columns), "")
+    title = "axes, each with the valves of the others closed"
+    return make_table(headings, rows, wrap=True, left=(4,), title=title, **CENTRED)
+
+
+def summarise(design: LoopDesign) -> dict[str, Any]:
+    """Plant, margins and tracking of one axis: ``seft design --json``; in Hz and s.
+
+    All but ``discretisation: continuous`` is of the sampled loop. What does not exist is None.
+    """
+    zero, controller, cost = design.plant.antiresonance(), design.controller, design.phase_cost
+    loops = {"continuous": design.continuous, "sampled": design.sampled}
+    return {
+        "plant_source": design.plant.source,
+        **plant_numbers(design.plant),
+        **_margins(design.margins),
+        **tracking_numbers(design.tracking),
+        "delay_at_zero_s": design.delay_at(zero.hz) if zero else None,
+        "controller": {
+            "numerator": list(controller.numerator),
+            "denominator": list(controller.denominator),
+            "gain": controller.gain,
+            "poles": [asdict(root) for root in controller.poles],
+            "zeros": [asdict(root) for root in controller.zeros],
+        },
+        "discretisation": {
+            **{
+                which: {name: getattr(responses.numbers[0], name) for name in _COMPARED}
+                for which, responses in loops.items()
+            },
+            "phase_cost_deg": cost and {**asdict(cost), "total": cost.total},
+        },
+    }
+
+
+def plant_numbers(plant: Plant | None) -> dict[str, float | None]:
+    """Zero (of the specimen) and pole (the oil column) of a plant; None where it has none."""
+    zero, pole = (plant.antiresonance(), plant.oil_column()) if plant else (None, None)
+    return {
+        f"plant_{name}_{key}": getattr(root, key) if root else None
+        for name, root in (("zero", zero), ("pole", pole))
+        for key in ("hz", "damping")
+    }
+
+
+def tracking_numbers(tracking: Tracking | None) -> dict[str, Any]:
+    """Measures of a closed loop that are single numbers; None where they are not known."""
+    numbers = {name: tracking and getattr(tracking, name) for name in _TRACKING}
+    return {"closed_loop_flat_to_hz": numbers.pop("flat_to_hz"), **numbers}
+
+
+def summarise_axes(axes: Sequence[str], designs: Sequence[LoopDesign]) -> list[dict[str, Any]]:
+    """Name, margins and stability of every axis, each with the valves of the others closed."""
+    return [
+        {"axis": axis, **_margins(design.margins), "stable": design.stable}
+        for axis, design in zip(axes, designs, strict=True)
+    ]
+
+
+def _margins(margins: LoopMargins) -> dict[str, Any]:
+    values = asdict(margins)
+    del values["stable"]  # the eigenvalues say it exactly
+    return {**values, "crossovers_hz": list(margins.crossovers_hz)}

@@ -1,0 +1,251 @@
+"""Figures of a force loop: as designed (paper Figs. 3, 4), and as identified."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PathCollection
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
+
+from seft_ros.design.actuator_fit import ActuatorFit
+from seft_ros.design.identified import ClosedLoop, Identified, ValveResponse
+from seft_ros.design.loop_design import LoopDesign
+from seft_ros.design.loop_margins import BAND_HZ, FLATNESS_DB
+from seft_ros.drawing.style import FIRST, MARK, REFERENCE, SECOND, TEXT, legend_below, tidy
+
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+
+MOST_AXES = 3
+_SHOWN_DEG = 720.0
+_SHOWN_DB = 80.0  # below a response's largest magnitude nothing of interest lies
+_SHOWN_TRACKING_DB = (-12.0, 6.0)
+_SHOWN_S = 0.5  # of the flow
+_SHADES = LinearSegmentedColormap.from_list("coherence", ["#dfe4e8", FIRST])
+_COHERENT = 0.5  # below, a delay is noise
+_NOTE: dict[str, Any] = {"fontsize": 8, "color": MARK, "va": "bottom"}
+_LINE: dict[str, Any] = {"color": MARK, "lw": 0.8, "ls": "--"}
+_RESPONSES = (
+    ("plant", "plant $H_{fu}$, valve to force", " (N/V)"),
+    ("controller", "controller $C_f$", " (V/N)"),
+    ("loop", "loop $L = C_f H_{fu}$", ""),
+    ("tracking", "closed loop $T = L / (1 + L)$", ""),
+)
+_OF_VALVE = ("flow / mm/s", "force per valve drive / N/V")
+_OF_CLOSED_LOOP = ("tracking / dB", "delay / ms")
+
+_Panel = tuple[Axes, Axes]  # magnitude above phase
+
+
+def design_figure(design: LoopDesign, title: str) -> Figure:
+    """Draw magnitude and phase of plant, controller, loop and closed loop over frequency."""
+    figure = Figure(figsize=(11.5, 9.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    rows = figure.subplots(4, 2, sharex=True, height_ratios=[1.4, 1.0, 1.4, 1.0])
+    panels = [(rows[row, column], rows[row + 1, column]) for row in (0, 2) for column in (0, 1)]
+    f, shown = design.frequencies_hz, [design.margins.crossover_hz]
+    shown += [root.hz for root in design.plant.roots[1][:1]]
+    lowest = min((hz / 30 for hz in shown if hz), default=0.0)  # below, an integrator goes on
+    for panel, (name, heading, unit) in zip(panels, _RESPONSES, strict=True):
+        continuous, sampled = getattr(design.continuous, name), getattr(design.sampled, name)
+        _draw_response(panel, f, continuous, sampled)
+        panel[0].set_title(heading, loc="left", fontsize=11, color=TEXT)
+        panel[0].set_ylabel(f"magnitude / dB{unit}", color=TEXT)
+    for axes in rows[-1]:
+        axes.set_xlabel("frequency / Hz", color=TEXT)
+        axes.set_xlim(max(f[0], lowest), f[-1])
+        axes.xaxis.set_major_formatter("{x:g}")
+    plant, _, loop, closed = panels
+    for root, name in (
+        (design.plant.antiresonance(), "zero"),
+        (design.plant.oil_column(), "oil column"),
+    ):
+        if root is not None:
+            _mark(plant[0], root.hz, f"{name}\n{root.hz:.3g} Hz")
+            plant[1].axvline(root.hz, **_LINE)
+    _mark_loop(loop, design)
+    _mark_closed_loop(closed, design)
+    figure.align_ylabels()
+    handles, labels = plant[0].get_legend_handles_labels()
+    legend_below(figure, dict(zip(labels, handles, strict=True)), 2)
+    figure.suptitle(title, fontsize=11, color=TEXT, parse_math=False)
+    return figure
+
+
+def _draw_response(panel: _Panel, f: Floats, continuous: Complexes, sampled: Complexes) -> None:
+    magnitude, phase = panel
+    highest, lowest = -np.inf, np.inf
+    for response, colour, width, label in (
+        (continuous, REFERENCE, 2.2, "continuous, without dead time"),
+        (sampled, FIRST, 1.1, "as it runs: sampled, held, a step late"),
+    ):
+        finite = np.isfinite(response) & (response != 0)
+        decibels = 20 * np.log10(np.abs(response[finite]))
+        for axes, values in ((magnitude, decibels), (phase, _phase(response[finite]))):
+            axes.semilogx(f[finite], values, color=colour, lw=width, label=label)
+        highest, lowest = max(highest, decibels.max()), min(lowest, decibels.min())
+    room = 0.05 * min(highest - lowest, _SHOWN_DB) + 1.0
+    magnitude.set_ylim(max(lowest, highest - _SHOWN_DB) - room, highest + room)
+    phase.set_ylabel("phase / deg", color=TEXT)
+    low, high = phase.get_ylim()
+    low = max(low, -_SHOWN_DEG)
+    phase.set_ylim(low, high)
+    phase.yaxis.set_major_locator(MultipleLocator(90.0 if high - low < 400 else 180.0))
+    for axes in panel:
+        tidy(axes)
+
+
+def _phase(response: Complexes) -> Floats:
+    """Unwrapped phase in degrees that starts between -270 and 90: a loop lags."""
+    degrees = np.degrees(np.unwrap(np.angle(response)))
+    return degrees - 360.0 * np.ceil((degrees[0] - 90.0) / 360.0)
+
+
+def _mark_loop(panel: _Panel, design: LoopDesign) -> None:
+    magnitude, phase = panel
+    margins = design.margins
+    magnitude.axhline(0.0, color=MARK, lw=0.8, ls=":")
+    phase.axhline(-180.0, color=MARK, lw=0.8, ls=":")
+    if margins.crossover_hz is not None:
+        _mark(magnitude, margins.crossover_hz, f"crossover\n{margins.crossover_hz:.3g} Hz")
+        _mark(phase, margins.crossover_hz, f"{margins.phase_margin_deg:.3g}° phase margin")
+    if margins.phase_crossover_hz is not None and margins.gain_margin_db is not None:
+        at, depth = margins.phase_crossover_hz, -margins.gain_margin_db
+        magnitude.plot([at, at], [depth, 0.0], color=MARK, lw=1.6)
+        text = f"{margins.gain_margin_db:.3g} dB gain margin"
+        magnitude.annotate(text, (at, 0.0), (2, 3), textcoords="offset points", **_NOTE)
+
+
+def _mark_closed_loop(panel: _Panel, design: LoopDesign) -> None:
+    magnitude, phase = panel
+    tracking, flat = design.tracking, design.tracking.flat_to_hz
+    magnitude.axhspan(-FLATNESS_DB, FLATNESS_DB, color=FIRST, alpha=0.12, lw=0)
+    magnitude.set_ylim(-20.0, max(6.0, magnitude.get_ylim()[1]))
+    text = "flat throughout" if flat is None else f"±{FLATNESS_DB:g} dB to {flat:.3g} Hz"
+    if tracking.dip_db is not None:
+        text += f"\ndip {tracking.dip_db:.2g} dB at {tracking.dip_hz:.3g} Hz"
+    magnitude.text(0.02, 0.06, text, transform=magnitude.transAxes, **_NOTE)
+    _mark(magnitude, BAND_HZ, f"{BAND_HZ:g} Hz")
+    phase.axvline(BAND_HZ, **_LINE)
+    if tracking.delay_s is not None:
+        f = design.frequencies_hz[design.frequencies_hz <= BAND_HZ]
+        phase.semilogx(f, -360.0 * f * tracking.delay_s, color=MARK, lw=1.0, ls="--")
+        text = f"best-fit delay {1e3 * tracking.delay_s:.3g} ms"
+        phase.text(0.02, 0.08, text, transform=phase.transAxes, **_NOTE)
+
+
+def identified_figure(identified: Identified, title: str) -> Figure:
+    """Draw measurements and fits, one column for each of the first `MOST_AXES` axes."""
+    names, valves, closed = identified.axes[:MOST_AXES], identified.valves, identified.closed_loops
+    rows = [*_OF_VALVE * bool(valves), "coherence", *_OF_CLOSED_LOOP * bool(closed)]
+    width = 9.5 if len(names) == 1 else 5.5 * len(names)
+    figure = Figure(figsize=(width, 2.6 * len(rows) + 0.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(len(rows), len(names), squeeze=False)
+    dots: PathCollection | None = None
+    for column, axis in enumerate(names):
+        panel = dict(zip(rows, panels[:, column], strict=True))
+        for row, axes in panel.items():
+            tidy(axes)
+            if row != _OF_VALVE[0]:
+                axes.set_xscale("log")
+                axes.set_xlim(*identified.band)
+                axes.xaxis.set_major_formatter("{x:g}")
+        measured = []
+        if valves:
+            _draw_flow(panel[_OF_VALVE[0]], valves[column].actuator)
+            dots = _draw_plant(panel[_OF_VALVE[1]], valves[column])
+            measured.append((valves[column].measured, FIRST, "valve to force"))
+        if closed:
+            magnitude, delay = (panel[row] for row in _OF_CLOSED_LOOP)
+            _draw_tracking(magnitude, delay, closed[column])
+            measured.append((closed[column].measured, SECOND, "reference to force"))
+        for one, colour, label in measured:
+            panel["coherence"].plot(
+                one.frequencies_hz, one.coherence, color=colour, lw=0.8, label=label
+            )
+        panel["coherence"].set_ylim(0.0, 1.05)
+        if len(identified.axes) > 1:
+            panels[0, column].set_title(
+                f"axis {axis}", loc="left", fontsize=11, color=TEXT, parse_math=False
+            )
+        panels[-1, column].set_xlabel("frequency / Hz", color=TEXT)
+        for row in rows[: -1 if closed else None]:
+            panel[row].legend(loc="lower left", frameon=False, fontsize=9)
+    for axes, label in zip(panels[:, 0], rows, strict=True):
+        axes.set_ylabel(label, color=TEXT)
+    if dots is not None:
+        bar = figure.colorbar(dots, ax=list(panels[1]), aspect=15, pad=0.01)
+        bar.set_label("coherence", color=TEXT)
+        bar.outline.set_visible(False)
+    figure.suptitle(title, fontsize=11, color=TEXT, parse_math=False)
+    return figure
+
+
+def _draw_flow(panel: Axes, actuator: ActuatorFit) -> None:
+    """Draw the flow about its peak."""
+    half = round(_SHOWN_S / 2 / actuator.dt)
+    middle = max(int(np.abs(actuator.modelled).argmax()), half)
+    shown = slice(middle - half, middle + half)
+    time = actuator.dt * np.arange(len(actuator.modelled))[shown]
+    panel.plot(time, 1e3 * actuator.measured[shown], color=FIRST, lw=1.4, label="measured")
+    text = f"of the commands: explains {100 * actuator.explained:.3g} %, {actuator.verdict}"
+    panel.plot(time, 1e3 * actuator.modelled[shown], color=MARK, lw=0.9, ls="--", label=text)
+    panel.set_xlabel("time / s", color=TEXT)
+
+
+def _draw_plant(panel: Axes, valve: ValveResponse) -> PathCollection:
+    measured, loop = valve.measured, valve.loop
+    places = measured.frequencies_hz, np.abs(measured.response)
+    style: dict[str, Any] = {"cmap": _SHADES, "vmin": 0.0, "vmax": 1.0, "s": 7, "lw": 0}
+    dots = panel.scatter(*places, c=measured.coherence, label="measured", **style)
+    shown = loop.frequencies_hz >= measured.frequencies_hz[0]
+    f = loop.frequencies_hz[shown]
+    text = f"actuator and specimen, error {100 * valve.error:.2g} %"
+    panel.plot(f, np.abs(loop.sampled.plant[shown]), color=MARK, lw=1.1, label=text)
+    panel.set_yscale("log")
+    for root, name in ((loop.plant.antiresonance(), "zero"), (loop.plant.oil_column(), "oil")):
+        if root and f[0] <= root.hz <= measured.frequencies_hz[-1]:
+            percent = 100 * (root.damping or 0)
+            _mark(panel, root.hz, f"{name} {root.hz:.4g} Hz\ndamping {percent:.2g} %")
+    return dots
+
+
+def _draw_tracking(panel: Axes, below: Axes, closed: ClosedLoop) -> None:
+    measured, tracking = closed.measured, closed.tracking
+    f = measured.frequencies_hz
+    panel.axhspan(-FLATNESS_DB, FLATNESS_DB, color=SECOND, alpha=0.12, lw=0)
+    for response, colour, width, dashes, label in (
+        (measured.response, SECOND, 1.0, "-", "measured"),
+        (closed.fit.model.response(f), MARK, 0.9, "--", "low-order fit"),
+    ):
+        decibels = 20 * np.log10(np.abs(response))
+        panel.plot(f, decibels, color=colour, lw=width, ls=dashes, label=label)
+    panel.set_ylim(*_SHOWN_TRACKING_DB)
+    if flat := tracking.flat_to_hz:
+        _mark(panel, flat, f"±{FLATNESS_DB:g} dB to {flat:.3g} Hz", 0.85)
+    delays = np.where(measured.coherence < _COHERENT, np.nan, 1e3 * tracking.delay_by_frequency)
+    below.plot(f, delays, color=SECOND, lw=1.0)
+    if tracking.delay_s is not None:
+        delay = 1e3 * tracking.delay_s
+        below.axhline(delay, **_LINE)
+        text, place = f"best-fit delay {delay:.3g} ms", ("axes fraction", "data")
+        below.annotate(
+            text, (0.01, delay), (0, 3), xycoords=place, textcoords="offset points", **_NOTE
+        )
+        below.set_ylim(0.0, 2.0 * delay)
+
+
+def _mark(axes: Axes, hz: float, text: str, height: float = 0.03) -> None:
+    """Draw a line at a frequency and write beside it, on the side where there is room."""
+    axes.axvline(hz, **_LINE)
+    low, high = axes.get_xlim()
+    left = hz**2 > low * high and hz > high / 4
+    axes.annotate(
+        text, (hz, height), (-4 if left else 4, 0), xycoords=("data", "axes fraction"),
+        textcoords="offset points", ha="right" if left else "left", annotation_clip=True, **_NOTE,
+    )  # fmt: skip

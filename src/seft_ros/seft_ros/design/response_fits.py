@@ -1,0 +1,268 @@
+"""Models fitted to measured responses: the specimen, and the closed force loop."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import least_squares
+from seft_plant_sim.lti import TransferFunction
+from seft_plant_sim.specimen.specimen import Specimen
+
+from seft_ros.design.controller import Root, roots_of
+from seft_ros.design.measured_test import Response
+
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+
+_FLOOR = 0.003  # of each term: what a calibrated sensor is good for
+
+
+@dataclass(frozen=True)
+class SpecimenFit:
+    """Identified specimen: M a + C v + K x = f.
+
+    Attributes
+    ----------
+    mass, damping, stiffness : ndarray
+        Shape (n, n), symmetric, in kg, N s/m and N/m.
+    error : float
+        RMS of the force that they leave unexplained, over that of the force, 0 to 1.
+    """
+
+    mass: Floats
+    damping: Floats
+    stiffness: Floats
+    error: float
+
+    def roots(self) -> list[Root]:
+        """Natural frequencies and dampings, lowest first."""
+        moving, _ = Specimen(self.mass, self.damping, self.stiffness).state_matrices()
+        return roots_of(np.linalg.eigvals(moving))
+
+    def axis_root(self, axis: int) -> Root:
+        """Natural frequency and damping of one axis, the others held."""
+        m, c, k = (part[axis, axis] for part in (self.mass, self.damping, self.stiffness))
+        w = float(np.sqrt(k / m))
+        return Root(w / (2 * np.pi), float(c / (2 * m * w)))
+
+
+def fit_specimen(measured: Sequence[Response]) -> SpecimenFit:
+    """Fit mass, damping and stiffness to responses of force and motion.
+
+    The responses to the excitation are its cross spectra with the sensors, so that noise of
+    the sensors averages out of them (the excitation is the instrument). What is left of it is
+    weighed out: the equation error of every frequency counts by the inverse of the variance that
+    noise of force, acceleration and displacement gives it, at the parameters sought. That is
+    the maximum-likelihood estimator of errors in variables, and consistent (Pintelon &
+    Schoukens, System Identification, 2nd ed., sec. 9.11). The mass is seen through the
+    acceleration, damping and stiffness through the displacement, each where it is strong.
+
+    Parameters
+    ----------
+    measured : sequence of Response
+        Of displacement, acceleration and force over n axes, stacked, to the excitation.
+    """
+    n = measured[0].response.shape[2]
+    row, column = np.triu_indices(n)
+
+    def matrices(p: Floats) -> Floats:
+        """M, C and K, shape (3, n, n), of their upper triangles."""
+        upper = np.zeros((3, n, n))
+        upper[:, row, column] = p.reshape(3, -1)
+        return upper + np.triu(upper, 1).swapaxes(1, 2)
+
+    def residuals(p: Floats) -> Floats:
+        errors = np.concatenate([_weighed(part, *matrices(p * scale)).ravel() for part in measured])
+        return np.concatenate([errors.real, errors.imag])
+
+    start = _rough(measured[-1])[:, row, column]
+    size = np.abs(start).max(axis=1, keepdims=True)
+    scale = np.repeat(np.where(size > 0, size, 1.0), start.shape[1], axis=1).ravel()
+    found = least_squares(residuals, start.ravel() / scale, loss="soft_l1", f_scale=3.0)
+    mass, damping, stiffness = matrices(found.x * scale)
+    values, vectors = np.linalg.eigh(damping)
+    damping = (vectors * np.maximum(values, 0.0)) @ vectors.T  # no specimen feeds energy in
+    damping = (damping + damping.T) / 2
+    unexplained = [
+        np.linalg.norm(_error(part, mass, damping, stiffness)) / np.linalg.norm(_parts(part)[2])
+        for part in measured
+    ]
+    return SpecimenFit(mass, damping, stiffness, float(np.mean(unexplained)))
+
+
+def _parts(measured: Response) -> list[Complexes]:
+    """Displacement, acceleration and force, shape (F, n, n) each."""
+    return np.split(measured.response, 3, axis=1)
+
+
+def _motion(measured: Response, damping: Floats, stiffness: Floats) -> Complexes:
+    s = 2j * np.pi * measured.frequencies_hz[:, np.newaxis, np.newaxis]
+    return np.asarray(s * damping + stiffness, dtype=np.complex128)
+
+
+def _error(measured: Response, mass: Floats, damping: Floats, stiffness: Floats) -> Complexes:
+    """Error of the equation of motion M A + (jw C + K) X = F at every frequency."""
+    x, a, f = _parts(measured)
+    error: Complexes = f - mass @ a - _motion(measured, damping, stiffness) @ x
+    return error
+
+
+def _weighed(measured: Response, mass: Floats, damping: Floats, stiffness: Floats) -> Complexes:
+    """Error over its standard deviation, shape (F, n, n): equations, inputs."""
+    x, a, f = (np.abs(part) for part in _parts(measured))
+    one = np.broadcast_to(np.eye(len(mass)), f.shape)
+    rows = [-_motion(measured, damping, stiffness), -mass * one, one]
+    by_noise = np.concatenate(rows, axis=2)
+    power = np.einsum("fij,fjk,fik->fi", by_noise, measured.noise, by_noise.conj()).real
+    variance = power[:, :, np.newaxis] * measured.input_gain[:, np.newaxis, :]
+    terms = f + np.abs(mass) @ a + np.abs(stiffness) @ x
+    deviation = np.sqrt(np.maximum(variance, 0.0) + (_FLOOR * terms) ** 2)
+    return _error(measured, mass, damping, stiffness) / deviation
+
+
+def _rough(measured: Response) -> Floats:
+    """First guess, each axis by itself: linear least squares on relative errors; (3, n, n)."""
+    n = measured.response.shape[2]
+    found, s = np.zeros((3, n, n)), 2j * np.pi * measured.frequencies_hz
+    for axis in range(n):
+        x, a, f = (part[:, axis, axis] for part in _parts(measured))
+        columns = np.stack([a, s * x, x], axis=1) / np.abs(f)[:, np.newaxis]
+        target = f / np.abs(f)
+        scale = np.linalg.norm(columns, axis=0)
+        split = np.concatenate([columns.real, columns.imag]) / scale
+        wanted = np.concatenate([target.real, target.imag])
+        found[:, axis, axis] = np.abs(np.linalg.lstsq(split, wanted, rcond=None)[0] / scale)
+    return found
+
+
+_GOOD = 0.01
+_MOST_PAIRS = 5
+_NEAR = 1.25  # error over the least one at which fewer pairs are preferred
+_CORNERS = (0.1, 0.2, 0.4, 0.8)  # of the highest frequency: starts of the first pair
+_DEAD_TIMES = 12
+_MOST_STEPS = 100
+_POINTS = 400
+_LOWEST, _HIGHEST = np.log([0.003, 0.003]), np.log([5.0, 20.0])  # of frequency and damping
+
+
+@dataclass(frozen=True)
+class TrackingFit:
+    """Fitted response from reference force to the force measured at the same step.
+
+    The model is continuous and stable, and its dead time holds the loop's latency. Beside it
+    stands the RMS of its error; |T| is near 1 where the loop is good.
+    """
+
+    model: TransferFunction
+    error: float
+
+
+def fit_tracking(
+    frequencies_hz: Floats, tracking: Complexes, weight: Floats, least_dead_time: float = 0.0
+) -> TrackingFit:
+    """Fit as few pole pairs with dead time as are good to 1 %, or nearly as good as five.
+
+    Each further pair starts where the last fit is furthest off, and comes with two zeros. Poles
+    and dead time are sought, the numerator follows by linear least squares.
+
+    Parameters
+    ----------
+    frequencies_hz, tracking, weight : ndarray
+        Increasing, Hz; T from reference force to measured force there; weight of its error; (F,).
+    least_dead_time : float
+        Dead time that is there at any rate, s.
+    """
+    step = max(1, len(frequencies_hz) // _POINTS)
+    data = _Data(frequencies_hz[::step], tracking[::step], weight[::step], least_dead_time)
+    first = (data.solved(data.start(corner)) for corner in _CORNERS)
+    fit, parameters = min(first, key=lambda found: found[0].error)
+    fits = [fit]
+    while fit.error >= _GOOD and len(fits) < _MOST_PAIRS:
+        wider = np.concatenate([parameters[:1], data.misfit(fit.model), parameters[1:]])
+        fit, parameters = data.solved(wider)
+        fits.append(fit)
+    least = min(fit.error for fit in fits)
+    return next(fit for fit in fits if fit.error <= max(_GOOD, _NEAR * least))
+
+
+class _Data:
+    """Weighted response, and the parameters that are fitted to it.
+
+    They are the dead time over the longest one and, for each pole pair, the logarithms of its
+    frequency, counted in the highest of the data, and of its damping ratio.
+    """
+
+    def __init__(
+        self, frequencies_hz: Floats, tracking: Complexes, weight: Floats, least: float
+    ) -> None:
+        self._f, self._t, self._w = frequencies_hz, tracking, weight
+        omega = 2 * np.pi * frequencies_hz
+        self._unit = float(omega[-1])  # for polynomials of even size
+        self._s: Complexes = np.multiply(1j / self._unit, omega)
+        phase = np.unwrap(np.angle(tracking))
+        self._longest = max(1e-3, least, float(-np.polyfit(omega, phase, 1, w=weight)[0]))
+        self._least = least / self._longest
+
+    def start(self, corner: float) -> Floats:
+        """One pair, with the dead time that suits it best."""
+        starts = [
+            np.array([share, np.log(corner), np.log(0.7)])
+            for share in np.linspace(self._least, 1.0, _DEAD_TIMES)
+        ]
+        return min(starts, key=lambda p: float(np.sum(self._residuals(p) ** 2)))
+
+    def misfit(self, model: TransferFunction) -> Floats:
+        """Parameters of a pair where a model is furthest off."""
+        smooth = np.convolve(self._error(model), np.full(5, 0.2), "same")
+        return np.log([float(np.abs(self._s[int(smooth.argmax())])), 0.1])
+
+    def _error(self, model: TransferFunction) -> Floats:
+        error: Floats = self._w * np.abs(model.response(self._f) - self._t)
+        return error
+
+    def solved(self, start: Floats) -> tuple[TrackingFit, Floats]:
+        """Best fit from a start, and its parameters."""
+        pairs = len(start) // 2
+        bounds = (
+            np.concatenate([[self._least], np.tile(_LOWEST, pairs)]),
+            np.concatenate([[1.5], np.tile(_HIGHEST, pairs)]),
+        )
+        start = np.clip(start, *bounds)
+        found = least_squares(self._residuals, start, bounds=bounds, max_nfev=_MOST_STEPS).x
+        numerator, denominator = self._polynomials(found)
+        order = len(denominator) - 1
+        numerator = numerator * self._unit ** (order - np.arange(len(numerator))[::-1] * 1.0)
+        denominator = denominator * self._unit ** np.arange(order + 1)
+        late = float(found[0] * self._longest)
+        model = TransferFunction(tuple(numerator.tolist()), tuple(denominator.tolist()), late)
+        error = self._error(model)
+        return TrackingFit(model, float(np.linalg.norm(error) / np.linalg.norm(self._w))), found
+
+    def _lag(self, p: Floats) -> Complexes:
+        """Dead time at every frequency."""
+        lag: Complexes = np.exp(-self._s * self._unit * p[0] * self._longest)
+        return lag
+
+    def _polynomials(self, p: Floats) -> tuple[Floats, Floats]:
+        """Numerator and denominator in s over the unit."""
+        denominator = np.ones(1)
+        for frequency, damping in np.exp(p[1:]).reshape(-1, 2):
+            pair = np.array([1.0, 2 * damping * frequency, frequency**2])
+            denominator = np.polymul(denominator, pair)
+        degree = len(denominator) - 3  # two less: what is asked in a jump comes without one
+        shape = self._w * self._lag(p) / np.polyval(denominator, self._s)
+        columns = shape[:, np.newaxis] * self._s[:, np.newaxis] ** np.arange(degree, -1, -1)
+        target = self._w * self._t
+        numerator = np.linalg.lstsq(
+            np.concatenate([columns.real, columns.imag]),
+            np.concatenate([target.real, target.imag]),
+            rcond=None,
+        )[0]
+        return numerator, denominator
+
+    def _residuals(self, p: Floats) -> Floats:
+        numerator, denominator = self._polynomials(p)
+        ratio = np.polyval(numerator, self._s) / np.polyval(denominator, self._s)
+        error = self._w * (ratio * self._lag(p) - self._t)
+        return np.concatenate([error.real, error.imag])

@@ -1,0 +1,218 @@
+"""Verdict on a planned test: its margins, and the modes of the structure in the test."""
+
+import cmath
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import eigh
+from scipy.optimize import linear_sum_assignment
+from seft_plant_sim.reference.whole_structure import WholeStructure
+
+from seft_ros.design.plan import Plan
+from seft_ros.design.stability_margins import Margins, Progress, find_margins
+
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+
+NEAR = 2.0
+"""A mode of the loop stands for one of the structure within this factor in frequency."""
+_UNFIT = 1e6
+
+
+@dataclass(frozen=True)
+class Mode:
+    """Natural frequency in Hz and damping ratio of the whole structure, and of the test."""
+
+    exact_hz: float
+    exact_damping: float
+    hz: float
+    damping: float
+
+    @property
+    def false_damping(self) -> float:
+        """What the test adds to the damping ratio."""
+        return self.damping - self.exact_damping
+
+    @property
+    def frequency_error(self) -> float:
+        """Relative error of the natural frequency."""
+        return self.hz / self.exact_hz - 1
+
+
+def predicted_modes(plan: Plan) -> list[Mode]:
+    """Modes of the whole structure beside those of the loop, lowest first.
+
+    In place of a mode stands the eigenvalue of the loop, near it in frequency, through which
+    the ground motion moves the mode's shape most: the residue over the distance from the unit
+    circle; none stands for two. Overdamped modes, and those that the loop does not show, are
+    left out. Of a method that follows the specimen it is the loop with the force as measured.
+    """
+    whole = WholeStructure.of_test(plan.rig.specimen, plan.section, plan.axes).structure
+    n = len(plan.axes)
+    _, shapes = eigh(whole.stiffness, whole.mass)
+    exact = _upper(np.linalg.eigvals(whole.state_matrices()[0]).astype(np.complex128))
+    if len(exact) < whole.axes:  # then shapes can't be matched by order
+        return []
+    z, residues = plan.loops()[-1].modes()
+    upper = (z.imag > 0) & (np.abs(z) > 0.1)
+    z, residues = z[upper], residues[upper]
+    s = np.log(z) / plan.dt
+    distance = np.abs(np.log(np.abs(s) / np.abs(exact)[:, np.newaxis]))
+    weights = shapes[:n].T @ whole.mass[:n, :n]  # as far as a test measures a shape
+    moved = np.linalg.norm(np.einsum("mi,pij->mpj", weights, residues), axis=2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        fitness = np.log(moved / np.maximum(np.abs(1 - np.abs(z)), 1e-12)) - distance
+    fits = (distance < np.log(NEAR)) & np.isfinite(fitness)
+    pairs = zip(*linear_sum_assignment(np.where(fits, -fitness, _UNFIT)), strict=True)
+    return [Mode(*_natural(exact[m]), *_natural(s[p])) for m, p in pairs if fits[m, p]]
+
+
+def _upper(poles: Complexes) -> Complexes:
+    upper = poles[poles.imag > 0]
+    return upper[np.abs(upper).argsort()]
+
+
+def _natural(pole: complex) -> tuple[float, float]:
+    return abs(pole) / (2 * np.pi), -pole.real / abs(pole)
+
+
+Verdict = Literal["stable", "marginal", "unstable"]
+
+MASS_RATIO_RESERVE = 1.2
+"""Critical over planned mass ratio: load cells, accelerometers and the mass itself are known to
+some percent each, and growth so near the end of stability is slow to die out."""
+GAIN_RESERVE = 1.2
+"""Factor on the drive, either way: a valve's flow gain falls by a sixth where the load takes 30 %
+of the supply pressure, and rises as much with a leakage or temperature that was not identified."""
+DELAY_RESERVE_STEPS = 1.0
+"""Added delay in samples: in pace `realtime` one missed command holds the last for one."""
+STIFFNESS_RESERVE = 1.1
+"""Factor on the specimen's stiffness, either way: as well as a quick identification knows it. A
+method that follows it is to be stable at any that is tried."""
+TOLD_DELAY_RESERVE_STEPS = 0.5
+"""Error of the delay that the method is told in samples, either way: half a sample is what is
+lost to the hold when it is forgotten."""
+
+LINEAR = "Exact eigenvalues of the sampled closed loop."
+SMALL_SIGNAL = (
+    "The rig is not linear: exact eigenvalues of its limit for small motions. Valve flow, "
+    "friction, stops and yielding are not in them; seft simulate shows what they do."
+)
+IDENTIFIED = (
+    "Exact eigenvalues for the identified plant: as good as its fit, within the band it was "
+    "identified in."
+)
+ADAPTIVE = (
+    "The method adapts: this holds for the filter as it is at the start, and as long as its "
+    "estimates stay near. It does not promise that the estimates stay there, nor that the test "
+    "is stable while they move."
+)
+FOLLOWS = (
+    "The method follows the specimen: all numbers are the worse of the loop as it starts, and of "
+    "the loop with the restoring force as measured. What happens while an estimate moves is not "
+    "in them."
+)
+
+
+@dataclass(frozen=True)
+class Preflight:
+    """What is known of a test before anything moves.
+
+    Attributes
+    ----------
+    verdict : str
+        ``unstable``: it oscillates; ``marginal``: stable, but a margin is below its reserve.
+    reasons : list of str
+        Why it is not ``stable``; empty where it is.
+    basis : str
+        ``exact``: eigenvalues.
+    promise : str
+        What that promises, and what not.
+    margins : Margins
+        How far it is from instability.
+    modes : list of Mode
+        Of the whole structure as the test will show them, lowest first.
+    dominant : complex
+        Eigenvalue that dies out last or grows fastest.
+    states : int
+        States of the loop, or loops.
+    """
+
+    verdict: Verdict
+    reasons: list[str]
+    basis: str
+    promise: str
+    margins: Margins
+    modes: list[Mode]
+    dominant: complex
+    states: int
+
+
+def preflight(plan: Plan, progress: Progress | None = None) -> Preflight:
+    """Find stability, margins and predicted errors of a plan; ``progress``: see `find_margins`."""
+    margins = find_margins(plan, progress)
+    unstable = not plan.is_stable()
+    reasons = [instability(plan)] if unstable else list(_thin(plan, margins))
+    return Preflight(
+        verdict="unstable" if unstable else "marginal" if reasons else "stable",
+        reasons=reasons,
+        basis="exact",
+        promise=_promise(plan),
+        margins=margins,
+        modes=predicted_modes(plan),
+        dominant=plan.worst(),
+        states=sum(len(loop.matrix) for loop in plan.loops()),
+    )
+
+
+def instability(plan: Plan) -> str:
+    """Say in a few words how an unstable plan grows."""
+    hz = abs(cmath.phase(plan.worst())) / (2 * cmath.pi * plan.dt)
+    return f"oscillates at {hz:.3g} Hz, growing e-fold in {1 / plan.growth_rate():.2g} s"
+
+
+def _promise(plan: Plan) -> str:
+    parts = [SMALL_SIGNAL if plan.rig.small_signal else LINEAR]
+    if plan.rig.plant.source == "identified":
+        parts = [IDENTIFIED]
+    if plan.follows:
+        parts.append(FOLLOWS)
+    elif plan.compensator().estimates():
+        parts.append(ADAPTIVE)
+    return " ".join(parts)
+
+
+def _thin(plan: Plan, margins: Margins) -> Iterator[str]:
+    """Name the margins that are below their reserve."""
+    critical, alpha = margins.mass_ratio, plan.mass_ratio
+    if critical is not None and alpha and critical.value < MASS_RATIO_RESERVE * alpha:
+        yield (
+            f"the critical mass ratio {critical.value:.3g} is less than {MASS_RATIO_RESERVE:g} "
+            f"times the planned {alpha:g}"
+        )
+    dead_time = margins.sure_dead_time or margins.dead_time
+    if dead_time is not None:
+        added = dead_time.value - plan.dead_time
+        if added < DELAY_RESERVE_STEPS * plan.dt:
+            yield (
+                f"{1e3 * added:.3g} ms of further dead time make it unstable, less than "
+                f"{DELAY_RESERVE_STEPS:g} sample"
+            )
+    for name, found, reserve in (
+        ("gain of the actuator's path", margins.sure_gain or margins.gain, GAIN_RESERVE),
+        ("local stiffness", margins.stiffness, STIFFNESS_RESERVE),
+    ):
+        for factor in [end.value / found.planned for end in found.ends()] if found else ():
+            if 1 / reserve < factor < reserve:
+                yield f"{factor:.3g} times the {name} makes it unstable"
+    for end in margins.followed.ends() if margins.followed else ():
+        yield f"a local stiffness of {end.value:.3g} times the told one makes it unstable"
+    for end in margins.told_delay.ends() if margins.told_delay else ():
+        if abs(end.value) < TOLD_DELAY_RESERVE_STEPS * plan.dt:
+            yield (
+                f"telling the method a delay {1e3 * end.value:+.2g} ms off makes it unstable, "
+                f"less than {TOLD_DELAY_RESERVE_STEPS:g} sample"
+            )

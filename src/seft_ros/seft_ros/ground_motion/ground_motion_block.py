@@ -1,0 +1,264 @@
+"""The ground motion of a test: its parameters, and every step of it before the test starts.
+
+After the end of the test the ground is known to be at rest for the lead time, so that a method
+that looks ahead need not know where the end is.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from seft_msgs_py.config.arrays import mass_matrix, per_axis
+from seft_msgs_py.config.parameter_table import Section, Table, group, parameter_rows
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.timebase import Timebase
+
+from seft_ros.ground_motion.record_file import RecordedMotion, read_record
+from seft_ros.ground_motion.synthetic_motion import synthetic_motion
+
+Floats = npt.NDArray[np.float64]
+
+MOST_STEPS = 50_000_000
+"""Longest motion that is accepted, in steps: beyond is a mistyped duration or rate."""
+
+_SNAP = 1e-9  # of a record's step: rounding in k * dt must not move a sample off its knot
+_CHUNKS_PER_LEAD = 4
+
+TABLE = Table(
+    "ground_motion",
+    parameter_rows(
+        """
+    file                       | string |       |       |             |
+        record to read; empty: make a synthetic motion
+    column                     | ints   | 0     |       | 0 ..        |
+        column of the file, counted from 0; one for all axes, or one per axis
+    unit                       | string | g     |       | g, m/s2, cm/s2 |
+        unit of the accelerations in the file
+    dt                         | float  | 0.0   | s     | 0 ..        |
+        sampling period of the file; 0: its own (AT2 header, time column)
+    peak_force                 | float  | 0.0   | N     | 0 ..        |
+        scale the motion so that the largest |mass * acceleration| is this; 0: as recorded
+    mass                       | floats | reference_force:model.mass or 0.0 | kg    |             |
+        mass that peak_force is meant for: one for every axis, one per axis, or a matrix row
+        by row
+    time_scale                 | float  | 1.0   |       | > 0         |
+        factor on the motion's duration: 0.5 is twice as fast
+    influence                  | floats | 1.0   |       |             |
+        influence vector: factor on the ground acceleration, for all axes or per axis
+    tail                       | float  | 2.0   | s     | 0 ..        |
+        free vibration after the motion
+    lead                       | float  | 2.0   | s     | > 0 .. 3600 |
+        how far ahead of the rig's time the motion is published
+    synthetic.seed             | int    | 0     |       | 0 ..        | seed of the synthetic motion
+    synthetic.duration         | float  | 20.0  | s     | > 0         | its duration
+    synthetic.dt               | float  | 0.005 | s     | > 0         | its sampling period
+    synthetic.peak             | float  | 3.0   | m/s^2 | > 0         | its peak acceleration
+    synthetic.ground_frequency | float  | 2.5   | Hz    | > 0         |
+        frequency of the ground layer (Kanai-Tajimi)
+    synthetic.ground_damping   | float  | 0.6   |       | > 0         | its damping ratio
+    synthetic.filter_frequency | float  | 0.25  | Hz    | > 0         |
+        frequency of the high-pass (Clough-Penzien)
+    synthetic.filter_damping   | float  | 0.6   |       | > 0         | its damping ratio
+    synthetic.rise             | float  | 2.0   | s     | 0 ..        | end of the envelope's rise
+    synthetic.plateau_end      | float  | 8.0   | s     | 0 ..        |
+        end of the envelope's plateau
+    synthetic.decay            | float  | 0.35  | 1/s   | 0 ..        | rate of the envelope's decay
+    """
+    ),
+)
+"""Parameters of the node ground_motion."""
+
+
+class GroundMotion:
+    """Ground accelerations of a test at the rate of the loop, and the chunks they are sent in.
+
+    Parameters
+    ----------
+    samples : array_like
+        Shape (N, n): steps, axes; m/s^2.
+    timebase : Timebase
+        Of the loop.
+    chunk_steps : int
+        Steps to a chunk.
+    lead_steps : int
+        Steps of rest that are known beyond the end.
+    source : str
+        Where the motion comes from, for people to read.
+
+    Attributes
+    ----------
+    samples : ndarray
+        Shape (N, n), read-only.
+    known : ndarray
+        The samples and then the rest, shape (N + lead_steps, n), read-only.
+    steps : int
+        N, the tail of free vibration included.
+    chunk_steps : int
+        Steps to a chunk; the last may have less.
+    chunks : int
+        Number of chunks of ``known``.
+    """
+
+    def __init__(
+        self,
+        samples: npt.ArrayLike,
+        timebase: Timebase,
+        chunk_steps: int,
+        lead_steps: int = 0,
+        source: str = "",
+    ) -> None:
+        given = np.asarray(samples, dtype=np.float64)
+        self.steps = len(given)
+        self.known: Floats = np.pad(given, ((0, lead_steps), (0, 0)))
+        self.known.flags.writeable = False
+        self.samples = self.known[: self.steps]
+        self.timebase = timebase
+        self.chunk_steps = chunk_steps
+        self.chunks = -(-len(self.known) // chunk_steps)
+        self.source = source
+
+    @classmethod
+    def from_parameters(
+        cls, section: Section, axes: Sequence[str], timebase: Timebase
+    ) -> "GroundMotion":
+        """Read or make the motion of an experiment.
+
+        Parameters
+        ----------
+        section : dict
+            Values of every parameter in `TABLE`.
+        axes : sequence of str
+            Axis names; n of them.
+        timebase : Timebase
+            Of the loop.
+
+        Raises
+        ------
+        InputError
+            If the file can't be read as a record, or parameters contradict each other.
+        """
+        influence = per_axis(section["influence"], axes, "ground_motion: influence")
+        if section["file"]:
+            columns = per_axis(section["column"], axes, "ground_motion: column")
+            record = read_record(
+                section["file"], [int(c) for c in columns], section["unit"], section["dt"]
+            )
+        else:
+            record = _synthetic(group(section, "synthetic"), len(axes))
+        samples = resample(
+            record.accelerations, record.dt, timebase, section["time_scale"], section["tail"]
+        )
+        peak = section["peak_force"]
+        with np.errstate(over="ignore", invalid="ignore"):
+            samples *= influence
+            if peak:
+                mass = mass_matrix(section["mass"], axes, "ground_motion: mass (for peak_force)")
+                largest = float(np.abs(samples @ mass.T).max())
+                if not largest > 0:
+                    raise InputError(
+                        f"ground_motion: a motion of zeros can't be scaled to peak_force {peak:g} "
+                        "N; check column and influence, or set peak_force to 0"
+                    )
+                samples *= peak / largest
+        if not np.isfinite(samples).all():
+            raise InputError(
+                f"ground_motion: {record.source}: accelerations beyond all numbers; check its "
+                "values, influence and peak_force"
+            )
+        lead_steps = max(1, round(section["lead"] * timebase.rate))
+        chunk_steps = max(1, round(lead_steps / _CHUNKS_PER_LEAD))
+        return cls(samples, timebase, min(chunk_steps, len(samples)), lead_steps, record.source)
+
+    def chunk(self, index: int) -> tuple[int, Floats]:
+        """One of the pieces in which the motion is published, from 0 to ``chunks - 1``.
+
+        Returns
+        -------
+        first_step : int
+            Step of the first sample.
+        values : ndarray
+            Shape (p, n), m/s^2, read-only; p is `chunk_steps`, in the last chunk maybe less.
+        """
+        if not 0 <= index < self.chunks:
+            raise IndexError(f"there is no chunk {index}; the motion has {self.chunks}")
+        first = index * self.chunk_steps
+        return first, self.known[first : first + self.chunk_steps]
+
+
+def _synthetic(values: Section, n: int) -> RecordedMotion:
+    """One synthetic motion, the same on all n axes."""
+    check_size(values["duration"], 1 / values["dt"], "synthetic.duration, synthetic.dt")
+    motion = np.repeat(synthetic_motion(**values)[:, np.newaxis], n, axis=1)
+    return RecordedMotion(motion, values["dt"], f"synthetic, seed {values['seed']}")
+
+
+def resample(
+    record: Floats,
+    record_dt: float,
+    timebase: Timebase,
+    time_scale: float = 1.0,
+    tail: float = 0.0,
+) -> Floats:
+    """Sample a record at the rate of the loop, and append zeros.
+
+    The record is piecewise linear in time between its samples at
+    ``j * record_dt * time_scale``, and is evaluated at ``k * timebase.dt``; nothing is
+    filtered. A sample of the record that falls between two steps is lost, and a peak with
+    it: always in a loop slower than the record, sometimes in one that is no multiple of it.
+
+    Parameters
+    ----------
+    record : ndarray
+        Shape (M, c), M at least 2.
+    record_dt : float
+        Sampling period of the record in s.
+    timebase : Timebase
+        Of the loop.
+    time_scale : float
+        Factor on the record's duration; accelerations stay as they are.
+    tail : float
+        Duration of the zeros in s.
+
+    Returns
+    -------
+    ndarray
+        Shape (N, c): every step within the record's duration, then the tail.
+
+    Raises
+    ------
+    InputError
+        If that makes more than `MOST_STEPS` steps, or less than one.
+    """
+    last = len(record) - 1
+    duration = last * record_dt * time_scale
+    if duration < timebase.dt:
+        raise InputError(
+            f"ground_motion: the motion lasts {duration:g} s, less than a step at "
+            f"{timebase.rate:g} Hz; check dt and time_scale"
+        )
+    check_size(duration + tail, timebase.rate, f"time_scale {time_scale:g}, tail {tail:g} s")
+    ratio = timebase.dt / (record_dt * time_scale)
+    positions = np.arange(int(last / ratio * (1 + 1e-12) + _SNAP) + 1) * ratio
+    nearest = np.rint(positions)
+    positions = np.where(np.abs(positions - nearest) <= _SNAP, nearest, positions)
+    samples = np.zeros((len(positions) + round(tail * timebase.rate), record.shape[1]))
+    for column, values in enumerate(record.T):
+        samples[: len(positions), column] = np.interp(positions, np.arange(len(record)), values)
+    return samples
+
+
+def check_size(duration: float, rate: float, where: str) -> None:
+    """Refuse motions of an absurd length, before memory is taken for them.
+
+    ``duration`` in s, ``rate`` in Hz; ``where`` names the parameters they come from.
+
+    Raises
+    ------
+    InputError
+        If there would be more than `MOST_STEPS` steps.
+    """
+    if not duration * rate <= MOST_STEPS:
+        raise InputError(
+            f"ground_motion: {duration:g} s at {rate:g} Hz are more than {MOST_STEPS:.0e} steps "
+            f"({where}); check duration and rate"
+        )

@@ -1,0 +1,143 @@
+"""What a ground motion does: its response spectrum, and the numbers by which it is known."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from seft_msgs_py.errors import InputError
+
+from seft_ros.ground_motion.column_file import STANDARD_GRAVITY
+
+Floats = npt.NDArray[np.float64]
+_BLOCK = 256
+
+
+def response_spectrum(
+    accelerations: npt.ArrayLike, dt: float, periods: npt.ArrayLike, damping: float = 0.05
+) -> Floats:
+    """Pseudo-acceleration response spectrum of a ground motion.
+
+    The response of each oscillator, ``x'' + 2 z w x' + w^2 x = -a``, from rest, is exact at
+    the samples for a motion that is linear between them (Nigam and Jennings, 1969). The
+    recursion runs in modal form, one complex number per oscillator.
+
+    Parameters
+    ----------
+    accelerations : array_like
+        Shape (N,), in m/s^2.
+    dt : float
+        Sampling period in s.
+    periods : array_like
+        Shape (P,), natural periods in s; 0 gives the peak ground acceleration.
+    damping : float
+        Damping ratio z, from 0 to below 1.
+
+    Returns
+    -------
+    ndarray
+        Shape (P,): ``w^2 max |x|`` in m/s^2, over the samples. Periods below some ten dt
+        have their peaks between samples and come out too small; what follows after the last
+        sample does not count (a tail of zeros makes it count).
+
+    Raises
+    ------
+    InputError
+        If damping, a period or dt is out of range.
+    """
+    a = np.asarray(accelerations, dtype=float)
+    if a.ndim != 1 or not a.size:
+        raise InputError(f"a motion needs samples (N,), not {a.shape}")
+    running = RunningSpectrum(periods, dt, damping)
+    running.advance(a[:, np.newaxis])
+    return running.spectrum[:, 0]
+
+
+class RunningSpectrum:
+    """The response spectra of some motions, piece by piece; arguments as of `response_spectrum`.
+
+    Attributes
+    ----------
+    spectrum : ndarray
+        Shape (P, S) over the samples so far, in m/s^2; of no samples (P, 0).
+    """
+
+    def __init__(self, periods: npt.ArrayLike, dt: float, damping: float = 0.05) -> None:
+        periods = np.asarray(periods, dtype=float)
+        if not 0 <= damping < 1:
+            raise InputError(f"damping is {damping:g}, but must be at least 0 and below 1")
+        if not (np.isfinite(periods) & (periods >= 0)).all():
+            raise InputError("periods must be positive numbers, or 0")
+        if not 0 < dt < np.inf:
+            raise InputError(f"a motion needs a positive dt, not {dt} s")
+        self.spectrum = np.zeros((len(periods), 0))
+        self._moving = periods > 0
+        w = 2 * np.pi / periods[self._moving]
+        damped = w * np.sqrt(1 - damping**2)
+        # with q = x' - conj(s) x:  q' = s q - a,  Im q = damped x
+        z = dt * (-damping * w + 1j * damped)
+        self._decay = np.exp(z)[:, np.newaxis]
+        self._first = -dt * (np.expm1(z) / z - _phi2(z))[:, np.newaxis]
+        self._second = -dt * _phi2(z)[:, np.newaxis]
+        self._scale = (w**2 / damped)[:, np.newaxis]
+        self._last: Floats | None = None
+
+    def advance(self, accelerations: Floats) -> None:
+        """Take in the next samples of S motions, shape (N, S), N at least 1, in m/s^2."""
+        a = accelerations
+        if self._last is None:
+            self._q = np.zeros((len(self._decay), a.shape[1]), complex)
+            self.spectrum = np.zeros((len(self._moving), a.shape[1]))
+        else:
+            a = np.vstack([self._last, a])
+        q, largest = self._q, np.zeros(self._q.shape)
+        for start in range(0, len(a) - 1, _BLOCK):
+            part = a[start : start + _BLOCK + 1, np.newaxis]
+            forced = part[:-1] * self._first + part[1:] * self._second
+            for row in forced:  # in place: forced becomes the response
+                row += self._decay * q
+                q = row
+            np.maximum(largest, np.abs(forced.imag).max(axis=0), out=largest)
+        self._q, self._last = q.copy(), a[-1:].copy()
+        found = np.broadcast_to(np.abs(accelerations).max(axis=0), self.spectrum.shape).copy()
+        found[self._moving] = self._scale * largest
+        np.maximum(self.spectrum, found, out=self.spectrum)
+
+
+def _phi2(z: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex128]:
+    """Compute (exp(z) - 1 - z) / z^2; by its series where that would cancel."""
+    series = 1 / 2 + z * (1 / 6 + z * (1 / 24 + z * (1 / 120 + z * (1 / 720 + z / 5040))))
+    return np.where(np.abs(z) < 0.01, series, (np.expm1(z) - z) / z**2)
+
+
+def motion_summary(samples: Floats, dt: float) -> dict[str, Any]:
+    """Numbers by which engineers know a ground motion.
+
+    Parameters
+    ----------
+    samples : ndarray
+        Shape (N, n), in m/s^2.
+    dt : float
+        Sampling period in s.
+
+    Returns
+    -------
+    dict
+        ``steps``; ``duration`` in s, from the first sample to the last; and lists with one
+        number per axis: ``peak_acceleration`` in m/s^2, ``arias_intensity`` in m/s, that is
+        ``pi / (2 g)`` times the integral of a^2 (Arias, 1970), and ``significant_duration``
+        in s, from 5 to 95 % of it. The integral is exact for a piecewise-linear motion.
+    """
+    before, after = samples[:-1], samples[1:]
+    energy = np.zeros_like(samples)
+    np.cumsum(dt / 3 * (before**2 + before * after + after**2), axis=0, out=energy[1:])
+    times = dt * np.arange(len(samples))
+    significant = [
+        float(np.diff(np.interp((0.05 * e[-1], 0.95 * e[-1]), e, times))[0]) for e in energy.T
+    ]
+    return {
+        "steps": len(samples),
+        "duration": float(times[-1]),
+        "peak_acceleration": np.abs(samples).max(axis=0).tolist(),
+        "arias_intensity": (np.pi / (2 * STANDARD_GRAVITY) * energy[-1]).tolist(),
+        "significant_duration": significant,
+    }

@@ -1,0 +1,249 @@
+"""Synthetic ground motions, and excitations for identification; the same for the same seed."""
+
+import numpy as np
+import numpy.typing as npt
+from seft_msgs_py.errors import InputError
+
+Floats = npt.NDArray[np.float64]
+
+SIGNALS = ("random", "chirp")
+_EDGE = 1.25  # beyond the band the spectrum falls to zero within this factor
+_RAMP = 0.02  # of the duration, at either end
+_LONGEST_RAMP = 2.0  # s
+_FEWEST_PERIODS = 4  # of the band's lowest frequency
+
+
+def motion_spectrum(frequencies: npt.ArrayLike, **filters: float) -> Floats:
+    """Shape of the one-sided power spectrum that synthetic motions aim at.
+
+    The Kanai-Tajimi spectrum times the high-pass of Clough and Penzien (Dynamics of
+    Structures, section 28-3), relative to that of the white noise.
+
+    Parameters
+    ----------
+    frequencies : array_like
+        Shape (F,), in Hz.
+    **filters : float
+        ``ground_frequency`` (Hz) and ``ground_damping`` of the ground layer, and
+        ``filter_frequency`` (Hz) and ``filter_damping`` of the high-pass.
+
+    Returns
+    -------
+    ndarray
+        Shape (F,), without unit; 0 at 0 Hz.
+    """
+    return np.abs(_frequency_response(np.asarray(frequencies, dtype=float), **filters)) ** 2
+
+
+def _frequency_response(
+    f: Floats,
+    ground_frequency: float,
+    ground_damping: float,
+    filter_frequency: float,
+    filter_damping: float,
+) -> npt.NDArray[np.complex128]:
+    ground = 2j * ground_damping * ground_frequency * f  # s = 2 pi i f; factors (2 pi)^2 cancel
+    high = 2j * filter_damping * filter_frequency * f
+    kanai_tajimi = (ground_frequency**2 + ground) / (ground_frequency**2 - f**2 + ground)
+    clough_penzien = -(f**2) / (filter_frequency**2 - f**2 + high)
+    return np.asarray(kanai_tajimi * clough_penzien)
+
+
+def stationary_motion(seed: int, steps: int, dt: float, **filters: float) -> Floats:
+    """Make stationary noise whose expected periodogram is `motion_spectrum`.
+
+    White noise of unit variance is filtered in the frequency domain, exactly and without a
+    transient: the motion is periodic over its length. ``abs(rfft(.))**2 / steps`` is
+    `motion_spectrum` on average.
+
+    Parameters
+    ----------
+    seed, steps : int
+        Number of samples N.
+    dt : float
+        Sampling period in s.
+    **filters : float
+        As for `motion_spectrum`.
+    """
+    noise = np.random.Generator(np.random.PCG64(seed)).standard_normal(steps)
+    response = _frequency_response(np.fft.rfftfreq(steps, dt), **filters)
+    return np.fft.irfft(np.fft.rfft(noise) * response, steps)
+
+
+def envelope(times: npt.ArrayLike, rise: float, plateau_end: float, decay: float) -> Floats:
+    """Envelope of Jennings, Housner and Tsai (1968): quadratic rise, plateau, exponential decay.
+
+    Parameters
+    ----------
+    times : array_like
+        Shape (N,), in s.
+    rise, plateau_end : float
+        Ends of the rise (0: none) and of the plateau, in s.
+    decay : float
+        Rate of the decay in 1/s.
+
+    Returns
+    -------
+    ndarray
+        Shape (N,), between 0 and 1.
+    """
+    times = np.asarray(times, dtype=float)
+    risen = np.minimum(times / rise, 1.0) ** 2 if rise > 0 else np.ones_like(times)
+    return np.asarray(risen * np.exp(-decay * np.maximum(times - plateau_end, 0.0)))
+
+
+def synthetic_motion(
+    seed: int,
+    duration: float,
+    dt: float,
+    peak: float,
+    rise: float,
+    plateau_end: float,
+    decay: float,
+    **filters: float,
+) -> Floats:
+    """Make a synthetic ground motion.
+
+    Accelerations only: they are not corrected for a baseline, so that integrated twice they
+    leave a displacement.
+
+    Parameters
+    ----------
+    seed : int
+        Not negative.
+    duration, dt : float
+        From the first sample to the last, and sampling period, in s.
+    peak : float
+        Largest absolute acceleration in m/s^2.
+    rise, plateau_end, decay : float
+        As for `envelope`.
+    **filters : float
+        As for `motion_spectrum`.
+
+    Returns
+    -------
+    ndarray
+        Shape (N,), in m/s^2; sample k is at time ``k * dt``, N = duration / dt + 1.
+
+    Raises
+    ------
+    InputError
+        If values contradict each other; names the parameter.
+    """
+    if plateau_end < rise:
+        raise InputError(
+            f"ground_motion: synthetic.plateau_end is {plateau_end:g} s, but must not be before "
+            f"the end of synthetic.rise ({rise:g} s)"
+        )
+    if duration < 10 * dt:
+        raise InputError(
+            f"ground_motion: synthetic.duration is {duration:g} s, but must be at least ten "
+            f"times synthetic.dt ({dt:g} s)"
+        )
+    if filters["ground_frequency"] >= 0.5 / dt:
+        raise InputError(
+            f"ground_motion: synthetic.ground_frequency is {filters['ground_frequency']:g} Hz, but "
+            f"must be below half the sampling rate ({0.5 / dt:g} Hz); make synthetic.dt smaller"
+        )
+    steps = int(duration / dt * (1 + 1e-12)) + 1
+    motion = stationary_motion(seed, steps, dt, **filters)
+    motion *= envelope(dt * np.arange(steps), rise, plateau_end, decay)
+    largest = np.abs(motion).max()
+    if not largest > 0:
+        raise InputError(
+            "ground_motion: synthetic.* make a motion that is zero; "
+            "check synthetic.rise against synthetic.duration"
+        )
+    return np.asarray(motion * (peak / largest))
+
+
+def excitation(
+    signal: str, steps: int, axes: int, dt: float, band: tuple[float, float], seed: int
+) -> Floats:
+    """Make an excitation of unit RMS on every axis.
+
+    Below its band it has next to nothing, so that a valve, which integrates to displacement,
+    does not let the piston drift.
+
+    Parameters
+    ----------
+    signal : str
+        ``random``: Gaussian noise with a flat spectrum, independent on each axis, by ``seed``;
+        ``chirp``: one logarithmic sweep up for each axis, one axis after the other.
+    steps, axes : int
+        N and n.
+    dt : float
+        Sampling period, s.
+    band : tuple of float
+        Lowest and highest frequency, Hz.
+
+    Returns
+    -------
+    ndarray
+        Shape (N, n), first and last sample zero, mean zero.
+
+    Raises
+    ------
+    InputError
+        If the signal is unknown, or the band does not fit rate and duration.
+    """
+    if signal not in SIGNALS:
+        raise InputError(f"--signal is {signal}, but must be one of {', '.join(SIGNALS)}")
+    low, high = band
+    if not 0 < low < high < 0.5 / dt:
+        raise InputError(
+            f"--band is {low:g} to {high:g} Hz, but must rise, and lie within 0 and half the "
+            f"rate, {0.5 / dt:g} Hz"
+        )
+    shortest = shortest_duration(signal, axes, band)
+    if steps * dt < shortest - dt:
+        raise InputError(
+            f"--duration is {steps * dt:g} s, but a {signal} signal from {low:g} Hz on needs "
+            f"{shortest:g} s; raise it, or the band's lower end"
+        )
+    if signal == "random":
+        raw = _random(steps, axes, dt, band, seed)
+    else:
+        raw = _sweeps(steps, axes, dt, band)
+    window = np.hanning(steps)[:, np.newaxis]
+    centred = raw - window * (raw.mean(axis=0) / window.mean())  # the ends still at rest
+    unit: Floats = centred / np.sqrt(np.mean(centred**2, axis=0))
+    return unit
+
+
+def shortest_duration(signal: str, axes: int, band: tuple[float, float]) -> float:
+    """Shortest duration of an excitation that its band makes sense for, s."""
+    return _FEWEST_PERIODS / band[0] * (axes if signal == "chirp" else 1)
+
+
+def _random(steps: int, axes: int, dt: float, band: tuple[float, float], seed: int) -> Floats:
+    frequencies, (low, high) = np.fft.rfftfreq(steps, dt), band
+    upper = min(high * _EDGE, 0.5 / dt)
+    passed = _rise(frequencies, low / _EDGE, low) * (1.0 - _rise(frequencies, high, upper))
+    white = [np.random.default_rng([seed, axis]).standard_normal(steps) for axis in range(axes)]
+    columns = [np.fft.irfft(np.fft.rfft(noise) * passed, steps) for noise in white]
+    return np.stack(columns, axis=1) * _ramp(steps, dt)[:, np.newaxis]
+
+
+def _sweeps(steps: int, axes: int, dt: float, band: tuple[float, float]) -> Floats:
+    low, high = band
+    raw = np.zeros((steps, axes))
+    length = steps // axes
+    duration = length * dt
+    growth = np.log(high / low)
+    phase = np.expm1(growth * dt * np.arange(length) / duration) * low * duration / growth
+    for axis in range(axes):
+        raw[axis * length :][:length, axis] = np.sin(2 * np.pi * phase) * _ramp(length, dt)
+    return raw
+
+
+def _ramp(steps: int, dt: float) -> Floats:
+    """One, with half a cosine from zero at the start and to zero at the end."""
+    length = min(_RAMP * steps * dt, _LONGEST_RAMP)
+    distance = dt * np.minimum(np.arange(steps), np.arange(steps)[::-1])
+    return _rise(distance, 0.0, length)
+
+
+def _rise(x: Floats, start: float, end: float) -> Floats:
+    """Half a cosine from zero at ``start`` to one at ``end``."""
+    return 0.5 - 0.5 * np.cos(np.pi * np.clip((x - start) / (end - start), 0.0, 1.0))

@@ -1,1 +1,0 @@
-"""Identification of a rig from two tests: excitation, spectra, fitted models."""
