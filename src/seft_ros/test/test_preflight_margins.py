@@ -137,10 +137,10 @@ def test_so_are_the_critical_delay_gain_stiffness_and_told_delay(method, rig):
         for factor, unstable in ((0.97, False), (1.03, True)):
             assert told_to_grow(softer(rig, 1.0 + factor * (end.value - 1.0))) is unstable
     if method == "none":
-        assert margins.told_delay is None
+        assert margins.delay_error is None
         return
     for factor, unstable in ((0.97, False), (1.03, True)):
-        value = plan.section["compensation.delay"] + factor * margins.told_delay.highest.value
+        value = plan.section["compensation.delay"] + factor * margins.delay_error.highest.value
         assert told_to_grow(reference(compensation__delay=value)) is unstable
 
 
@@ -155,7 +155,7 @@ def test_the_frequency_that_sets_in_is_that_of_simulation():
 
 def test_an_unstable_plan_tells_the_delay_at_which_it_would_be_stable():
     ideal_end = find_margins(Plan(experiment(DELAY, reference(mass_ratio=0.96))))
-    assert (ideal_end.gain, ideal_end.stiffness, ideal_end.told_delay) == (None, None, None)
+    assert (ideal_end.gain, ideal_end.stiffness, ideal_end.delay_error) == (None, None, None)
     assert 0 < ideal_end.dead_time.value < 0.010
     for factor, unstable in ((0.9, False), (1.1, True)):
         delay = {"rig": {"actuator.delay": factor * ideal_end.dead_time.value}}

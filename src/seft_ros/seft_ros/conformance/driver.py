@@ -1,5 +1,6 @@
-"""The test driver: plays supervisor and force controller for a rig that is looked at."""
+"""The test driver: plays supervisor and force controller for a rig under test."""
 
+import contextlib
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -39,7 +40,7 @@ Answer = Callable[[int], list[bytes]]
 class Samples(NamedTuple):
     """N states that could be read: their steps, samples of shape (N, 4, n), and times, s.
 
-    The times are those of sending: what this host is late in taking is none of the rig's doing.
+    The times are those of sending, so that delays of this host are not counted as the rig's.
     """
 
     steps: npt.NDArray[np.int64]
@@ -49,10 +50,10 @@ class Samples(NamedTuple):
 
 @dataclass
 class Trial:
-    """Messages of the rig in one test, as they came, each with its time, monotonic, s.
+    """Messages of the rig in one test, as received, each with its time, monotonic, s.
 
-    ``read`` has step, sample and time of sending of the states that could be read; ``marks``, when
-    something was done to the rig; ``fault``, why the test was broken off.
+    ``read`` has step, sample and time of sending of the states that could be read; ``marks`` has
+    the times of what was done to the rig; ``fault`` says why the test was aborted.
     """
 
     states: list[tuple[float, bytes]] = field(default_factory=list)
@@ -63,16 +64,16 @@ class Trial:
     fault: str = ""
 
     def status_of(self, phase: str) -> tuple[float, Status] | None:
-        """Give the first status in which the rig told a phase, and when; None if it did not."""
+        """Give the time and the first status with a phase; None if there is none."""
         return next((s for s in self.statuses if s[1].values.get("phase") == phase), None)
 
     @property
     def phase(self) -> str:
-        """Last phase that the rig told; empty if none."""
+        """Last phase of the rig; empty if there is none."""
         return self.statuses[-1][1].values.get("phase", "") if self.statuses else ""
 
     def last_state_after(self, mark: str) -> float:
-        """Time from when something was done to the last state, s; 0 if none came after it."""
+        """Time from a mark to the last state, s; 0 if none came after it."""
         return max([0.0, *(at - self.marks[mark] for at, _ in self.states)])
 
     @property
@@ -84,11 +85,11 @@ class Trial:
 
 
 class Guard:
-    """Looks at each sample of a rig whose sensors are not trusted yet.
+    """Watches each sample of a rig whose sensors are not trusted yet.
 
-    A limit of the experiment that one sensor sees broken ends the test. Of the far smaller ones
-    of this test two of displacement, integrated velocity and force must see it: one that lies is
-    what the test is to find.
+    A sensor beyond a limit of the experiment ends the test. The far smaller limits of this test
+    must be exceeded by two of displacement, integrated velocity and force: a single wrong sensor
+    is to be found by the test.
 
     Parameters
     ----------
@@ -112,15 +113,15 @@ class Guard:
         self._moved: Floats | float = 0.0  # integrated velocity of each axis, m
 
     def fault(self, sample: Floats) -> str:
-        """Take a sample, shape (4, n); say why the rig must not be moved on; empty if it may."""
+        """Take a sample, shape (4, n); say why the test must be aborted; empty if it need not."""
         way = float(np.abs(self._moved).max())
         worst = np.abs(sample).max(axis=1).tolist()
-        for name, unit, value, limit in zip(
-            NAMES, UNITS[: len(NAMES)], worst, self._limits, strict=True
-        ):
+        for name, unit, value, limit in zip(NAMES, UNITS, worst, self._limits, strict=False):
             if not value <= limit:
-                told = f"{name} reads {value:.4g} {unit}, beyond the limit of {limit:g} {unit}"
-                return f"{told}; by its velocity the rig has moved {way:.2g} m"
+                return (
+                    f"{name} reads {value:.4g} {unit}, beyond the limit of {limit:g} {unit}; "
+                    f"by its velocity the rig has moved {way:.2g} m"
+                )
         if len(self._samples) < BASELINE:
             self._samples.append(np.array(sample))
             return ""
@@ -130,44 +131,51 @@ class Guard:
         moved, _, _, pushed = np.abs(change).max(axis=1).tolist()
         if sum((moved > self._travel, way > self._travel, pushed > self._force)) < 2:
             return ""
-        told = f"moved {moved:.3g} m, {way:.3g} m by its velocity, force changed {pushed:.4g} N"
-        return f"{told}: more than {self._travel:g} m and {self._force:g} N"
+        return (
+            f"moved {moved:.3g} m, {way:.3g} m by its velocity, force changed {pushed:.4g} N: more "
+            f"than {self._travel:g} m and {self._force:g} N"
+        )
 
 
 class TestDriver(Player):
-    """Runs short tests on a rig, and writes down what it does.
+    """Runs short tests on a rig and records its messages.
 
     Parameters
     ----------
     experiment : Experiment
         Its rate and axes.
     guard : Guard
-        Looks at each sample.
+        Watches each sample.
     processes : NodeProcesses or None
-        The rig's process, where it was started here.
+        The rig's process, if it was started here.
     """
 
     def __init__(
         self, experiment: Experiment, guard: Guard, processes: NodeProcesses | None
     ) -> None:
         self._guard, self._processes = guard, processes
-        self.description: Mapping[str, Any] | None = None  # that the rig gives of itself
-        self.trial = Trial()  # that runs, or the last one
+        self.description: Mapping[str, Any] | None = None
+        self.trial = Trial()  # the running test, or the last one
         self._samples = TrajectoryCodec(RIG_STATE, experiment.axes, experiment.timebase)
         self._answer: Answer | None = None
         hears = {RIG_STATE: self._on_state, CLOCK_TOPIC: self._on_clock}
         super().__init__("seft_conform", [], {**hears, DESCRIPTION: self._on_description})
 
     def meet(self, duration: float) -> Trial:
-        """Find the rig and listen to it for some time, while nothing is asked of it.
+        """Find the rig and listen to it for some time, in idle.
 
         Raises
         ------
         InputError
             If no node rig publishes rig/state.
         """
+
+        def is_found() -> bool:
+            known = self.description is not None and "rig" in self.status
+            return known and self.is_matched("rig", [EXPERIMENT_STATE], [RIG_STATE])
+
         self.say(State.IDLE)
-        if not self.wait(self._is_found, FOUND):
+        if not self.wait(is_found, FOUND):
             raise InputError(
                 f"no node rig with rig/state and experiment/state within {FOUND:g} s; start "
                 "it on this ROS domain, or use --start-rig for the simulated one"
@@ -177,7 +185,7 @@ class TestDriver(Player):
         return self.trial
 
     def connect(self, topic: LoopTopic) -> None:
-        """Be the one whose commands drive the rig; wait until it hears them."""
+        """Publish the commands that drive the rig; wait until it receives them."""
         self.commands = TrajectoryCodec(topic, self._samples.axes, self._samples.timebase)
         self.publish_on(topic)
         listens = [EXPERIMENT_STATE, topic]
@@ -197,20 +205,20 @@ class TestDriver(Player):
         *,
         ready: bool = True,
     ) -> Trial:
-        """Run a test until the rig tells a phase, the time is over, or the guard says stop.
+        """Run a test until the rig reports a phase, the time is over, or the guard aborts it.
 
         Parameters
         ----------
         steps : int
-            That the test is said to have.
+            Of the test, as announced to the rig.
         answer : callable
-            What answers each step.
+            Gives the messages that answer a step.
         patience : float, optional
             Longest time of the test, s; default long enough for all steps.
         until : tuple of str
             Phases.
         ready : bool
-            Whether ready is said before.
+            Whether the state ready is announced before.
         """
         self.trial = trial = Trial()
         self._guard.reset()
@@ -227,7 +235,7 @@ class TestDriver(Player):
         return trial
 
     def mark(self, name: str) -> None:
-        """Note when something is done."""
+        """Record the time under a name."""
         self.trial.marks[name] = time.monotonic()
 
     def end(self, state: State = State.DONE) -> None:
@@ -239,7 +247,7 @@ class TestDriver(Player):
         self.wait(lambda: self.trial.phase == "idle", PHASES)
 
     def wait(self, condition: Callable[[], bool], patience: float) -> bool:
-        """Hear the rig, and answer it, until something is so; tell whether it is."""
+        """Receive and answer messages until a condition holds; return whether it does."""
         deadline = time.monotonic() + patience
         while not condition():
             if time.monotonic() > deadline:
@@ -251,16 +259,9 @@ class TestDriver(Player):
 
     def close(self) -> None:
         """Leave the rig at rest, and the graph."""
-        try:
+        with contextlib.suppress(ExperimentError):  # an error before has said that it is gone
             self.say(State.IDLE)
-        except ExperimentError:
-            pass  # it is gone, as was told before
-        finally:
-            super().close()
-
-    def _is_found(self) -> bool:
-        known = self.description is not None and "rig" in self.status
-        return known and self.is_matched("rig", [EXPERIMENT_STATE], [RIG_STATE])
+        super().close()
 
     def _on_state(self, raw: bytes, at: float, sent: float) -> None:
         trial = self.trial
@@ -282,6 +283,6 @@ class TestDriver(Player):
             self.description = description
 
     def on_status(self, status: Status, at: float) -> None:
-        """Write down what the rig tells of itself."""
+        """Record the status of the rig."""
         if status.name == "rig":
             self.trial.statuses.append((at, status))

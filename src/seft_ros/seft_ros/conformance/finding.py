@@ -1,14 +1,14 @@
 """The checks of a rig, what each found, and how to display it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from rich.text import Text
 
 Verdict = Literal["passed", "failed", "not run"]
 
-_REFUSE = "refuse it: seft_plant_sim.rig.command.Command shows how; to the rig it is missing"
+_REFUSE = "refuse it, as seft_plant_sim.rig.command.Command does: count it as a missing command"
 _MOTION = {
     "description": "publish JSON with node and parameters on experiment/description, latched",
     "diagnostics": "send a status named rig with its phase five times a second",
@@ -18,10 +18,10 @@ _MOTION = {
     "axis",
     "stamps": "stamp sample k with exactly k periods in integer nanoseconds, from 0 at the test's "
     "start; neither a wall clock nor floats (seft_msgs_py's TrajectoryCodec does)",
-    "stays within limits": "look at the rig first; if it has not moved so, that sensor's unit, "
-    "sign or factor is wrong (mm for m?); else take a smaller --amplitude",
-    "end of a test": "end after as many states as experiment/state says (steps); tell phase "
-    "finished with seft_msgs_py's rig_status, and idle again when the supervisor says idle",
+    "stays within limits": "look at the rig first; if it has not moved like this, that sensor's "
+    "unit, sign or factor is wrong (mm for m?); else choose a smaller --amplitude",
+    "end of a test": "end after as many states as experiment/state says (steps); report phase "
+    "finished with seft_msgs_py's rig_status, and idle again when experiment/state is idle",
     "/clock": "publish the stamp of the last state on /clock, ten times a second",
     "period": "sample at absolute deadlines, start + k periods; a sleep of a period adds up",
     "late states": "",
@@ -39,23 +39,23 @@ _OBEDIENCE = {
     "command of another axis": _REFUSE,
     "command not a number": _REFUSE,
     "command between two steps": _REFUSE,
-    "command beyond the limit": "refuse it: a command beyond the limit is a fault, and no wish",
+    "command beyond the limit": "refuse it: a command beyond the limit is a fault",
     "watchdog: valve_command silent": "",
-    "safe position": "bring the valve to its safe position in every trip, follow the rig to rest, "
-    "and tell 'stop time (s)' and 'stop peak force (N)' in the status of the trip",
+    "safe position": "bring the valve to its safe position in every trip, wait until the rig is at "
+    "rest, and report 'stop time (s)' and 'stop peak force (N)' in the status of the trip",
     "trip is latched": "keep a trip until experiment/state is idle",
     "watchdog: supervisor silent": "",
-    "stands still": "before each command look how long the last new one is ago, by a clock that "
-    "goes on meanwhile: seft_plant_sim.rig.command_watch.CommandWatch shows how",
+    "stands still": "before each command check the age of the last new one, by a clock that does "
+    "not stop, as seft_plant_sim.rig.command_watch.CommandWatch does",
     "rests when done": "end the test at once when experiment/state is done",
     "rests when tripped": "end the test at once when experiment/state is tripped",
-    "rests in a test under way": "begin only where experiment/state was ready before: a rig that "
-    "comes up late rests",
+    "rests in a test under way": "start only if experiment/state was ready before: a rig that "
+    "starts late stays at rest",
 }
 CHECKS = {**_MOTION, **_OBEDIENCE}
-"""Name of each check, and how to mend what it finds; empty: it tells by what it has measured."""
+"""Name of each check, and how to mend a failure; empty: it depends on what was measured."""
 LATER = tuple(_OBEDIENCE)
-"""Checks of a rig that has passed those before them."""
+"""Checks that are run only on a rig that has passed those before them."""
 
 
 @dataclass(frozen=True)
@@ -65,11 +65,11 @@ class Finding:
     Attributes
     ----------
     check : str
-        What was looked at.
+        Its name.
     verdict : str
         ``passed``, ``failed`` or ``not run``.
     told : str
-        What was seen, with the measured number; or why it was not run.
+        The result, with the measured number; or why it was not run.
     mend : str
         What to do about a failure.
     measured : dict of str to float
@@ -84,7 +84,7 @@ class Finding:
 
 
 def found(check: str, passed: bool, told: str, mend: str = "", **measured: float) -> Finding:
-    """Make the finding of a check that was run; how to mend it is told where it failed."""
+    """Make the finding of a check that was run; only of a failed one it says how to mend it."""
     mend = "" if passed else mend or CHECKS.get(check, "")
     return Finding(check, "passed" if passed else "failed", told, mend, measured)
 
@@ -102,7 +102,7 @@ _MARKS = {
 
 
 def finding_line(finding: Finding) -> Text:
-    """Say in one line what a check found; below, how to mend it."""
+    """Describe a finding in one line; below, how to mend it."""
     mark, colour = _MARKS[finding.verdict]
     text = Text.assemble((mark, f"bold {colour}"), f"  {finding.check}: {finding.told}")
     if finding.mend:
@@ -121,16 +121,7 @@ def verdict(findings: Sequence[Finding]) -> dict[str, Any]:
     """
     counts = {
         word.replace(" ", "_"): sum(finding.verdict == word for finding in findings)
-        for word in ("passed", "failed", "not run")
+        for word in _MARKS
     }
-    checks = [
-        {
-            "check": finding.check,
-            "verdict": finding.verdict,
-            "told": finding.told,
-            "mend": finding.mend or None,
-            "measured": finding.measured,
-        }
-        for finding in findings
-    ]
+    checks = [asdict(finding) | {"mend": finding.mend or None} for finding in findings]
     return {"conforms": not counts["failed"] and bool(findings), **counts, "checks": checks}

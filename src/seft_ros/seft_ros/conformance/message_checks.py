@@ -1,4 +1,4 @@
-"""What a rig says of itself, and whether its messages are those of the contract, and in time."""
+"""Whether a rig's description and messages are those of the contract, and in time."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -15,24 +15,24 @@ from seft_msgs_py.wire.trajectory_message import Trajectory, parse_trajectory
 from seft_ros.conformance.driver import Samples, Trial
 from seft_ros.conformance.finding import Finding, found, not_run
 
-SLOWEST_STATUS = 0.5  # s between two signs of life, as a rule
-SLOWEST_CLOCK = 0.25  # s between two messages of /clock, as a rule; a tenth is asked for
+SLOWEST_STATUS = 0.5  # s between two diagnostics, median
+SLOWEST_CLOCK = 0.25  # s between two messages of /clock, median; 0.1 s is required
 WINDOW = 20  # samples
 PERCENTILE = 95.0
 LATEST = 0.5  # of a period
 OFF = 0.01  # of the period
 ENOUGH = 3  # windows
 SOME = 0.1
-"""Part of the windows in which this host may stand still: the others show how the rig is."""
+"""Share of the windows with a stall of this host up to which only the others count."""
 BEST = 0.2
-"""Part of the windows that counts where it stood still in more: it holds up the rig, too."""
+"""Share of the windows that counts if there are more stalls: they delay the rig, too."""
 
 Stalls = Sequence[tuple[float, float]]
-"""Begin and end of times in which this host stood still, s, monotonic."""
+"""Begin and end of host scheduling stalls, s, monotonic."""
 
 
 def check_description(description: Mapping[str, Any] | None, experiment: Experiment) -> Finding:
-    """See that the rig describes itself, at the rate and with the axes of the experiment."""
+    """Check that the rig describes itself, with the rate and the axes of the experiment."""
     name, rate, axes = "description", experiment.timebase.rate, list(experiment.axes)
     if description is None:
         return found(name, False, "nothing of node rig on experiment/description")
@@ -49,23 +49,23 @@ def check_description(description: Mapping[str, Any] | None, experiment: Experim
 
 
 def check_signs_of_life(trial: Trial) -> Finding:
-    """See that the rig tells its phase while nothing moves, often enough."""
+    """Check that the rig reports its phase often enough in idle."""
     name, times = "diagnostics", [at for at, _ in trial.statuses]
     if len(times) < 2:
         return found(name, False, f"{len(times)} statuses of the rig were heard")
     if trial.phase != "idle":
         told = f"phase {trial.phase or 'none'} before a test, not idle"
-        return found(name, False, told, "tell phase idle where no test is, see docs/hardware.md")
+        return found(name, False, told, "report phase idle between tests, see docs/hardware.md")
     usual, longest = _gaps(times)
-    told = f"phase idle, a sign of life every {usual:.2f} s, {longest:.2f} s at most"
+    told = f"phase idle, diagnostics every {usual:.2f} s, {longest:.2f} s at most"
     return found(name, usual <= SLOWEST_STATUS, told, usual_s=usual, longest_s=longest)
 
 
 def check_form(trial: Trial, axes: Sequence[str]) -> Finding:
-    """See that all states have the axes, one point, all quantities, and finite values."""
+    """Check that all states have the axes, one point, all quantities, and finite values."""
     name = "form of rig/state"
     if not trial.states:
-        told = "no rig/state came in a test that was said to run"
+        told = "no rig/state in a running test"
         return found(name, False, told, "publish a state each period from step 0 on")
     for number, (_, raw) in enumerate(trial.states):
         try:
@@ -92,7 +92,7 @@ def _fault(message: Trajectory, axes: Sequence[str]) -> str:
 
 
 def check_stamps(trial: Trial, period_ns: int) -> Finding:
-    """See that message k is stamped with exactly k periods from the start of the test."""
+    """Check that message k is stamped with exactly k periods from the start of the test."""
     name = "stamps"
     try:
         stamps = [parse_trajectory(raw, RIG_STATE.name).stamp_ns for _, raw in trial.states]
@@ -106,7 +106,7 @@ def check_stamps(trial: Trial, period_ns: int) -> Finding:
 
 
 def check_end(trial: Trial, steps: int, experiment: Experiment) -> Finding:
-    """See that a test of so many steps ends with them, and the rig says so."""
+    """Check that a test ends after its steps, and that the rig reports it."""
     name = "end of a test"
     if trial.fault:
         return found("stays within limits", False, trial.fault)
@@ -122,16 +122,16 @@ def check_end(trial: Trial, steps: int, experiment: Experiment) -> Finding:
         return found(name, False, str(error))
     assert outcome is not None  # it has ended
     if outcome.steps != steps or len(trial.states) != steps:
-        told = f"{outcome.steps} steps told, {len(trial.states)} states came, of {steps}"
+        told = f"{outcome.steps} steps reported, {len(trial.states)} states received, of {steps}"
         return found(name, False, told)
     if trial.phase != "idle":
-        return found(name, False, f"phase {trial.phase} after the supervisor said idle")
-    missed = outcome.missed
-    return found(name, True, f"finished after {steps} steps ({missed} commands missed), then idle")
+        return found(name, False, f"phase {trial.phase} after experiment/state was idle")
+    told = f"finished after {steps} steps ({outcome.missed} commands missed), then idle"
+    return found(name, True, told)
 
 
 def check_clock(trial: Trial, period_ns: int) -> Finding:
-    """See that /clock goes with the test: the ground motion is sent ahead of it."""
+    """Check that /clock follows the test: the ground motion is published ahead of it."""
     times = [at for at, _ in trial.clocks]
     if len(times) < 2 or any(stamp % period_ns for _, stamp in trial.clocks):
         return found("/clock", False, f"{len(times)} messages with stamps of samples")
@@ -147,17 +147,17 @@ def _gaps(times: Sequence[float]) -> tuple[float, float]:
 
 
 def check_timing(samples: Samples, dt: float, stalls: Stalls) -> list[Finding]:
-    """See that the rig's clock has the experiment's rate, and states come at their deadlines.
+    """Check that the rig's clock has the experiment's rate, and states meet their deadlines.
 
-    A state is late by what it came later than the earliest of its window would have it: a clock
-    that was held up once, and goes on from there, is not late for ever. A rig may wait for the
-    answer to its first state before its time begins. Where this host stood still again and again,
-    the best windows count, and of these the typical one.
+    The deadlines of a window are those of its earliest state: a single overrun of the clock, after
+    which it continues from there, does not count for ever. A rig may wait for the answer to its
+    first state before its time begins. If this host stalled often, the best windows count, and of
+    these the typical one.
     """
     times = samples.times[1:]
     count = len(times) // WINDOW
     if count < ENOUGH:
-        told = f"{len(times)} states, too few to tell"
+        told = f"{len(times)} states are too few"
         return [not_run(name, told) for name in ("period", "late states")]
     windows = times[: count * WINDOW].reshape(count, WINDOW)
     late = windows - (np.arange(count * WINDOW) * dt).reshape(count, WINDOW)
@@ -183,14 +183,14 @@ def check_timing(samples: Samples, dt: float, stalls: Stalls) -> list[Finding]:
 
 
 def _quiet_windows(windows: Floats, late: Floats, stalls: Stalls) -> tuple[npt.NDArray[Any], str]:
-    """Choose the windows in which this host did not stand still, else the best; say which."""
+    """Choose the windows without a stall of this host, else the best; say which."""
     begins, ends = np.reshape(stalls, (-1, 2)).T
     disturbed = ((begins < windows[:, [-1]]) & (ends > windows[:, [0]])).any(axis=1)
     if not disturbed.any():
         return np.arange(len(late)), ""
     if disturbed.mean() <= SOME:
-        told = f"; {disturbed.sum()} of {len(late)} windows in which this host stood still left out"
+        told = f"; {disturbed.sum()} of {len(late)} windows left out, in which this host stalled"
         return np.flatnonzero(~disturbed), told
     best = np.argsort(np.percentile(late, PERCENTILE, axis=1))
     best = best[: max(ENOUGH, round(BEST * len(late)))]
-    return np.sort(best), "; this host stood still again and again: only the best fifth counts"
+    return np.sort(best), "; this host stalled again and again: only the best fifth counts"

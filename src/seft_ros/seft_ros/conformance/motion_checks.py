@@ -1,4 +1,4 @@
-"""Whether displacement, velocity, acceleration and force of a small motion fit one another."""
+"""Whether displacement, velocity, acceleration and force of a small motion are consistent."""
 
 import math
 
@@ -13,12 +13,12 @@ from seft_ros.conformance.finding import Finding, found, not_run
 REST, BELL, PAUSE, PULSE = 0.4, 2.0, 0.3, 0.05  # s
 DOUBLETS, APART = 5, 0.25  # s from one to the next
 FREQUENCIES = (3.0, 6.0)  # Hz
-SPARED = 0.1  # s at the start, in which a rig may settle
+SETTLING = 0.1  # s at the start that do not count
 TOLERANCE = 0.2
 """Largest distance of a ratio from 1: a gain 20 % off, or 11 degrees of phase."""
 SEEN = 5.0  # times the noise: a motion
 ONSET_NOISE = 6.0
-VALVE = 0.006  # s that valve and oil may take until a command is seen
+VALVE = 0.006  # s, longest delay of valve and oil
 LINES = np.arange(2.0, 8.01, 0.5)
 """Frequencies at which signals are correlated, Hz."""
 _FACTORS = {
@@ -62,7 +62,7 @@ class Drive:
     def __init__(self, dt: float, amplitude: float) -> None:
         self.dt, self.amplitude = dt, amplitude
         first, apart = self.step_at(REST + BELL + PAUSE), self.step_at(APART)
-        self.rest = slice(self.step_at(SPARED), self.step_at(REST))
+        self.rest = slice(self.step_at(SETTLING), self.step_at(REST))
         self.bell = slice(self.step_at(REST), self.step_at(REST + BELL + PAUSE / 2))
         self.doublets = [first + number * apart for number in range(DOUBLETS)]
         self.steps = first + DOUBLETS * apart
@@ -81,20 +81,20 @@ class Drive:
 
 
 def check_rest(samples: Samples, drive: Drive) -> Finding:
-    """See that the rig does not move while it is told 0."""
+    """Check that the rig does not move at a command of 0."""
     rest = samples.values[drive.rest, 0]
     if len(rest) < 3:
-        return found("at rest", False, f"{len(rest)} samples before the motion, too few to tell")
+        return found("at rest", False, f"{len(rest)} samples before the motion are too few")
     first, last = rest[: len(rest) // 3].mean(axis=0), rest[-len(rest) // 3 :].mean(axis=0)
     drift = float(np.abs(last - first).max())
-    noise = np.diff(rest, axis=0).std(axis=0).max() / math.sqrt(2)  # a drift is none
+    noise = np.diff(rest, axis=0).std(axis=0).max() / math.sqrt(2)  # without the drift
     told = f"displacement changes by {1e3 * drift:.4f} mm under a command of 0, noise "
     told += f"{1e3 * noise:.4f} mm"
     return found("at rest", drift <= max(ONSET_NOISE * noise, 1e-6), told, drift_m=drift)
 
 
 def check_moves(samples: Samples, drive: Drive) -> Finding:
-    """See that the rig moves when told to, beyond its noise, and in the direction of the drive."""
+    """Check that the rig moves at a command, beyond its noise, and in its direction."""
     name, rest, moved = "moves as told", samples.values[drive.rest], samples.values[drive.bell]
     noise = rest.std(axis=0)
     size = (moved - rest.mean(axis=0)).std(axis=0)
@@ -112,7 +112,7 @@ def check_moves(samples: Samples, drive: Drive) -> Finding:
 
 
 def check_units(samples: Samples, drive: Drive, specimen: Specimen | None) -> list[Finding]:
-    """See that the channels are derivatives of one another, and the force the specimen's."""
+    """Check that the channels are derivatives of one another, and the force the specimen's."""
     dt, values = drive.dt, samples.values[drive.bell]
     x, v, a, f = np.moveaxis(values - values.mean(axis=0), 1, 0)
     speed = _ratio(_correlate(v, dt), _correlate(x, dt, derivative=True))
@@ -133,7 +133,7 @@ def check_units(samples: Samples, drive: Drive, specimen: Specimen | None) -> li
         return [*findings, not_run(name, "mass, damping and stiffness are not known")]
     expected = _correlate(x, dt) @ specimen.stiffness.T + _correlate(v, dt) @ specimen.damping.T
     force = _ratio(_correlate(f, dt), expected + _correlate(a, dt) @ specimen.mass.T)
-    why = "other channels are wrong, and so is what it is held to"
+    why = "it can't be judged: other channels are wrong"
     if _fits(speed) and _fits(rate):
         why = _why(force)
     told = _told("force / (m a + c v + k x)", force)
@@ -161,7 +161,7 @@ def _correlate(signal: Floats, dt: float, *, derivative: bool = False) -> Comple
 
 
 def _ratio(measured: Complex, expected: Complex) -> complex:
-    """Least-squares factor of what was measured to what it should be; nan where that is nothing."""
+    """Least-squares factor from expected to measured; nan if nothing is expected."""
     power = float(np.vdot(expected, expected).real)
     return complex(np.vdot(expected, measured) / power) if power > 0 else complex(np.nan)
 
@@ -183,7 +183,7 @@ def _phase(value: complex) -> float:
 
 
 def _why(factor: complex) -> str:
-    """Guess what makes a channel so many times too large."""
+    """Guess why a channel is too large by a factor."""
     size, is_reversed = abs(factor), factor.real < 0
     if not 0 < size < math.inf:
         return "it does not move"
@@ -197,11 +197,11 @@ def _why(factor: complex) -> str:
 
 
 def check_answer_delay(samples: Samples, drive: Drive) -> Finding:
-    """See that a command is applied from the next sample on, not later."""
+    """Check that a command is applied from the next sample on, not later."""
     name, force = "answer applied", samples.values[:, 3]
     noise = np.maximum(force[drive.rest].std(axis=0), 1e-9)
     delays = []
-    for start in drive.doublets:  # one that this host sent too late for its step is a later one
+    for start in drive.doublets:
         before = force[start - drive.step_at(0.03) : start + 1].mean(axis=0)
         after = force[start : start + drive.step_at(APART)]
         change: Floats = (np.abs(after - before) / noise).max(axis=1)

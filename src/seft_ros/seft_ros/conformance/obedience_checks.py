@@ -1,4 +1,4 @@
-"""Whether a rig refuses what it must, trips when it must, and rests then."""
+"""Whether a rig refuses bad commands, trips in time, and then comes to rest."""
 
 import struct
 from dataclasses import dataclass
@@ -23,24 +23,24 @@ KINDS = (
 BESIDE = ("stale", "a second time")
 """Kinds that are sent after the step's own command; the others in its place, every other step."""
 SEEN = 8.0  # times the noise
-PART = 0.3  # of what the same command does when it is obeyed
-PATIENCE = 0.5  # s beyond a watchdog's time: for this host, and the message that tells
-RESTING = 3.0  # s in which a rig rests after a trip
+PART = 0.3  # of the effect of the same command when it is obeyed
+PATIENCE = 0.5  # s beyond a watchdog's time, for this host and the message
+RESTING = 3.0  # s within which a rig is at rest after a trip
 STOP_TIME, STOP_FORCE = "stop time (s)", "stop peak force (N)"
-"""Names in the status of a trip, told when the rig rests."""
-BACK = 3e-4  # m that it may have gone on from where it was stopped
+"""Names in the status of a trip, when the rig is at rest."""
+BACK = 3e-4  # m that it may have moved after it was stopped
 
 
 @dataclass(frozen=True)
 class BadCommands:
-    """Which command answers which step of a test in which most are bad.
+    """Commands of a test in which most are bad.
 
     Attributes
     ----------
     codec : TrajectoryCodec
         Of what drives the rig.
     value : float
-        What the bad ones ask for, in the topic's unit; the good ones ask for 0.
+        Of the bad ones, in the topic's unit; the good ones are 0.
     """
 
     codec: TrajectoryCodec
@@ -85,7 +85,7 @@ class BadCommands:
 
 
 def check_refusals(trial: Trial, bad: BadCommands, moved: Samples, drive: Drive) -> list[Finding]:
-    """See that no bad command moves the rig, by the force that a good one made before."""
+    """Check that no bad command moves the rig, by the force of a good one before."""
     steps, force = trial.samples.steps, trial.samples.values[:, 3]
     noise = moved.values[drive.rest, 3].std(axis=0)
     pulse = moved.values[drive.doublets[0] :, 3] - moved.values[drive.doublets[0], 3]
@@ -102,7 +102,7 @@ def check_refusals(trial: Trial, bad: BadCommands, moved: Samples, drive: Drive)
         before = force[max(0, at[0] - 5) : at[0] + 1].mean(axis=0)
         change = np.abs(force[index] - before).max(axis=0)
         worst = int((change / least).argmax())
-        told = f"the force changes by {change[worst]:.3g} N, at {least[worst]:.3g} N it was obeyed"
+        told = f"the force changes by {change[worst]:.3g} N ({least[worst]:.3g} N: obeyed)"
         passed = bool((change < least).all())
         findings.append(found(name, passed, told, change_n=float(change[worst])))
     return findings
@@ -111,10 +111,10 @@ def check_refusals(trial: Trial, bad: BadCommands, moved: Samples, drive: Drive)
 def check_over_limit(
     samples: Samples, at: int, limit: float | None, moved: Samples, drive: Drive
 ) -> Finding:
-    """See that a command beyond the rig's limit is not applied, not even held back to it."""
+    """Check that a command beyond the rig's limit is refused, not clipped."""
     name = "command beyond the limit"
     if limit is None:
-        return not_run(name, "the rig does not tell limits.command in its description")
+        return not_run(name, "limits.command is not in the description of the rig")
     force = samples.values[:, 3]
     after = force[at : at + 10]
     if len(after) < 5:
@@ -126,23 +126,23 @@ def check_over_limit(
 
 
 def check_watchdog(trial: Trial, timeout: float, silent: str, *, by_itself: bool = True) -> Finding:
-    """See that the rig trips by itself within its time, s, when somebody falls silent."""
+    """Check that the rig trips by itself within its time, s, when messages stop."""
     name = f"watchdog: {silent} silent"
-    mend = f"trip by itself within {timeout:g} s, and tell phase tripped and the reason at once"
+    mend = f"trip by itself within {timeout:g} s, and report phase tripped and the reason at once"
     if "silent" not in trial.marks:
         return found(name, False, "the test ended before", mend)
     last, tripped = trial.last_state_after("silent"), trial.status_of(TRIPPED)
     if tripped is None or not by_itself:
-        told = f"no trip; states came for {last:.3f} s after, {timeout:g} s are configured"
+        told = f"no trip; last state after {last:.3f} s, {timeout:g} s are configured"
         return found(name, False, told, mend, last_state_s=last)
     took, reason = tripped[0] - trial.marks["silent"], tripped[1].values.get("reason", "")
-    told = f"tripped after {took:.3f} s ({timeout:g} s configured): {reason or 'no reason told'}"
+    told = f"tripped after {took:.3f} s ({timeout:g} s configured): {reason or 'no reason given'}"
     passed = max(took, last) <= timeout + PATIENCE and bool(reason)
     return found(name, passed, told, mend, tripped_s=took, last_state_s=last)
 
 
 def check_stood_still(trial: Trial) -> Finding:
-    """See that a rig whose process was stopped trips when it goes on, before it takes a sample.
+    """Check that a rig whose process was stopped trips before it takes the next sample.
 
     One state may have been taken before and be sent after.
     """
@@ -150,23 +150,23 @@ def check_stood_still(trial: Trial) -> Finding:
     if "goes on" not in trial.marks or not trial.states:
         return found(name, False, "the test ended before")
     later = int((trial.samples.times > trial.marks["goes on"]).sum())
-    told = f"{later} states after its process was stopped and went on"
+    told = f"{later} states after its process was stopped and continued"
     reason = tripped[1].values.get("reason", "") if tripped else ""
-    told += f", tripped: {reason or 'no reason told'}" if tripped else ", no trip"
+    told += f", tripped: {reason or 'no reason given'}" if tripped else ", no trip"
     return found(name, later <= 1 and bool(reason), told, states=later)
 
 
 def check_safe_position(trial: Trial, next_one: Samples) -> Finding:
-    """See that the rig comes to rest after a trip in the middle of a motion.
+    """Check that the rig comes to rest after a trip in the middle of a motion.
 
-    Its diagnostics must tell when it rested, and the next test must find it no farther away.
+    Its diagnostics must report when, and it must not have moved away until the next test.
     """
     name, last = "safe position", trial.samples
     if trial.status_of(TRIPPED) is None:
-        return found(name, False, "the rig did not trip, and goes on with the last command")
+        return found(name, False, "the rig did not trip, and continues with the last command")
     values = rested(trial)
     if values is None:
-        told = f"the rig does not tell that it rests within {RESTING:g} s: "
+        told = f"the rig does not report rest within {RESTING:g} s: "
         return found(name, False, told + trial.statuses[-1][1].message)
     took = float(values[STOP_TIME])
     if len(last.times) < 10 or len(next_one.times) < 10:
@@ -179,12 +179,12 @@ def check_safe_position(trial: Trial, next_one: Samples) -> Finding:
     if STOP_FORCE in values:
         told += f", peak force {values[STOP_FORCE]} N"
     if further > BACK:
-        told = f"{told} as it tells, but {1e3 * further:.2f} mm farther away in the next test"
+        told = f"{told} as reported, but {1e3 * further:.2f} mm farther away in the next test"
         return found(name, False, told, further_m=further)
     return found(name, took <= RESTING, told, stop_s=took)
 
 
 def rested(trial: Trial) -> dict[str, str] | None:
-    """Give the values of the status in which a rig that tripped tells that it rests."""
+    """Give the values of the status in which a rig that tripped reports rest."""
     told = [s.values for _, s in trial.statuses if s.values.get("phase") == TRIPPED]
     return next((values for values in told if STOP_TIME in values), None)

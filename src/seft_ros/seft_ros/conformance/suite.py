@@ -1,4 +1,4 @@
-"""All checks over DDS, in an order in which each relies on those before it."""
+"""All checks over DDS; each relies on those before it."""
 
 import os
 import signal
@@ -26,20 +26,20 @@ from seft_ros.running.process_layout import prefer_latency
 from seft_ros.running.processes import one_node
 
 ATTEMPTS = 3
-"""Tests that are run until one goes as planned: this host may stand still meanwhile."""
+"""Number of tries of a test: this host may have stalled in one."""
 MEETING = 1.2  # s
 AMPLITUDES = {"V": 0.2, "N": 50.0}
 """Largest command where none is given: 2 % of a valve of 10 V."""
-BROKEN_OFF = 0.25  # s of a motion that was broken off, in which units can be told
-HELD_UP = ("no new", "silent")
-"""Words of a trip that this host may have brought about, as it stood still itself."""
+ABORTED = 0.25  # s of an aborted motion that suffice to check units
+HOST_STALLED = ("no new", "silent")
+"""Words in the reason of a trip that a stall of this host may have caused."""
 TIMING = ("period", "late states")
-"""Checks whose failure is no reason not to move the rig."""
-LONG = 60.0  # s that a test is said to have, which ends before
+"""Checks whose failure does not prevent moving the rig."""
+LONG = 60.0  # s, announced duration of tests that end before
 LEAD, GOING = 0.3, 0.2  # s of rest at the start of a test, and of motion before a watchdog's
 BRIEF = 0.5  # s
-STILL = 0.5  # s beyond its watchdog's time for which the driver is stopped
-STOP = 0.3  # s from a word of the supervisor to the last state
+STILL = 0.5  # s beyond the watchdog's time for which the process of the rig is stopped
+STOP = 0.3  # s from done or tripped to the last state
 
 
 def conform(
@@ -52,15 +52,14 @@ def conform(
     force: float,
     moves_only: bool = False,
 ) -> list[Finding]:
-    """Look whether a rig keeps the contract.
+    """Check whether a rig keeps the contract.
 
     Parameters
     ----------
     experiment : Experiment
-        Rate, axes and limits of the tests it is for; with a section of the rig if that is to be
-        started.
+        Rate, axes and limits of its tests; with the section of the rig if that is started here.
     tell : callable
-        Told each finding as it is made.
+        Called with each finding.
     start_rig : bool
         Start the simulated rig; else a rig runs already.
     amplitude : float or None
@@ -68,7 +67,7 @@ def conform(
     travel, force : float
         Largest displacement from where the rig rests, m, and change of force, N.
     moves_only : bool
-        Only look how it moves: units and signs of channels and valve.
+        Only check units and signs of channels and valve.
 
     Raises
     ------
@@ -81,8 +80,8 @@ def conform(
     rig = one_node("rig", experiment, lockstep=False) if start_rig else nullcontext(None)
     with rig as processes:
         prefer_latency(os.getpid())
-        driver, findings = TestDriver(experiment, Guard(experiment, travel, force), processes), []
-        with closing(driver):
+        findings = []
+        with closing(TestDriver(experiment, Guard(experiment, travel, force), processes)) as driver:
             for finding in Suite(driver, experiment, amplitude).run(moves_only):
                 findings.append(finding)
                 tell(finding)
@@ -106,14 +105,14 @@ class Suite:
         self._driver, self._experiment, self._amplitude = driver, experiment, amplitude
 
     def run(self, moves_only: bool = False) -> Iterator[Finding]:
-        """Give the findings one by one; after what makes a rig unfit to be moved, no others."""
+        """Give the findings one by one; checks that need failed ones to pass are not run."""
         for checks in (self._meet, self._move):
             fit = True
             for finding in checks():
                 fit = fit and (finding.verdict != "failed" or finding.check in TIMING)
                 yield finding
             if not fit:
-                yield from (not_run(name, "what is above is to be mended first") for name in LATER)
+                yield from (not_run(name, "skipped, fix failures above") for name in LATER)
                 return
         if moves_only:
             return
@@ -131,23 +130,22 @@ class Suite:
         yield found("silent before a test", not before.states, told)
 
     def _move(self) -> Iterator[Finding]:
-        """Move the rig; what it sends must be readable for the checks of its values."""
+        """Move the rig; its values are checked only if its messages can be read."""
         driver, experiment = self._driver, self._experiment
         assert driver.description is not None
         self._parameters = driver.description["parameters"]
         name = driver.description.get("drive", VALVE_COMMAND.name)
         self._topic = next(topic for topic in LOOP_TOPICS if topic.name == name)
         amplitude = self._amplitude or AMPLITUDES[self._topic.units[0]]
+        period_ns = experiment.timebase.period_ns
         self._drive = drive = Drive(experiment.timebase.dt, amplitude)
         driver.connect(self._topic)
         trial, stalls = self._moved()
         self._samples = samples = trial.samples
-        form = message_checks.check_form(trial, experiment.axes)
-        stamps = message_checks.check_stamps(trial, experiment.timebase.period_ns)
-        yield form
-        yield stamps
+        yield (form := message_checks.check_form(trial, experiment.axes))
+        yield (stamps := message_checks.check_stamps(trial, period_ns))
         yield message_checks.check_end(trial, drive.steps, experiment)
-        yield message_checks.check_clock(trial, experiment.timebase.period_ns)
+        yield message_checks.check_clock(trial, period_ns)
         if "failed" in (form.verdict, stamps.verdict):
             return
         yield from message_checks.check_timing(samples, drive.dt, stalls)
@@ -160,17 +158,15 @@ class Suite:
             yield motion_checks.check_moves(samples, drive)
             yield from motion_checks.check_units(samples, drive, specimen)
             yield motion_checks.check_answer_delay(samples, drive)
-        elif len(samples.steps) > drive.bell.start + drive.step_at(BROKEN_OFF):
-            finding = motion_checks.check_units(samples, drive, specimen)[0]  # its unit may be why
+        elif len(samples.steps) > drive.bell.start + drive.step_at(ABORTED):
+            finding = motion_checks.check_units(samples, drive, specimen)[0]  # may be the cause
             if finding.verdict == "failed":
-                told = f"{finding.mend}; roughly, for the motion was broken off"
-                yield replace(finding, mend=told)
+                yield replace(finding, mend=f"{finding.mend}; roughly: the motion was aborted")
 
     def _moved(self) -> tuple[Trial, list[tuple[float, float]]]:
-        """Run the test that moves; again where this host was too slow to answer in time.
+        """Run the test that moves; again if this host was too slow to answer in time.
 
-        Beside it, begin and end of the times in which this host stood still are given, s,
-        monotonic.
+        Returns the test, and begin and end of the stalls of this host, s, monotonic.
         """
         driver, drive = self._driver, self._drive
         commands = [*drive.commands.tolist(), 0.0]
@@ -185,13 +181,13 @@ class Suite:
                 seen = watch.end() or {"intervals_ns": []}
             driver.end(State.TRIPPED if trial.fault else State.DONE)
             tripped = trial.status_of(TRIPPED)
-            if tripped is None or not any(word in tripped[1].message for word in HELD_UP):
+            if tripped is None or not any(word in tripped[1].message for word in HOST_STALLED):
                 break
         offset = time.monotonic() - time.time()
         return trial, [(b / 1e9 + offset, e / 1e9 + offset) for b, e in seen["intervals_ns"]]
 
     def _command_badly(self) -> Iterator[Finding]:
-        """Send what the rig must refuse: short tests in which it hardly moves."""
+        """Send commands that the rig must refuse, in short tests in which it hardly moves."""
         driver, drive, moved = self._driver, self._drive, self._samples
         bad = BadCommands(driver.commands, drive.amplitude)
         for _ in range(ATTEMPTS):
@@ -202,7 +198,7 @@ class Suite:
         findings = obedience_checks.check_refusals(trial, bad, moved, drive)
         yield from findings
         if any(finding.verdict != "passed" for finding in findings):
-            why = "a rig that acts upon bad commands is not sent so large a one"
+            why = "too dangerous on a rig that obeys bad commands"
             yield not_run("command beyond the limit", why)
             return
         at, name = drive.step_at(LEAD), "command" if self._topic == VALVE_COMMAND else "force"
@@ -215,7 +211,7 @@ class Suite:
         yield obedience_checks.check_over_limit(trial.samples, at, limit, moved, drive)
 
     def _fall_silent(self) -> Iterator[Finding]:
-        """Send no more commands while the rig moves; then, as the supervisor, say no more."""
+        """Stop sending commands while the rig moves; then stop sending the supervisor's state."""
         driver, drive = self._driver, self._drive
         start, stop = drive.step_at(LEAD), drive.step_at(LEAD) + drive.step_at(GOING)
 
@@ -243,9 +239,7 @@ class Suite:
         again, alone = self._silence("supervisor", timeout, leave_alone, longest)
         driver.end(State.TRIPPED)
         yield obedience_checks.check_safe_position(tripped, again.samples)
-        told = (
-            f"{len(latched.states)} states in a test that was said to run after a trip and no reset"
-        )
+        told = f"{len(latched.states)} states in a test after a trip without a reset"
         rests = not latched.states and latched.status_of(TRIPPED) is not None
         yield found("trip is latched", rests, told)
         yield alone
@@ -253,7 +247,7 @@ class Suite:
     def _silence(
         self, silent: str, timeout: float, answer: Answer, longest: float
     ) -> tuple[Trial, Finding]:
-        """Wait for a watchdog, then for rest; again where it was late: this host may have been."""
+        """Wait for a watchdog, then for rest; again if it was late: this host may have been."""
         driver = self._driver
         for attempt in range(ATTEMPTS):
             if attempt:
@@ -261,17 +255,20 @@ class Suite:
             trial = driver.run(self._long, answer, longest, (TRIPPED,))
             by_itself = trial.phase == TRIPPED
             driver.say(State.TRIPPED)
-            driver.wait(lambda: bool(rested(driver.trial)), RESTING)  # no state may come any more
+            driver.wait(lambda: bool(rested(driver.trial)), RESTING)
             finding = obedience_checks.check_watchdog(trial, timeout, silent, by_itself=by_itself)
             if finding.verdict == "passed" or not by_itself:
                 break
         return trial, finding
 
     def _stand_still(self) -> Finding:
-        """Stop the driver's process in a test in which the rig rests, and let it go on."""
-        driver, pid = self._driver, self._process()
-        if pid is None:
-            why = "the driver does not tell its process, or is on another host: stop it by hand"
+        """Stop the process of the rig in a test at rest, and continue it."""
+        driver = self._driver
+        assert driver.description is not None
+        process = driver.description.get("realtime", {})
+        pid, start = process.get("process", (0, -1))
+        if process.get("boot") != boot() or not started(pid) == start != -1:
+            why = "the driver does not report its process, or is on another host: stop it by hand"
             return not_run("stands still", why)
         trial = driver.run(self._long, driver.command, BRIEF, ())
         try:
@@ -284,15 +281,8 @@ class Suite:
         driver.end(State.TRIPPED)
         return obedience_checks.check_stood_still(trial)
 
-    def _process(self) -> int | None:
-        """Find the driver's process, if it is of this machine."""
-        assert self._driver.description is not None
-        told = self._driver.description.get("realtime", {})
-        pid, start = told.get("process", (0, -1))
-        return pid if told.get("boot") == boot() and started(pid) == start != -1 else None
-
     def _stop(self) -> Iterator[Finding]:
-        """End a test as the supervisor; then begin one that the rig was not ready for."""
+        """End a test as the supervisor; then start one for which the rig was not ready."""
         driver = self._driver
         for state in (State.DONE, State.TRIPPED):
             trial = driver.run(self._long, driver.command, BRIEF, ())
@@ -305,12 +295,12 @@ class Suite:
             yield found(f"rests when {state}", rests, told, last_state_s=last)
             driver.end(state)
         trial = driver.run(self._long, driver.command, BRIEF, (), ready=False)
-        told = f"{len(trial.states)} states in a test that runs without having been ready"
+        told = f"{len(trial.states)} states in a test that was not ready before"
         yield found("rests in a test under way", not trial.states, told)
         driver.end()
 
     def _timeout(self, silent: str) -> float:
-        """Time in which the rig must trip when command or supervisor falls silent, s."""
+        """Time within which the rig must trip without commands or supervisor, s."""
         name = f"watchdog.{silent}_timeout"
         told = self._parameters.get(name)
         if isinstance(told, int | float) and told > 0:

@@ -9,8 +9,8 @@ from rich.text import Text
 
 from seft_ros.analysis.summary import json_safe
 from seft_ros.design.actuator_fit import ActuatorFit
-from seft_ros.design.identified import ClosedLoop, Identified, ValveResponse
-from seft_ros.design.loop_design import plant_numbers
+from seft_ros.design.identified import ClosedLoop, Identified
+from seft_ros.design.loop_design import plant_numbers, tracking_numbers
 from seft_ros.design.measured_test import Measurement
 from seft_ros.drawing.tables import Number, look_up, make_table
 
@@ -21,6 +21,7 @@ ANY_SPECIMEN = (
     "and tracking.* are with this specimen)"
 )
 
+_MATRICES = ("mass", "damping", "stiffness")
 _MARGINS = ("crossover_hz", "phase_margin_deg", "gain_margin_db", "sensitivity_peak")
 _TABLE = (  # of an axis, by section
     (
@@ -62,17 +63,16 @@ _TABLE = (  # of an axis, by section
     ),
 )
 _ALWAYS = ("specimen", "coherence")
-"""What has its row even if nothing is known of it."""
+"""Keys whose rows are always there."""
 
 
 def identified_table(title: str, axes: tuple[str, ...], summary: Mapping[str, Any]) -> Table:
-    """Tabulate what `summarise_identified` gives, one column for each axis; notes below."""
-    by_axis = [dict(axis) for axis in summary.get("axes", [summary])]
-    for index, axis in enumerate(by_axis):
-        specimen = {number.key.split(".")[1]: look_up(summary, number.key) for number in _TABLE[3]}
-        if len(axes) > 1:
-            specimen = {name: matrix[index][index] for name, matrix in specimen.items()}
-        axis["specimen"] = specimen
+    """Tabulate the result of `summarise_identified`, one column for each axis; notes below."""
+    matrices = {name: np.atleast_2d(summary["specimen"][name]) for name in _MATRICES}
+    by_axis = [
+        {**axis, "specimen": {name: matrix[index, index] for name, matrix in matrices.items()}}
+        for index, axis in enumerate(summary.get("axes", [summary]))
+    ]
     rows: list[list[str] | None] = []
     for section in _TABLE:
         for number in section:
@@ -98,22 +98,23 @@ def summarise_identified(identified: Identified) -> dict[str, Any]:
         digital loop, the measured closed loop with its ``delay_by_frequency``, and ``coherence``
         of both tests; ``axes`` has these for each axis where there are several. ``specimen`` has
         mass, damping and stiffness (numbers, of several axes matrices), natural frequencies and
-        dampings; ``notes`` says what could not be told. What was not measured is null.
+        dampings; ``notes`` says what could not be identified. What was not measured is null.
     """
-    by_axis = [_axis(identified, index) for index in range(len(identified.axes))]
+    by_axis = [_of_axis(identified, index) for index in range(len(identified.axes))]
     several = len(by_axis) > 1
+    named = [{"axis": name, **one} for name, one in zip(identified.axes, by_axis, strict=True)]
     specimen = identified.specimen
     roots = specimen.roots()
-    matrices = {name: getattr(specimen, name) for name in ("mass", "damping", "stiffness")}
+    matrices = {name: getattr(specimen, name) for name in _MATRICES}
     summary = {
-        **{key: value for key, value in by_axis[0].items() if key != "axis"},
+        **by_axis[0],
         "specimen": {
             **{k: (m.tolist() if several else float(m[0, 0])) for k, m in matrices.items()},
             "frequencies_hz": [root.hz for root in roots],
             "dampings": [root.damping for root in roots],
             "fit_error": specimen.error,
         },
-        **({"axes": by_axis} if several else {}),
+        **({"axes": named} if several else {}),
         "notes": notes(identified),
     }
     return {key: json_safe(value) for key, value in summary.items()}
@@ -133,7 +134,7 @@ def notes(identified: Identified) -> list[str]:
         if not actuator.force_capacity:
             found.append(
                 f"axis {axis}: forces to {actuator.largest_force:.3g} N are too small to show the "
-                "force capacity, which stays as configured (0: not felt); raise --amplitude for it"
+                "force capacity, which stays as configured (0: no effect); raise --amplitude for it"
             )
         if valve.controller_known and not valve.loop.stable:
             found.append(f"axis {axis}: by this model the loop is unstable with its controller")
@@ -146,26 +147,22 @@ def notes(identified: Identified) -> list[str]:
     return found
 
 
-def _axis(identified: Identified, index: int) -> dict[str, Any]:
-    valves, closed_loops = identified.valves, identified.closed_loops
-    valve = valves[index] if valves else None
-    closed = closed_loops[index] if closed_loops else None
-    measured = {"open_loop": valve, "closed_loop": closed}
-    return {
-        "axis": identified.axes[index],
-        **_of_valve(valve),
-        **_of_closed_loop(closed),
-        "coherence": {k: _coherence(v.measured) if v else None for k, v in measured.items()},
-    }
-
-
-def _of_valve(valve: ValveResponse | None) -> dict[str, Any]:
+def _of_axis(identified: Identified, index: int) -> dict[str, Any]:
+    valve = identified.valves[index] if identified.valves else None
+    closed = identified.closed_loops[index] if identified.closed_loops else None
     margins = valve.loop.margins if valve and valve.controller_known else None
     return {
         "actuator": valve and _of_actuator(valve.actuator),
         **plant_numbers(valve.loop.plant if valve else None),
         "fit_error": valve and valve.error,
         **{key: margins and getattr(margins, key) for key in _MARGINS},
+        **tracking_numbers(closed.tracking if closed else None),
+        "tracking_fit_error": closed and closed.fit.error,
+        "delay_by_frequency": closed and _delays(closed),
+        "coherence": {
+            "open_loop": valve and _coherence(valve.measured),
+            "closed_loop": closed and _coherence(closed.measured),
+        },
     }
 
 
@@ -181,19 +178,6 @@ def _of_actuator(actuator: ActuatorFit) -> dict[str, Any]:
         "flow_explained": actuator.explained,
         "verdict": actuator.verdict,
         "largest_force_n": actuator.largest_force,
-    }
-
-
-def _of_closed_loop(closed: ClosedLoop | None) -> dict[str, Any]:
-    tracking = closed and closed.tracking
-    return {
-        "closed_loop_flat_to_hz": tracking and tracking.flat_to_hz,
-        "bandwidth_hz": tracking and tracking.bandwidth_hz,
-        "delay_s": tracking and tracking.delay_s,
-        "dip_db": tracking and tracking.dip_db,
-        "dip_hz": tracking and tracking.dip_hz,
-        "tracking_fit_error": closed and closed.fit.error,
-        "delay_by_frequency": closed and _delays(closed),
     }
 
 

@@ -1,5 +1,7 @@
 """A planned test as a closed loop, and the loop with other values than planned."""
 
+import cmath
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -8,6 +10,10 @@ import numpy.typing as npt
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import VALVE_COMMAND
+from seft_plant_sim.continuous_model import Drive
+from seft_plant_sim.reference.whole_structure import tested_specimen
+from seft_plant_sim.rig.rig import continuous_model
+from seft_plant_sim.specimen.specimen import Specimen
 
 from seft_ros.design import Source
 from seft_ros.design.closed_loop import (
@@ -19,7 +25,7 @@ from seft_ros.design.closed_loop import (
     growth_rate,
     read_of_points,
 )
-from seft_ros.design.loop_rig import choose_rig
+from seft_ros.design.plant import Plant, SampledPlant, choose_plant, small_signal
 from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.methods import force_control
 from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
@@ -28,40 +34,120 @@ from seft_ros.reference_force.block import compensator, knowledge
 from seft_ros.reference_force.compensation.compensator import Compensator
 from seft_ros.reference_force.compensation.linear_filter import LinearFilter
 from seft_ros.reference_force.compensation.names import TARGET_MOTION
+from seft_ros.target.force_command import FORCE_DRIVEN
 from seft_ros.target.target_motion import TargetMotion
 from seft_ros.target.target_step import FORCE
 
 Floats = npt.NDArray[np.float64]
 
 NEUTRAL = 1e-6
-"""Growth rate up to which a loop counts as stable, 1/s: what rounding makes of zero."""
+"""Growth rate up to which a loop counts as stable, 1/s: rounding makes this of zero."""
 
 
-class Plan:
-    """The loop of an experiment, and what may come out otherwise.
+@dataclass(frozen=True)
+class LoopRig:
+    """The rig as a linear system: actuators, specimen and sensors of n axes.
+
+    Attributes
+    ----------
+    plant : Plant
+        From the drive to (x, v, a, f), each over the n axes: c and d have 4n rows.
+    drive : str
+        ``valve_command``, or ``reference_force`` of an idealised actuator.
+    specimen : Specimen
+        On the rig, as far as it is known.
+    velocity_cutoff : float or None
+        Cutoff of the filter that derives the velocity from the displacement, Hz; None: the
+        velocity is measured.
+    small_signal : bool
+        Whether the rig is not linear and this is its limit for small motions.
+    swept : bool
+        Whether the stiffness of the specimen can be changed; not if the plant was identified as a
+        whole.
+    """
+
+    plant: Plant
+    drive: Drive
+    specimen: Specimen
+    velocity_cutoff: float | None = None
+    small_signal: bool = False
+    swept: bool = True
+
+    def sampled(self, dt: float, dead_time: float, gain: float) -> tuple[Floats, Floats, Floats]:
+        """Matrices a, b, c from the drive that answers sample k to (x, v, a, f) of sample k.
+
+        ``dead_time``, in s, replaces that of the plant, ``gain`` is a factor on the drive.
+        An InputError says if the dead time is many samples long.
+        """
+        plant = replace(self.plant, b=gain * self.plant.b, d=gain * self.plant.d, delay=dead_time)
+        a, b, c = SampledPlant.of(plant, dt).state_space()
+        if self.velocity_cutoff is None:
+            return a, b, c
+        # v = g x + s, s' = p s + g (p - 1) x, as `seft_plant_sim.sensors.Differentiator` runs it
+        n, half = b.shape[1], np.pi * self.velocity_cutoff * dt
+        g, p = 2 * half / dt / (1 + half), (1 - half) / (1 + half)
+        position, one = c[:n], np.eye(n)
+        a = np.block([[a, np.zeros((len(a), n))], [g * (p - 1) * position, p * one]])
+        b = np.vstack([b, np.zeros((n, n))])
+        c = np.hstack([c, np.zeros((4 * n, n))])
+        c[n : 2 * n] = np.hstack([g * position, one])
+        return a, b, c
+
+
+def choose_rig(experiment: Experiment, source: Source, stiffness: float = 1.0) -> LoopRig:
+    """Rig of an experiment; InputError if there is no model of it.
 
     Parameters
     ----------
     experiment : Experiment
-        Its sections `reference_force` and `force_controller`, and `rig` where it is simulated.
+        Its sections `rig`, `force_controller` and `reference_force`.
     source : str
-        Where the model of the rig comes from, see `seft_ros.design.loop_rig.choose_rig`.
+        ``rig``: the simulated one. ``identified``: `force_controller: plant.*` for the force, and
+        the specimen for the motion that follows from it; with `velocity_feedforward`
+        `force_controller: actuator.*` and the specimen. ``auto``: the identified plant, if the
+        experiment has one, the rig has a valve, and the controller is not `velocity_feedforward`;
+        else the rig, if it is simulated.
+    stiffness : float
+        Factor on the stiffness of the specimen.
+    """
+    section, specimen = experiment.sections.get("rig"), tested_specimen(experiment)
+    controller = experiment["force_controller"]
+    by_motion = controller.get("method") == VELOCITY_FEEDFORWARD
+    if section is not None and source == Source.AUTO:
+        identified = not by_motion and np.any(controller["plant.numerator"])
+        rig_has_valve = section["actuator.kind"] not in FORCE_DRIVEN
+        source = Source.IDENTIFIED if identified and rig_has_valve else Source.RIG
+    if section is not None and source == Source.RIG:
+        model = continuous_model(section, experiment.axes, stiffness=stiffness)
+        plant = Plant.of_model("rig", model, motion=True)
+        derived = section["sensors.velocity"] == "derived"
+        cutoff = section["sensors.velocity_cutoff"] if derived else None
+        return LoopRig(plant, model.drive, specimen, cutoff, small_signal=not model.is_linear)
+    if by_motion:
+        actuator = VelocityFeedforward.told(controller, experiment.axes)
+        dead_time = {"dead_time": float(actuator["dead_time"].max())}
+        swept = replace(specimen, stiffness=stiffness * specimen.stiffness)
+        model = small_signal(swept, **{**actuator, **dead_time})
+        return LoopRig(Plant.of_model("identified", model, motion=True), model.drive, specimen)
+    plant = choose_plant(experiment, Source.IDENTIFIED).with_specimen(specimen)
+    return LoopRig(plant, "valve_command", specimen, swept=False)
+
+
+class Plan:
+    """The loop of an experiment, and the loop with other values; parameters as of `choose_rig`.
 
     Attributes
     ----------
     rig : LoopRig
-        What the loop closes over.
+        As planned.
     mass_ratio, dead_time : float
         As planned; the dead time, of the rig's drive, in s.
     dt : float
         Sampling period, s.
     follows, follows_valves : bool
-        Whether the method follows the specimen's local stiffness, the controller the valves.
+        Whether the method adapts to the specimen's local stiffness, the controller to the valves.
 
-    Raises
-    ------
-    InputError
-        If there is no model of the rig, or parameters make no sense together.
+    An InputError says if there is no model of the rig, or parameters contradict each other.
     """
 
     def __init__(self, experiment: Experiment, source: Source = Source.AUTO) -> None:
@@ -72,11 +158,10 @@ class Plan:
         self.axes, self.dt = experiment.axes, experiment.timebase.dt
         self.rig = choose_rig(experiment, source)
         self.section = experiment["reference_force"]
-        self._late = self.section["loop_delay"]
         self.mass_ratio = float(self.section["mass_ratio"])
         self.dead_time = self.rig.plant.delay
         self.follows = self.section["compensation.method"] == TARGET_MOTION
-        self._controllers = self._as_it_may_be()
+        self._controllers = self._linear_controllers()
         self.follows_valves = len(self._controllers) > 1
         self._filter = lru_cache(maxsize=256)(self.compensation)
         self._sampled = lru_cache(maxsize=256)(self._sample)
@@ -85,24 +170,22 @@ class Plan:
         self,
         mass_ratio: float | None = None,
         stiffness: float = 1.0,
-        told_delay: float = 0.0,
+        delay_error: float = 0.0,
         follow_delay: bool = True,
     ) -> Compensator:
-        """Make the compensation method as it is made for the test, see `loops`.
+        """Make the compensation method as in the test, but for the changes, see `loops`.
 
-        ``stiffness`` is a factor on what the method is told. One that follows the delay makes its
-        gains for all delays, which takes long; without ``follow_delay`` for the first alone.
+        ``stiffness`` is a factor on the assumed stiffness. A method that adapts to the delay makes
+        its gains for all delays, which takes long; without ``follow_delay`` only for the first.
         """
         section = dict(self.section)
         section["compensation.estimate_delay"] &= follow_delay
         if mass_ratio is not None:
             section["mass_ratio"] = mass_ratio
-        if stiffness != 1.0:
-            section["model.stiffness"] = (
-                stiffness * np.atleast_1d(section["model.stiffness"])
-            ).tolist()
-        if section["compensation.delay"] > 0:  # it is told
-            section["compensation.delay"] = max(section["compensation.delay"] + told_delay, 0.0)
+        assumed = stiffness * np.atleast_1d(section["model.stiffness"])
+        section["model.stiffness"] = assumed.tolist()
+        if section["compensation.delay"] > 0:
+            section["compensation.delay"] = max(section["compensation.delay"] + delay_error, 0.0)
         known = knowledge(section, self.axes, self.experiment.timebase)
         return compensator(section["compensation.method"], known)
 
@@ -110,15 +193,15 @@ class Plan:
         self,
         mass_ratio: float | None = None,
         stiffness: float = 1.0,
-        told_delay: float = 0.0,
+        delay_error: float = 0.0,
         measured: bool = False,
     ) -> LinearFilter:
-        """Give the linear filter that the method is, see `compensator`.
+        """Give the method as a linear filter, see `compensator`.
 
-        Of one that follows the specimen its output is all points, see `frozen_target`;
-        ``measured``: as it is when it takes the restoring force as measured.
+        The output of `target_motion` is all points, see `frozen_target`; ``measured``: as it is
+        with the restoring force as measured.
         """
-        made = self.compensator(mass_ratio, stiffness, told_delay, follow_delay=False)
+        made = self.compensator(mass_ratio, stiffness, delay_error, follow_delay=False)
         return frozen_target(made, measured) if isinstance(made, TargetMotion) else made.linear()
 
     def loops(
@@ -126,55 +209,52 @@ class Plan:
         mass_ratio: float | None = None,
         dead_time: float | None = None,
         gain: float = 1.0,
-        told_delay: float = 0.0,
+        delay_error: float = 0.0,
         stiffness: float = 1.0,
         followed: bool = False,
         any_valve: bool = False,
     ) -> list[ClosedLoop]:
-        """Close the loop, as planned where nothing is given.
+        """Close the loop, as planned but for the changes.
 
         Parameters
         ----------
         mass_ratio : float, optional
             alpha; the method is made for it.
         dead_time : float, optional
-            Of the rig's drive, s; the method is not told of it.
+            Of the rig's drive, s; the method does not know it.
         gain : float
-            Factor on the rig's drive; the method is not told of it.
-        told_delay : float
-            What is added to the delay that the method is told, s.
+            Factor on the rig's drive; the method does not know it.
+        delay_error : float
+            Added to the delay that the method assumes, s.
         stiffness : float
             Factor on the stiffness of the specimen on the rig.
         followed : bool
-            Whether the method knows of that factor.
+            Whether the method has adapted to that factor.
         any_valve : bool
-            Whether a controller that follows the valves is at the bounds of what it may take them
-            for, too.
+            Whether to include the bounds of what a controller that adapts to the valves may
+            assume.
 
         Returns
         -------
         list of ClosedLoop
-            As the test starts; of a method that follows the specimen also with the restoring
-            force as measured, as it is when the specimen is not what was told.
+            As the test starts; of a method that adapts to the specimen also with the restoring
+            force as measured, as it is when the specimen differs from the assumed one.
 
-        Raises
-        ------
-        InputError
-            If the method can't be made like this, or the dead time is many samples long.
+        An InputError says if the method can't be made like this, or the dead time is many samples
+        long.
         """
         rig = self._sampled(stiffness, self.dead_time if dead_time is None else dead_time, gain)
-        told = stiffness if followed else 1.0
+        assumed, late = stiffness if followed else 1.0, self.section["loop_delay"]
         loops = []
         for read, control in self._controllers if any_valve else self._controllers[:1]:
             for measured in (False, True) if self.follows else (False,):
-                part, late = self._filter(mass_ratio, told, told_delay, measured), self._late
+                part = self._filter(mass_ratio, assumed, delay_error, measured)
                 if read is not None:  # of the points from the one that the loop's delay leads to
                     first = 3 * len(self.axes) * late
                     of = slice(first, first + read.shape[1])
-                    c, d, e = read @ part.c[of], read @ part.d[of], read @ part.e[of]
-                    part = LinearFilter(part.a, part.b, part.h, c, d, e)
-                part = part.delayed(late)
-                loops.append(closed_loop(rig, part, control, self.dt))
+                    c, d, e = (read @ matrix[of] for matrix in (part.c, part.d, part.e))
+                    part = replace(part, c=c, d=d, e=e)
+                loops.append(closed_loop(rig, part.delayed(late), control, self.dt))
         return loops
 
     def loop(self, **changes: Any) -> ClosedLoop:
@@ -182,11 +262,15 @@ class Plan:
         return self.loops(**changes)[0]
 
     def worst(self, **changes: Any) -> complex:
-        """Eigenvalue of all `loops` that dies out last or grows fastest."""
+        """Eigenvalue of all `loops` with the largest magnitude."""
         return max((loop.dominant() for loop in self.loops(**changes)), key=abs)
 
+    def hz(self, **changes: Any) -> float:
+        """Frequency of that mode, Hz."""
+        return abs(cmath.phase(self.worst(**changes))) / (2 * np.pi * self.dt)
+
     def growth_rate(self, **changes: Any) -> float:
-        """Rate at which it grows, 1/s: positive where the test is unstable."""
+        """Growth rate of that mode, 1/s: positive if the test is unstable."""
         return growth_rate(self.worst(**changes), self.dt)
 
     def is_stable(self, **changes: Any) -> bool:
@@ -200,10 +284,10 @@ class Plan:
         rig = choose_rig(self.experiment, self.source, stiffness) if other else self.rig
         return rig.sampled(self.dt, dead_time, gain)
 
-    def _as_it_may_be(self) -> list[tuple[Floats | None, LinearControl]]:
-        """Make the controller as it starts, then as it may become, beside what it reads of points.
+    def _linear_controllers(self) -> list[tuple[Floats | None, LinearControl]]:
+        """Make the controller as it starts, then at the bounds to which it may adapt.
 
-        None: the method has no points.
+        Before each is the matrix from the points to what it reads; None: the method has no points.
         """
         n, section = len(self.axes), self.experiment["force_controller"]
         control = LinearControl.none(n)

@@ -70,6 +70,19 @@ class Plant:
         kept = np.flatnonzero(reached & shown)
         return replace(self, a=self.a[np.ix_(kept, kept)], b=self.b[kept], c=self.c[:, kept])
 
+    def with_specimen(self, specimen: Specimen) -> "Plant":
+        """Plant to (x, v, a, f), with the motion of the specimen that follows from the force."""
+        n, size = specimen.axes, len(self.a)
+        moving, by_force = specimen.state_matrices()
+        a = np.block([[self.a, np.zeros((size, 2 * n))], [by_force @ self.c, moving]])
+        b = np.vstack([self.b, by_force @ self.d])
+        c = np.zeros((4 * n, size + 2 * n))
+        c[: 2 * n, size:] = np.eye(2 * n)
+        c[2 * n : 3 * n] = a[size + n :]
+        c[3 * n :, :size] = self.c
+        d = np.vstack([np.zeros((2 * n, n)), b[size + n :], self.d])
+        return replace(self, a=a, b=b, c=c, d=d)
+
     def response(self, frequencies_hz: Floats) -> Complexes:
         """Frequency response H_fu(jw) of the first axis, shape (N,), N/V."""
         s = np.asarray(2j * np.pi * frequencies_hz, dtype=np.complex128)
@@ -112,7 +125,7 @@ def choose_plant(experiment: Experiment, source: Source = Source.AUTO) -> Plant:
     if source == "identified" and not identified:
         raise InputError(
             "force_controller: plant.numerator is not given, so there is no identified plant; "
-            "let seft identify write one, or shape for --plant rig"
+            "let seft identify write one, or choose --plant rig if the rig is simulated"
         )
     if source == "rig" or not identified:
         return rig_plant(experiment["rig"], experiment.axes)

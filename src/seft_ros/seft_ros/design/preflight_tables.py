@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from rich.table import Table
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
@@ -20,27 +19,168 @@ from seft_ros.design.stability_verdict import Preflight
 from seft_ros.drawing.tables import CENTRED, Number, make_table
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
 
-Floats = npt.NDArray[np.float64]
-
 FACTORS = {"displacement": 1.5, "velocity": 2.0, "acceleration": 2.0, "force": 1.5}
 """Proposed limit over the expected peak: oil that rings moves the piston little, but fast."""
 FAR = 4.0
 """Limit over the expected peak from which on it protects little."""
 
+_COLOURS = {"stable": "green", "marginal": "yellow", "unstable": "red"}
+_LEFT = {**CENTRED, "title_justify": "left"}
+_MODE = (  # of the exact mode, of that in the test, and their difference
+    (
+        Number("natural frequency", "exact_hz", "Hz"),
+        Number("", "hz", "Hz"),
+        Number("", "frequency_error", "%", 100, "+.2g"),
+    ),
+    (
+        Number("damping ratio", "exact_damping", "%", 100, ".3g"),
+        Number("", "damping", "%", 100, ".3g"),
+        Number("", "false_damping", "% of critical", 100, "+.2g"),
+    ),
+)
+
+
+def preflight_tables(plan: Plan, found: Preflight, title: str) -> list[Table]:
+    """Tabulate a preflight: its margins and verdict, and the modes in the test."""
+    margins = make_table(
+        ("", "planned", "critical", "oscillates at"),
+        _margin_rows(plan, found),
+        title=f"{title}: [bold {_COLOURS[found.verdict]}]{found.verdict}[/]",
+        caption=found.promise,
+        **CENTRED,
+    )
+    modes = [
+        [row[0].label, *(number.text(mode) for number in row)]
+        for mode in summarise(plan, found)["modes"]
+        for row in _MODE
+    ]
+    none = [["no oscillating mode", "", "", ""]]
+    headings, title = ("", "exact", "in the test", "error"), "modes of the whole structure"
+    return [margins, make_table(headings, modes or none, title=title, **_LEFT)]
+
+
+def limits_table(experiment: Experiment, peaks: dict[str, float]) -> Table:
+    """Tabulate expected peaks, the limits of the test, and limits that fit."""
+    rows = [
+        [name, unit, f"{peaks[name]:.3g}", f"{_limit(experiment, name):g}", f"{limit:g}"]
+        for (name, limit), unit in zip(proposed_limits(peaks).items(), UNITS, strict=False)
+    ]
+    headings = ("", "", "expected peak", "limit", "proposed limit")
+    return make_table(headings, rows, title="limits", **_LEFT)
+
+
+def _margin_rows(plan: Plan, found: Preflight) -> Iterator[list[str]]:
+    """Rows of each margin: of the lower and the upper end, as far as they were searched."""
+    margins, alpha, dead_time = found.margins, plan.mass_ratio, plan.dead_time
+    longest = float(added_delays(plan)[-1] + dead_time)
+    sure = "with any assumed valve"
+    rows = [
+        ("mass ratio", Range(alpha, None, margins.mass_ratio, (alpha, HIGHEST_MASS_RATIO)), ""),
+        ("actuator's dead time", _longest(dead_time, margins.dead_time, longest), " ms"),
+        (sure, _longest(dead_time, margins.sure_dead_time, longest), " ms"),
+        ("actuator's gain", margins.gain, ""),
+        (sure, margins.sure_gain, ""),
+        ("local stiffness / assumed", margins.stiffness, ""),
+        ("likewise, followed", margins.followed, ""),
+        ("error in the assumed delay", margins.delay_error, " ms"),
+    ]
+    left_out = {sure: not plan.follows_valves, "likewise, followed": not plan.follows}
+    for label, margin, unit in rows:
+        if left_out.get(label):
+            continue
+        if margin is None:
+            yield [label, "", "" if found.verdict == "unstable" else "not used", ""]
+            continue
+        scale, first = 1e3 if unit else 1.0, True
+        ends = ((margin.lowest, "<"), (margin.highest, ">"))
+        for (end, sign), beyond in zip(ends, margin.searched, strict=True):
+            if beyond == margin.planned and end is None:
+                continue
+            critical = [f"{sign} {scale * beyond:.3g}{unit}", ""]
+            if end is not None:
+                critical = [f"{scale * end.value:.4g}{unit}", f"{end.hz:.3g} Hz"]
+            planned = f"{scale * margin.planned:.3g}{unit}"
+            yield [label, planned, *critical] if first else ["", "", *critical]
+            first = False
+
+
+def _longest(planned: float, critical: Critical | None, searched: float) -> Range:
+    return Range(planned, None, critical, (planned, searched))
+
+
+def summarise(plan: Plan, found: Preflight) -> dict[str, Any]:
+    """Verdict, margins, predicted errors: ``seft preflight --json``; in Hz and s.
+
+    ``critical_delay_s`` is the whole dead time of the actuator at which the planned test turns
+    unstable: of an actuator of kind `delay` the delay itself, of a valve that of the valve.
+    ``critical_added_delay_s`` is this less the planned one. None: no end was found within
+    ``searched``, or, of a whole range, the method does not use the quantity or the plan is
+    unstable. ``local_stiffness`` is that of the specimen over the assumed one,
+    ``local_stiffness_followed`` the same once the method has adapted to it. ``sure_delay_s`` and
+    ``sure_gain`` hold for all errors that the controller may assume of the valves.
+    """
+    margins = found.margins
+    critical, dead_time = margins.mass_ratio, margins.dead_time
+    modes = [
+        asdict(mode)
+        | {"false_damping": mode.false_damping, "frequency_error": mode.frequency_error}
+        for mode in found.modes
+    ]
+    first = modes[0] if modes else {}
+    return {
+        "verdict": found.verdict,
+        "reasons": found.reasons,
+        "basis": "exact",
+        "promise": found.promise,
+        "plant": plan.rig.plant.source,
+        "compensation": plan.section["compensation.method"],
+        "mass_ratio": plan.mass_ratio,
+        "critical_mass_ratio": critical and critical.value,
+        "crossing_hz": critical and critical.hz,
+        "dead_time_s": plan.dead_time,
+        "critical_delay_s": dead_time and dead_time.value,
+        "critical_added_delay_s": dead_time and dead_time.value - plan.dead_time,
+        "delay_crossing_hz": dead_time and dead_time.hz,
+        "gain": _range(margins.gain),
+        "sure_delay_s": margins.sure_dead_time and margins.sure_dead_time.value,
+        "sure_gain": _range(margins.sure_gain),
+        "local_stiffness": _range(margins.stiffness),
+        "local_stiffness_followed": _range(margins.followed),
+        "told_delay_error_s": _range(margins.delay_error),
+        "false_damping_ratio": first.get("false_damping"),
+        "frequency_error": first.get("frequency_error"),
+        "modes": modes,
+        "spectral_radius": abs(found.dominant),
+        "growth_rate": growth_rate(found.dominant, plan.dt),
+        "dominant_hz": float(np.angle(found.dominant)) / (2 * np.pi * plan.dt),
+        "states": found.states,
+    }
+
+
+def _range(found: Range | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    return {
+        "planned": found.planned,
+        "lowest": found.lowest and found.lowest.value,
+        "highest": found.highest and found.highest.value,
+        "searched": list(found.searched),
+    }
+
 
 def expected_peaks(experiment: Experiment) -> dict[str, float]:
-    """Find the largest value of each quantity on any axis in the exact response of a test.
+    """Largest value of each quantity on any axis in the reference response of a test.
 
     Parameters
     ----------
     experiment : Experiment
-        Where its rig is simulated, the specimen is that of the rig, else the model's.
+        The specimen is that of its rig, if it is simulated, else the model's.
 
     Returns
     -------
     dict
-        Displacement (m), velocity (m/s), acceleration (m/s^2) and force (N). Empty where they are
-        not known here, as the ground motion or another node runs elsewhere.
+        Displacement (m), velocity (m/s), acceleration (m/s^2) and force (N). Empty if the ground
+        motion or another node runs elsewhere.
 
     Raises
     ------
@@ -56,16 +196,20 @@ def expected_peaks(experiment: Experiment) -> dict[str, float]:
 
 
 def proposed_limits(peaks: dict[str, float]) -> dict[str, float]:
-    """Give limits that fit expected peaks, to two digits, rounded up."""
-    return {name: _round_up(FACTORS[name] * peak) for name, peak in peaks.items()}
+    """Limits that fit expected peaks, rounded up to two digits."""
+    limits = {}
+    for name, peak in peaks.items():
+        unit = 10.0 ** (np.floor(np.log10(FACTORS[name] * peak)) - 1) if peak > 0.0 else 1.0
+        limits[name] = float(f"{np.ceil(FACTORS[name] * peak / unit - 1e-9) * unit:.6g}")
+    return limits
 
 
 def limit_warning(experiment: Experiment, peaks: dict[str, float]) -> str:
-    """Say which limits are far beyond what a test is expected to reach; empty if none is."""
+    """Name the limits that are far beyond the expected peaks; empty if none is."""
     far = [
-        f"{name} {limit:g} {unit} (expected: {peak:.3g})"
+        f"{name} {_limit(experiment, name):g} {unit} (expected: {peak:.3g})"
         for (name, peak), unit in zip(peaks.items(), UNITS, strict=False)
-        if (limit := experiment["supervisor"][f"limits.{name}"]) > FAR * peak > 0.0
+        if _limit(experiment, name) > FAR * peak > 0.0
     ]
     if not far:
         return ""
@@ -75,13 +219,8 @@ def limit_warning(experiment: Experiment, peaks: dict[str, float]) -> str:
     )
 
 
-def limit_rows(experiment: Experiment, peaks: dict[str, float]) -> list[list[Any]]:
-    """Tabulate quantity, unit, expected peak, configured limit and proposed one."""
-    rows = []
-    for (name, limit), unit in zip(proposed_limits(peaks).items(), UNITS, strict=False):
-        configured = experiment["supervisor"][f"limits.{name}"]
-        rows.append([name, unit, f"{peaks[name]:.3g}", f"{configured:g}", f"{limit:g}"])
-    return rows
+def _limit(experiment: Experiment, name: str) -> float:
+    return experiment["supervisor"][f"limits.{name}"]
 
 
 def write_limits(file: Path, limits: dict[str, float]) -> None:
@@ -103,151 +242,3 @@ def write_limits(file: Path, limits: dict[str, float]) -> None:
         file.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"{file}: can't be written: {error.strerror}") from None
-
-
-def _round_up(value: float) -> float:
-    if value <= 0.0:
-        return value
-    unit = 10.0 ** (np.floor(np.log10(value)) - 1)
-    return float(f"{np.ceil(value / unit - 1e-9) * unit:.6g}")
-
-
-_COLOURS = {"stable": "green", "marginal": "yellow", "unstable": "red"}
-_ERROR = "+.2g"
-_MODE = (  # of the exact mode, of that in the test, and their difference
-    (
-        Number("natural frequency", "exact_hz", "Hz"),
-        Number("", "hz", "Hz"),
-        Number("", "frequency_error", "%", 100, _ERROR),
-    ),
-    (
-        Number("damping ratio", "exact_damping", "%", 100, ".3g"),
-        Number("", "damping", "%", 100, ".3g"),
-        Number("", "false_damping", "% of critical", 100, _ERROR),
-    ),
-)
-
-
-def preflight_tables(plan: Plan, found: Preflight, title: str) -> list[Table]:
-    """Tabulate a preflight: its margins and verdict, and the modes that the test will show."""
-    margins = make_table(
-        ("", "planned", "critical", "oscillates at"),
-        _margin_rows(plan, found),
-        title=f"{title}: [bold {_COLOURS[found.verdict]}]{found.verdict}[/]",
-        caption=found.promise,
-        **CENTRED,
-    )
-    modes = [
-        [row[0].label, *(number.text(mode) for number in row)]
-        for mode in summarise(plan, found)["modes"]
-        for row in _MODE
-    ]
-    title = "whole structure, as the test will show it"
-    headings = ("", "exact", "in the test", "error")
-    none = [["no oscillating mode", "", "", ""]]
-    options = {**CENTRED, "title_justify": "left"}
-    return [margins, make_table(headings, modes or none, title=title, **options)]
-
-
-def limits_table(experiment: Experiment, peaks: dict[str, float]) -> Table:
-    """Tabulate what a test is expected to reach, its limits, and limits that fit."""
-    headings = ("", "", "expected peak", "limit", "proposed limit")
-    rows = limit_rows(experiment, peaks)
-    return make_table(headings, rows, title="limits", **{**CENTRED, "title_justify": "left"})
-
-
-def _margin_rows(plan: Plan, found: Preflight) -> Iterator[list[str]]:
-    margins = found.margins
-    longest = float(added_delays(plan)[-1] + plan.dead_time)
-    sure = "whatever it takes the valve for"
-    ends = [
-        ("mass ratio", plan.mass_ratio, margins.mass_ratio, HIGHEST_MASS_RATIO, 1.0, ""),
-        ("actuator's dead time", plan.dead_time, margins.dead_time, longest, 1e3, " ms"),
-    ]
-    ranges = [("actuator's gain", margins.gain, 1.0, "")]
-    if plan.follows_valves:
-        ends.append((sure, plan.dead_time, margins.sure_dead_time, longest, 1e3, " ms"))
-        ranges.append((sure, margins.sure_gain, 1.0, ""))
-    ranges.append(("local stiffness / told", margins.stiffness, 1.0, ""))
-    if plan.follows:
-        ranges.append(("likewise, followed", margins.followed, 1.0, ""))
-    ranges.append(("error of the told delay", margins.told_delay, 1e3, " ms"))
-    for label, plan_value, end, beyond, scale, unit in ends:
-        yield [label, f"{scale * plan_value:.3g}{unit}", *_end(end, ">", beyond, scale, unit)]
-    for label, part, scale, unit in ranges:
-        if part is None:
-            yield [label, "", "" if found.verdict == "unstable" else "not used", ""]
-        else:
-            low, high = part.searched
-            planned = f"{scale * part.planned:.3g}{unit}"
-            yield [label, planned, *_end(part.lowest, "<", low, scale, unit)]
-            yield ["", "", *_end(part.highest, ">", high, scale, unit)]
-
-
-def _end(end: Critical | None, sign: str, limit: float, scale: float, unit: str) -> tuple[str, str]:
-    if end is None:
-        return f"{sign} {scale * limit:.3g}{unit}", ""
-    return f"{scale * end.value:.4g}{unit}", f"{end.hz:.3g} Hz"
-
-
-def summarise(plan: Plan, found: Preflight) -> dict[str, Any]:
-    """Verdict, margins, predicted errors: ``seft preflight --json``; in Hz and s.
-
-    ``critical_delay_s`` is the dead time of the actuator's path at which the planned test turns
-    unstable, all of it: of an actuator of kind `delay` the delay itself, of a valve that of the
-    valve. ``critical_added_delay_s`` is what it is more than planned. None: no end was found as
-    far as was looked (``searched``), or, of a whole range, the method does not use the quantity
-    or the plan is unstable. ``local_stiffness`` is the specimen's over the told one, while the
-    method believes the told one, ``local_stiffness_followed`` the same once it has followed it.
-    ``sure_delay_s`` and ``sure_gain`` hold whatever the controller takes the valves for.
-    """
-    margins = found.margins
-    critical, dead_time = margins.mass_ratio, margins.dead_time
-    first = found.modes[0] if found.modes else None
-    return {
-        "verdict": found.verdict,
-        "reasons": found.reasons,
-        "basis": found.basis,
-        "promise": found.promise,
-        "plant": plan.rig.plant.source,
-        "compensation": plan.section["compensation.method"],
-        "mass_ratio": plan.mass_ratio,
-        "critical_mass_ratio": _value(critical),
-        "crossing_hz": critical.hz if critical else None,
-        "dead_time_s": plan.dead_time,
-        "critical_delay_s": _value(dead_time),
-        "critical_added_delay_s": dead_time.value - plan.dead_time if dead_time else None,
-        "delay_crossing_hz": dead_time.hz if dead_time else None,
-        "gain": _range(margins.gain),
-        "sure_delay_s": _value(margins.sure_dead_time),
-        "sure_gain": _range(margins.sure_gain),
-        "local_stiffness": _range(margins.stiffness),
-        "local_stiffness_followed": _range(margins.followed),
-        "told_delay_error_s": _range(margins.told_delay),
-        "false_damping_ratio": first.false_damping if first else None,
-        "frequency_error": first.frequency_error if first else None,
-        "modes": [
-            asdict(mode)
-            | {"false_damping": mode.false_damping, "frequency_error": mode.frequency_error}
-            for mode in found.modes
-        ],
-        "spectral_radius": abs(found.dominant),
-        "growth_rate": growth_rate(found.dominant, plan.dt),
-        "dominant_hz": float(np.angle(found.dominant)) / (2 * np.pi * plan.dt),
-        "states": found.states,
-    }
-
-
-def _value(critical: Critical | None) -> float | None:
-    return critical.value if critical else None
-
-
-def _range(found: Range | None) -> dict[str, Any] | None:
-    if found is None:
-        return None
-    return {
-        "planned": found.planned,
-        "lowest": _value(found.lowest),
-        "highest": _value(found.highest),
-        "searched": list(found.searched),
-    }

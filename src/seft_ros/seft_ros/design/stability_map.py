@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +11,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
-from scipy.ndimage import distance_transform_edt
 
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import (
@@ -24,13 +24,10 @@ from seft_ros.design.stability_verdict import Preflight
 from seft_ros.drawing.style import TEXT
 
 Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
 
 PATIENCE = 6.0
-"""Time that the maps may take, s; they get coarser where a loop is large."""
+"""Time that the maps may take, s; they are coarser if a loop is large."""
 FINEST, COARSEST = 40, 10
-ROOM = 0.07
-"""Share of a panel that the name of a region needs about it."""
 
 LEVELS = (-30.0, -10.0, -3.0, -1.0, 0.0, 3.0, 10.0, 30.0, 100.0)
 _COLOURS = (
@@ -38,8 +35,8 @@ _COLOURS = (
     "#fbe6de", "#f6cbbb", "#efac96", "#e58a70", "#d6684f",
 )  # fmt: skip
 _PANELS = (
-    ("against dead time, the method not told", "dead time of the actuator's path / ms", 1e3),
-    ("against local stiffness, the method not told", "local stiffness / told stiffness", 1.0),
+    ("against dead time, unknown to the method", "dead time of the actuator's path / ms", 1e3),
+    ("against local stiffness, unknown to the method", "local stiffness / assumed stiffness", 1.0),
 )
 _PLAN = {"stable": "#2e7d32", "marginal": "#e08a00", "unstable": "#b00020"}
 
@@ -69,40 +66,35 @@ def stability_maps(
 ) -> list[StabilityMap]:
     """Map a plan's growth rate as far as its margins reach; progress is in rows.
 
-    Over the dead time of the actuator's path in s, and, unless the plant is identified as a
-    whole, over the specimen's local stiffness over the told one, which the method believes.
+    Over the dead time of the actuator's path in s, and, unless the plant was identified as a
+    whole, over the ratio of the specimen's local stiffness to the one that the method assumes.
     """
-    end, critical = (
-        part.value if part else 0.0 for part in (margins.dead_time, margins.mass_ratio)
-    )
-    longest = min(
-        max(2 * plan.dead_time, 10 * plan.dt, 1.5 * end),
-        plan.dead_time + float(added_delays(plan)[-1]),
-    )
+    ends = (margins.dead_time, margins.mass_ratio)
+    end, critical = (part.value if part else 0.0 for part in ends)
+    longest = max(2 * plan.dead_time, 10 * plan.dt, 1.5 * end)
+    longest = min(longest, plan.dead_time + float(added_delays(plan)[-1]))
     swept = {"dead_time": (longest, 1.0, plan.dead_time)}
     if plan.rig.swept:
         own = local_stiffness(plan)
         swept["stiffness"] = (max(STIFFEST, 1.2 * own), own, own)
     shown = 2.0 * max(plan.mass_ratio, 0.5)
     size = _size(plan, longest, len(swept))
-    mass_ratios = np.linspace(
-        0.0, max(shown, 1.5 * critical if critical < 4 * shown else 0.0), size
-    )
-    maps = []
+    highest = max(shown, 1.5 * critical) if critical < 4 * shown else shown
+    mass_ratios, maps = np.linspace(0.0, highest, size), []
     for done, (name, (high, unit, planned)) in enumerate(swept.items()):
-        others, rows = np.linspace(0.0, high, size), []
-        for value in (others / unit).tolist():
-            changes = {name: value}
-            rows.append([plan.growth_rate(mass_ratio=r, **changes) for r in mass_ratios.tolist()])
-            if progress is not None:
-                progress("map", done * size + len(rows), len(swept) * size)
-        maps.append(StabilityMap(mass_ratios, others, np.array(rows), (plan.mass_ratio, planned)))
+        others, growth = np.linspace(0.0, high, size), np.empty((size, size))
+        for row, column in np.ndindex(size, size):
+            changes = {"mass_ratio": float(mass_ratios[column]), name: float(others[row] / unit)}
+            growth[row, column] = plan.growth_rate(**changes)
+            if progress is not None and column == size - 1:
+                progress("map", done * size + row + 1, len(swept) * size)
+        maps.append(StabilityMap(mass_ratios, others, growth, (plan.mass_ratio, planned)))
     return maps
 
 
 def _size(plan: Plan, longest: float, maps: int) -> int:
     """Points along a side of each map: fewer where the loop is large."""
-    plan.growth_rate(dead_time=longest)  # what is made once for a row or a column
+    plan.growth_rate(dead_time=longest)  # fills the caches
     start = time.perf_counter()
     plan.growth_rate(dead_time=longest)
     each = time.perf_counter() - start
@@ -123,7 +115,7 @@ def preflight_figure(plan: Plan, found: Preflight, maps: list[StabilityMap]) -> 
     )
     bar = figure.colorbar(colours, ax=panels.tolist(), pad=0.01, aspect=32, spacing="uniform")
     bar.set_ticks(list(LEVELS), labels=[f"{level:g}" for level in LEVELS])
-    bar.set_label("growth rate of the slowest mode / (1/s)", color=TEXT)
+    bar.set_label("growth rate / (1/s): stable below 0, unstable above", color=TEXT)
     bar.ax.tick_params(colors=TEXT, labelsize=9, length=0)
     bar.outline.set_visible(False)
     critical = found.margins.mass_ratio
@@ -139,37 +131,18 @@ def _draw(axes: Axes, area: StabilityMap, scale: float, verdict: str) -> None:
     # interpolated on a scale on which it is nearly straight across the critical line
     bent, levels = np.arcsinh(area.growth), np.arcsinh(LEVELS)
     axes.contourf(x, y, bent, levels=levels, colors=_COLOURS, extend="both")
-    for name, inside in (("stable", area.growth < 0), ("unstable", area.growth > 0)):
-        _name_region(axes, name, area, y, inside)
     if bent.min() < 0 < bent.max():
         axes.contour(x, y, bent, levels=[0.0], colors=TEXT, linewidths=1.8)
     planned = area.planned[0], scale * area.planned[1]
-    axes.plot(
-        *planned,
-        marker="o",
-        ms=9,
-        mfc=_PLAN[verdict],
-        mec="white",
-        mew=1.5,
-        clip_on=False,
-        zorder=5,
-    )
-    axes.annotate(
-        "planned", planned, (9, 7), textcoords="offset points", fontsize=9, color=TEXT, zorder=5,
-        annotation_clip=False, bbox={"boxstyle": "round,pad=0.2", "fc": "white", "ec": "none",
-        "alpha": 0.7},
-    )  # fmt: skip
+    style: dict[str, Any] = {
+        "mfc": _PLAN[verdict],
+        "mec": "white",
+        "mew": 1.5,
+        "clip_on": False,
+        "zorder": 5,
+    }
+    axes.plot(*planned, "o", ms=9, **style)
+    axes.annotate("planned", planned, (9, 7), textcoords="offset points", fontsize=9, color=TEXT)
     axes.set_xlabel("mass ratio $\\alpha$", color=TEXT)
     axes.tick_params(colors=TEXT, labelsize=9)
     axes.spines[["top", "right"]].set_visible(False)
-
-
-def _name_region(axes: Axes, name: str, area: StabilityMap, y: Floats, inside: Bools) -> None:
-    """Write where a region is deepest, away from the plan, if there is room."""
-    free = inside.copy()
-    free[np.abs(area.others - area.planned[1]).argmin()] = False
-    depth = distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1]
-    row, column = np.unravel_index(depth.argmax(), depth.shape)
-    if depth.max() > ROOM * len(y):
-        place = float(area.mass_ratios[column]), float(y[row])
-        axes.text(*place, name, fontsize=11, color=TEXT, ha="center", va="center")

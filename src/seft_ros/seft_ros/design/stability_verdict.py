@@ -1,6 +1,5 @@
 """Verdict on a planned test: its margins, and the modes of the structure in the test."""
 
-import cmath
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
@@ -18,7 +17,7 @@ Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 NEAR = 2.0
-"""A mode of the loop stands for one of the structure within this factor in frequency."""
+"""A mode of the loop is matched with one of the structure within this factor in frequency."""
 _UNFIT = 1e6
 
 
@@ -45,15 +44,17 @@ class Mode:
 def predicted_modes(plan: Plan) -> list[Mode]:
     """Modes of the whole structure beside those of the loop, lowest first.
 
-    In place of a mode stands the eigenvalue of the loop, near it in frequency, through which
-    the ground motion moves the mode's shape most: the residue over the distance from the unit
-    circle; none stands for two. Overdamped modes, and those that the loop does not show, are
-    left out. Of a method that follows the specimen it is the loop with the force as measured.
+    A mode is matched with the eigenvalue of the loop, near it in frequency, through which the
+    ground motion moves the mode's shape most: the residue over the distance from the unit
+    circle; each eigenvalue is matched once. Overdamped modes, and those that the loop does not
+    show, are left out. If the method adapts to the specimen, the loop is that with the restoring
+    force as measured.
     """
     whole = WholeStructure.of_test(plan.rig.specimen, plan.section, plan.axes).structure
     n = len(plan.axes)
     _, shapes = eigh(whole.stiffness, whole.mass)
-    exact = _upper(np.linalg.eigvals(whole.state_matrices()[0]).astype(np.complex128))
+    poles = np.linalg.eigvals(whole.state_matrices()[0])
+    exact = sorted(poles[poles.imag > 0], key=abs)
     if len(exact) < whole.axes:  # then shapes can't be matched by order
         return []
     z, residues = plan.loops()[-1].modes()
@@ -70,11 +71,6 @@ def predicted_modes(plan: Plan) -> list[Mode]:
     return [Mode(*_natural(exact[m]), *_natural(s[p])) for m, p in pairs if fits[m, p]]
 
 
-def _upper(poles: Complexes) -> Complexes:
-    upper = poles[poles.imag > 0]
-    return upper[np.abs(upper).argsort()]
-
-
 def _natural(pole: complex) -> tuple[float, float]:
     return abs(pole) / (2 * np.pi), -pole.real / abs(pole)
 
@@ -83,67 +79,63 @@ Verdict = Literal["stable", "marginal", "unstable"]
 
 MASS_RATIO_RESERVE = 1.2
 """Critical over planned mass ratio: load cells, accelerometers and the mass itself are known to
-some percent each, and growth so near the end of stability is slow to die out."""
+some percent each, and oscillations so near the end of stability take long to decay."""
 GAIN_RESERVE = 1.2
-"""Factor on the drive, either way: a valve's flow gain falls by a sixth where the load takes 30 %
-of the supply pressure, and rises as much with a leakage or temperature that was not identified."""
+"""Factor on the drive, either way: a valve's flow gain falls by a sixth if the load takes 30 % of
+the supply pressure, and rises as much with a leakage or temperature that was not identified."""
 DELAY_RESERVE_STEPS = 1.0
-"""Added delay in samples: in pace `realtime` one missed command holds the last for one."""
+"""Added delay in samples: in pace `realtime` a missed command holds the last one for a sample."""
 STIFFNESS_RESERVE = 1.1
-"""Factor on the specimen's stiffness, either way: as well as a quick identification knows it. A
-method that follows it is to be stable at any that is tried."""
-TOLD_DELAY_RESERVE_STEPS = 0.5
-"""Error of the delay that the method is told in samples, either way: half a sample is what is
-lost to the hold when it is forgotten."""
+"""Factor on the specimen's stiffness, either way: the accuracy of a quick identification. A
+method that adapts to it must be stable at any stiffness that is tried."""
+ASSUMED_DELAY_RESERVE_STEPS = 0.5
+"""Error in the assumed delay in samples, either way: half a sample is the delay of the hold."""
 
 LINEAR = "Exact eigenvalues of the sampled closed loop."
 SMALL_SIGNAL = (
-    "The rig is not linear: exact eigenvalues of its limit for small motions. Valve flow, "
-    "friction, stops and yielding are not in them; seft simulate shows what they do."
+    "The rig is not linear: exact eigenvalues of its limit for small motions. They do not include "
+    "valve flow, friction, stops and yielding; seft simulate shows their effect."
 )
 IDENTIFIED = (
-    "Exact eigenvalues for the identified plant: as good as its fit, within the band it was "
-    "identified in."
+    "Exact eigenvalues for the identified plant: as good as its fit, within the band of the "
+    "identification."
 )
 ADAPTIVE = (
     "The method adapts: this holds for the filter as it is at the start, and as long as its "
     "estimates stay near. It does not promise that the estimates stay there, nor that the test "
-    "is stable while they move."
+    "is stable while they change."
 )
 FOLLOWS = (
     "The method follows the specimen: all numbers are the worse of the loop as it starts, and of "
-    "the loop with the restoring force as measured. What happens while an estimate moves is not "
-    "in them."
+    "the loop with the restoring force as measured. They do not cover the time while an estimate "
+    "changes."
 )
 
 
 @dataclass(frozen=True)
 class Preflight:
-    """What is known of a test before anything moves.
+    """Verdict on a test before anything moves.
 
     Attributes
     ----------
     verdict : str
         ``unstable``: it oscillates; ``marginal``: stable, but a margin is below its reserve.
     reasons : list of str
-        Why it is not ``stable``; empty where it is.
-    basis : str
-        ``exact``: eigenvalues.
+        Why it is not ``stable``; empty if it is.
     promise : str
-        What that promises, and what not.
+        What exact eigenvalues promise, and what not.
     margins : Margins
         How far it is from instability.
     modes : list of Mode
-        Of the whole structure as the test will show them, lowest first.
+        Of the whole structure in the test, lowest first.
     dominant : complex
-        Eigenvalue that dies out last or grows fastest.
+        Eigenvalue of the largest magnitude.
     states : int
         States of the loop, or loops.
     """
 
     verdict: Verdict
     reasons: list[str]
-    basis: str
     promise: str
     margins: Margins
     modes: list[Mode]
@@ -159,7 +151,6 @@ def preflight(plan: Plan, progress: Progress | None = None) -> Preflight:
     return Preflight(
         verdict="unstable" if unstable else "marginal" if reasons else "stable",
         reasons=reasons,
-        basis="exact",
         promise=_promise(plan),
         margins=margins,
         modes=predicted_modes(plan),
@@ -169,9 +160,8 @@ def preflight(plan: Plan, progress: Progress | None = None) -> Preflight:
 
 
 def instability(plan: Plan) -> str:
-    """Say in a few words how an unstable plan grows."""
-    hz = abs(cmath.phase(plan.worst())) / (2 * cmath.pi * plan.dt)
-    return f"oscillates at {hz:.3g} Hz, growing e-fold in {1 / plan.growth_rate():.2g} s"
+    """Say in a few words how the oscillation of an unstable plan grows."""
+    return f"oscillates at {plan.hz():.3g} Hz, growing e-fold in {1 / plan.growth_rate():.2g} s"
 
 
 def _promise(plan: Plan) -> str:
@@ -188,19 +178,17 @@ def _promise(plan: Plan) -> str:
 def _thin(plan: Plan, margins: Margins) -> Iterator[str]:
     """Name the margins that are below their reserve."""
     critical, alpha = margins.mass_ratio, plan.mass_ratio
-    if critical is not None and alpha and critical.value < MASS_RATIO_RESERVE * alpha:
+    if critical and alpha and critical.value < MASS_RATIO_RESERVE * alpha:
         yield (
             f"the critical mass ratio {critical.value:.3g} is less than {MASS_RATIO_RESERVE:g} "
             f"times the planned {alpha:g}"
         )
     dead_time = margins.sure_dead_time or margins.dead_time
-    if dead_time is not None:
-        added = dead_time.value - plan.dead_time
-        if added < DELAY_RESERVE_STEPS * plan.dt:
-            yield (
-                f"{1e3 * added:.3g} ms of further dead time make it unstable, less than "
-                f"{DELAY_RESERVE_STEPS:g} sample"
-            )
+    if dead_time and dead_time.value - plan.dead_time < DELAY_RESERVE_STEPS * plan.dt:
+        yield (
+            f"{1e3 * (dead_time.value - plan.dead_time):.3g} ms of further dead time make it "
+            f"unstable, less than {DELAY_RESERVE_STEPS:g} sample"
+        )
     for name, found, reserve in (
         ("gain of the actuator's path", margins.sure_gain or margins.gain, GAIN_RESERVE),
         ("local stiffness", margins.stiffness, STIFFNESS_RESERVE),
@@ -209,10 +197,10 @@ def _thin(plan: Plan, margins: Margins) -> Iterator[str]:
             if 1 / reserve < factor < reserve:
                 yield f"{factor:.3g} times the {name} makes it unstable"
     for end in margins.followed.ends() if margins.followed else ():
-        yield f"a local stiffness of {end.value:.3g} times the told one makes it unstable"
-    for end in margins.told_delay.ends() if margins.told_delay else ():
-        if abs(end.value) < TOLD_DELAY_RESERVE_STEPS * plan.dt:
+        yield f"a local stiffness of {end.value:.3g} times the assumed one makes it unstable"
+    for end in margins.delay_error.ends() if margins.delay_error else ():
+        if abs(end.value) < ASSUMED_DELAY_RESERVE_STEPS * plan.dt:
             yield (
-                f"telling the method a delay {1e3 * end.value:+.2g} ms off makes it unstable, "
-                f"less than {TOLD_DELAY_RESERVE_STEPS:g} sample"
+                f"an error of {1e3 * end.value:+.2g} ms in the assumed delay makes it unstable, "
+                f"less than {ASSUMED_DELAY_RESERVE_STEPS:g} sample"
             )
