@@ -1,4 +1,4 @@
-"""Records that must read: both AT2 dialects, columns and csv as they come."""
+"""Records that must be read: real files, both AT2 dialects, columns and csv."""
 
 from pathlib import Path
 
@@ -182,3 +182,26 @@ def test_a_long_file_reads_whole(tmp_path):
     record = read_record(write(tmp_path, "time,acc\n" + "\n".join(lines)), [1], "m/s2")
     np.testing.assert_array_equal(record.accelerations[:, 0], np.arange(100_000) % 7)
     assert record.dt == 0.005
+
+
+DATA = Path(__file__).parents[3].parent / "shared" / "data"
+
+pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="no real records beside the project")
+
+
+@pytest.mark.parametrize(
+    ("name", "columns", "unit", "dt", "steps", "peaks"),
+    [
+        ("kobe_jma_1995.txt", [0, 1], "cm/s2", 0.005, 6000, [0.841, 0.631]),
+        ("elcentro_1940.txt", [0, 1], "cm/s2", 0.005, 6000, [0.313, 0.215]),
+        ("kobe_nishi_akashi_090.AT2", [0], "g", 0.0, 4096, [0.503]),
+    ],
+)
+def test_real_records_read_with_the_peaks_their_networks_state(
+    name, columns, unit, dt, steps, peaks
+):
+    record = read_record(DATA / name, columns, unit, dt)
+    assert record.accelerations.shape == (steps, len(columns))
+    np.testing.assert_allclose(np.abs(record.accelerations).max(axis=0) / G, peaks, atol=6e-4)
+    assert record.dt == (dt or 0.01)
+    assert record.accelerations[-1].any()  # the last line is there

@@ -17,7 +17,7 @@ LEAST_EXPLAINED, GOOD_EXPLAINED = 0.5, 0.9
 _VALVES, _DEAD_TIMES = (25.0, 50.0, 100.0, 200.0), (0.0, 2.0, 5.0, 10.0, 20.0)  # Hz, ms: starts
 _DAMPING, _LOAD, _OVER = 0.7, 0.02, 0.005  # first guesses
 _MOST_STEPS = 30
-_TOLERANCE = 0.01  # of the flow at a frequency: no actuator is like the model beyond
+_TOLERANCE = 0.01  # of the flow at a frequency: accuracy of the model itself
 _LEAST_LOAD = 0.15  # of the force capacity: below, friction can be taken for it
 _UNSURE = 0.1  # relative standard deviation
 # logarithms of the valve's frequency and damping, dead time in ms, largest force over force
@@ -40,18 +40,17 @@ class ActuatorFit:
     leakage : float
         lambda, 1/s.
     force_capacity : float
-        Force at which the supply pressure is used up, N; 0: the test does not show it.
+        Force at which the supply pressure is used up, N; 0: not determined by the test.
     valve_frequency, valve_damping : float
         Hz, and damping ratio.
     dead_time : float
         Of the valve, without the loop's own step, s.
     drag : float
-        Viscous friction that the piston's friction amounts to in the test, N s/m.
+        Viscous friction equivalent to the piston's friction in the test, N s/m.
     explained : float
         Share of the flow's variance that the balance explains, up to 1.
     unsure : tuple of str
-        Of these values, those that the test shows poorly (but for the leakage and the force
-        capacity).
+        Names of the values that the test determines poorly (without leakage and force capacity).
     largest_force : float
         In the test, N.
     dt : float
@@ -84,17 +83,17 @@ class ActuatorFit:
         return "good" if self.explained >= GOOD_EXPLAINED else "fair"
 
     def fault(self) -> str:
-        """Say why the fit is of no use, empty if it is."""
+        """Say why the fit is not usable; empty if it is."""
         if self.verdict != "not usable":
             return ""
         if self.explained < LEAST_EXPLAINED:
             return (
                 f"commands explain {max(self.explained, 0.0):.0%} of the flow's variance, where "
-                f"{LEAST_EXPLAINED:.0%} are needed; raise --amplitude or --duration, and see that "
-                "the oil is on and that displacement, acceleration and force have SI units"
+                f"{LEAST_EXPLAINED:.0%} are needed; raise --amplitude or --duration, and check "
+                "that the oil is on and that displacement, acceleration and force have SI units"
             )
-        what = "displacement against command" if self.flow_gain <= 0 else "force against motion"
-        return f"the sign of {what} is wrong; see the sensors' and the valve's polarity"
+        pair = "displacement against command" if self.flow_gain <= 0 else "force against motion"
+        return f"the sign of {pair} is wrong; check the polarity of the sensors and the valve"
 
 
 def fit_actuator(
@@ -105,13 +104,13 @@ def fit_actuator(
     dt: float,
     band: tuple[float, float],
 ) -> ActuatorFit:
-    """Fit an actuator to the balance of its oil in a test, of what `OilBalance` takes.
+    """Fit an actuator to the balance of its oil in a test; parameters as of `OilBalance`.
 
-    The specimen is in the balance by its motion and force alone, as measured: it may yield, slip
-    or be coupled with others. By least squares over frequency, of what goes with the commands
-    (they are free of noise); first with errors that may be as large as a part of the flow, then
-    with each frequency weighed by what the last fit left of it. The piston's friction, which the
-    load cell does not feel, is fitted beside it.
+    The specimen enters the balance only by its measured motion and force: it may yield, slip or
+    be coupled with others. Least squares over frequency, of the parts of the signals that are
+    correlated with the commands (these have no noise); first with an error of a share of the flow,
+    then with each frequency weighted by the residual of the last fit. The piston's friction, which
+    the load cell does not measure, is fitted too.
     """
     oil = OilBalance(commands, positions, accelerations, forces, dt, band)
     p, deviation = _roughly(oil), oil.rough
@@ -164,9 +163,9 @@ def fit_actuator(
 def _roughly(oil: OilBalance) -> Floats:
     """Parameters of a first fit, from several starts.
 
-    The resonances of valve and oil column are alike: one may stand in for the other, and explain
-    the piston's motion, though not the force. So that fit is the best which explains the flow at
-    the most frequencies.
+    The resonances of valve and oil column are similar: if one is taken for the other, the fit
+    explains the piston's motion, but not the force. So the best fit is the one that explains the
+    flow at the most frequencies.
     """
 
     def errors(valve: Floats) -> Floats:

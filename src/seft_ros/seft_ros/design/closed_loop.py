@@ -41,7 +41,7 @@ class ClosedLoop:
     matrix : ndarray
         Shape (N, N).
     ground : ndarray
-        Shape (N, (1 + preview) n), from the ground accelerations of this step and the coming ones.
+        Shape (N, (1 + preview) n), from the ground accelerations of this and the next steps.
     displacement : ndarray
         c, shape (n, N).
     dt : float
@@ -123,8 +123,8 @@ def closed_loop(
     """Close the loop as the blocks run it.
 
     The rig with states q (a, b, c of `LoopRig.sampled`) gives y = (x, v, a, f) = c q at sample k;
-    the compensation gives p = c s + d y + e g, the reference force or what else the controller
-    reads; the controller makes the drive u of p and y; u acts on the rig from sample k+1 on. The
+    the compensation gives p = c s + d y + e g, the reference force or other inputs of the
+    controller, which makes the drive u of p and y; u acts on the rig from sample k+1 on. The
     states are those of the rig, the compensation and the controller.
     """
     a, b, c = rig
@@ -147,13 +147,13 @@ def closed_loop(
 
 
 CERTAIN = 1e30
-"""Variance, or evidence, beside which all others are nothing."""
+"""Variance, or evidence, beside which all others are negligible."""
 BOUNDS = list(
     itertools.product(
         (-LARGEST_GAIN_ERROR, LARGEST_GAIN_ERROR), (-LARGEST_DELAY_ERROR, LARGEST_DELAY_ERROR)
     )
 )
-"""Errors of a valve that are as large as the controller may take them for."""
+"""Bounds of the errors of a valve that the controller may assume."""
 
 
 def frozen_target(method: TargetMotion, measured: bool) -> LinearFilter:
@@ -178,7 +178,7 @@ def frozen_target(method: TargetMotion, measured: bool) -> LinearFilter:
     def begin() -> None:
         begin_target(parameters, state)
         state.is_running[0] = 1.0
-        if measured:  # the offset follows at once, and nothing speaks for what is told
+        if measured:  # the offset follows at once; the assumed stiffness has no weight
             state.model.covariance[:, 0, 0] = CERTAIN
             state.model.sums[:, 4] = -CERTAIN
 

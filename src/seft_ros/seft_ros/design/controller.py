@@ -84,7 +84,7 @@ def polynomial_of(roots: Iterable[Root]) -> Floats:
 def roots_of(values: npt.ArrayLike) -> list[Root]:
     """Poles or zeros given in rad/s, complex; lowest first."""
     values = np.asarray(values, dtype=np.complex128)
-    # what rounding leaves of an imaginary part makes no pair
+    # an imaginary part from rounding makes no pair
     real = np.abs(values.imag) <= 1e-9 * np.abs(values)
     found = [Root(float(-value.real / (2 * np.pi)) or 0.0) for value in values[real]]
     for value in values[~real & (values.imag > 0)]:

@@ -31,7 +31,7 @@ from seft_ros.recording.record import Record
 Floats = npt.NDArray[np.float64]
 
 _COHERENT = 0.8  # up to there the closed loop is fitted
-_FLOOR = 0.01  # of a response: what a model is asked to explain
+_FLOOR = 0.01  # of a response: required accuracy of a model
 _OPEN_LOOP, _CLOSED_LOOP = "open loop", "closed loop"
 
 
@@ -46,7 +46,7 @@ class ValveResponse:
     measured : Measurement
         Valve command u_k to force f_k, N/V.
     error : float
-        RMS of what actuator and specimen, as fitted, leave of it, relative, 0 to 1.
+        RMS of the error of the fitted actuator and specimen, relative, 0 to 1.
     loop : LoopDesign
         Their plant, sampled, with the experiment's controller.
     controller_known : bool
@@ -82,13 +82,13 @@ class Identified:
     specimen : SpecimenFit
         The specimen.
     valves : tuple of ValveResponse
-        One for each axis; empty where no valve was driven.
+        One for each axis; empty if no valve was driven.
     closed_loops : tuple of ClosedLoop
-        One for each axis; empty where the closed loop did not run to its end.
+        One for each axis; empty if the closed loop did not run to its end.
     unusable : tuple of str
         Why a test could not be used, one line each.
     faults : tuple of str
-        What else was wrong, likewise.
+        Other faults, likewise.
     """
 
     axes: tuple[str, ...]
@@ -120,7 +120,7 @@ def identify(
     Raises
     ------
     ExperimentError
-        If no test says anything.
+        If no test is usable.
     """
     tests: dict[str, MeasuredTest] = {}
     unusable: list[str] = []
@@ -135,7 +135,7 @@ def identify(
         if test.at_limit():
             faults.append(
                 f"{what}: a valve command was at its limit in {test.at_limit()} of {test.steps} "
-                f"steps, which bends what is linear; lower {option}, or mend an unstable loop"
+                f"steps, which is not linear; lower {option}, or stabilise the loop"
             )
         if incoherent := test.incoherent():
             unusable.append(f"{what}: {incoherent}; raise {option} or --duration")
@@ -173,7 +173,7 @@ def _valves(
     actuators: list[ActuatorFit],
     controller: Controller | None,
 ) -> list[ValveResponse]:
-    """Let the fitted actuators act on the fitted specimen, the valves of other axes closed."""
+    """Combine the fitted actuators with the fitted specimen, the valves of other axes closed."""
     names = ("oil_stiffness", "leakage", "flow_gain", "valve_frequency", "valve_damping")
     known = {name: np.array([getattr(fit, name) for fit in actuators]) for name in names}
     model = small_signal(
@@ -197,7 +197,7 @@ def _valves(
 
 def _closed_loop(measured: Measurement, dt: float) -> ClosedLoop:
     f, tracking = measured.frequencies_hz, measured.response
-    # to the end of what is known: a pole beyond would be made up
+    # a pole beyond the coherent frequencies would be arbitrary
     coherent = np.flatnonzero(measured.coherence >= _COHERENT)
     known = slice(0, int(coherent[-1]) + 1)
     weight = 1.0 / np.hypot(measured.deviation, _FLOOR)[known]
@@ -210,16 +210,16 @@ ACTUATOR = (
     *("valve_frequency", "valve_damping", "dead_time"),
 )
 """Names of an actuator's parameters, as of `ActuatorFit`."""
-_LONGEST_DELAY = 1.0  # s, as the table has it
+_LONGEST_DELAY = 1.0  # s, as in the parameter table
 
 
 def model_parameters(identified: Identified, specimen: bool) -> dict[str, dict[str, Any]]:
     """Parameters of `reference_force` and `force_controller`, by node.
 
-    The actuators are those of all axes; of a force capacity that the test does not show on every
-    axis there is no word, so that what is configured counts. Force loop and plant, of which the
-    tables hold one, are those of the first axis, with the specimen of the tests. The specimen's
-    matrices are given where ``specimen`` says so.
+    The actuators are those of all axes; a force capacity that was not identified on every axis is
+    left out, so that the configured one counts. Closed loop and plant, which have one set of
+    parameters, are those of the first axis, with the specimen of the tests. The specimen's
+    matrices are included if ``specimen`` is true.
     """
     reference: dict[str, Any] = {}
     controller: dict[str, Any] = {}
@@ -245,7 +245,7 @@ def model_parameters(identified: Identified, specimen: bool) -> dict[str, dict[s
 def write_model(identified: Identified, path: Path, source: str, specimen: bool) -> None:
     """Write `model_parameters` to a new file, to be read after the experiment's own.
 
-    ``source`` says for people where they come from. An InputError says if it can't be written.
+    ``source`` goes into a comment. An InputError says if it can't be written.
     """
     comments = [f"Identified by seft identify from {source}", f"Axes: {identified.axes}"]
     if identified.valves:

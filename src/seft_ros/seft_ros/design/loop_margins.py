@@ -16,12 +16,12 @@ BAND_HZ = 25.0
 """Upper end of the band in which force is to be controlled (paper sec. 3.2), Hz."""
 
 _OUTLIERS = 5  # points of the running median over |T|: two wild ones in a row change nothing
-_DIP_DB = 0.2  # smallest dip that is told from noise
+_DIP_DB = 0.2  # smallest dip that is distinguished from noise
 
 
 @dataclass(frozen=True)
 class LoopMargins:
-    """Margins of a loop; None where its frequencies hold none.
+    """Margins of a loop; None if it has none at its frequencies.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ def loop_margins(frequencies_hz: Floats, loop: Complexes) -> LoopMargins:
 
 @dataclass(frozen=True)
 class Tracking:
-    """How the measured force follows the reference force; None where the data do not tell.
+    """How the measured force follows the reference force; None if the data do not show it.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class Tracking:
         Pure delay whose phase fits that of T best, over the band in which T is flat.
     dip_db, dip_hz : float or None
         |T| at the bottom of its deepest dip within the band, and where: it is higher on either
-        side, as about a specimen's zero that is not quite compensated.
+        side, as at a zero of the specimen that is not fully compensated.
     delay_by_frequency : ndarray
         -phase / (2 pi f) in s, shape (N,).
     """

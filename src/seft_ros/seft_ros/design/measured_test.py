@@ -68,7 +68,7 @@ class Response:
     coherence : ndarray
         Multiple coherence of each output with all inputs, shape (F, p), 0 to 1.
     noise : ndarray
-        Covariance density of what the inputs do not explain, shape (F, p, p).
+        Covariance density of the outputs' noise, not explained by the inputs, shape (F, p, p).
     input_gain : ndarray
         Variance of column j of the response per unit of noise, shape (F, n).
     """
@@ -109,7 +109,7 @@ def spectra(signals: Floats, rate: float, segment: float) -> Spectra:
         window="hann",
         nperseg=length,
         noverlap=length // 2,
-        detrend=False,  # the signals are free of drift, or what drifts is part of them
+        detrend=False,  # a drift is part of the signals
     )
     count = (len(signals) - length // 2) // (length - length // 2)
     averages = max(1.0, _HANN_OVERLAP_GAIN * count) if count > 1 else 1.0
@@ -145,7 +145,7 @@ REFERENCE, VALVE, MOTION, FORCE = (0, 1), (1, 2), (2, 5), (4, 5)
 """Blocks of n signals, first and end: MOTION is displacement, acceleration and force."""
 
 MOTION_TO = 0.2
-"""Share of the rate up to which displacement may be derived: beyond, folded motion spoils it."""
+"""Share of the rate up to which displacement may be differentiated: beyond is aliasing."""
 
 _SEGMENTS = 7.5  # to a record, before they overlap
 _LEAST_PERIODS = 3.0  # of the lowest frequency in a segment

@@ -13,18 +13,18 @@ Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 MEMORY = 0.2
-"""Time in which the flow of a command has come, s."""
+"""Time after which the flow of a command is complete, s."""
 _WIDTH, _LEAST_WIDTH = 0.05, 2.0  # over which spectra are smoothed: of the frequency, and Hz
 _BINS = 80
 _AVERAGED = 32  # lines of the spectrum that are one frequency
-_ROUGH = 0.03  # of the flow: what a first fit may leave
+_ROUGH = 0.03  # of the flow: error of a first fit
 
 
 class OilBalance:
     """One axis of a test, from rest to rest: q w = v + (f' + friction' + lambda f) / k_oil.
 
     It is taken over each sampling period. The mean of a rate over a period is a difference of
-    samples, so that what lies beyond half the sampling rate does not spoil it.
+    samples, so that frequencies beyond half the sampling rate cause no error.
 
     Parameters
     ----------
@@ -88,11 +88,11 @@ class OilBalance:
         return signal
 
     def _of(self, signal: Floats) -> Complexes:
-        """Part of a signal that goes with the commands, at each of F frequencies."""
+        """Part of a signal that is correlated with the commands, at each of F frequencies."""
         return self._with_commands(self._spectrum(signal))
 
     def _with_commands(self, spectrum: Complexes) -> Complexes:
-        # noise does not go with the commands: it averages out
+        # noise is not correlated with the commands: it averages out
         products = np.add.reduceat(spectrum[self._used] * self._drive, self._blocks)
         result: Complexes = products / self._size_of_drive
         return result
@@ -110,9 +110,9 @@ class OilBalance:
     def _motion(self, positions: Floats, accelerations: Floats) -> tuple[Floats, Floats, Floats]:
         """Velocity from displacement and acceleration, each where it has the less noise.
 
-        Both have white noise, whose powers their difference tells. Returned are the velocity at
-        the beginning of each period and its mean over it, in m/s, and the power of what is left
-        of the noise at each line of the spectrum within the band.
+        Both have white noise, whose powers follow from their difference. Returned are the
+        velocity at the beginning of each period and its mean over it, in m/s, and the power of
+        the remaining noise at each line of the spectrum within the band.
         """
         s = 2j * np.pi * np.maximum(self._hz, self._hz[1])
         change = np.expm1(s * self._dt)
@@ -152,19 +152,19 @@ class OilBalance:
         return rate
 
     def drag(self, over: float) -> float:
-        """Viscous friction that a friction of 1 N amounts to in this test, N s/m."""
+        """Viscous friction equivalent to a friction of 1 N in this test, N s/m."""
         v = self._at_samples
         return float(v @ np.tanh(v / over)) / max(float(v @ v), 1e-30)
 
     def left(self, p: Floats, over: float, deviation: Floats) -> tuple[Floats, Floats]:
-        """Power of what `solve` leaves, and of the commands' flow; shape (F,), smoothed."""
+        """Power of the residual of `solve`, and of the commands' flow; shape (F,), smoothed."""
         solution, _, errors = self.solve(p, over, deviation)
         power = (errors.reshape(2, -1) ** 2).sum(axis=0) * deviation**2
         flow = np.abs(solution[0] * self.flow(p)[1]) ** 2
         return self.smooth(power), self.smooth(flow)
 
     def solve(self, p: Floats, over: float, deviation: Floats) -> tuple[Floats, Floats, Floats]:
-        """Solve v = q w - (f' + lambda f + friction') / k_oil for what is linear in it.
+        """Solve v = q w - (f' + lambda f + friction') / k_oil for its linear parameters.
 
         Of parameters p and ``over``, see `flow` and `slip`, with an expected error at each
         frequency, shape (F,).
@@ -174,7 +174,7 @@ class OilBalance:
         solution, deviations : ndarray
             q, 1 / k_oil, lambda / k_oil and friction / k_oil, and their standard deviations.
         errors : ndarray
-            What is left, over its deviation, real parts, then imaginary parts.
+            Residual over its expected error, real parts, then imaginary parts.
         """
         flow, slip = self.flow(p)[1], self._of(self.slip(over))
         terms = np.column_stack([flow, -self._of_force, -slip, self._of_motion])

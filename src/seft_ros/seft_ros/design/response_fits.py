@@ -15,7 +15,7 @@ from seft_ros.design.measured_test import Response
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
-_FLOOR = 0.003  # of each term: what a calibrated sensor is good for
+_FLOOR = 0.003  # of each term: accuracy of a calibrated sensor
 
 
 @dataclass(frozen=True)
@@ -50,13 +50,13 @@ class SpecimenFit:
 def fit_specimen(measured: Sequence[Response]) -> SpecimenFit:
     """Fit mass, damping and stiffness to responses of force and motion.
 
-    The responses to the excitation are its cross spectra with the sensors, so that noise of
-    the sensors averages out of them (the excitation is the instrument). What is left of it is
-    weighed out: the equation error of every frequency counts by the inverse of the variance that
-    noise of force, acceleration and displacement gives it, at the parameters sought. That is
-    the maximum-likelihood estimator of errors in variables, and consistent (Pintelon &
-    Schoukens, System Identification, 2nd ed., sec. 9.11). The mass is seen through the
-    acceleration, damping and stiffness through the displacement, each where it is strong.
+    The responses to the excitation are its cross spectra with the sensors, so that noise of the
+    sensors averages out (the excitation is the instrument). The equation error of each frequency
+    is weighted by the inverse of its variance from the remaining noise of force, acceleration and
+    displacement, for the fitted parameters: the maximum-likelihood estimator of errors in
+    variables, which is consistent (Pintelon & Schoukens, System Identification, 2nd ed.,
+    sec. 9.11). The mass follows from the acceleration, damping and stiffness from the
+    displacement, each where it is strong.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def _weighed(measured: Response, mass: Floats, damping: Floats, stiffness: Float
 
 
 def _rough(measured: Response) -> Floats:
-    """First guess, each axis by itself: linear least squares on relative errors; (3, n, n)."""
+    """First guess, of each axis alone: linear least squares on relative errors; (3, n, n)."""
     n = measured.response.shape[2]
     found, s = np.zeros((3, n, n)), 2j * np.pi * measured.frequencies_hz
     for axis in range(n):
@@ -150,8 +150,8 @@ _LOWEST, _HIGHEST = np.log([0.003, 0.003]), np.log([5.0, 20.0])  # of frequency 
 class TrackingFit:
     """Fitted response from reference force to the force measured at the same step.
 
-    The model is continuous and stable, and its dead time holds the loop's latency. Beside it
-    stands the RMS of its error; |T| is near 1 where the loop is good.
+    The model is continuous and stable, and its dead time includes the loop's latency. ``error`` is
+    the RMS of its error; |T| is near 1 in the band of the loop.
     """
 
     model: TransferFunction
@@ -161,17 +161,17 @@ class TrackingFit:
 def fit_tracking(
     frequencies_hz: Floats, tracking: Complexes, weight: Floats, least_dead_time: float = 0.0
 ) -> TrackingFit:
-    """Fit as few pole pairs with dead time as are good to 1 %, or nearly as good as five.
+    """Fit dead time and as few pole pairs as reach an error of 1 %, or nearly that of five pairs.
 
-    Each further pair starts where the last fit is furthest off, and comes with two zeros. Poles
-    and dead time are sought, the numerator follows by linear least squares.
+    Each further pair starts where the error of the last fit is largest, and has two zeros. Poles
+    and dead time are searched, the numerator follows by linear least squares.
 
     Parameters
     ----------
     frequencies_hz, tracking, weight : ndarray
         Increasing, Hz; T from reference force to measured force there; weight of its error; (F,).
     least_dead_time : float
-        Dead time that is there at any rate, s.
+        Lower bound of the dead time, s.
     """
     step = max(1, len(frequencies_hz) // _POINTS)
     data = _Data(frequencies_hz[::step], tracking[::step], weight[::step], least_dead_time)
@@ -213,7 +213,7 @@ class _Data:
         return min(starts, key=lambda p: float(np.sum(self._residuals(p) ** 2)))
 
     def misfit(self, model: TransferFunction) -> Floats:
-        """Parameters of a pair where a model is furthest off."""
+        """Parameters of a pair where the error of a model is largest."""
         smooth = np.convolve(self._error(model), np.full(5, 0.2), "same")
         return np.log([float(np.abs(self._s[int(smooth.argmax())])), 0.1])
 
@@ -250,7 +250,7 @@ class _Data:
         for frequency, damping in np.exp(p[1:]).reshape(-1, 2):
             pair = np.array([1.0, 2 * damping * frequency, frequency**2])
             denominator = np.polymul(denominator, pair)
-        degree = len(denominator) - 3  # two less: what is asked in a jump comes without one
+        degree = len(denominator) - 3  # two less: the response to a step has no jump
         shape = self._w * self._lag(p) / np.polyval(denominator, self._s)
         columns = shape[:, np.newaxis] * self._s[:, np.newaxis] ** np.arange(degree, -1, -1)
         target = self._w * self._t

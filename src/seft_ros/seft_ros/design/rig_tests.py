@@ -36,7 +36,7 @@ PILOT_DURATION = 15.0
 _PILOT_SHARE = 0.005  # of the voltage limit, RMS
 _LARGEST_SHARE = 0.1
 _TARGET = 0.22  # of the limit that is used most: its largest share in the open loop
-_ACCELERATION = 5.0  # m/s^2 RMS: what the default force gives a mass that is free
+_ACCELERATION = 5.0  # m/s^2 RMS of a free mass under the default force
 _CHIRP_SHARE = 0.3
 _FORCE_SHARE = 0.05  # of the force limit, at most
 _PEAKS = 4.5  # largest value of Gaussian noise over its RMS, in a minute at 500 Hz
@@ -53,7 +53,7 @@ class Levels:
 def default_force(experiment: Experiment, signal: str) -> float:
     """RMS of the reference force that moves the specimen well, far inside its limits, N.
 
-    A chirp, which is all at one frequency at a time, gets less.
+    A chirp, which has one frequency at a time, gets less.
     """
     limit = experiment["supervisor"]["limits.force"]
     force = min(_ACCELERATION * np.diag(_mass(experiment)).min(), _FORCE_SHARE * limit)
@@ -61,7 +61,7 @@ def default_force(experiment: Experiment, signal: str) -> float:
 
 
 def pilot_voltage(experiment: Experiment) -> float:
-    """RMS of the valve command with which a rig that is not known yet is tried, V."""
+    """RMS of the valve command in the pilot test of an unknown rig, V."""
     return float(_PILOT_SHARE * experiment["force_controller"]["voltage_limit"])
 
 
@@ -78,7 +78,7 @@ def voltage_after(pilot: Record, voltage: float) -> float:
 
 
 def check_levels(experiment: Experiment, levels: Levels) -> None:
-    """Refuse by an InputError levels whose peaks lie beyond what the experiment allows."""
+    """Refuse levels whose peaks exceed the limits of the experiment, by an InputError."""
     for option, level, unit, node, name in (
         ("--amplitude", levels.voltage, "V", "force_controller", "voltage_limit"),
         ("--force", levels.force, "N", "supervisor", "limits.force"),
@@ -98,12 +98,12 @@ def ground_accelerations(experiment: Experiment, forces: Floats) -> Floats:
 
 
 def _mass(experiment: Experiment) -> Floats:
-    told = experiment["reference_force"]["model.mass"]
-    return mass_matrix(told, experiment.axes, "reference_force: model.mass")
+    mass = experiment["reference_force"]["model.mass"]
+    return mass_matrix(mass, experiment.axes, "reference_force: model.mass")
 
 
 def has_valve(experiment: Experiment) -> bool:
-    """Whether a valve drives the rig, as far as the experiment says."""
+    """Whether a valve drives the rig; also true if the rig is not simulated here."""
     return experiment.sections.get("rig", {}).get("actuator.kind") not in FORCE_DRIVEN
 
 
@@ -185,11 +185,11 @@ class Motions:
 
     @property
     def shortest(self) -> float:
-        """Shortest duration that the band makes sense for, s."""
+        """Shortest duration for the band, s."""
         return shortest_duration(self.signal, len(self.experiment.axes), self.band)
 
     def check(self, duration: float) -> None:
-        """See by an InputError that tests can be made, before anything is written or moves."""
+        """Refuse by an InputError tests that can't be made, before anything is written or moves."""
         self._unit(duration)
         sections = self.experiment.sections
         made = self.experiment.axes, self.experiment.timebase

@@ -123,7 +123,7 @@ class Preflight:
     reasons : list of str
         Why it is not ``stable``; empty if it is.
     promise : str
-        What exact eigenvalues promise, and what not.
+        Validity of the result.
     margins : Margins
         How far it is from instability.
     modes : list of Mode

@@ -83,7 +83,7 @@ class GroundMotion:
     lead_steps : int
         Steps of rest that are known beyond the end.
     source : str
-        Where the motion comes from, for people to read.
+        Of the motion, for display.
 
     Attributes
     ----------

@@ -36,8 +36,8 @@ def response_spectrum(
     -------
     ndarray
         Shape (P,): ``w^2 max |x|`` in m/s^2, over the samples. Periods below some ten dt
-        have their peaks between samples and come out too small; what follows after the last
-        sample does not count (a tail of zeros makes it count).
+        have their peaks between samples and are too small; free vibration after the last sample
+        does not count (unless a tail of zeros is appended).
 
     Raises
     ------

@@ -162,8 +162,8 @@ def excitation(
 ) -> Floats:
     """Make an excitation of unit RMS on every axis.
 
-    Below its band it has next to nothing, so that a valve, which integrates to displacement,
-    does not let the piston drift.
+    Its spectrum below the band is almost zero, so that the piston does not drift: the valve
+    integrates to displacement.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def excitation(
 
 
 def shortest_duration(signal: str, axes: int, band: tuple[float, float]) -> float:
-    """Shortest duration of an excitation that its band makes sense for, s."""
+    """Shortest duration of an excitation for its band, s."""
     return _FEWEST_PERIODS / band[0] * (axes if signal == "chirp" else 1)
 
 

@@ -35,7 +35,7 @@ COUPLED = {
     "specimen.mass": [52.7, 40.0],
     "specimen.stiffness": [2.0e5, -3.0e4, -3.0e4, 2.4e5],
 }
-LINEAR = [name for name in METHODS if name != "target_motion"]  # test_preflight_frozen.py
+LINEAR = [name for name in METHODS if name != "target_motion"]  # test_design_frozen_methods.py
 WIDE = {f"limits.{name}": 1e9 for name in ROWS}
 
 

@@ -19,7 +19,7 @@ from seft_ros.experiment.tables import TABLES
 from seft_ros.reference_force.compensation.methods import METHODS
 
 M, C, K = 52.7, 800.3, 2.11e5
-OF_FORCES = [name for name in METHODS if name != "target_motion"]  # test_preflight_frozen.py
+OF_FORCES = [name for name in METHODS if name != "target_motion"]  # test_design_frozen_methods.py
 WIDE = {f"limits.{name}": 1e12 for name in ROWS}
 BASE = {
     "/**": {"rate": 500.0, "axes": ["x"]},
