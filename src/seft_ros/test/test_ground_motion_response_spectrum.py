@@ -7,8 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError
-from seft_ros.ground_motion.motion_figure import motion_figure
-from seft_ros.ground_motion.response_spectrum import motion_summary, response_spectrum
+from seft_ros.ground_motion.response_spectrum import (
+    motion_figure,
+    motion_summary,
+    response_spectrum,
+)
 
 G = 9.80665
 

@@ -44,8 +44,7 @@ def motion(
 
     from seft_ros.drawing.style import save_figure
     from seft_ros.ground_motion.ground_motion_block import TABLE, GroundMotion
-    from seft_ros.ground_motion.motion_figure import motion_figure
-    from seft_ros.ground_motion.response_spectrum import motion_summary
+    from seft_ros.ground_motion.response_spectrum import motion_figure, motion_summary
 
     columns = column or [0]
     axes = [f"column {index}" for index in columns]

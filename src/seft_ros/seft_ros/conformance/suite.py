@@ -89,17 +89,7 @@ def conform(
 
 
 class Suite:
-    """Runs the checks of a rig.
-
-    Parameters
-    ----------
-    driver : TestDriver
-        On the graph.
-    experiment : Experiment
-        Rate, axes and specimen.
-    amplitude : float or None
-        Largest command, in the unit of what drives the rig; None: `AMPLITUDES`.
-    """
+    """Runs the checks of a rig; ``amplitude`` in the unit of its drive, None: `AMPLITUDES`."""
 
     def __init__(self, driver: TestDriver, experiment: Experiment, amplitude: float | None) -> None:
         self._driver, self._experiment, self._amplitude = driver, experiment, amplitude
@@ -139,6 +129,7 @@ class Suite:
         amplitude = self._amplitude or AMPLITUDES[self._topic.units[0]]
         period_ns = experiment.timebase.period_ns
         self._drive = drive = Drive(experiment.timebase.dt, amplitude)
+        self._long = drive.step_at(LONG)
         driver.connect(self._topic)
         trial, stalls = self._moved()
         self._samples = samples = trial.samples
@@ -306,7 +297,3 @@ class Suite:
         if isinstance(told, int | float) and told > 0:
             return float(told)
         return float(self._experiment["supervisor"].get(name, 1.0))
-
-    @property
-    def _long(self) -> int:
-        return self._drive.step_at(LONG)

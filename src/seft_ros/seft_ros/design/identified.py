@@ -81,23 +81,23 @@ class Identified:
         Lowest and highest frequency excited, Hz.
     specimen : SpecimenFit
         The specimen.
-    valves : tuple of ValveResponse
+    valves : list of ValveResponse
         One for each axis; empty if no valve was driven.
-    closed_loops : tuple of ClosedLoop
+    closed_loops : list of ClosedLoop
         One for each axis; empty if the closed loop did not run to its end.
-    unusable : tuple of str
+    unusable : list of str
         Why a test could not be used, one line each.
-    faults : tuple of str
+    faults : list of str
         Other faults, likewise.
     """
 
     axes: tuple[str, ...]
     band: tuple[float, float]
     specimen: SpecimenFit
-    valves: tuple[ValveResponse, ...]
-    closed_loops: tuple[ClosedLoop, ...]
-    unusable: tuple[str, ...] = ()
-    faults: tuple[str, ...] = ()
+    valves: list[ValveResponse]
+    closed_loops: list[ClosedLoop]
+    unusable: list[str]
+    faults: list[str]
 
 
 def identify(
@@ -143,28 +143,26 @@ def identify(
             tests[what] = test
     actuators: list[ActuatorFit] = []
     if opened := tests.get(_OPEN_LOOP):
-        each = range(len(opened.axes))
-        actuators = [fit_actuator(*opened.of_actuator(axis), opened.dt, band) for axis in each]
-        named = zip(opened.axes, actuators, strict=True)
-        bad = [f"{_OPEN_LOOP}: axis {axis}: {fit.fault()}" for axis, fit in named if fit.fault()]
-        if bad:
-            unusable += bad
-            del tests[_OPEN_LOOP]
+        for index, axis in enumerate(opened.axes):
+            fit = fit_actuator(*opened.of_actuator(index), opened.dt, band)
+            actuators.append(fit)
+            if fit.fault():
+                unusable.append(f"{_OPEN_LOOP}: axis {axis}: {fit.fault()}")
+                tests.pop(_OPEN_LOOP, None)
     if not tests:
         raise ExperimentError(unusable[0])
     specimen = fit_specimen(
         [test.response(REFERENCE, MOTION, MOTION_TO) for test in tests.values()]
     )
-    valves, loops = [], []
+    valves: list[ValveResponse] = []
+    loops: list[ClosedLoop] = []
     if opened := tests.get(_OPEN_LOOP):
         valves = _valves(opened, specimen, actuators, controller)
     if closed := tests.get(_CLOSED_LOOP):
         each = range(len(closed.axes))
         loops = [_closed_loop(closed.of(REFERENCE, FORCE, axis), closed.dt) for axis in each]
     axes = next(iter(tests.values())).axes
-    return Identified(
-        axes, band, specimen, tuple(valves), tuple(loops), tuple(unusable), tuple(faults)
-    )
+    return Identified(axes, band, specimen, valves, loops, unusable, faults)
 
 
 def _valves(
@@ -205,11 +203,10 @@ def _closed_loop(measured: Measurement, dt: float) -> ClosedLoop:
     return ClosedLoop(measured, tracking_measures(f, tracking), fit)
 
 
-ACTUATOR = (
+_ACTUATOR = (
     *("flow_gain", "oil_stiffness", "leakage", "force_capacity"),
     *("valve_frequency", "valve_damping", "dead_time"),
 )
-"""Names of an actuator's parameters, as of `ActuatorFit`."""
 _LONGEST_DELAY = 1.0  # s, as in the parameter table
 
 
@@ -233,7 +230,7 @@ def model_parameters(identified: Identified, specimen: bool) -> dict[str, dict[s
             reference["compensation.delay"] = float(delay)
         reference |= _response("tracking", closed.fit.model)
     if identified.valves:
-        for name in ACTUATOR:
+        for name in _ACTUATOR:
             values = [float(getattr(valve.actuator, name)) for valve in identified.valves]
             if name != "force_capacity" or all(values):
                 controller[f"actuator.{name}"] = values
@@ -249,10 +246,10 @@ def write_model(identified: Identified, path: Path, source: str, specimen: bool)
     """
     comments = [f"Identified by seft identify from {source}", f"Axes: {identified.axes}"]
     if identified.valves:
-        comments.append(
-            "actuator: of the actuators alone; another specimen needs no new identification"
-        )
-        comments.append(f"plant and tracking: with this specimen, of axis {identified.axes[0]}")
+        comments += [
+            "actuator: of the actuators alone; another specimen needs no new identification",
+            f"plant and tracking: with this specimen, of axis {identified.axes[0]}",
+        ]
     write_parameter_file(path, model_parameters(identified, specimen), comments)
 
 

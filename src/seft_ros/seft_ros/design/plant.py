@@ -7,13 +7,17 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
-from scipy.signal import cont2discrete
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.actuator.actuator import servo_hydraulic
 from seft_plant_sim.actuator.hydraulics import Hydraulics
 from seft_plant_sim.continuous_model import ContinuousModel
-from seft_plant_sim.lti import companion_form, split_dead_time, state_space_response
+from seft_plant_sim.lti import (
+    companion_form,
+    first_order_hold,
+    split_dead_time,
+    state_space_response,
+)
 from seft_plant_sim.rig.rig import continuous_model
 from seft_plant_sim.specimen.specimen import Specimen
 
@@ -219,9 +223,8 @@ class SampledPlant:
                 f"the plant's dead time of {plant.delay:g} s is {whole} samples long, but at most "
                 f"{MAX_DELAY_STEPS} are allowed"
             )
-        system = plant.a, plant.b, plant.c, plant.d
-        early, forced_early, *_ = cont2discrete(system, rest, "zoh")
-        late, forced_late, *_ = cont2discrete(system, dt - rest, "zoh")
+        early, forced_early, _ = first_order_hold(plant.a, plant.b, rest)
+        late, forced_late, _ = first_order_hold(plant.a, plant.b, dt - rest)
         before = late @ forced_early
         return cls(late @ early, before, forced_late, plant.c, plant.d, whole, rest > 0, dt)
 
