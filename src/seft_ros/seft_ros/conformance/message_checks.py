@@ -36,12 +36,12 @@ def check_description(description: Mapping[str, Any] | None, experiment: Experim
     name, rate, axes = "description", experiment.timebase.rate, list(experiment.axes)
     if description is None:
         return found(name, False, "nothing of node rig on experiment/description")
-    told = description["parameters"]
+    parameters = description["parameters"]
     for key, value in {"rate": rate, "axes": axes}.items():
-        if told.get(key) != value:
+        if parameters.get(key) != value:
             mend = "start the rig with the experiment's own file"
-            return found(name, False, f"{key} is {told.get(key)}, not {value}", mend)
-    pace = told.get("pace", "realtime")
+            return found(name, False, f"{key} is {parameters.get(key)}, not {value}", mend)
+    pace = parameters.get("pace", "realtime")
     if pace != "realtime":
         mend = "start it with -p rig:pace:=realtime: timing is part of the contract"
         return found(name, False, f"the rig's pace is {pace}", mend)
@@ -54,19 +54,19 @@ def check_signs_of_life(trial: Trial) -> Finding:
     if len(times) < 2:
         return found(name, False, f"{len(times)} statuses of the rig were heard")
     if trial.phase != "idle":
-        told = f"phase {trial.phase or 'none'} before a test, not idle"
-        return found(name, False, told, "report phase idle between tests, see docs/hardware.md")
+        text = f"phase {trial.phase or 'none'} before a test, not idle"
+        return found(name, False, text, "report phase idle between tests, see docs/hardware.md")
     usual, longest = _gaps(times)
-    told = f"phase idle, diagnostics every {usual:.2f} s, {longest:.2f} s at most"
-    return found(name, usual <= SLOWEST_STATUS, told, usual_s=usual, longest_s=longest)
+    text = f"phase idle, diagnostics every {usual:.2f} s, {longest:.2f} s at most"
+    return found(name, usual <= SLOWEST_STATUS, text, usual_s=usual, longest_s=longest)
 
 
 def check_form(trial: Trial, axes: Sequence[str]) -> Finding:
     """Check that all states have the axes, one point, all quantities, and finite values."""
     name = "form of rig/state"
     if not trial.states:
-        told = "no rig/state in a running test"
-        return found(name, False, told, "publish a state each period from step 0 on")
+        text = "no rig/state in a running test"
+        return found(name, False, text, "publish a state each period from step 0 on")
     for number, (_, raw) in enumerate(trial.states):
         try:
             fault = _fault(parse_trajectory(raw, RIG_STATE.name), axes)
@@ -100,8 +100,8 @@ def check_stamps(trial: Trial, period_ns: int) -> Finding:
         return found(name, False, "a state can't be read")
     for number, stamp in enumerate(stamps):
         if off := stamp - number * period_ns:
-            told = f"message {number} is stamped {stamp} ns, {off:+d} ns from {number} periods"
-            return found(name, False, told, off_ns=float(off))
+            text = f"message {number} is stamped {stamp} ns, {off:+d} ns from {number} periods"
+            return found(name, False, text, off_ns=float(off))
     return found(name, True, f"{len(stamps)} messages, each exactly its number of periods")
 
 
@@ -114,20 +114,20 @@ def check_end(trial: Trial, steps: int, experiment: Experiment) -> Finding:
     if ended is None:
         last = tripped[1].message if tripped is not None else f"phase {trial.phase or 'none'}"
         limit = "if the rig did not move so, a sensor's unit, sign or factor is wrong"
-        told = f"{len(trial.states)} of {steps} states, {last}"
-        return found(name, False, told, limit if "limit" in last else "")
+        text = f"{len(trial.states)} of {steps} states, {last}"
+        return found(name, False, text, limit if "limit" in last else "")
     try:
         outcome = read_outcome(ended[1], experiment.timebase)
     except WireError as error:
         return found(name, False, str(error))
     assert outcome is not None  # it has ended
     if outcome.steps != steps or len(trial.states) != steps:
-        told = f"{outcome.steps} steps reported, {len(trial.states)} states received, of {steps}"
-        return found(name, False, told)
+        text = f"{outcome.steps} steps reported, {len(trial.states)} states received, of {steps}"
+        return found(name, False, text)
     if trial.phase != "idle":
         return found(name, False, f"phase {trial.phase} after experiment/state was idle")
-    told = f"finished after {steps} steps ({outcome.missed} commands missed), then idle"
-    return found(name, True, told)
+    text = f"finished after {steps} steps ({outcome.missed} commands missed), then idle"
+    return found(name, True, text)
 
 
 def check_clock(trial: Trial, period_ns: int) -> Finding:
@@ -136,8 +136,8 @@ def check_clock(trial: Trial, period_ns: int) -> Finding:
     if len(times) < 2 or any(stamp % period_ns for _, stamp in trial.clocks):
         return found("/clock", False, f"{len(times)} messages with stamps of samples")
     usual, longest = _gaps(times)
-    told = f"{len(times)} messages, one every {usual:.2f} s, {longest:.2f} s at most"
-    return found("/clock", usual <= SLOWEST_CLOCK, told, usual_s=usual, longest_s=longest)
+    text = f"{len(times)} messages, one every {usual:.2f} s, {longest:.2f} s at most"
+    return found("/clock", usual <= SLOWEST_CLOCK, text, usual_s=usual, longest_s=longest)
 
 
 def _gaps(times: Sequence[float]) -> tuple[float, float]:
@@ -157,19 +157,19 @@ def check_timing(samples: Samples, dt: float, stalls: Stalls) -> list[Finding]:
     times = samples.times[1:]
     count = len(times) // WINDOW
     if count < ENOUGH:
-        told = f"{len(times)} states are too few"
-        return [not_run(name, told) for name in ("period", "late states")]
+        text = f"{len(times)} states are too few"
+        return [not_run(name, text) for name in ("period", "late states")]
     windows = times[: count * WINDOW].reshape(count, WINDOW)
     late = windows - (np.arange(count * WINDOW) * dt).reshape(count, WINDOW)
     late -= late.min(axis=1, keepdims=True)
     chosen, left_out = _quiet_windows(windows, late, stalls)
     windows, late = windows[chosen], late[chosen]
     period = float(np.median((windows[:, -1] - windows[:, 0]) / (WINDOW - 1)))
-    told = f"{1e3 * period:.4f} ms, {1e3 * dt:g} ms wanted{left_out}"
-    right_rate = found("period", abs(period / dt - 1) <= OFF, told, period_s=period)
+    text = f"{1e3 * period:.4f} ms, {1e3 * dt:g} ms wanted{left_out}"
+    right_rate = found("period", abs(period / dt - 1) <= OFF, text, period_s=period)
     typical = float(np.median(np.percentile(late, PERCENTILE, axis=1)))
     p50, p99, largest = np.percentile(late, (50, 99, 100)).tolist()
-    told = (
+    text = (
         f"{PERCENTILE:g} of 100 within {1e3 * typical:.3f} ms of their deadline "
         f"(median {1e3 * p50:.3f}, p99 {1e3 * p99:.3f}, largest {1e3 * largest:.3f} ms){left_out}"
     )
@@ -179,7 +179,7 @@ def check_timing(samples: Samples, dt: float, stalls: Stalls) -> list[Finding]:
     )
     numbers = {"p50_s": p50, "p95_s": typical, "p99_s": p99, "largest_s": largest}
     judged = typical if left_out else max(typical, p99)
-    return [right_rate, found("late states", judged <= LATEST * dt, told, mend, **numbers)]
+    return [right_rate, found("late states", judged <= LATEST * dt, text, mend, **numbers)]
 
 
 def _quiet_windows(windows: Floats, late: Floats, stalls: Stalls) -> tuple[npt.NDArray[Any], str]:
@@ -189,8 +189,8 @@ def _quiet_windows(windows: Floats, late: Floats, stalls: Stalls) -> tuple[npt.N
     if not disturbed.any():
         return np.arange(len(late)), ""
     if disturbed.mean() <= SOME:
-        told = f"; {disturbed.sum()} of {len(late)} windows left out, in which this host stalled"
-        return np.flatnonzero(~disturbed), told
+        text = f"; {disturbed.sum()} of {len(late)} windows left out, in which this host stalled"
+        return np.flatnonzero(~disturbed), text
     best = np.argsort(np.percentile(late, PERCENTILE, axis=1))
     best = best[: max(ENOUGH, round(BEST * len(late)))]
     return np.sort(best), "; this host stalled again and again: only the best fifth counts"

@@ -88,9 +88,9 @@ def check_rest(samples: Samples, drive: Drive) -> Finding:
     first, last = rest[: len(rest) // 3].mean(axis=0), rest[-len(rest) // 3 :].mean(axis=0)
     drift = float(np.abs(last - first).max())
     noise = np.diff(rest, axis=0).std(axis=0).max() / math.sqrt(2)  # without the drift
-    told = f"displacement changes by {1e3 * drift:.4f} mm under a command of 0, noise "
-    told += f"{1e3 * noise:.4f} mm"
-    return found("at rest", drift <= max(ONSET_NOISE * noise, 1e-6), told, drift_m=drift)
+    text = f"displacement changes by {1e3 * drift:.4f} mm under a command of 0, noise "
+    text += f"{1e3 * noise:.4f} mm"
+    return found("at rest", drift <= max(ONSET_NOISE * noise, 1e-6), text, drift_m=drift)
 
 
 def check_moves(samples: Samples, drive: Drive) -> Finding:
@@ -99,16 +99,16 @@ def check_moves(samples: Samples, drive: Drive) -> Finding:
     noise = rest.std(axis=0)
     size = (moved - rest.mean(axis=0)).std(axis=0)
     seen = float((size[1:] / np.maximum(noise[1:], 1e-300)).min(axis=1).max())
-    told = f"its motion is {seen:.1f} times the noise in the sensor that sees it best"
+    text = f"its motion is {seen:.1f} times the noise in the sensor that sees it best"
     if not seen >= SEEN / 2:
-        return found(name, False, told, seen=seen)
+        return found(name, False, text, seen=seen)
     drives = _correlate(drive.commands[drive.bell][:, np.newaxis], drive.dt)
     for axis in range(moved.shape[2]):
         if _ratio(_correlate(moved[:, 1, [axis]], drive.dt), drives).real <= 0:
-            told = f"a positive command moves axis number {axis} backwards"
+            text = f"a positive command moves axis number {axis} backwards"
             mend = f"reverse the valve's sign: force control would run away; or the {_SENSOR}"
-            return found(name, False, told, mend, seen=seen)
-    return found(name, True, f"{told}, a positive command extends", seen=seen)
+            return found(name, False, text, mend, seen=seen)
+    return found(name, True, f"{text}, a positive command extends", seen=seen)
 
 
 def check_units(samples: Samples, drive: Drive, specimen: Specimen | None) -> list[Finding]:
@@ -127,7 +127,7 @@ def check_units(samples: Samples, drive: Drive, specimen: Specimen | None) -> li
     ):
         mend = f"{culprit}: {_why(factor)}; see the {_SENSOR}"
         numbers = {"ratio": abs(ratio), "phase_deg": _phase(ratio)}
-        findings.append(found(name, _fits(ratio), _told(what, ratio), mend, **numbers))
+        findings.append(found(name, _fits(ratio), _described(what, ratio), mend, **numbers))
     name = "force of specimen"
     if specimen is None:
         return [*findings, not_run(name, "mass, damping and stiffness are not known")]
@@ -136,9 +136,9 @@ def check_units(samples: Samples, drive: Drive, specimen: Specimen | None) -> li
     why = "it can't be judged: other channels are wrong"
     if _fits(speed) and _fits(rate):
         why = _why(force)
-    told = _told("force / (m a + c v + k x)", force)
+    text = _described("force / (m a + c v + k x)", force)
     mend = f"{why}; see the {_SENSOR}, and the specimen's values in the experiment"
-    return [*findings, found(name, _fits(force), told, mend, ratio=abs(force))]
+    return [*findings, found(name, _fits(force), text, mend, ratio=abs(force))]
 
 
 def _correlate(signal: Floats, dt: float, *, derivative: bool = False) -> Complex:
@@ -174,7 +174,7 @@ def _inverse(ratio: complex) -> complex:
     return 1 / ratio if ratio else complex(np.inf)
 
 
-def _told(what: str, value: complex) -> str:
+def _described(what: str, value: complex) -> str:
     return f"{what} is {abs(value):.4g} at {_phase(value):+.0f} degrees, 1 at 0 wanted"
 
 
@@ -209,6 +209,6 @@ def check_answer_delay(samples: Samples, drive: Drive) -> Finding:
     if not delays:
         return found(name, False, "the doublets are not seen in the force")
     first, latest = min(delays), 2 + math.floor(VALVE / drive.dt)
-    told = f"the answer to a sample is first seen {first} samples later"
-    told += f" (2 to {latest} with up to {1e3 * VALVE:g} ms of valve and oil)"
-    return found(name, 1 <= first <= latest, told, samples=float(first))
+    text = f"the answer to a sample is first seen {first} samples later"
+    text += f" (2 to {latest} with up to {1e3 * VALVE:g} ms of valve and oil)"
+    return found(name, 1 <= first <= latest, text, samples=float(first))

@@ -96,15 +96,15 @@ def check_refusals(trial: Trial, bad: BadCommands, moved: Samples, drive: Drive)
         index = np.flatnonzero((steps > block.start) & (steps <= block.stop + 2))
         at = np.flatnonzero(steps == block.start)
         if len(index) < block.stop - block.start or not len(at):
-            told = f"the rig ended the test before it: phase {trial.phase or 'none'}"
-            findings.append(found(name, False, told))
+            text = f"the rig ended the test before it: phase {trial.phase or 'none'}"
+            findings.append(found(name, False, text))
             continue
         before = force[max(0, at[0] - 5) : at[0] + 1].mean(axis=0)
         change = np.abs(force[index] - before).max(axis=0)
         worst = int((change / least).argmax())
-        told = f"the force changes by {change[worst]:.3g} N ({least[worst]:.3g} N: obeyed)"
+        text = f"the force changes by {change[worst]:.3g} N ({least[worst]:.3g} N: obeyed)"
         passed = bool((change < least).all())
-        findings.append(found(name, passed, told, change_n=float(change[worst])))
+        findings.append(found(name, passed, text, change_n=float(change[worst])))
     return findings
 
 
@@ -120,9 +120,9 @@ def check_over_limit(
     if len(after) < 5:
         return found(name, False, "the rig ended the test before it")
     change = np.abs(after - force[max(0, at - 10) : at].mean(axis=0)).max(axis=0)
-    told = f"of 1.2 times {limit:g}: the force changes by {change.max():.3g} N"
+    text = f"of 1.2 times {limit:g}: the force changes by {change.max():.3g} N"
     passed = bool((change < SEEN * moved.values[drive.rest, 3].std(axis=0)).all())
-    return found(name, passed, told, change_n=float(change.max()))
+    return found(name, passed, text, change_n=float(change.max()))
 
 
 def check_watchdog(trial: Trial, timeout: float, silent: str, *, by_itself: bool = True) -> Finding:
@@ -133,12 +133,12 @@ def check_watchdog(trial: Trial, timeout: float, silent: str, *, by_itself: bool
         return found(name, False, "the test ended before", mend)
     last, tripped = trial.last_state_after("silent"), trial.status_of(TRIPPED)
     if tripped is None or not by_itself:
-        told = f"no trip; last state after {last:.3f} s, {timeout:g} s are configured"
-        return found(name, False, told, mend, last_state_s=last)
+        text = f"no trip; last state after {last:.3f} s, {timeout:g} s are configured"
+        return found(name, False, text, mend, last_state_s=last)
     took, reason = tripped[0] - trial.marks["silent"], tripped[1].values.get("reason", "")
-    told = f"tripped after {took:.3f} s ({timeout:g} s configured): {reason or 'no reason given'}"
+    text = f"tripped after {took:.3f} s ({timeout:g} s configured): {reason or 'no reason given'}"
     passed = max(took, last) <= timeout + PATIENCE and bool(reason)
-    return found(name, passed, told, mend, tripped_s=took, last_state_s=last)
+    return found(name, passed, text, mend, tripped_s=took, last_state_s=last)
 
 
 def check_stood_still(trial: Trial) -> Finding:
@@ -150,10 +150,10 @@ def check_stood_still(trial: Trial) -> Finding:
     if "goes on" not in trial.marks or not trial.states:
         return found(name, False, "the test ended before")
     later = int((trial.samples.times > trial.marks["goes on"]).sum())
-    told = f"{later} states after its process was stopped and continued"
+    text = f"{later} states after its process was stopped and continued"
     reason = tripped[1].values.get("reason", "") if tripped else ""
-    told += f", tripped: {reason or 'no reason given'}" if tripped else ", no trip"
-    return found(name, later <= 1 and bool(reason), told, states=later)
+    text += f", tripped: {reason or 'no reason given'}" if tripped else ", no trip"
+    return found(name, later <= 1 and bool(reason), text, states=later)
 
 
 def check_safe_position(trial: Trial, next_one: Samples) -> Finding:
@@ -166,8 +166,8 @@ def check_safe_position(trial: Trial, next_one: Samples) -> Finding:
         return found(name, False, "the rig did not trip, and continues with the last command")
     values = rested(trial)
     if values is None:
-        told = f"the rig does not report rest within {RESTING:g} s: "
-        return found(name, False, told + trial.statuses[-1][1].message)
+        text = f"the rig does not report rest within {RESTING:g} s: "
+        return found(name, False, text + trial.statuses[-1][1].message)
     took = float(values[STOP_TIME])
     if len(last.times) < 10 or len(next_one.times) < 10:
         return found(name, False, "too few states to see where it came to rest")
@@ -175,16 +175,16 @@ def check_safe_position(trial: Trial, next_one: Samples) -> Finding:
     stopped, again = last.values[-1, 0], next_one.values[:10, 0].mean(axis=0)
     noise = last.values[:10, 0].std(axis=0)
     further = float((np.abs(again - start) - np.abs(stopped - start) - SEEN * noise).max())
-    told = f"at rest after {took:.3g} s"
+    text = f"at rest after {took:.3g} s"
     if STOP_FORCE in values:
-        told += f", peak force {values[STOP_FORCE]} N"
+        text += f", peak force {values[STOP_FORCE]} N"
     if further > BACK:
-        told = f"{told} as reported, but {1e3 * further:.2f} mm farther away in the next test"
-        return found(name, False, told, further_m=further)
-    return found(name, took <= RESTING, told, stop_s=took)
+        text = f"{text} as reported, but {1e3 * further:.2f} mm farther away in the next test"
+        return found(name, False, text, further_m=further)
+    return found(name, took <= RESTING, text, stop_s=took)
 
 
 def rested(trial: Trial) -> dict[str, str] | None:
     """Give the values of the status in which a rig that tripped reports rest."""
-    told = [s.values for _, s in trial.statuses if s.values.get("phase") == TRIPPED]
-    return next((values for values in told if STOP_TIME in values), None)
+    trips = [s.values for _, s in trial.statuses if s.values.get("phase") == TRIPPED]
+    return next((values for values in trips if STOP_TIME in values), None)

@@ -116,8 +116,8 @@ class Suite:
         before = driver.meet(MEETING)
         yield message_checks.check_description(driver.description, experiment)
         yield message_checks.check_signs_of_life(before)
-        told = f"{len(before.states)} states while idle"
-        yield found("silent before a test", not before.states, told)
+        text = f"{len(before.states)} states while idle"
+        yield found("silent before a test", not before.states, text)
 
     def _move(self) -> Iterator[Finding]:
         """Move the rig; its values are checked only if its messages can be read."""
@@ -193,8 +193,8 @@ class Suite:
             yield not_run("command beyond the limit", why)
             return
         at, name = drive.step_at(LEAD), "command" if self._topic == VALVE_COMMAND else "force"
-        told = self._parameters.get(f"limits.{name}")
-        limit = float(told) if isinstance(told, int | float) else None
+        value = self._parameters.get(f"limits.{name}")
+        limit = float(value) if isinstance(value, int | float) else None
         trial = driver.run(
             2 * at, lambda step: driver.command(step, 1.2 * (limit or 0.0) if step == at else 0.0)
         )
@@ -230,9 +230,9 @@ class Suite:
         again, alone = self._silence("supervisor", timeout, leave_alone, longest)
         driver.end(State.TRIPPED)
         yield obedience_checks.check_safe_position(tripped, again.samples)
-        told = f"{len(latched.states)} states in a test after a trip without a reset"
+        text = f"{len(latched.states)} states in a test after a trip without a reset"
         rests = not latched.states and latched.status_of(TRIPPED) is not None
-        yield found("trip is latched", rests, told)
+        yield found("trip is latched", rests, text)
         yield alone
 
     def _silence(
@@ -281,19 +281,19 @@ class Suite:
             driver.say(state)
             driver.listen_for(BRIEF)
             last = trial.last_state_after(state)
-            told = f"the last state came {last:.3f} s after, phase {trial.phase or 'none'}"
+            text = f"the last state came {last:.3f} s after, phase {trial.phase or 'none'}"
             rests = trial.phase in ENDED and last <= STOP
-            yield found(f"rests when {state}", rests, told, last_state_s=last)
+            yield found(f"rests when {state}", rests, text, last_state_s=last)
             driver.end(state)
         trial = driver.run(self._long, driver.command, BRIEF, (), ready=False)
-        told = f"{len(trial.states)} states in a test that was not ready before"
-        yield found("rests in a test under way", not trial.states, told)
+        text = f"{len(trial.states)} states in a test that was not ready before"
+        yield found("rests in a test under way", not trial.states, text)
         driver.end()
 
     def _timeout(self, silent: str) -> float:
         """Time within which the rig must trip without commands or supervisor, s."""
         name = f"watchdog.{silent}_timeout"
-        told = self._parameters.get(name)
-        if isinstance(told, int | float) and told > 0:
-            return float(told)
+        value = self._parameters.get(name)
+        if isinstance(value, int | float) and value > 0:
+            return float(value)
         return float(self._experiment["supervisor"].get(name, 1.0))

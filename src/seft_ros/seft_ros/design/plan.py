@@ -182,26 +182,20 @@ class Plan:
         section["compensation.estimate_delay"] &= follow_delay
         if mass_ratio is not None:
             section["mass_ratio"] = mass_ratio
-        assumed = stiffness * np.atleast_1d(section["model.stiffness"])
-        section["model.stiffness"] = assumed.tolist()
+        scaled = stiffness * np.atleast_1d(section["model.stiffness"])
+        section["model.stiffness"] = scaled.tolist()
         if section["compensation.delay"] > 0:
             section["compensation.delay"] = max(section["compensation.delay"] + delay_error, 0.0)
         known = knowledge(section, self.axes, self.experiment.timebase)
         return compensator(section["compensation.method"], known)
 
-    def compensation(
-        self,
-        mass_ratio: float | None = None,
-        stiffness: float = 1.0,
-        delay_error: float = 0.0,
-        measured: bool = False,
-    ) -> LinearFilter:
-        """Give the method as a linear filter, see `compensator`.
+    def compensation(self, measured: bool = False, **changes: Any) -> LinearFilter:
+        """Give the method as a linear filter; changes as of `compensator`.
 
         The output of `target_motion` is all points, see `frozen_target`; ``measured``: as it is
         with the restoring force as measured.
         """
-        made = self.compensator(mass_ratio, stiffness, delay_error, follow_delay=False)
+        made = self.compensator(follow_delay=False, **changes)
         return frozen_target(made, measured) if isinstance(made, TargetMotion) else made.linear()
 
     def loops(
@@ -244,11 +238,11 @@ class Plan:
         long.
         """
         rig = self._sampled(stiffness, self.dead_time if dead_time is None else dead_time, gain)
-        assumed, late = stiffness if followed else 1.0, self.section["loop_delay"]
-        loops = []
+        assumed = {"stiffness": stiffness if followed else 1.0, "delay_error": delay_error}
+        late, loops = self.section["loop_delay"], []
         for read, control in self._controllers if any_valve else self._controllers[:1]:
             for measured in (False, True) if self.follows else (False,):
-                part = self._filter(mass_ratio, assumed, delay_error, measured)
+                part = self._filter(measured, mass_ratio=mass_ratio, **assumed)
                 if read is not None:  # of the points from the one that the loop's delay leads to
                     first = 3 * len(self.axes) * late
                     of = slice(first, first + read.shape[1])

@@ -165,14 +165,12 @@ def instability(plan: Plan) -> str:
 
 
 def _promise(plan: Plan) -> str:
-    parts = [SMALL_SIGNAL if plan.rig.small_signal else LINEAR]
+    promise = SMALL_SIGNAL if plan.rig.small_signal else LINEAR
     if plan.rig.plant.source == "identified":
-        parts = [IDENTIFIED]
+        promise = IDENTIFIED
     if plan.follows:
-        parts.append(FOLLOWS)
-    elif plan.compensator().estimates():
-        parts.append(ADAPTIVE)
-    return " ".join(parts)
+        return f"{promise} {FOLLOWS}"
+    return f"{promise} {ADAPTIVE}" if plan.compensator().estimates() else promise
 
 
 def _thin(plan: Plan, margins: Margins) -> Iterator[str]:
