@@ -82,8 +82,7 @@ class Response:
     def variance(self) -> Floats:
         """Variance of each element of the response, shape (F, p, n)."""
         power = np.einsum("fii->fi", self.noise).real
-        product: Floats = power[:, :, np.newaxis] * self.input_gain[:, np.newaxis, :]
-        return product
+        return power[:, :, np.newaxis] * self.input_gain[:, np.newaxis, :]
 
     def of_axis(self, axis: int) -> Measurement:
         """Response of one output to the input of its place."""

@@ -80,12 +80,10 @@ class OilBalance:
         self.rough: Floats = np.sqrt(noise_left + _ROUGH**2 * gain.max() * power + 1e-30)
 
     def _spectrum(self, signal: Floats) -> Complexes:
-        spectrum: Complexes = scipy.fft.rfft(signal, self._size)
-        return spectrum
+        return scipy.fft.rfft(signal, self._size)
 
     def _back(self, spectrum: Complexes) -> Floats:
-        signal: Floats = scipy.fft.irfft(spectrum, self._size)[: self._n]
-        return signal
+        return scipy.fft.irfft(spectrum, self._size)[: self._n]
 
     def _of(self, signal: Floats) -> Complexes:
         """Part of a signal that is correlated with the commands, at each of F frequencies."""
@@ -94,8 +92,7 @@ class OilBalance:
     def _with_commands(self, spectrum: Complexes) -> Complexes:
         # noise is not correlated with the commands: it averages out
         products = np.add.reduceat(spectrum[self._used] * self._drive, self._blocks)
-        result: Complexes = products / self._size_of_drive
-        return result
+        return products / self._size_of_drive
 
     def within(self, signal: Floats) -> Floats:
         """Take the part of a signal that lies within the band."""
@@ -104,8 +101,7 @@ class OilBalance:
     def smooth(self, power: Floats) -> Floats:
         """Mean over the frequencies around each one."""
         total, (low, high) = np.concatenate([[0.0], np.cumsum(power)]), self._around
-        smoothed: Floats = (total[high] - total[low]) / (high - low)
-        return smoothed
+        return (total[high] - total[low]) / (high - low)
 
     def _motion(self, positions: Floats, accelerations: Floats) -> tuple[Floats, Floats, Floats]:
         """Velocity from displacement and acceleration, each where it has the less noise.
@@ -148,8 +144,7 @@ class OilBalance:
 
     def slip(self, over: float) -> Floats:
         """Rate of a friction of 1 N that builds up over a velocity in m/s; N/s, (N - 1,)."""
-        rate: Floats = np.diff(np.tanh(self._at_samples / over), append=0.0) / self._dt
-        return rate
+        return np.diff(np.tanh(self._at_samples / over), append=0.0) / self._dt
 
     def drag(self, over: float) -> float:
         """Viscous friction equivalent to a friction of 1 N in this test, N s/m."""

@@ -104,8 +104,7 @@ def _motion(measured: Response, damping: Floats, stiffness: Floats) -> Complexes
 def _error(measured: Response, mass: Floats, damping: Floats, stiffness: Floats) -> Complexes:
     """Error of the equation of motion M A + (jw C + K) X = F at every frequency."""
     x, a, f = _parts(measured)
-    error: Complexes = f - mass @ a - _motion(measured, damping, stiffness) @ x
-    return error
+    return f - mass @ a - _motion(measured, damping, stiffness) @ x
 
 
 def _weighed(measured: Response, mass: Floats, damping: Floats, stiffness: Floats) -> Complexes:
@@ -218,8 +217,7 @@ class _Data:
         return np.log([float(np.abs(self._s[int(smooth.argmax())])), 0.1])
 
     def _error(self, model: TransferFunction) -> Floats:
-        error: Floats = self._w * np.abs(model.response(self._f) - self._t)
-        return error
+        return self._w * np.abs(model.response(self._f) - self._t)
 
     def solved(self, start: Floats) -> tuple[TrackingFit, Floats]:
         """Best fit from a start, and its parameters."""
@@ -241,8 +239,7 @@ class _Data:
 
     def _lag(self, p: Floats) -> Complexes:
         """Dead time at every frequency."""
-        lag: Complexes = np.exp(-self._s * self._unit * p[0] * self._longest)
-        return lag
+        return np.exp(-self._s * self._unit * p[0] * self._longest)
 
     def _polynomials(self, p: Floats) -> tuple[Floats, Floats]:
         """Numerator and denominator in s over the unit."""

@@ -93,8 +93,7 @@ def check_levels(experiment: Experiment, levels: Levels) -> None:
 
 def ground_accelerations(experiment: Experiment, forces: Floats) -> Floats:
     """Ground motion (N, n) in m/s^2 whose reference forces -M a_g are these, in N."""
-    accelerations: Floats = -np.linalg.solve(_mass(experiment), forces.T).T
-    return accelerations
+    return -np.linalg.solve(_mass(experiment), forces.T).T
 
 
 def _mass(experiment: Experiment) -> Floats:

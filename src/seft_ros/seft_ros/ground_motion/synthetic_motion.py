@@ -46,7 +46,7 @@ def _frequency_response(
     high = 2j * filter_damping * filter_frequency * f
     kanai_tajimi = (ground_frequency**2 + ground) / (ground_frequency**2 - f**2 + ground)
     clough_penzien = -(f**2) / (filter_frequency**2 - f**2 + high)
-    return np.asarray(kanai_tajimi * clough_penzien)
+    return kanai_tajimi * clough_penzien
 
 
 def stationary_motion(seed: int, steps: int, dt: float, **filters: float) -> Floats:
@@ -89,7 +89,7 @@ def envelope(times: npt.ArrayLike, rise: float, plateau_end: float, decay: float
     """
     times = np.asarray(times, dtype=float)
     risen = np.minimum(times / rise, 1.0) ** 2 if rise > 0 else np.ones_like(times)
-    return np.asarray(risen * np.exp(-decay * np.maximum(times - plateau_end, 0.0)))
+    return risen * np.exp(-decay * np.maximum(times - plateau_end, 0.0))
 
 
 def synthetic_motion(
@@ -154,7 +154,7 @@ def synthetic_motion(
             "ground_motion: synthetic.* make a motion that is zero; "
             "check synthetic.rise against synthetic.duration"
         )
-    return np.asarray(motion * (peak / largest))
+    return motion * (peak / largest)
 
 
 def excitation(
@@ -207,8 +207,7 @@ def excitation(
         raw = _sweeps(steps, axes, dt, band)
     window = np.hanning(steps)[:, np.newaxis]
     centred = raw - window * (raw.mean(axis=0) / window.mean())  # the ends still at rest
-    unit: Floats = centred / np.sqrt(np.mean(centred**2, axis=0))
-    return unit
+    return centred / np.sqrt(np.mean(centred**2, axis=0))
 
 
 def shortest_duration(signal: str, axes: int, band: tuple[float, float]) -> float:
