@@ -25,7 +25,7 @@ _TRACKING = ("flat_to_hz", "bandwidth_hz", "delay_s", "dip_db", "dip_hz")
 
 @dataclass(frozen=True)
 class Responses:
-    """Frequency responses of plant (N/V) and controller (V/N), shape (N,) each."""
+    """Frequency responses of plant (N/V) and controller (V/N) at N frequencies, shape (N,) each."""
 
     frequencies_hz: Floats
     plant: Complexes
