@@ -14,8 +14,8 @@ import numpy as np
 from _plain_loop import steps_per_second as plain_steps_per_second
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import RIG_STATE
-from seft_ros.experiment.ensemble import Workshop, run_ensemble
-from seft_ros.experiment.tables import TABLES
+from seft_ros.test_run.offline import Workshop, run_ensemble
+from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.tournament.entries import make_tournament
 
 try:

@@ -18,9 +18,6 @@ from seft_msgs_py.config.parameter_table import Value
 from seft_plant_sim.reference.whole_structure import reference_response
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.drawing.style import FIRST, MARK, OTHERS, REFERENCE, TEXT, save_figure, tidy
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.offline import simulate
-from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
 from seft_ros.loop_shaping.controller import Controller
 from seft_ros.loop_shaping.design import LoopDesign, shape_loop
@@ -29,6 +26,9 @@ from seft_ros.preflight.modes import predicted_modes
 from seft_ros.preflight.plan import Plan
 from seft_ros.preflight.stability_margins import HIGHEST_MASS_RATIO, critical_mass_ratio
 from seft_ros.reference_force.compensation.names import TARGET_MOTION
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.parameter_tables import TABLES
 
 Floats = npt.NDArray[np.float64]
 Override = tuple[str, str, Value]

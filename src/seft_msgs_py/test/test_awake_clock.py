@@ -1,7 +1,7 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_msgs_py.node.awake_clock import LONGEST_GAP, AwakeClock
+from seft_msgs_py.node.realtime import LONGEST_GAP, AwakeClock
 
 
 class Hand:

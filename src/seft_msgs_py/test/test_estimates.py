@@ -6,8 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.wire.estimates import EstimatesCodec
-from seft_msgs_py.wire.messages import Status, decode_diagnostics, encode_diagnostics
+from seft_msgs_py.wire.messages import (
+    EstimatesCodec,
+    Status,
+    decode_diagnostics,
+    encode_diagnostics,
+)
 from seft_msgs_py.wire.timebase import Timebase
 
 rclpy_serialization = pytest.importorskip("rclpy.serialization")

@@ -6,9 +6,9 @@ import sys
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_file import (
+from seft_msgs_py.config.experiment import (
     EVERY_NODE,
+    Experiment,
     parse_override,
     read_parameter_file,
     split_ros_arguments,
@@ -175,7 +175,7 @@ def wildcard(text):
 
 
 def test_a_file_that_is_too_large_is_refused_without_a_look_into_it(tmp_path, monkeypatch):
-    monkeypatch.setattr("seft_msgs_py.config.parameter_file._parse_yaml", None)
+    monkeypatch.setattr("seft_msgs_py.config.experiment._parse_yaml", None)
     path = tmp_path / "large.yaml"
     path.write_text("#" * 1_000_001)
     for each in (path, "/dev/zero"):

@@ -6,8 +6,17 @@ import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import Outcome, Saturation, Trip
-from seft_msgs_py.wire.rigs import START, RigAxes, rigs_of, until_start, with_rigs
-from seft_msgs_py.wire.topics import CLOCK_TOPIC, RIG_STATE, TOPICS, topics_of
+from seft_msgs_py.wire.topics import (
+    CLOCK_TOPIC,
+    RIG_STATE,
+    START,
+    TOPICS,
+    RigAxes,
+    rigs_of,
+    topics_of,
+    until_start,
+    with_rigs,
+)
 
 AXES = ("west/x", "east/x", "west/y")
 WEST, EAST = RigAxes("west", ("west/x", "west/y"), (0, 2)), RigAxes("east", ("east/x",), (1,))

@@ -5,7 +5,7 @@ import os
 
 import pytest
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.node.shared_memory import check_shared_memory
+from seft_msgs_py.node.middleware import check_shared_memory
 
 
 @pytest.fixture

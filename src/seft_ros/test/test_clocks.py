@@ -18,7 +18,7 @@ WALL = {
 ALLOWED = {
     "seft_msgs_py/node/node_shell.py": "stamps of diagnostics",
     "seft_msgs_py/node/intra_process_bus.py": "when a message came, for the bag",
-    "seft_msgs_py/wire/rigs.py": "the common start of several hosts, refused where clocks disagree",
+    "seft_msgs_py/wire/topics.py": "common start of several hosts, refused where clocks differ",
     "seft_ros/nodes/supervisor.py": "the same",
     "seft_ros/nodes/recorder.py": "times in the bag, and its name",
     "seft_ros/running/run.py": "the bag's name",

@@ -16,7 +16,7 @@ from seft_ros.conformance.finding import found, not_run
 from seft_ros.conformance.motion_checks import Drive
 from seft_ros.conformance.obedience_checks import KINDS, BadCommands
 from seft_ros.conformance.table import finding_line, verdict
-from seft_ros.experiment.tables import TABLES
+from seft_ros.test_run.parameter_tables import TABLES
 
 RATE = 500.0
 DT = 1 / RATE

@@ -4,20 +4,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_file import parse_override
+from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
-from seft_ros.experiment import blocks as blocks_module
-from seft_ros.experiment import offline
-from seft_ros.experiment.block_steps import obstacle
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.ensemble import Workshop, run_ensemble
-from seft_ros.experiment.offline import simulate
-from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.force_control import ControlKnowledge
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.registered_control import RegisteredControl
 from seft_ros.reference_force.compensation.methods import METHODS
+from seft_ros.test_run import blocks as blocks_module
+from seft_ros.test_run import offline
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.compiled_loop import obstacle
+from seft_ros.test_run.offline import Workshop, run_ensemble, simulate
+from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.tournament.perturbed_rig import perturbed_rig
 
 JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"

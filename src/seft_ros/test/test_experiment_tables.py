@@ -3,11 +3,10 @@
 from pathlib import Path
 
 import pytest
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_file import parse_override
+from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import NODES
-from seft_ros.experiment.tables import TABLES
+from seft_ros.test_run.parameter_tables import TABLES
 
 CONFIG = Path(__file__).parents[3] / "config"
 SPECIMEN = ("rig:specimen.mass:=52.7", "rig:specimen.stiffness:=2.11e5", "rig:specimen.damping:=9")

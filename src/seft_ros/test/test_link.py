@@ -1,14 +1,13 @@
 import numpy as np
 import pytest
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_file import parse_override
+from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.timing import link_numbers
 from seft_ros.commands import main as commands
-from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.link_record import LinkRecord
-from seft_ros.link.round_trips import (
+from seft_ros.recording.record import Record, Series
+from seft_ros.test_run.link_judgement import (
     Allowed,
     RoundTrips,
     allowed,
@@ -16,7 +15,7 @@ from seft_ros.link.round_trips import (
     message_size,
     with_loop_delay,
 )
-from seft_ros.recording.record import Record, Series
+from seft_ros.test_run.parameter_tables import TABLES
 
 
 def trips(numbers, times=0.011, sent=10, rate=500.0):
@@ -124,6 +123,6 @@ def test_a_delay_that_is_to_be_measured_needs_a_link(monkeypatch, capsys, tmp_pa
 
 
 def allowed_without_number():
-    from seft_ros.experiment.blocks import build_blocks
+    from seft_ros.test_run.blocks import build_blocks
 
     build_blocks(experiment("reference_force:loop_delay:=-1"))

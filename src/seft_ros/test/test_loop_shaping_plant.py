@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig.rig import continuous_model
-from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.block import ForceController
 from seft_ros.loop_shaping.controller import Controller
 from seft_ros.loop_shaping.design import shape_loop
 from seft_ros.loop_shaping.plant import choose_plant
 from seft_ros.loop_shaping.sampling import SampledPlant, closed_loop_poles, dominant_pole
+from seft_ros.test_run.parameter_tables import TABLES
 
 PAPER = Controller.from_coefficients(37.0, [1.0, 17.14, 4002.0])
 MASS, DAMPING, STIFFNESS = 52.7, 800.0, 2.11e5

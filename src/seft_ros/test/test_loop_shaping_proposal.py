@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_ros.experiment.tables import TABLES
 from seft_ros.loop_shaping.design import shape_loop
 from seft_ros.loop_shaping.plant import rig_plant
 from seft_ros.loop_shaping.proposal import propose_controller
+from seft_ros.test_run.parameter_tables import TABLES
 
 DT = 0.002
 RIG = {  # crossover of 12 Hz under the paper's Eq. 3.1

@@ -9,9 +9,6 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig.limits import ROWS
 from seft_plant_sim.rig.rig import Rig
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.offline import simulate
-from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.velocity_feedforward import (
     LARGEST_GAIN_ERROR,
     VelocityFeedforward,
@@ -23,6 +20,9 @@ from seft_ros.preflight.stability_margins import HIGHEST_MASS_RATIO, find_margin
 from seft_ros.preflight.stability_verdict import preflight
 from seft_ros.reference_force.block import knowledge
 from seft_ros.target.target_motion import TargetMotion
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.parameter_tables import TABLES
 
 DEMO = Path(__file__).parents[3] / "config" / "demo.yaml"
 K, OIL = 2.11e5, 1.664e7

@@ -4,9 +4,6 @@ import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.rig.limits import ROWS
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.offline import simulate
-from seft_ros.experiment.tables import TABLES
 from seft_ros.preflight.plan import Plan
 from seft_ros.preflight.preflight_tables import summarise
 from seft_ros.preflight.stability_margins import (
@@ -17,6 +14,9 @@ from seft_ros.preflight.stability_margins import (
 )
 from seft_ros.preflight.stability_verdict import preflight
 from seft_ros.reference_force.compensation.methods import METHODS
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.parameter_tables import TABLES
 
 M, C, K = 52.7, 800.3, 2.11e5
 OF_FORCES = [name for name in METHODS if name != "target_motion"]  # test_preflight_frozen.py

@@ -16,15 +16,15 @@ from seft_msgs_py.wire.topics import (
     RIG_STATE,
     VALVE_COMMAND,
 )
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.compiled_loop import Course
-from seft_ros.experiment.offline import loop_series, simulate
-from seft_ros.experiment.tables import TABLES
 from seft_ros.recording.bag_writer import BagWriter
 from seft_ros.recording.record import Record, Series
 from seft_ros.recording.record_bag import write_record
 from seft_ros.replay.recorded import Recorded, read_recorded
 from seft_ros.replay.rig_replay import RigReplay
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.compiled_loop import Course
+from seft_ros.test_run.offline import loop_series, simulate
+from seft_ros.test_run.parameter_tables import TABLES
 
 OVERRIDES = [
     ("/**", "axes", ["x"]),

@@ -3,7 +3,7 @@ import itertools
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_ros.experiment.state_machine import ENDED, MOVING, State, StateMachine
+from seft_ros.test_run.state_machine import ENDED, MOVING, State, StateMachine
 
 RUNNING = (("peers", ""), ("start",))
 WAYS = {

@@ -4,8 +4,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection
 
-from seft_msgs_py.wire.rigs import bare
-from seft_msgs_py.wire.topics import LoopTopic, Topic
+from seft_msgs_py.wire.topics import LoopTopic, Topic, bare
 
 Receive = Callable[[bytes, int, bytes], bool]
 """Takes a message's bytes, the wall-clock time in ns at which it came in, and the identifier of its

@@ -24,11 +24,11 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
 from seft_msgs_py.errors import InputError, SeftError, WireError
-from seft_msgs_py.node.ending import on_ending
 from seft_msgs_py.node.intra_process_bus import IntraProcessBus, Receive
 from seft_msgs_py.node.middleware import prepare_middleware
+from seft_msgs_py.node.rclpy_interface import WaitSet, taker
 from seft_msgs_py.node.realtime import wake_on_time
-from seft_msgs_py.node.wait_set import WaitSet, taker
+from seft_msgs_py.node.shutdown import on_ending
 
 OUTSIDE_PERIOD = 0.002  # s between polls for messages from outside while those inside keep coming
 CHORE_PERIOD = 0.01  # s between chores, after messages were handled

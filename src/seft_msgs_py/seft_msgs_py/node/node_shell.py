@@ -10,17 +10,21 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.publisher import Publisher
 
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_file import split_ros_arguments
+from seft_msgs_py.config.experiment import Experiment, split_ros_arguments
 from seft_msgs_py.config.parameter_table import Table
 from seft_msgs_py.errors import InputError, SeftError, WireError
 from seft_msgs_py.node import realtime
 from seft_msgs_py.node.intra_process_bus import Receive
+from seft_msgs_py.node.middleware import single_instance
 from seft_msgs_py.node.node_process import NodeProcess, drain
-from seft_msgs_py.node.ros_types import declare_parameters, message_class, qos_profile
+from seft_msgs_py.node.rclpy_interface import (
+    declare_parameters,
+    message_class,
+    qos_profile,
+    raw_subscription,
+    sender,
+)
 from seft_msgs_py.node.senders import Senders
-from seft_msgs_py.node.single_instance import single_instance
-from seft_msgs_py.node.wait_set import raw_subscription, sender
 from seft_msgs_py.wire.messages import (
     Status,
     decode_status,
@@ -29,8 +33,15 @@ from seft_msgs_py.wire.messages import (
     restamp,
 )
 from seft_msgs_py.wire.outcome import MOVING
-from seft_msgs_py.wire.rigs import RIG_NODES, RigAxes
-from seft_msgs_py.wire.topics import DESCRIPTION, DIAGNOSTICS, EXPERIMENT_STATE, LoopTopic, Topic
+from seft_msgs_py.wire.topics import (
+    DESCRIPTION,
+    DIAGNOSTICS,
+    EXPERIMENT_STATE,
+    RIG_NODES,
+    LoopTopic,
+    RigAxes,
+    Topic,
+)
 
 IDLE_WAIT = 0.05  # s; a signal is noticed within this time
 STATUS_PERIOD = 0.2  # s: a sign of life

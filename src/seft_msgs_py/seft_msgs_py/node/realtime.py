@@ -8,7 +8,7 @@ import ctypes
 import os
 import struct
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -237,3 +237,27 @@ def memory_kb(kind: str) -> int:
     """Memory of this process, kB: ``VmLck`` locked, ``VmHWM`` largest resident so far."""
     status = Path("/proc/self/status").read_text(encoding="ascii")
     return next((int(at.split()[1]) for at in status.splitlines() if at.startswith(kind)), 0)
+
+
+LONGEST_GAP = 0.25  # s
+
+
+class AwakeClock:
+    """Monotonic time in which a gap between two polls counts for `LONGEST_GAP` at most.
+
+    A process that was held up, with its whole machine as a rule, finds the messages of that time
+    in its queues only later: it must not take its own sleep for the silence of others. Poll the
+    clock often.
+    """
+
+    def __init__(self, monotonic: Callable[[], float] = time.monotonic) -> None:
+        self._monotonic = monotonic
+        self._polled_at = monotonic()
+        self._now = 0.0
+
+    def time(self) -> float:
+        """Time awake, s, from when the clock was made."""
+        now = self._monotonic()
+        self._now += min(now - self._polled_at, LONGEST_GAP)
+        self._polled_at = now
+        return self._now

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
-from seft_msgs_py.wire.rigs import bare
-from seft_msgs_py.wire.topics import EXPERIMENT_STATE, LoopTopic, Topic
+from seft_msgs_py.wire.topics import EXPERIMENT_STATE, LoopTopic, Topic, bare
 
 UNNAMED, NAMELESS = "a node whose name is not known", "_NODE_NAME_UNKNOWN_"
 """As it is told, and as the middleware says it until the node has announced itself."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import ERROR, OK, WARN, Status
-from seft_msgs_py.wire.rigs import bare
 from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import bare
 
 RIG = "rig"
 RECORDER = "recorder"

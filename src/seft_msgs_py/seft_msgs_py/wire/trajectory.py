@@ -1,11 +1,11 @@
 """Samples of the loop <-> bytes of a trajectory_msgs/msg/JointTrajectory (CDR, little endian).
 
-A message with known axis names has a fixed layout, in which every double stands on a whole
-64-bit word counted from the end of the 4-byte encapsulation header, and the stamp is word 0.
-Encoding adds what varies to what is fixed; decoding checks what is fixed, padding aside (its
-bytes are arbitrary on the wire), and reads the doubles: of one point as whole numbers as long as
-the message, of more points word by word. Anything else is taken apart field by field, to be
-understood or refused with a reason.
+With known axis names a message has a fixed layout: each double lies on a whole 64-bit word,
+counted from the end of the 4-byte encapsulation header, and word 0 is the stamp. `encode` fills
+the values into the constant bytes; `decode` compares the constant bytes, except padding, and reads
+the values. Messages of one point, which the loop sends, are handled as one long integer; those of
+several points word by word. All other messages are parsed field by field and either understood or
+refused with a reason.
 """
 
 import math
@@ -18,8 +18,7 @@ import numpy.typing as npt
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND, Timebase
 from seft_msgs_py.wire.topics import TARGET, LoopTopic
-from seft_msgs_py.wire.trajectory_layout import STAMP, Layout
-from seft_msgs_py.wire.trajectory_message import ENCAPSULATION, parse_trajectory
+from seft_msgs_py.wire.trajectory_layout import ENCAPSULATION, STAMP, Layout, parse_trajectory
 
 Floats = npt.NDArray[np.float64]
 

@@ -13,8 +13,7 @@ import numpy.typing as npt
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
-from seft_msgs_py.wire.trajectory_layout import Layout
-from seft_msgs_py.wire.trajectory_message import ENCAPSULATION
+from seft_msgs_py.wire.trajectory_layout import ENCAPSULATION, Layout
 
 Steps = npt.NDArray[np.int64]
 Bytes = npt.NDArray[np.uint8]

@@ -1,15 +1,18 @@
-"""Where things stand in the bytes of a JointTrajectory message."""
+"""A JointTrajectory message: the layout that one of known form has, and the fields of any."""
 
 import struct
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from seft_msgs_py.errors import WireError
+from seft_msgs_py.wire.messages import decode_message, nanoseconds
 from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND, Timebase
-from seft_msgs_py.wire.topics import QUANTITIES, LoopTopic
-from seft_msgs_py.wire.trajectory_message import ENCAPSULATION
+from seft_msgs_py.wire.topics import JOINT_TRAJECTORY, QUANTITIES, LoopTopic
 
+ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR, little endian, no options
 STAMP = struct.Struct("<iI")
 
 
@@ -102,3 +105,49 @@ class Layout:
             fixed=fixed_words,
             points_at=points_at,
         )
+
+
+@dataclass(frozen=True)
+class TrajectoryPoint:
+    """One point as it is on the wire; arrays hold as many values as were sent."""
+
+    positions: tuple[float, ...]
+    velocities: tuple[float, ...]
+    accelerations: tuple[float, ...]
+    effort: tuple[float, ...]
+    time_from_start_ns: int
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """All fields of a JointTrajectory message, not yet checked against a test."""
+
+    stamp_ns: int
+    frame_id: str
+    axes: tuple[str, ...]
+    points: tuple[TrajectoryPoint, ...]
+
+
+def parse_trajectory(raw: bytes, topic: str = "trajectory") -> Trajectory:
+    """Read all fields of a JointTrajectory message; errors name the topic.
+
+    Bytes past the end are ignored, because middlewares round sizes up.
+
+    Raises
+    ------
+    WireError
+        If the bytes end early, are not little-endian CDR, or hold impossible sizes or text.
+    """
+    if raw[:2] != ENCAPSULATION[:2] or len(raw) < 4:
+        raise WireError(
+            f"{topic}: {len(raw)} bytes that start with {bytes(raw[:4]).hex() or 'nothing'} "
+            "are no little-endian CDR message"
+        )
+    message = decode_message(JOINT_TRAJECTORY, raw, topic)
+    points = []
+    for point in message.points:
+        fields: dict[str, Any] = {name: tuple(getattr(point, name).tolist()) for name in QUANTITIES}
+        fields["time_from_start_ns"] = nanoseconds(point.time_from_start)
+        points.append(TrajectoryPoint(**fields))
+    header, axes = message.header, tuple(message.joint_names)
+    return Trajectory(nanoseconds(header.stamp), header.frame_id, axes, tuple(points))

@@ -21,9 +21,9 @@ from seft_msgs_py.wire.topics import (
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 from seft_plant_sim.rig.limits import NAMES, UNITS
 
-from seft_ros.experiment.state_machine import State
-from seft_ros.running.player import Player
-from seft_ros.running.processes import NodeProcesses
+from seft_ros.test_run.player import Player
+from seft_ros.test_run.processes import NodeProcesses
+from seft_ros.test_run.state_machine import State
 
 BASELINE = 20  # samples at rest that the motion is counted from
 FOUND = 20.0  # s until the rig is found

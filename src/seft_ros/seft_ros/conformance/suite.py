@@ -19,11 +19,11 @@ from seft_ros.conformance.driver import ENDED, SLOW, Answer, Guard, TestDriver, 
 from seft_ros.conformance.finding import LATER, Finding, found, not_run
 from seft_ros.conformance.motion_checks import Drive
 from seft_ros.conformance.obedience_checks import PATIENCE, RESTING, BadCommands, rested
-from seft_ros.experiment.state_machine import State
 from seft_ros.recording.stall_watch import StallWatch
-from seft_ros.running.observer import alone_on_the_graph
-from seft_ros.running.process_layout import prefer_latency
-from seft_ros.running.processes import one_node
+from seft_ros.test_run.observer import alone_on_the_graph
+from seft_ros.test_run.process_layout import prefer_latency
+from seft_ros.test_run.processes import one_node
+from seft_ros.test_run.state_machine import State
 
 ATTEMPTS = 3
 """Tests that are run until one goes as planned: this host may stand still meanwhile."""

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.config.parameter_file import write_parameter_file
+from seft_msgs_py.config.experiment import write_parameter_file
 from seft_plant_sim.lti import TransferFunction
 
 from seft_ros.identification.identified import Identified, ValveResponse

@@ -22,9 +22,6 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
-from seft_ros.experiment.sample_order import SampleOrder, check_magnitude
-from seft_ros.experiment.state_machine import MOVING
-from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.matched_forces import PENDING, MatchedForces
 from seft_ros.force_controller.methods import force_control
@@ -33,6 +30,8 @@ from seft_ros.force_controller.newest_preview import NewestPreview
 from seft_ros.force_controller.parameters import TABLE
 from seft_ros.force_controller.silence import Silence
 from seft_ros.interlock.detectors import WARNING
+from seft_ros.test_run.parameter_tables import TABLES
+from seft_ros.test_run.state_machine import MOVING, SampleOrder, check_magnitude
 
 TELL_PERIOD = 1.0  # s, of what is told of the link and the valves while a test runs
 STATE_WAIT = 0.0005  # s between polls for a state that comes after its reference force

@@ -8,10 +8,10 @@ from seft_msgs_py.wire.messages import decode_clock, decode_status
 from seft_msgs_py.wire.topics import CLOCK_TOPIC, EXPERIMENT_STATE, GROUND_MOTION
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-from seft_ros.experiment.state_machine import ENDED, MOVING
-from seft_ros.experiment.tables import TABLES
 from seft_ros.ground_motion.block import GroundMotion
 from seft_ros.ground_motion.parameters import TABLE
+from seft_ros.test_run.parameter_tables import TABLES
+from seft_ros.test_run.state_machine import ENDED, MOVING
 
 TIMER_PERIOD = 0.02  # s
 

@@ -40,14 +40,13 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-from seft_ros.experiment.peers import ALL_ANSWERED, RECORDING, SILENT, WAITS
-from seft_ros.experiment.state_machine import ENDED, MOVING, State
-from seft_ros.experiment.tables import TABLES
-from seft_ros.experiment.watching import RECORDER
 from seft_ros.recording.environment import describe_environment
 from seft_ros.recording.lasting_bag import LastingBag
 from seft_ros.recording.room import expected_size, obstacle
 from seft_ros.recording.stall_watch import StallWatch
+from seft_ros.test_run.parameter_tables import RECORDER, TABLES
+from seft_ros.test_run.peers import ALL_ANSWERED, RECORDING, SILENT, WAITS
+from seft_ros.test_run.state_machine import ENDED, MOVING, State
 
 SILENCE = 0.3  # s without a message of a step: the test's last message has come
 LONG_SILENCE = 3.5  # s, where something lacks: DDS may send it again every 3 s only

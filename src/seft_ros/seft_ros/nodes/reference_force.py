@@ -12,8 +12,7 @@ import numpy as np
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell
-from seft_msgs_py.wire.estimates import EstimatesCodec
-from seft_msgs_py.wire.messages import ERROR, OK, decode_status
+from seft_msgs_py.wire.messages import ERROR, OK, EstimatesCodec, decode_status
 from seft_msgs_py.wire.outcome import tripped_status
 from seft_msgs_py.wire.topics import (
     ESTIMATES,
@@ -23,16 +22,15 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
-from seft_ros.experiment.peers import ALL_ANSWERED, AT_REST, RAMPING_DOWN
-from seft_ros.experiment.sample_order import SampleOrder, check_magnitude
-from seft_ros.experiment.state_machine import ENDED, State
-from seft_ros.experiment.tables import TABLES
 from seft_ros.interlock.protected_force import ProtectedForce
 from seft_ros.reference_force.estimate_sampler import EstimateSampler
 from seft_ros.reference_force.motion_buffer import MotionBuffer
 from seft_ros.reference_force.parameters import TABLE
 from seft_ros.reference_force.state_gathering import StateGathering
 from seft_ros.reference_force.topic import reference_force_topic
+from seft_ros.test_run.parameter_tables import TABLES
+from seft_ros.test_run.peers import ALL_ANSWERED, AT_REST, RAMPING_DOWN
+from seft_ros.test_run.state_machine import ENDED, SampleOrder, State, check_magnitude
 
 RIG_POLL = 0.002  # s between polls for the state of a rig that is late
 

@@ -10,9 +10,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from seft_msgs_py.node.awake_clock import AwakeClock
 from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import NodeShell
+from seft_msgs_py.node.realtime import AwakeClock
 from seft_msgs_py.wire.messages import (
     ERROR,
     OK,
@@ -24,12 +24,19 @@ from seft_msgs_py.wire.messages import (
     encode_status,
 )
 from seft_msgs_py.wire.outcome import FINISHED, RIG, STOPPED, TRIPPED
-from seft_msgs_py.wire.rigs import START, with_rigs
 from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND
-from seft_msgs_py.wire.topics import CLOCK_TOPIC, DESCRIPTION, DIAGNOSTICS, EXPERIMENT_STATE
+from seft_msgs_py.wire.topics import (
+    CLOCK_TOPIC,
+    DESCRIPTION,
+    DIAGNOSTICS,
+    EXPERIMENT_STATE,
+    START,
+    with_rigs,
+)
 from std_srvs.srv import Trigger
 
-from seft_ros.experiment.peers import (
+from seft_ros.test_run.parameter_tables import SUPERVISOR, TABLES
+from seft_ros.test_run.peers import (
     AT_REST,
     RAMPING_DOWN,
     SILENT,
@@ -38,9 +45,7 @@ from seft_ros.experiment.peers import (
     silence,
     silent,
 )
-from seft_ros.experiment.state_machine import MOVING, PACE, Answer, State, StateMachine
-from seft_ros.experiment.tables import TABLES
-from seft_ros.experiment.watching import SUPERVISOR
+from seft_ros.test_run.state_machine import MOVING, PACE, Answer, State, StateMachine
 
 HEARTBEAT = 0.2  # s between two publications of the state
 AGES_PERIOD = 1.0  # s

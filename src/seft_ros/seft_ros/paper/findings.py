@@ -9,8 +9,6 @@ import numpy as np
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError
 
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.offline import simulate
 from seft_ros.ground_motion.block import GroundMotion
 from seft_ros.identification.excitation import Motions
 from seft_ros.identification.identified import ClosedLoop, Identified, ValveResponse, identify
@@ -39,6 +37,8 @@ from seft_ros.paper.experiments import (
 from seft_ros.paper.outcome import Outcome, run_test
 from seft_ros.preflight.plan import Plan
 from seft_ros.recording.record import Record
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.offline import simulate
 from seft_ros.tournament.workers import parallel_map
 
 Progress = Callable[[str, int], None]

@@ -12,10 +12,10 @@ from seft_msgs_py.wire.topics import GROUND_MOTION, RIG_STATE
 
 from seft_ros.analysis.metrics import Agreement, agreement
 from seft_ros.analysis.summary import COMPARED, reference_of
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.offline import simulate
 from seft_ros.loop_shaping.margins import BAND_HZ
 from seft_ros.recording.record import Trip
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.offline import simulate
 
 Floats = npt.NDArray[np.float64]
 

@@ -18,10 +18,10 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
-from seft_ros.experiment.state_machine import State
 from seft_ros.recording.bag_reader import read_bag, read_messages
 from seft_ros.recording.record import Record, Series
 from seft_ros.reference_force.topic import reference_force_topic
+from seft_ros.test_run.state_machine import State
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,54 @@
-"""An end that does not hang."""
+"""The end of a process: Ctrl-C, SIGTERM or a closed terminal ask for it, and it does not hang."""
 
 import ctypes
 import os
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import FrameType
+from typing import TYPE_CHECKING, Any
 
-import rclpy
-from rclpy.node import Node
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_OUTPUTS = (1, 2)
+Handler = Callable[[int, FrameType | None], None]
+
+
+def on_ending(handler: Handler) -> dict[signal.Signals, Any]:
+    """Have ``handler`` called when this process is told to end; return the handlers of before.
+
+    SIGHUP says that the terminal has been closed. What is written goes nowhere from then on, where
+    it would fail before the end has come. It stays ignored where it is (`nohup`).
+    """
+    terminals = [file for file in _OUTPUTS if os.isatty(file)]
+
+    def told(number: int, frame: FrameType | None) -> None:
+        if number == signal.SIGHUP:
+            _write_nowhere(terminals)
+        handler(number, frame)
+
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    for number in SIGNALS:
+        if number != signal.SIGHUP or before[number] is not signal.SIG_IGN:
+            signal.signal(number, told)
+    return before
+
+
+def as_before(handlers: dict[signal.Signals, Any]) -> None:
+    """Set the handlers again that `on_ending` has given back."""
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+
+
+def _write_nowhere(files: list[int]) -> None:
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for file in files:
+        os.dup2(nowhere, file)
+    os.close(nowhere)
+
 
 _Handler = ctypes.CFUNCTYPE(None, ctypes.c_int)
 
@@ -59,11 +99,13 @@ _STUCK = (
 )
 
 
-def leave_graph(node: Node) -> None:
+def leave_graph(node: "Node") -> None:
     """Take a node off the graph, when nobody else leaves, and end its context.
 
     See `exit_watchdog` for why: of some hundred processes that leave together one hangs.
     """
+    import rclpy
+
     _wait_for_quiet(node)
     with exit_watchdog(CLOSE_PATIENCE, 1, _STUCK):
         node.destroy_node()
@@ -71,7 +113,7 @@ def leave_graph(node: Node) -> None:
         rclpy.try_shutdown(context=None if is_default else node.context)  # it can begin anew
 
 
-def _wait_for_quiet(node: Node) -> None:
+def _wait_for_quiet(node: "Node") -> None:
     deadline, seen, since = time.monotonic() + PATIENCE, None, 0.0
     while (now := time.monotonic()) < deadline:
         names = sorted(node.get_node_names_and_namespaces())

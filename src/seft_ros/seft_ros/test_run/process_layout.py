@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from seft_msgs_py.node.realtime import may_keep_awake, side_threads, take_precedence, threads_of
-from seft_msgs_py.wire.rigs import bare, rig_name
+from seft_msgs_py.wire.topics import bare, rig_name
 
 LOOP_NODES = ("rig", "reference_force", "force_controller")
 """Nodes that work one after the other within a step."""

@@ -16,10 +16,10 @@ from pathlib import Path
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.node.realtime import take_equal_addresses
-from seft_msgs_py.wire.rigs import bare, rig_name
+from seft_msgs_py.wire.topics import bare, rig_name
 
-from seft_ros.running.orphan_reaper import OrphanReaper
-from seft_ros.running.process_layout import LOOP_NODES, ProcessLayout
+from seft_ros.test_run.orphan_reaper import OrphanReaper
+from seft_ros.test_run.process_layout import LOOP_NODES, ProcessLayout
 
 MODULES = {
     "ground_motion": "seft_ros.nodes.ground_motion",

@@ -1,20 +1,27 @@
-"""Watches a test that runs, to its end, whoever dies, stands still or interrupts on the way."""
+"""A whole test as separate processes: start, wait until all match, run, record, stop."""
 
 import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from contextlib import closing
+from datetime import datetime
+from pathlib import Path
 from types import FrameType
-from typing import Self
+from typing import NamedTuple, Self
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
-from seft_msgs_py.node.ending import as_before, on_ending
-from seft_msgs_py.wire.topics import EXPERIMENT_STATE, LoopTopic, topics_of
+from seft_msgs_py.node.middleware import prepare_on_this_host
+from seft_msgs_py.node.shutdown import as_before, on_ending
+from seft_msgs_py.wire.topics import EXPERIMENT_STATE, NODES, LoopTopic, bare, topics_of, with_rigs
 
-from seft_ros.experiment.peers import CONFLICT, SILENT
-from seft_ros.experiment.state_machine import ENDED, PACE, State
-from seft_ros.running.observer import Observer
-from seft_ros.running.processes import NodeProcesses
+from seft_ros.recording.room import obstacle
+from seft_ros.test_run.observer import Observer
+from seft_ros.test_run.parameter_tables import RECORDER
+from seft_ros.test_run.peers import CONFLICT, SILENT
+from seft_ros.test_run.process_layout import LOOP_NODES, ProcessLayout
+from seft_ros.test_run.processes import MODULES, NodeProcesses, node_processes
+from seft_ros.test_run.state_machine import ENDED, PACE, State
 
 LOOK = 0.05  # s
 READY_TIMEOUT, SAVE_TIMEOUT = 60.0, 20.0  # s
@@ -200,3 +207,103 @@ class RunMonitor:
         if not values.get(SILENT) and "step" in values:
             return ""
         return f"{detail} (at step {values.get('step', step)})"
+
+
+def bag_path(experiment: Experiment, out: Path | None) -> Path:
+    """Folder of the bag of a test: ``out``, or what the recorder's parameters say.
+
+    Raises
+    ------
+    InputError
+        If no bag can be made there.
+    """
+    section = experiment["recorder"]
+    name = section["name"] or datetime.now().strftime("seft_%Y-%m-%d_%H-%M-%S")
+    path = out or Path(section["directory"]) / name
+    RECORDER.check({"name": path.name}, "recorder")
+    if why := obstacle(path):
+        raise InputError(f"{why}; name another folder with --out")
+    return path
+
+
+class Ending(NamedTuple):
+    """How a run ended.
+
+    Attributes
+    ----------
+    fault : str
+        What broke it, if it was no trip that the bag tells of; else empty.
+    bag : Path
+        Folder of its bag: another than it was to be, where that was lost.
+    """
+
+    fault: str
+    bag: Path
+
+
+def run_experiment(
+    experiment: Experiment,
+    bag: Path,
+    progress: Progress,
+    layout: ProcessLayout | None = None,
+    external: Collection[str] = (),
+) -> "Ending":
+    """Run a test over DDS and record it.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Its resolved configuration.
+    bag : Path
+        Folder that the recorder makes.
+    progress : callable
+        Told of each stage and of the steps done.
+    layout : ProcessLayout, optional
+        Where the nodes run; default pinned, each in a process of its own.
+    external : collection of str
+        Nodes that someone else starts and ends; they are waited for. The experiment needs no
+        section of them. Of several rigs those of one or of all: ``east/rig`` or ``rig``.
+
+    Returns
+    -------
+    Ending
+        What broke it, and where its bag is.
+
+    Raises
+    ------
+    InputError
+        If the nodes do not become ready.
+    ExperimentError
+        If the run broke before anything was recorded.
+    """
+    prepare_on_this_host()
+    experiment["recorder"].update(directory=str(bag.parent.resolve()), name=bag.name)
+    layout = layout or ProcessLayout()
+    for node in LOOP_NODES:
+        if node in experiment.sections:
+            experiment[node].update(layout.wishes(node))
+    wanted = {*experiment["supervisor"]["peers"], "supervisor"}
+    every = with_rigs([node for node in MODULES if node in wanted], experiment.rigs)
+    external = [node for node in every if node in external or bare(node) in external]
+    nodes = [node for node in every if node not in external]
+    # the pace is the rig's own; that of one which runs elsewhere is told later
+    lockstep = "rig" not in map(bare, nodes) or experiment["rig"]["pace"] == "lockstep"
+    progress("looking for other tests", 0)
+    with closing(Observer(with_rigs(NODES, experiment.rigs))) as observer:
+        observer.refuse_other_tests(external)
+        progress("starting the nodes", 0)
+        with node_processes(nodes, experiment, layout, lockstep=lockstep, bag=bag) as processes:
+            monitor = RunMonitor(observer, processes, progress, experiment)
+            monitor.start()
+            try:
+                fault = monitor.to_the_end()
+            except KeyboardInterrupt:
+                monitor.bring_down()
+                raise
+            monitor.wait_until_saved()
+            saved = observer.recorder_bag
+            if saved and Path(saved).resolve() != bag.resolve():  # its own place was lost
+                bag = processes.bag = Path(saved)
+    if not bag.exists():
+        raise ExperimentError(fault or "the recorder made no bag")
+    return Ending(fault, bag)

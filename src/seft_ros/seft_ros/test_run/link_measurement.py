@@ -11,14 +11,19 @@ import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from seft_msgs_py.errors import ExperimentError, InputError, WireError
-from seft_msgs_py.node.exit_watchdog import leave_graph
-from seft_msgs_py.node.ros_types import message_class, qos_profile
-from seft_msgs_py.node.wait_set import WaitSet, raw_subscription, sender, taker
+from seft_msgs_py.node.rclpy_interface import (
+    WaitSet,
+    message_class,
+    qos_profile,
+    raw_subscription,
+    sender,
+    taker,
+)
+from seft_msgs_py.node.shutdown import leave_graph
 from seft_msgs_py.wire.messages import decode_string, encode_string
-from seft_msgs_py.wire.rigs import RigAxes
-from seft_msgs_py.wire.topics import LINK_PING, LINK_PONG, Topic
+from seft_msgs_py.wire.topics import LINK_PING, LINK_PONG, RigAxes, Topic
 
-from seft_ros.link.round_trips import RoundTrips
+from seft_ros.test_run.link_judgement import RoundTrips
 
 PATIENCE = 15.0  # s, until the other side is found
 LOOK = 0.05  # s

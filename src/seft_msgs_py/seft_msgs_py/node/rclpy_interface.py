@@ -1,23 +1,122 @@
-"""Waiting for raw messages in the calling thread: the only user of rclpy's private interface.
+"""What we use of rclpy: rows of our tables as rclpy wants them, and raw messages.
 
-rclpy's executors deserialise every message and hand it to tasks, which costs more than a whole
-step of the loop. rclpy's own ``wait_for_message`` shows the way taken here: a wait set over
-some subscriptions, from which bytes are taken as they came.
+Raw messages are waited for and taken in the calling thread, through rclpy's private interface,
+which only this module uses: rclpy's executors deserialise every message and hand it to tasks,
+which takes longer than a whole step of the loop. rclpy's own ``wait_for_message`` does the same: a
+wait set over some subscriptions, from which bytes are taken as they came.
 """
 
 import ctypes
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from typing import Any
 
+from seft_msgs_py.config.parameter_table import Parameter, Section, Table
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.node.middleware import check_shared_memory
+from seft_msgs_py.wire.topics import Topic
+
+check_shared_memory()  # before rclpy is imported
+
+import rclpy
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
 from rclpy.callback_groups import CallbackGroup
 from rclpy.context import Context
+from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
 from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
-from seft_msgs_py.node.ros_types import message_class, qos_profile
-from seft_msgs_py.wire.topics import Topic
+
+def command_node(name: str) -> Node:
+    """Start rclpy and make the node of a command, which has no parameters."""
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    return Node(name, start_parameter_services=False)
+
+
+def message_class(topic: Topic) -> Any:
+    """Message class of a topic."""
+    package, _, name = topic.type.split("/")
+    return getattr(import_module(f"{package}.msg"), name)
+
+
+def qos_profile(topic: Topic, depth: int | None = None, reliable: bool = True) -> QoSProfile:
+    """Quality of service of a topic; a reader may keep another depth, or go without resending."""
+    durability = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
+    return QoSProfile(
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=durability,
+        history=HistoryPolicy.KEEP_LAST,
+        depth=topic.depth if depth is None else depth,
+    )
+
+
+def raw_publisher(node: Node, topic: Topic) -> Publisher:
+    """Make the publisher of a topic, see `sender`."""
+    return node.create_publisher(message_class(topic), topic.name, qos_profile(topic))
+
+
+def parameter_descriptor(row: Parameter) -> ParameterDescriptor:
+    """ROS description of a parameter; most are read when a node starts, and then fixed."""
+    unit = f" [{row.unit}]" if row.unit else ""
+    descriptor = ParameterDescriptor(description=row.description + unit, read_only=not row.live)
+    if row.choices:
+        descriptor.additional_constraints = "one of: " + ", ".join(row.choices)
+    if row.kind == "float" and (row.minimum is not None or row.maximum is not None):
+        low = float("-inf") if row.minimum is None else float(row.minimum)
+        high = float("inf") if row.maximum is None else float(row.maximum)
+        descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    if row.kind == "int" and row.minimum is not None:
+        high_int = 2**63 - 1 if row.maximum is None else int(row.maximum)
+        descriptor.integer_range = [
+            IntegerRange(from_value=int(row.minimum), to_value=high_int, step=0)
+        ]
+    return descriptor
+
+
+def declare_parameters(
+    node: Node, table: Table, section: Section, changed: Callable[[], None]
+) -> None:
+    """Declare all parameters of a node with their values; let those be set that may be.
+
+    Parameters
+    ----------
+    node : Node
+        Made with these values as overrides.
+    table : Table
+        Its parameters.
+    section : dict
+        Their values, checked. Takes up what is set.
+    changed : callable
+        Called when something was set.
+    """
+    for row in table.rows.values():
+        node.declare_parameter(row.name, section[row.name], parameter_descriptor(row))
+
+    def take(parameters: Sequence[RosParameter]) -> SetParametersResult:
+        try:
+            for p in parameters:
+                if p.name not in table.rows:  # rclpy's own, such as use_sim_time
+                    raise InputError(f"{node.get_name()}: {p.name!r} can't be set")
+            values = {
+                p.name: table.rows[p.name].check(p.value, node.get_name()) for p in parameters
+            }
+        except InputError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        section.update(values)
+        changed()
+        return SetParametersResult(successful=True)
+
+    node.add_on_set_parameters_callback(take)
 
 
 class LoopCallbackGroup(CallbackGroup):
@@ -156,6 +255,11 @@ def take_all(subscription: Subscription, most: int) -> list[tuple[bytes, int]]:
     while len(found) < most and (taken := take_timed(subscription)) is not None:
         found.append(taken)
     return found
+
+
+def is_acknowledged(publisher: Publisher, timeout: float) -> bool:
+    """Wait at most ``timeout`` s until all readers have acknowledged all messages."""
+    return bool(publisher.wait_for_all_acked(Duration(seconds=timeout)))
 
 
 def sender(publisher: Publisher) -> Callable[[bytes], None]:

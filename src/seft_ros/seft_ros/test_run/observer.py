@@ -11,17 +11,14 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from seft_msgs_py.errors import ExperimentError, InputError, WireError
-from seft_msgs_py.node.awake_clock import AwakeClock
-from seft_msgs_py.node.exit_watchdog import leave_graph
-from seft_msgs_py.node.middleware import prepare_on_this_host
-from seft_msgs_py.node.ros_types import message_class, qos_profile
+from seft_msgs_py.node.middleware import is_running, prepare_on_this_host
+from seft_msgs_py.node.rclpy_interface import message_class, qos_profile, raw_subscription, taker
+from seft_msgs_py.node.realtime import AwakeClock
 from seft_msgs_py.node.senders import Senders
-from seft_msgs_py.node.single_instance import is_running
-from seft_msgs_py.node.wait_set import raw_subscription, taker
+from seft_msgs_py.node.shutdown import leave_graph
 from seft_msgs_py.wire.messages import decode_status
 from seft_msgs_py.wire.outcome import MOVING, RIG
-from seft_msgs_py.wire.rigs import bare
-from seft_msgs_py.wire.topics import CLOCK_TOPIC, DIAGNOSTICS, EXPERIMENT_STATE, NODES, Topic
+from seft_msgs_py.wire.topics import CLOCK_TOPIC, DIAGNOSTICS, EXPERIMENT_STATE, NODES, Topic, bare
 from std_srvs.srv import Trigger
 
 SERVICE_TIMEOUT = 10.0  # s

@@ -26,7 +26,7 @@ class OrphanReaper:
 
     def __init__(self) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "seft_ros.running.orphan_reaper"],
+            [sys.executable, "-m", "seft_ros.test_run.orphan_reaper"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,  # Ctrl-C is none of its business

@@ -6,8 +6,7 @@ from typing import Any
 
 from seft_msgs_py.wire.messages import Status
 from seft_msgs_py.wire.outcome import FINISHED, RIG, TRIPPED
-from seft_msgs_py.wire.rigs import RigAxes, bare, with_rigs
-from seft_msgs_py.wire.topics import topics_of
+from seft_msgs_py.wire.topics import RigAxes, bare, topics_of, with_rigs
 
 RAMPING_DOWN, AT_REST = "ramping_down", "at_rest"  # phases of the reference force
 ALL_ANSWERED = "ended"

@@ -3,9 +3,12 @@
 Where all of them are compiled, so is the loop over the steps.
 """
 
+import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,14 +17,13 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 
-from seft_ros.experiment.block_steps import obstacle
-from seft_ros.experiment.blocks import Blocks
-from seft_ros.experiment.compiled_loop import Course, run_compiled
-from seft_ros.experiment.state_machine import while_ramping_down
 from seft_ros.recording.environment import describe_environment
 from seft_ros.recording.record import Estimates, Record, Series, Trip
 from seft_ros.recording.samples import require_names
 from seft_ros.reference_force.estimate_sampler import sampling_period
+from seft_ros.test_run.blocks import Blocks, build_blocks
+from seft_ros.test_run.compiled_loop import Course, obstacle, run_compiled
+from seft_ros.test_run.state_machine import while_ramping_down
 
 Floats = npt.NDArray[np.float64]
 
@@ -157,3 +159,71 @@ def trip_of(
         reason = violation if cause is None else while_ramping_down(violation, cause)
         return Trip(reason, last, timebase.stamp_ns(last) / 1e9)
     return None if cause is None else Trip(cause, begun, timebase.stamp_ns(begun) / 1e9)
+
+
+class Workshop:
+    """Makes the tests of an ensemble ready, and runs them; each thread has blocks of its own."""
+
+    def __init__(self) -> None:
+        self._of_thread = threading.local()
+
+    @cached_property
+    def _environment(self) -> dict[str, Any]:
+        return describe_environment("ensemble")
+
+    def run(self, experiment: Experiment) -> Record:
+        """Run a test, see `simulate`.
+
+        Raises
+        ------
+        InputError
+            As `build_blocks`.
+        """
+        return simulate(experiment, self.blocks(experiment), environment=self._environment)
+
+    def obstacle(self, experiment: Experiment) -> str:
+        """Say why a test can't run in the compiled loop, see `obstacle`; empty if it can."""
+        return obstacle(self.blocks(experiment))
+
+    def blocks(self, experiment: Experiment) -> Blocks:
+        """Make the blocks of a test, or find them among those of this thread's earlier tests."""
+        return build_blocks(experiment, vars(self._of_thread))
+
+
+def run_ensemble[Result](
+    experiments: Sequence[Experiment],
+    reduce: Callable[[int, Record], Result],
+    workers: int = 1,
+    workshop: Workshop | None = None,
+) -> Iterator[Result]:
+    """Run tests, and give what is made of each, in their order.
+
+    Parameters
+    ----------
+    experiments : sequence of Experiment
+        Those which the compiled loop can run make use of all threads.
+    reduce : callable
+        From a test's number and record to its result; called on the thread that ran the test.
+    workers : int
+        Number of threads; the results do not depend on it.
+    workshop : Workshop, optional
+        With what is known of earlier tests.
+    """
+    shop = workshop or Workshop()
+
+    def one(number: int, experiment: Experiment) -> Result:
+        return reduce(number, shop.run(experiment))
+
+    yield from thread_map(workers, one, range(len(experiments)), experiments)
+
+
+def thread_map(workers: int, function: Callable[..., Any], *arguments: Any) -> Iterator[Any]:
+    """Give results in order, as `map` does, from several threads; 1: from this one alone."""
+    if workers == 1:
+        yield from map(function, *arguments)
+        return
+    pool = ThreadPoolExecutor(workers)
+    try:
+        yield from pool.map(function, *arguments)
+    finally:
+        pool.shutdown(cancel_futures=True)

@@ -1,10 +1,15 @@
-"""Parameter tables of the nodes that watch and record a test."""
+"""Parameter tables of all nodes; those of supervisor and recorder are written here."""
 
 from dataclasses import replace
 
 from seft_msgs_py.config.parameter_table import Parameter, Table, parameter_rows
 from seft_msgs_py.wire.topics import NODES
 from seft_plant_sim.rig.limits import limit_rows
+from seft_plant_sim.rig.rig_parameters import TABLE as RIG
+
+from seft_ros.force_controller.parameters import TABLE as FORCE_CONTROLLER
+from seft_ros.ground_motion.parameters import TABLE as GROUND_MOTION
+from seft_ros.reference_force.parameters import TABLE as REFERENCE_FORCE
 
 _WATCHDOG = parameter_rows(
     """
@@ -46,3 +51,5 @@ _LIVE = parameter_rows(
     """
 )
 RECORDER = Table("recorder", [replace(row, live=True) for row in _LIVE])
+
+TABLES = (GROUND_MOTION, REFERENCE_FORCE, FORCE_CONTROLLER, RIG, SUPERVISOR, RECORDER)

@@ -11,9 +11,15 @@ from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from seft_msgs_py.errors import ExperimentError, WireError
-from seft_msgs_py.node.exit_watchdog import leave_graph
-from seft_msgs_py.node.ros_types import message_class, qos_profile
-from seft_msgs_py.node.wait_set import WaitSet, raw_subscription, sender, take_timed
+from seft_msgs_py.node.rclpy_interface import (
+    WaitSet,
+    message_class,
+    qos_profile,
+    raw_subscription,
+    sender,
+    take_timed,
+)
+from seft_msgs_py.node.shutdown import leave_graph
 from seft_msgs_py.wire.messages import Status, decode_diagnostics, encode_status
 from seft_msgs_py.wire.topics import DIAGNOSTICS, EXPERIMENT_STATE, Topic
 
@@ -71,7 +77,7 @@ class Player:
     def say(self, state: str, steps: int | None = None, **values: str) -> None:
         """Say as the supervisor where the test is; returns when who listens has it.
 
-        The state is a `seft_ros.experiment.state_machine.State`; with it come the test's steps, and
+        The state is a `seft_ros.test_run.state_machine.State`; with it come the test's steps, and
         whatever else is given.
 
         Raises

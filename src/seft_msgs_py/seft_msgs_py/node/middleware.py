@@ -13,8 +13,13 @@
 - What FastDDS has to say goes to stderr: stdout is for results.
 """
 
+import errno
 import os
+import socket
+import tempfile
 from pathlib import Path
+
+from seft_msgs_py.errors import InputError
 
 NETWORK = Path(__file__).with_name("network.xml")
 ONE_HOST = Path(__file__).with_name("one_host.xml")
@@ -42,3 +47,60 @@ def prepare_on_this_host() -> None:
     """Do so after keeping to this host, unless the environment says how far to reach."""
     os.environ.setdefault(RANGE, "LOCALHOST")
     prepare_middleware()
+
+
+FOLDER = Path("/dev/shm")
+TRACERS = "lttng-ust-wait-*"
+
+
+def check_shared_memory(folder: Path = FOLDER) -> None:
+    """See that there is a page of shared memory for the tracer that rclpy brings along (LTTng).
+
+    It maps a file there, and where no memory is behind it, the kernel ends the process (SIGBUS).
+    Our messages need none.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    files = list(folder.glob(TRACERS))
+    if (files and all(file.stat().st_blocks for file in files)) or not folder.is_dir():
+        return
+    try:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            os.posix_fallocate(file.fileno(), 0, 2 * os.sysconf("SC_PAGESIZE"))
+    except OSError as error:
+        if error.errno == errno.ENOSPC:
+            raise InputError(
+                f"{folder} is full, and no ROS process can start: remove what nobody uses there"
+            ) from None
+
+
+def single_instance(domain: int, node: str) -> socket.socket:
+    """Hold the full name of a node on this host in a ROS domain, until the socket is closed.
+
+    Raises
+    ------
+    InputError
+        If another process holds it.
+    """
+    held = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        held.bind(f"\0seft/{domain}{node}")
+    except OSError:
+        held.close()
+        raise InputError(
+            f"ROS domain {domain} already has a node {node} on this host: another test's; end "
+            "it, or set ROS_DOMAIN_ID to another number"
+        ) from None
+    return held
+
+
+def is_running(domain: int, node: str) -> bool:
+    """Tell whether a process of this host holds the full name of a node."""
+    try:
+        single_instance(domain, node).close()
+    except InputError:
+        return True
+    return False
