@@ -20,6 +20,8 @@ from seft_msgs_py.wire.topics import NODES, rigs_of
 
 EVERY_NODE = "/**"
 PARAMETERS_KEY = "ros__parameters"
+PARAMETER_OPTIONS = ("--params-file", "-p", "--param")
+"""Options of a node's command line that hold parameters."""
 
 LARGEST_FILE = 1_000_000
 """Bytes; a test of many axes has some thousand, and to parse a million takes a minute."""
@@ -246,7 +248,7 @@ def split_ros_arguments(argv: Sequence[str]) -> tuple[list[str], list[Override]]
             inside = True
         elif word == "--":
             inside = False
-        elif inside and word in ("--params-file", "-p", "--param"):
+        elif inside and word in PARAMETER_OPTIONS:
             value = next(words, None)
             if value is None:
                 raise InputError(f"{word} needs a value")

@@ -1,16 +1,17 @@
-"""Settings of FastDDS, the middleware below our nodes; `network.xml` and `one_host.xml` hold them.
+"""What a ROS process needs before it starts: settings of FastDDS, shared memory, a free name.
 
-- UDP alone, also on one host. Shared memory is no faster here (`bench/loop.py` measures both), but
-  all tests on a host, whatever their domain, share its ports, whose health FastDDS judges by a
-  second without life: while other tests start, end or are killed, or where the machine stands
-  still, a node that lives may lose its port, and is deaf from then on. What is killed would leave
-  files, too.
+`network.xml` and `one_host.xml` hold the settings:
+
+- UDP only, on one host too. Shared memory is no faster here (`bench/loop.py` measures both), and
+  all tests on a host, whatever their domain, share its ports, whose health FastDDS judges by one
+  second without activity: while other tests start, end or are killed, or while the host stalls, a
+  living node may lose its port and receive nothing from then on. Killed processes leave files.
 - A participant announces itself for 3 s, not for half a second: of six that start together some
-  miss each other, and would meet at the next announcement, 3 s later.
-- Readers acknowledge what they have at a heartbeat; the default of 3 s lets thousands of samples
+  miss each other, and would meet only at the next announcement, 3 s later.
+- Readers acknowledge what they have at a heartbeat; with the default of 3 s thousands of samples
   pile up, and clearing them away stops a publisher for milliseconds.
 - While nacks of the last sample are suppressed, the next one does not wake the event thread.
-- What FastDDS has to say goes to stderr: stdout is for results.
+- FastDDS writes its messages to stderr: stdout is for results.
 """
 
 import errno
@@ -25,12 +26,14 @@ NETWORK = Path(__file__).with_name("network.xml")
 ONE_HOST = Path(__file__).with_name("one_host.xml")
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+FOLDER = Path("/dev/shm")
+TRACERS = "lttng-ust-wait-*"
 
 
 def prepare_middleware() -> None:
     """Have FastDDS read our settings, unless the environment names others, or static peers.
 
-    To be called before rclpy starts; processes that are started later inherit it.
+    Call it before rclpy starts; processes that are started later inherit it.
     """
     named = os.environ.get(PROFILES)
     if named not in (None, str(NETWORK), str(ONE_HOST)):
@@ -44,20 +47,16 @@ def prepare_middleware() -> None:
 
 
 def prepare_on_this_host() -> None:
-    """Do so after keeping to this host, unless the environment says how far to reach."""
+    """Do the same, and stay on this host unless the environment sets another range."""
     os.environ.setdefault(RANGE, "LOCALHOST")
     prepare_middleware()
 
 
-FOLDER = Path("/dev/shm")
-TRACERS = "lttng-ust-wait-*"
-
-
 def check_shared_memory(folder: Path = FOLDER) -> None:
-    """See that there is a page of shared memory for the tracer that rclpy brings along (LTTng).
+    """Check that there is a page of shared memory for the tracer that comes with rclpy (LTTng).
 
-    It maps a file there, and where no memory is behind it, the kernel ends the process (SIGBUS).
-    Our messages need none.
+    It maps a file there when rclpy is imported, and without memory behind that file the kernel ends
+    the process (SIGBUS). Our messages need no shared memory.
 
     Raises
     ------
@@ -79,6 +78,11 @@ def check_shared_memory(folder: Path = FOLDER) -> None:
 
 def single_instance(domain: int, node: str) -> socket.socket:
     """Hold the full name of a node on this host in a ROS domain, until the socket is closed.
+
+    Two tests on one ROS domain would command each other's rig before DDS discovery, which may take
+    seconds, has shown either the other's names. The socket is in Linux's abstract namespace: the
+    kernel frees it however the process ends, and like the ROS domain it belongs to the network
+    namespace.
 
     Raises
     ------

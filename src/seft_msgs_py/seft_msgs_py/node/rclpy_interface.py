@@ -28,6 +28,7 @@ from rcl_interfaces.msg import (
 from rclpy.callback_groups import CallbackGroup
 from rclpy.context import Context
 from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
@@ -35,6 +36,8 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
+
+__all__ = ["Node", "Publisher", "SingleThreadedExecutor", "Subscription"]
 
 
 def command_node(name: str) -> Node:

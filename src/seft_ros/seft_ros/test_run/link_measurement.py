@@ -1,4 +1,4 @@
-"""Messages sent over a link and back, at the rate of a test; and the side that sends them back."""
+"""Messages over a link and back at the rate of a test, and the side that echoes them."""
 
 import os
 import time
@@ -7,14 +7,11 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 
 import numpy as np
-import rclpy
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from seft_msgs_py.errors import ExperimentError, InputError, WireError
 from seft_msgs_py.node.rclpy_interface import (
     WaitSet,
-    message_class,
-    qos_profile,
+    command_node,
+    raw_publisher,
     raw_subscription,
     sender,
     taker,
@@ -36,11 +33,8 @@ class _LinkNode:
     """A node that sends on one topic and hears on another."""
 
     def __init__(self, name: str, sends: Topic, hears: Topic) -> None:
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self.node = Node(name, start_parameter_services=False)
-        self.publisher = self.node.create_publisher(
-            message_class(sends), sends.name, qos_profile(sends)
-        )
+        self.node = command_node(name)
+        self.publisher = raw_publisher(self.node, sends)
         self.send = sender(self.publisher)
         self.subscription = raw_subscription(self.node, hears, reliable=False)
         self._take = taker(self.subscription)

@@ -1,4 +1,4 @@
-"""What the `seft` command sees of a test on the graph, and the services it calls."""
+"""What the `seft` command observes of a test on the graph, and the services it calls."""
 
 import os
 import time
@@ -6,13 +6,16 @@ from collections.abc import Collection, Iterable, Sequence
 from contextlib import closing
 from typing import Any
 
-import rclpy
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from seft_msgs_py.errors import ExperimentError, InputError, WireError
 from seft_msgs_py.node.middleware import is_running, prepare_on_this_host
-from seft_msgs_py.node.rclpy_interface import message_class, qos_profile, raw_subscription, taker
+from seft_msgs_py.node.rclpy_interface import (
+    SingleThreadedExecutor,
+    command_node,
+    message_class,
+    qos_profile,
+    raw_subscription,
+    taker,
+)
 from seft_msgs_py.node.realtime import AwakeClock
 from seft_msgs_py.node.senders import Senders
 from seft_msgs_py.node.shutdown import leave_graph
@@ -22,7 +25,7 @@ from seft_msgs_py.wire.topics import CLOCK_TOPIC, DIAGNOSTICS, EXPERIMENT_STATE,
 from std_srvs.srv import Trigger
 
 SERVICE_TIMEOUT = 10.0  # s
-DISCOVERY = 0.5  # s; who is not found by then is at the second look, before anything moves
+DISCOVERY = 0.5  # s; nodes that take longer are found by the second check, before the start
 ANNOUNCEMENT = 3.2  # s; participants announce themselves every 3 s
 
 
@@ -37,17 +40,17 @@ class Observer:
     Attributes
     ----------
     state : str
-        The test's state; empty until it is heard.
+        The test's state; empty before the first message.
     values : dict
-        What the state comes with: ``detail``, ``steps``, ``step``.
+        Values of the state: ``detail``, ``steps``, ``step``.
     time_ns : int
         Experiment time, nanoseconds.
     recorder_phase : str
         ``idle``, ``recording``, ``saved``.
     recorder_bag : str
-        Folder of the bag that it has saved.
+        Folder of the saved bag.
     running : set of str
-        Rigs that say that they run.
+        Rigs that report that they run.
     """
 
     def __init__(self, nodes: Sequence[str] = NODES) -> None:
@@ -61,8 +64,7 @@ class Observer:
         self._awake = AwakeClock()
         self._heard_at = self._awake.time()
         self._since = time.monotonic()
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self._node = Node("seft", start_parameter_services=False)
+        self._node = command_node("seft")
         states = raw_subscription(self._node, EXPERIMENT_STATE)
         self._take_state, self._senders = taker(states), Senders(self._node)
         self._senders.add(EXPERIMENT_STATE, states.topic_name, states)
@@ -77,7 +79,7 @@ class Observer:
         self._executor.add_node(self._node)
 
     def spin(self, timeout: float) -> None:
-        """Take in what comes within ``timeout`` seconds, at least one look."""
+        """Handle all messages that come within ``timeout`` seconds; poll at least once."""
         deadline = time.monotonic() + timeout
         while True:
             self._executor.spin_once(timeout_sec=max(0.0, deadline - time.monotonic()))
@@ -119,7 +121,7 @@ class Observer:
         return ours + self._of_other_namespaces(found)
 
     def refuse_other_tests(self, external: Collection[str] = ()) -> None:
-        """See that no other test is on the graph: two would command each other's rig.
+        """Check that no other test is on the graph: two would command each other's rig.
 
         Raises
         ------
@@ -130,10 +132,9 @@ class Observer:
         self._refuse([node for node in self.present() if node not in external])
 
     def refuse_twins(self, topics: Iterable[Topic]) -> None:
-        """See once more that no other test is there, and nobody else who publishes on its topics.
+        """Check again that there is no other test, and no other publisher of this test's topics.
 
-        A single node that runs already may not be seen before it announces itself the next time;
-        and this process is longer on the graph than those of the test.
+        A node that runs already may be found only when it announces itself the next time.
 
         Raises
         ------
@@ -161,12 +162,12 @@ class Observer:
             )
 
     def _of_other_namespaces(self, found: Sequence[str]) -> list[str]:
-        """Nodes of another test, which shares /clock with this one."""
+        """List nodes of another test, which shares /clock with this one."""
         others = set(found) - set(self._nodes)
         return sorted(node for node in others if bare(node) in NODES)
 
     def _found(self) -> list[str]:
-        """Names of all nodes on the graph, with their namespaces, without the first slash."""
+        """List all nodes on the graph, with their namespaces, without the first slash."""
         pairs = self._node.get_node_names_and_namespaces()
         return [f"{namespace.rstrip('/')}/{name}"[1:] for name, namespace in pairs]
 
@@ -180,7 +181,7 @@ class Observer:
             self._on_state(taken[0], taken[2])
 
     def _on_state(self, raw: bytes, gid: bytes) -> None:
-        """Take the state of a test that runs from the one supervisor that it began with."""
+        """Accept the state of a running test only from the supervisor that it began with."""
         if self._senders.is_stranger(EXPERIMENT_STATE.name, gid):
             return
         try:
@@ -209,7 +210,7 @@ def _domain() -> str:
 
 
 def alone_on_the_graph(external: Collection[str] = ()) -> None:
-    """Prepare this process for the graph, and see that no test is on it.
+    """Prepare this process for the graph, and check that no test is on it.
 
     Raises
     ------

@@ -1,20 +1,17 @@
-"""A node of the `seft` command that plays the parts of other nodes of a test."""
+"""A node of the `seft` command that stands in for other nodes of a test."""
 
 import contextlib
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-import rclpy
-from rclpy.duration import Duration
-from rclpy.node import Node
-from rclpy.publisher import Publisher
-from rclpy.signals import SignalHandlerOptions
-from rclpy.subscription import Subscription
 from seft_msgs_py.errors import ExperimentError, WireError
 from seft_msgs_py.node.rclpy_interface import (
+    Publisher,
+    Subscription,
     WaitSet,
-    message_class,
-    qos_profile,
+    command_node,
+    is_acknowledged,
+    raw_publisher,
     raw_subscription,
     sender,
     take_timed,
@@ -26,20 +23,20 @@ from seft_msgs_py.wire.topics import DIAGNOSTICS, EXPERIMENT_STATE, Topic
 HEARTBEAT = 0.2  # s between two repeats of the test's state
 HEARD = 2.0  # s for a reader to acknowledge the test's state
 Receive = Callable[[bytes, float, float], None]
-"""Takes a message, when it was found and when it was sent, s, monotonic."""
+"""Takes a message, and the times of its reception and sending, s, monotonic."""
 
 
 class Player:
-    """Sends and hears the messages of a test as other nodes would, the supervisor among them.
+    """Publishes and receives messages as other nodes of a test would, such as the supervisor.
 
     Parameters
     ----------
     name : str
         Of the node.
     sends : sequence of Topic
-        Topics it publishes beside experiment/state.
+        Topics it publishes besides experiment/state.
     hears : mapping of Topic to callable
-        What takes the messages of each topic that it listens to.
+        Topics it subscribes to, with the functions that take their messages.
 
     Attributes
     ----------
@@ -49,8 +46,7 @@ class Player:
 
     def __init__(self, name: str, sends: Sequence[Topic], hears: Mapping[Topic, Receive]) -> None:
         self.status: dict[str, Status] = {}
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self.node = Node(name, start_parameter_services=False)
+        self.node = command_node(name)
         self._publishers: dict[Topic, Publisher] = {}
         self._senders: dict[Topic, Callable[[bytes], None]] = {}
         for topic in (EXPERIMENT_STATE, *sends):
@@ -66,8 +62,8 @@ class Player:
         self._said_at = 0.0
 
     def publish_on(self, topic: Topic) -> None:
-        """Be a publisher of a topic from now on."""
-        publisher = self.node.create_publisher(message_class(topic), topic.name, qos_profile(topic))
+        """Begin to publish a topic."""
+        publisher = raw_publisher(self.node, topic)
         self._publishers[topic], self._senders[topic] = publisher, sender(publisher)
 
     def send(self, topic: Topic, raw: bytes) -> None:
@@ -75,10 +71,9 @@ class Player:
         self._senders[topic](raw)
 
     def say(self, state: str, steps: int | None = None, **values: str) -> None:
-        """Say as the supervisor where the test is; returns when who listens has it.
+        """Publish the test's state as the supervisor would; return when all readers have it.
 
-        The state is a `seft_ros.test_run.state_machine.State`; with it come the test's steps, and
-        whatever else is given.
+        The state is a `State`; the test's steps and other values come with it.
 
         Raises
         ------
@@ -88,15 +83,15 @@ class Player:
         told = {**values, **({} if steps is None else {"steps": str(steps)})}
         self._state = encode_status(Status("experiment", 0, state, values=told))
         self._repeat()
-        if not self._publishers[EXPERIMENT_STATE].wait_for_all_acked(Duration(seconds=HEARD)):
+        if not is_acknowledged(self._publishers[EXPERIMENT_STATE], HEARD):
             raise ExperimentError(f"the state {state} of the test was not heard within {HEARD:g} s")
 
     def be_silent(self) -> None:
-        """Repeat the state no more, as a supervisor that has died."""
+        """Stop repeating the state, as a supervisor that has died."""
         self._state = None
 
     def listen(self, timeout: float) -> bool:
-        """Hand over what comes within ``timeout`` s, and return when some has; repeat the state."""
+        """Wait at most ``timeout`` s for messages, handle them, and repeat the state if due."""
         if self._state is not None and time.monotonic() - self._said_at >= HEARTBEAT:
             self._repeat()
         ready = self._wait_set.wait(timeout)
@@ -104,18 +99,18 @@ class Player:
         for subscription in ready:
             while (taken := take_timed(subscription)) is not None:
                 raw, sent_ns = taken
-                with contextlib.suppress(WireError):  # what can't be read
+                with contextlib.suppress(WireError):
                     self._takers[subscription](raw, now, sent_ns / 1e9 + offset)
         return bool(ready)
 
     def listen_for(self, duration: float) -> None:
-        """Hand over all that comes in ``duration`` s."""
+        """Handle all messages for ``duration`` s."""
         deadline = time.monotonic() + duration
         while (left := deadline - time.monotonic()) > 0:
             self.listen(min(left, HEARTBEAT / 2))
 
     def is_matched(self, node: str, sends: Iterable[Topic], hears: Iterable[Topic]) -> bool:
-        """Tell whether a node hears, and is heard, on some topics; it must say so itself, too."""
+        """Tell whether a node is connected on these topics, also by its own status."""
         told = self.status[node].values if node in self.status else {}
         for topic in sends:
             there = self.node.get_subscriptions_info_by_topic(topic.name)
@@ -132,7 +127,7 @@ class Player:
         return True
 
     def on_status(self, status: Status, at: float) -> None:
-        """Take a status that comes; for those who derive from this."""
+        """Take a status; for subclasses."""
 
     def close(self) -> None:
         """Leave the graph."""
