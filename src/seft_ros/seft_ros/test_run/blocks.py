@@ -36,8 +36,8 @@ def build_blocks(experiment: Experiment, known: dict[str, Any] | None = None) ->
     experiment : Experiment
         Its resolved configuration.
     known : dict, optional
-        Blocks of earlier experiments, but their rigs: those with the same parameters are used
-        again, new ones are added.
+        Blocks of earlier experiments, except rigs: those with the same parameters are used again,
+        new ones are added.
 
     Raises
     ------
@@ -47,23 +47,17 @@ def build_blocks(experiment: Experiment, known: dict[str, Any] | None = None) ->
     axes, timebase, known = experiment.axes, experiment.timebase, {} if known is None else known
     common = repr((axes, timebase, experiment.rigs))
 
-    def shared[Block](node: str, make: Callable[[], Block]) -> Block:
+    def shared(node: str, make: Callable[..., Any], *arguments: Any) -> Any:
         key = repr((node, common, sorted(experiment[node].items())))
         if key not in known:
-            known[key] = make()
-        found: Block = known[key]
-        return found
+            known[key] = make(*arguments)
+        return known[key]
 
-    def motion() -> GroundMotion:
-        return GroundMotion.from_parameters(experiment["ground_motion"], axes, timebase)
-
-    def force() -> ProtectedForce:
-        return ProtectedForce.from_parameters(experiment["reference_force"], axes, timebase)
-
+    motion, force = experiment["ground_motion"], experiment["reference_force"]
     blocks = Blocks(
-        shared("ground_motion", motion),
-        shared("reference_force", force),
-        shared("force_controller", lambda: interlock_of(experiment)),
+        shared("ground_motion", GroundMotion.from_parameters, motion, axes, timebase),
+        shared("reference_force", ProtectedForce.from_parameters, force, axes, timebase),
+        shared("force_controller", interlock_of, experiment),
         _rigs(experiment),
     )
     check_lead(experiment, blocks.ground_motion, blocks.reference_force)
@@ -79,7 +73,7 @@ def _rigs(experiment: Experiment) -> Rig | Rigs:
 
 
 def check_target(experiment: Experiment, blocks: Blocks) -> None:
-    """See that the motion of a target is followed where it is given, and given where it is.
+    """Check that the controller follows a target's motion if, and only if, there is one.
 
     Raises
     ------
@@ -103,7 +97,7 @@ def check_target(experiment: Experiment, blocks: Blocks) -> None:
 
 
 def check_lead(experiment: Experiment, motion: GroundMotion, force: ProtectedForce) -> None:
-    """See that the ground motion is known as far ahead as the compensation looks.
+    """Check that the ground motion is known as far ahead as the compensation needs it.
 
     Raises
     ------
@@ -120,10 +114,10 @@ def check_lead(experiment: Experiment, motion: GroundMotion, force: ProtectedFor
 
 
 def with_method(experiment: Experiment, method: str) -> Experiment:
-    """Copy an experiment with another compensation method.
+    """Copy an experiment with another compensation method, and a force controller that fits it.
 
-    `target_motion` drives valves by velocity feedforward. No other method tells the motion that
-    this needs: they have the controller as configured, or else the configured transfer function.
+    `target_motion` drives valves by velocity feedforward, which needs the target's motion. Other
+    methods do not give it: they use the configured controller, or else the transfer function.
     """
     control = experiment["force_controller"]
     used = control["method"]

@@ -1,6 +1,6 @@
-"""All steps of a test in one compiled function: the steps of its blocks, called in a row.
+"""All steps of a test in one compiled function, which calls the steps of its blocks in turn.
 
-It holds no lock of the interpreter, so that threads run tests side by side.
+It releases the interpreter's lock, so that threads run tests in parallel.
 """
 
 from collections.abc import Callable, Iterator
@@ -118,16 +118,16 @@ def _estimate(parameters, state, result):  # type: ignore[no-untyped-def]
 
 
 class Course(NamedTuple):
-    """What a test of N steps leaves.
+    """Results of a test of N steps.
 
     Attributes
     ----------
     states, forces, commands : ndarray
         Shapes (N, 4, n), (N, q, n) and (N, n).
     found : ndarray
-        What `rig_step` gave, shape (N,).
+        Results of `rig_step`, shape (N,).
     estimates : ndarray
-        Of the compensation method at the steps that are sampled, shape (M, k, n).
+        Estimates of the compensation method at the sampled steps, shape (M, k, n).
     """
 
     states: Floats
@@ -145,15 +145,15 @@ class LoopBlocks(NamedTuple):
     rig, protection, interlock : tuple
         Parameters and state of each.
     force, control : tuple
-        Of compensation method and controller, see `seft_ros.test_run.compiled_loop`.
+        Parameters and state of compensation method and controller.
     under_way : ndarray
         Points of the last steps in turn, shape (1 + d, p, q, n), of a loop with a delay of d steps.
     drive : ndarray
-        What drives the rig, shape (n,).
+        Input of the rig, shape (n,).
     is_valve_driven : bool
-        Whether that is the command of the valve.
+        Whether that is the valve command.
     window : int
-        Samples of the ground motion that the compensation method sees.
+        Samples of the ground motion that the compensation method gets.
     longest_ramp, period : int
         Steps of the ramp, and from one sample of the estimates to the next.
     """
@@ -177,7 +177,7 @@ def run_compiled(blocks: Blocks, course: Course, loop_delay: int, period: int) -
     Parameters
     ----------
     blocks : Blocks
-        To which there is no `obstacle`.
+        For which there is no `obstacle`.
     course : Course
         The result.
     loop_delay : int
@@ -190,7 +190,7 @@ def run_compiled(blocks: Blocks, course: Course, loop_delay: int, period: int) -
     method: Any = protected.reference_force.compensator
     control: Any = interlock.controller
     points, quantities = protected.reference_force.shape
-    if quantities > 1:  # a controller needs no more of the coming motion
+    if quantities > 1:  # a controller needs no more of the future motion
         coming = isinstance(control, VelocityFeedforward) and control.parameters.inverse.shape[1]
         points = min(points, 1 + loop_delay + coming)
     n = course.commands.shape[1]

@@ -1,4 +1,4 @@
-"""What messages that were sent over a link and back tell of it, and of a test over it."""
+"""Judgement of a link, and of a test over it, from messages sent over the link and back."""
 
 import math
 from dataclasses import dataclass
@@ -21,9 +21,9 @@ Verdict = Literal["good", "marginal", "unusable"]
 
 PERCENTILES = (50, 90, 99, 99.9)
 MARGIN = 1
-"""Steps beyond the percentile that a loop is given: for its computation, and for a rare delay."""
+"""Steps of a loop's delay beyond the percentile: for its computation, and for rare delays."""
 COUNTED = 99.0
-"""Percentile of the round trips that a loop's delay covers; what is later is predicted."""
+"""Percentile of the round trips that a loop's delay covers; later values are predicted."""
 SOME_LOST, TOO_MANY_LOST = 0.005, 0.2
 """Share of the messages lost from which a link is marginal, and unusable."""
 LONGEST_DELAY = 100
@@ -41,9 +41,9 @@ class RoundTrips:
     sent : int
         Their number.
     times : ndarray
-        Round trips of those that came back, in the order in which they came, shape (M,), s.
+        Round trips of those that came back, in the order of arrival, shape (M,), s.
     numbers : ndarray of int
-        Which ones they are, shape (M,), from 0.
+        Their numbers, shape (M,), from 0.
     """
 
     rate: float
@@ -63,7 +63,7 @@ class RoundTrips:
 
     @property
     def reordered(self) -> int:
-        """Messages that came back after one that was sent later."""
+        """Messages that came back after a message that was sent later."""
         return int((self.numbers < np.maximum.accumulate(self.numbers)).sum())
 
     @property
@@ -73,7 +73,7 @@ class RoundTrips:
 
     @property
     def rate_within_a_step(self) -> float:
-        """Rate up to which an answer comes within its own step, so that no delay is needed, Hz."""
+        """Rate up to which an answer comes within its step, so that no delay is needed, Hz."""
         return 1.0 / self._percentile(COUNTED)
 
     def numbers_by_name(self) -> dict[str, Any]:
@@ -99,18 +99,18 @@ class RoundTrips:
 
 @dataclass(frozen=True)
 class Allowed:
-    """What preflight says of a test with the delay that its link needs.
+    """Result of preflight for a test with the delay that its link needs.
 
     Attributes
     ----------
     mass_ratio : float
         As planned.
     critical_mass_ratio : float or None
-        At which it is unstable; None where no mass ratio is, or that is not known.
+        Least unstable one; None where there is none, or it is not known.
     growing : bool
         Whether it is unstable as planned.
     unknown : str
-        Why preflight could not tell; else empty.
+        Why preflight failed; else empty.
     """
 
     mass_ratio: float
@@ -138,7 +138,7 @@ def with_loop_delay(experiment: Experiment, steps: int) -> Experiment:
 
 
 def message_size(experiment: Experiment) -> int:
-    """Size of the messages of the reference force over a link of ten steps, bytes."""
+    """Size of a reference force message over a link with a delay of ten steps, bytes."""
     section, axes = experiment["reference_force"], experiment.axes
     topic, points = reference_force_topic(section), 11
     if topic == TARGET:
@@ -148,7 +148,7 @@ def message_size(experiment: Experiment) -> int:
 
 
 def allowed(experiment: Experiment, loop_delay: int) -> Allowed:
-    """Ask preflight about a test with a delay of the loop, in steps."""
+    """Run preflight for a test with a delay of the loop, in steps."""
     from seft_ros.preflight.plan import Plan
     from seft_ros.preflight.stability_margins import critical_mass_ratio
 

@@ -24,13 +24,13 @@ from seft_ros.test_run.link_judgement import RoundTrips
 
 PATIENCE = 15.0  # s, until the other side is found
 LOOK = 0.05  # s
-SETTLING = 0.5  # s without being counted: first messages are the slowest
+SETTLING = 0.5  # s that do not count: the first messages are the slowest
 FIRST, LAST = 5.0, 1.0  # s in which the first and the last message may come back
 ECHO_LOOK = 0.2  # s
 
 
 class _LinkNode:
-    """A node that sends on one topic and hears on another."""
+    """A node that publishes one topic and subscribes to another."""
 
     def __init__(self, name: str, sends: Topic, hears: Topic) -> None:
         self.node = command_node(name)
@@ -41,7 +41,7 @@ class _LinkNode:
         self._wait_set = WaitSet(self.node.context, [self.subscription])
 
     def listen(self, timeout: float) -> Iterator[bytes]:
-        """Give what comes until ``timeout`` s are over or something has come."""
+        """Wait at most ``timeout`` s for messages, and give all that have come."""
         self._wait_set.wait(timeout)
         while (taken := self._take()) is not None:
             yield taken[0]
@@ -52,12 +52,12 @@ class _LinkNode:
 
 
 def echo(progress: Callable[[int], None]) -> None:
-    """Send back what comes, as it comes, until interrupted.
+    """Send back each message as it is, until interrupted.
 
     Parameters
     ----------
     progress : callable
-        Told the number of messages sent back, several times a second; may raise to end.
+        Called with the number of messages sent back, several times a second; may raise to end.
     """
     with closing(_LinkNode("seft_link_echo", LINK_PONG, LINK_PING)) as link:
         count = 0
@@ -75,20 +75,20 @@ def measure(
     progress: Callable[[str, int], None],
     rig: RigAxes | None = None,
 ) -> RoundTrips:
-    """Measure the link to whoever echoes on this ROS domain.
+    """Measure the link to the node that echoes on this ROS domain.
 
     Parameters
     ----------
     rate : float
         Messages a second.
     duration : float
-        For which they are sent, s.
+        Time for which they are sent, s.
     size : int
         Bytes of each.
     progress : callable
-        Told what goes on, and the messages sent.
+        Called with the present stage and the number of messages sent.
     rig : RigAxes, optional
-        Whose force controller is to echo, of several rigs.
+        Of several rigs, the one whose force controller echoes.
 
     Raises
     ------
@@ -145,7 +145,7 @@ def measure(
 
 
 def _find_echo(link: _LinkNode, pong: Topic) -> None:
-    """Wait for the one node that sends back what comes."""
+    """Wait for the one node that echoes."""
     deadline = time.monotonic() + PATIENCE
     while True:
         echoes = link.node.get_publishers_info_by_topic(pong.name)

@@ -1,6 +1,7 @@
-"""The experiment in one process, without ROS: the same blocks, called in a row.
+"""The experiment in one process, without ROS: the same blocks, called in turn.
 
-Where all of them are compiled, so is the loop over the steps.
+If all of them are compiled, so is the loop over the steps. An ensemble is many such tests on
+several threads; tests with equal ground motion, reference force or force controller share these.
 """
 
 import threading
@@ -45,14 +46,14 @@ def simulate(
     blocks : Blocks
         Made of it by `build_blocks`.
     progress : callable, optional
-        Called with the number of steps done, now and then.
+        Called at intervals with the number of steps done.
     environment : dict, optional
-        Of the record; default it is looked up.
+        Of the record; default that of this process.
 
     Returns
     -------
     Record
-        Bit for bit what nodes over DDS give where no command is missed.
+        Bit for bit that of nodes over DDS if no command is missed.
     """
     motion, force = blocks.ground_motion.samples, blocks.reference_force
     (total, axes), quantities = motion.shape, force.reference_force.shape[1]
@@ -128,7 +129,7 @@ def run_plain(blocks: Blocks, course: Course, loop_delay: int, period: int) -> I
 
 
 def loop_series(motion: Floats, course: Course, steps: int) -> dict[str, Series]:
-    """Order the samples of the first steps of a test by topic."""
+    """Sort the samples of the first steps of a test by topic."""
     numbers = np.arange(steps, dtype=np.int64)
     values = {
         GROUND_MOTION.name: motion[:steps, np.newaxis],
@@ -142,14 +143,14 @@ def loop_series(motion: Floats, course: Course, steps: int) -> dict[str, Series]
 def trip_of(
     violation: str | None, cause: str | None, last: int, begun: int, timebase: Timebase
 ) -> Trip | None:
-    """Tell what ended a test before the record did, as supervisor and rig would.
+    """Say what ended a test before the end of its record, as supervisor and rig would.
 
     Parameters
     ----------
     violation : str or None
-        Why rig or force controller ended it at once; empty or None: they did not.
+        Why rig or force controller ended it at once; empty or None if not.
     cause : str or None
-        Why the reference force was brought down.
+        Why the reference force was ramped down.
     last, begun : int
         The last step, and the one at which the ramp began.
     timebase : Timebase
@@ -162,7 +163,7 @@ def trip_of(
 
 
 class Workshop:
-    """Makes the tests of an ensemble ready, and runs them; each thread has blocks of its own."""
+    """Prepares and runs the tests of an ensemble; each thread has its own blocks."""
 
     def __init__(self) -> None:
         self._of_thread = threading.local()
@@ -196,18 +197,18 @@ def run_ensemble[Result](
     workers: int = 1,
     workshop: Workshop | None = None,
 ) -> Iterator[Result]:
-    """Run tests, and give what is made of each, in their order.
+    """Run tests, and give the result of each, in their order.
 
     Parameters
     ----------
     experiments : sequence of Experiment
-        Those which the compiled loop can run make use of all threads.
+        The compiled loop uses all threads; other tests run one at a time.
     reduce : callable
         From a test's number and record to its result; called on the thread that ran the test.
     workers : int
         Number of threads; the results do not depend on it.
     workshop : Workshop, optional
-        With what is known of earlier tests.
+        With the blocks of earlier tests.
     """
     shop = workshop or Workshop()
 
@@ -218,7 +219,7 @@ def run_ensemble[Result](
 
 
 def thread_map(workers: int, function: Callable[..., Any], *arguments: Any) -> Iterator[Any]:
-    """Give results in order, as `map` does, from several threads; 1: from this one alone."""
+    """Give results in order, as `map` does, from several threads; 1: from the calling one."""
     if workers == 1:
         yield from map(function, *arguments)
         return

@@ -1,8 +1,7 @@
-"""Ends the processes that a run leaves, also one that is killed: from a process of its own.
+"""Ends the processes that a run leaves behind, also a run that is killed: from a separate process.
 
-It learns from a pipe which processes the run has, and that the run has ended from the pipe's end,
-however that came about. Nodes end with the run that started them, but for one that a signal has
-stopped.
+A pipe names the processes of the run, and its end shows that the run has ended, for whatever
+reason. Nodes end with the run that started them, except those that a signal has stopped.
 """
 
 import contextlib
@@ -22,18 +21,18 @@ _SEEN = b"seen\n"
 
 
 class OrphanReaper:
-    """Ends what processes a run leaves; a context that waits for this at its end."""
+    """Ends the processes that a run leaves behind; a context that waits for this at its end."""
 
     def __init__(self) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "seft_ros.test_run.orphan_reaper"],
+            [sys.executable, "-m", __name__],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            start_new_session=True,  # Ctrl-C is none of its business
+            start_new_session=True,  # Ctrl-C must not end it
         )
 
     def watch(self, pids: Iterable[int]) -> None:
-        """Tell it which processes the run has started."""
+        """Name the processes that the run has started."""
         pipe, answer = self._process.stdin, self._process.stdout
         assert pipe is not None and answer is not None
         with contextlib.suppress(BrokenPipeError):  # a test goes on without it
@@ -50,7 +49,7 @@ class OrphanReaper:
 
 def main() -> int:
     """Serve one run: lines of process numbers, until its end."""
-    started: dict[int, str] = {}  # a number may be given anew
+    started: dict[int, str] = {}  # a process number may be used again
     for line in sys.stdin.buffer:
         pids = [int(word) for word in line.split()]
         started |= {pid: _start(pid) for pid in pids if pid not in started}
@@ -61,7 +60,7 @@ def main() -> int:
 
 
 def _end(started: dict[int, str]) -> None:
-    """Tell processes to end, wake those that a signal has stopped, and kill who does not."""
+    """Ask processes to end, wake those that a signal has stopped, and kill the remaining ones."""
     for numbers in ((signal.SIGTERM, signal.SIGCONT), (signal.SIGKILL,)):
         deadline = time.monotonic() + PATIENCE
         while left := [pid for pid, start in started.items() if _start(pid) == start]:
@@ -76,7 +75,7 @@ def _end(started: dict[int, str]) -> None:
 def _start(pid: int) -> str:
     """Time at which a process started, in ticks of the kernel; empty where it has ended.
 
-    Of one that was killed the first thread may be gone while others still hold its files.
+    Of a killed process the first thread may be gone while others still hold its files.
     """
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()

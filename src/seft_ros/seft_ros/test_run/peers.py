@@ -1,4 +1,4 @@
-"""Whether the nodes of a test have found each other, from what each says of itself."""
+"""Whether the nodes of a test have found each other, judged by what each reports of itself."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,27 +18,22 @@ RECORDING = "recording"
 WAITS = "waits"
 """Key of the recorder's values: why it can't record a test now; empty if it can."""
 CONFLICT = "one "
-"""Start of what is missing where nodes were started with parameters that contradict."""
+"""Begin of what is missing if nodes were started with parameters that contradict."""
 _IN_A_TEST = ("running", FINISHED, TRIPPED)  # phases of the rig
 
 
 @dataclass(frozen=True)
 class Heard:
-    """The last status of a node.
-
-    Attributes
-    ----------
-    status : Status
-        What it said.
-    at : float
-        When, s of an `AwakeClock`.
-    test_s : float
-        When, s of the test.
-    """
+    """The last status of a node, and when it came: s of an `AwakeClock`, and s of the test."""
 
     status: Status
     at: float
     test_s: float = 0.0
+
+    @property
+    def phase(self) -> str:
+        """Phase that the node reports; empty if none."""
+        return self.status.values.get("phase", "")
 
 
 def missing(
@@ -58,7 +53,7 @@ def missing(
     heard : mapping
         Node name -> last status; holds the supervisor's own too.
     descriptions : mapping
-        Node name -> what it says of its parameters.
+        Node name -> description with the node's parameters.
     now : float
         Time on the clock of `Heard.at`, s.
     timeout : float
@@ -73,8 +68,7 @@ def missing(
     if undescribed:
         return "the parameters of " + ", ".join(undescribed)
     rig_nodes = [node for node in with_rigs([RIG], rigs) if node in peers]
-    conflict = _conflict(peers, descriptions, rig_nodes)
-    if conflict:
+    if conflict := _conflict(peers, descriptions, rig_nodes):
         return conflict
     topics = topics_of(rigs)
     for publisher in (*peers, "supervisor"):
@@ -93,27 +87,23 @@ def missing(
                 if heard[node].status.values.get(f"senders {topic.name}") == "0":
                     return f"{node} to hear {publisher} on {topic.name}"
     for node in rig_nodes:
-        if heard[node].status.values.get("phase") in _IN_A_TEST:
-            return f"the {node} to leave the last test"  # else its end would count for the next
-    force = heard.get("reference_force")
-    phase = force.status.values.get("phase") if force is not None else ""
-    if phase in (RAMPING_DOWN, AT_REST, ALL_ANSWERED):
+        if heard[node].phase in _IN_A_TEST:
+            return f"the {node} to leave the last test"  # its end would count for the next one
+    phases = {node: heard[node].phase for node in heard}
+    if phases.get("reference_force") in (RAMPING_DOWN, AT_REST, ALL_ANSWERED):
         return "the reference force to leave the last test"
-    recorder = heard["recorder"].status.values if "recorder" in peers else {}
-    if recorder.get("phase") == RECORDING:
-        return "the recorder to save the last test"
-    if recorder.get(WAITS):
-        return f"the recorder, as {recorder[WAITS]}"
-    motion = heard.get("ground_motion")
-    if motion is None or motion.status.values.get("phase") != "primed":
-        return "the first of the ground motion"
-    return ""
+    if "recorder" in peers:
+        if phases["recorder"] == RECORDING:
+            return "the recorder to save the last test"
+        if why := heard["recorder"].status.values.get(WAITS):
+            return f"the recorder, as {why}"
+    return "" if phases.get("ground_motion") == "primed" else "the first of the ground motion"
 
 
 def silent(
     peers: Sequence[str], heard: Mapping[str, Heard], now: float, timeout: float
 ) -> list[str]:
-    """Nodes that have been heard, but not for longer than ``timeout`` seconds."""
+    """List nodes that have been heard, but not for longer than ``timeout`` seconds."""
     return [node for node in peers if node in heard and now - heard[node].at > timeout]
 
 
@@ -125,28 +115,22 @@ def silence(node: str, heard: Mapping[str, Heard]) -> str:
 def _conflict(
     peers: Sequence[str], descriptions: Mapping[str, Mapping[str, Any]], rig_nodes: Sequence[str]
 ) -> str:
-    """Nodes that were started with different rates or axes can't work together."""
+    """Say which parameters contradict, so that the nodes can't work together; empty if none."""
+
+    def parameter(node: str, name: str, default: Any = None) -> Any:
+        return descriptions[node]["parameters"].get(name, default)
+
     for name, nodes in (("rate", peers), ("axes", peers), ("pace", rig_nodes)):
-        if len(nodes) < 2:
-            continue
-        first, *others = nodes
-        value = descriptions[first]["parameters"].get(name)
-        for node in others:
-            other = descriptions[node]["parameters"].get(name)
+        for node in nodes[1:]:
+            value, other = parameter(nodes[0], name), parameter(node, name)
             if other != value:
-                return f"{CONFLICT}{name}: {first} has {value}, {node} has {other}"
-    return _other_delay(peers, descriptions)
-
-
-def _other_delay(peers: Sequence[str], descriptions: Mapping[str, Mapping[str, Any]]) -> str:
-    """Delays of the loop that contradict; below zero is whatever the other side has measured."""
+                return f"{CONFLICT}{name}: {nodes[0]} has {value}, {node} has {other}"
     if "reference_force" not in peers:
         return ""
-    sent = descriptions["reference_force"]["parameters"].get("loop_delay", 0)
+    sent = parameter("reference_force", "loop_delay", 0)
     for node in peers:
-        if bare(node) != "force_controller":
-            continue
-        taken = descriptions[node]["parameters"].get("loop_delay", 0)
-        if sent != taken and not (taken < 0 and sent > 0):
+        taken = parameter(node, "loop_delay", 0)
+        # a delay below zero is the one that the other side has measured
+        if bare(node) == "force_controller" and sent != taken and not (taken < 0 < sent):
             return f"{CONFLICT}loop_delay: reference_force has {sent}, {node} has {taken}"
     return ""

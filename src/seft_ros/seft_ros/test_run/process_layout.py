@@ -1,4 +1,4 @@
-"""How the nodes of a test are put into processes, and those onto the machine."""
+"""Which node of a test runs in which process, and which process on which core."""
 
 import contextlib
 import ctypes
@@ -15,8 +15,8 @@ from seft_msgs_py.wire.topics import bare, rig_name
 LOOP_NODES = ("rig", "reference_force", "force_controller")
 """Nodes that work one after the other within a step."""
 GIVES_WAY = {"force_controller": 1, "reference_force": 2}
-"""By how much the priority of who comes earlier in a step is lower: what is left for it to do when
-its message is out must wait until the step is done."""
+"""By how much the priority of nodes that come earlier in a step is lower: the work that they do
+after sending their message must wait until the step is done."""
 LATENCY_SLICE_NS = 100_000
 """The shortest slice that Linux grants."""
 
@@ -26,14 +26,14 @@ _LIBC = ctypes.CDLL(None, use_errno=True)
 
 
 class Placement:
-    """The loop's nodes on as many cores as there are rigs, and everything else off these.
+    """The loop's nodes on as many cores as there are rigs, and everything else on the others.
 
     Parameters
     ----------
     nodes : collection of str
         Names of the nodes that run on this machine.
     lockstep : bool
-        Schedule the loop's nodes for throughput rather than for latency, until told otherwise.
+        Schedule the loop's nodes for throughput rather than for latency, until `settle`.
 
     Attributes
     ----------
@@ -49,11 +49,11 @@ class Placement:
         self._lockstep = lockstep
 
     def put(self, node: str, pid: int) -> None:
-        """Put a process where its node belongs; to be called as soon as it is started.
+        """Put a node's process on its core; call it as soon as the process is started.
 
-        In lockstep who is woken waits until who runs has done its work. A message to several
-        readers then goes out to all before the first of them runs: more steps a second, at the
-        price of latency.
+        In lockstep a process that is woken waits until the running one has done its work. A message
+        to several readers is then sent to all before the first of them runs: more steps a second,
+        but a longer latency.
 
         Raises
         ------
@@ -72,9 +72,9 @@ class Placement:
     def settle(self, pid: int, *, lockstep: bool) -> None:
         """Prepare a process of the loop for a test, whose pace is known by now.
 
-        What no message of the loop passes through is moved off the loop's cores.
+        Threads through which no message of the loop passes are moved off the loop's cores.
         """
-        with contextlib.suppress(OSError):  # it has ended, as others will tell
+        with contextlib.suppress(OSError):  # it has ended, which others report
             for thread in side_threads(pid):
                 os.sched_setaffinity(thread, self.others)
             if self._lockstep and not lockstep:
@@ -89,8 +89,8 @@ def _hurry(pid: int) -> None:
 def prefer_latency(pid: int) -> None:
     """Ask for short slices, and so to run soon after being woken; it needs no privilege.
 
-    Linux 6.12 and later heed this (`sched_setattr(2)`, EEVDF); to others, and on processors
-    whose call number is not known here, it changes nothing. Nor to threads of real-time priority.
+    Linux 6.12 and later heed this (`sched_setattr(2)`, EEVDF). It has no effect on earlier ones, on
+    processors whose call number is not known here, and on threads of real-time priority.
     """
     if _SYS_SCHED_SETATTR is None:
         return
@@ -110,8 +110,8 @@ class ProcessLayout:
     ----------
     pin : bool
         Keep the loop's nodes on one core and the others off it. They work in turn, so that a
-        second core gives them nothing but wake-ups across cores. Several rigs work side by side,
-        and have as many cores. All cores stay awake, where that is allowed.
+        second core would only add wake-ups across cores. Several rigs work side by side, and have
+        as many cores. All cores stay awake, where that is allowed.
     composed : bool
         Put the loop's nodes into one process; with several rigs, each rig's own.
     priority : int
@@ -144,6 +144,6 @@ class ProcessLayout:
         return [*alone, *map(tuple, together.values())]
 
     def placement(self, nodes: Collection[str], *, lockstep: bool) -> Placement | None:
-        """Give nodes their cores, where that is wanted and there is more than one."""
+        """Assign cores to nodes, if that is wanted and there is more than one core."""
         helps = self.pin and len(os.sched_getaffinity(0)) > 1
         return Placement(nodes, lockstep=lockstep) if helps else None

@@ -50,7 +50,7 @@ class NodeProcesses:
     layout : ProcessLayout
         Where they run.
     lockstep : bool
-        Schedule the loop's nodes for throughput rather than for latency, until told otherwise.
+        Schedule the loop's nodes for throughput rather than for latency, until `settle`.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class NodeProcesses:
         self._cores = os.sched_getaffinity(0)
         self._placement = layout.placement(nodes, lockstep=lockstep)
         if self._placement is not None:
-            os.sched_setaffinity(0, self._placement.others)  # this process keeps off it, too
+            os.sched_setaffinity(0, self._placement.others)  # this process, too
         self._logs_of: dict[str, Path] = {}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         try:
@@ -83,7 +83,7 @@ class NodeProcesses:
             raise
 
     def ended(self) -> dict[str, str]:
-        """Nodes whose process has ended, and how, with the last line they wrote."""
+        """Nodes whose process has ended: how it ended, with the last line it wrote."""
         found = {}
         for node, process in self._processes.items():
             code = process.poll()
@@ -93,7 +93,7 @@ class NodeProcesses:
         return found
 
     def raise_if_ended(self) -> None:
-        """See that all processes run.
+        """Check that all processes run.
 
         Raises
         ------
@@ -124,7 +124,7 @@ class NodeProcesses:
         return {node: process.pid for node, process in self._processes.items()}
 
     def settle(self, *, lockstep: bool) -> None:
-        """Prepare the loop's nodes for a test; to be called when its pace is known."""
+        """Prepare the loop's nodes for a test, when its pace is known."""
         if self._placement is None:
             return
         for node, pid in self.pids().items():
@@ -136,7 +136,7 @@ class NodeProcesses:
         for process in set(self._processes.values()):
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)
-                process.send_signal(signal.SIGCONT)  # one that was stopped can end cleanly, too
+                process.send_signal(signal.SIGCONT)  # so that a stopped one ends cleanly, too
         deadline = time.monotonic() + patience
         for process in self._processes.values():
             try:
@@ -144,7 +144,7 @@ class NodeProcesses:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
-        os.sched_setaffinity(0, self._cores)  # as found, for whatever this process does next
+        os.sched_setaffinity(0, self._cores)  # as before
 
     def _start(self, group: tuple[str, ...], parameters: Path) -> "subprocess.Popen[bytes]":
         names, rig = [bare(node) for node in group], rig_name(group[0])
@@ -161,7 +161,7 @@ class NodeProcesses:
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
-                start_new_session=True,  # Ctrl-C is ours to pass on, in order
+                start_new_session=True,  # this process passes Ctrl-C on, in order
                 preexec_fn=_begin_in_the_loop if shares_a_core else _end_with_parent,
                 env=os.environ | {"ROS_LOG_DIR": str(self._logs)},
             )
@@ -193,7 +193,7 @@ def node_processes(
     lockstep: bool,
     bag: Path | None = None,
 ) -> Iterator[NodeProcesses]:
-    """Run nodes of an experiment, and end them, whatever comes, even if this process is killed.
+    """Run nodes of an experiment, and end them in any case, even if this process is killed.
 
     Parameters
     ----------
@@ -206,8 +206,8 @@ def node_processes(
     lockstep : bool
         Whether they need not keep time.
     bag : Path, optional
-        Folder that keeps parameters and logs, if it is there at the end; `NodeProcesses.bag`,
-        where that has become another.
+        Folder in which parameters and logs are kept, if it exists at the end; `NodeProcesses.bag`
+        replaces it.
     """
     folder = Path(tempfile.mkdtemp(prefix="seft-"))
     parameters = folder / "parameters.yaml"
@@ -231,5 +231,5 @@ def node_processes(
 def one_node(
     node: str, experiment: Experiment, *, lockstep: bool
 ) -> contextlib.AbstractContextManager[NodeProcesses]:
-    """Run one node, for a command that plays the parts of the others; see `node_processes`."""
+    """Run one node, for a command that stands in for the others; see `node_processes`."""
     return node_processes([node], experiment, ProcessLayout(pin=not lockstep), lockstep=lockstep)

@@ -1,4 +1,4 @@
-"""A whole test as separate processes: start, wait until all match, run, record, stop."""
+"""A whole test as separate processes: start, wait until all are ready, run, record, stop."""
 
 import contextlib
 import time
@@ -6,14 +6,20 @@ from collections.abc import Callable, Collection
 from contextlib import closing
 from datetime import datetime
 from pathlib import Path
-from types import FrameType
 from typing import NamedTuple, Self
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.node.middleware import prepare_on_this_host
 from seft_msgs_py.node.shutdown import as_before, on_ending
-from seft_msgs_py.wire.topics import EXPERIMENT_STATE, NODES, LoopTopic, bare, topics_of, with_rigs
+from seft_msgs_py.wire.topics import (
+    EXPERIMENT_STATE,
+    NODES,
+    LoopTopic,
+    bare,
+    topics_of,
+    with_rigs,
+)
 
 from seft_ros.recording.room import obstacle
 from seft_ros.test_run.observer import Observer
@@ -26,19 +32,19 @@ from seft_ros.test_run.state_machine import ENDED, PACE, State
 LOOK = 0.05  # s
 READY_TIMEOUT, SAVE_TIMEOUT = 60.0, 20.0  # s
 SLACK = 1.0  # s beyond the supervisor's own patience
-STANDING_STILL = 60.0  # s; a ramp that has not come to its end by then never will
+STANDING_STILL = 60.0  # s; a ramp that has not ended by then never will
 
 AT_ONCE = 2  # signals that are remembered: for a soft stop, and to abort
 
 Progress = Callable[[str, int], None]
-"""Called with what is going on and the steps done."""
+"""Called with the present stage and the steps done; may raise KeyboardInterrupt."""
 
 
 class Interruption:
-    """Remembers Ctrl-C and its like until it is asked for them; the third one acts at once.
+    """Remembers Ctrl-C and similar signals until they are asked for; the third acts at once.
 
-    An exception that a handler raises comes out wherever the program happens to be; within a
-    callback that C++ code has called, it is lost, and the test goes on.
+    An exception that a handler raises is raised wherever the program happens to be; within a
+    callback from C++ code it is lost, and the test would go on.
     """
 
     def __init__(self) -> None:
@@ -52,34 +58,28 @@ class Interruption:
         as_before(self._before)
 
     def check(self) -> None:
-        """Give way to what was asked for, once for each time.
-
-        Raises
-        ------
-        KeyboardInterrupt
-            If a signal came since the last one was given way to.
-        """
+        """Raise KeyboardInterrupt once for each signal that has come."""
         if self._seen > self._given:
             self._given += 1
             raise KeyboardInterrupt
 
-    def _remember(self, number: int, frame: FrameType | None) -> None:
+    def _remember(self, *_: object) -> None:
         self._seen += 1
         if self._seen > AT_ONCE:
             raise KeyboardInterrupt
 
 
 class RunMonitor:
-    """Starts a test, watches it, and brings it down where the operator says so.
+    """Starts a test, watches it, and brings it down when the operator asks for that.
 
     Parameters
     ----------
     observer : Observer
-        Eyes and ears.
+        What is heard of the test.
     processes : NodeProcesses
         The nodes that were started here.
     progress : callable
-        Told of each stage and of the steps done; may raise KeyboardInterrupt.
+        See `Progress`.
     test : Experiment
         Its configuration.
     """
@@ -114,18 +114,19 @@ class RunMonitor:
             observer.spin(LOOK)  # a node was away for a moment: wait until all are there again
 
     def _wait_until_ready(self, deadline: float) -> None:
+        observer = self._observer
         while True:
-            self._observer.spin(LOOK)
-            detail = self._observer.values.get("detail", "waiting for supervisor")
+            observer.spin(LOOK)
+            detail = observer.values.get("detail", "waiting for supervisor")
             self._progress(detail, 0)
             self._processes.raise_if_ended()
             for node in self._processes.stopped():
                 raise ExperimentError(
                     f"node {node} stands still before the test (a signal stopped it)"
                 )
-            if self._observer.state == State.READY:
+            if observer.state == State.READY:
                 return
-            if self._observer.state == State.TRIPPED:
+            if observer.state == State.TRIPPED:
                 raise ExperimentError(f"the test tripped before its start: {detail}")
             if detail.startswith(f"waiting for {CONFLICT}"):  # waiting does not mend it
                 raise InputError(f"the nodes must have {detail.removeprefix('waiting for ')}")
@@ -138,26 +139,25 @@ class RunMonitor:
         Returns
         -------
         str
-            What broke it, with the step; empty if it ended as planned, or by a trip of which
-            the bag tells all.
+            What broke it, with the step; empty if it ended as planned, or by a trip that the bag
+            describes.
         """
-        deadline = float("inf")
-        while self._observer.state not in ENDED:
+        observer, deadline = self._observer, float("inf")
+        while observer.state not in ENDED:
             self._look()
             if self._broken:
                 deadline = min(deadline, time.monotonic() + STANDING_STILL)
                 if self._is_left_alone() or time.monotonic() > deadline:
                     return self._broken
-        deadline = time.monotonic() + self._timeout  # until the supervisor knows who fell silent
-        observer = self._observer
+        deadline = time.monotonic() + self._timeout  # the supervisor finds who fell silent
         while observer.state == State.TRIPPED and SILENT not in observer.values:
             if time.monotonic() > deadline:
                 break
             self._look()
         silent = {*observer.values.get(SILENT, "").split()} - {*self._processes.stopped()}
         while silent and not self._broken and time.monotonic() < deadline:
-            self._look()  # who fell silent may be about to end, and then says why
-        return self._broken or self._told()
+            self._look()  # a silent node may be about to end, and then says why
+        return self._broken or self._ending()
 
     def bring_down(self) -> None:
         """Stop the test softly and wait for its end; asked again, stop it at once."""
@@ -173,7 +173,7 @@ class RunMonitor:
                 return
 
     def wait_until_saved(self) -> None:
-        """Wait for the recorder, unless it is told to end before: then it closes its bag."""
+        """Wait for the recorder; one that is stopped before that closes its bag."""
         deadline = time.monotonic() + SAVE_TIMEOUT
         while self._observer.recorder_phase != "saved" and time.monotonic() < deadline:
             gone = {*self._observer.values.get(SILENT, "").split(), *self._processes.ended()}
@@ -192,11 +192,11 @@ class RunMonitor:
         self._progress(self._observer.state.replace("_", " "), step)
 
     def _is_left_alone(self) -> bool:
-        """Tell whether nobody is left who could say that the test is over, and the rig rests."""
+        """Tell whether no node is left that could report the end, and the rig rests."""
         return self._observer.silence() > self._timeout and not self._observer.running
 
-    def _told(self) -> str:
-        """Say how the test ended where the bag does not, or may not be there to do so."""
+    def _ending(self) -> str:
+        """Say how the test ended if the bag does not say it, or may not exist."""
         observer = self._observer
         step, values = observer.time_ns // self._period_ns, observer.values
         detail = values.get("detail", "")
@@ -210,7 +210,7 @@ class RunMonitor:
 
 
 def bag_path(experiment: Experiment, out: Path | None) -> Path:
-    """Folder of the bag of a test: ``out``, or what the recorder's parameters say.
+    """Folder of the bag of a test: ``out``, or as in the recorder's parameters.
 
     Raises
     ------
@@ -227,14 +227,9 @@ def bag_path(experiment: Experiment, out: Path | None) -> Path:
 
 
 class Ending(NamedTuple):
-    """How a run ended.
+    """How a run ended: what broke it (empty: the bag has it all), and the folder of its bag.
 
-    Attributes
-    ----------
-    fault : str
-        What broke it, if it was no trip that the bag tells of; else empty.
-    bag : Path
-        Folder of its bag: another than it was to be, where that was lost.
+    That is another than planned, if the recorder lost the planned one.
     """
 
     fault: str
@@ -247,7 +242,7 @@ def run_experiment(
     progress: Progress,
     layout: ProcessLayout | None = None,
     external: Collection[str] = (),
-) -> "Ending":
+) -> Ending:
     """Run a test over DDS and record it.
 
     Parameters
@@ -257,17 +252,12 @@ def run_experiment(
     bag : Path
         Folder that the recorder makes.
     progress : callable
-        Told of each stage and of the steps done.
+        See `Progress`.
     layout : ProcessLayout, optional
         Where the nodes run; default pinned, each in a process of its own.
     external : collection of str
-        Nodes that someone else starts and ends; they are waited for. The experiment needs no
-        section of them. Of several rigs those of one or of all: ``east/rig`` or ``rig``.
-
-    Returns
-    -------
-    Ending
-        What broke it, and where its bag is.
+        Nodes that someone else starts and ends; the experiment needs no section of them. Of
+        several rigs those of one or of all: ``east/rig`` or ``rig``.
 
     Raises
     ------
@@ -286,7 +276,7 @@ def run_experiment(
     every = with_rigs([node for node in MODULES if node in wanted], experiment.rigs)
     external = [node for node in every if node in external or bare(node) in external]
     nodes = [node for node in every if node not in external]
-    # the pace is the rig's own; that of one which runs elsewhere is told later
+    # the pace is the rig's own; an external rig tells it later
     lockstep = "rig" not in map(bare, nodes) or experiment["rig"]["pace"] == "lockstep"
     progress("looking for other tests", 0)
     with closing(Observer(with_rigs(NODES, experiment.rigs))) as observer:

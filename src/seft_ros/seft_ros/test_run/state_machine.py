@@ -1,6 +1,6 @@
-"""The states of a test and the ways between them, without ROS.
+"""States of a test and the transitions between them, and which samples a state admits.
 
-docs/safety.md shows them as a picture.
+docs/safety.md shows them as a diagram.
 """
 
 import math
@@ -32,12 +32,12 @@ ENDED = (State.DONE, State.TRIPPED)
 ABORTED = "aborted by the operator"
 """Reason of a trip by ``estop``: the emergency stop proper is a button in hardware."""
 PACE = "pace"
-"""Key of what a state comes with: the pace of the rig, as the rig has told it."""
+"""Key of a state's values: the pace of the rig, as the rig reports it."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """Answer to a request: whether it was done, and what happened or why not."""
+    """Answer to a request: whether it was accepted, and what happened or why not."""
 
     accepted: bool
     text: str
@@ -59,7 +59,7 @@ class StateMachine:
     state : State
         Where the test is.
     detail : str
-        Why: what is waited for, or how the test ended.
+        Why: what the test waits for, or how it ended.
     step : int or None
         Step of a trip.
     """
@@ -71,7 +71,7 @@ class StateMachine:
         self._then = State.DONE  # what the ramp leads to
 
     def peers(self, waiting_for: str) -> None:
-        """Take in what the graph still lacks; empty if it is complete."""
+        """Set what the graph still lacks; empty if it is complete."""
         if self.state in (State.IDLE, State.READY):
             self.state = State.IDLE if waiting_for else State.READY
             self.detail = f"waiting for {waiting_for}" if waiting_for else "all nodes are ready"
@@ -84,17 +84,17 @@ class StateMachine:
         return Answer(True, "the test is running")
 
     def finish(self, detail: str) -> None:
-        """End a test at the end of its record; one that was being brought down keeps its cause."""
+        """End a test at the end of its record; a test that is ramping down keeps its cause."""
         if self.state is State.RUNNING:
             self._go(State.DONE, detail)
         else:
             self.at_rest()
 
     def soft_trip(self, reason: str, step: int | None = None) -> None:
-        """Bring a running test down because of a fault that leaves the loop in command.
+        """Ramp a running test down because of a fault with which the loop still works.
 
-        A test that is being brought down already goes on so; a second cause is added to the
-        first, and makes a trip of what was a stop.
+        If it is ramping down already, the cause is added to the first one, and a stop becomes a
+        trip.
         """
         if self.state is State.RUNNING:
             self._go(State.RAMPING_DOWN, reason, step)
@@ -104,24 +104,24 @@ class StateMachine:
             self._then = State.TRIPPED
 
     def at_rest(self) -> None:
-        """Take in that the reference force has come down to zero."""
+        """End the ramp: the reference force is zero."""
         if self.state is State.RAMPING_DOWN:
             self.state = self._then
 
     def hard_trip(self, reason: str, step: int | None = None) -> None:
-        """End a test at once because of a limit or a fault; the first cause is kept beside it."""
+        """End a test at once because of a limit or a fault; a ramp's cause is kept with it."""
         if self.state is State.RUNNING:
             self._go(State.TRIPPED, reason, step)
         elif self.state is State.RAMPING_DOWN:
             self._go(State.TRIPPED, while_ramping_down(reason, self.detail), step)
 
     def note(self, finding: str) -> None:
-        """Add to a trip what was found out after it."""
+        """Add to a trip's cause what was found later."""
         if self.state is State.TRIPPED and finding not in self.detail:
             self._add(finding)
 
     def stop(self) -> Answer:
-        """Bring a running test down at the operator's wish."""
+        """Ramp a running test down for the operator."""
         if self.state is State.RAMPING_DOWN:
             return Answer(True, f"the test is being brought down already ({self.detail})")
         if self.state is not State.RUNNING:
@@ -131,7 +131,7 @@ class StateMachine:
         return Answer(True, "the test is being brought down")
 
     def estop(self) -> Answer:
-        """Trip from any state, at once; what tripped before stays the reason."""
+        """Trip from any state, at once; the reason of an earlier trip stays."""
         if self.state is State.TRIPPED:
             return Answer(True, f"the test has tripped already ({self.detail}); reset it")
         if self.state is State.RAMPING_DOWN:
@@ -141,7 +141,7 @@ class StateMachine:
         return Answer(True, f"{ABORTED}; reset before the next test")
 
     def reset(self, moving: bool = False) -> Answer:
-        """Make the next test possible after one has ended and the rig has come to rest."""
+        """Make the next test possible when one has ended and the rig is at rest."""
         if self.state not in ENDED:
             return self._refusal("reset")
         if moving:
@@ -161,18 +161,18 @@ class StateMachine:
 
 
 def while_ramping_down(reason: str, first: str) -> str:
-    """Reason of a trip that came while a test was being brought down for a first cause."""
+    """Reason of a trip while a test was ramping down for a first cause."""
     return f"{reason} (while ramping down: {first})"
 
 
 LOCKSTEP = "lockstep"
-FARTHEST = 10.0  # s: who was held up for longer has lost the test anyway
+FARTHEST = 10.0  # s; a node that stalls for longer has lost the test anyway
 ABSURD = 1e9
-"""No rig has m, m/s, m/s^2 or N beyond this."""
+"""No rig has values beyond this in m, m/s, m/s^2 or N."""
 
 
 def check_magnitude(what: str, step: int, values: npt.NDArray[np.float64]) -> None:
-    """See that finite values are such as a rig can have.
+    """Check that a rig can have these finite values.
 
     Raises
     ------
@@ -184,53 +184,51 @@ def check_magnitude(what: str, step: int, values: npt.NDArray[np.float64]) -> No
 
 
 class SampleOrder:
-    """Tells the samples of a test from those that are stale, repeated, or not of it.
+    """Tells valid samples of a test from stale, repeated and foreign ones.
 
     Parameters
     ----------
     timebase : Timebase
         Sampling clock.
     loop_delay : int
-        Steps that a rig in lockstep may go ahead of the answer.
+        Steps by which a rig in lockstep may be ahead of the answer.
 
     Attributes
     ----------
     last : int
-        Last step that was answered; -1 where none was.
+        Last answered step; -1 if none.
     steps : int
-        Steps of the running test, 0 while none is known to run.
+        Steps of the running test, 0 while no test is known to run.
     in_lockstep : bool
-        Whether the rig of the running test waits for each answer, so that no step comes before
-        the last one is answered.
+        Whether the rig of the running test waits for each answer before its next step.
     may_begin : bool
-        Whether the next sample of step 0 begins a test: once for each time that one has ended.
+        Whether the next sample of step 0 begins a test: once after each end of a test.
     """
 
     def __init__(self, timebase: Timebase, loop_delay: int = 0) -> None:
         self._farthest = round(FARTHEST * timebase.rate)
         self._ahead_in_lockstep = 1 + loop_delay
-        self._state = ""  # of the experiment, as a supervisor tells
+        self._state = ""  # of the experiment, as the supervisor reports it
         self.last = -1
         self.steps = 0
         self.in_lockstep = False
         self.may_begin = True
 
     def follow(self, experiment: Status) -> None:
-        """Take in a state of the experiment; a repeat is a sign of life and no news."""
+        """Follow the state of the experiment; a repeated one is only a heartbeat."""
         if experiment.message == self._state:
             return
         self._state = experiment.message
         if experiment.message in MOVING:
             self.in_lockstep = experiment.values.get(PACE) == LOCKSTEP
-            steps = experiment.values.get("steps", "")
-            if steps.isdecimal() and len(steps) < 19:
-                self.steps = int(steps)
+            steps = experiment.number("steps")
+            self.steps = self.steps if steps is None else steps
         else:
             self.steps = 0
             self.may_begin = True
 
     def begins(self, step: int) -> bool:
-        """Say whether a sample of this step begins a test; if so, it has begun."""
+        """Tell whether a sample of this step begins a test, and begin it."""
         if step != 0 or not (self.may_begin if self._state else self.last != 0):
             return False
         self.may_begin = False
@@ -238,12 +236,12 @@ class SampleOrder:
         return True
 
     def check(self, name: str, step: int) -> None:
-        """See that a sample of this step may be answered.
+        """Check that a sample of this step may be answered.
 
         Raises
         ------
         WireError
-            If it comes after its time, or from a future that can't have been reached.
+            If the step is answered already, or too far ahead.
         """
         if step <= self.last:
             raise WireError(f"{name} of step {step} after step {self.last} was answered")
