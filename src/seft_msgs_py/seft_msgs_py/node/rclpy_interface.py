@@ -53,7 +53,7 @@ def message_class(topic: Topic) -> Any:
 
 
 def qos_profile(topic: Topic, depth: int | None = None, reliable: bool = True) -> QoSProfile:
-    """Quality of service of a topic; a reader may keep another depth, or go without resending."""
+    """Quality of service of a topic; a reader may have another depth, or no resending."""
     durability = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
     return QoSProfile(
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
@@ -69,7 +69,7 @@ def raw_publisher(node: Node, topic: Topic) -> Publisher:
 
 
 def parameter_descriptor(row: Parameter) -> ParameterDescriptor:
-    """ROS description of a parameter; most are read when a node starts, and then fixed."""
+    """ROS description of a parameter; most are read-only once the node runs."""
     unit = f" [{row.unit}]" if row.unit else ""
     descriptor = ParameterDescriptor(description=row.description + unit, read_only=not row.live)
     if row.choices:
@@ -89,7 +89,7 @@ def parameter_descriptor(row: Parameter) -> ParameterDescriptor:
 def declare_parameters(
     node: Node, table: Table, section: Section, changed: Callable[[], None]
 ) -> None:
-    """Declare all parameters of a node with their values; let those be set that may be.
+    """Declare all parameters of a node with their values; ``live`` ones may be set.
 
     Parameters
     ----------
@@ -98,9 +98,9 @@ def declare_parameters(
     table : Table
         Its parameters.
     section : dict
-        Their values, checked. Takes up what is set.
+        Their checked values; changed when one is set.
     changed : callable
-        Called when something was set.
+        Called when one was set.
     """
     for row in table.rows.values():
         node.declare_parameter(row.name, section[row.name], parameter_descriptor(row))
@@ -123,7 +123,7 @@ def declare_parameters(
 
 
 class LoopCallbackGroup(CallbackGroup):
-    """Group of the subscriptions that executors must leave to a `WaitSet`."""
+    """Group of subscriptions that no executor handles, only a `WaitSet`."""
 
     def can_execute(self, entity: Any) -> bool:
         """No executor may wait for these."""
@@ -162,7 +162,7 @@ class WaitSet:
         self._wait_set = _rclpy.WaitSet(len(self._handles), 0, 0, 0, 0, 0, context.handle)
 
     def wait(self, timeout: float) -> list[Subscription]:
-        """Wait for a message, at most ``timeout`` seconds; return where there are some."""
+        """Wait at most ``timeout`` seconds; return the subscriptions that have messages."""
         wait_set = self._wait_set
         wait_set.clear_entities()
         for handle in self._handles:
@@ -173,13 +173,13 @@ class WaitSet:
 
 
 class _Gid(ctypes.Structure):
-    """``rmw_gid_t``: tells one publisher from all others."""
+    """``rmw_gid_t``: identifies a publisher."""
 
     _fields_ = (("implementation", ctypes.c_char_p), ("data", ctypes.c_uint8 * 16))
 
 
 class _Info(ctypes.Structure):
-    """``rmw_message_info_t``, of which rclpy does not hand on the last."""
+    """``rmw_message_info_t``; rclpy does not provide its publisher."""
 
     _fields_ = (
         ("source_timestamp", ctypes.c_int64),
@@ -198,7 +198,7 @@ class _Allocator(ctypes.Structure):
 
 
 class _Bytes(ctypes.Structure):
-    """``rcutils_uint8_array_t``: grows where a message needs it."""
+    """``rcutils_uint8_array_t``: grows with a message."""
 
     _fields_ = (
         ("buffer", ctypes.c_void_p),
@@ -212,7 +212,7 @@ _OK, _NOTHING = 0, 401  # RCL_RET_OK, RCL_RET_SUBSCRIPTION_TAKE_FAILED
 
 
 def taker(subscription: Subscription) -> Callable[[], tuple[bytes, int, bytes] | None]:
-    """Give what takes the oldest message that has arrived on a raw subscription.
+    """Make the function that takes the oldest message of a raw subscription.
 
     It returns None if there is none; else its bytes, the wall-clock time in ns at which it came
     in, and the identifier of its publisher, which is the ``endpoint_gid`` of the graph.
@@ -247,7 +247,7 @@ def taker(subscription: Subscription) -> Callable[[], tuple[bytes, int, bytes] |
 
 
 def take_timed(subscription: Subscription) -> tuple[bytes, int] | None:
-    """Take the oldest message, and when its sender sent it, wall clock of its host, ns."""
+    """Take the oldest message, and its time of sending, wall clock of the sender, ns."""
     taken = subscription.handle.take_message(subscription.msg_type, True)
     return None if taken is None else (taken[0], taken[1]["source_timestamp"])
 
@@ -266,5 +266,5 @@ def is_acknowledged(publisher: Publisher, timeout: float) -> bool:
 
 
 def sender(publisher: Publisher) -> Callable[[bytes], None]:
-    """Give what publishes message bytes, without the checks that rclpy makes on the way."""
+    """Make the function that publishes message bytes, without rclpy's checks."""
     return publisher.handle.publish_raw

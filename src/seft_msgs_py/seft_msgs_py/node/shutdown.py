@@ -18,10 +18,10 @@ Handler = Callable[[int, FrameType | None], None]
 
 
 def on_ending(handler: Handler) -> dict[signal.Signals, Any]:
-    """Have ``handler`` called when this process is told to end; return the handlers of before.
+    """Have ``handler`` called when a signal asks this process to end; return the old handlers.
 
-    SIGHUP says that the terminal has been closed. What is written goes nowhere from then on, where
-    it would fail before the end has come. It stays ignored where it is (`nohup`).
+    SIGHUP means that the terminal has been closed: output, which would fail, is then discarded. It
+    stays ignored where it is (`nohup`).
     """
     terminals = [file for file in _OUTPUTS if os.isatty(file)]
 
@@ -38,7 +38,7 @@ def on_ending(handler: Handler) -> dict[signal.Signals, Any]:
 
 
 def as_before(handlers: dict[signal.Signals, Any]) -> None:
-    """Set the handlers again that `on_ending` has given back."""
+    """Restore the handlers that `on_ending` has returned."""
     for number, handler in handlers.items():
         signal.signal(number, handler)
 
@@ -55,12 +55,12 @@ _Handler = ctypes.CFUNCTYPE(None, ctypes.c_int)
 
 @contextmanager
 def exit_watchdog(seconds: float, status: int, message: str = "") -> Iterator[None]:
-    """End the process with a status if what is done inside takes longer.
+    """End the process with a status if the context takes longer.
 
-    FastDDS 2.14 can wait for itself for ever when a participant is taken down in the moment in
-    which another one leaves (``DomainParticipant::set_listener``), and it waits without giving
-    Python a turn. So the handler is one of C, which needs none. All that is lost is the good-bye:
-    others see the node until its lease runs out.
+    FastDDS 2.14 can wait for itself for ever when a participant is destroyed at the moment when
+    another one leaves (``DomainParticipant::set_listener``), and does not release Python's lock
+    while it waits. So the handler is one of C, which needs no lock. Only the good-bye is lost:
+    others see the node until its lease expires.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def exit_watchdog(seconds: float, status: int, message: str = "") -> Iterator[No
     status : int
         Exit status.
     message : str
-        What to say then on stderr.
+        Written to stderr then.
     """
 
     def end(_: int) -> None:
@@ -100,9 +100,9 @@ _STUCK = (
 
 
 def leave_graph(node: "Node") -> None:
-    """Take a node off the graph, when nobody else leaves, and end its context.
+    """Take a node off the graph, when no other node leaves, and end its context.
 
-    See `exit_watchdog` for why: of some hundred processes that leave together one hangs.
+    Of some hundred processes that leave at the same time one hangs, see `exit_watchdog`.
     """
     import rclpy
 

@@ -33,10 +33,10 @@ NODES = (
 QUANTITIES = ("positions", "velocities", "accelerations", "effort")
 """Arrays of a JointTrajectoryPoint, in the order of the wire."""
 RIG_NODES = ("force_controller", "rig")
-"""Nodes that each rig has of its own; the others serve all rigs."""
+"""Nodes of which each rig has its own; the others serve all rigs."""
 
 START = "start_ns"
-"""Key of a running test's state: when several rigs start together, ns of the wall clock."""
+"""Key of a running test's state: common start of several rigs, ns of the wall clock."""
 FARTHEST_START = 5.0  # s
 
 _NAMESPACE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
@@ -53,7 +53,7 @@ class RigAxes:
     axes : tuple of str
         Its axes, in order.
     places : tuple of int
-        Where they stand among the test's axes.
+        Their indices among the test's axes.
     """
 
     name: str
@@ -62,7 +62,7 @@ class RigAxes:
 
     @classmethod
     def whole(cls, axes: Sequence[str]) -> "RigAxes":
-        """Take all axes of a test for those of one rig."""
+        """Make the rig that has all axes of a test."""
         return cls("", tuple(axes), tuple(range(len(axes))))
 
     def node(self, name: str) -> str:
@@ -80,8 +80,8 @@ def rigs_of(axes: Sequence[str]) -> tuple[RigAxes, ...]:
     """
     names = {axis: axis.rpartition("/")[0] for axis in axes}
     rigs = list(dict.fromkeys(names.values()))
-    for name in rigs if rigs != [""] else ():
-        if not _NAMESPACE.fullmatch(name):
+    for name in rigs:
+        if rigs != [""] and not _NAMESPACE.fullmatch(name):
             without = [axis for axis in axes if "/" not in axis]
             raise InputError(
                 f"axes are {list(axes)}, but {without[0]} names no rig as the others do"
@@ -100,14 +100,14 @@ def rigs_of(axes: Sequence[str]) -> tuple[RigAxes, ...]:
 
 
 def until_start(values: Mapping[str, str]) -> float:
-    """Time in s until a rig begins a test together with others, by the test's running state.
+    """Time until the common start of several rigs, s, by the test's running state.
 
-    It is below zero where that moment has passed, and 0 where the test has one rig.
+    It is negative if that moment has passed, and 0 if the test has one rig.
 
     Raises
     ------
     InputError
-        If that is far away: the clocks of the hosts do not agree.
+        If it is far away: the clocks of the hosts differ.
     """
     start = values.get(START, "")
     if not start.isdecimal() or len(start) > 19:
@@ -127,12 +127,12 @@ def bare(node: str) -> str:
 
 
 def rig_name(node: str) -> str:
-    """Name of the rig that a node is said to belong to; empty if it serves all, or the only one."""
+    """Name of the rig in a node's name; empty if it serves all rigs, or the only one."""
     return node.rpartition("/")[0]
 
 
 def with_rigs(nodes: Iterable[str], rigs: Sequence[RigAxes]) -> list[str]:
-    """Name nodes as a test of these rigs has them: one of each rig, where rigs have their own."""
+    """Names of nodes in a test of these rigs: one for each rig, where rigs have their own."""
     return [
         named
         for node in nodes
@@ -153,26 +153,26 @@ class Topic:
     publisher : str
         Node that publishes it; empty where every node does.
     subscribers : tuple of str
-        Nodes that a test can't start without having matched (the recorder listens to all).
+        Nodes that must be connected before a test starts (the recorder subscribes to all).
     latched : bool
-        Transient local: who comes late gets the last ones too.
+        Transient local: a late subscriber also gets the last messages.
     depth : int
-        Samples the publisher keeps for a reader that is held up, until it acknowledges them:
-        in lockstep thousands go by in a second.
+        Samples the publisher keeps for a slow reader, until it acknowledges them: in lockstep
+        there are thousands a second.
     recorded : bool
         Whether the bag holds it.
     """
 
     name: str
     type: str
-    publisher: str = field(default="", compare=False)  # which of several rigs', the test says
+    publisher: str = field(default="", compare=False)  # several rigs differ in it
     subscribers: tuple[str, ...] = field(default=(), compare=False)
     latched: bool = False
     depth: int = 4096
     recorded: bool = True
 
     def of(self, rig: RigAxes) -> Self:
-        """Give the topic as one rig of several has it of its own: in its namespace."""
+        """Give the topic in the namespace of one of several rigs."""
         if not rig.name:
             return self
         return replace(
@@ -185,9 +185,9 @@ class Topic:
 
 @dataclass(frozen=True)
 class LoopTopic(Topic):
-    """A topic of the loop: JointTrajectory, of which some arrays carry values.
+    """A topic of the loop: JointTrajectory, of which only the arrays of ``quantities`` have values.
 
-    These are the quantities, each with its unit, in the order of the wire; others are empty.
+    Quantities and their units are in the order of the wire.
     """
 
     quantities: tuple[str, ...] = ()
@@ -216,7 +216,7 @@ REFERENCE_FORCE = LoopTopic(
     "reference_force",
     JOINT_TRAJECTORY,
     publisher="reference_force",
-    subscribers=("force_controller",),  # and a rig that says it is driven by it
+    subscribers=("force_controller",),  # and a rig that it drives
     quantities=("effort",),
     units=("N",),
 )
@@ -225,7 +225,7 @@ TARGET = replace(
     quantities=("positions", "velocities", "effort"),
     units=("m", "m/s", "N"),
 )
-"""The reference force with the motion that belongs to it, of this step and the coming ones."""
+"""The reference force with the target's motion, of this step and future ones."""
 VALVE_COMMAND = LoopTopic(
     "valve_command",
     JOINT_TRAJECTORY,
@@ -258,12 +258,12 @@ CLOCK_TOPIC = Topic(
 
 LINK_PING = Topic("link/ping", STRING, depth=256, recorded=False)
 LINK_PONG = Topic("link/pong", STRING, depth=256, recorded=False)
-"""Messages over a link and back, sent by `seft link` while no test runs."""
+"""Messages over a link and back, for `seft link`."""
 
 TOPICS = (*STEP_TOPICS, EXPERIMENT_STATE, DESCRIPTION, DIAGNOSTICS, CLOCK_TOPIC)
 
 RIG_TOPICS = (RIG_STATE, VALVE_COMMAND)
-"""Topics that each of several rigs has of its own."""
+"""Topics of which each of several rigs has its own."""
 
 
 def topics_of(rigs: Sequence[RigAxes]) -> tuple[Topic, ...]:

@@ -29,7 +29,7 @@ _FLOAT64 = np.dtype(np.float64)
 class TrajectoryCodec:
     """Samples of one loop topic over n axes <-> message bytes.
 
-    The topic says which q arrays of a point carry values, the time base which stamp a step has.
+    The topic defines which q arrays of a point have values, the time base the stamp of a step.
     """
 
     def __init__(self, topic: LoopTopic, axes: Sequence[str], timebase: Timebase) -> None:
@@ -41,7 +41,7 @@ class TrajectoryCodec:
         self._single = single = self._layout(1)
         shape = single.values.shape
         self._single_shapes = _shapes(*shape)
-        # one point, as whole numbers of so many bytes: what is fixed, and where that stands
+        # one point as a long integer: its constant bits, and their mask
         fixed = b"\xff" * 4 + single.mask.tobytes() + b"\xff" * len(single.tail)
         self._mask = int.from_bytes(fixed, "little")
         self._fixed = int.from_bytes(single.template, "little") & self._mask
@@ -142,9 +142,9 @@ class TrajectoryCodec:
         return layout
 
     def layout_of(self, raw: bytes) -> Layout:
-        """Layout of as many points as a message claims; of one, if that number makes no sense.
+        """Layout of as many points as a message claims; of one, if that number is impossible.
 
-        A message may carry a target where the reference force alone is read.
+        A message may carry a target where only the reference force is read.
         """
         single = self._single
         at = single.points_at
@@ -187,14 +187,14 @@ class TrajectoryCodec:
 
 
 def _shapes(p: int, q: int, n: int) -> tuple[tuple[int, ...], ...]:
-    """Shapes that p points of q quantities over n axes may have, the full one first."""
+    """List the allowed shapes of p points of q quantities over n axes, the full one first."""
     single = ((q, n),) if p == 1 else ()
     flat = ((p, n), (n,)) if p == q == 1 else ((p, n),) if q == 1 else ()
     return ((p, q, n), *single, *flat)
 
 
 def _struct_of_numbers(layout: Layout) -> struct.Struct:
-    """Make what reads and writes the stamp and the doubles of a message, in their order."""
+    """Struct of the stamp and the doubles of a message, in their order."""
     form, end = f"<{len(ENCAPSULATION)}x{STAMP.format.lstrip('<')}", len(ENCAPSULATION) + STAMP.size
     for word in layout.values.ravel().tolist():
         at = 4 + 8 * word

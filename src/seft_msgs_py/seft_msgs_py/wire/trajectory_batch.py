@@ -1,8 +1,8 @@
 """Many messages of one loop topic decoded at once, as a bag holds them.
 
-Messages of equal length that all have the layout which the first of them claims differ in
-stamp and doubles alone: that is checked, and these are read, for all of them by a few array
-operations. Every other message goes through `TrajectoryCodec.decode`, one by one.
+Messages of equal length with the layout of the first one differ only in stamp and doubles: a few
+array operations check this and read these values of all messages. Every other message goes through
+`TrajectoryCodec.decode`.
 """
 
 from typing import NamedTuple
@@ -22,18 +22,18 @@ Part = tuple[Steps, Floats, Steps]  # of a batch, as in `Batch`
 
 
 class Batch(NamedTuple):
-    """What many messages hold.
+    """Content of many messages.
 
     Attributes
     ----------
     steps : ndarray of int64
-        Shape (N,): steps of all points of all messages that are understood, in their order.
+        Shape (N,): steps of all points of all valid messages, in their order.
     values : ndarray
         Shape (N, q, n): points, quantities, axes. All finite.
     messages : ndarray of int64
-        Shape (N,): index of the message that each point is of.
+        Shape (N,): index of each point's message.
     refused : int
-        Messages that are not understood.
+        Number of invalid messages.
     """
 
     steps: Steps
@@ -42,7 +42,7 @@ class Batch(NamedTuple):
     refused: int
 
     def up_to(self, ahead: float) -> "Batch":
-        """Leave out the points that are more steps than this after the first of their message."""
+        """Leave out points that are more than ``ahead`` steps after the first of their message."""
         first = np.searchsorted(self.messages, self.messages)
         near = np.arange(len(self.steps)) - first <= ahead
         if near.all():
@@ -84,7 +84,7 @@ def decode_batch(codec: TrajectoryCodec, rows: Bytes) -> Batch:
                 of_single = step + np.arange(len(single)), single, np.full(len(single), end)
                 parts.append(of_single)
         start = end + 1
-    if len(parts) == 2:  # as mostly: nothing to be put together
+    if len(parts) == 2:  # the usual case: all messages have the layout
         return Batch(*parts[1], refused)
     found, points_of, messages_of = zip(*parts, strict=True)
     together = np.concatenate(found), np.concatenate(points_of), np.concatenate(messages_of)
@@ -92,7 +92,7 @@ def decode_batch(codec: TrajectoryCodec, rows: Bytes) -> Batch:
 
 
 def _as_laid_out(rows: Bytes, words: npt.NDArray[np.uint64], layout: Layout) -> Flags:
-    """Whether all that is fixed in a layout is so in each message."""
+    """Whether each message has the constant bits of a layout."""
     checked = np.flatnonzero(layout.mask)
     differing = words[:, checked]
     differing &= layout.mask[checked]
@@ -104,7 +104,7 @@ def _as_laid_out(rows: Bytes, words: npt.NDArray[np.uint64], layout: Layout) -> 
 
 
 def _steps(codec: TrajectoryCodec, rows: Bytes) -> tuple[Steps, Flags]:
-    """Read the stamps of messages: the steps they name, and which of them are on the grid."""
+    """Read the stamps of messages: their steps, and which of them are on the grid."""
     seconds = rows[:, 4:8].copy().view("<i4")[:, 0].astype(np.int64)
     nanoseconds = rows[:, 8:12].copy().view("<u4")[:, 0]
     steps, rest = np.divmod(

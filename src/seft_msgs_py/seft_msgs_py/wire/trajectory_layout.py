@@ -1,4 +1,4 @@
-"""A JointTrajectory message: the layout that one of known form has, and the fields of any."""
+"""JointTrajectory messages: the layout of known ones, and the fields of any."""
 
 import struct
 from dataclasses import dataclass
@@ -29,13 +29,13 @@ class Layout:
     size, words : int
         Its bytes, and its whole words.
     tail : bytes
-        What stands after the last whole word.
+        Bytes after the last whole word.
     values : ndarray of intp
         Shape (p, q, n): words that hold the values of points, quantities, axes.
     mask, fixed : ndarray of uint64
-        Shape (words,): ones where bits must be as in the template, and what they are there.
+        Shape (words,): ones where bits are constant, and these bits.
     points_at : int
-        Byte at which the number of points stands.
+        Byte offset of the number of points.
     """
 
     template: bytes
@@ -58,7 +58,7 @@ class Layout:
     ) -> "Layout":
         """Lay out a message of ``count`` points, a period apart.
 
-        Its points carry the quantities of the topic, and perhaps others, which are not looked at.
+        Its points have the quantities ``carried``: those of the topic, and perhaps others.
         """
         message, known = bytearray(ENCAPSULATION), bytearray(4)
 

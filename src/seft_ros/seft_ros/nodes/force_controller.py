@@ -33,18 +33,18 @@ from seft_ros.interlock.detectors import WARNING
 from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.state_machine import MOVING, SampleOrder, check_magnitude
 
-TELL_PERIOD = 1.0  # s, of what is told of the link and the valves while a test runs
-STATE_WAIT = 0.0005  # s between polls for a state that comes after its reference force
+TELL_PERIOD = 1.0  # s between two reports of link and valves while a test runs
+STATE_WAIT = 0.0005  # s between polls for a state that is later than its reference force
 
 
 class ForceControllerNode(NodeBody):
     """Matches states and reference forces by step and moves them through an `Interlock`.
 
-    Where a link lies between it and the reference force, it answers each state at once with the
-    force that the newest message has for its step.
+    If the reference force comes over a link, it answers each state at once with the force that the
+    newest message has for its step.
 
-    Once tripped it answers every state that still comes with 0 V, and is silent else: to a rig
-    whose states have failed to come, 0 V of its last step would be stale.
+    Once tripped it answers every further state with 0 V, and sends nothing otherwise: for a rig
+    whose states are missing, 0 V of its last step would be stale.
     """
 
     def __init__(self, shell: NodeShell) -> None:
@@ -81,7 +81,7 @@ class ForceControllerNode(NodeBody):
         # the reference force is one message for all rigs
         self._places = list(rig.places) if rig.name else slice(None)
         # without a link the state of a step is nearly always there before the force that answers
-        # it: only the force is worth waking up for
+        # it: only the force wakes the node
         shell.subscribe(topic, self._on_force, reliable=False)
         wake = self._previews is not None
         states = self._state_codec.topic
@@ -100,7 +100,7 @@ class ForceControllerNode(NodeBody):
         self._tell()
 
     def poll(self) -> None:
-        """Trip if states have failed to come."""
+        """Trip if states are missing."""
         if self._silence.is_too_long(time.monotonic()):
             foreign = self._shell.foreign_publishers(self._refused_before)
             self._trip(
@@ -125,8 +125,8 @@ class ForceControllerNode(NodeBody):
         if not self._moving:
             self._silence.end()
             if moving:
-                self._tell()  # how it went, in full
-        if status.message == "idle" and self._controller.reason:  # the operator knows
+                self._tell()  # the complete result
+        if status.message == "idle" and self._controller.reason:  # the operator has reset it
             self._controller.reset()
             self._tell()
 
@@ -142,8 +142,8 @@ class ForceControllerNode(NodeBody):
             self._silence.heard(time.monotonic())
             self._refused_before = self._shell.refused
         else:
-            self._silence.end()  # of a test that is over, not known to run, or keeps no time
-        if self._controller.reason:  # reference forces are not waited for any more
+            self._silence.end()  # the test is over, not known to run, or in lockstep
+        if self._controller.reason:  # it needs no reference force any more
             self._answer(step, np.zeros((1, 1, state.shape[1])), state)
             return
         self._states[step] = state
@@ -159,10 +159,10 @@ class ForceControllerNode(NodeBody):
         for force in points[: self._settled, -1]:
             if nonsense := self._controller.nonsense(force):
                 raise WireError(f"{name} of step {step}: {nonsense}")
-        self._begin_with(step)  # it may be read before the state that it answers
+        self._begin_with(step)  # it may be read before its state
         if self._previews is None:
             self._order.check(name, step)
-        elif step > self._order.last + 1:  # no step that has begun
+        elif step > self._order.last + 1:  # that step has not begun
             raise WireError(f"{name} of step {step} after step {self._order.last}: in the future")
         self._forces.take(step, points)
         if self._previews is None:
@@ -171,15 +171,15 @@ class ForceControllerNode(NodeBody):
             self._answer_if_complete(waiting)
 
     def _fetch_state(self, step: int) -> None:
-        """Read the states that have come until that of a step; it is answered as it comes."""
+        """Read states until that of a step, which is answered when it comes."""
         for _ in range(MOST_AT_ONCE):
             if step <= self._order.last or step in self._states or self._read_state() is None:
                 return
 
     def _begin_with(self, step: int) -> None:
-        """Begin a test, if a sample of this step is the first of one."""
+        """Begin a test, if a sample of this step is its first."""
         if step == 0:
-            self._shell.catch_up(EXPERIMENT_STATE)  # what was told before does not end this test
+            self._shell.catch_up(EXPERIMENT_STATE)  # earlier messages do not end this test
         if not self._order.begins(step):
             return
         self._states.clear()
@@ -215,7 +215,7 @@ class ForceControllerNode(NodeBody):
                 f"step {previews.newest}); is the link to the reference_force node cut?"
             )
         elif time.monotonic() - self._told_at >= TELL_PERIOD:
-            self._tell()  # the answer is out, and there is time
+            self._tell()  # the answer is sent, and there is time
 
     def _trip(self, reason: str) -> None:
         self._silence.end()
@@ -223,17 +223,17 @@ class ForceControllerNode(NodeBody):
         self._tell_trip()
 
     def _tell_trip(self) -> None:
-        self._shell.node.get_logger().error(self._controller.reason)  # for who is at this host
+        self._shell.node.get_logger().error(self._controller.reason)  # to read at this host
         self._tell()
 
     def _tell(self) -> None:
         self._told_at = time.monotonic()
         reason, step = self._controller.reason, self._controller.step_index
-        status = Status("force_controller", OK, "ready", values={"phase": "ready"})
         name, share = self._controller.nearest
+        level, text = OK, "ready"
         if share >= WARNING:
-            text = f"detector {name} came to {share:.0%} of its threshold"
-            status = Status("force_controller", WARN, text, values=status.values)
+            level, text = WARN, f"detector {name} came to {share:.0%} of its threshold"
+        status = Status("force_controller", level, text, values={"phase": "ready"})
         if reason:
             status = tripped_status("force_controller", reason, step)
         told = {"nearest detector": f"{name}: {share:.2f} of its threshold"}

@@ -17,10 +17,10 @@ TIMER_PERIOD = 0.02  # s
 
 
 class GroundMotionNode(NodeBody):
-    """Moves chunks of a `GroundMotion` to its topic, a lead ahead of the rig's time.
+    """Publishes chunks of a `GroundMotion`, a lead ahead of the rig's time.
 
-    That time is read from /clock, every 0.1 s of the test: following every rig/state would wake
-    one more process in each step.
+    That time is read from /clock, every 0.1 s of the test: reading every rig/state would wake one
+    more process in each step.
     """
 
     def __init__(self, shell: NodeShell) -> None:
@@ -45,7 +45,7 @@ class GroundMotionNode(NodeBody):
         return TIMER_PERIOD
 
     def poll(self) -> None:
-        """Publish what the lead asks for; the first of it before the test starts."""
+        """Publish the chunks within the lead; the first one before the test starts."""
         if self._phase in ENDED:
             return
         while (
