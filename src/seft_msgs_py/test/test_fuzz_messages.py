@@ -24,8 +24,7 @@ from seft_msgs_py.wire.messages import (
 from seft_msgs_py.wire.outcome import Saturation, Trip, read_outcome, rig_status
 from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import GROUND_MOTION, LOOP_TOPICS
-from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_msgs_py.wire.trajectory_batch import decode_batch
+from seft_msgs_py.wire.trajectory import TrajectoryCodec, decode_batch
 from seft_msgs_py.wire.trajectory_layout import parse_trajectory
 
 TIMEBASE = Timebase.from_rate(500.0)

@@ -14,7 +14,7 @@ from seft_ros.test_run import blocks as blocks_module
 from seft_ros.test_run import offline
 from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.compiled_loop import obstacle
-from seft_ros.test_run.offline import Workshop, run_ensemble, simulate
+from seft_ros.test_run.offline import Workshop, simulate, thread_map
 from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.tournament.perturbed_rig import perturbed_rig
 
@@ -115,6 +115,16 @@ CASES = {
     "interlock": ("force_controller:limits.force:=700.0",),
     "valve at its limit": ("force_controller:voltage_limit:=0.05",),
 }  # fmt: skip
+
+
+def run_ensemble(experiments, reduce, workers=1):
+    """Results of tests on several threads, in their order."""
+    shop = Workshop()
+
+    def one(number, experiment):
+        return reduce(number, shop.run(experiment))
+
+    return thread_map(workers, one, range(len(experiments)), experiments)
 
 
 def load(*words):

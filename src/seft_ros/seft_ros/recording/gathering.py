@@ -28,8 +28,7 @@ from seft_msgs_py.wire.topics import (
     RigAxes,
     bare,
 )
-from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_msgs_py.wire.trajectory_batch import decode_batch
+from seft_msgs_py.wire.trajectory import TrajectoryCodec, decode_batch
 
 from seft_ros.force_controller.link_record import LinkRecord
 from seft_ros.recording.message_block import MessageBlock

@@ -7,7 +7,7 @@ several threads; tests with equal ground motion, reference force or force contro
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from typing import Any
@@ -189,33 +189,6 @@ class Workshop:
     def blocks(self, experiment: Experiment) -> Blocks:
         """Make the blocks of a test, or find them among those of this thread's earlier tests."""
         return build_blocks(experiment, vars(self._of_thread))
-
-
-def run_ensemble[Result](
-    experiments: Sequence[Experiment],
-    reduce: Callable[[int, Record], Result],
-    workers: int = 1,
-    workshop: Workshop | None = None,
-) -> Iterator[Result]:
-    """Run tests, and give the result of each, in their order.
-
-    Parameters
-    ----------
-    experiments : sequence of Experiment
-        The compiled loop uses all threads; other tests run one at a time.
-    reduce : callable
-        From a test's number and record to its result; called on the thread that ran the test.
-    workers : int
-        Number of threads; the results do not depend on it.
-    workshop : Workshop, optional
-        With the blocks of earlier tests.
-    """
-    shop = workshop or Workshop()
-
-    def one(number: int, experiment: Experiment) -> Result:
-        return reduce(number, shop.run(experiment))
-
-    yield from thread_map(workers, one, range(len(experiments)), experiments)
 
 
 def thread_map(workers: int, function: Callable[..., Any], *arguments: Any) -> Iterator[Any]:
