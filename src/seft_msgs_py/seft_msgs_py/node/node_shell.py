@@ -12,7 +12,7 @@ from rclpy.publisher import Publisher
 
 from seft_msgs_py.config.experiment import Experiment, split_ros_arguments
 from seft_msgs_py.config.parameter_table import Table
-from seft_msgs_py.errors import InputError, SeftError, WireError
+from seft_msgs_py.errors import SeftError, WireError
 from seft_msgs_py.node import realtime
 from seft_msgs_py.node.intra_process_bus import Receive
 from seft_msgs_py.node.middleware import single_instance
@@ -21,9 +21,10 @@ from seft_msgs_py.node.rclpy_interface import (
     declare_parameters,
     raw_publisher,
     raw_subscription,
+    rig_of_node,
     sender,
 )
-from seft_msgs_py.node.senders import Senders
+from seft_msgs_py.node.senders import Senders, connected_listeners
 from seft_msgs_py.wire.messages import (
     Status,
     decode_status,
@@ -36,9 +37,7 @@ from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
     EXPERIMENT_STATE,
-    RIG_NODES,
     LoopTopic,
-    RigAxes,
     Topic,
 )
 
@@ -85,7 +84,7 @@ class NodeShell:
             table.node,
             parameter_overrides=[RosParameter(name, value=v) for name, v in section.items()],
         )
-        self.rig, self._test_namespace = _rig_of(self.node, self.experiment)
+        self.rig, self._test_namespace = rig_of_node(self.node, self.experiment)
         self.name = self.rig.node(table.node)
         process.add_node(self.node)
         domain, full_name = self.node.context.get_domain_id(), self.node.get_fully_qualified_name()
@@ -210,13 +209,9 @@ class NodeShell:
         """Names of the listeners of each topic, separated by blanks; number of publishers."""
         found = {f"senders {name}": str(n) for name, n in self._senders.counts().items()}
         for name, publisher in self._publishers.items():
-            infos = self.node.get_subscriptions_info_by_topic(publisher.topic_name)
-            full = (f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos)
-            listeners = {each.removeprefix(f"{self._test_namespace}/") for each in full}
-            if len(listeners) > publisher.get_subscription_count():
-                listeners = set()  # some are known but not connected yet
-            listeners.update(self._process.bus.listeners(publisher.topic_name))
-            found[f"matched {name}"] = " ".join(sorted(listeners))
+            outside = connected_listeners(self.node, publisher, self._test_namespace)
+            inside = self._process.bus.listeners(publisher.topic_name)
+            found[f"matched {name}"] = " ".join(sorted({*outside, *inside}))
         return found
 
     def several_senders(self) -> str:
@@ -322,24 +317,3 @@ class NodeShell:
 def _nothing() -> bool | None:
     """Read nothing: the messages of this process have been delivered already."""
     return None
-
-
-def _rig_of(node: Node, experiment: Experiment) -> tuple[RigAxes, str]:
-    """Rig that a node belongs to, and the test's namespace without a slash at its end."""
-    namespace, name = node.get_namespace().rstrip("/"), node.get_name()
-    above, _, last = namespace.rpartition("/")
-    rigs = {rig.name: rig for rig in experiment.rigs}
-    whole = RigAxes.whole(experiment.axes)
-    if "" in rigs or (name not in RIG_NODES and last not in rigs):
-        return whole, namespace
-    known = " or ".join(f"-r __ns:={above if last in rigs else namespace}/{rig}" for rig in rigs)
-    if name not in RIG_NODES:
-        raise InputError(
-            f"{name} serves all rigs and can't be in {namespace}, which is one rig's namespace"
-        )
-    if last not in rigs:
-        raise InputError(
-            f"{name} is in namespace {namespace or '/'}, but the axes {list(experiment.axes)} are "
-            f"of several rigs; say which one's it is: --ros-args {known}"
-        )
-    return rigs[last], above

@@ -11,10 +11,11 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Any
 
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Parameter, Section, Table
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.node.middleware import check_shared_memory
-from seft_msgs_py.wire.topics import Topic
+from seft_msgs_py.wire.topics import RIG_NODES, RigAxes, Topic
 
 check_shared_memory()  # before rclpy is imported
 
@@ -120,6 +121,27 @@ def declare_parameters(
         return SetParametersResult(successful=True)
 
     node.add_on_set_parameters_callback(take)
+
+
+def rig_of_node(node: Node, experiment: Experiment) -> tuple[RigAxes, str]:
+    """Rig that a node belongs to, and the test's namespace without a slash at its end."""
+    namespace, name = node.get_namespace().rstrip("/"), node.get_name()
+    above, _, last = namespace.rpartition("/")
+    rigs = {rig.name: rig for rig in experiment.rigs}
+    whole = RigAxes.whole(experiment.axes)
+    if "" in rigs or (name not in RIG_NODES and last not in rigs):
+        return whole, namespace
+    known = " or ".join(f"-r __ns:={above if last in rigs else namespace}/{rig}" for rig in rigs)
+    if name not in RIG_NODES:
+        raise InputError(
+            f"{name} serves all rigs and can't be in {namespace}, which is one rig's namespace"
+        )
+    if last not in rigs:
+        raise InputError(
+            f"{name} is in namespace {namespace or '/'}, but the axes {list(experiment.axes)} are "
+            f"of several rigs; say which one's it is: --ros-args {known}"
+        )
+    return rigs[last], above
 
 
 class LoopCallbackGroup(CallbackGroup):

@@ -138,11 +138,17 @@ def started(pid: int) -> int:
 
     Process numbers are used again, and a container has its own.
     """
+    stat = process_stat(pid)
+    return int(stat[19]) if stat else -1
+
+
+def process_stat(pid: int) -> list[str]:
+    """Fields of ``/proc/PID/stat`` after the program's name; empty if there is no such process."""
     try:
         stat = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
     except OSError:
-        return -1
-    return int(stat.rsplit(")", 1)[1].split()[19])
+        return []
+    return stat.rsplit(")", 1)[1].split()
 
 
 def _personality() -> int:

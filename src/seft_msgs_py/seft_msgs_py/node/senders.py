@@ -1,8 +1,9 @@
-"""Which nodes publish what a node reads, and which of several publishers is the test's."""
+"""Which nodes publish what a node reads, and which of them is the test's; who reads its topics."""
 
 from dataclasses import dataclass
 
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
 from seft_msgs_py.wire.topics import EXPERIMENT_STATE, LoopTopic, Topic, bare
@@ -129,3 +130,14 @@ class Senders:
             bytes(info.endpoint_gid): f"{info.node_namespace.rstrip('/')}/{info.node_name}"
             for info in infos
         }
+
+
+def connected_listeners(node: Node, publisher: Publisher, namespace: str) -> set[str]:
+    """Names of the nodes that read a topic, without the test's namespace.
+
+    None, while some are known but not connected yet.
+    """
+    infos = node.get_subscriptions_info_by_topic(publisher.topic_name)
+    full = (f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos)
+    names = {name.removeprefix(f"{namespace}/") for name in full}
+    return names if len(names) <= publisher.get_subscription_count() else set()

@@ -12,8 +12,9 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Self
+
+from seft_msgs_py.node.realtime import process_stat
 
 PATIENCE = 10.0  # s for nodes that the run did not end
 LOOK = 0.05  # s
@@ -77,11 +78,8 @@ def _start(pid: int) -> str:
 
     Of a killed process the first thread may be gone while others still hold its files.
     """
-    try:
-        fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
-    except OSError:
-        return ""
-    has_ended = fields[0] == "Z" and int(fields[17]) <= 1  # threads
+    fields = process_stat(pid)
+    has_ended = not fields or (fields[0] == "Z" and int(fields[17]) <= 1)  # threads
     return "" if has_ended else fields[19]
 
 

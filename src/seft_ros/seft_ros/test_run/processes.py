@@ -15,7 +15,7 @@ from pathlib import Path
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
-from seft_msgs_py.node.realtime import take_equal_addresses
+from seft_msgs_py.node.realtime import process_stat, take_equal_addresses
 from seft_msgs_py.wire.topics import bare, rig_name
 
 from seft_ros.test_run.orphan_reaper import OrphanReaper
@@ -107,13 +107,7 @@ class NodeProcesses:
 
     def stopped(self) -> list[str]:
         """Nodes whose process a signal has stopped."""
-        found = []
-        for node, process in self._processes.items():
-            with contextlib.suppress(OSError):
-                stat = Path(f"/proc/{process.pid}/stat").read_text(encoding="ascii")
-                if stat.rsplit(")", 1)[1].split()[0] == "T":
-                    found.append(node)
-        return found
+        return [node for node, pid in self.pids().items() if process_stat(pid)[:1] == ["T"]]
 
     def exit_status(self, node: str) -> int | None:
         """Exit status of a node's process; None while it runs."""
