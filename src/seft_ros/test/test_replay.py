@@ -22,7 +22,7 @@ from seft_ros.recording.record_bag import write_record
 from seft_ros.replay.recorded import Recorded, read_recorded
 from seft_ros.replay.rig_replay import RigReplay
 from seft_ros.test_run.blocks import build_blocks
-from seft_ros.test_run.compiled_loop import Course
+from seft_ros.test_run.compiled_loop import LoopSamples
 from seft_ros.test_run.offline import loop_series, simulate
 from seft_ros.test_run.parameter_tables import TABLES
 
@@ -81,7 +81,7 @@ def held_test(experiment, blocks, held):
         states.append(rig.step(commands[at] if at >= 0 else np.zeros(1)))
     motion = blocks.ground_motion.samples
     forces, unused = np.zeros_like(commands)[:, None], np.empty(0)
-    course = Course(np.array(states), forces, commands, unused, unused)
+    course = LoopSamples(np.array(states), forces, commands, unused, unused)
     series = loop_series(motion, course, steps)
     missed, applied = sorted(held), [held[step] for step in sorted(held)]
     return Record(experiment, series, missed=len(held), missed_steps=missed, held_steps=applied)

@@ -195,7 +195,7 @@ COMMON = parameter_rows("""
     axes | strings | ["x"] |    |     |
         names of the axes (actuators), in order; RIG/AXIS where they are of several rigs
 """)
-"""Parameters of every node; in a file they stand under ``/**``."""
+"""Parameters of every node; in a file they are under ``/**``."""
 
 
 class Table:

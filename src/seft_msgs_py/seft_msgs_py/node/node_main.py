@@ -43,7 +43,7 @@ class NodeBody:
         """Work until the process ends, spinning the shell."""
         while not self._shell.stopping:
             self._shell.spin_once(self.period())
-            self._shell.attempt("a look", self.poll)
+            self._shell.attempt("a poll", self.poll)
 
     def fault(self, reason: str) -> None:
         """End the test because of a fault of the program, in any node of this process."""

@@ -174,7 +174,7 @@ class NodeProcess:
         """
         handled = bool(self.attempt("the turn", self._take_turn, timeout))
         for poll in self._polls:
-            self.attempt("a look", poll)
+            self.attempt("a poll", poll)
         pause = CHORE_PERIOD if handled else IDLE_CHORE_PERIOD
         if (now := time.monotonic()) - self._chores_at >= pause:
             self._chores_at = now
@@ -187,7 +187,7 @@ class NodeProcess:
                     listener(reason)
                 except Exception as error:  # which listeners must not hear in turn
                     self.faults += 1
-                    self._log(f"{reason}; it could not be told", error)
+                    self._log(f"{reason}; it could not be reported", error)
         return handled
 
     def _take_turn(self, timeout: float) -> bool:

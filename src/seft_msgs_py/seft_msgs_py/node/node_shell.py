@@ -95,7 +95,7 @@ class NodeShell:
         self._readers: dict[str, ReadOne] = {}
         self._senders = Senders(self.node)
         self._handled_at = 0.0  # s, monotonic: the last message of the loop
-        self._polled_at = self._looked_at = 0.0
+        self._polled_at = self._polled_senders_at = 0.0
         self._status = Status(self.name, 0, "starting", values={})
         self._status_sent: tuple[float, Status | None] = (0.0, None)
         self._status_message = bytearray()
@@ -241,7 +241,7 @@ class NodeShell:
         def receive(raw: bytes, received_ns: int, gid: bytes) -> bool:
             if is_of_each_step:
                 self._handled_at = time.monotonic()
-            if senders.is_stranger(name, gid):
+            if senders.is_foreign(name, gid):
                 self.refused += 1
                 return False
             try:
@@ -270,9 +270,9 @@ class NodeShell:
         if self._warning and now - self._warned_at >= WARN_PERIOD:
             self.node.get_logger().warning(f"refused ({self.refused} so far): {self._warning}")
             self._warning, self._warned_at = "", now
-        if now - self._looked_at >= STATUS_PERIOD:
-            self._looked_at = now
-            for news in self._senders.look():
+        if now - self._polled_senders_at >= STATUS_PERIOD:
+            self._polled_senders_at = now
+            for news in self._senders.poll():
                 self.node.get_logger().warning(news)
         sent_at, sent = self._status_sent
         is_due = now - sent_at >= STATUS_PERIOD

@@ -72,7 +72,7 @@ class Senders:
             if len(found) == 1:
                 (reader.accepted,) = found
 
-    def is_stranger(self, name: str, gid: bytes) -> bool:
+    def is_foreign(self, name: str, gid: bytes) -> bool:
         """Tell whether a message comes from a foreign publisher, and count it if so."""
         accepted = self._readers[name].accepted
         if not accepted or gid == accepted:
@@ -91,7 +91,7 @@ class Senders:
                 return f"{count} nodes publish {reader.topic.name} ({names})"
         return ""
 
-    def look(self) -> list[str]:
+    def poll(self) -> list[str]:
         """Look for foreign publishers in a running test; report the new ones."""
         news = []
         for reader in self._of_the_test():

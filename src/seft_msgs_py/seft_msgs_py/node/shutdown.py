@@ -25,7 +25,7 @@ def on_ending(handler: Handler) -> dict[signal.Signals, Any]:
     """
     terminals = [file for file in _OUTPUTS if os.isatty(file)]
 
-    def told(number: int, frame: FrameType | None) -> None:
+    def on_signal(number: int, frame: FrameType | None) -> None:
         if number == signal.SIGHUP:
             _write_nowhere(terminals)
         handler(number, frame)
@@ -33,7 +33,7 @@ def on_ending(handler: Handler) -> dict[signal.Signals, Any]:
     before = {number: signal.getsignal(number) for number in SIGNALS}
     for number in SIGNALS:
         if number != signal.SIGHUP or before[number] is not signal.SIG_IGN:
-            signal.signal(number, told)
+            signal.signal(number, on_signal)
     return before
 
 

@@ -33,7 +33,7 @@ from seft_ros.interlock.detectors import WARNING
 from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.state_machine import MOVING, SampleOrder, check_magnitude
 
-TELL_PERIOD = 1.0  # s between two reports of link and valves while a test runs
+REPORT_PERIOD = 1.0  # s between two reports of link and valves while a test runs
 STATE_WAIT = 0.0005  # s between polls for a state that is later than its reference force
 
 
@@ -64,7 +64,7 @@ class ForceControllerNode(NodeBody):
         if section["loop_delay"]:
             self._previews = NewestPreview.from_parameters(section, axes, timebase)
         self._forces = self._previews or MatchedForces()
-        self._told_at = 0.0
+        self._reported_at = 0.0
         self._moving = False  # as the supervisor says
         self._order = SampleOrder(timebase)
         self._silence = Silence(section["watchdog.state_timeout"])
@@ -97,7 +97,7 @@ class ForceControllerNode(NodeBody):
 
     def begin(self) -> None:
         """Report that the node is ready."""
-        self._tell()
+        self._report()
 
     def poll(self) -> None:
         """Trip if states are missing."""
@@ -125,10 +125,10 @@ class ForceControllerNode(NodeBody):
         if not self._moving:
             self._silence.end()
             if moving:
-                self._tell()  # the complete result
+                self._report()  # the complete result
         if status.message == "idle" and self._controller.reason:  # the operator has reset it
             self._controller.reset()
-            self._tell()
+            self._report()
 
     def _on_state(self, raw: bytes, _: int) -> None:
         step, values = self._state_codec.decode(raw)
@@ -190,7 +190,7 @@ class ForceControllerNode(NodeBody):
         if conflict:
             self._trip(conflict)
         elif was_tripped:
-            self._tell()
+            self._report()
 
     def _answer_if_complete(self, step: int) -> None:
         if step not in self._states:
@@ -207,27 +207,27 @@ class ForceControllerNode(NodeBody):
         for passed in [other for other in self._states if other <= step]:
             del self._states[passed]
         if self._controller.reason and not was_tripped:
-            self._tell_trip()
+            self._report_trip()
         previews = self._previews
         if previews is not None and previews.is_lost and not self._controller.reason:
             self._trip(
                 f"no {REFERENCE_FORCE.name} for {step - previews.newest} steps (the last is of "
                 f"step {previews.newest}); is the link to the reference_force node cut?"
             )
-        elif time.monotonic() - self._told_at >= TELL_PERIOD:
-            self._tell()  # the answer is sent, and there is time
+        elif time.monotonic() - self._reported_at >= REPORT_PERIOD:
+            self._report()  # the answer is sent, and there is time
 
     def _trip(self, reason: str) -> None:
         self._silence.end()
         self._controller.trip(max(self._order.last, 0), reason)
-        self._tell_trip()
+        self._report_trip()
 
-    def _tell_trip(self) -> None:
+    def _report_trip(self) -> None:
         self._shell.node.get_logger().error(self._controller.reason)  # to read at this host
-        self._tell()
+        self._report()
 
-    def _tell(self) -> None:
-        self._told_at = time.monotonic()
+    def _report(self) -> None:
+        self._reported_at = time.monotonic()
         reason, step = self._controller.reason, self._controller.step_index
         name, share = self._controller.nearest
         level, text = OK, "ready"
@@ -236,13 +236,13 @@ class ForceControllerNode(NodeBody):
         status = Status("force_controller", level, text, values={"phase": "ready"})
         if reason:
             status = tripped_status("force_controller", reason, step)
-        told = {"nearest detector": f"{name}: {share:.2f} of its threshold"}
+        values = {"nearest detector": f"{name}: {share:.2f} of its threshold"}
         if self._previews is not None:
-            told["link"] = self._previews.record().to_json()
-        for name, values in (self._estimates() if self._estimates else {}).items():
-            for axis, value in zip(self._shell.rig.axes, values.tolist(), strict=True):
-                told[f"{name} {axis}"] = f"{value:.4g}"
-        self._shell.report(replace(status, values={**status.values, **told}))
+            values["link"] = self._previews.record().to_json()
+        for name, estimate in (self._estimates() if self._estimates else {}).items():
+            for axis, value in zip(self._shell.rig.axes, estimate.tolist(), strict=True):
+                values[f"{name} {axis}"] = f"{value:.4g}"
+        self._shell.report(replace(status, values={**status.values, **values}))
 
 
 KIND = NodeKind(TABLE, TABLES, ForceControllerNode)

@@ -57,12 +57,12 @@ class GroundMotionNode(NodeBody):
             self._next_chunk += 1
             self._published_until = first + len(values)
             if first == 0:
-                self._tell("primed")
+                self._report("primed")
 
     def _on_experiment_state(self, raw: bytes, _: int) -> None:
         phase = decode_status(raw).message
         if self._phase not in ENDED and phase in ENDED:
-            self._tell("ended")
+            self._report("ended")
         elif self._phase in ENDED and phase not in ENDED:
             self._next_chunk = self._published_until = self._rig_step = 0  # for the next test
         self._phase = phase
@@ -71,7 +71,7 @@ class GroundMotionNode(NodeBody):
         if self._phase in MOVING:
             self._rig_step = decode_clock(raw) // self._period_ns
 
-    def _tell(self, phase: str) -> None:
+    def _report(self, phase: str) -> None:
         self.report(phase, {"steps": str(self.motion.steps)})
 
 

@@ -70,12 +70,12 @@ class RecorderNode(NodeBody):
         self._bag: LastingBag | None = None
         self._reason = self._unsaved = ""  # to bring the test down; why its bag can't be saved
         self._checked_at = -PLACE_PERIOD
-        self._steps = 0  # of the coming test
+        self._steps = 0  # of the next test
         self._phase = "idle"
         self._ended_at: float | None = None
         self._next_began = False  # ground motion of the next test has come
         self._values = {"phase": "idle"}
-        self._told_in_full = True  # how the test ended
+        self._is_trip_complete = True  # how the test ended
         self._force_phase = ""  # of the reference force
         self._step_message_at = 0.0
         self._samples = Counter[str]()  # by topic
@@ -113,13 +113,13 @@ class RecorderNode(NodeBody):
             self._check_place()
             return
         self._bag.look()
-        self._tell_trouble(self._bag)
+        self._report_trouble(self._bag)
         self._values = {**self._values, RECORDED: str(self._recorded())}
         self._shell.note(self._status())
         if self._ended_at is None:
             return
         now = time.monotonic()
-        complete = self._recorded() >= self._expected and self._told_in_full
+        complete = self._recorded() >= self._expected and self._is_trip_complete
         if self._phase == State.DONE and "reference_force" in self._descriptions:
             complete &= self._force_phase == ALL_ANSWERED
         patience = SILENCE if complete else LONG_SILENCE
@@ -129,7 +129,7 @@ class RecorderNode(NodeBody):
             self._checked_at = now
             self._close()
 
-    def _tell_trouble(self, bag: LastingBag) -> None:
+    def _report_trouble(self, bag: LastingBag) -> None:
         """Report trouble with the bag; as a reason to end the test, if ``on_loss`` says so."""
         if bag.trouble and (self._section["on_loss"] == "stop" or bag.is_full):
             self._reason = f"the recorder's bag is lost: {bag.trouble}"
@@ -185,7 +185,7 @@ class RecorderNode(NodeBody):
             self._open()
         elif phase in ENDED and self._bag is not None:
             # a trip is complete only when the silent nodes are known
-            self._told_in_full = phase != State.TRIPPED or SILENT in test.values
+            self._is_trip_complete = phase != State.TRIPPED or SILENT in test.values
             if self._ended_at is not None:
                 return
             self._ended_at = time.monotonic()

@@ -197,9 +197,9 @@ class ReferenceForceNode(NodeBody):
         if self._block.ramping:
             if self._ramp_step < 0 and self._block.cause is None:
                 self._ramp_step = step
-            self._tell_ramp(step)
+            self._report_ramp(step)
         if step >= self._sampler.due:
-            self._tell_estimates(step)
+            self._send_estimates(step)
 
     def _message(self, step: int, motion: Floats | None, state: Floats) -> bytes:
         """Message that answers a state; lost states before it are bridged."""
@@ -208,7 +208,7 @@ class ReferenceForceNode(NodeBody):
             self._block.bridge([self._motion.window(s, self._window) for s in lost], state)
         return self._force_codec.encode_points(step, self._block.step(motion, state))
 
-    def _tell_ramp(self, step: int) -> None:
+    def _report_ramp(self, step: int) -> None:
         """Report at once that the force ramps down by itself, and that it is at rest."""
         if self._block.cause is not None and self._cause_step < 0:
             self._cause_step = step
@@ -224,7 +224,7 @@ class ReferenceForceNode(NodeBody):
             values["ramp_step"] = str(self._ramp_step)
         self.report(phase, values, OK if cause is None else ERROR, cause or phase)
 
-    def _tell_estimates(self, step: int) -> None:
+    def _send_estimates(self, step: int) -> None:
         """Publish the method's estimates; if they can't be sent, the test goes on."""
         estimates = self._sampler.sample(step)
         try:

@@ -85,7 +85,7 @@ class SupervisorNode(NodeBody):
         self._lost: set[str] = set()  # nodes that have fallen silent in this test
         self._published: Status | None = None
         self._message = b""
-        self._published_at = self._polled_graph_at = self._told_at = self._now - AGES_PERIOD
+        self._published_at = self._polled_graph_at = self._reported_at = self._now - AGES_PERIOD
         shell.subscribe(DIAGNOSTICS, self._on_diagnostics)
         shell.subscribe(DESCRIPTION, self._on_description, depth=64)
         shell.subscribe(CLOCK_TOPIC, self._on_clock, wake=False)
@@ -105,7 +105,7 @@ class SupervisorNode(NodeBody):
             for _ in range(MOST_AT_ONCE):
                 if not self._shell.spin_once(0.0):
                     break  # a node is silent only if none of these is its own
-            self._shell.attempt("a look", self.poll)
+            self._shell.attempt("a poll", self.poll)
 
     def fault(self, reason: str) -> None:
         """End a test at once; the services go on answering."""
@@ -128,13 +128,13 @@ class SupervisorNode(NodeBody):
             elif self._state is State.TRIPPED and self._silent is None:
                 self._find_the_silent()
             self._publish_if_due()
-        self._tell_ages()
+        self._report_ages()
 
-    def _tell_ages(self) -> None:
+    def _report_ages(self) -> None:
         """Report the age of each node's last status in the supervisor's own."""
-        if self._now - self._told_at < AGES_PERIOD:
+        if self._now - self._reported_at < AGES_PERIOD:
             return
-        self._told_at = self._now
+        self._reported_at = self._now
         ages = {n: self._now - self._heard[n].at for n in self._peers if n in self._heard}
         oldest = max(ages.values(), default=0.0)
         level = ERROR if oldest > self._timeout else WARN if oldest > self._timeout / 2 else OK
@@ -263,10 +263,10 @@ class SupervisorNode(NodeBody):
         if phase == TRIPPED:
             reason, machine = reason or status.message, self._machine
             trip = machine.soft_trip if status.name in SOFT_PEERS else machine.hard_trip
-            told = reason if is_rig else f"{status.name}: {reason}"
-            trip(told, status.number("step"))
+            cause = reason if is_rig else f"{status.name}: {reason}"
+            trip(cause, status.number("step"))
             if status.name in self._lost and reason != STOPPED:
-                machine.note(told)  # what it did while its link was cut
+                machine.note(cause)  # what it did while its link was cut
         elif is_rig and phase == FINISHED:
             if all(self._phase(rig) == FINISHED for rig in self._rig_nodes):
                 self._machine.finish(f"{status.values.get('steps')} steps done")

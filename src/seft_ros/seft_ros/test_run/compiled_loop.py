@@ -117,7 +117,7 @@ def _estimate(parameters, state, result):  # type: ignore[no-untyped-def]
     return lambda parameters, state, result: None
 
 
-class Course(NamedTuple):
+class LoopSamples(NamedTuple):
     """Results of a test of N steps.
 
     Attributes
@@ -171,14 +171,16 @@ class LoopBlocks(NamedTuple):
     period: int
 
 
-def run_compiled(blocks: Blocks, course: Course, loop_delay: int, period: int) -> Iterator[int]:
+def run_compiled(
+    blocks: Blocks, samples: LoopSamples, loop_delay: int, period: int
+) -> Iterator[int]:
     """Run a test of blocks that have been reset; give the steps done: 0 first, all at the end.
 
     Parameters
     ----------
     blocks : Blocks
         For which there is no `obstacle`.
-    course : Course
+    samples : LoopSamples
         The result.
     loop_delay : int
         Steps from a state to the first use of the force that is computed from it.
@@ -191,9 +193,9 @@ def run_compiled(blocks: Blocks, course: Course, loop_delay: int, period: int) -
     control: Any = interlock.controller
     points, quantities = protected.reference_force.shape
     if quantities > 1:  # a controller needs no more of the future motion
-        coming = isinstance(control, VelocityFeedforward) and control.parameters.inverse.shape[1]
-        points = min(points, 1 + loop_delay + coming)
-    n = course.commands.shape[1]
+        future = isinstance(control, VelocityFeedforward) and control.parameters.inverse.shape[1]
+        points = min(points, 1 + loop_delay + future)
+    n = samples.commands.shape[1]
     loop = LoopBlocks(
         (rig.parameters, rig.state),
         (protected.parameters, protected.state),
@@ -208,21 +210,21 @@ def run_compiled(blocks: Blocks, course: Course, loop_delay: int, period: int) -
         period,
     )
     known = np.ascontiguousarray(blocks.ground_motion.known)
-    total = len(course.commands)
-    steps: Callable[..., int] = entry_point(run_steps, loop, course, known, course.states, 0, 0)
+    total = len(samples.commands)
+    steps: Callable[..., int] = entry_point(run_steps, loop, samples, known, samples.states, 0, 0)
     yield 0  # it is compiled
     for first in range(0, total, BLOCK):
         last = min(first + BLOCK, total)
         noise = rig.sensors.noise_block(first // BLOCK, last - first)
-        done = steps(loop, course, known, noise, first, last)
+        done = steps(loop, samples, known, noise, first, last)
         yield done
         if done < last or last == total:
-            rig.take(course.found[:done])
+            rig.take(samples.found[:done])
             return
 
 
 def _run_steps(
-    loop: LoopBlocks, course: Course, known: Floats, noise: Floats, first: int, last: int
+    loop: LoopBlocks, samples: LoopSamples, known: Floats, noise: Floats, first: int, last: int
 ) -> int:
     """Run steps of a test; give the number of steps done since its beginning.
 
@@ -230,7 +232,7 @@ def _run_steps(
 
     Parameters
     ----------
-    loop, course
+    loop, samples
         See there.
     known : ndarray
         Ground motion, and what is known beyond its end, shape (N + lead, n), m/s^2.
@@ -244,9 +246,9 @@ def _run_steps(
     turns, _, quantities, n = loop.under_way.shape
     window, is_target = loop.window, quantities > 1
     for step in range(first, last):
-        measured, command = course.states[step], course.commands[step]
+        measured, command = samples.states[step], samples.commands[step]
         found = rig_step(rig[0], rig[1], step, drive, noise[step - first], measured)
-        course.found[step] = found
+        samples.found[step] = found
         # reference force
         asked = loop.under_way[step % turns]
         pace = begin_step(protection[0], protection[1], True)
@@ -254,17 +256,17 @@ def _run_steps(
             respond(force[0], force[1], known[step : step + window], measured, pace, asked)
         protect(protection[0], protection[1], known[step], measured, True, pace, asked)
         late = loop.under_way[(step + 1) % turns]
-        told = asked if is_target else late
+        sent = asked if is_target else late
         for row in range(quantities):
             for i in range(n):
-                course.forces[step, row, i] = told[0, row, i]
+                samples.forces[step, row, i] = sent[0, row, i]
         applied = late[turns - 1 if is_target else 0 :]
         # force control
         if begin_control(interlock[0], interlock[1], step, applied, measured, command):
             limited = answer(control[0], control[1], applied, measured, command)
             end_control(interlock[0], interlock[1], step, limited, command)
         if step % loop.period == 0:
-            estimate(force[0], force[1], course.estimates[step // loop.period])
+            estimate(force[0], force[1], samples.estimates[step // loop.period])
         for i in range(n):
             is_valve = loop.is_valve_driven
             drive[i] = command[i] if is_valve else applied[0, quantities - 1, i]

@@ -23,10 +23,10 @@ from seft_msgs_py.wire.topics import LINK_PING, LINK_PONG, RigAxes, Topic
 from seft_ros.test_run.link_judgement import RoundTrips
 
 PATIENCE = 15.0  # s, until the other side is found
-LOOK = 0.05  # s
+POLL_PERIOD = 0.05  # s
 SETTLING = 0.5  # s that do not count: the first messages are the slowest
 FIRST, LAST = 5.0, 1.0  # s in which the first and the last message may come back
-ECHO_LOOK = 0.2  # s
+ECHO_PERIOD = 0.2  # s
 
 
 class _LinkNode:
@@ -62,7 +62,7 @@ def echo(progress: Callable[[int], None]) -> None:
     with closing(_LinkNode("seft_link_echo", LINK_PONG, LINK_PING)) as link:
         count = 0
         while True:
-            for raw in link.listen(ECHO_LOOK):
+            for raw in link.listen(ECHO_PERIOD):
                 link.send(raw)
                 count += 1
             progress(count)
@@ -125,7 +125,7 @@ def measure(
         deadline = time.monotonic() + FIRST
         while not back and time.monotonic() < deadline:  # it may not have found this side yet
             send(first - 1)
-            listen_until(time.monotonic() + LOOK)
+            listen_until(time.monotonic() + POLL_PERIOD)
         start = time.monotonic() - first / rate
         for number in range(first, count):
             listen_until(start + number / rate)
@@ -133,7 +133,7 @@ def measure(
             progress("measuring the link", max(number, 0))
         deadline = time.monotonic() + LAST
         while len({number for number, _ in back}) < len(sent) and time.monotonic() < deadline:
-            listen_until(min(deadline, time.monotonic() + LOOK))
+            listen_until(min(deadline, time.monotonic() + POLL_PERIOD))
     progress("measured", count)
     counted = [(number, took) for number, took in back if number >= 0]
     if not counted:
@@ -161,4 +161,4 @@ def _find_echo(link: _LinkNode, pong: Topic) -> None:
                 "host start seft link --echo, or its force_controller with a loop_delay "
                 "(docs/hosts.md has what two hosts need to find each other)"
             )
-        time.sleep(LOOK)
+        time.sleep(POLL_PERIOD)

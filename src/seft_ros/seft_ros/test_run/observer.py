@@ -182,7 +182,7 @@ class Observer:
 
     def _on_state(self, raw: bytes, gid: bytes) -> None:
         """Accept the state of a running test only from the supervisor that it began with."""
-        if self._senders.is_stranger(EXPERIMENT_STATE.name, gid):
+        if self._senders.is_foreign(EXPERIMENT_STATE.name, gid):
             return
         try:
             status = decode_status(raw)

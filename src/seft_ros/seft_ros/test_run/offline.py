@@ -23,7 +23,7 @@ from seft_ros.recording.record import Estimates, Record, Series, Trip
 from seft_ros.recording.samples import require_names
 from seft_ros.reference_force.estimate_sampler import sampling_period
 from seft_ros.test_run.blocks import Blocks, build_blocks
-from seft_ros.test_run.compiled_loop import Course, obstacle, run_compiled
+from seft_ros.test_run.compiled_loop import LoopSamples, obstacle, run_compiled
 from seft_ros.test_run.state_machine import while_ramping_down
 
 Floats = npt.NDArray[np.float64]
@@ -60,7 +60,7 @@ def simulate(
     force.reset()
     blocks.force_controller.reset()
     estimated, period = force.estimates(), sampling_period(experiment.timebase)
-    course = Course(
+    samples = LoopSamples(
         np.empty((total, 4, axes)),
         np.empty((total, quantities, axes)),
         np.empty((total, axes)),
@@ -69,7 +69,7 @@ def simulate(
     )
     run = run_plain if obstacle(blocks) else run_compiled
     environment = environment or describe_environment("simulate")
-    loop = run(blocks, course, experiment["reference_force"]["loop_delay"], period)
+    loop = run(blocks, samples, experiment["reference_force"]["loop_delay"], period)
     steps, start = next(loop), time.perf_counter()
     for steps in loop:
         if progress is not None:
@@ -78,10 +78,10 @@ def simulate(
     estimates = None
     if estimated:
         sampled = np.arange(0, steps, period, dtype=np.int64)
-        estimates = Estimates(sampled, course.estimates[: len(sampled)], tuple(estimated))
+        estimates = Estimates(sampled, samples.estimates[: len(sampled)], tuple(estimated))
     return Record(
         experiment=experiment,
-        series=loop_series(motion, course, steps),
+        series=loop_series(motion, samples, steps),
         estimates=estimates,
         trip=trip_of(
             blocks.rig.violation or blocks.force_controller.reason,
@@ -96,10 +96,10 @@ def simulate(
     )
 
 
-def run_plain(blocks: Blocks, course: Course, loop_delay: int, period: int) -> Iterator[int]:
+def run_plain(blocks: Blocks, samples: LoopSamples, loop_delay: int, period: int) -> Iterator[int]:
     """Run a test as `run_compiled` does, with any blocks."""
     rig, reference_force, interlock = blocks.rig, blocks.reference_force, blocks.force_controller
-    total, axes = course.commands.shape
+    total, axes = samples.commands.shape
     known, window = blocks.ground_motion.known, 1 + reference_force.preview
     force_step, valve_step = reference_force.step, interlock.step
     under_way = deque([np.zeros((1 + loop_delay, 1, axes))] * loop_delay)
@@ -109,15 +109,15 @@ def run_plain(blocks: Blocks, course: Course, loop_delay: int, period: int) -> I
     with np.errstate(over="ignore", invalid="ignore"):  # the limits see what is not finite
         for step in range(total):
             points = force_step(known[step : step + window], state)
-            course.states[step], course.forces[step] = state, points[0]
+            samples.states[step], samples.forces[step] = state, points[0]
             if loop_delay:
                 under_way.append(points)
                 points = under_way.popleft()[loop_delay:]
-            command = course.commands[step] = valve_step(step, points, state)
-            if step % period == 0 and course.estimates.size:
+            command = samples.commands[step] = valve_step(step, points, state)
+            if step % period == 0 and samples.estimates.size:
                 estimates = reference_force.estimates()
                 require_names(step, estimates, names)
-                course.estimates[step // period] = list(estimates.values())
+                samples.estimates[step // period] = list(estimates.values())
             if rig.violation is not None or interlock.reason or reference_force.at_rest:
                 yield step + 1
                 return
@@ -128,16 +128,16 @@ def run_plain(blocks: Blocks, course: Course, loop_delay: int, period: int) -> I
     yield total
 
 
-def loop_series(motion: Floats, course: Course, steps: int) -> dict[str, Series]:
+def loop_series(motion: Floats, samples: LoopSamples, steps: int) -> dict[str, Series]:
     """Sort the samples of the first steps of a test by topic."""
     numbers = np.arange(steps, dtype=np.int64)
     values = {
         GROUND_MOTION.name: motion[:steps, np.newaxis],
-        RIG_STATE.name: course.states[:steps],
-        REFERENCE_FORCE.name: course.forces[:steps],
-        VALVE_COMMAND.name: course.commands[:steps, np.newaxis],
+        RIG_STATE.name: samples.states[:steps],
+        REFERENCE_FORCE.name: samples.forces[:steps],
+        VALVE_COMMAND.name: samples.commands[:steps, np.newaxis],
     }
-    return {name: Series(numbers, samples) for name, samples in values.items()}
+    return {name: Series(numbers, each) for name, each in values.items()}
 
 
 def trip_of(

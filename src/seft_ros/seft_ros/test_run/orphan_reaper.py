@@ -17,7 +17,7 @@ from typing import Self
 from seft_msgs_py.node.realtime import process_stat
 
 PATIENCE = 10.0  # s for nodes that the run did not end
-LOOK = 0.05  # s
+POLL_PERIOD = 0.05  # s
 _SEEN = b"seen\n"
 
 
@@ -70,7 +70,7 @@ def _end(started: dict[int, str]) -> None:
                     os.kill(pid, number)
             if time.monotonic() > deadline:
                 break
-            time.sleep(LOOK)
+            time.sleep(POLL_PERIOD)
 
 
 def _start(pid: int) -> str:

@@ -111,17 +111,17 @@ class Player:
 
     def is_matched(self, node: str, sends: Iterable[Topic], hears: Iterable[Topic]) -> bool:
         """Tell whether a node is connected on these topics, also by its own status."""
-        told = self.status[node].values if node in self.status else {}
+        reported = self.status[node].values if node in self.status else {}
         for topic in sends:
             there = self.node.get_subscriptions_info_by_topic(topic.name)
             found = self._publishers[topic].get_subscription_count()
-            hears_us = told.get(f"senders {topic.name}") != "0"
+            hears_us = reported.get(f"senders {topic.name}") != "0"
             if not (found and hears_us and node in {info.node_name for info in there}):
                 return False
         for topic in hears:
             there = self.node.get_publishers_info_by_topic(topic.name)
             found, own = self._topics[topic].get_publisher_count(), self.node.get_name()
-            matched = told.get(f"matched {topic.name}", own)  # a lab's own driver need not tell
+            matched = reported.get(f"matched {topic.name}", own)  # a driver need not report it
             if not (found and own in matched.split() and node in {i.node_name for i in there}):
                 return False
         return True

@@ -29,7 +29,7 @@ from seft_ros.test_run.process_layout import LOOP_NODES, ProcessLayout
 from seft_ros.test_run.processes import MODULES, NodeProcesses, node_processes
 from seft_ros.test_run.state_machine import ENDED, PACE, State
 
-LOOK = 0.05  # s
+POLL_PERIOD = 0.05  # s
 READY_TIMEOUT, SAVE_TIMEOUT = 60.0, 20.0  # s
 SLACK = 1.0  # s beyond the supervisor's own patience
 STANDING_STILL = 60.0  # s; a ramp that has not ended by then never will
@@ -111,12 +111,14 @@ class RunMonitor:
                 return
             if observer.state == State.TRIPPED:
                 raise ExperimentError(f"the supervisor refused to start: {answer}")
-            observer.spin(LOOK)  # a node was away for a moment: wait until all are there again
+            observer.spin(
+                POLL_PERIOD
+            )  # a node was away for a moment: wait until all are there again
 
     def _wait_until_ready(self, deadline: float) -> None:
         observer = self._observer
         while True:
-            observer.spin(LOOK)
+            observer.spin(POLL_PERIOD)
             detail = observer.values.get("detail", "waiting for supervisor")
             self._progress(detail, 0)
             self._processes.raise_if_ended()
@@ -144,7 +146,7 @@ class RunMonitor:
         """
         observer, deadline = self._observer, float("inf")
         while observer.state not in ENDED:
-            self._look()
+            self._poll()
             if self._broken:
                 deadline = min(deadline, time.monotonic() + STANDING_STILL)
                 if self._is_left_alone() or time.monotonic() > deadline:
@@ -153,10 +155,10 @@ class RunMonitor:
         while observer.state == State.TRIPPED and SILENT not in observer.values:
             if time.monotonic() > deadline:
                 break
-            self._look()
+            self._poll()
         silent = {*observer.values.get(SILENT, "").split()} - {*self._processes.stopped()}
         while silent and not self._broken and time.monotonic() < deadline:
-            self._look()  # a silent node may be about to end, and then says why
+            self._poll()  # a silent node may be about to end, and then says why
         return self._broken or self._ending()
 
     def bring_down(self) -> None:
@@ -166,7 +168,7 @@ class RunMonitor:
                 self._observer.call(service, self._timeout)
                 deadline = time.monotonic() + STANDING_STILL
                 while self._observer.state not in ENDED and time.monotonic() < deadline:
-                    self._look()
+                    self._poll()
                     if self._is_left_alone():
                         return
             if self._observer.state in ENDED:
@@ -179,10 +181,10 @@ class RunMonitor:
             gone = {*self._observer.values.get(SILENT, "").split(), *self._processes.ended()}
             if self._observer.state not in ENDED or "recorder" in gone:
                 return
-            self._observer.spin(LOOK)
+            self._observer.spin(POLL_PERIOD)
 
-    def _look(self) -> None:
-        self._observer.spin(LOOK)
+    def _poll(self) -> None:
+        self._observer.spin(POLL_PERIOD)
         step = self._observer.time_ns // self._period_ns
         for how in self._processes.ended().values():
             self._broken = self._broken or f"{how} (at step {step})"
