@@ -33,13 +33,7 @@ from seft_msgs_py.wire.messages import (
     restamp,
 )
 from seft_msgs_py.wire.outcome import MOVING
-from seft_msgs_py.wire.topics import (
-    DESCRIPTION,
-    DIAGNOSTICS,
-    EXPERIMENT_STATE,
-    LoopTopic,
-    Topic,
-)
+from seft_msgs_py.wire.topics import DESCRIPTION, DIAGNOSTICS, EXPERIMENT_STATE, LoopTopic, Topic
 
 IDLE_WAIT = 0.05  # s; a signal is noticed within this time
 STATUS_PERIOD = 0.2  # s between two heartbeats

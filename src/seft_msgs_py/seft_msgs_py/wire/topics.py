@@ -21,14 +21,7 @@ DIAGNOSTIC_ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 STRING = "std_msgs/msg/String"
 CLOCK = "rosgraph_msgs/msg/Clock"
 
-NODES = (
-    "ground_motion",
-    "reference_force",
-    "force_controller",
-    "rig",
-    "supervisor",
-    "recorder",
-)
+NODES = ("ground_motion", "reference_force", "force_controller", "rig", "supervisor", "recorder")
 
 QUANTITIES = ("positions", "velocities", "accelerations", "effort")
 """Arrays of a JointTrajectoryPoint, in the order of the wire."""
@@ -221,9 +214,7 @@ REFERENCE_FORCE = LoopTopic(
     units=("N",),
 )
 TARGET = replace(
-    REFERENCE_FORCE,
-    quantities=("positions", "velocities", "effort"),
-    units=("m", "m/s", "N"),
+    REFERENCE_FORCE, quantities=("positions", "velocities", "effort"), units=("m", "m/s", "N")
 )
 """The reference force with the target's motion, of this step and future ones."""
 VALVE_COMMAND = LoopTopic(

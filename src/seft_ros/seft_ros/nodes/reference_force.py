@@ -14,12 +14,7 @@ from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell
 from seft_msgs_py.wire.messages import ERROR, OK, EstimatesCodec, decode_status
 from seft_msgs_py.wire.outcome import tripped_status
-from seft_msgs_py.wire.topics import (
-    ESTIMATES,
-    EXPERIMENT_STATE,
-    GROUND_MOTION,
-    RIG_STATE,
-)
+from seft_msgs_py.wire.topics import ESTIMATES, EXPERIMENT_STATE, GROUND_MOTION, RIG_STATE
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
 from seft_ros.interlock.protected_force import ProtectedForce

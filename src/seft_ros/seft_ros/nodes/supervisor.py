@@ -36,15 +36,7 @@ from seft_msgs_py.wire.topics import (
 from std_srvs.srv import Trigger
 
 from seft_ros.test_run.parameter_tables import SUPERVISOR, TABLES
-from seft_ros.test_run.peers import (
-    AT_REST,
-    RAMPING_DOWN,
-    SILENT,
-    Heard,
-    missing,
-    silence,
-    silent,
-)
+from seft_ros.test_run.peers import AT_REST, RAMPING_DOWN, SILENT, Heard, missing, silence, silent
 from seft_ros.test_run.state_machine import MOVING, PACE, Answer, State, StateMachine
 
 HEARTBEAT = 0.2  # s between two publications of the state

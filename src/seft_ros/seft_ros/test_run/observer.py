@@ -68,10 +68,7 @@ class Observer:
         states = raw_subscription(self._node, EXPERIMENT_STATE)
         self._take_state, self._senders = taker(states), Senders(self._node)
         self._senders.add(EXPERIMENT_STATE, states.topic_name, states)
-        for topic, receive in (
-            (CLOCK_TOPIC, self._on_clock),
-            (DIAGNOSTICS, self._on_diagnostics),
-        ):
+        for topic, receive in ((CLOCK_TOPIC, self._on_clock), (DIAGNOSTICS, self._on_diagnostics)):
             self._node.create_subscription(
                 message_class(topic), topic.name, receive, qos_profile(topic)
             )

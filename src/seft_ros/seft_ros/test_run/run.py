@@ -12,14 +12,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.node.middleware import prepare_on_this_host
 from seft_msgs_py.node.shutdown import as_before, on_ending
-from seft_msgs_py.wire.topics import (
-    EXPERIMENT_STATE,
-    NODES,
-    LoopTopic,
-    bare,
-    topics_of,
-    with_rigs,
-)
+from seft_msgs_py.wire.topics import EXPERIMENT_STATE, NODES, LoopTopic, bare, topics_of, with_rigs
 
 from seft_ros.recording.room import obstacle
 from seft_ros.test_run.observer import Observer
@@ -111,9 +104,7 @@ class RunMonitor:
                 return
             if observer.state == State.TRIPPED:
                 raise ExperimentError(f"the supervisor refused to start: {answer}")
-            observer.spin(
-                POLL_PERIOD
-            )  # a node was away for a moment: wait until all are there again
+            observer.spin(POLL_PERIOD)  # a node was away for a moment: wait for it
 
     def _wait_until_ready(self, deadline: float) -> None:
         observer = self._observer
