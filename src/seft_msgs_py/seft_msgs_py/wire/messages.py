@@ -27,6 +27,7 @@ from seft_msgs_py.wire.topics import (
     DIAGNOSTIC_ARRAY,
     DIAGNOSTIC_STATUS,
     ESTIMATES,
+    JOINT_TRAJECTORY,
     STRING,
 )
 
@@ -58,7 +59,9 @@ class Status:
 @cache
 def typestore() -> Typestore:
     """Definitions of the standard messages of ROS 2 Jazzy."""
-    return get_typestore(Stores.ROS2_JAZZY)
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.get_msgdef(JOINT_TRAJECTORY)  # prepared now: it may be needed first by a running test
+    return store
 
 
 def encode_string(text: str) -> bytes:
