@@ -12,6 +12,7 @@ from seft_msgs_py.config.experiment import (
     parse_override,
     read_parameter_file,
     split_ros_arguments,
+    write_parameter_file,
 )
 from seft_msgs_py.config.parameter_table import Parameter, Table
 from seft_msgs_py.errors import InputError
@@ -301,6 +302,19 @@ for name in ("rig", "reference_force"):
                       for n, v in found.items()}
 print(json.dumps(sections))
 """
+
+
+def test_a_file_is_written_anew_only_where_that_is_asked_for(tmp_path):
+    path, sections = tmp_path / "link.yaml", {"reference_force": {"loop_delay": 3}}
+    write_parameter_file(path, sections, ["by a test"])
+    assert path.read_text().startswith("# by a test\nreference_force:")
+    with pytest.raises(InputError, match="exists already"):
+        write_parameter_file(path, {})
+    sections["reference_force"]["loop_delay"] = 4
+    write_parameter_file(path, sections, replace=True)
+    assert read_parameter_file(path) == sections
+    with pytest.raises(InputError, match="can't be written: Is a directory"):
+        write_parameter_file(tmp_path, sections, replace=True)
 
 
 def test_what_is_written_is_read_by_ros_itself(load, tmp_path):

@@ -4,6 +4,7 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import ERROR, OK, WARN, Status
@@ -18,8 +19,6 @@ FINISHED = "finished"
 TRIPPED = "tripped"
 STOPPED = "stopped"
 """Reason of a rig that obeyed the supervisor, which knows the cause."""
-MOVING = ("running", "ramping_down")
-"""States of a test in which a rig obeys commands."""
 LISTED_STEPS = 100
 """Most missed steps that a status lists; all are counted."""
 ROUND_TRIPS = {
@@ -30,6 +29,23 @@ ROUND_TRIPS = {
     "largest": "round trip largest (ms)",
 }
 """Quantiles of the time from a sample to its command, and their names in a status."""
+
+
+class State(StrEnum):
+    """States of a test."""
+
+    IDLE = "idle"
+    READY = "ready"
+    RUNNING = "running"
+    RAMPING_DOWN = "ramping_down"
+    DONE = "done"
+    TRIPPED = "tripped"
+
+
+MOVING = (State.RUNNING, State.RAMPING_DOWN)
+"""States in which the rig obeys commands."""
+ENDED = (State.DONE, State.TRIPPED)
+"""States that only a reset leaves."""
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.wire.messages import Status, decode_clock, decode_description
-from seft_msgs_py.wire.outcome import FINISHED, TRIPPED
+from seft_msgs_py.wire.outcome import FINISHED, TRIPPED, State
 from seft_msgs_py.wire.topics import (
     CLOCK_TOPIC,
     DESCRIPTION,
@@ -23,7 +23,6 @@ from seft_plant_sim.rig.limits import NAMES, UNITS
 
 from seft_ros.test_run.player import Player
 from seft_ros.test_run.processes import NodeProcesses
-from seft_ros.test_run.state_machine import State
 
 BASELINE = 20  # samples at rest that the motion is counted from
 FOUND = 20.0  # s until the rig is found

@@ -10,7 +10,7 @@ from dataclasses import replace
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.node.realtime import boot, started
-from seft_msgs_py.wire.outcome import FINISHED, TRIPPED
+from seft_msgs_py.wire.outcome import FINISHED, TRIPPED, State
 from seft_msgs_py.wire.topics import LOOP_TOPICS, VALVE_COMMAND
 from seft_plant_sim.reference.whole_structure import tested_specimen
 
@@ -23,7 +23,6 @@ from seft_ros.recording.stall_watch import StallWatch
 from seft_ros.test_run.observer import alone_on_the_graph
 from seft_ros.test_run.process_layout import prefer_latency
 from seft_ros.test_run.processes import one_node
-from seft_ros.test_run.state_machine import State
 
 ATTEMPTS = 3
 """Tests that are run until one goes as planned: this host may stand still meanwhile."""

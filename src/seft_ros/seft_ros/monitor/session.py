@@ -8,10 +8,8 @@ from typing import Any
 
 from seft_msgs_py.node.realtime import AwakeClock
 from seft_msgs_py.wire.messages import Status
-from seft_msgs_py.wire.outcome import RIG
+from seft_msgs_py.wire.outcome import ENDED, RIG, State
 from seft_msgs_py.wire.topics import NODES, bare
-
-from seft_ros.test_run.state_machine import ENDED, State
 
 SILENCE = 1.0  # s; nodes give a sign of life five times a second
 ENDED_WITH_TEST = 0.5  # s before a test's end: who spoke then has left after it

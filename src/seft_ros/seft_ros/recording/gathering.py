@@ -18,7 +18,7 @@ from seft_msgs_py.wire.messages import (
     decode_diagnostics,
     decode_status,
 )
-from seft_msgs_py.wire.outcome import STOPPED, Outcome, Trip, read_outcome
+from seft_msgs_py.wire.outcome import ENDED, STOPPED, Outcome, State, Trip, read_outcome
 from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND, Timebase
 from seft_msgs_py.wire.topics import (
     GROUND_MOTION,
@@ -34,7 +34,6 @@ from seft_ros.force_controller.link_record import LinkRecord
 from seft_ros.recording.message_block import MessageBlock
 from seft_ros.recording.record import Estimates, Event, Series
 from seft_ros.recording.samples import EstimateBuffer, SampleBuffer
-from seft_ros.test_run.state_machine import ENDED, State
 
 _MOST_EVENTS = 1000
 _LEVELS = {OK: "ok", WARN: "warn", ERROR: "error", STALE: "stale"}

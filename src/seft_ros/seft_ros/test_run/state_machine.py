@@ -5,30 +5,16 @@ docs/safety.md shows them as a diagram.
 
 import math
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import Status
+from seft_msgs_py.wire.outcome import ENDED as ENDED
+from seft_msgs_py.wire.outcome import MOVING as MOVING
+from seft_msgs_py.wire.outcome import State as State
 from seft_msgs_py.wire.timebase import Timebase
 
-
-class State(StrEnum):
-    """States of a test."""
-
-    IDLE = "idle"
-    READY = "ready"
-    RUNNING = "running"
-    RAMPING_DOWN = "ramping_down"
-    DONE = "done"
-    TRIPPED = "tripped"
-
-
-MOVING = (State.RUNNING, State.RAMPING_DOWN)
-"""States in which the rig obeys commands."""
-ENDED = (State.DONE, State.TRIPPED)
-"""States that only a reset leaves."""
 ABORTED = "aborted by the operator"
 """Reason of a trip by ``estop``: the emergency stop proper is a button in hardware."""
 PACE = "pace"
