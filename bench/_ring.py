@@ -13,8 +13,14 @@ import rclpy
 from _udp_ring import MESSAGE_SIZE
 from rclpy.node import Node
 from seft_msgs_py.node.middleware import PROFILES, RANGE
-from seft_msgs_py.node.ros_types import message_class, qos_profile
-from seft_msgs_py.node.wait_set import WaitSet, raw_subscription, sender, taker
+from seft_msgs_py.node.rclpy_interface import (
+    WaitSet,
+    message_class,
+    qos_profile,
+    raw_subscription,
+    sender,
+    taker,
+)
 from seft_msgs_py.wire.topics import JOINT_TRAJECTORY, Topic
 
 

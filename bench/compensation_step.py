@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.reference.whole_structure import reference_response
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.tables import TABLES
 from seft_ros.reference_force.block import ReferenceForce
 from seft_ros.reference_force.compensation.methods import METHODS
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.parameter_tables import TABLES
 
 CONFIG = Path(__file__).parent.parent / "config" / "jhu.yaml"
 STEPS = 2000

@@ -14,8 +14,8 @@ import numpy as np
 from _plain_loop import steps_per_second as plain_steps_per_second
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import RIG_STATE
-from seft_ros.experiment.ensemble import Workshop, run_ensemble
-from seft_ros.experiment.tables import TABLES
+from seft_ros.test_run.offline import Workshop, thread_map
+from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.tournament.entries import make_tournament
 
 try:
@@ -36,6 +36,16 @@ CASES = {  # configuration, overrides, steps/s on all cores wanted over those of
     "the same, Bouc-Wen specimen": ("jhu.yaml", [*COMMON, *YIELDS], 1.0),
     "the same, target_motion": ("demo.yaml", YIELDS, 0.6),
 }
+
+
+def run_ensemble(experiments, reduce, workers=1):
+    """Results of tests on several threads, in their order."""
+    shop = Workshop()
+
+    def one(number, experiment):
+        return reduce(number, shop.run(experiment))
+
+    return thread_map(workers, one, range(len(experiments)), experiments)
 
 
 def opensees_steps_per_second(motion: list[float], dt: float = 0.002) -> float:

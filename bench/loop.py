@@ -14,10 +14,10 @@ import _ring
 import _udp_ring
 from _runs import CONFIG, recorded_run, use_own_domain
 from seft_msgs_py.config.experiment import Experiment
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.offline import simulate
-from seft_ros.experiment.tables import TABLES
-from seft_ros.running.process_layout import ProcessLayout
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.parameter_tables import TABLES
+from seft_ros.test_run.process_layout import ProcessLayout
 
 ROUNDS = 3
 LAPS = 3_000

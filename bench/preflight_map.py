@@ -13,7 +13,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_map import stability_maps
 from seft_ros.design.stability_margins import find_margins
-from seft_ros.experiment.tables import TABLES
+from seft_ros.test_run.parameter_tables import TABLES
 
 FOLDER = Path(__file__).parent.parent / "config"
 ROUNDS = 3

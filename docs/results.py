@@ -10,13 +10,12 @@ import math
 import sys
 
 import numpy as np
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_file import parse_override
+from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_plant_sim.reference.whole_structure import reference_response
 from seft_ros.analysis.metrics import nrmse
-from seft_ros.experiment.blocks import Blocks, build_blocks
-from seft_ros.experiment.offline import simulate
-from seft_ros.experiment.tables import TABLES
+from seft_ros.test_run.blocks import Blocks, build_blocks
+from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.parameter_tables import TABLES
 
 SPECIMEN, ACTUATOR, TOLD = "rig:specimen.", "rig:actuator.", "force_controller:actuator."
 MODEL, METHOD = "reference_force:model.", "reference_force:compensation.method"

@@ -14,9 +14,9 @@ from graph_tools import JHU, PATIENCE
 from hostile import Hostile
 from seft_msgs_py.config.experiment import Experiment
 from seft_ros.commands.main import main
-from seft_ros.experiment.tables import TABLES
-from seft_ros.running.observer import Observer
-from seft_ros.running.processes import MODULES
+from seft_ros.test_run.observer import Observer
+from seft_ros.test_run.parameter_tables import TABLES
+from seft_ros.test_run.processes import MODULES
 
 _WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
 _OFFLINE = ("simulate", "compare")

@@ -37,7 +37,7 @@ from seft_msgs_py.errors import InputError
 from seft_ros.recording.bag_reader import read_bag
 from seft_ros.recording.record import Record
 from seft_ros.recording.recover import recover
-from seft_ros.running.processes import MODULES
+from seft_ros.test_run.processes import MODULES
 
 MOMENTS = ("starting", "ready", "running", "ramping down", "ending")
 ACTIONS = (
@@ -285,7 +285,7 @@ def act(plan: Plan, run: Run) -> bool:
 def call(service: str) -> bool:
     """Call a service of the supervisor, from a process that is gone afterwards."""
     words = (
-        "from seft_ros.running.observer import Observer\n"
+        "from seft_ros.test_run.observer import Observer\n"
         "observer = Observer()\n"
         f"try: print(observer.call({service!r}, 5.0)[0])\n"
         "finally: observer.close()"

@@ -8,7 +8,7 @@ from collections.abc import Callable, Container, Iterable
 from pathlib import Path
 
 import pytest
-from seft_ros.running.processes import COMPOSED, MODULES
+from seft_ros.test_run.processes import COMPOSED, MODULES
 
 ROOT = Path(__file__).parent.parent
 JHU = ROOT / "config" / "jhu.yaml"

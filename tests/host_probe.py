@@ -10,11 +10,11 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.node.ros_types import message_class, qos_profile
+from seft_msgs_py.node.rclpy_interface import message_class, qos_profile
 from seft_msgs_py.wire.messages import decode_diagnostics
 from seft_msgs_py.wire.topics import DIAGNOSTICS, RIG_STATE, VALVE_COMMAND
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_ros.experiment.tables import TABLES
+from seft_ros.test_run.parameter_tables import TABLES
 
 
 def tell(**what):

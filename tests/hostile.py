@@ -10,9 +10,14 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.node.exit_watchdog import leave_graph
-from seft_msgs_py.node.ros_types import message_class, qos_profile
-from seft_msgs_py.node.wait_set import WaitSet, raw_subscription, taker
+from seft_msgs_py.node.rclpy_interface import (
+    WaitSet,
+    message_class,
+    qos_profile,
+    raw_subscription,
+    taker,
+)
+from seft_msgs_py.node.shutdown import leave_graph
 from seft_msgs_py.wire.messages import Status, encode_status, encode_string
 from seft_msgs_py.wire.topics import (
     DESCRIPTION,

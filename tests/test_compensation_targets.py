@@ -7,14 +7,12 @@ Peak forces are the largest that the valve serves at these mass ratios. The mode
 import numpy as np
 import pytest
 from graph_tools import JHU, ROOT
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_file import parse_override
+from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_ros.analysis.summary import summarise
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.method import with_method
-from seft_ros.experiment.offline import simulate
-from seft_ros.experiment.tables import TABLES
+from seft_ros.test_run.blocks import build_blocks, with_method
+from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.parameter_tables import TABLES
 
 RECORDS = ROOT.parent / "shared" / "data"
 FILES = {

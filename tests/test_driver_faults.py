@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from graph_tools import ROOT
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.wire.rigs import RigAxes
+from seft_msgs_py.wire.topics import RigAxes
 
 TEMPLATE = ROOT / "templates" / "rig_driver"
 

@@ -28,7 +28,7 @@ from graph_tools import (
 )
 from seft_ros.commands.main import main
 from seft_ros.recording.bag_reader import read_bag
-from seft_ros.running.processes import MODULES
+from seft_ros.test_run.processes import MODULES
 
 NO_COMMAND_ALLOWED = ("-p", "supervisor:watchdog.command_timeout:=60.0")
 """In realtime, the rig waits until the supervisor has found out who is silent."""
@@ -334,7 +334,7 @@ def told_at_once(monkeypatch, capfd, tmp_path):
             raise AssertionError("the run went on")
 
         monkeypatch.chdir(tmp_path)
-        monkeypatch.setattr("seft_ros.running.run.Observer", never)
+        monkeypatch.setattr("seft_ros.test_run.run.Observer", never)
         monkeypatch.setattr(sys, "argv", ["seft", "run", str(JHU), *words])
         assert main() == 2
         out, errors = capfd.readouterr()

@@ -5,12 +5,10 @@ import itertools
 import numpy as np
 import pytest
 from graph_tools import JHU, ROOT, THOROUGH
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_file import parse_override
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.method import with_method
-from seft_ros.experiment.offline import simulate
-from seft_ros.experiment.tables import TABLES
+from seft_msgs_py.config.experiment import Experiment, parse_override
+from seft_ros.test_run.blocks import build_blocks, with_method
+from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.parameter_tables import TABLES
 
 RECORDS = ROOT.parent / "shared" / "data"
 FILES = {"Kobe": "kobe_jma_1995.txt", "El Centro": "elcentro_1940.txt"}

@@ -13,7 +13,7 @@ from rclpy.parameter_client import AsyncParameterClient
 from seft_msgs_py.wire.topics import NODES
 from seft_ros.interlock.ramp_down import RampDown
 from seft_ros.recording.bag_reader import read_bag
-from seft_ros.running.processes import MODULES
+from seft_ros.test_run.processes import MODULES
 from std_srvs.srv import Trigger
 
 SHORT = ("ground_motion:synthetic.duration:=3.0", "ground_motion:tail:=0.2")

@@ -14,9 +14,9 @@ from rcl_interfaces.srv import (
     SetParameters,
     SetParametersAtomically,
 )
-from seft_msgs_py.node.ros_types import message_class, qos_profile
+from seft_msgs_py.node.rclpy_interface import message_class, qos_profile
 from seft_msgs_py.wire.topics import DIAGNOSTICS
-from seft_ros.running.processes import MODULES
+from seft_ros.test_run.processes import MODULES
 
 OVERRIDES = (
     *STALLS_ALLOWED[1::2],

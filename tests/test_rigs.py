@@ -14,11 +14,10 @@ from graph_tools import (
     thorough,
     wait_for,
 )
-from seft_msgs_py.wire.rigs import rigs_of
-from seft_msgs_py.wire.topics import RIG_STATE, VALVE_COMMAND
-from seft_msgs_py.wire.trajectory_message import parse_trajectory
+from seft_msgs_py.wire.topics import RIG_STATE, VALVE_COMMAND, rigs_of
+from seft_msgs_py.wire.trajectory_layout import parse_trajectory
 from seft_ros.recording.bag_reader import read_bag, read_messages
-from seft_ros.running.processes import COMPOSED, MODULES
+from seft_ros.test_run.processes import COMPOSED, MODULES
 from two_hosts import two_hosts
 
 __all__ = ["two_hosts"]

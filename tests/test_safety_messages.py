@@ -7,7 +7,7 @@ import time
 from collections import defaultdict
 
 from graph_tools import JHU, MISSES_ALLOWED, PATIENCE, STALLS_ALLOWED, THOROUGH, children, wait_for
-from seft_msgs_py.node.ros_types import message_class, qos_profile
+from seft_msgs_py.node.rclpy_interface import message_class, qos_profile
 from seft_msgs_py.wire.messages import Status, decode_diagnostics, encode_status
 from seft_msgs_py.wire.topics import (
     DIAGNOSTICS,
@@ -19,7 +19,7 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_ros.recording.bag_files import open_bag
 from seft_ros.recording.bag_reader import read_bag
-from seft_ros.running.processes import MODULES
+from seft_ros.test_run.processes import MODULES
 
 LONG = ("-p", "ground_motion:synthetic.duration:=60.0")
 SHORT = "ground_motion:synthetic.duration:=3.0"

@@ -7,12 +7,11 @@ it moves, as a laboratory does.
 import numpy as np
 import pytest
 from graph_tools import ROOT, THOROUGH
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_file import parse_override
+from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_ros.analysis.summary import summarise
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.offline import simulate
-from seft_ros.experiment.tables import TABLES
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.parameter_tables import TABLES
 
 FRAME = ROOT / "config" / "three_storey_frame.yaml"
 SHORT = ("ground_motion:synthetic.duration:=16.0", "ground_motion:peak_force:=250.0")

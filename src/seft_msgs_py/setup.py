@@ -15,7 +15,7 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.12",
     packages=find_packages(exclude=["test"]),
-    package_data={NAME: ["py.typed", "node/middleware/*.xml"]},
+    package_data={NAME: ["py.typed", "node/*.xml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

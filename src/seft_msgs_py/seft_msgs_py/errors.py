@@ -1,8 +1,8 @@
-"""The two ways in which something a user asked for can fail."""
+"""Errors that a user sees."""
 
 
 class SeftError(Exception):
-    """Base of the errors that are told to a user in one line.
+    """Base of the errors that are printed in one line.
 
     The text says what is wrong, where, and how to mend it.
     """
@@ -10,18 +10,18 @@ class SeftError(Exception):
     exit_status = 1
 
     def __str__(self) -> str:
-        return " ".join(super().__str__().splitlines())  # whatever a file or an option held
+        return " ".join(super().__str__().splitlines())  # a file or an option may hold several
 
 
 class InputError(SeftError):
-    """What was given (file, parameter, message, option) can't be used; exit status 2."""
+    """An input (file, parameter, message, option) can't be used; exit status 2."""
 
     exit_status = 2
 
 
 class ExperimentError(SeftError):
-    """A test that was under way could not go on; exit status 1."""
+    """A running test could not go on; exit status 1."""
 
 
 class WireError(InputError):
-    """Bytes received on a topic, or values to be sent on it, do not fit its contract."""
+    """Bytes received on a topic, or values to send on it, break its contract."""

@@ -6,12 +6,13 @@ import sys
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_file import (
+from seft_msgs_py.config.experiment import (
     EVERY_NODE,
+    Experiment,
     parse_override,
     read_parameter_file,
     split_ros_arguments,
+    write_parameter_file,
 )
 from seft_msgs_py.config.parameter_table import Parameter, Table
 from seft_msgs_py.errors import InputError
@@ -175,7 +176,7 @@ def wildcard(text):
 
 
 def test_a_file_that_is_too_large_is_refused_without_a_look_into_it(tmp_path, monkeypatch):
-    monkeypatch.setattr("seft_msgs_py.config.parameter_file._parse_yaml", None)
+    monkeypatch.setattr("seft_msgs_py.config.experiment._parse_yaml", None)
     path = tmp_path / "large.yaml"
     path.write_text("#" * 1_000_001)
     for each in (path, "/dev/zero"):
@@ -301,6 +302,19 @@ for name in ("rig", "reference_force"):
                       for n, v in found.items()}
 print(json.dumps(sections))
 """
+
+
+def test_a_file_is_written_anew_only_where_that_is_asked_for(tmp_path):
+    path, sections = tmp_path / "link.yaml", {"reference_force": {"loop_delay": 3}}
+    write_parameter_file(path, sections, ["by a test"])
+    assert path.read_text().startswith("# by a test\nreference_force:")
+    with pytest.raises(InputError, match="exists already"):
+        write_parameter_file(path, {})
+    sections["reference_force"]["loop_delay"] = 4
+    write_parameter_file(path, sections, replace=True)
+    assert read_parameter_file(path) == sections
+    with pytest.raises(InputError, match="can't be written: Is a directory"):
+        write_parameter_file(tmp_path, sections, replace=True)
 
 
 def test_what_is_written_is_read_by_ros_itself(load, tmp_path):

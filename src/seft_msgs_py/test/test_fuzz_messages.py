@@ -8,8 +8,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.wire.estimates import EstimatesCodec
 from seft_msgs_py.wire.messages import (
+    EstimatesCodec,
     Status,
     decode_clock,
     decode_description,
@@ -24,9 +24,8 @@ from seft_msgs_py.wire.messages import (
 from seft_msgs_py.wire.outcome import Saturation, Trip, read_outcome, rig_status
 from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import GROUND_MOTION, LOOP_TOPICS
-from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_msgs_py.wire.trajectory_batch import decode_batch
-from seft_msgs_py.wire.trajectory_message import parse_trajectory
+from seft_msgs_py.wire.trajectory import TrajectoryCodec, decode_batch
+from seft_msgs_py.wire.trajectory_layout import parse_trajectory
 
 TIMEBASE = Timebase.from_rate(500.0)
 AXES = ("east", "north")

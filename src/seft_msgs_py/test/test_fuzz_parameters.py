@@ -3,8 +3,8 @@
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_file import (
+from seft_msgs_py.config.experiment import (
+    Experiment,
     parse_override,
     read_parameter_file,
     split_ros_arguments,

@@ -94,7 +94,7 @@ def test_a_fault_is_counted_and_told_and_the_process_goes_on():
     done = subprocess.run([sys.executable, "-c", FAULTY], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == [
-        "2 1 a fault of the program in a look: KeyError: 'name'",
+        "2 1 a fault of the program in a poll: KeyError: 'name'",
         "4 2",
         "None 3",
         "told",

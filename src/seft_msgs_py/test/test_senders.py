@@ -39,25 +39,25 @@ def senders_of(graph, topic):
 
 def test_before_a_test_nobody_is_a_stranger(topic):
     senders = senders_of(Graph(), topic)
-    assert not senders.is_stranger(topic.name, FALSE)
+    assert not senders.is_foreign(topic.name, FALSE)
 
 
 def test_who_joins_a_test_is_a_stranger_until_it_ends(topic):
     graph = Graph()
     senders = senders_of(graph, topic)
     senders.follow(True)
-    assert senders.look() == []
+    assert senders.poll() == []
     graph.publishers["/other"] = FALSE
     senders.follow(True)  # running, then ramping down: one test
-    assert not senders.is_stranger(topic.name, TRUE)
-    assert senders.is_stranger(topic.name, FALSE)
+    assert not senders.is_foreign(topic.name, TRUE)
+    assert senders.is_foreign(topic.name, FALSE)
     assert senders.strangers() == f"{UNNAMED} on {topic.name}: 1"
-    assert senders.look() == [f"/other publishes {topic.name}, too: it is not heard in this test"]
-    assert senders.look() == []
-    assert senders.is_stranger(topic.name, FALSE)
+    assert senders.poll() == [f"/other publishes {topic.name}, too: it is not heard in this test"]
+    assert senders.poll() == []
+    assert senders.is_foreign(topic.name, FALSE)
     assert senders.strangers() == f"/other on {topic.name}: 2"
     senders.follow(False)
-    assert not senders.is_stranger(topic.name, FALSE)
+    assert not senders.is_foreign(topic.name, FALSE)
     senders.follow(True)
     assert senders.strangers() == ""
 
@@ -67,9 +67,9 @@ def test_a_stranger_that_says_nothing_is_named_too_once_its_name_is_known():
     senders = senders_of(graph, RIG_STATE)
     senders.follow(True)
     graph.publishers[f"/{NAMELESS}"] = FALSE
-    assert senders.look() == []
+    assert senders.poll() == []
     graph.publishers = {"/rig": TRUE, "/other": FALSE}
-    assert len(senders.look()) == 1
+    assert len(senders.poll()) == 1
     assert senders.strangers() == "/other on rig/state: 0"
 
 
@@ -77,7 +77,7 @@ def test_of_two_who_are_there_at_the_begin_both_are_named_and_none_is_chosen():
     senders = senders_of(Graph(**{"/rig": TRUE, "/other": FALSE}), RIG_STATE)
     assert senders.conflict() == "2 nodes publish rig/state (/other, /rig)"
     senders.follow(True)
-    assert not senders.is_stranger(RIG_STATE.name, FALSE)
+    assert not senders.is_foreign(RIG_STATE.name, FALSE)
 
 
 def test_who_is_known_and_not_connected_yet_is_told_apart_by_its_name():
@@ -85,11 +85,11 @@ def test_who_is_known_and_not_connected_yet_is_told_apart_by_its_name():
     graph.connected = 1
     senders = senders_of(graph, RIG_STATE)
     senders.follow(True)
-    assert senders.is_stranger(RIG_STATE.name, FALSE)
+    assert senders.is_foreign(RIG_STATE.name, FALSE)
 
 
 def test_what_every_node_publishes_knows_no_strangers():
     senders = senders_of(Graph(**{"/rig": TRUE, "/other": FALSE}), DIAGNOSTICS)
     assert senders.conflict() == ""
     senders.follow(True)
-    assert not senders.is_stranger(DIAGNOSTICS.name, FALSE)
+    assert not senders.is_foreign(DIAGNOSTICS.name, FALSE)

@@ -77,7 +77,7 @@ def test_quantities_stand_in_the_order_of_the_message():
 
 def test_types_exist():
     pytest.importorskip("rclpy")
-    from seft_msgs_py.node.node_shell import message_class
+    from seft_msgs_py.node.rclpy_interface import message_class
 
     for topic in TOPICS:
         assert message_class(topic).__name__ == topic.type.split("/")[-1]

@@ -19,7 +19,7 @@ from seft_msgs_py.wire.topics import (
     TARGET,
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_msgs_py.wire.trajectory_message import parse_trajectory
+from seft_msgs_py.wire.trajectory_layout import parse_trajectory
 
 serialization = pytest.importorskip("rclpy.serialization")
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint  # noqa: E402

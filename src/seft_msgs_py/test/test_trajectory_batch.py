@@ -9,8 +9,7 @@ from hypothesis.extra.numpy import arrays
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import LOOP_TOPICS, REFERENCE_FORCE, RIG_STATE, TARGET
-from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_msgs_py.wire.trajectory_batch import decode_batch
+from seft_msgs_py.wire.trajectory import TrajectoryCodec, decode_batch
 
 TIMEBASE = Timebase.from_rate(500.0)
 NAMES = ("x", "größe", "an axis of a longer name", "y3")

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.node.awake_clock import AwakeClock
 from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import WARM_UP_STEPS, NodeShell
+from seft_msgs_py.node.realtime import AwakeClock
 from seft_msgs_py.wire.messages import Status, decode_status, encode_clock, restamp
 from seft_msgs_py.wire.outcome import (
     FINISHED,
@@ -23,7 +23,6 @@ from seft_msgs_py.wire.outcome import (
     Trip,
     rig_status,
 )
-from seft_msgs_py.wire.rigs import until_start
 from seft_msgs_py.wire.topics import (
     CLOCK_TOPIC,
     DIAGNOSTICS,
@@ -32,6 +31,7 @@ from seft_msgs_py.wire.topics import (
     RIG_STATE,
     VALVE_COMMAND,
     LoopTopic,
+    until_start,
 )
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 

@@ -9,11 +9,16 @@ import numpy as np
 import pytest
 from rich.console import Console
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.wire.outcome import Trip
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.figures import test_figure as draw
 from seft_ros.analysis.summary import summarise
 from seft_ros.analysis.summary_text import summary_table
-from seft_ros.recording.record import Estimates, Record, Series, Trip
+from seft_ros.recording.record import (
+    Estimates,
+    Record,
+    Series,
+)
 
 DELAY = np.array([[0.010, 0.010], [0.0141, 0.009], [0.0136, 0.012]])
 STIFFNESS = np.array([[2.11e5, 3e5], [2.0e5, 3.1e5], [1.9e5, 3.2e5]])

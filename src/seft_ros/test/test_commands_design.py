@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 from seft_msgs_py.config.experiment import Experiment
-from seft_ros.experiment.tables import TABLES
+from seft_ros.test_run.parameter_tables import TABLES
 
 JHU = str(Path(__file__).parents[3] / "config" / "jhu.yaml")
 PAPER = ("--numerator", "37", "--denominator", "1 17.14 4002")

@@ -15,7 +15,7 @@ from seft_ros.conformance.driver import Guard, Samples, Trial
 from seft_ros.conformance.finding import finding_line, found, not_run, verdict
 from seft_ros.conformance.motion_checks import Drive
 from seft_ros.conformance.obedience_checks import KINDS, BadCommands
-from seft_ros.experiment.tables import TABLES
+from seft_ros.test_run.parameter_tables import TABLES
 
 RATE = 500.0
 DT = 1 / RATE

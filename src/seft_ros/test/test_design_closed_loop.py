@@ -16,10 +16,10 @@ from seft_ros.design.closed_loop import ClosedLoop
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import critical_mass_ratio
 from seft_ros.design.stability_verdict import predicted_modes
-from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.block import ForceController
 from seft_ros.reference_force.block import ReferenceForce
 from seft_ros.reference_force.compensation.methods import METHODS
+from seft_ros.test_run.parameter_tables import TABLES
 
 M, C, K = 52.7, 800.3, 2.11e5
 RIG = {

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from seft_msgs_py.config.parameter_file import read_parameter_file
+from seft_msgs_py.config.experiment import read_parameter_file
 from seft_msgs_py.errors import InputError
 from seft_ros.design.controller import (
     Controller,

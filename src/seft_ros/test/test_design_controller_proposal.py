@@ -7,7 +7,7 @@ from seft_msgs_py.errors import InputError
 from seft_ros.design.controller_proposal import propose_controller
 from seft_ros.design.loop_design import shape_loop
 from seft_ros.design.plant import rig_plant
-from seft_ros.experiment.tables import TABLES
+from seft_ros.test_run.parameter_tables import TABLES
 
 DT = 0.002
 RIG = {  # crossover of 12 Hz under the paper's Eq. 3.1

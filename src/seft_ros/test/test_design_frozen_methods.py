@@ -14,15 +14,15 @@ from seft_ros.design.plan import Plan
 from seft_ros.design.preflight_tables import summarise
 from seft_ros.design.stability_margins import HIGHEST_MASS_RATIO, find_margins
 from seft_ros.design.stability_verdict import preflight
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.offline import simulate
-from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.velocity_feedforward import (
     LARGEST_GAIN_ERROR,
     VelocityFeedforward,
 )
 from seft_ros.reference_force.block import knowledge
 from seft_ros.target.target_motion import TargetMotion
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.parameter_tables import TABLES
 
 DEMO = Path(__file__).parents[3] / "config" / "demo.yaml"
 K, OIL = 2.11e5, 1.664e7

@@ -3,8 +3,7 @@
 from pathlib import Path
 
 import pytest
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_file import parse_override, read_parameter_file
+from seft_msgs_py.config.experiment import Experiment, parse_override, read_parameter_file
 from seft_msgs_py.errors import InputError
 from seft_ros.design.preflight_tables import (
     expected_peaks,
@@ -12,9 +11,9 @@ from seft_ros.design.preflight_tables import (
     proposed_limits,
     write_limits,
 )
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.offline import simulate
-from seft_ros.experiment.tables import TABLES
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.parameter_tables import TABLES
 
 DEMO = Path(__file__).parents[3] / "config" / "demo.yaml"
 

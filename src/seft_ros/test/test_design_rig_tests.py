@@ -4,8 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_file import parse_override
+from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
 from seft_ros.design.rig_tests import (
     Levels,
@@ -19,10 +18,10 @@ from seft_ros.design.rig_tests import (
     voltage_after,
     write_excitation,
 )
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.offline import simulate
-from seft_ros.experiment.tables import TABLES
 from seft_ros.ground_motion.synthetic_motion import excitation
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.parameter_tables import TABLES
 
 JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
 LEVELS = Levels(voltage=0.1, force=200.0)

@@ -4,12 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_file import parse_override
+from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_ros.design import stability_map
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import find_margins
-from seft_ros.experiment.tables import TABLES
+from seft_ros.test_run.parameter_tables import TABLES
 
 CONFIG = Path(__file__).parents[3] / "config"
 RATIO = "reference_force:mass_ratio:=0.5"

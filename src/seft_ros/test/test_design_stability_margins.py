@@ -13,10 +13,10 @@ from seft_ros.design.stability_margins import (
     stability_change,
 )
 from seft_ros.design.stability_verdict import preflight
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.offline import simulate
-from seft_ros.experiment.tables import TABLES
 from seft_ros.reference_force.compensation.methods import METHODS
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.parameter_tables import TABLES
 
 M, C, K = 52.7, 800.3, 2.11e5
 OF_FORCES = [name for name in METHODS if name != "target_motion"]  # test_design_frozen_methods.py

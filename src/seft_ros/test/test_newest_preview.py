@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_file import parse_override
+from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError, WireError
-from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.newest_preview import NewestPreview
 from seft_ros.interlock.ramp_down import RampDown
+from seft_ros.test_run.parameter_tables import TABLES
 
 D, DT = 4, 0.002
 

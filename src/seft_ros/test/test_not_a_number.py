@@ -8,7 +8,7 @@ from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import LOOP_TOPICS, TARGET
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_ros.experiment.tables import TABLES
+from seft_ros.test_run.parameter_tables import TABLES
 
 NOT_FINITE = (float("nan"), float("inf"), float("-inf"))
 ROWS = [(t.node, row) for t in TABLES for row in t.rows.values() if row.kind.startswith("float")]

@@ -4,12 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_file import parse_override
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.offline import simulate
-from seft_ros.experiment.tables import TABLES
+from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_ros.interlock.ramp_down import RampDown
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.parameter_tables import TABLES
 
 CONFIG = Path(__file__).parents[3] / "config"
 SHORT = ("ground_motion:synthetic.duration:=5.0", "ground_motion:tail:=0.5")

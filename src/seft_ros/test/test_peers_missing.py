@@ -2,10 +2,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.wire.messages import Status
-from seft_msgs_py.wire.rigs import rigs_of, with_rigs
-from seft_msgs_py.wire.topics import NODES, TOPICS, topics_of
-from seft_ros.experiment.peers import Heard, silence, silent
-from seft_ros.experiment.peers import missing as missing_after
+from seft_msgs_py.wire.topics import NODES, TOPICS, rigs_of, topics_of, with_rigs
+from seft_ros.test_run.peers import Heard, silence, silent
+from seft_ros.test_run.peers import missing as missing_after
 
 PEERS = tuple(node for node in NODES if node != "supervisor")
 NOW = 100.0

@@ -7,8 +7,13 @@ import yaml
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.estimates import EstimatesCodec
-from seft_msgs_py.wire.messages import Status, encode_diagnostics, encode_status, encode_string
+from seft_msgs_py.wire.messages import (
+    EstimatesCodec,
+    Status,
+    encode_diagnostics,
+    encode_status,
+    encode_string,
+)
 from seft_msgs_py.wire.outcome import Trip, rig_status
 from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import (

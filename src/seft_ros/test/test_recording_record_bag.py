@@ -12,7 +12,7 @@ from seft_msgs_py.wire.outcome import Trip
 from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_msgs_py.wire.trajectory_message import parse_trajectory
+from seft_msgs_py.wire.trajectory_layout import parse_trajectory
 from seft_ros.recording.bag_reader import read_bag
 from seft_ros.recording.record import Estimates, Record, Series
 from seft_ros.recording.record_bag import write_record

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 from seft_msgs_py.config.experiment import Experiment
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.offline import simulate
-from seft_ros.experiment.tables import TABLES
 from seft_ros.recording.record_bag import write_record
 from seft_ros.recording.room import expected_size, obstacle
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.parameter_tables import TABLES
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
 ASK = """

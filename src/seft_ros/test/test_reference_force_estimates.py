@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_file import parse_override
+from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.wire.estimates import EstimatesCodec
-from seft_msgs_py.wire.messages import Status, encode_status
+from seft_msgs_py.wire.messages import EstimatesCodec, Status, encode_status
 from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import (
     ESTIMATES,
@@ -21,13 +19,13 @@ from seft_msgs_py.wire.topics import (
     RIG_STATE,
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.offline import simulate
-from seft_ros.experiment.tables import TABLES
 from seft_ros.reference_force.block import ReferenceForce
 from seft_ros.reference_force.compensation.methods import METHODS
 from seft_ros.reference_force.compensation.none import none
 from seft_ros.reference_force.estimate_sampler import EstimateSampler
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.parameter_tables import TABLES
 
 JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
 WORDS = (

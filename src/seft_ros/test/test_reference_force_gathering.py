@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.wire.rigs import rigs_of
+from seft_msgs_py.wire.topics import rigs_of
 from seft_ros.reference_force.state_gathering import StateGathering
 
 RIGS = rigs_of(["west/x", "east/x", "west/y"])

@@ -16,15 +16,15 @@ from seft_msgs_py.wire.topics import (
     RIG_STATE,
     VALVE_COMMAND,
 )
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.compiled_loop import Course
-from seft_ros.experiment.offline import loop_series, simulate
-from seft_ros.experiment.tables import TABLES
 from seft_ros.recording.bag_writer import BagWriter
 from seft_ros.recording.record import Record, Series
 from seft_ros.recording.record_bag import write_record
 from seft_ros.replay.recorded import Recorded, read_recorded
 from seft_ros.replay.rig_replay import RigReplay
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.compiled_loop import LoopSamples
+from seft_ros.test_run.offline import loop_series, simulate
+from seft_ros.test_run.parameter_tables import TABLES
 
 OVERRIDES = [
     ("/**", "axes", ["x"]),
@@ -81,7 +81,7 @@ def held_test(experiment, blocks, held):
         states.append(rig.step(commands[at] if at >= 0 else np.zeros(1)))
     motion = blocks.ground_motion.samples
     forces, unused = np.zeros_like(commands)[:, None], np.empty(0)
-    course = Course(np.array(states), forces, commands, unused, unused)
+    course = LoopSamples(np.array(states), forces, commands, unused, unused)
     series = loop_series(motion, course, steps)
     missed, applied = sorted(held), [held[step] for step in sorted(held)]
     return Record(experiment, series, missed=len(held), missed_steps=missed, held_steps=applied)

@@ -3,7 +3,12 @@ import itertools
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_ros.experiment.state_machine import ENDED, MOVING, State, StateMachine
+from seft_msgs_py.wire.outcome import (
+    MOVING,
+    State,
+)
+from seft_ros.conformance.driver import ENDED
+from seft_ros.test_run.state_machine import StateMachine
 
 RUNNING = (("peers", ""), ("start",))
 WAYS = {

@@ -4,12 +4,11 @@ from types import SimpleNamespace
 
 import pytest
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.node.awake_clock import AwakeClock
+from seft_msgs_py.node.realtime import AwakeClock
 from seft_msgs_py.wire.messages import Status, decode_status, encode_diagnostics
-from seft_msgs_py.wire.outcome import tripped_status
+from seft_msgs_py.wire.outcome import State, tripped_status
 from seft_msgs_py.wire.topics import DIAGNOSTICS
-from seft_ros.experiment.state_machine import State
-from seft_ros.experiment.tables import TABLES
+from seft_ros.test_run.parameter_tables import TABLES
 
 supervisor = pytest.importorskip("seft_ros.nodes.supervisor")
 

@@ -4,13 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_file import parse_override
+from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_plant_sim.reference.whole_structure import reference_response
 from seft_ros.analysis.metrics import nrmse
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.offline import simulate
-from seft_ros.experiment.tables import TABLES
 from seft_ros.reference_force.block import knowledge
 from seft_ros.target.motion_observer import observe, observer_gains
 from seft_ros.target.restoring_model import (
@@ -21,6 +17,9 @@ from seft_ros.target.restoring_model import (
     move_stops,
 )
 from seft_ros.target.target_motion import TargetMotion
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.parameter_tables import TABLES
 
 ROOT = Path(__file__).parents[3]
 METHOD = (

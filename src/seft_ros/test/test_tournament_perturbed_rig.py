@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_file import parse_override
+from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig.rig_parameters import TABLE
-from seft_ros.experiment.tables import TABLES
+from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.tournament.perturbed_rig import UNCERTAINTY, check_rig, perturbed_rig
 
 JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"

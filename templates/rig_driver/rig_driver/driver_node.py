@@ -13,9 +13,9 @@ import numpy as np
 from seft_msgs_py.config.arrays import per_axis
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.node.awake_clock import AwakeClock
 from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import NodeShell
+from seft_msgs_py.node.realtime import AwakeClock
 from seft_msgs_py.wire.messages import ERROR, OK, Status, decode_status, encode_clock
 from seft_msgs_py.wire.outcome import (
     FINISHED,
@@ -26,8 +26,13 @@ from seft_msgs_py.wire.outcome import (
     Trip,
     rig_status,
 )
-from seft_msgs_py.wire.rigs import until_start
-from seft_msgs_py.wire.topics import CLOCK_TOPIC, EXPERIMENT_STATE, RIG_STATE, VALVE_COMMAND
+from seft_msgs_py.wire.topics import (
+    CLOCK_TOPIC,
+    EXPERIMENT_STATE,
+    RIG_STATE,
+    VALVE_COMMAND,
+    until_start,
+)
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 from seft_plant_sim.rig.command import Command
 from seft_plant_sim.rig.command_watch import CommandWatch, elapsed

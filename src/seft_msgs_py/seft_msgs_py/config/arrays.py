@@ -12,7 +12,7 @@ Ints = npt.NDArray[np.int64]
 
 
 def per_axis(value: float | Sequence[float], axes: Sequence[str], where: str) -> Floats:
-    """One value for each of the n axes, shape (n,); a single number holds for all.
+    """One value for each of the n axes, shape (n,); a single number counts for all.
 
     Raises
     ------

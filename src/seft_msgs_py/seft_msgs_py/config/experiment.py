@@ -10,18 +10,23 @@ from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError
 from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 
-from seft_msgs_py.config.parameter_file import (
-    EVERY_NODE,
-    PARAMETERS_KEY,
-    Override,
-    read_parameter_file,
-)
 from seft_msgs_py.config.parameter_table import COMMON, Section, Table, Value, nearest, resolve
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.rigs import rigs_of
 from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import NODES, rigs_of
+
+EVERY_NODE = "/**"
+PARAMETERS_KEY = "ros__parameters"
+PARAMETER_OPTIONS = ("--params-file", "-p", "--param")
+"""Options of a node's command line that hold parameters."""
+
+LARGEST_FILE = 1_000_000
+"""Bytes; a test of many axes has some thousand, and to parse a million takes a minute."""
+
+Override = tuple[str, str, Value]  # node, parameter, value
 
 _COMMON_TABLE = Table(EVERY_NODE, ())
 
@@ -29,8 +34,8 @@ _COMMON_TABLE = Table(EVERY_NODE, ())
 class Experiment:
     """All parameters of a test, checked and complete: node name -> parameter name -> value.
 
-    Of nodes that each of several rigs has there is one section, of which every rig takes what is
-    of its axes.
+    Nodes that each of several rigs has share one section, of which every rig takes the values of
+    its own axes.
 
     Attributes
     ----------
@@ -39,7 +44,7 @@ class Experiment:
     axes : tuple of str
         Names of the axes, of all rigs.
     rigs : tuple of RigAxes
-        Whose they are.
+        The rigs, with their axes.
     """
 
     def __init__(self, sections: Mapping[str, Section]) -> None:
@@ -53,8 +58,9 @@ class Experiment:
                         f"{node}: {name} is {other}, but {first} has {value}; "
                         f"set it once, under {EVERY_NODE}"
                     )
-        self.timebase = Timebase.from_rate(value_of(self.sections, "rate"))
-        self.axes = tuple(value_of(self.sections, "axes"))
+        common = next(iter(self.sections.values()))
+        self.timebase = Timebase.from_rate(common["rate"])
+        self.axes = tuple(common["axes"])
         if len(set(self.axes)) != len(self.axes) or not all(self.axes):
             raise InputError(f"{EVERY_NODE}: axes are {list(self.axes)}, but names must differ")
         if not "".join(self.axes).isprintable():
@@ -84,7 +90,7 @@ class Experiment:
         overrides : sequence of (node, parameter, value)
             Win over files; node ``/**`` means every node.
         nodes : iterable of str, optional
-            Nodes whose sections are wanted, complete; default all that have a table.
+            Nodes whose complete sections are wanted; default all that have a table.
 
         Raises
         ------
@@ -109,22 +115,12 @@ class Experiment:
 
     def to_yaml(self) -> str:
         """Text of a ROS 2 parameter file that holds every parameter."""
-        tree: dict[str, Any] = {}
-        common = [row.name for row in COMMON]
         first = next(iter(self.sections.values()))
-        tree[EVERY_NODE] = {PARAMETERS_KEY: {name: _quoted(first[name]) for name in common}}
+        common = [row.name for row in COMMON]
+        sections = {EVERY_NODE: {name: first[name] for name in common}}
         for node, section in self.sections.items():
-            own = {name: _quoted(v) for name, v in section.items() if name not in common}
-            tree[node] = {PARAMETERS_KEY: own}
-        stream = StringIO()
-        yaml = YAML()
-        yaml.dump(tree, stream)
-        return stream.getvalue()
-
-
-def value_of(sections: Mapping[str, Section], name: str) -> Value:
-    """Value of a parameter that all sections share."""
-    return next(iter(sections.values()))[name]
+            sections[node] = {name: v for name, v in section.items() if name not in common}
+        return parameter_text(sections)
 
 
 def _merge(
@@ -146,8 +142,151 @@ def _merge(
     given.setdefault(node, {}).update(checked)
 
 
+def read_parameter_file(path: str | Path) -> dict[str, Section]:
+    """Read a file: node name (or ``/**``) -> parameter name with dots -> value, unchecked.
+
+    Raises
+    ------
+    InputError
+        If the file can't be read, is larger than `LARGEST_FILE`, is no YAML, or has not the form
+        of a parameter file.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            content = file.read(LARGEST_FILE + 1)
+        if len(content) > LARGEST_FILE:
+            raise InputError(
+                f"{path}: is larger than {LARGEST_FILE / 1e6:g} MB, which no parameter file is; "
+                "name another file"
+            )
+        text = content.decode()
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not a text file; expected a ROS 2 parameter file") from None
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from None
+    tree = _parse_yaml(text, str(path))
+    if not isinstance(tree, dict) or not tree:
+        raise InputError(f"{path}: holds no node names; expected a ROS 2 parameter file")
+    sections: dict[str, Section] = {}
+    for key, content in tree.items():
+        node = str(key)
+        node = node if node == EVERY_NODE else node.lstrip("/")
+        if node not in (*NODES, EVERY_NODE):
+            raise InputError(f"{path}: there is no node {key}{nearest(node, NODES)}")
+        if not isinstance(content, dict) or set(content) != {PARAMETERS_KEY}:
+            raise InputError(f"{path}: under {key} there must be {PARAMETERS_KEY}, and only that")
+        parameters = {} if content[PARAMETERS_KEY] is None else content[PARAMETERS_KEY]
+        if not isinstance(parameters, dict):
+            raise InputError(f"{path}: {key} {PARAMETERS_KEY} must hold names and values")
+        sections[node] = {**sections.get(node, {}), **_flatten(parameters, str(path), node)}
+    return sections
+
+
+def parameter_text(sections: Mapping[str, Section], comments: Sequence[str] = ()) -> str:
+    """Text of a ROS 2 parameter file: node name -> parameter name -> value, comments above."""
+    yaml = YAML()
+    yaml.default_flow_style = None  # lists in one line
+    yaml.width = 4096
+    tree = {
+        node: {PARAMETERS_KEY: {name: _quoted(value) for name, value in section.items()}}
+        for node, section in sections.items()
+    }
+    stream = StringIO()
+    stream.writelines(f"# {line}\n" for line in comments)
+    yaml.dump(tree, stream)
+    return stream.getvalue()
+
+
+def write_parameter_file(
+    path: Path, sections: Mapping[str, Section], comments: Sequence[str] = (), replace: bool = False
+) -> None:
+    """Write a file, to be read after an experiment's own; see `parameter_text`.
+
+    With ``replace`` it may exist already.
+
+    Raises
+    ------
+    InputError
+        If the file exists already or can't be written.
+    """
+    try:
+        with path.open("w" if replace else "x", encoding="utf-8") as file:
+            file.write(parameter_text(sections, comments))
+    except FileExistsError:
+        raise InputError(f"{path}: exists already; name another file") from None
+    except OSError as error:
+        raise InputError(f"{path}: can't be written: {error.strerror or error}") from None
+
+
+def parse_override(text: str) -> Override:
+    """Read ``node:parameter:=value``; without a node it is meant for every node."""
+    target, separator, value = text.partition(":=")
+    node, colon, name = target.rpartition(":")
+    if not separator or not name or (colon and not node):
+        raise InputError(f"-p {text}: expected node:parameter:=value")
+    node = node.lstrip("/") if node and node != EVERY_NODE else EVERY_NODE
+    if node not in (*NODES, EVERY_NODE):
+        raise InputError(f"-p {text}: there is no node {node}{nearest(node, NODES)}")
+    return node, name, _parse_yaml(value, f"-p {text}")
+
+
+def split_ros_arguments(argv: Sequence[str]) -> tuple[list[str], list[Override]]:
+    """Parameter files and overrides in a node's command line (``--ros-args ... --``).
+
+    Raises
+    ------
+    InputError
+        If an option has no value, or an override has not the form ``name:=value``.
+    """
+    files: list[str] = []
+    overrides: list[Override] = []
+    words = iter(argv)
+    inside = False
+    for word in words:
+        if word == "--ros-args":
+            inside = True
+        elif word == "--":
+            inside = False
+        elif inside and word in PARAMETER_OPTIONS:
+            value = next(words, None)
+            if value is None:
+                raise InputError(f"{word} needs a value")
+            if word == "--params-file":
+                files.append(value)
+            else:
+                overrides.append(parse_override(value))
+    return files, overrides
+
+
+def _flatten(tree: Mapping[Any, Any], path: str, node: str, prefix: str = "") -> Section:
+    flat: Section = {}
+    if prefix.count(".") > 50:  # an alias inside itself
+        raise InputError(f"{path}: {node} {prefix[:50]}... is nested too deep")
+    for key, value in tree.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            flat.update(_flatten(value, path, node, name + "."))
+        elif value is None:
+            raise InputError(f"{path}: {node} {name} has no value")
+        else:
+            flat[name] = value
+    return flat
+
+
+def _parse_yaml(text: str, where: str) -> Any:
+    try:
+        return YAML(typ="safe", pure=True).load(text)
+    except MarkedYAMLError as error:
+        mark = error.problem_mark
+        line = f" line {mark.line + 1}" if mark is not None else ""
+        raise InputError(f"{where}:{line} {error.problem or error.context}") from None
+    except Exception as error:  # at odd input ruamel lets all kinds of them through
+        raise InputError(f"{where}: {(str(error).splitlines() or ['no YAML'])[0]}") from None
+
+
 def _quoted(value: Value) -> Value:
-    """Texts in quotes, wherever they stand: to rcl, whose YAML is 1.1, a plain y is true."""
+    """Put all texts in quotes: to rcl, whose YAML is 1.1, a plain y is true."""
     if isinstance(value, list):
         return [_quoted(item) for item in value]
     return DoubleQuotedScalarString(value) if isinstance(value, str) else value

@@ -55,12 +55,11 @@ class Parameter:
     choices : tuple of str
         Allowed texts; empty: any.
     file_name : bool
-        The text must be fit for the name of a file or folder, and no path; it may be empty.
+        The text must be a valid name of a file or folder, without a path; it may be empty.
     default_from : str
-        ``node:parameter`` of the same experiment whose value stands in where this one is
-        not given.
+        ``node:parameter`` of the same experiment whose value is the default.
     live : bool
-        It may be set while the node runs, and holds from its next use on.
+        It may be set while the node runs, and takes effect at its next use.
     """
 
     name: str
@@ -131,7 +130,7 @@ class Parameter:
 
 
 def _refusal(text: str, file_name: bool) -> str:
-    """Say what a text must be and is not; empty if it may be used."""
+    """Rule that a text breaks; empty if none."""
     if "\0" in text:
         return "must hold no NUL character"
     if not file_name or not text:
@@ -196,11 +195,11 @@ COMMON = parameter_rows("""
     axes | strings | ["x"] |    |     |
         names of the axes (actuators), in order; RIG/AXIS where they are of several rigs
 """)
-"""Parameters of every node; in a file they stand under ``/**``."""
+"""Parameters of every node; in a file they are under ``/**``."""
 
 
 class Table:
-    """The parameters of one node; `COMMON` come first by themselves."""
+    """The parameters of one node; those of `COMMON` are added in front."""
 
     def __init__(self, node: str, rows: Iterable[Parameter]) -> None:
         self.node = node
@@ -226,7 +225,7 @@ class Table:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Words that name the known text nearest to a mistyped one; empty if none is near."""
+    """Hint at the known text nearest to a mistyped one; empty if none is near."""
     known = [text for text in known if text]
     last = [text for text in known if text.split(".")[-1] == name.split(".")[-1]]
     close = difflib.get_close_matches(name, last or known, n=1, cutoff=0.5) or last[:1]
@@ -244,15 +243,15 @@ def resolve(
     given: Mapping[str, Mapping[str, Value]],
     nodes: Iterable[str] | None = None,
 ) -> dict[str, Section]:
-    """Fill in what is not given, from other parameters of the experiment or from defaults.
+    """Fill in values that are not given, from other parameters of the experiment or defaults.
 
-    Values that are given are checked, and may be of nodes without a table. Nodes to be resolved
-    are by default all that have a table.
+    Given values are checked, and may be of nodes without a table. The resolved ``nodes`` are by
+    default all that have a table.
 
     Raises
     ------
     InputError
-        At a parameter that must be given and is not.
+        If a required parameter is not given.
     """
 
     def value_of(node: str, name: str, seen: tuple[str, ...]) -> Value:

@@ -1,4 +1,4 @@
-"""What other packages register with this project, as entry points.
+"""Parts that other packages register with this project, as entry points.
 
 A package does so in its setup.py:
 
@@ -19,15 +19,15 @@ from seft_msgs_py.errors import InputError
 
 
 class Registered:
-    """What other packages make for one group of entry points, by name.
+    """Parts that other packages provide for one group of entry points, by name.
 
-    None of their code is imported before one is made: what others have wrong breaks no test
-    that does without them. Nobody can register one of our own names.
+    Their code is imported only when a part is made, so that their errors break no test that does
+    not use it. Our own names can't be registered again.
 
     Attributes
     ----------
     names : tuple of str
-        All that can be chosen: ours first.
+        All choices: ours first.
     """
 
     def __init__(self, group: str, own: Sequence[str]) -> None:
@@ -40,10 +40,10 @@ class Registered:
         return name in self._entries
 
     def make(self, name: str, settings: str, where: str, *known: Any) -> Any:
-        """Let the other package make one, of known arguments and its own settings.
+        """Make a part from known arguments and its own settings.
 
-        Settings are ``name=value`` pairs separated by blanks, a value is JSON or else a text;
-        ``where`` is the parameter that has the name, as ``node: parameter``.
+        Settings are ``name=value`` pairs separated by blanks; a value is JSON, or else a text.
+        ``where`` is the parameter that names the part, as ``node: parameter``.
 
         Raises
         ------
@@ -73,7 +73,7 @@ class Registered:
 
 @cache
 def _installed(path: tuple[str, ...]) -> EntryPoints:
-    """All entry points on Python's path; each look takes some 30 ms."""
+    """All entry points on Python's path; to read them takes some 30 ms."""
     del path
     return entry_points()
 

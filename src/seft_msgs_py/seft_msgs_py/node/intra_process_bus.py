@@ -4,20 +4,18 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection
 
-from seft_msgs_py.wire.rigs import bare
-from seft_msgs_py.wire.topics import LoopTopic, Topic
+from seft_msgs_py.wire.topics import LoopTopic, Topic, bare
 
 Receive = Callable[[bytes, int, bytes], bool]
 """Takes a message's bytes, the wall-clock time in ns at which it came in, and the identifier of its
-publisher (empty: a node of this process); tells whether it was acted upon."""
+publisher (empty: a node of this process); returns whether it was acted upon."""
 
 
 class IntraProcessBus:
-    """Messages of the loop between nodes of one process, delivered in the order they were sent.
+    """Messages of the loop between the named nodes of one process, in the order of sending.
 
-    Outside they are sent when those inside have been handed out, and what these have given rise
-    to: sending takes longer than a node's answer, and several in a row less than each by itself.
-    Made with the names of the process's nodes.
+    They are sent outside after all messages inside, and the answers to these, have been delivered:
+    sending takes longer than a node's answer, and each one less if several are sent in a row.
     """
 
     def __init__(self, nodes: Collection[str]) -> None:
@@ -32,7 +30,7 @@ class IntraProcessBus:
         return isinstance(topic, LoopTopic) and bare(topic.publisher) in self._nodes
 
     def subscribe(self, name: str, node: str, receive: Receive) -> None:
-        """Let ``receive`` have every message of the topic of this full name."""
+        """Deliver every message of the topic of this full name to ``receive``."""
         self._listeners.setdefault(name, []).append((node, receive))
 
     def listeners(self, name: str) -> list[str]:
@@ -40,7 +38,7 @@ class IntraProcessBus:
         return [node for node, _ in self._listeners.get(name, [])]
 
     def sender(self, name: str, send: Callable[[bytes], None]) -> Callable[[bytes], None]:
-        """Give what sends a message to the listeners in this process, and outside by ``send``."""
+        """Make the function that sends to the listeners here, and outside by ``send``."""
         post, put_out = self._posted.append, self._outward.append
 
         def send_to_all(raw: bytes) -> None:
@@ -53,7 +51,7 @@ class IntraProcessBus:
         return send_to_all
 
     def deliver(self) -> bool:
-        """Hand out all messages, also those that are sent meanwhile; tell whether any was there."""
+        """Deliver all messages, and those sent meanwhile; return whether there was any."""
         posted = self._posted
         if not posted:
             return False

@@ -7,9 +7,9 @@ from typing import Any
 
 from seft_msgs_py.config.parameter_table import Table
 from seft_msgs_py.errors import SeftError
-from seft_msgs_py.node.exit_watchdog import exit_watchdog
 from seft_msgs_py.node.node_process import NodeProcess
 from seft_msgs_py.node.node_shell import IDLE_WAIT, NodeShell
+from seft_msgs_py.node.shutdown import exit_watchdog
 from seft_msgs_py.wire.messages import OK, Status
 from seft_msgs_py.wire.outcome import tripped_status
 
@@ -17,12 +17,12 @@ CLOSE_PATIENCE = 5.0  # s
 
 
 class NodeBody:
-    """What a node does in its shell; subclasses overwrite what they need.
+    """What a node does in its shell; subclasses override what they need.
 
     Attributes
     ----------
     facts : dict
-        What others must know of this node beside its parameters, JSON values.
+        What others must know of this node besides its parameters; JSON values.
     """
 
     def __init__(self, shell: NodeShell) -> None:
@@ -32,25 +32,25 @@ class NodeBody:
     def report(
         self, phase: str, values: Mapping[str, str] | None = None, level: int = OK, text: str = ""
     ) -> None:
-        """Publish the phase that the node is in, as its status."""
+        """Publish the node's phase as its status."""
         values = {"phase": phase, **(values or {})}
         self._shell.report(Status(self._shell.name, level, text or phase, values=values))
 
     def begin(self) -> None:
-        """Report the first status, when the node has been described to the test."""
+        """Report the first status, after the node's description."""
 
     def run(self) -> None:
-        """Work until told to stop, spinning the shell."""
+        """Work until the process ends, spinning the shell."""
         while not self._shell.stopping:
             self._shell.spin_once(self.period())
-            self._shell.attempt("a look", self.poll)
+            self._shell.attempt("a poll", self.poll)
 
     def fault(self, reason: str) -> None:
-        """Hear of a fault of the program, in this node or another of its process; end the test."""
+        """End the test because of a fault of the program, in any node of this process."""
         self._shell.report(tripped_status(self._shell.name, reason, 0))
 
     def poll(self) -> None:
-        """Do what falls due by time alone; called after each turn, whoever spins."""
+        """Do what is due by time; called after each turn, whichever node spins."""
 
     def period(self) -> float:
         """Longest time between two polls, s."""
@@ -66,7 +66,7 @@ class NodeKind:
     table : Table
         Its parameters.
     tables : tuple of Table
-        All tables that are known where it is, for parameters that are taken from other nodes.
+        All known tables, because parameters may take their values from other nodes.
     make : callable
         Makes the node in its shell.
     """
@@ -83,8 +83,8 @@ class NodeKind:
 def run_nodes(*kinds: NodeKind) -> int:
     """Run nodes in this process, which share its main thread and its command line.
 
-    The first one spins; the others answer the messages that come, and poll after each turn. A
-    user's error is told in one line on stderr. Returns the exit status.
+    The first one spins; the others answer their messages, and poll after each turn. A user's error
+    is printed in one line on stderr. Returns the exit status.
     """
     name, status = kinds[0].table.node, 1
     try:

@@ -1,8 +1,8 @@
 """What the nodes of one process share: rclpy's context, signals, and the waiting for messages.
 
-The main thread waits for the loop's messages and handles them. Services (of parameters, of the
-supervisor) are served by a second thread, which sleeps while nobody calls. As a rule a process
-holds one node; several in one hand each other their messages directly (`IntraProcessBus`).
+The main thread waits for the loop's messages and handles them. A second thread serves requests (for
+parameters, and to the supervisor) and sleeps otherwise. Usually a process holds one node; several
+in one process hand each other their messages directly (`IntraProcessBus`).
 """
 
 import gc
@@ -13,7 +13,6 @@ from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from traceback import extract_tb, format_exception
-from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -23,22 +22,26 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
+from seft_msgs_py.config.experiment import PARAMETER_OPTIONS
 from seft_msgs_py.errors import InputError, SeftError, WireError
-from seft_msgs_py.node.ending import on_ending
 from seft_msgs_py.node.intra_process_bus import IntraProcessBus, Receive
 from seft_msgs_py.node.middleware import prepare_middleware
+from seft_msgs_py.node.rclpy_interface import WaitSet, taker
 from seft_msgs_py.node.realtime import wake_on_time
-from seft_msgs_py.node.wait_set import WaitSet, taker
+from seft_msgs_py.node.shutdown import on_ending
 
-OUTSIDE_PERIOD = 0.002  # s between polls for messages from outside while those inside keep coming
+OUTSIDE_PERIOD = 0.002  # s between polls for outside messages while those inside keep coming
 CHORE_PERIOD = 0.01  # s between chores, after messages were handled
 IDLE_CHORE_PERIOD = 0.05  # s, where none came: a wait may have ended because a sample is due
 MOST_AT_ONCE = 4096  # messages of a topic, as many as the longest queue holds
-MOST_IN_A_TURN = 512  # of a topic that ends no waiting: who is behind still gives signs of life
-MOST_REFUSED = 200  # a few ms of nonsense
+MOST_IN_A_TURN = 512  # of a topic that ends no waiting, so that a late node still sends its status
+MOST_REFUSED = 200  # a few ms of invalid messages
 LOG_PERIOD = 1.0  # s between two faults that are logged; all are counted
 REQUESTS = "rclpy/parameter_service.py"
-"""Where requests for parameters are read, which may make no sense."""
+"""Where rclpy reads requests for parameters, which may be invalid."""
+
+ReadOne = Callable[[], bool | None]
+"""Handles one message and returns whether it was acted upon; None if there is none."""
 
 
 class NodeProcess:
@@ -51,7 +54,7 @@ class NodeProcess:
     stopping : bool
         Set by SIGINT, SIGTERM and SIGHUP.
     faults : int
-        Exceptions that the nodes' program has raised where nobody expected any.
+        Unexpected exceptions of the nodes' program.
 
     Raises
     ------
@@ -64,11 +67,11 @@ class NodeProcess:
         self.faults = 0
         self._new_faults: deque[str] = deque()
         self._fault_logged_at = -LOG_PERIOD
-        self._hear_of_faults: list[Callable[[str], None]] = []
+        self._fault_listeners: list[Callable[[str], None]] = []
         wake_on_time()
         self.bus = IntraProcessBus(nodes)
         prepare_middleware()
-        on_ending(self._on_signal)
+        on_ending(self._stop)
         try:
             rclpy.init(
                 args=_without_parameters(argv), signal_handler_options=SignalHandlerOptions.NO
@@ -77,8 +80,8 @@ class NodeProcess:
             raise InputError(
                 f"ROS arguments not understood: {str(error).splitlines()[0]}"
             ) from None
-        self._waking: dict[Subscription, Callable[[], bool | None]] = {}
-        self._quiet: list[Callable[[], bool | None]] = []
+        self._waking: dict[Subscription, ReadOne] = {}
+        self._quiet: list[ReadOne] = []
         self._polls: list[Callable[[], None]] = []
         self._chores: list[Callable[[], None]] = []
         self._wait_set: WaitSet | None = None
@@ -86,18 +89,17 @@ class NodeProcess:
         self._executor = SingleThreadedExecutor()
         self._thread = threading.Thread(target=self._spin_executor, daemon=True)
 
+    def _stop(self, *_: object) -> None:
+        self.stopping = True
+
     def add_node(self, node: Node) -> None:
         """Serve a node's services."""
         self._executor.add_node(node)
 
-    def add_subscription(
-        self, subscription: Subscription, receive: Receive, wake: bool
-    ) -> Callable[[], bool | None]:
+    def add_subscription(self, subscription: Subscription, receive: Receive, wake: bool) -> ReadOne:
         """Hand the messages of a subscription, which a `WaitSet` can hold, to ``receive``.
 
-        With ``wake`` a message ends the waiting; else it is handled when nothing has ended it.
-        Returns what hands over one message and tells whether it was acted upon, None if there is
-        none.
+        With ``wake`` a message ends the waiting; otherwise it is handled when none has ended it.
         """
         take = taker(subscription)
 
@@ -113,22 +115,22 @@ class NodeProcess:
         return read_one
 
     def every_turn(self, poll: Callable[[], None]) -> None:
-        """Have ``poll`` called after each turn, when what was due has been answered."""
+        """Have ``poll`` called after each turn, when all that was due has been answered."""
         self._polls.append(poll)
 
     def now_and_then(self, chore: Callable[[], None]) -> None:
-        """Have ``chore`` called after some turns: it can wait, and must not be waited for."""
+        """Have ``chore`` called after some turns; nothing may wait for it."""
         self._chores.append(chore)
 
-    def on_fault(self, hear: Callable[[str], None]) -> None:
-        """Have ``hear`` called, in the main thread, with the reason of each fault."""
-        self._hear_of_faults.append(hear)
+    def on_fault(self, listener: Callable[[str], None]) -> None:
+        """Have ``listener`` called, in the main thread, with the reason of each fault."""
+        self._fault_listeners.append(listener)
 
     def attempt(self, what: str, call: Callable[..., Any], *arguments: Any) -> Any:
-        """Call something; an exception that nobody expects is a fault, and the process goes on.
+        """Call a function; an unexpected exception is a fault, after which the process goes on.
 
-        A process that died of it would leave a test without its node, and the supervisor's an
-        operator without an emergency stop. What a user is told in one line passes.
+        If the process ended, a test would lose its node; with the supervisor the operator would
+        lose the emergency stop. A `SeftError`, which a user shall read, is raised.
         """
         try:
             return call(*arguments)
@@ -139,7 +141,7 @@ class NodeProcess:
             return None
 
     def fault(self, what: str, error: Exception) -> str:
-        """Count a fault, log it, tell the nodes of it in this turn or the next; give its reason.
+        """Count and log a fault; listeners hear of it in this turn or the next. Give its reason.
 
         May be called from any thread.
         """
@@ -157,22 +159,22 @@ class NodeProcess:
             rclpy.logging.get_logger("seft").error(f"{reason} ({self.faults} so far)\n{trace}")
 
     def start(self) -> None:
-        """Begin to serve: all that is slow has been done."""
-        np.seterr(over="ignore", invalid="ignore")  # the limits see what is not finite
+        """Begin to serve: all slow preparations are done."""
+        np.seterr(over="ignore", invalid="ignore")  # the limits find values that are not finite
         sys.setswitchinterval(2e-4)  # the second thread gives way to the loop at once
         gc.collect()
         gc.freeze()
         self._thread.start()
 
     def spin_once(self, timeout: float) -> bool:
-        """Wait for messages, at most ``timeout`` seconds, and handle those that have come.
+        """Wait at most ``timeout`` seconds for messages, and handle them.
 
-        Of topics that end the waiting it takes one message, and what is refused before it; the
-        next call finds the rest. Tells whether such a message was handled.
+        Of topics that end the waiting it takes one message, and the refused ones before it; the
+        next call finds the rest. Returns whether such a message was handled.
         """
         handled = bool(self.attempt("the turn", self._take_turn, timeout))
         for poll in self._polls:
-            self.attempt("a look", poll)
+            self.attempt("a poll", poll)
         pause = CHORE_PERIOD if handled else IDLE_CHORE_PERIOD
         if (now := time.monotonic()) - self._chores_at >= pause:
             self._chores_at = now
@@ -180,16 +182,13 @@ class NodeProcess:
                 self.attempt("a chore", chore)
         while self._new_faults:
             reason = self._new_faults.popleft()
-            for hear in self._hear_of_faults:
-                self._tell_fault(hear, reason)
+            for listener in self._fault_listeners:
+                try:
+                    listener(reason)
+                except Exception as error:  # which listeners must not hear in turn
+                    self.faults += 1
+                    self._log(f"{reason}; it could not be reported", error)
         return handled
-
-    def _tell_fault(self, hear: Callable[[str], None], reason: str) -> None:
-        try:
-            hear(reason)
-        except Exception as error:  # which must not be told in turn
-            self.faults += 1
-            self._log(f"{reason}; it could not be told", error)
 
     def _take_turn(self, timeout: float) -> bool:
         handled = self.bus.deliver()
@@ -201,19 +200,6 @@ class NodeProcess:
             self.bus.deliver()
         return handled
 
-    def close(self) -> None:
-        """Take the nodes off the graph, and end rclpy."""
-        self.stopping = True
-        self.bus.send_outside()
-        nodes = self._executor.get_nodes()
-        if self._thread.is_alive():  # it must not wait on what is being taken down
-            self._executor.wake()
-            self._thread.join(timeout=2.0)
-        self._executor.shutdown(timeout_sec=1.0)
-        for node in nodes:
-            node.destroy_node()
-        rclpy.try_shutdown()
-
     def _poll_outside(self, timeout: float) -> bool:
         if self._wait_set is None:
             time.sleep(timeout)
@@ -223,7 +209,7 @@ class NodeProcess:
         ready = self._wait_set.wait(timeout) if timeout > 0.0 else self._waking
         for subscription in ready:
             read_one = self._waking[subscription]
-            for _ in range(MOST_REFUSED):  # a flood must not hold up what is true
+            for _ in range(MOST_REFUSED):  # a flood must not delay the valid messages
                 acted = read_one()
                 handled |= acted is not None
                 if acted is not False:
@@ -231,6 +217,19 @@ class NodeProcess:
         handled |= self.bus.deliver()
         self._polled_outside_at = time.monotonic()
         return handled
+
+    def close(self) -> None:
+        """Take the nodes off the graph, and end rclpy."""
+        self.stopping = True
+        self.bus.send_outside()
+        nodes = self._executor.get_nodes()
+        if self._thread.is_alive():  # it must not wait for what is about to be destroyed
+            self._executor.wake()
+            self._thread.join(timeout=2.0)
+        self._executor.shutdown(timeout_sec=1.0)
+        for node in nodes:
+            node.destroy_node()
+        rclpy.try_shutdown()
 
     def _spin_executor(self) -> None:
         """Serve until the end: a service that fails must not take stop and estop with it."""
@@ -240,37 +239,33 @@ class NodeProcess:
             except (ExternalShutdownException, rclpy.executors.ShutdownException):
                 return
             except Exception as error:
-                if _was_senseless(error):
+                if _is_invalid_request(error):
                     self._log("refused a request for parameters that makes no sense", error)
                 else:
                     self.fault("a service", error)
 
-    def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
-        self.stopping = True
 
-
-def _was_senseless(error: Exception) -> bool:
-    """Tell whether rclpy could not read a request for parameters, and no node has seen it."""
+def _is_invalid_request(error: Exception) -> bool:
+    """Tell whether rclpy could not read a request for parameters, which no node has seen."""
     files = [frame.filename for frame in extract_tb(error.__traceback__)]
     read = [number for number, file in enumerate(files) if file.endswith(REQUESTS)]
     here = str(Path(__file__).parent)
     return bool(read) and not any(file.startswith(here) for file in files[read[0] :])
 
 
-def drain(read_one: Callable[[], bool | None], most: int = MOST_AT_ONCE) -> None:
-    """Hand over what has come, at most so many messages: as many as the longest queue holds."""
+def drain(read_one: ReadOne, most: int = MOST_AT_ONCE) -> None:
+    """Handle what has come, at most so many messages; the default is the longest queue."""
     for _ in range(most):
         if read_one() is None:
             return
 
 
 def _without_parameters(argv: Sequence[str]) -> list[str]:
-    """Command line without what `Experiment.load` has read of it already."""
-    kept: list[str] = []
+    """Command line without the parameters, which `Experiment.load` has read already."""
     words = iter(argv)
+    kept = []
     for word in words:
-        if word in ("--params-file", "-p", "--param"):
+        if word in PARAMETER_OPTIONS:
             next(words, None)
         else:
             kept.append(word)

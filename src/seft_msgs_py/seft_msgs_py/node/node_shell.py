@@ -10,17 +10,21 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.publisher import Publisher
 
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_file import split_ros_arguments
+from seft_msgs_py.config.experiment import Experiment, split_ros_arguments
 from seft_msgs_py.config.parameter_table import Table
-from seft_msgs_py.errors import InputError, SeftError, WireError
+from seft_msgs_py.errors import SeftError, WireError
 from seft_msgs_py.node import realtime
 from seft_msgs_py.node.intra_process_bus import Receive
-from seft_msgs_py.node.node_process import NodeProcess, drain
-from seft_msgs_py.node.ros_types import declare_parameters, message_class, qos_profile
-from seft_msgs_py.node.senders import Senders
-from seft_msgs_py.node.single_instance import single_instance
-from seft_msgs_py.node.wait_set import raw_subscription, sender
+from seft_msgs_py.node.middleware import single_instance
+from seft_msgs_py.node.node_process import NodeProcess, ReadOne, drain
+from seft_msgs_py.node.rclpy_interface import (
+    declare_parameters,
+    raw_publisher,
+    raw_subscription,
+    rig_of_node,
+    sender,
+)
+from seft_msgs_py.node.senders import Senders, connected_listeners
 from seft_msgs_py.wire.messages import (
     Status,
     decode_status,
@@ -29,15 +33,14 @@ from seft_msgs_py.wire.messages import (
     restamp,
 )
 from seft_msgs_py.wire.outcome import MOVING
-from seft_msgs_py.wire.rigs import RIG_NODES, RigAxes
 from seft_msgs_py.wire.topics import DESCRIPTION, DIAGNOSTICS, EXPERIMENT_STATE, LoopTopic, Topic
 
 IDLE_WAIT = 0.05  # s; a signal is noticed within this time
-STATUS_PERIOD = 0.2  # s: a sign of life
+STATUS_PERIOD = 0.2  # s between two heartbeats
 LOOP_PAUSE = 1.0  # s without a message of the loop: the node is idle
 WARN_PERIOD = 1.0  # s
 WARM_UP_STEPS = 200
-"""Steps a node of the loop tries on itself, so that its first real ones are not its slowest."""
+"""Steps that a node of the loop runs before the test, so that its first real ones are not slow."""
 Handler = Callable[[bytes, int], None]
 """Takes a message's bytes and the wall-clock time in ns at which it came in."""
 
@@ -45,15 +48,15 @@ Handler = Callable[[bytes, int], None]
 class NodeShell:
     """A node with its checked parameters, read from a command line (``--ros-args``).
 
-    It has the table of its own parameters, and all tables that are known here, for parameters
-    that are taken from other nodes.
+    ``table`` holds its own parameters; ``tables`` are all known ones, because parameters may take
+    their values from other nodes.
 
     Attributes
     ----------
     name : str
         The node's name, with its rig's where the test has several.
     experiment : Experiment
-        This node's section of what the command line and its parameter files say.
+        This node's section of the command line and its parameter files.
     rig : RigAxes
         The rig that the node belongs to; all axes, where it serves all rigs.
     node : rclpy.node.Node
@@ -75,7 +78,7 @@ class NodeShell:
             table.node,
             parameter_overrides=[RosParameter(name, value=v) for name, v in section.items()],
         )
-        self.rig, self._test_namespace = _rig_of(self.node, self.experiment)
+        self.rig, self._test_namespace = rig_of_node(self.node, self.experiment)
         self.name = self.rig.node(table.node)
         process.add_node(self.node)
         domain, full_name = self.node.context.get_domain_id(), self.node.get_fully_qualified_name()
@@ -83,10 +86,10 @@ class NodeShell:
         self._facts: dict[str, Any] | None = None  # none before it has described itself
         declare_parameters(self.node, table, section, self._describe)
         self._publishers: dict[str, Publisher] = {}
-        self._readers: dict[str, Callable[[], bool | None]] = {}
+        self._readers: dict[str, ReadOne] = {}
         self._senders = Senders(self.node)
         self._handled_at = 0.0  # s, monotonic: the last message of the loop
-        self._polled_at = self._looked_at = 0.0
+        self._polled_at = self._polled_senders_at = 0.0
         self._status = Status(self.name, 0, "starting", values={})
         self._status_sent: tuple[float, Status | None] = (0.0, None)
         self._status_message = bytearray()
@@ -95,13 +98,12 @@ class NodeShell:
 
     @property
     def stopping(self) -> bool:
-        """Whether the process was told to end."""
+        """Whether the process shall end."""
         return self._process.stopping
 
     def publisher(self, topic: Topic) -> Callable[[bytes], None]:
-        """Make the publisher of a topic; give the function that publishes message bytes."""
-        full_name = self._full_name(topic)
-        publisher = self.node.create_publisher(message_class(topic), full_name, qos_profile(topic))
+        """Make the publisher of a topic; return the function that publishes message bytes."""
+        publisher = raw_publisher(self.node, replace(topic, name=self._full_name(topic)))
         self._publishers[topic.name] = publisher
         if not isinstance(topic, LoopTopic):
             return sender(publisher)
@@ -114,26 +116,26 @@ class NodeShell:
         depth: int | None = None,
         wake: bool = True,
         reliable: bool = True,
-    ) -> Callable[[], bool | None]:
+    ) -> ReadOne:
         """Hand every message of a topic to ``handler`` as bytes, in the main thread.
 
         Parameters
         ----------
         handler : callable
-            A `WireError` it raises is counted and warned of.
+            A `WireError` it raises is counted and logged as a warning.
         depth : int, optional
             Messages kept while the node is busy; default the topic's.
         wake : bool
-            Whether a message ends the waiting; else it is handled when no other has ended it,
-            or when it is asked for.
+            Whether a message ends the waiting; otherwise it is handled when no other has ended it,
+            or on request.
         reliable : bool
-            Whether a lost message is sent again. To the loop it would come too late, and the
-            acknowledging costs a tenth of a step.
+            Whether a lost message is sent again. For the loop that would be too late, and
+            acknowledging takes a tenth of a step.
 
         Returns
         -------
         callable
-            Handles one message and tells whether it was acted upon; None if there is none.
+            Handles one message, on request.
         """
         here, receive = replace(topic, name=self._full_name(topic)), self._guarded(handler, topic)
         if self._process.bus.serves(topic):
@@ -149,11 +151,11 @@ class NodeShell:
         return read_one
 
     def catch_up(self, topic: Topic) -> None:
-        """Handle what has come on a topic."""
+        """Handle all messages of a topic that have come."""
         drain(self._readers[topic.name])
 
     def start(self, facts: dict[str, Any] | None = None) -> None:
-        """Describe the node to the test, with facts of it as JSON values; begin to send status."""
+        """Describe the node, with facts about it (JSON values); begin to send its status."""
         self._facts = dict(facts or {})
         if "thread_priority" in self._section:
             for denied in realtime.apply(self._section):
@@ -163,25 +165,25 @@ class NodeShell:
         self._process.now_and_then(self._renew_status)
 
     def spin_once(self, timeout: float = IDLE_WAIT) -> bool:
-        """Let the process wait for messages and handle them, see `NodeProcess.spin_once`."""
+        """Wait for messages and handle them, see `NodeProcess.spin_once`."""
         return self._process.spin_once(timeout)
 
     def attempt(self, what: str, call: Callable[..., Any], *arguments: Any) -> Any:
-        """Call something of this node, see `NodeProcess.attempt`."""
+        """Call a function of this node, see `NodeProcess.attempt`."""
         return self._process.attempt(f"{self.name}, {what}", call, *arguments)
 
     def fault(self, what: str, error: Exception) -> str:
-        """Count and tell a fault of this node's program, see `NodeProcess.fault`."""
+        """Count and log a fault of this node's program, see `NodeProcess.fault`."""
         return self._process.fault(f"{self.name}, {what}", error)
 
-    def on_fault(self, hear: Callable[[str], None]) -> None:
-        """Have ``hear`` called with the reason of each fault in this process."""
-        self._process.on_fault(hear)
+    def on_fault(self, listener: Callable[[str], None]) -> None:
+        """Have ``listener`` called with the reason of each fault in this process."""
+        self._process.on_fault(listener)
 
     def refuse(self, reason: str) -> None:
         """Count a message that was not acted upon; a warning follows, at most once a second.
 
-        The logger takes a millisecond, also where its own throttle lets nothing pass.
+        A call of the logger takes a millisecond, even if its own throttle suppresses the message.
         """
         self.refused += 1
         self._warning = self._warning or reason
@@ -193,20 +195,17 @@ class NodeShell:
         self._publish_status()
 
     def note(self, status: Status) -> None:
-        """Make this the node's status, to be published when the next one is due."""
+        """Make this the node's status, which is published when the next one is due."""
         values = {**self._status.values, **status.values}
         self._status = replace(status, name=self.name, values=values)
 
     def matched(self) -> dict[str, str]:
-        """Names of the nodes that listen to each topic, separated by blanks; number of senders."""
+        """Names of the listeners of each topic, separated by blanks; number of publishers."""
         found = {f"senders {name}": str(n) for name, n in self._senders.counts().items()}
         for name, publisher in self._publishers.items():
-            infos = self.node.get_subscriptions_info_by_topic(publisher.topic_name)
-            listeners = {self._seen_from_the_test(i.node_namespace, i.node_name) for i in infos}
-            if len(listeners) > publisher.get_subscription_count():
-                listeners = set()  # some are known but not connected yet
-            listeners.update(self._process.bus.listeners(publisher.topic_name))
-            found[f"matched {name}"] = " ".join(sorted(listeners))
+            outside = connected_listeners(self.node, publisher, self._test_namespace)
+            inside = self._process.bus.listeners(publisher.topic_name)
+            found[f"matched {name}"] = " ".join(sorted({*outside, *inside}))
         return found
 
     def several_senders(self) -> str:
@@ -214,9 +213,9 @@ class NodeShell:
         return self._senders.conflict()
 
     def foreign_publishers(self, refused_before: int) -> str:
-        """Say which foreign nodes may be why something fails to come, to be put after that.
+        """Say which foreign nodes may be the reason why messages are missing, to append to that.
 
-        ``refused_before`` is `refused` when the last message came that was waited for.
+        ``refused_before`` is `refused` at the last of the messages that are missing now.
         """
         refused, conflict = self.refused - refused_before, self.several_senders()
         text = f"; {refused} messages were refused meanwhile" if refused else ""
@@ -228,20 +227,15 @@ class NodeShell:
             return topic.name
         return f"{self._test_namespace}/{topic.name}"
 
-    def _seen_from_the_test(self, namespace: str, node: str) -> str:
-        """Name of a node below the test's namespace; elsewhere its full name."""
-        full = f"{namespace.rstrip('/')}/{node}"
-        return full.removeprefix(f"{self._test_namespace}/")
-
     def _guarded(self, handler: Handler, topic: Topic) -> Receive:
-        """Refuse what is no message of the test; note when the loop was last seen to turn."""
+        """Wrap a handler: refuse invalid messages, and note when the last sample came."""
         is_of_each_step = isinstance(topic, LoopTopic) and not topic.latched
         name, senders = topic.name, self._senders
 
         def receive(raw: bytes, received_ns: int, gid: bytes) -> bool:
             if is_of_each_step:
                 self._handled_at = time.monotonic()
-            if senders.is_stranger(name, gid):
+            if senders.is_foreign(name, gid):
                 self.refused += 1
                 return False
             try:
@@ -261,37 +255,33 @@ class NodeShell:
         return receive
 
     def _renew_status(self) -> None:
-        """Renew the status by who listens and what has changed; while the loop turns, only send it.
+        """Send the status when it is due, and what is new in it.
 
-        Asking for the graph takes a millisecond, which only an idle node has.
+        Reading the graph takes a millisecond, which only an idle node has: while the loop runs, the
+        listeners are not looked up.
         """
         now = time.monotonic()
         if self._warning and now - self._warned_at >= WARN_PERIOD:
             self.node.get_logger().warning(f"refused ({self.refused} so far): {self._warning}")
             self._warning, self._warned_at = "", now
-        if now - self._looked_at >= STATUS_PERIOD:
-            self._looked_at = now
-            for news in self._senders.look():
+        if now - self._polled_senders_at >= STATUS_PERIOD:
+            self._polled_senders_at = now
+            for news in self._senders.poll():
                 self.node.get_logger().warning(news)
         sent_at, sent = self._status_sent
+        is_due = now - sent_at >= STATUS_PERIOD
         if now - self._handled_at < LOOP_PAUSE:
-            if now - sent_at >= STATUS_PERIOD:
-                counted = self._counted()
-                if counted.items() - self._status.values.items():
-                    values = {**self._status.values, **counted}
-                    self._status = replace(self._status, values=values)
+            if is_due:
+                self._update(self._counted())
                 self._publish_status()
-            return
-        if now - self._polled_at < STATUS_PERIOD:
-            return
-        self._polled_at = now
-        values = {**self._status.values, **self.matched(), **self._own_values()}
-        self._status = replace(self._status, values=values)
-        if self._status != sent or now - sent_at >= STATUS_PERIOD:
-            self._publish_status()
+        elif now - self._polled_at >= STATUS_PERIOD:
+            self._polled_at = now
+            self._update({**self.matched(), **self._own_values()})
+            if self._status != sent or is_due:
+                self._publish_status()
 
     def _describe(self) -> None:
-        """Tell the node's parameters, at its start and when one was set."""
+        """Publish the node's parameters, at its start and when one was set."""
         if self._facts is not None:
             described = {"node": self.name, "parameters": self._section, **self._facts}
             self._description(encode_string(json.dumps(described)))
@@ -304,6 +294,11 @@ class NodeShell:
         counted = {"refused": str(self.refused), "faults": str(self._process.faults)}
         return {**counted, "strangers": self._senders.strangers()}
 
+    def _update(self, values: dict[str, str]) -> None:
+        """Take up values in the status; an equal status stays the same object."""
+        if values.items() - self._status.values.items():
+            self._status = replace(self._status, values={**self._status.values, **values})
+
     def _publish_status(self) -> None:
         now = time.time_ns()
         if self._status != self._status_sent[1]:
@@ -314,26 +309,5 @@ class NodeShell:
 
 
 def _nothing() -> bool | None:
-    """Read nothing from a topic of this process: whatever was sent has been handed over."""
+    """Read nothing: the messages of this process have been delivered already."""
     return None
-
-
-def _rig_of(node: Node, experiment: Experiment) -> tuple[RigAxes, str]:
-    """Find the rig that a node belongs to, and the namespace of the test, without a last slash."""
-    namespace, name = node.get_namespace().rstrip("/"), node.get_name()
-    above, _, last = namespace.rpartition("/")
-    rigs = {rig.name: rig for rig in experiment.rigs}
-    whole = RigAxes.whole(experiment.axes)
-    if "" in rigs or (name not in RIG_NODES and last not in rigs):
-        return whole, namespace
-    known = " or ".join(f"-r __ns:={above if last in rigs else namespace}/{rig}" for rig in rigs)
-    if name not in RIG_NODES:
-        raise InputError(
-            f"{name} serves all rigs and can't be in {namespace}, which is one rig's namespace"
-        )
-    if last not in rigs:
-        raise InputError(
-            f"{name} is in namespace {namespace or '/'}, but the axes {list(experiment.axes)} are "
-            f"of several rigs; say which one's it is: --ros-args {known}"
-        )
-    return rigs[last], above

@@ -1,6 +1,7 @@
-"""Precedence, locked memory, awake cores and one of one's own, as far as the system grants them.
+"""Priority, locked memory, awake cores and a core of its own, as far as the system grants them.
 
-The parameters are called as those of ros2_control's controller manager.
+The parameters have the names of ros2_control's controller manager. `AwakeClock` measures how long
+others have been silent.
 """
 
 import contextlib
@@ -8,7 +9,7 @@ import ctypes
 import os
 import struct
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ PARAMETERS = parameter_rows(
 )
 
 FIRST = -20
-"""The nice value of who goes before all others (`nice(1)`)."""
+"""The nice value of the process that runs before all others (`nice(1)`)."""
 _TRIES = 20
 _REMEDY = (
     "a line `{user} - {item} {value}` in /etc/security/limits.conf and a new login allow it; "
@@ -40,14 +41,11 @@ _ADDR_NO_RANDOMIZE, _ASK = 0x0040000, 0xFFFFFFFF
 _AWAKE = Path("/dev/cpu_dma_latency")
 _LIBC = ctypes.CDLL(None, use_errno=True)
 _held: list[int] = []
-"""Open files that keep cores awake; the kernel lets go when they are closed."""
+"""Open files that keep cores awake, until they are closed."""
 
 
 def apply(section: Mapping[str, Any]) -> list[str]:
-    """Ask for what a node's parameters say, among them `PARAMETERS`; return what was denied.
-
-    Whatever is denied is left as it was, and told with its remedy.
-    """
+    """Apply `PARAMETERS` of a node's section; return what was denied, each with its remedy."""
     core, priority = section["cpu_core"], section["thread_priority"]
     denied = (
         _keep_to_core(core) if core >= 0 else "",
@@ -59,30 +57,30 @@ def apply(section: Mapping[str, Any]) -> list[str]:
 
 
 def wake_on_time() -> None:
-    """Have the threads that this one will start, and itself, sleep no longer than they ask for.
+    """Have this thread, and those that it will start, wake up on time.
 
-    Else Linux may wake them up to 50 µs later, to save power.
+    Otherwise Linux may wake them up to 50 µs later, to save power.
     """
     _LIBC.prctl(_PR_SET_TIMERSLACK, _SLACK_NS, 0, 0, 0)
 
 
 def take_equal_addresses() -> None:
-    """Have the program that this process will execute put its parts where others put theirs.
+    """Have the program that this process will execute use the same addresses as others.
 
-    Else Linux spreads each program's parts at random (`personality(2)`). The nodes of the loop
-    run the same interpreter and the same middleware, one after the other on one core; at equal
-    addresses each finds the processor prepared by the one before it. Where a container's filter
-    denies it, it changes nothing.
+    Otherwise Linux chooses addresses at random (`personality(2)`). The nodes of the loop run the
+    same interpreter and middleware, one after the other on one core; at equal addresses each finds
+    the processor's caches prepared by the previous one. Where a container denies it, nothing
+    changes.
     """
     _LIBC.personality(_personality() | _ADDR_NO_RANDOMIZE)
 
 
 def take_precedence(pid: int) -> bool:
-    """Let a process go before all others without real-time priority; say if that was allowed.
+    """Let a process run before all others without real-time priority; return if that was allowed.
 
-    The threads that it will start have the same precedence. Linux weighs sessions against each
-    other first, and the processes of each then (`sched(7)`, autogroup): so the session of a
-    process that has its own is raised, too.
+    This includes the threads that it will start. Linux first schedules sessions, and then the
+    processes of each (`sched(7)`, autogroup): so the session of a process that has its own is
+    raised, too.
     """
     try:
         for thread in threads_of(pid):
@@ -114,7 +112,7 @@ def may_keep_awake() -> bool:
 def granted() -> dict[str, Any]:
     """Tell what this process has: its real-time priority (0: none), nice value, cores...
 
-    ``boot`` is the same for all processes of a machine, ``process`` tells one of them from others.
+    ``boot`` is the same for all processes of a machine, ``process`` identifies one of them.
     """
     policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     is_realtime = policy in (os.SCHED_FIFO, os.SCHED_RR)
@@ -131,34 +129,40 @@ def granted() -> dict[str, Any]:
 
 
 def boot() -> str:
-    """Tell one machine, from its start to its end, from all others; names no host."""
+    """Identify this machine since its start, without its name."""
     return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
 
 
 def started(pid: int) -> int:
     """Time at which a process of this machine started, in ticks of the kernel; -1: there is none.
 
-    A number may be given anew, and a container has numbers of its own.
+    Process numbers are used again, and a container has its own.
     """
+    stat = process_stat(pid)
+    return int(stat[19]) if stat else -1
+
+
+def process_stat(pid: int) -> list[str]:
+    """Fields of ``/proc/PID/stat`` after the program's name; empty if there is no such process."""
     try:
         stat = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
     except OSError:
-        return -1
-    return int(stat.rsplit(")", 1)[1].split()[19])
+        return []
+    return stat.rsplit(")", 1)[1].split()
 
 
 def _personality() -> int:
-    """Give this process's flags of `personality(2)`; none where even asking is denied."""
+    """Read the flags of `personality(2)` of this process; none where reading them is denied."""
     return max(0, int(_LIBC.personality(_ASK)))
 
 
 def side_threads(pid: int | str = "self") -> list[int]:
     """Find the threads of a process through which no message of the loop passes.
 
-    FastDDS names its threads: ``dds.udp.`` and a port are those that receive, and of its ports the
-    odd ones are for messages, the even ones for who is there (RTPS 2.3, 9.6.1.1); ``dds.ev`` and
-    ``dds.asyn`` tell others who is here, which can take longer than a step's answer. OSError if
-    there is no such process.
+    FastDDS names its threads: ``dds.udp.`` and a port are those that receive, of which the odd
+    ports are for messages, the even ones for discovery (RTPS 2.3, 9.6.1.1); ``dds.ev`` and
+    ``dds.asyn`` announce this process, which can take longer than a step's answer. OSError if there
+    is no such process.
     """
     found = []
     for thread in threads_of(pid):
@@ -183,9 +187,9 @@ def _keep_to_core(core: int) -> str:
 
 
 def _keep_awake() -> str:
-    """Ask the kernel for no latency at all: a core with nothing to do then polls.
+    """Ask the kernel for no latency at all: an idle core then polls.
 
-    To wake one that sleeps takes long, and who wakes it pays, too (Documentation/power/
+    To wake a sleeping core takes long, also for the process that wakes it (Documentation/power/
     pm_qos_interface of the kernel).
     """
     try:
@@ -202,9 +206,9 @@ def _keep_awake() -> str:
 
 
 def _take_priority(priority: int) -> str:
-    """Raise all threads, those of DDS too: a message must not wait behind other processes.
+    """Raise all threads, those of DDS too: a message must not wait for other processes.
 
-    Side threads only wait for those of the loop, which may need what they hold. Threads that are
+    Side threads wait only for those of the loop, which may need their locks. Threads that are
     made later, such as that of the services, have no priority.
     """
     policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
@@ -237,3 +241,27 @@ def memory_kb(kind: str) -> int:
     """Memory of this process, kB: ``VmLck`` locked, ``VmHWM`` largest resident so far."""
     status = Path("/proc/self/status").read_text(encoding="ascii")
     return next((int(at.split()[1]) for at in status.splitlines() if at.startswith(kind)), 0)
+
+
+LONGEST_GAP = 0.25  # s
+
+
+class AwakeClock:
+    """Monotonic time in which a gap between two polls counts as at most `LONGEST_GAP`.
+
+    A process that stalls, usually with its whole machine, finds the messages of that time in its
+    queues only later: it must not mistake its own stall for the silence of others. Poll the clock
+    often.
+    """
+
+    def __init__(self, monotonic: Callable[[], float] = time.monotonic) -> None:
+        self._monotonic = monotonic
+        self._polled_at = monotonic()
+        self._now = 0.0
+
+    def time(self) -> float:
+        """Time awake since the clock was made, s."""
+        now = self._monotonic()
+        self._now += min(now - self._polled_at, LONGEST_GAP)
+        self._polled_at = now
+        return self._now

@@ -1,24 +1,37 @@
-"""Slow standard messages <-> CDR bytes: text, status, diagnostics, clock.
+"""Slow standard messages <-> CDR bytes: text, status, diagnostics, clock, estimates.
 
-rosbags' description of the Jazzy messages does the work; it is built at the first use, which
-takes a tenth of a second. Python types are checked here, for the wire and the bags alike: a value
-that does not fit, and bytes that are no such message, are a `WireError`.
+rosbags' definitions of the Jazzy messages do the work; they are built at first use, which takes a
+tenth of a second. Python types are checked here, for the wire and the bags: a value that does not
+fit, and bytes that are no such message, are a `WireError`.
 """
 
 import json
+import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND
-from seft_msgs_py.wire.topics import CLOCK, DESCRIPTION, DIAGNOSTIC_ARRAY, DIAGNOSTIC_STATUS, STRING
+from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND, Timebase
+from seft_msgs_py.wire.topics import (
+    CLOCK,
+    DESCRIPTION,
+    DIAGNOSTIC_ARRAY,
+    DIAGNOSTIC_STATUS,
+    ESTIMATES,
+    JOINT_TRAJECTORY,
+    STRING,
+)
+
+Floats = npt.NDArray[np.float64]
 
 OK, WARN, ERROR, STALE = range(4)
 """Levels of a DiagnosticStatus."""
@@ -38,7 +51,7 @@ class Status:
     values: dict[str, str] = field(default_factory=dict)
 
     def number(self, key: str) -> int | None:
-        """Whole number that a value says; None if it says none."""
+        """Value of a key as a whole number; None if it is none."""
         text = self.values.get(key, "")
         return int(text) if text.isdecimal() and len(text) < 19 else None
 
@@ -46,34 +59,51 @@ class Status:
 @cache
 def typestore() -> Typestore:
     """Definitions of the standard messages of ROS 2 Jazzy."""
-    return get_typestore(Stores.ROS2_JAZZY)
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.get_msgdef(JOINT_TRAJECTORY)  # prepared now: it may be needed first by a running test
+    return store
 
 
 def encode_string(text: str) -> bytes:
     """Make a std_msgs/msg/String."""
-    return _encode(STRING, data=_text(text, "String: data"))
+    return _encode(STRING, _make(STRING, data=_text(text, "String: data")))
 
 
 def decode_string(raw: bytes) -> str:
     """Read a std_msgs/msg/String."""
-    return str(_decode(STRING, raw).data)
+    return str(decode_message(STRING, raw).data)
+
+
+def decode_description(raw: bytes) -> tuple[str, dict[str, Any]]:
+    """Read a message of experiment/description: JSON in a String.
+
+    Returns the node's name and the description: ``node``, ``parameters`` (a dict), and more.
+    """
+    try:
+        described = json.loads(decode_string(raw))
+    except (ValueError, RecursionError):  # WireError is none of these
+        raise WireError(f"{DESCRIPTION.name}: the text is no JSON") from None
+    match described:
+        case {"node": str(node), "parameters": dict()}:
+            return node, described
+    raise WireError(f"{DESCRIPTION.name}: the text does not describe a node")
 
 
 def encode_status(status: Status) -> bytes:
     """Make a diagnostic_msgs/msg/DiagnosticStatus."""
-    return _serialise(DIAGNOSTIC_STATUS, _status_message(status))
+    return _encode(DIAGNOSTIC_STATUS, _status_message(status))
 
 
 def decode_status(raw: bytes) -> Status:
-    """Read a diagnostic_msgs/msg/DiagnosticStatus; of keys that come twice the last counts.
+    """Read a diagnostic_msgs/msg/DiagnosticStatus; of equal keys the last counts.
 
-    A sign of life repeats a message, which is read once; nobody may change what is given.
+    Heartbeats repeat a message, which is decoded once: the result must not be changed.
     """
     return _known_status(raw) if isinstance(raw, bytes) else _read_status(raw)
 
 
 def _read_status(raw: bytes) -> Status:
-    return _status(_decode(DIAGNOSTIC_STATUS, raw))
+    return _status(decode_message(DIAGNOSTIC_STATUS, raw))
 
 
 _known_status = lru_cache(maxsize=16)(_read_status)
@@ -82,49 +112,46 @@ _known_status = lru_cache(maxsize=16)(_read_status)
 def encode_diagnostics(stamp_ns: int, statuses: Sequence[Status]) -> bytes:
     """Make a diagnostic_msgs/msg/DiagnosticArray with a stamp in nanoseconds."""
     header = _make("std_msgs/msg/Header", stamp=_time(stamp_ns), frame_id="")
-    return _encode(DIAGNOSTIC_ARRAY, header=header, status=[_status_message(s) for s in statuses])
+    status = [_status_message(each) for each in statuses]
+    return _encode(DIAGNOSTIC_ARRAY, _make(DIAGNOSTIC_ARRAY, header=header, status=status))
 
 
 def restamp(message: bytearray, stamp_ns: int) -> None:
-    """Give a message that begins with a time another one; encoding anew costs 100 times as much."""
+    """Change the stamp at a message's begin; encoding it anew takes 100 times longer."""
     struct.pack_into("<iI", message, 4, *divmod(stamp_ns, NANOSECONDS_PER_SECOND))
 
 
 def decode_diagnostics(raw: bytes) -> tuple[int, list[Status]]:
     """Read a diagnostic_msgs/msg/DiagnosticArray: its stamp in nanoseconds, and the statuses."""
-    message = _decode(DIAGNOSTIC_ARRAY, raw)
-    return _nanoseconds(message.header.stamp), [_status(item) for item in message.status]
+    message = decode_message(DIAGNOSTIC_ARRAY, raw)
+    return nanoseconds(message.header.stamp), [_status(item) for item in message.status]
 
 
 def encode_clock(stamp_ns: int) -> bytes:
     """Make a rosgraph_msgs/msg/Clock of a time in nanoseconds."""
-    return _encode(CLOCK, clock=_time(stamp_ns))
+    return _encode(CLOCK, _make(CLOCK, clock=_time(stamp_ns)))
 
 
 def decode_clock(raw: bytes) -> int:
     """Read a rosgraph_msgs/msg/Clock, in nanoseconds."""
-    return _nanoseconds(_decode(CLOCK, raw).clock)
+    return nanoseconds(decode_message(CLOCK, raw).clock)
 
 
-def _make(type_name: str, **fields: Any) -> Any:
-    return typestore().types[type_name](**fields)
+def decode_message(type_name: str, raw: bytes, where: str = "") -> Any:
+    """Read a message of any standard type; errors name ``where``, by default the type.
 
-
-def _encode(type_name: str, **fields: Any) -> bytes:
-    return _serialise(type_name, _make(type_name, **fields))
-
-
-def _serialise(type_name: str, message: Any) -> bytes:
-    return bytes(typestore().serialize_cdr(message, type_name, little_endian=True))
-
-
-def _decode(type_name: str, raw: bytes) -> Any:
+    Raises
+    ------
+    WireError
+        If the bytes are no such message. Bytes past the end are ignored.
+    """
+    where = where or type_name
     if not isinstance(raw, bytes | bytearray | memoryview):
-        raise WireError(f"{type_name}: expected bytes, not {type(raw).__name__}")
+        raise WireError(f"{where}: expected bytes, not {type(raw).__name__}")
     order = _BYTE_ORDERS.get(bytes(raw[:2])) if len(raw) >= 4 else None
     if order is None:
         raise WireError(
-            f"{type_name}: {len(raw)} bytes that start with {bytes(raw[:4]).hex() or 'nothing'} "
+            f"{where}: {len(raw)} bytes that start with {bytes(raw[:4]).hex() or 'nothing'} "
             "are no CDR message"
         )
     # not Typestore.deserialize_cdr: it refuses bytes past the end, which middlewares may add
@@ -133,29 +160,40 @@ def _decode(type_name: str, raw: bytes) -> Any:
         message, _ = getattr(definition, order)(memoryview(raw)[4:], 0, definition.cls, typestore())
     except (SerdeError, struct.error, ValueError, IndexError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise WireError(f"{type_name}: the {len(raw)} bytes can't be read: {reason}") from None
+        raise WireError(f"{where}: the {len(raw)} bytes can't be read: {reason}") from None
     return message
+
+
+def nanoseconds(time: Any) -> int:
+    """Time or duration of a message, in nanoseconds."""
+    return int(time.sec) * NANOSECONDS_PER_SECOND + int(time.nanosec)
+
+
+def _make(type_name: str, **fields: Any) -> Any:
+    return typestore().types[type_name](**fields)
+
+
+def _encode(type_name: str, message: Any) -> bytes:
+    return bytes(typestore().serialize_cdr(message, type_name, little_endian=True))
 
 
 def _status_message(status: Status) -> Any:
     if not isinstance(status, Status):
         raise WireError(f"DiagnosticStatus: expected a Status, not {type(status).__name__}")
-    name = _text(status.name, "DiagnosticStatus: name")
+    where = f"DiagnosticStatus {_text(status.name, 'DiagnosticStatus: name')}"
     if type(status.level) is not int or not OK <= status.level <= STALE:
-        raise WireError(
-            f"DiagnosticStatus {name}: level is {status.level!r}, but must be an int from 0 to 3"
-        )
+        raise WireError(f"{where}: level is {status.level!r}, but must be an int from 0 to 3")
     return _make(
         DIAGNOSTIC_STATUS,
         level=status.level,
-        name=name,
-        message=_text(status.message, f"DiagnosticStatus {name}: message"),
-        hardware_id=_text(status.hardware_id, f"DiagnosticStatus {name}: hardware_id"),
+        name=status.name,
+        message=_text(status.message, f"{where}: message"),
+        hardware_id=_text(status.hardware_id, f"{where}: hardware_id"),
         values=[
             _make(
                 "diagnostic_msgs/msg/KeyValue",
-                key=_text(key, f"DiagnosticStatus {name}: a key"),
-                value=_text(value, f"DiagnosticStatus {name}: {key}"),
+                key=_text(key, f"{where}: a key"),
+                value=_text(value, f"{where}: {key}"),
             )
             for key, value in status.values.items()
         ],
@@ -163,13 +201,8 @@ def _status_message(status: Status) -> Any:
 
 
 def _status(message: Any) -> Status:
-    return Status(
-        name=message.name,
-        level=int(message.level),
-        message=message.message,
-        hardware_id=message.hardware_id,
-        values={item.key: item.value for item in message.values},
-    )
+    values = {item.key: item.value for item in message.values}
+    return Status(message.name, int(message.level), message.message, message.hardware_id, values)
 
 
 def _text(value: str, where: str) -> str:
@@ -185,24 +218,70 @@ def _time(stamp_ns: int) -> Any:
         raise WireError(
             f"stamp is {stamp_ns!r}, but must be an int of nanoseconds from 0 to {_LATEST_NS - 1}"
         )
-    seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS_PER_SECOND)
-    return _make("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+    seconds, rest = divmod(stamp_ns, NANOSECONDS_PER_SECOND)
+    return _make("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)
 
 
-def _nanoseconds(time: Any) -> int:
-    return int(time.sec) * NANOSECONDS_PER_SECOND + int(time.nanosec)
+class EstimatesCodec:
+    """Estimates that a compensation method identifies on line over n axes <-> message bytes.
 
-
-def decode_description(raw: bytes) -> tuple[str, dict[str, Any]]:
-    """Read a message of experiment/description: JSON in a String.
-
-    Gives the node's name, and what it says: ``node``, ``parameters`` (a dict), and more.
+    A diagnostic_msgs/msg/DiagnosticArray with the stamp of the step, and for each axis a status
+    ``reference_force: <axis>`` whose values are the estimates by name. Numbers are written as
+    Python's `repr` does, so that they are read back bit for bit.
     """
+
+    def __init__(self, axes: Sequence[str], timebase: Timebase) -> None:
+        self._names = [f"{ESTIMATES.publisher}: {axis}" for axis in axes]
+        self._timebase = timebase
+
+    def encode(self, step: int, estimates: Mapping[str, Floats]) -> bytes:
+        """Make the message of one step: name -> estimate of each axis, shape (n,), SI units.
+
+        Raises
+        ------
+        WireError
+            If there are none, a shape does not fit the axes, or a value is not finite.
+        """
+        if not estimates:
+            raise WireError(f"{ESTIMATES.name}: a message needs at least one estimate")
+        statuses = [Status(name, OK, "identified on line") for name in self._names]
+        for name, estimate in estimates.items():
+            if np.shape(estimate) != (len(statuses),):
+                raise WireError(
+                    f"{ESTIMATES.name}: {name} has shape {np.shape(estimate)}, "
+                    f"not ({len(statuses)},) (axes)"
+                )
+            for status, value in zip(statuses, estimate, strict=True):
+                status.values[name] = repr(_finite(float(value), name, status.name))
+        return encode_diagnostics(self._timebase.stamp_ns(step), statuses)
+
+    def decode(self, raw: bytes) -> tuple[int, dict[str, Floats]]:
+        """Read a message: its step, and at least one estimate, as `encode` takes them.
+
+        Raises
+        ------
+        WireError
+            If the bytes are no such message, or not of these axes and steps.
+        """
+        stamp_ns, statuses = decode_diagnostics(raw)
+        found = [status.name for status in statuses]
+        if found != self._names:
+            raise WireError(f"{ESTIMATES.name}: statuses are {found}, not {self._names}")
+        names = list(statuses[0].values)
+        if not names or any(list(status.values) != names for status in statuses):
+            raise WireError(f"{ESTIMATES.name}: axes need the same estimates, at least one")
+        rows = {name: [_number(s.values[name], name, s.name) for s in statuses] for name in names}
+        return self._timebase.step(stamp_ns), {name: np.array(row) for name, row in rows.items()}
+
+
+def _number(text: str, name: str, status: str) -> float:
     try:
-        described = json.loads(decode_string(raw))
-    except (ValueError, RecursionError):  # WireError is none of these
-        raise WireError(f"{DESCRIPTION.name}: the text is no JSON") from None
-    match described:
-        case {"node": str(node), "parameters": dict()}:
-            return node, described
-    raise WireError(f"{DESCRIPTION.name}: the text does not describe a node")
+        return _finite(float(text), name, status)
+    except ValueError:
+        raise WireError(f"{ESTIMATES.name}: {name} of {status} is {text!r}, no number") from None
+
+
+def _finite(value: float, name: str, status: str) -> float:
+    if not math.isfinite(value):
+        raise WireError(f"{ESTIMATES.name}: {name} of {status} is {value}, but must be finite")
+    return value

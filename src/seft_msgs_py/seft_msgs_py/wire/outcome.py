@@ -1,14 +1,15 @@
-"""How a test ended, as the rig's last status says: written and read here alone."""
+"""How a test ended, by the rig's last status: written and read only here."""
 
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import ERROR, OK, WARN, Status
-from seft_msgs_py.wire.rigs import bare
 from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import bare
 
 RIG = "rig"
 RECORDER = "recorder"
@@ -17,11 +18,9 @@ RECORDED = "recorded"
 FINISHED = "finished"
 TRIPPED = "tripped"
 STOPPED = "stopped"
-"""Reason of a rig that only did what the supervisor said: that one knows why."""
-MOVING = ("running", "ramping_down")
-"""States of a test in which a rig obeys."""
+"""Reason of a rig that obeyed the supervisor, which knows the cause."""
 LISTED_STEPS = 100
-"""Missed steps that a status lists; all are counted."""
+"""Most missed steps that a status lists; all are counted."""
 ROUND_TRIPS = {
     "p50": "round trip median (ms)",
     "p90": "round trip 90 % (ms)",
@@ -29,7 +28,24 @@ ROUND_TRIPS = {
     "p99.9": "round trip 99.9 % (ms)",
     "largest": "round trip largest (ms)",
 }
-"""Quantiles of the time from a sample to its command, and how a status names them."""
+"""Quantiles of the time from a sample to its command, and their names in a status."""
+
+
+class State(StrEnum):
+    """States of a test."""
+
+    IDLE = "idle"
+    READY = "ready"
+    RUNNING = "running"
+    RAMPING_DOWN = "ramping_down"
+    DONE = "done"
+    TRIPPED = "tripped"
+
+
+MOVING = (State.RUNNING, State.RAMPING_DOWN)
+"""States in which the rig obeys commands."""
+ENDED = (State.DONE, State.TRIPPED)
+"""States that only a reset leaves."""
 
 
 @dataclass(frozen=True)
@@ -43,13 +59,13 @@ class Trip:
 
 @dataclass(frozen=True)
 class Saturation:
-    """What was saturated (stroke, valve, a sensor...): in how many samples, since which step."""
+    """What was saturated (stroke, valve, a sensor...): number of samples, and first step."""
 
     samples: dict[str, int] = field(default_factory=dict)
     first_step: dict[str, int] = field(default_factory=dict)
 
     def add(self, step: int, names: Iterable[str]) -> None:
-        """Count what is saturated at a step."""
+        """Count one sample of each name."""
         for name in set(names):
             self.count(name, 1, step)
 
@@ -97,7 +113,7 @@ class Outcome:
     steps : int
         Samples that the rig took.
     missed : int
-        Steps at which it had no new command and held the last.
+        Steps without a new command, at which it held the last one.
     missed_steps : list of int
         The first of them, at most `LISTED_STEPS`.
     wall_s : float or None
@@ -105,15 +121,14 @@ class Outcome:
     trip : Trip or None
         Why and when it was ended early; None if finished.
     overruns : int
-        Times the rig's own clock was held up for more than half a period.
+        Sampling overruns: steps at which the rig was late by more than half a period.
     saturation : Saturation
         What was saturated.
     round_trips : dict
-        From a sample to its command as the rig measured it, s, by the keys of `ROUND_TRIPS`;
-        empty where it did not.
+        From a sample to its command, s, by the keys of `ROUND_TRIPS`; empty where not measured.
     held_steps : list of int
-        Step of the command that was applied at each of `missed_steps`, -1 for none; empty where
-        the rig does not say, and of several rigs.
+        Step of the command applied at each of `missed_steps`, -1 for none; empty where the rig
+        does not report it, and of several rigs.
     """
 
     phase: str
@@ -129,9 +144,9 @@ class Outcome:
 
     @classmethod
     def of_all(cls, outcomes: Sequence["Outcome"]) -> "Outcome":
-        """Put together the outcomes of all rigs of a test.
+        """Combine the outcomes of all rigs of a test.
 
-        The first trip with a cause counts. The steps are those that all rigs have sampled, missed
+        The first trip with a cause counts, the steps are those that all rigs have sampled, missed
         commands are added up, and the longest round trips count.
         """
         if len(outcomes) == 1:
@@ -179,11 +194,11 @@ def rig_status(
     wall_s : float or None
         Wall-clock time since the test began, s; None if it has not.
     trip : Trip, optional
-        Needed where the phase is ``tripped``, and only there: else ValueError.
+        Required where the phase is ``tripped``, and only there: else ValueError.
     steps, missed, missed_steps, overruns, saturation, round_trips
-        As `Outcome` has them; the first `LISTED_STEPS` missed steps are sent.
+        As in `Outcome`; only the first `LISTED_STEPS` missed steps are sent.
     held_steps : sequence of int, optional
-        Step of the command that was applied at each of the missed steps, -1 for none.
+        Step of the command applied at each of the missed steps, -1 for none.
     """
     if (phase == TRIPPED) != (trip is not None):
         raise ValueError(f"phase {phase} with trip {trip}")
@@ -211,18 +226,18 @@ def rig_status(
 
 
 def tripped_status(node: str, reason: str, step: int) -> Status:
-    """Status with which any node but the rig ends a test, at once; the supervisor obeys it."""
+    """Status with which any node but the rig ends a test at once."""
     values = {"phase": TRIPPED, "reason": reason, "step": str(step)}
     return Status(node, ERROR, f"{TRIPPED} at step {step}: {reason}", values=values)
 
 
 def read_outcome(status: Status, timebase: Timebase) -> Outcome | None:
-    """Read what `rig_status` wrote; None if it is no rig's status at the end of a test.
+    """Read a status of `rig_status`; None if it is not of a rig at the end of a test.
 
     Raises
     ------
     WireError
-        If it is the end of a test, and a value is missing or makes no sense.
+        If it is, and a value is missing or invalid.
     """
     values = status.values
     phase = values.get("phase", "")

@@ -1,14 +1,19 @@
-"""Topics of a test: names, message types, who sends and who listens, quality of service.
+"""Topics of a test: names, message types, publisher, subscribers, quality of service; and its rigs.
 
-The table in the README is made of these rows. Names are relative, so that a test can be
-put in a namespace; a bag holds them with a leading slash.
+The table in the README is made of these rows. Names are relative, so that a test can be put in a
+namespace; a bag holds them with a leading slash.
+
+An axis that is named ``west/x`` belongs to the rig ``west``, whose nodes run in the namespace of
+that name below the test's. Axes without such a name belong to the only rig.
 """
 
-from collections.abc import Sequence
+import re
+import time
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Self
 
-from seft_msgs_py.wire.rigs import RIG_NODES, RigAxes, with_rigs
+from seft_msgs_py.errors import InputError
 
 JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 DIAGNOSTIC_STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
@@ -16,17 +21,116 @@ DIAGNOSTIC_ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 STRING = "std_msgs/msg/String"
 CLOCK = "rosgraph_msgs/msg/Clock"
 
-NODES = (
-    "ground_motion",
-    "reference_force",
-    "force_controller",
-    "rig",
-    "supervisor",
-    "recorder",
-)
+NODES = ("ground_motion", "reference_force", "force_controller", "rig", "supervisor", "recorder")
 
 QUANTITIES = ("positions", "velocities", "accelerations", "effort")
 """Arrays of a JointTrajectoryPoint, in the order of the wire."""
+RIG_NODES = ("force_controller", "rig")
+"""Nodes of which each rig has its own; the others serve all rigs."""
+
+START = "start_ns"
+"""Key of a running test's state: common start of several rigs, ns of the wall clock."""
+FARTHEST_START = 5.0  # s
+
+_NAMESPACE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+
+
+@dataclass(frozen=True)
+class RigAxes:
+    """One rig of a test.
+
+    Attributes
+    ----------
+    name : str
+        Namespace of its nodes below the test's; empty where a test has but one rig.
+    axes : tuple of str
+        Its axes, in order.
+    places : tuple of int
+        Their indices among the test's axes.
+    """
+
+    name: str
+    axes: tuple[str, ...]
+    places: tuple[int, ...]
+
+    @classmethod
+    def whole(cls, axes: Sequence[str]) -> "RigAxes":
+        """Make the rig that has all axes of a test."""
+        return cls("", tuple(axes), tuple(range(len(axes))))
+
+    def node(self, name: str) -> str:
+        """Name of one of its nodes, as seen from the test's namespace."""
+        return f"{self.name}/{name}" if self.name else name
+
+
+def rigs_of(axes: Sequence[str]) -> tuple[RigAxes, ...]:
+    """Sort the axes of a test by rig, in the order in which rigs are first named.
+
+    Raises
+    ------
+    InputError
+        If only some axes name a rig, or a rig's name can't be a namespace.
+    """
+    names = {axis: axis.rpartition("/")[0] for axis in axes}
+    rigs = list(dict.fromkeys(names.values()))
+    for name in rigs:
+        if rigs != [""] and not _NAMESPACE.fullmatch(name):
+            without = [axis for axis in axes if "/" not in axis]
+            raise InputError(
+                f"axes are {list(axes)}, but {without[0]} names no rig as the others do"
+                if without
+                else f"axes are {list(axes)}, but a rig named {name} can't have a namespace: give "
+                "it letters, digits and _, a digit not first"
+            )
+    return tuple(
+        RigAxes(
+            rig,
+            tuple(axis for axis in axes if names[axis] == rig),
+            tuple(place for place, axis in enumerate(axes) if names[axis] == rig),
+        )
+        for rig in rigs
+    )
+
+
+def until_start(values: Mapping[str, str]) -> float:
+    """Time until the common start of several rigs, s, by the test's running state.
+
+    It is negative if that moment has passed, and 0 if the test has one rig.
+
+    Raises
+    ------
+    InputError
+        If it is far away: the clocks of the hosts differ.
+    """
+    start = values.get(START, "")
+    if not start.isdecimal() or len(start) > 19:
+        return 0.0
+    ahead = (int(start) - time.time_ns()) / 1e9
+    if abs(ahead) > FARTHEST_START:
+        raise InputError(
+            f"the common start of the rigs is {ahead:.3g} s from now by this host's clock: set "
+            "the clocks of all hosts by one (PTP, or NTP)"
+        )
+    return ahead
+
+
+def bare(node: str) -> str:
+    """Name of a node without its rig's."""
+    return node.rpartition("/")[2]
+
+
+def rig_name(node: str) -> str:
+    """Name of the rig in a node's name; empty if it serves all rigs, or the only one."""
+    return node.rpartition("/")[0]
+
+
+def with_rigs(nodes: Iterable[str], rigs: Sequence[RigAxes]) -> list[str]:
+    """Names of nodes in a test of these rigs: one for each rig, where rigs have their own."""
+    return [
+        named
+        for node in nodes
+        for named in ([rig.node(node) for rig in rigs] if node in RIG_NODES else [node])
+    ]
 
 
 @dataclass(frozen=True)
@@ -42,26 +146,26 @@ class Topic:
     publisher : str
         Node that publishes it; empty where every node does.
     subscribers : tuple of str
-        Nodes that a test can't start without having matched (the recorder listens to all).
+        Nodes that must be connected before a test starts (the recorder subscribes to all).
     latched : bool
-        Transient local: who comes late gets the last ones too.
+        Transient local: a late subscriber also gets the last messages.
     depth : int
-        Samples the publisher keeps for a reader that is held up, until it acknowledges them:
-        in lockstep thousands go by in a second.
+        Samples the publisher keeps for a slow reader, until it acknowledges them: in lockstep
+        there are thousands a second.
     recorded : bool
         Whether the bag holds it.
     """
 
     name: str
     type: str
-    publisher: str = field(default="", compare=False)  # which of several rigs', the test says
+    publisher: str = field(default="", compare=False)  # several rigs differ in it
     subscribers: tuple[str, ...] = field(default=(), compare=False)
     latched: bool = False
     depth: int = 4096
     recorded: bool = True
 
     def of(self, rig: RigAxes) -> Self:
-        """Give the topic as one rig of several has it of its own: in its namespace."""
+        """Give the topic in the namespace of one of several rigs."""
         if not rig.name:
             return self
         return replace(
@@ -74,9 +178,9 @@ class Topic:
 
 @dataclass(frozen=True)
 class LoopTopic(Topic):
-    """A topic of the loop: JointTrajectory, of which some arrays carry values.
+    """A topic of the loop: JointTrajectory, of which only the arrays of ``quantities`` have values.
 
-    These are the quantities, each with its unit, in the order of the wire; others are empty.
+    Quantities and their units are in the order of the wire.
     """
 
     quantities: tuple[str, ...] = ()
@@ -105,16 +209,14 @@ REFERENCE_FORCE = LoopTopic(
     "reference_force",
     JOINT_TRAJECTORY,
     publisher="reference_force",
-    subscribers=("force_controller",),  # and a rig that says it is driven by it
+    subscribers=("force_controller",),  # and a rig that it drives
     quantities=("effort",),
     units=("N",),
 )
 TARGET = replace(
-    REFERENCE_FORCE,
-    quantities=("positions", "velocities", "effort"),
-    units=("m", "m/s", "N"),
+    REFERENCE_FORCE, quantities=("positions", "velocities", "effort"), units=("m", "m/s", "N")
 )
-"""The reference force with the motion that belongs to it, of this step and the coming ones."""
+"""The reference force with the target's motion, of this step and future ones."""
 VALVE_COMMAND = LoopTopic(
     "valve_command",
     JOINT_TRAJECTORY,
@@ -147,12 +249,12 @@ CLOCK_TOPIC = Topic(
 
 LINK_PING = Topic("link/ping", STRING, depth=256, recorded=False)
 LINK_PONG = Topic("link/pong", STRING, depth=256, recorded=False)
-"""Messages over a link and back, sent by `seft link` while no test runs."""
+"""Messages over a link and back, for `seft link`."""
 
 TOPICS = (*STEP_TOPICS, EXPERIMENT_STATE, DESCRIPTION, DIAGNOSTICS, CLOCK_TOPIC)
 
 RIG_TOPICS = (RIG_STATE, VALVE_COMMAND)
-"""Topics that each of several rigs has of its own."""
+"""Topics of which each of several rigs has its own."""
 
 
 def topics_of(rigs: Sequence[RigAxes]) -> tuple[Topic, ...]:

@@ -1,16 +1,18 @@
 """Samples of the loop <-> bytes of a trajectory_msgs/msg/JointTrajectory (CDR, little endian).
 
-A message with known axis names has a fixed layout, in which every double stands on a whole
-64-bit word counted from the end of the 4-byte encapsulation header, and the stamp is word 0.
-Encoding adds what varies to what is fixed; decoding checks what is fixed, padding aside (its
-bytes are arbitrary on the wire), and reads the doubles: of one point as whole numbers as long as
-the message, of more points word by word. Anything else is taken apart field by field, to be
-understood or refused with a reason.
+With known axis names a message has a fixed layout: each double lies on a whole 64-bit word,
+counted from the end of the 4-byte encapsulation header, and word 0 is the stamp. `encode` fills
+the values into the constant bytes; `decode` compares the constant bytes, except padding, and reads
+the values. Messages of one point, which the loop sends, are handled as one long integer; those of
+several points word by word. All other messages are parsed field by field and either understood or
+refused with a reason. `decode_batch` reads many messages of equal layout, as a bag holds them, by a
+few array operations.
 """
 
 import math
 import struct
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,10 +20,12 @@ import numpy.typing as npt
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND, Timebase
 from seft_msgs_py.wire.topics import TARGET, LoopTopic
-from seft_msgs_py.wire.trajectory_layout import STAMP, Layout
-from seft_msgs_py.wire.trajectory_message import ENCAPSULATION, parse_trajectory
+from seft_msgs_py.wire.trajectory_layout import ENCAPSULATION, STAMP, Layout, parse_trajectory
 
 Floats = npt.NDArray[np.float64]
+Steps = npt.NDArray[np.int64]
+Bytes = npt.NDArray[np.uint8]
+Flags = npt.NDArray[np.bool_]
 
 _COUNTS = struct.Struct("<II")  # of points, and of the first's positions
 _FLOAT64 = np.dtype(np.float64)
@@ -30,7 +34,7 @@ _FLOAT64 = np.dtype(np.float64)
 class TrajectoryCodec:
     """Samples of one loop topic over n axes <-> message bytes.
 
-    The topic says which q arrays of a point carry values, the time base which stamp a step has.
+    The topic defines which q arrays of a point have values, the time base the stamp of a step.
     """
 
     def __init__(self, topic: LoopTopic, axes: Sequence[str], timebase: Timebase) -> None:
@@ -42,7 +46,7 @@ class TrajectoryCodec:
         self._single = single = self._layout(1)
         shape = single.values.shape
         self._single_shapes = _shapes(*shape)
-        # one point, as whole numbers of so many bytes: what is fixed, and where that stands
+        # one point as a long integer: its constant bits, and their mask
         fixed = b"\xff" * 4 + single.mask.tobytes() + b"\xff" * len(single.tail)
         self._mask = int.from_bytes(fixed, "little")
         self._fixed = int.from_bytes(single.template, "little") & self._mask
@@ -82,7 +86,7 @@ class TrajectoryCodec:
         return self._encode(self._layout(count), step, values)
 
     def decode(self, raw: bytes) -> tuple[int, Floats]:
-        """Read a message: step of its first point, and values of shape (p, q, n), all finite.
+        """Read a message: step of its first point, and finite values of shape (p, q, n).
 
         Raises
         ------
@@ -109,15 +113,14 @@ class TrajectoryCodec:
             return self._decode_slowly(raw)
         seconds, nanoseconds = STAMP.unpack_from(raw, 4)
         values = body.view(np.float64)[layout.values]
-        if not np.isfinite(values).all():
-            raise WireError(f"{self.topic.name}: {_describe_non_finite(values, self)}")
+        self._check_finite(values)
         return self.timebase.step(seconds * NANOSECONDS_PER_SECOND + nanoseconds), values
 
     def _encode(self, layout: Layout, step: int, values: Floats) -> bytes:
         if not isinstance(values, np.ndarray) or values.dtype != np.float64:
-            raise WireError(
-                f"{self.topic.name}: values must be a float64 array, not {_type_name(values)}"
-            )
+            kind, of = type(values).__name__, getattr(values, "dtype", None)
+            found = kind if of is None else f"{kind} of {of}"
+            raise WireError(f"{self.topic.name}: values must be a float64 array, not {found}")
         shape = layout.values.shape
         if values.shape not in _shapes(*shape):
             raise WireError(
@@ -125,8 +128,7 @@ class TrajectoryCodec:
                 f"(points, {'/'.join(self.topic.quantities)}, axes)"
             )
         values = values.reshape(shape)
-        if not np.isfinite(values).all():
-            raise WireError(f"{self.topic.name}: {_describe_non_finite(values, self)}")
+        self._check_finite(values)
         message = bytearray(layout.template)
         STAMP.pack_into(message, 4, *divmod(step * self.timebase.period_ns, NANOSECONDS_PER_SECOND))
         np.frombuffer(message, "<f8", layout.words, 4)[layout.values] = values
@@ -143,9 +145,9 @@ class TrajectoryCodec:
         return layout
 
     def layout_of(self, raw: bytes) -> Layout:
-        """Layout of as many points as a message claims; of one, if that number makes no sense.
+        """Layout of as many points as a message claims; of one, if that number is impossible.
 
-        A message may carry a target where the reference force alone is read.
+        A message may carry a target where only the reference force is read.
         """
         single = self._single
         at = single.points_at
@@ -157,6 +159,14 @@ class TrajectoryCodec:
         if first and self.topic.name == TARGET.name:
             return self._layout(count, TARGET.quantities)
         return single if count == 1 else self._layout(count)
+
+    def _check_finite(self, values: Floats) -> None:
+        if not np.isfinite(values).all():
+            point, row, column = np.argwhere(~np.isfinite(values))[0]
+            raise WireError(
+                f"{self.topic.name}: {self.topic.quantities[row]} of axis {self.axes[column]} is "
+                f"{values[point, row, column]}"
+            )
 
     def _decode_slowly(self, raw: bytes) -> tuple[int, Floats]:
         message = parse_trajectory(raw, self.topic.name)
@@ -182,20 +192,19 @@ class TrajectoryCodec:
                         f"{list(self.axes)}"
                     )
                 values[index, row] = given
-        if not np.isfinite(values).all():
-            raise WireError(f"{name}: {_describe_non_finite(values, self)}")
+        self._check_finite(values)
         return self.timebase.step(message.stamp_ns), values
 
 
 def _shapes(p: int, q: int, n: int) -> tuple[tuple[int, ...], ...]:
-    """Shapes that p points of q quantities over n axes may have, the full one first."""
+    """List the allowed shapes of p points of q quantities over n axes, the full one first."""
     single = ((q, n),) if p == 1 else ()
     flat = ((p, n), (n,)) if p == q == 1 else ((p, n),) if q == 1 else ()
     return ((p, q, n), *single, *flat)
 
 
 def _struct_of_numbers(layout: Layout) -> struct.Struct:
-    """Make what reads and writes the stamp and the doubles of a message, in their order."""
+    """Struct of the stamp and the doubles of a message, in their order."""
     form, end = f"<{len(ENCAPSULATION)}x{STAMP.format.lstrip('<')}", len(ENCAPSULATION) + STAMP.size
     for word in layout.values.ravel().tolist():
         at = 4 + 8 * word
@@ -204,12 +213,94 @@ def _struct_of_numbers(layout: Layout) -> struct.Struct:
     return struct.Struct(f"{form}{layout.size - end}x")
 
 
-def _describe_non_finite(values: Floats, codec: TrajectoryCodec) -> str:
-    point, row, column = np.argwhere(~np.isfinite(values))[0]
-    quantity = codec.topic.quantities[row]
-    return f"{quantity} of axis {codec.axes[column]} is {values[point, row, column]}"
+class Batch(NamedTuple):
+    """Content of many messages.
+
+    Attributes
+    ----------
+    steps : ndarray of int64
+        Shape (N,): steps of all points of all valid messages, in their order.
+    values : ndarray
+        Shape (N, q, n): points, quantities, axes. All finite.
+    messages : ndarray of int64
+        Shape (N,): index of each point's message.
+    refused : int
+        Number of invalid messages.
+    """
+
+    steps: Steps
+    values: Floats
+    messages: Steps
+    refused: int
+
+    def up_to(self, ahead: float) -> "Batch":
+        """Leave out points that are more than ``ahead`` steps after the first of their message."""
+        first = np.searchsorted(self.messages, self.messages)
+        near = np.arange(len(self.steps)) - first <= ahead
+        if near.all():
+            return self
+        return Batch(self.steps[near], self.values[near], self.messages[near], self.refused)
 
 
-def _type_name(value: object) -> str:
-    dtype = getattr(value, "dtype", None)
-    return f"{type(value).__name__} of {dtype}" if dtype is not None else type(value).__name__
+def decode_batch(codec: TrajectoryCodec, rows: Bytes) -> Batch:
+    """Read M messages of equal length, shape (M, length), as `TrajectoryCodec.decode` does each.
+
+    Those with the layout of the first one differ only in stamp and doubles; all others are decoded
+    one by one. The memory needed is a small multiple of theirs.
+    """
+    count, length = rows.shape
+    layout = codec.layout_of(rows[0].tobytes() if count else b"")
+    points, *shape = layout.values.shape
+    values = np.empty((count, layout.values.size))
+    steps, fits = np.zeros(count, np.int64), np.zeros(count, bool)
+    if length >= layout.size and count:
+        steps, fits = _steps(codec, rows)
+        words = np.ndarray((count, layout.words), "<u8", rows, 4, (length, 8))
+        values = words[:, layout.values.ravel()].view(np.float64)
+        fits &= np.isfinite(values).all(axis=1) & _as_laid_out(rows, words, layout)
+    every = steps[:, np.newaxis] + np.arange(points)
+    nothing = np.empty((0, len(codec.topic.quantities), len(codec.axes)))
+    parts: list[tuple[Steps, Floats, Steps]] = [
+        (np.empty(0, np.int64), nothing, np.empty(0, np.int64))
+    ]
+    refused, start = 0, 0
+    for end in [*np.flatnonzero(~fits).tolist(), count]:
+        if start < end:
+            messages = np.repeat(np.arange(start, end), points)
+            points_of = values[start:end].reshape(-1, *shape)
+            parts.append((every[start:end].ravel(), points_of, messages))
+        if end < count:
+            try:
+                step, single = codec.decode(rows[end].tobytes())
+            except WireError:
+                refused += 1
+            else:
+                number = len(single)
+                parts.append((step + np.arange(number), single, np.full(number, end)))
+        start = end + 1
+    if len(parts) == 2:  # the usual case: all messages have the layout
+        return Batch(*parts[1], refused)
+    found, points_of, messages_of = map(np.concatenate, zip(*parts, strict=True))
+    return Batch(found, points_of, messages_of, refused)
+
+
+def _as_laid_out(rows: Bytes, words: npt.NDArray[np.uint64], layout: Layout) -> Flags:
+    """Whether each message has the constant bits of a layout."""
+    checked = np.flatnonzero(layout.mask)
+    differing = words[:, checked]
+    differing &= layout.mask[checked]
+    differing ^= layout.fixed[checked]
+    headed = rows[:, : len(ENCAPSULATION)] == np.frombuffer(ENCAPSULATION, np.uint8)
+    tail = rows[:, layout.size - len(layout.tail) : layout.size] == list(layout.tail)
+    found: Flags = np.bitwise_or.reduce(differing, axis=1) == 0
+    return found & headed.all(axis=1) & tail.all(axis=1)
+
+
+def _steps(codec: TrajectoryCodec, rows: Bytes) -> tuple[Steps, Flags]:
+    """Read the stamps of messages: their steps, and which of them are on the grid."""
+    seconds = rows[:, 4:8].copy().view("<i4")[:, 0].astype(np.int64)
+    nanoseconds = rows[:, 8:12].copy().view("<u4")[:, 0]
+    steps, rest = np.divmod(
+        seconds * NANOSECONDS_PER_SECOND + nanoseconds, codec.timebase.period_ns
+    )
+    return steps, (rest == 0) & (steps >= 0)

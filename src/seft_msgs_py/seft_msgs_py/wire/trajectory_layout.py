@@ -1,15 +1,18 @@
-"""Where things stand in the bytes of a JointTrajectory message."""
+"""JointTrajectory messages: the layout of known ones, and the fields of any."""
 
 import struct
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from seft_msgs_py.errors import WireError
+from seft_msgs_py.wire.messages import decode_message, nanoseconds
 from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND, Timebase
-from seft_msgs_py.wire.topics import QUANTITIES, LoopTopic
-from seft_msgs_py.wire.trajectory_message import ENCAPSULATION
+from seft_msgs_py.wire.topics import JOINT_TRAJECTORY, QUANTITIES, LoopTopic
 
+ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR, little endian, no options
 STAMP = struct.Struct("<iI")
 
 
@@ -26,13 +29,13 @@ class Layout:
     size, words : int
         Its bytes, and its whole words.
     tail : bytes
-        What stands after the last whole word.
+        Bytes after the last whole word.
     values : ndarray of intp
         Shape (p, q, n): words that hold the values of points, quantities, axes.
     mask, fixed : ndarray of uint64
-        Shape (words,): ones where bits must be as in the template, and what they are there.
+        Shape (words,): ones where bits are constant, and these bits.
     points_at : int
-        Byte at which the number of points stands.
+        Byte offset of the number of points.
     """
 
     template: bytes
@@ -55,7 +58,7 @@ class Layout:
     ) -> "Layout":
         """Lay out a message of ``count`` points, a period apart.
 
-        Its points carry the quantities of the topic, and perhaps others, which are not looked at.
+        Its points have the quantities ``carried``: those of the topic, and perhaps others.
         """
         message, known = bytearray(ENCAPSULATION), bytearray(4)
 
@@ -102,3 +105,49 @@ class Layout:
             fixed=fixed_words,
             points_at=points_at,
         )
+
+
+@dataclass(frozen=True)
+class TrajectoryPoint:
+    """One point as it is on the wire; arrays hold as many values as were sent."""
+
+    positions: tuple[float, ...]
+    velocities: tuple[float, ...]
+    accelerations: tuple[float, ...]
+    effort: tuple[float, ...]
+    time_from_start_ns: int
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """All fields of a JointTrajectory message, not yet checked against a test."""
+
+    stamp_ns: int
+    frame_id: str
+    axes: tuple[str, ...]
+    points: tuple[TrajectoryPoint, ...]
+
+
+def parse_trajectory(raw: bytes, topic: str = "trajectory") -> Trajectory:
+    """Read all fields of a JointTrajectory message; errors name the topic.
+
+    Bytes past the end are ignored, because middlewares round sizes up.
+
+    Raises
+    ------
+    WireError
+        If the bytes end early, are not little-endian CDR, or hold impossible sizes or text.
+    """
+    if raw[:2] != ENCAPSULATION[:2] or len(raw) < 4:
+        raise WireError(
+            f"{topic}: {len(raw)} bytes that start with {bytes(raw[:4]).hex() or 'nothing'} "
+            "are no little-endian CDR message"
+        )
+    message = decode_message(JOINT_TRAJECTORY, raw, topic)
+    points = []
+    for point in message.points:
+        fields: dict[str, Any] = {name: tuple(getattr(point, name).tolist()) for name in QUANTITIES}
+        fields["time_from_start_ns"] = nanoseconds(point.time_from_start)
+        points.append(TrajectoryPoint(**fields))
+    header, axes = message.header, tuple(message.joint_names)
+    return Trajectory(nanoseconds(header.stamp), header.frame_id, axes, tuple(points))

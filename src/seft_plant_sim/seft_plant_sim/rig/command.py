@@ -4,7 +4,7 @@ from collections import deque
 
 import numpy as np
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.wire.rigs import RigAxes
+from seft_msgs_py.wire.topics import RigAxes
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
 

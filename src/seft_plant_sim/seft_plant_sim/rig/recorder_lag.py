@@ -1,6 +1,6 @@
 """How far the recorder is behind a rig that keeps no time, and so can wait for it."""
 
-from seft_msgs_py.node.awake_clock import AwakeClock
+from seft_msgs_py.node.realtime import AwakeClock
 from seft_msgs_py.wire.messages import decode_diagnostics
 from seft_msgs_py.wire.outcome import RECORDED, RECORDER
 

@@ -9,9 +9,8 @@ import numpy.typing as npt
 from seft_msgs_py.config.arrays import Floats, Ints, per_axis
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.wire.outcome import Saturation
-from seft_msgs_py.wire.rigs import RigAxes
 from seft_msgs_py.wire.timebase import Timebase
-from seft_msgs_py.wire.topics import VALVE_COMMAND
+from seft_msgs_py.wire.topics import VALVE_COMMAND, RigAxes
 
 from seft_plant_sim.actuator.actuator import delayed_force, servo_hydraulic
 from seft_plant_sim.actuator.hydraulics import Hydraulics

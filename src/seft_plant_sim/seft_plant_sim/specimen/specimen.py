@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.config.arrays import Floats, mass_matrix, symmetric_matrix
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.rigs import RigAxes
+from seft_msgs_py.wire.topics import RigAxes
 
 from seft_plant_sim.specimen.restoring_force import Spring
 from seft_plant_sim.specimen.spring_kinds import make_springs

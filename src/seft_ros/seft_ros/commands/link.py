@@ -6,7 +6,7 @@ from typing import Annotated, Any, Optional
 import typer
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.rigs import RigAxes
+from seft_msgs_py.wire.topics import RigAxes
 
 from seft_ros.commands.options import Files, Json, Params, load_experiment, option
 from seft_ros.commands.output import complain, show, stderr_console, step_progress
@@ -59,9 +59,8 @@ def link(
         seft run config/demo.yaml --params-file link.yaml --external rig
         --external force_controller
     """
-    from seft_ros.link.link_table import link_table
-    from seft_ros.link.ping import measure
-    from seft_ros.link.round_trips import allowed, judge, message_size
+    from seft_ros.test_run.link_judgement import allowed, judge, link_table, message_size
+    from seft_ros.test_run.link_measurement import measure
 
     if echo:
         return _echo()
@@ -109,7 +108,7 @@ def _rig(name: str, experiment: Experiment | None) -> RigAxes | None:
 
 
 def _echo() -> int:
-    from seft_ros.link.ping import echo
+    from seft_ros.test_run.link_measurement import echo
 
     console = stderr_console()
     with console.status("echoing") as status:

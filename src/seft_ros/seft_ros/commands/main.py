@@ -6,7 +6,7 @@ from contextlib import redirect_stdout
 
 import typer
 from seft_msgs_py.errors import SeftError
-from seft_msgs_py.node.ending import as_before, on_ending
+from seft_msgs_py.node.shutdown import as_before, on_ending
 
 from seft_ros.commands.bags import compare, recover, report
 from seft_ros.commands.conform import conform

@@ -11,7 +11,7 @@ from seft_ros.commands.output import show, step_progress
 from seft_ros.recording.record import Record
 
 if TYPE_CHECKING:
-    from seft_ros.running.process_layout import ProcessLayout
+    from seft_ros.test_run.process_layout import ProcessLayout
 
 FIGURE = "figure.png"
 
@@ -30,9 +30,9 @@ def offline_test(experiment: Experiment, bag: Path | None, label: str = "") -> R
     InputError
         If a parameter makes no sense together with the others.
     """
-    from seft_ros.experiment.blocks import build_blocks
-    from seft_ros.experiment.offline import simulate
     from seft_ros.recording.record_bag import write_record
+    from seft_ros.test_run.blocks import build_blocks
+    from seft_ros.test_run.offline import simulate
 
     blocks = build_blocks(experiment)
     motion = blocks.ground_motion
@@ -67,8 +67,7 @@ def dds_test(
         If the run broke; what was recorded is kept.
     """
     from seft_ros.recording.bag_reader import read_bag
-    from seft_ros.running.run import run_experiment
-    from seft_ros.running.run_monitor import Interruption
+    from seft_ros.test_run.run import Interruption, run_experiment
 
     with step_progress(steps) as show_steps, Interruption() as interruption:
 

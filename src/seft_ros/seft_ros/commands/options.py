@@ -5,15 +5,13 @@ from pathlib import Path
 from typing import Annotated, Any, Optional
 
 import typer
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_file import parse_override
+from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.rigs import with_rigs
-from seft_msgs_py.wire.topics import NODES
+from seft_msgs_py.wire.topics import NODES, with_rigs
 
 from seft_ros.design import Source
-from seft_ros.experiment.tables import TABLES
+from seft_ros.test_run.parameter_tables import TABLES
 
 
 def option(text: str, named: str | None = None, **more: Any) -> Any:

@@ -6,7 +6,7 @@ import typer
 from seft_msgs_py.config.parameter_table import COMMON, Parameter, nearest
 from seft_msgs_py.errors import InputError
 
-from seft_ros.experiment.tables import TABLES
+from seft_ros.test_run.parameter_tables import TABLES
 
 
 def parameters(

@@ -10,7 +10,7 @@ from seft_msgs_py.errors import InputError
 from seft_ros.commands.one_test import check_out, dds_test, offline_test, show_test
 from seft_ros.commands.options import Config, External, Files, Json, Params, load_experiment, option
 from seft_ros.commands.output import complain, step_progress, warn
-from seft_ros.experiment.tables import TABLES
+from seft_ros.test_run.parameter_tables import TABLES
 
 TRAVEL, FORCE = 0.005, 2000.0
 """Displacement (m) and force (N) at which a motion that looks at signs is stopped."""
@@ -91,8 +91,8 @@ def run(
         seft run config/jhu.yaml -p reference_force:mass_ratio:=2.0 --accept-unstable
     """
     from seft_ros.design.preflight_tables import expected_peaks, limit_warning
-    from seft_ros.running.process_layout import ProcessLayout
-    from seft_ros.running.run import bag_path
+    from seft_ros.test_run.process_layout import ProcessLayout
+    from seft_ros.test_run.run import bag_path
 
     experiment = load_experiment(config, param, params_file, external)
     bag = bag_path(experiment, out)
@@ -163,8 +163,8 @@ def _with_measured_delay(experiment: Experiment) -> Experiment:
             "reference_force: loop_delay is to be measured, but there is no link: force_controller "
             "is to run here; give a number of steps, or --external force_controller"
         )
-    from seft_ros.link.ping import measure
-    from seft_ros.link.round_trips import message_size, with_loop_delay
+    from seft_ros.test_run.link_judgement import message_size, with_loop_delay
+    from seft_ros.test_run.link_measurement import measure
 
     rate = experiment.timebase.rate
     size, delays = message_size(experiment), []
@@ -242,8 +242,8 @@ def _steps(experiment: Experiment) -> int:
     A node that is external has checked its own parameters; of such a ground motion the number
     of steps is not known here.
     """
-    from seft_ros.experiment.blocks import build_blocks
     from seft_ros.ground_motion.ground_motion_block import GroundMotion
+    from seft_ros.test_run.blocks import build_blocks
 
     if all(table.node in experiment.sections for table in TABLES):
         return build_blocks(experiment).ground_motion.steps

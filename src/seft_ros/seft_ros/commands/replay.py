@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
-from seft_msgs_py.config.parameter_file import Override, parse_override
+from seft_msgs_py.config.experiment import Override, parse_override
 from seft_msgs_py.errors import InputError
 
 from seft_ros.commands.one_test import check_out

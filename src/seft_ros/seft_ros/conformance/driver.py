@@ -11,7 +11,7 @@ import numpy.typing as npt
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.wire.messages import Status, decode_clock, decode_description
-from seft_msgs_py.wire.outcome import FINISHED, TRIPPED
+from seft_msgs_py.wire.outcome import FINISHED, TRIPPED, State
 from seft_msgs_py.wire.topics import (
     CLOCK_TOPIC,
     DESCRIPTION,
@@ -22,9 +22,8 @@ from seft_msgs_py.wire.topics import (
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 from seft_plant_sim.rig.limits import NAMES, UNITS
 
-from seft_ros.experiment.state_machine import State
-from seft_ros.running.player import Player
-from seft_ros.running.processes import NodeProcesses
+from seft_ros.test_run.player import Player
+from seft_ros.test_run.processes import NodeProcesses
 
 BASELINE = 20  # samples at rest that the motion is counted from
 FOUND = 20.0  # s until the rig is found

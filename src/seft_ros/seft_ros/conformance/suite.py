@@ -10,7 +10,7 @@ from dataclasses import replace
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.node.realtime import boot, started
-from seft_msgs_py.wire.outcome import FINISHED, TRIPPED
+from seft_msgs_py.wire.outcome import FINISHED, TRIPPED, State
 from seft_msgs_py.wire.topics import LOOP_TOPICS, VALVE_COMMAND
 from seft_plant_sim.reference.whole_structure import tested_specimen
 
@@ -19,11 +19,10 @@ from seft_ros.conformance.driver import ENDED, SLOW, Answer, Guard, TestDriver, 
 from seft_ros.conformance.finding import LATER, Finding, found, not_run
 from seft_ros.conformance.motion_checks import Drive
 from seft_ros.conformance.obedience_checks import PATIENCE, RESTING, BadCommands, rested
-from seft_ros.experiment.state_machine import State
 from seft_ros.recording.stall_watch import StallWatch
-from seft_ros.running.observer import alone_on_the_graph
-from seft_ros.running.process_layout import prefer_latency
-from seft_ros.running.processes import one_node
+from seft_ros.test_run.observer import alone_on_the_graph
+from seft_ros.test_run.process_layout import prefer_latency
+from seft_ros.test_run.processes import one_node
 
 ATTEMPTS = 3
 """Number of tries of a test: this host may have stalled in one."""

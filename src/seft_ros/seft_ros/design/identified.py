@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.config.parameter_file import write_parameter_file
+from seft_msgs_py.config.experiment import write_parameter_file
 from seft_msgs_py.errors import ExperimentError
 from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.specimen.specimen import Specimen

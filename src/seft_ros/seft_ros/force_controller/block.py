@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.config.arrays import as_matrix
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.rigs import RigAxes
 from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import RigAxes
 from seft_plant_sim.compiled import entry_point
 
 from seft_ros.force_controller.force_control import LinearControl

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.wire.rigs import RigAxes
 from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import RigAxes
 from seft_plant_sim.compiled import entry_point
 from seft_plant_sim.rig.limits import SaturatedTime
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.wire.rigs import RigAxes
+from seft_msgs_py.wire.topics import RigAxes
 
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.methods import force_control

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from seft_msgs_py.wire.rigs import RigAxes
 from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import RigAxes
 
 from seft_ros.force_controller.block import ForceController
 from seft_ros.force_controller.force_control import ControlKnowledge, ForceControl

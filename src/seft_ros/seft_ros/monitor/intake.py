@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.rigs import rigs_of
 from seft_msgs_py.wire.timebase import Timebase
-from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
-from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_msgs_py.wire.trajectory_batch import decode_batch
+from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, rigs_of
+from seft_msgs_py.wire.trajectory import TrajectoryCodec, decode_batch
 from seft_plant_sim.reference.whole_structure import RunningResponse
 
 from seft_ros.monitor.history import History, Stretch

@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.wire.rigs import RigAxes
-from seft_msgs_py.wire.topics import RIG_STATE
+from seft_msgs_py.wire.topics import RIG_STATE, RigAxes
 
 Floats = npt.NDArray[np.float64]
 Steps = npt.NDArray[np.int64]

@@ -6,13 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from seft_msgs_py.node.awake_clock import AwakeClock
+from seft_msgs_py.node.realtime import AwakeClock
 from seft_msgs_py.wire.messages import Status
-from seft_msgs_py.wire.outcome import RIG
-from seft_msgs_py.wire.rigs import bare
-from seft_msgs_py.wire.topics import NODES
-
-from seft_ros.experiment.state_machine import ENDED, State
+from seft_msgs_py.wire.outcome import ENDED, RIG, State
+from seft_msgs_py.wire.topics import NODES, bare
 
 SILENCE = 1.0  # s; nodes give a sign of life five times a second
 ENDED_WITH_TEST = 0.5  # s before a test's end: who spoke then has left after it

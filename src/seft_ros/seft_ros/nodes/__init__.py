@@ -1,1 +1,1 @@
-"""ROS nodes: thin shells that move samples between topics and blocks."""
+"""ROS nodes: they move samples between topics and blocks."""

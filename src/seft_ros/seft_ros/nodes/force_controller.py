@@ -10,7 +10,7 @@ from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_process import MOST_AT_ONCE
 from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell
 from seft_msgs_py.wire.messages import OK, WARN, Status, decode_status
-from seft_msgs_py.wire.outcome import tripped_status
+from seft_msgs_py.wire.outcome import MOVING, tripped_status
 from seft_msgs_py.wire.topics import (
     EXPERIMENT_STATE,
     LINK_PING,
@@ -22,9 +22,6 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
-from seft_ros.experiment.sample_order import SampleOrder, check_magnitude
-from seft_ros.experiment.state_machine import MOVING
-from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.matched_forces import PENDING, MatchedForces
 from seft_ros.force_controller.methods import force_control
@@ -33,19 +30,24 @@ from seft_ros.force_controller.newest_preview import NewestPreview
 from seft_ros.force_controller.parameters import TABLE
 from seft_ros.force_controller.silence import Silence
 from seft_ros.interlock.detectors import WARNING
+from seft_ros.test_run.parameter_tables import TABLES
+from seft_ros.test_run.state_machine import (
+    SampleOrder,
+    check_magnitude,
+)
 
-TELL_PERIOD = 1.0  # s, of what is told of the link and the valves while a test runs
-STATE_WAIT = 0.0005  # s between polls for a state that comes after its reference force
+REPORT_PERIOD = 1.0  # s between two reports of link and valves while a test runs
+STATE_WAIT = 0.0005  # s between polls for a state that is later than its reference force
 
 
 class ForceControllerNode(NodeBody):
     """Matches states and reference forces by step and moves them through an `Interlock`.
 
-    Where a link lies between it and the reference force, it answers each state at once with the
-    force that the newest message has for its step.
+    If the reference force comes over a link, it answers each state at once with the force that the
+    newest message has for its step.
 
-    Once tripped it answers every state that still comes with 0 V, and is silent else: to a rig
-    whose states have failed to come, 0 V of its last step would be stale.
+    Once tripped it answers every further state with 0 V, and sends nothing otherwise: for a rig
+    whose states are missing, 0 V of its last step would be stale.
     """
 
     def __init__(self, shell: NodeShell) -> None:
@@ -65,7 +67,7 @@ class ForceControllerNode(NodeBody):
         if section["loop_delay"]:
             self._previews = NewestPreview.from_parameters(section, axes, timebase)
         self._forces = self._previews or MatchedForces()
-        self._told_at = 0.0
+        self._reported_at = 0.0
         self._moving = False  # as the supervisor says
         self._order = SampleOrder(timebase)
         self._silence = Silence(section["watchdog.state_timeout"])
@@ -82,7 +84,7 @@ class ForceControllerNode(NodeBody):
         # the reference force is one message for all rigs
         self._places = list(rig.places) if rig.name else slice(None)
         # without a link the state of a step is nearly always there before the force that answers
-        # it: only the force is worth waking up for
+        # it: only the force wakes the node
         shell.subscribe(topic, self._on_force, reliable=False)
         wake = self._previews is not None
         states = self._state_codec.topic
@@ -98,10 +100,10 @@ class ForceControllerNode(NodeBody):
 
     def begin(self) -> None:
         """Report that the node is ready."""
-        self._tell()
+        self._report()
 
     def poll(self) -> None:
-        """Trip if states have failed to come."""
+        """Trip if states are missing."""
         if self._silence.is_too_long(time.monotonic()):
             foreign = self._shell.foreign_publishers(self._refused_before)
             self._trip(
@@ -126,10 +128,10 @@ class ForceControllerNode(NodeBody):
         if not self._moving:
             self._silence.end()
             if moving:
-                self._tell()  # how it went, in full
-        if status.message == "idle" and self._controller.reason:  # the operator knows
+                self._report()  # the complete result
+        if status.message == "idle" and self._controller.reason:  # the operator has reset it
             self._controller.reset()
-            self._tell()
+            self._report()
 
     def _on_state(self, raw: bytes, _: int) -> None:
         step, values = self._state_codec.decode(raw)
@@ -143,8 +145,8 @@ class ForceControllerNode(NodeBody):
             self._silence.heard(time.monotonic())
             self._refused_before = self._shell.refused
         else:
-            self._silence.end()  # of a test that is over, not known to run, or keeps no time
-        if self._controller.reason:  # reference forces are not waited for any more
+            self._silence.end()  # the test is over, not known to run, or in lockstep
+        if self._controller.reason:  # it needs no reference force any more
             self._answer(step, np.zeros((1, 1, state.shape[1])), state)
             return
         self._states[step] = state
@@ -160,10 +162,10 @@ class ForceControllerNode(NodeBody):
         for force in points[: self._settled, -1]:
             if nonsense := self._controller.nonsense(force):
                 raise WireError(f"{name} of step {step}: {nonsense}")
-        self._begin_with(step)  # it may be read before the state that it answers
+        self._begin_with(step)  # it may be read before its state
         if self._previews is None:
             self._order.check(name, step)
-        elif step > self._order.last + 1:  # no step that has begun
+        elif step > self._order.last + 1:  # that step has not begun
             raise WireError(f"{name} of step {step} after step {self._order.last}: in the future")
         self._forces.take(step, points)
         if self._previews is None:
@@ -172,15 +174,15 @@ class ForceControllerNode(NodeBody):
             self._answer_if_complete(waiting)
 
     def _fetch_state(self, step: int) -> None:
-        """Read the states that have come until that of a step; it is answered as it comes."""
+        """Read states until that of a step, which is answered when it comes."""
         for _ in range(MOST_AT_ONCE):
             if step <= self._order.last or step in self._states or self._read_state() is None:
                 return
 
     def _begin_with(self, step: int) -> None:
-        """Begin a test, if a sample of this step is the first of one."""
+        """Begin a test, if a sample of this step is its first."""
         if step == 0:
-            self._shell.catch_up(EXPERIMENT_STATE)  # what was told before does not end this test
+            self._shell.catch_up(EXPERIMENT_STATE)  # earlier messages do not end this test
         if not self._order.begins(step):
             return
         self._states.clear()
@@ -191,7 +193,7 @@ class ForceControllerNode(NodeBody):
         if conflict:
             self._trip(conflict)
         elif was_tripped:
-            self._tell()
+            self._report()
 
     def _answer_if_complete(self, step: int) -> None:
         if step not in self._states:
@@ -208,42 +210,42 @@ class ForceControllerNode(NodeBody):
         for passed in [other for other in self._states if other <= step]:
             del self._states[passed]
         if self._controller.reason and not was_tripped:
-            self._tell_trip()
+            self._report_trip()
         previews = self._previews
         if previews is not None and previews.is_lost and not self._controller.reason:
             self._trip(
                 f"no {REFERENCE_FORCE.name} for {step - previews.newest} steps (the last is of "
                 f"step {previews.newest}); is the link to the reference_force node cut?"
             )
-        elif time.monotonic() - self._told_at >= TELL_PERIOD:
-            self._tell()  # the answer is out, and there is time
+        elif time.monotonic() - self._reported_at >= REPORT_PERIOD:
+            self._report()  # the answer is sent, and there is time
 
     def _trip(self, reason: str) -> None:
         self._silence.end()
         self._controller.trip(max(self._order.last, 0), reason)
-        self._tell_trip()
+        self._report_trip()
 
-    def _tell_trip(self) -> None:
-        self._shell.node.get_logger().error(self._controller.reason)  # for who is at this host
-        self._tell()
+    def _report_trip(self) -> None:
+        self._shell.node.get_logger().error(self._controller.reason)  # to read at this host
+        self._report()
 
-    def _tell(self) -> None:
-        self._told_at = time.monotonic()
+    def _report(self) -> None:
+        self._reported_at = time.monotonic()
         reason, step = self._controller.reason, self._controller.step_index
-        status = Status("force_controller", OK, "ready", values={"phase": "ready"})
         name, share = self._controller.nearest
+        level, text = OK, "ready"
         if share >= WARNING:
-            text = f"detector {name} came to {share:.0%} of its threshold"
-            status = Status("force_controller", WARN, text, values=status.values)
+            level, text = WARN, f"detector {name} came to {share:.0%} of its threshold"
+        status = Status("force_controller", level, text, values={"phase": "ready"})
         if reason:
             status = tripped_status("force_controller", reason, step)
-        told = {"nearest detector": f"{name}: {share:.2f} of its threshold"}
+        values = {"nearest detector": f"{name}: {share:.2f} of its threshold"}
         if self._previews is not None:
-            told["link"] = self._previews.record().to_json()
-        for name, values in (self._estimates() if self._estimates else {}).items():
-            for axis, value in zip(self._shell.rig.axes, values.tolist(), strict=True):
-                told[f"{name} {axis}"] = f"{value:.4g}"
-        self._shell.report(replace(status, values={**status.values, **told}))
+            values["link"] = self._previews.record().to_json()
+        for name, estimate in (self._estimates() if self._estimates else {}).items():
+            for axis, value in zip(self._shell.rig.axes, estimate.tolist(), strict=True):
+                values[f"{name} {axis}"] = f"{value:.4g}"
+        self._shell.report(replace(status, values={**status.values, **values}))
 
 
 KIND = NodeKind(TABLE, TABLES, ForceControllerNode)

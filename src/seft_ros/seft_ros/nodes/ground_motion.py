@@ -5,21 +5,22 @@ import sys
 from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import NodeShell
 from seft_msgs_py.wire.messages import decode_clock, decode_status
+from seft_msgs_py.wire.outcome import MOVING
 from seft_msgs_py.wire.topics import CLOCK_TOPIC, EXPERIMENT_STATE, GROUND_MOTION
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-from seft_ros.experiment.state_machine import ENDED, MOVING
-from seft_ros.experiment.tables import TABLES
+from seft_ros.conformance.driver import ENDED
 from seft_ros.ground_motion.ground_motion_block import TABLE, GroundMotion
+from seft_ros.test_run.parameter_tables import TABLES
 
 TIMER_PERIOD = 0.02  # s
 
 
 class GroundMotionNode(NodeBody):
-    """Moves chunks of a `GroundMotion` to its topic, a lead ahead of the rig's time.
+    """Publishes chunks of a `GroundMotion`, a lead ahead of the rig's time.
 
-    That time is read from /clock, every 0.1 s of the test: following every rig/state would wake
-    one more process in each step.
+    That time is read from /clock, every 0.1 s of the test: reading every rig/state would wake one
+    more process in each step.
     """
 
     def __init__(self, shell: NodeShell) -> None:
@@ -44,7 +45,7 @@ class GroundMotionNode(NodeBody):
         return TIMER_PERIOD
 
     def poll(self) -> None:
-        """Publish what the lead asks for; the first of it before the test starts."""
+        """Publish the chunks within the lead; the first one before the test starts."""
         if self._phase in ENDED:
             return
         while (
@@ -56,12 +57,12 @@ class GroundMotionNode(NodeBody):
             self._next_chunk += 1
             self._published_until = first + len(values)
             if first == 0:
-                self._tell("primed")
+                self._report("primed")
 
     def _on_experiment_state(self, raw: bytes, _: int) -> None:
         phase = decode_status(raw).message
         if self._phase not in ENDED and phase in ENDED:
-            self._tell("ended")
+            self._report("ended")
         elif self._phase in ENDED and phase not in ENDED:
             self._next_chunk = self._published_until = self._rig_step = 0  # for the next test
         self._phase = phase
@@ -70,7 +71,7 @@ class GroundMotionNode(NodeBody):
         if self._phase in MOVING:
             self._rig_step = decode_clock(raw) // self._period_ns
 
-    def _tell(self, phase: str) -> None:
+    def _report(self, phase: str) -> None:
         self.report(phase, {"steps": str(self.motion.steps)})
 
 

@@ -2,8 +2,8 @@
 
     ros2 run seft_ros loop --nodes rig reference_force --ros-args --params-file FILE
 
-They are the nodes that have executables of their own, with the same names, topics, parameters
-and bits. What they send each other they hand over directly; everyone else hears it on the topics.
+They are the nodes that also have executables of their own, with the same names, topics, parameters
+and bits. They hand each other their messages directly; all others receive them on the topics.
 """
 
 import argparse

@@ -1,9 +1,9 @@
 """Node ``recorder``: writes every message of a test, as it came, into a bag.
 
-It keeps what is needed from before the start (descriptions, ground motion ahead), opens a bag
-when the test runs, and closes it when the test has ended and the topics have fallen silent. The
-next test waits for that, and for a place where its bag can be made. What becomes of a test whose
-bag is lost, the parameter ``on_loss`` says; it is recorded in any case.
+It keeps the messages before the start that belong to the test (descriptions, ground motion), opens
+a bag when the test runs, and closes it when the test has ended and its topics are silent. The next
+test waits for that, and for a place where its bag can be made. The parameter ``on_loss`` says
+whether a test whose bag is lost goes on; it is recorded in any case.
 """
 
 import json
@@ -26,7 +26,12 @@ from seft_msgs_py.wire.messages import (
     decode_status,
     encode_string,
 )
-from seft_msgs_py.wire.outcome import RECORDED, RIG
+from seft_msgs_py.wire.outcome import (
+    MOVING,
+    RECORDED,
+    RIG,
+    State,
+)
 from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
@@ -40,21 +45,20 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-from seft_ros.experiment.peers import ALL_ANSWERED, RECORDING, SILENT, WAITS
-from seft_ros.experiment.state_machine import ENDED, MOVING, State
-from seft_ros.experiment.tables import TABLES
-from seft_ros.experiment.watching import RECORDER
+from seft_ros.conformance.driver import ENDED
 from seft_ros.recording.environment import describe_environment
 from seft_ros.recording.lasting_bag import LastingBag
 from seft_ros.recording.room import expected_size, obstacle
 from seft_ros.recording.stall_watch import StallWatch
+from seft_ros.test_run.parameter_tables import RECORDER, TABLES
+from seft_ros.test_run.peers import ALL_ANSWERED, RECORDING, SILENT, WAITS
 
-SILENCE = 0.3  # s without a message of a step: the test's last message has come
-LONG_SILENCE = 3.5  # s, where something lacks: DDS may send it again every 3 s only
+SILENCE = 0.3  # s without a message of a step: the last one has come
+LONG_SILENCE = 3.5  # s, if messages are missing: DDS may resend them every 3 s only
 LONGEST_DRAIN = 15.0  # s
 TICK = 0.02  # s
-PLACE_PERIOD = 0.5  # s between two looks at the next bag's place, or for one where it can be saved
-READ_DEPTH = 4096  # messages that may wait while the recorder is held up
+PLACE_PERIOD = 0.5  # s between two checks of the next bag's place, or of a place to save it
+READ_DEPTH = 4096  # messages that may wait while the recorder stalls
 
 
 class RecorderNode(NodeBody):
@@ -71,12 +75,12 @@ class RecorderNode(NodeBody):
         self._bag: LastingBag | None = None
         self._reason = self._unsaved = ""  # to bring the test down; why its bag can't be saved
         self._checked_at = -PLACE_PERIOD
-        self._steps = 0  # of the coming test
+        self._steps = 0  # of the next test
         self._phase = "idle"
         self._ended_at: float | None = None
         self._next_began = False  # ground motion of the next test has come
         self._values = {"phase": "idle"}
-        self._told_in_full = True  # how the test ended
+        self._is_trip_complete = True  # how the test ended
         self._force_phase = ""  # of the reference force
         self._step_message_at = 0.0
         self._samples = Counter[str]()  # by topic
@@ -92,7 +96,7 @@ class RecorderNode(NodeBody):
             shell.subscribe(topic, self._receiver(topic), depth=depth, wake=False)
 
     def run(self) -> None:
-        """Record until told to stop; a bag that is open then is closed."""
+        """Record until the process ends; close a bag that is open then."""
         try:
             super().run()
         finally:
@@ -114,23 +118,24 @@ class RecorderNode(NodeBody):
             self._check_place()
             return
         self._bag.look()
-        self._tell_trouble(self._bag)
+        self._report_trouble(self._bag)
         self._values = {**self._values, RECORDED: str(self._recorded())}
         self._shell.note(self._status())
-        if self._ended_at is not None:
-            now = time.monotonic()
-            complete = self._recorded() >= self._expected and self._told_in_full
-            if self._phase == State.DONE and "reference_force" in self._descriptions:
-                complete &= self._force_phase == ALL_ANSWERED
-            patience = SILENCE if complete else LONG_SILENCE
-            silent = now - max(self._step_message_at, self._ended_at) > patience
-            over = silent or now - self._ended_at > LONGEST_DRAIN
-            if over and now - self._checked_at >= PLACE_PERIOD:
-                self._checked_at = now
-                self._close()
+        if self._ended_at is None:
+            return
+        now = time.monotonic()
+        complete = self._recorded() >= self._expected and self._is_trip_complete
+        if self._phase == State.DONE and "reference_force" in self._descriptions:
+            complete &= self._force_phase == ALL_ANSWERED
+        patience = SILENCE if complete else LONG_SILENCE
+        silent = now - max(self._step_message_at, self._ended_at) > patience
+        over = silent or now - self._ended_at > LONGEST_DRAIN
+        if over and now - self._checked_at >= PLACE_PERIOD:
+            self._checked_at = now
+            self._close()
 
-    def _tell_trouble(self, bag: LastingBag) -> None:
-        """Tell what has become of the bag; as a reason to end the test, if it shall end."""
+    def _report_trouble(self, bag: LastingBag) -> None:
+        """Report trouble with the bag; as a reason to end the test, if ``on_loss`` says so."""
         if bag.trouble and (self._section["on_loss"] == "stop" or bag.is_full):
             self._reason = f"the recorder's bag is lost: {bag.trouble}"
         found = {"reason": self._reason, "problem": self._unsaved or bag.trouble}
@@ -163,13 +168,13 @@ class RecorderNode(NodeBody):
         return receive
 
     def _keep(self, topic: Topic, raw: bytes, now: int) -> None:
-        """Hold what comes before the bag is open; a new ground motion replaces an old one."""
+        """Keep messages before the bag is open; a new ground motion replaces an old one."""
         if topic == GROUND_MOTION and self._motion_codec.decode(raw)[0] == 0:
             self._before.clear()
         self._before.append((topic, raw, now))
 
     def _is_of_the_next_test(self, motion: bytes) -> bool:
-        """Tell whether a chunk belongs to a test that comes after the one of the open bag."""
+        """Tell whether a chunk belongs to a test after that of the open bag."""
         if self._ended_at is None or self._bag is None:
             return False
         self._next_began |= self._motion_codec.decode(motion)[0] == 0
@@ -177,22 +182,21 @@ class RecorderNode(NodeBody):
 
     def _follow(self, test: Status) -> None:
         phase = test.message
-        self._steps = int(test.number("steps") or 0)
+        self._steps = test.number("steps") or 0
         if phase == State.READY and self._watch is None:
             self._watch = StallWatch()
         if phase in MOVING and self._phase not in MOVING:
-            self._close_or_lose()  # of a test whose successor did not wait
+            self._close_or_lose()  # the next test did not wait
             self._open()
         elif phase in ENDED and self._bag is not None:
-            # a trip is only told in full when it is known who has fallen silent
-            self._told_in_full = phase != State.TRIPPED or SILENT in test.values
+            # a trip is complete only when the silent nodes are known
+            self._is_trip_complete = phase != State.TRIPPED or SILENT in test.values
             if self._ended_at is not None:
                 return
             self._ended_at = time.monotonic()
             last = test.number("step")  # where it tripped
-            steps = test.number("steps") if phase == State.DONE else None
-            expected = last + 1 if last is not None else steps or 0
-            self._expected = expected
+            steps = self._steps if phase == State.DONE else 0
+            self._expected = steps if last is None else last + 1
         self._phase = phase
 
     def _open(self) -> None:
@@ -211,13 +215,13 @@ class RecorderNode(NodeBody):
         self._report(RECORDING, reason="", problem="")
 
     def _close_or_lose(self) -> None:
-        """Save the bag, if one is open, for the last time."""
+        """Save the bag, if one is open; if that fails, it is lost."""
         self._close()
         if self._bag is not None:
             self._shell.node.get_logger().error(f"a test is lost: {self._unsaved}")
 
     def _close(self) -> None:
-        """Save the bag, if one is open; where that fails, it stays open."""
+        """Save the bag, if one is open; if that fails, it stays open."""
         if (bag := self._bag) is None:
             return
         if self._watch is not None:
@@ -237,7 +241,7 @@ class RecorderNode(NodeBody):
         bag.write(DESCRIPTION, encode_string(text), time.time_ns())
 
     def _watch_the_machine(self) -> None:
-        """Note stalls of the loop's core, where the rig keeps a pace and is on this host."""
+        """Watch for stalls of the loop's core, if the rig runs in realtime on this host."""
         if self._watch is None or self._paced_by not in self._descriptions:
             return
         _, rig = decode_description(self._descriptions[self._paced_by][1])
@@ -248,7 +252,7 @@ class RecorderNode(NodeBody):
             self._watch.begin(there["cores"], period, there["priority"], first=first)
 
     def _place(self) -> Path:
-        """Folder of the next bag; one that has no name of its own takes none that is taken."""
+        """Folder of the next bag; a default name is one that is free."""
         directory = Path(self._section["directory"])
         if self._section["name"]:
             return directory / self._section["name"]
@@ -259,7 +263,7 @@ class RecorderNode(NodeBody):
         return place
 
     def _check_place(self) -> None:
-        """Have the next test wait as long as its bag can't be made."""
+        """Have the next test wait while its bag can't be made."""
         if (now := time.monotonic()) - self._checked_at < PLACE_PERIOD:
             return
         self._checked_at = now
@@ -270,7 +274,7 @@ class RecorderNode(NodeBody):
             self._report(**(self._values | {WAITS: why}))
 
     def _expected_size(self, steps: int) -> int:
-        """Size of the coming test's samples, bytes, as far as the others have described it."""
+        """Size of the next test's samples, bytes; 0 while it is not known."""
         if not steps or "reference_force" not in self._descriptions:
             return 0
         experiment = self._shell.experiment
@@ -278,7 +282,7 @@ class RecorderNode(NodeBody):
         return expected_size(force["parameters"], experiment.axes, experiment.timebase, steps)
 
     def _recorded(self) -> int:
-        """Count the samples that have come of each rig."""
+        """Count the samples recorded of every rig."""
         return min(self._samples[name] for name in self._rig_states)
 
     def _report(self, phase: str, **values: str) -> None:

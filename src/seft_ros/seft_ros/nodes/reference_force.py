@@ -1,7 +1,7 @@
 """Node ``reference_force``: answers each rig/state with the reference force of its step.
 
-It brings the force down softly where the supervisor says so, or something is wrong with it.
-Phases: ready, ramping_down, at_rest, ended.
+It ramps the force down if the supervisor says so, or if the force is at fault. Phases: ready,
+ramping_down, at_rest, ended.
 """
 
 import sys
@@ -12,29 +12,26 @@ import numpy as np
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell
-from seft_msgs_py.wire.estimates import EstimatesCodec
-from seft_msgs_py.wire.messages import ERROR, OK, decode_status
-from seft_msgs_py.wire.outcome import tripped_status
-from seft_msgs_py.wire.topics import (
-    ESTIMATES,
-    EXPERIMENT_STATE,
-    GROUND_MOTION,
-    RIG_STATE,
-)
+from seft_msgs_py.wire.messages import ERROR, OK, EstimatesCodec, decode_status
+from seft_msgs_py.wire.outcome import State, tripped_status
+from seft_msgs_py.wire.topics import ESTIMATES, EXPERIMENT_STATE, GROUND_MOTION, RIG_STATE
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
-from seft_ros.experiment.peers import ALL_ANSWERED, AT_REST, RAMPING_DOWN
-from seft_ros.experiment.sample_order import SampleOrder, check_magnitude
-from seft_ros.experiment.state_machine import ENDED, State
-from seft_ros.experiment.tables import TABLES
+from seft_ros.conformance.driver import ENDED
 from seft_ros.interlock.protected_force import ProtectedForce
 from seft_ros.reference_force.estimate_sampler import EstimateSampler
 from seft_ros.reference_force.motion_buffer import MotionBuffer
 from seft_ros.reference_force.parameters import TABLE
 from seft_ros.reference_force.state_gathering import StateGathering
 from seft_ros.reference_force.topic import reference_force_topic
+from seft_ros.test_run.parameter_tables import TABLES
+from seft_ros.test_run.peers import ALL_ANSWERED, AT_REST, RAMPING_DOWN
+from seft_ros.test_run.state_machine import (
+    SampleOrder,
+    check_magnitude,
+)
 
-RIG_POLL = 0.002  # s between polls for the state of a rig that is late
+RIG_POLL = 0.002  # s between polls for the state of a late rig
 
 
 class ReferenceForceNode(NodeBody):
@@ -76,7 +73,7 @@ class ReferenceForceNode(NodeBody):
         self._warm_up()
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
         shell.subscribe(GROUND_MOTION, self._on_ground_motion)
-        # behind a link, who is late bridges what is old rather than answer it
+        # behind a link, a late node bridges old states instead of answering them
         depth = 2 * (2 + self._delay) if self._delay else None
         for number, codec in enumerate(self._state_codecs):
             receive = partial(self._on_rig_state, number)
@@ -87,13 +84,13 @@ class ReferenceForceNode(NodeBody):
         self._report("ready")
 
     def poll(self) -> None:
-        """Trip if the states of one of several rigs have failed to come."""
+        """Trip if the states of one of several rigs are missing."""
         running = self._order.steps and not self._order.in_lockstep
         if self._gathering is not None and running and not self._conflict:
             self._trip_for(self._gathering.lost(time.monotonic()), max(self._order.last, 0))
 
     def fault(self, reason: str) -> None:
-        """End the test: nothing is answered any more."""
+        """End the test: no state is answered any more."""
         self._trip_for(reason, max(self._order.last, 0))
 
     def period(self) -> float:
@@ -128,7 +125,7 @@ class ReferenceForceNode(NodeBody):
         check_magnitude("ground_motion from step", first, values)
         if first == 0:  # a new motion, of which nothing has passed
             under_way = self._order.steps and not self._order.may_begin
-            if under_way and self._order.last >= 0:  # before, a state was faster than its motion
+            if under_way and self._order.last >= 0:  # before, a state overtook its motion
                 raise WireError("a new ground_motion in the middle of a test")
             self._order.last = -1
         self._motion.drop_before(self._order.last)
@@ -141,7 +138,7 @@ class ReferenceForceNode(NodeBody):
         step, values = self._state_codecs[rig].decode(raw)
         check_magnitude("rig/state of step", step, values)
         if step == 0:
-            self._shell.catch_up(EXPERIMENT_STATE)  # what was told before does not end this test
+            self._shell.catch_up(EXPERIMENT_STATE)  # earlier messages do not end this test
         if self._test in ENDED:
             raise WireError(f"rig/state of step {step}: the test is {self._test}")
         if self._order.begins(step):
@@ -159,7 +156,7 @@ class ReferenceForceNode(NodeBody):
     def _on_experiment_state(self, raw: bytes, _: int) -> None:
         status = decode_status(raw)
         if status.message == self._test:
-            return  # a sign of life
+            return  # a heartbeat
         if status.message == State.DONE:  # a link's rig does not wait for the last answers
             for codec in self._state_codecs:
                 self._shell.catch_up(codec.topic)
@@ -168,7 +165,7 @@ class ReferenceForceNode(NodeBody):
         self._follow_test()
 
     def _follow_test(self) -> None:
-        """Do what the state of the test asks for, also when a test begins anew in it."""
+        """Act on the state of the test, also when a test begins in it."""
         if self._test == State.RAMPING_DOWN:
             self._block.ramp_down()
             for step in sorted(self._waiting):
@@ -182,13 +179,13 @@ class ReferenceForceNode(NodeBody):
             self._report("ready")
 
     def _trip_for(self, reason: str, step: int) -> None:
-        """End the test for a reason, if there is one: nothing is answered any more."""
+        """End the test for a reason, if there is one: no state is answered any more."""
         self._conflict = reason
         if reason:
             self._shell.report(tripped_status("reference_force", reason, step))
 
     def _answer(self, step: int, state: Floats) -> None:
-        """Answer a state, or let it wait for the ground motion it needs."""
+        """Answer a state, or keep it until its ground motion comes."""
         motion = self._motion.window(step, self._window)
         if motion is None and self._test != State.RAMPING_DOWN:  # in which it may never come
             self._waiting[step] = state
@@ -199,19 +196,19 @@ class ReferenceForceNode(NodeBody):
         if self._block.ramping:
             if self._ramp_step < 0 and self._block.cause is None:
                 self._ramp_step = step
-            self._tell_ramp(step)
+            self._report_ramp(step)
         if step >= self._sampler.due:
-            self._tell_estimates(step)
+            self._send_estimates(step)
 
     def _message(self, step: int, motion: Floats | None, state: Floats) -> bytes:
-        """Message that answers a state; of the states before it, lost ones are bridged."""
+        """Message that answers a state; lost states before it are bridged."""
         if self._delay and step > self._order.last + 1:
             lost = range(self._order.last + 1, step)
             self._block.bridge([self._motion.window(s, self._window) for s in lost], state)
         return self._force_codec.encode_points(step, self._block.step(motion, state))
 
-    def _tell_ramp(self, step: int) -> None:
-        """Tell the supervisor at once that the force comes down by itself, and that it is down."""
+    def _report_ramp(self, step: int) -> None:
+        """Report at once that the force ramps down by itself, and that it is at rest."""
         if self._block.cause is not None and self._cause_step < 0:
             self._cause_step = step
             self._report(RAMPING_DOWN)
@@ -226,8 +223,8 @@ class ReferenceForceNode(NodeBody):
             values["ramp_step"] = str(self._ramp_step)
         self.report(phase, values, OK if cause is None else ERROR, cause or phase)
 
-    def _tell_estimates(self, step: int) -> None:
-        """Publish what the method has identified; if that can't be sent, the test goes on."""
+    def _send_estimates(self, step: int) -> None:
+        """Publish the method's estimates; if they can't be sent, the test goes on."""
         estimates = self._sampler.sample(step)
         try:
             if estimates:

@@ -10,9 +10,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from seft_msgs_py.node.awake_clock import AwakeClock
 from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import NodeShell
+from seft_msgs_py.node.realtime import AwakeClock
 from seft_msgs_py.wire.messages import (
     ERROR,
     OK,
@@ -23,40 +23,48 @@ from seft_msgs_py.wire.messages import (
     decode_diagnostics,
     encode_status,
 )
-from seft_msgs_py.wire.outcome import FINISHED, RIG, STOPPED, TRIPPED
-from seft_msgs_py.wire.rigs import START, with_rigs
+from seft_msgs_py.wire.outcome import (
+    FINISHED,
+    MOVING,
+    RIG,
+    STOPPED,
+    TRIPPED,
+    State,
+)
 from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND
-from seft_msgs_py.wire.topics import CLOCK_TOPIC, DESCRIPTION, DIAGNOSTICS, EXPERIMENT_STATE
+from seft_msgs_py.wire.topics import (
+    CLOCK_TOPIC,
+    DESCRIPTION,
+    DIAGNOSTICS,
+    EXPERIMENT_STATE,
+    START,
+    with_rigs,
+)
 from std_srvs.srv import Trigger
 
-from seft_ros.experiment.peers import (
-    AT_REST,
-    RAMPING_DOWN,
-    SILENT,
-    Heard,
-    missing,
-    silence,
-    silent,
+from seft_ros.test_run.parameter_tables import SUPERVISOR, TABLES
+from seft_ros.test_run.peers import AT_REST, RAMPING_DOWN, SILENT, Heard, missing, silence, silent
+from seft_ros.test_run.state_machine import (
+    PACE,
+    Answer,
+    StateMachine,
 )
-from seft_ros.experiment.state_machine import MOVING, PACE, Answer, State, StateMachine
-from seft_ros.experiment.tables import TABLES
-from seft_ros.experiment.watching import SUPERVISOR
 
 HEARTBEAT = 0.2  # s between two publications of the state
 AGES_PERIOD = 1.0  # s
 GRAPH_PERIOD = 0.2  # s between two polls of the graph
-STOOD_STILL = 1.0  # s without a look; requests to start or reset that waited so long have expired
-MOST_AT_ONCE = 1000  # messages that are heard between two polls, in a flood
+STOOD_STILL = 1.0  # s without a poll; requests to start or reset that waited so long expire
+MOST_AT_ONCE = 1000  # messages between two polls, in a flood
 LEVELS = {State.RAMPING_DOWN: WARN, State.TRIPPED: ERROR}
 SOFT_PEERS = ("ground_motion", "recorder")
-"""Nodes without which the loop can still bring the force down."""
-START_AHEAD_NS = 200_000_000  # in which the word of the start reaches all rigs
+"""Nodes without which the loop can still ramp the force down."""
+START_AHEAD_NS = 200_000_000  # time in which the start reaches all rigs
 LOCKSTEP_PATIENCE = 10.0  # times the margin of realtime
 FAULTY = Answer(False, "a fault of the program; the supervisor's log has it, and a test is ended")
 
 
 class SupervisorNode(NodeBody):
-    """Drives a `StateMachine` by what the nodes say and the operator asks."""
+    """Drives a `StateMachine` by the nodes' reports and the operator's requests."""
 
     def __init__(self, shell: NodeShell) -> None:
         super().__init__(shell)
@@ -75,12 +83,12 @@ class SupervisorNode(NodeBody):
         self._heard: dict[str, Heard] = {}
         self._descriptions: dict[str, dict[str, Any]] = {}
         self._publish = shell.publisher(EXPERIMENT_STATE)
-        self._state, self._since = State.IDLE, self._now  # as the last look found it
-        self._silent: list[str] | None = None  # who fell silent before a trip, once it is known
-        self._lost: set[str] = set()  # who has fallen silent in this test
+        self._state, self._since = State.IDLE, self._now  # at the last poll
+        self._silent: list[str] | None = None  # nodes silent before a trip, once known
+        self._lost: set[str] = set()  # nodes that have fallen silent in this test
         self._published: Status | None = None
         self._message = b""
-        self._published_at = self._polled_graph_at = self._told_at = self._now - AGES_PERIOD
+        self._published_at = self._polled_graph_at = self._reported_at = self._now - AGES_PERIOD
         shell.subscribe(DIAGNOSTICS, self._on_diagnostics)
         shell.subscribe(DESCRIPTION, self._on_description, depth=64)
         shell.subscribe(CLOCK_TOPIC, self._on_clock, wake=False)
@@ -94,13 +102,13 @@ class SupervisorNode(NodeBody):
             shell.node.create_service(Trigger, name, self._service(request))
 
     def run(self) -> None:
-        """Supervise until told to stop."""
+        """Supervise until the process ends."""
         while not self._shell.stopping:
             self._shell.spin_once()
             for _ in range(MOST_AT_ONCE):
                 if not self._shell.spin_once(0.0):
-                    break  # nobody is called silent before all that came has been heard
-            self._shell.attempt("a look", self.poll)
+                    break  # a node is silent only if none of these is its own
+            self._shell.attempt("a poll", self.poll)
 
     def fault(self, reason: str) -> None:
         """End a test at once; the services go on answering."""
@@ -123,23 +131,23 @@ class SupervisorNode(NodeBody):
             elif self._state is State.TRIPPED and self._silent is None:
                 self._find_the_silent()
             self._publish_if_due()
-        self._tell_ages()
+        self._report_ages()
 
-    def _tell_ages(self) -> None:
-        """Keep the age of each node's last sign of life in the supervisor's own status."""
-        if self._now - self._told_at < AGES_PERIOD:
+    def _report_ages(self) -> None:
+        """Report the age of each node's last status in the supervisor's own."""
+        if self._now - self._reported_at < AGES_PERIOD:
             return
-        self._told_at = self._now
+        self._reported_at = self._now
         ages = {n: self._now - self._heard[n].at for n in self._peers if n in self._heard}
         oldest = max(ages.values(), default=0.0)
         level = ERROR if oldest > self._timeout else WARN if oldest > self._timeout / 2 else OK
         self.report("watching", {f"age {n} s": f"{age:.2f}" for n, age in ages.items()}, level)
 
     def _follow_state(self) -> None:
-        """Note when a state began, and leave out of it what can't be done."""
+        """Note when a state began; skip a ramp if there is no node for it."""
         machine = self._machine
         if machine.state is State.RAMPING_DOWN and "reference_force" not in self._peers:
-            machine.at_rest()  # nobody there to bring the force down
+            machine.at_rest()  # no node ramps the force down
         if machine.state is not self._state:
             self._state, self._since, self._silent = machine.state, self._now, None
             if self._state is State.RUNNING:
@@ -153,28 +161,25 @@ class SupervisorNode(NodeBody):
         self._polled_graph_at = self._now
         own = Status("supervisor", OK, "watching", values=self._shell.matched())
         self._heard["supervisor"] = Heard(own, self._now)
+        heard, described = self._heard, self._descriptions
         self._machine.peers(
-            missing(
-                self._peers, self._heard, self._descriptions, self._now, self._timeout, self._rigs
-            )
+            missing(self._peers, heard, described, self._now, self._timeout, self._rigs)
         )
 
     def _watch_peers(self) -> None:
-        """Trip where a peer falls silent: softly, if the loop can go on without it."""
+        """Trip if a peer falls silent: softly, if the loop can go on without it."""
         gone = silent(self._peers, self._heard, self._now, self._timeout)
         self._lost.update(gone)
         for node in sorted(gone, key=SOFT_PEERS.__contains__):
             soft = node in SOFT_PEERS
             trip = self._machine.soft_trip if soft else self._machine.hard_trip
             trip(silence(node, self._heard), self._step())
-        if self._machine.state is State.RAMPING_DOWN and self._ramped_for() > self._ramp_patience():
+        ramped_for = self._now - self._since if self._state is State.RAMPING_DOWN else 0.0
+        if self._machine.state is State.RAMPING_DOWN and ramped_for > self._ramp_patience():
             self._machine.hard_trip(
                 f"the reference force has not come to rest within {self._ramp_patience():g} s",
                 self._step(),
             )
-
-    def _ramped_for(self) -> float:
-        return self._now - self._since if self._state is State.RAMPING_DOWN else 0.0
 
     def _ramp_patience(self) -> float:
         margin = self._section["watchdog.ramp_margin"]
@@ -183,7 +188,7 @@ class SupervisorNode(NodeBody):
         return float(self._parameters("reference_force").get("ramp_down_time", 0.0)) + margin
 
     def _find_the_silent(self) -> None:
-        """Find out who had fallen silent when the test tripped: who sends nothing after it."""
+        """Find the nodes that were silent when the test tripped: they send nothing after it."""
         unheard = [n for n in self._peers if n in self._heard and self._heard[n].at < self._since]
         gone = silent(unheard, self._heard, self._now, self._timeout)
         if unheard == gone:
@@ -193,10 +198,10 @@ class SupervisorNode(NodeBody):
                 self._machine.note(silence(node, self._heard))
 
     def _reset(self) -> Answer:
-        return self._machine.reset(moving=self._is_any("running"))
+        return self._machine.reset(moving=any(self._phase(n) == "running" for n in self._rig_nodes))
 
     def _in_time(self, request: Callable[[], Answer], what: str) -> Callable[[], Answer]:
-        """Refuse what may have waited while this process stood still: who asked has given up."""
+        """Refuse requests that may have waited while this process stalled."""
 
         def answer() -> Answer:
             now = time.monotonic()
@@ -222,7 +227,7 @@ class SupervisorNode(NodeBody):
         return serve
 
     def _publish_if_due(self) -> None:
-        """Publish the state when it has changed, and as a sign of life; a repeat is no news."""
+        """Publish the state when it has changed, and as a heartbeat."""
         self._follow_state()
         machine = self._machine
         values = {"detail": machine.detail}
@@ -255,16 +260,16 @@ class SupervisorNode(NodeBody):
                 self._publish_if_due()
 
     def _follow(self, status: Status) -> None:
-        """Do what a node's status asks for."""
+        """Act on a node's status."""
         phase, reason = status.values.get("phase"), status.values.get("reason")
         is_rig = status.name in self._rig_nodes
         if phase == TRIPPED:
             reason, machine = reason or status.message, self._machine
             trip = machine.soft_trip if status.name in SOFT_PEERS else machine.hard_trip
-            told = reason if is_rig else f"{status.name}: {reason}"
-            trip(told, status.number("step"))
+            cause = reason if is_rig else f"{status.name}: {reason}"
+            trip(cause, status.number("step"))
             if status.name in self._lost and reason != STOPPED:
-                machine.note(told)  # a link that was cut is back: this is what it did there
+                machine.note(cause)  # what it did while its link was cut
         elif is_rig and phase == FINISHED:
             if all(self._phase(rig) == FINISHED for rig in self._rig_nodes):
                 self._machine.finish(f"{status.values.get('steps')} steps done")
@@ -284,18 +289,14 @@ class SupervisorNode(NodeBody):
         self._test_s = decode_clock(raw) / NANOSECONDS_PER_SECOND
 
     def _phase(self, node: str) -> str:
-        heard = self._heard.get(node)
-        return heard.status.values.get("phase", "") if heard else ""
-
-    def _is_any(self, phase: str) -> bool:
-        return any(self._phase(rig) == phase for rig in self._rig_nodes)
+        return self._heard[node].phase if node in self._heard else ""
 
     def _parameters(self, node: str) -> dict[str, Any]:
         parameters: dict[str, Any] = self._descriptions.get(node, {}).get("parameters", {})
         return parameters
 
     def _step(self) -> int:
-        """Step that the test has reached, as /clock tells it every 0.1 s of the test."""
+        """Step of the test by /clock, which comes every 0.1 s of the test."""
         return round(self._test_s * self._shell.experiment.timebase.rate)
 
 

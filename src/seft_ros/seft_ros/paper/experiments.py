@@ -10,9 +10,8 @@ from seft_msgs_py.errors import InputError
 
 import seft_ros
 from seft_ros.design.rig_tests import has_valve
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.method import with_method
 from seft_ros.reference_force.compensation.names import TARGET_MOTION
+from seft_ros.test_run.blocks import build_blocks, with_method
 
 DELAY = 0.01
 """Delay of the actuator that the paper identified and simulates with (section 5.2), s."""

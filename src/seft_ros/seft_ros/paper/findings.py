@@ -23,8 +23,6 @@ from seft_ros.design.rig_tests import (
     pilot_voltage,
     voltage_after,
 )
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.offline import simulate
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
 from seft_ros.paper.experiments import (
     BEYOND_SHARE,
@@ -39,6 +37,8 @@ from seft_ros.paper.experiments import (
 )
 from seft_ros.paper.outcome import Outcome, run_test
 from seft_ros.recording.record import Record
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.offline import simulate
 from seft_ros.tournament.workers import parallel_map
 
 Progress = Callable[[str, int], None]

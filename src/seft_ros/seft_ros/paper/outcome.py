@@ -8,14 +8,14 @@ import numpy as np
 import numpy.typing as npt
 import scipy.signal
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.wire.outcome import Trip
 from seft_msgs_py.wire.topics import GROUND_MOTION, RIG_STATE
 
 from seft_ros.analysis.metrics import Agreement, agreement
 from seft_ros.analysis.summary import COMPARED, reference_of
 from seft_ros.design.loop_margins import BAND_HZ
-from seft_ros.experiment.blocks import build_blocks
-from seft_ros.experiment.offline import simulate
-from seft_ros.recording.record import Trip
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.offline import simulate
 
 Floats = npt.NDArray[np.float64]
 

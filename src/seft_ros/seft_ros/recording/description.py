@@ -13,10 +13,9 @@ from typing import Any
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.wire.rigs import bare
 from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND
-from seft_msgs_py.wire.topics import RIG_STATE
-from seft_msgs_py.wire.trajectory_message import Trajectory, parse_trajectory
+from seft_msgs_py.wire.topics import RIG_STATE, bare
+from seft_msgs_py.wire.trajectory_layout import Trajectory, parse_trajectory
 
 _ENOUGH = 2000  # messages that tell axes and rate
 

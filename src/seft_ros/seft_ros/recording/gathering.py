@@ -8,24 +8,28 @@ from math import inf
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.wire.estimates import EstimatesCodec
 from seft_msgs_py.wire.messages import (
     ERROR,
     OK,
     STALE,
     WARN,
+    EstimatesCodec,
     Status,
     decode_diagnostics,
     decode_status,
 )
-from seft_msgs_py.wire.outcome import STOPPED, Outcome, Trip, read_outcome
-from seft_msgs_py.wire.rigs import RigAxes, bare
+from seft_msgs_py.wire.outcome import ENDED, STOPPED, Outcome, State, Trip, read_outcome
 from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND, Timebase
-from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, TARGET, LoopTopic
-from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_msgs_py.wire.trajectory_batch import decode_batch
+from seft_msgs_py.wire.topics import (
+    GROUND_MOTION,
+    REFERENCE_FORCE,
+    TARGET,
+    LoopTopic,
+    RigAxes,
+    bare,
+)
+from seft_msgs_py.wire.trajectory import TrajectoryCodec, decode_batch
 
-from seft_ros.experiment.state_machine import ENDED, State
 from seft_ros.force_controller.link_record import LinkRecord
 from seft_ros.recording.message_block import MessageBlock
 from seft_ros.recording.record import Estimates, Event, Series

@@ -8,10 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.wire.estimates import EstimatesCodec
-from seft_msgs_py.wire.messages import encode_diagnostics, encode_string
+from seft_msgs_py.wire.messages import EstimatesCodec, encode_diagnostics, encode_string
 from seft_msgs_py.wire.outcome import FINISHED, RIG, TRIPPED, rig_status
-from seft_msgs_py.wire.rigs import RigAxes
 from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND
 from seft_msgs_py.wire.topics import (
     DESCRIPTION,
@@ -22,6 +20,7 @@ from seft_msgs_py.wire.topics import (
     RIG_TOPICS,
     STEP_TOPICS,
     VALVE_COMMAND,
+    RigAxes,
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 

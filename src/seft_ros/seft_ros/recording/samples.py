@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.wire.rigs import RigAxes
+from seft_msgs_py.wire.topics import RigAxes
 
 from seft_ros.recording.record import Estimates, Series
 

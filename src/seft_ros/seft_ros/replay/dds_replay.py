@@ -5,18 +5,17 @@ from collections.abc import Callable, Iterable
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError, WireError
-from seft_msgs_py.wire.outcome import TRIPPED
+from seft_msgs_py.wire.outcome import TRIPPED, State
 from seft_msgs_py.wire.topics import ESTIMATES, REFERENCE_FORCE, Topic
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-from seft_ros.experiment.state_machine import State
 from seft_ros.recording.gathering import EstimatesGatherer, SeriesGatherer
 from seft_ros.recording.message_block import MessageBlock
 from seft_ros.reference_force.topic import reference_force_topic
 from seft_ros.replay.replay_step import Answers, Replay, ReplayStep
-from seft_ros.running.observer import alone_on_the_graph
-from seft_ros.running.player import Player
-from seft_ros.running.processes import NodeProcesses, one_node
+from seft_ros.test_run.observer import alone_on_the_graph
+from seft_ros.test_run.player import Player
+from seft_ros.test_run.processes import NodeProcesses, one_node
 
 READY_TIMEOUT = 60.0  # s
 POLL = 0.05  # s

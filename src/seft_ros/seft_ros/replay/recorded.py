@@ -7,6 +7,7 @@ import numpy as np
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.messages import decode_diagnostics, decode_status
+from seft_msgs_py.wire.outcome import State
 from seft_msgs_py.wire.topics import (
     DIAGNOSTICS,
     EXPERIMENT_STATE,
@@ -18,7 +19,6 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
-from seft_ros.experiment.state_machine import State
 from seft_ros.recording.bag_reader import read_bag, read_messages
 from seft_ros.recording.record import Record, Series
 from seft_ros.reference_force.topic import reference_force_topic

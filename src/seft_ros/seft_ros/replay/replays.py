@@ -2,18 +2,17 @@
 
 from collections.abc import Sequence
 
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_file import EVERY_NODE, Override
+from seft_msgs_py.config.experiment import EVERY_NODE, Experiment, Override
 from seft_msgs_py.config.parameter_table import COMMON, nearest
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.node import realtime
 
-from seft_ros.experiment.tables import TABLES
 from seft_ros.replay.force_controller_replay import ForceControllerReplay
 from seft_ros.replay.recorded import Recorded
 from seft_ros.replay.reference_force_replay import ReferenceForceReplay
 from seft_ros.replay.replay_step import Replay
 from seft_ros.replay.rig_replay import RigReplay
+from seft_ros.test_run.parameter_tables import TABLES
 
 REPLAYS: dict[str, type[Replay]] = {
     kind.node: kind for kind in (ReferenceForceReplay, ForceControllerReplay, RigReplay)

@@ -1,0 +1,292 @@
+"""What we use of rclpy: rows of our tables as rclpy wants them, and raw messages.
+
+Raw messages are waited for and taken in the calling thread, through rclpy's private interface,
+which only this module uses: rclpy's executors deserialise every message and hand it to tasks,
+which takes longer than a whole step of the loop. rclpy's own ``wait_for_message`` does the same: a
+wait set over some subscriptions, from which bytes are taken as they came.
+"""
+
+import ctypes
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import Any
+
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import Parameter, Section, Table
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.node.middleware import check_shared_memory
+from seft_msgs_py.wire.topics import RIG_NODES, RigAxes, Topic
+
+check_shared_memory()  # before rclpy is imported
+
+import rclpy
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.callback_groups import CallbackGroup
+from rclpy.context import Context
+from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
+
+__all__ = ["Node", "Publisher", "SingleThreadedExecutor", "Subscription"]
+
+
+def command_node(name: str) -> Node:
+    """Start rclpy and make the node of a command, which has no parameters."""
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    return Node(name, start_parameter_services=False)
+
+
+def message_class(topic: Topic) -> Any:
+    """Message class of a topic."""
+    package, _, name = topic.type.split("/")
+    return getattr(import_module(f"{package}.msg"), name)
+
+
+def qos_profile(topic: Topic, depth: int | None = None, reliable: bool = True) -> QoSProfile:
+    """Quality of service of a topic; a reader may have another depth, or no resending."""
+    durability = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
+    return QoSProfile(
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=durability,
+        history=HistoryPolicy.KEEP_LAST,
+        depth=topic.depth if depth is None else depth,
+    )
+
+
+def raw_publisher(node: Node, topic: Topic) -> Publisher:
+    """Make the publisher of a topic, see `sender`."""
+    return node.create_publisher(message_class(topic), topic.name, qos_profile(topic))
+
+
+def parameter_descriptor(row: Parameter) -> ParameterDescriptor:
+    """ROS description of a parameter; most are read-only once the node runs."""
+    unit = f" [{row.unit}]" if row.unit else ""
+    descriptor = ParameterDescriptor(description=row.description + unit, read_only=not row.live)
+    if row.choices:
+        descriptor.additional_constraints = "one of: " + ", ".join(row.choices)
+    if row.kind == "float" and (row.minimum is not None or row.maximum is not None):
+        low = float("-inf") if row.minimum is None else float(row.minimum)
+        high = float("inf") if row.maximum is None else float(row.maximum)
+        descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    if row.kind == "int" and row.minimum is not None:
+        high_int = 2**63 - 1 if row.maximum is None else int(row.maximum)
+        descriptor.integer_range = [
+            IntegerRange(from_value=int(row.minimum), to_value=high_int, step=0)
+        ]
+    return descriptor
+
+
+def declare_parameters(
+    node: Node, table: Table, section: Section, changed: Callable[[], None]
+) -> None:
+    """Declare all parameters of a node with their values; ``live`` ones may be set.
+
+    Parameters
+    ----------
+    node : Node
+        Made with these values as overrides.
+    table : Table
+        Its parameters.
+    section : dict
+        Their checked values; changed when one is set.
+    changed : callable
+        Called when one was set.
+    """
+    for row in table.rows.values():
+        node.declare_parameter(row.name, section[row.name], parameter_descriptor(row))
+
+    def take(parameters: Sequence[RosParameter]) -> SetParametersResult:
+        try:
+            for p in parameters:
+                if p.name not in table.rows:  # rclpy's own, such as use_sim_time
+                    raise InputError(f"{node.get_name()}: {p.name!r} can't be set")
+            values = {
+                p.name: table.rows[p.name].check(p.value, node.get_name()) for p in parameters
+            }
+        except InputError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        section.update(values)
+        changed()
+        return SetParametersResult(successful=True)
+
+    node.add_on_set_parameters_callback(take)
+
+
+def rig_of_node(node: Node, experiment: Experiment) -> tuple[RigAxes, str]:
+    """Rig that a node belongs to, and the test's namespace without a slash at its end."""
+    namespace, name = node.get_namespace().rstrip("/"), node.get_name()
+    above, _, last = namespace.rpartition("/")
+    rigs = {rig.name: rig for rig in experiment.rigs}
+    whole = RigAxes.whole(experiment.axes)
+    if "" in rigs or (name not in RIG_NODES and last not in rigs):
+        return whole, namespace
+    known = " or ".join(f"-r __ns:={above if last in rigs else namespace}/{rig}" for rig in rigs)
+    if name not in RIG_NODES:
+        raise InputError(
+            f"{name} serves all rigs and can't be in {namespace}, which is one rig's namespace"
+        )
+    if last not in rigs:
+        raise InputError(
+            f"{name} is in namespace {namespace or '/'}, but the axes {list(experiment.axes)} are "
+            f"of several rigs; say which one's it is: --ros-args {known}"
+        )
+    return rigs[last], above
+
+
+class LoopCallbackGroup(CallbackGroup):
+    """Group of subscriptions that no executor handles, only a `WaitSet`."""
+
+    def can_execute(self, entity: Any) -> bool:
+        """No executor may wait for these."""
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        """No executor may take from these."""
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        """Nothing was begun."""
+
+
+def raw_subscription(
+    node: Node, topic: Topic, depth: int | None = None, reliable: bool = True
+) -> Subscription:
+    """Subscribe to a topic for a `WaitSet`; see `qos_profile` for depth and reliability."""
+    return node.create_subscription(
+        message_class(topic),
+        topic.name,
+        lambda _: None,
+        qos_profile(topic, depth, reliable),
+        callback_group=LoopCallbackGroup(),
+        raw=True,
+    )
+
+
+class WaitSet:
+    """Waits until one of some subscriptions, as `raw_subscription` makes them, has a message."""
+
+    def __init__(self, context: Context, subscriptions: Sequence[Subscription]) -> None:
+        self._subscriptions = {each.handle.pointer: each for each in subscriptions}
+        self._handles = [each.handle for each in subscriptions]
+        if not self._handles:
+            raise ValueError("a wait set needs something to wait for")
+        self._wait_set = _rclpy.WaitSet(len(self._handles), 0, 0, 0, 0, 0, context.handle)
+
+    def wait(self, timeout: float) -> list[Subscription]:
+        """Wait at most ``timeout`` seconds; return the subscriptions that have messages."""
+        wait_set = self._wait_set
+        wait_set.clear_entities()
+        for handle in self._handles:
+            wait_set.add_subscription(handle)
+        wait_set.wait(max(0, int(timeout * 1e9)))
+        known = self._subscriptions
+        return [known[pointer] for pointer in wait_set.get_ready_entities("subscription")]
+
+
+class _Gid(ctypes.Structure):
+    """``rmw_gid_t``: identifies a publisher."""
+
+    _fields_ = (("implementation", ctypes.c_char_p), ("data", ctypes.c_uint8 * 16))
+
+
+class _Info(ctypes.Structure):
+    """``rmw_message_info_t``; rclpy does not provide its publisher."""
+
+    _fields_ = (
+        ("source_timestamp", ctypes.c_int64),
+        ("received_timestamp", ctypes.c_int64),
+        ("publication_sequence_number", ctypes.c_uint64),
+        ("reception_sequence_number", ctypes.c_uint64),
+        ("publisher_gid", _Gid),
+        ("from_intra_process", ctypes.c_bool),
+    )
+
+
+class _Allocator(ctypes.Structure):
+    """``rcutils_allocator_t``."""
+
+    _fields_ = tuple((name, ctypes.c_void_p) for name in ("new", "free", "grow", "zero", "state"))
+
+
+class _Bytes(ctypes.Structure):
+    """``rcutils_uint8_array_t``: grows with a message."""
+
+    _fields_ = (
+        ("buffer", ctypes.c_void_p),
+        ("length", ctypes.c_size_t),
+        ("capacity", ctypes.c_size_t),
+        ("allocator", _Allocator),
+    )
+
+
+_OK, _NOTHING = 0, 401  # RCL_RET_OK, RCL_RET_SUBSCRIPTION_TAKE_FAILED
+
+
+def taker(subscription: Subscription) -> Callable[[], tuple[bytes, int, bytes] | None]:
+    """Make the function that takes the oldest message of a raw subscription.
+
+    It returns None if there is none; else its bytes, the wall-clock time in ns at which it came
+    in, and the identifier of its publisher, which is the ``endpoint_gid`` of the graph.
+    """
+    rcl, rcutils = ctypes.PyDLL("librcl.so"), ctypes.PyDLL("librcutils.so")
+    rcutils.rcutils_get_default_allocator.restype = _Allocator
+    allocator = rcutils.rcutils_get_default_allocator()
+    message, info = _Bytes(), _Info()
+    rcutils.rcutils_uint8_array_init.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p)
+    if rcutils.rcutils_uint8_array_init(
+        ctypes.addressof(message), 1024, ctypes.addressof(allocator)
+    ):
+        raise MemoryError("no memory for a message")
+    rcl_take = rcl.rcl_take_serialized_message
+    rcl_take.argtypes = (ctypes.c_void_p,) * 4
+    here = ctypes.c_void_p(subscription.handle.pointer)  # valid as long as its node
+    there = ctypes.c_void_p(ctypes.addressof(message))
+    beside, gid = ctypes.c_void_p(ctypes.addressof(info)), ctypes.addressof(info.publisher_gid.data)
+    string_at, size = ctypes.string_at, ctypes.sizeof(info.publisher_gid.data)
+
+    def take() -> tuple[bytes, int, bytes] | None:
+        result = rcl_take(here, there, beside, None)
+        if result == _OK:
+            raw = string_at(message.buffer, message.length)
+            return raw, info.received_timestamp, string_at(gid, size)
+        if result == _NOTHING:
+            return None
+        rcutils.rcutils_reset_error()
+        raise RuntimeError(f"a message can't be taken: error {result} of rcl")
+
+    return take
+
+
+def take_timed(subscription: Subscription) -> tuple[bytes, int] | None:
+    """Take the oldest message, and its time of sending, wall clock of the sender, ns."""
+    taken = subscription.handle.take_message(subscription.msg_type, True)
+    return None if taken is None else (taken[0], taken[1]["source_timestamp"])
+
+
+def take_all(subscription: Subscription, most: int) -> list[tuple[bytes, int]]:
+    """Take at most so many messages, oldest first, as `take_timed` gives each."""
+    found: list[tuple[bytes, int]] = []
+    while len(found) < most and (taken := take_timed(subscription)) is not None:
+        found.append(taken)
+    return found
+
+
+def is_acknowledged(publisher: Publisher, timeout: float) -> bool:
+    """Wait at most ``timeout`` s until all readers have acknowledged all messages."""
+    return bool(publisher.wait_for_all_acked(Duration(seconds=timeout)))
+
+
+def sender(publisher: Publisher) -> Callable[[bytes], None]:
+    """Make the function that publishes message bytes, without rclpy's checks."""
+    return publisher.handle.publish_raw

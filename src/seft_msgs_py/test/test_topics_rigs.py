@@ -1,0 +1,87 @@
+"""Axes and names of several rigs."""
+
+import time
+
+import pytest
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.outcome import Outcome, Saturation, Trip
+from seft_msgs_py.wire.topics import (
+    CLOCK_TOPIC,
+    RIG_STATE,
+    START,
+    TOPICS,
+    RigAxes,
+    rigs_of,
+    topics_of,
+    until_start,
+    with_rigs,
+)
+
+AXES = ("west/x", "east/x", "west/y")
+WEST, EAST = RigAxes("west", ("west/x", "west/y"), (0, 2)), RigAxes("east", ("east/x",), (1,))
+
+
+def test_axes_are_sorted_by_the_rigs_they_name():
+    assert rigs_of(AXES) == (WEST, EAST)
+    assert rigs_of(["x", "y"]) == (RigAxes.whole(["x", "y"]),)
+    assert rigs_of(["west/x"]) == (RigAxes("west", ("west/x",), (0,)),)
+
+
+@pytest.mark.parametrize(
+    ("axes", "words"),
+    [
+        (["west/x", "y"], "y names no rig as the others do"),
+        (["1/x"], "a rig named 1 can't have a namespace"),
+        (["a/b/x"], "a rig named a/b can't have a namespace"),
+    ],
+)
+def test_what_is_no_rig_is_refused(axes, words):
+    with pytest.raises(InputError, match=words):
+        Experiment({"rig": {"rate": 500.0, "axes": axes}})
+
+
+def test_a_test_of_one_rig_has_the_topics_and_nodes_as_they_stand():
+    rigs = rigs_of(["x"])
+    assert topics_of(rigs) == TOPICS
+    assert [(t.publisher, t.subscribers) for t in topics_of(rigs)] == [
+        (t.publisher, t.subscribers) for t in TOPICS
+    ]
+    assert RIG_STATE.of(rigs[0]) is RIG_STATE
+    assert with_rigs(["supervisor", "rig"], rigs) == ["supervisor", "rig"]
+
+
+def test_each_rig_has_nodes_and_topics_of_its_own():
+    topics = {topic.name: topic for topic in topics_of((WEST, EAST))}
+    assert "rig/state" not in topics
+    assert topics["west/rig/state"].publisher == "west/rig"
+    assert topics["east/rig/state"].subscribers == ("reference_force", "east/force_controller")
+    assert topics["reference_force"].subscribers == (
+        "west/force_controller",
+        "east/force_controller",
+    )
+    assert topics["experiment/state"].subscribers == ("ground_motion", "west/rig", "east/rig")
+    assert topics[CLOCK_TOPIC.name].publisher == "west/rig"
+    assert with_rigs(["rig", "recorder"], (WEST, EAST)) == ["west/rig", "east/rig", "recorder"]
+
+
+def test_rigs_start_together_if_their_clocks_agree():
+    soon = time.time_ns() + 10**9
+    assert 0.5 < until_start({START: str(soon)}) <= 1.0
+    assert until_start({}) == 0.0
+    with pytest.raises(InputError, match="set the clocks of all hosts by one"):
+        until_start({START: str(soon + 3600 * 10**9)})
+
+
+def test_how_a_test_ended_is_put_together():
+    stopped = Outcome("tripped", 9, 2, [3, 4], 1.0, Trip("stopped", 8, 0.016), 1)
+    at_its_end = Saturation({"valve": 2}, {"valve": 5})
+    tripped = Outcome("tripped", 8, 1, [3], 2.0, Trip("velocity", 9, 0.018), 0, at_its_end)
+    both = Outcome.of_all([stopped, tripped])
+    assert both.trip == tripped.trip  # the cause
+    assert (both.steps, both.missed, both.missed_steps, both.overruns) == (8, 3, [3, 4], 1)
+    assert both.wall_s == 2.0
+    twice = Saturation.of_all([Saturation({"valve": 1}, {"valve": 2}), tripped.saturation])
+    assert twice == Saturation({"valve": 3}, {"valve": 2})
+    finished = Outcome("finished", 9, 0, [], None, None)
+    assert Outcome.of_all([finished, finished]) == finished

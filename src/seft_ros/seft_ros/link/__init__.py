@@ -1,1 +1,0 @@
-"""The link between two hosts: measured by messages that the other host sends back."""

@@ -1,0 +1,279 @@
+"""All steps of a test in one compiled function, which calls the steps of its blocks in turn.
+
+It releases the interpreter's lock, so that threads run tests in parallel.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba.extending import overload
+from seft_msgs_py.wire.topics import VALVE_COMMAND
+from seft_plant_sim.compiled import OPTIONS, compiled, entry_point
+from seft_plant_sim.rig.rig import Rig
+from seft_plant_sim.rig.rig_step import BLIND, LIMIT, RigParameters, RigState, rig_step
+from seft_plant_sim.sensors import BLOCK
+
+from seft_ros.force_controller.block import ForceController
+from seft_ros.force_controller.interlock import Interlock
+from seft_ros.force_controller.interlock_step import (
+    NOTHING,
+    TRIP,
+    InterlockParameters,
+    InterlockState,
+    begin_control,
+    end_control,
+)
+from seft_ros.force_controller.transfer_step import TransferParameters, transfer_step
+from seft_ros.force_controller.velocity_feedforward import (
+    FeedforwardParameters,
+    VelocityFeedforward,
+    feedforward_step,
+)
+from seft_ros.interlock.protection import (
+    HOLDING,
+    ProtectionParameters,
+    ProtectionState,
+    begin_step,
+    protect,
+)
+from seft_ros.interlock.ramp_down import TAKEN
+from seft_ros.reference_force.compensation.linear_filter import (
+    LinearCompensator,
+    LinearParameters,
+    linear_step,
+)
+from seft_ros.target.target_motion import TargetMotion
+from seft_ros.target.target_step import TargetParameters, target_estimates, target_step
+from seft_ros.test_run.blocks import Blocks
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+
+
+FORCE_STEPS = {LinearParameters: linear_step, TargetParameters: target_step}
+CONTROL_STEPS = {TransferParameters: transfer_step, FeedforwardParameters: feedforward_step}
+"""Steps of the blocks that can be compiled, by their parameters."""
+_OPTIONS: dict[str, Any] = {"jit_options": OPTIONS}
+
+
+def obstacle(blocks: Blocks) -> str:
+    """Say why a test can't run in the compiled loop; empty if it can."""
+    method = blocks.reference_force.reference_force.compensator
+    if not isinstance(blocks.rig, Rig) or not isinstance(blocks.force_controller, Interlock):
+        return "several rigs"
+    if type(method) not in (LinearCompensator, TargetMotion):
+        return "the compensation changes while the test runs"
+    if isinstance(method, TargetMotion) and method.command is not None:
+        return "the target's force is sent ahead"
+    if "step" in vars(method):
+        return "the compensation has a step of its own"
+    controller = type(blocks.force_controller.controller)
+    if controller not in (ForceController, VelocityFeedforward):
+        return "a force controller of another package"
+    if controller is VelocityFeedforward and type(method) is not TargetMotion:
+        return "velocity_feedforward without target_motion"
+    return ""
+
+
+def respond(
+    parameters: Any, state: Any, ground: Floats, measured: Floats, pace: float, points: Floats
+) -> None:
+    """Step of a compensation method, see `FORCE_STEPS`."""
+    raise NotImplementedError
+
+
+def answer(parameters: Any, state: Any, points: Floats, measured: Floats, command: Floats) -> bool:
+    """Step of a force controller, see `CONTROL_STEPS`."""
+    raise NotImplementedError
+
+
+def estimate(parameters: Any, state: Any, result: Floats) -> None:
+    """Sample the estimates of a compensation method, shape (k, n)."""
+    raise NotImplementedError
+
+
+@overload(respond, **_OPTIONS)
+def _respond(parameters, state, ground, measured, pace, points):  # type: ignore[no-untyped-def]
+    step: Any = FORCE_STEPS[parameters.instance_class]
+    return lambda parameters, state, ground, measured, pace, points: step(
+        parameters, state, ground, measured, pace, points
+    )
+
+
+@overload(answer, **_OPTIONS)
+def _answer(parameters, state, points, measured, command):  # type: ignore[no-untyped-def]
+    step: Any = CONTROL_STEPS[parameters.instance_class]
+    return lambda parameters, state, points, measured, command: step(
+        parameters, state, points, measured, command
+    )
+
+
+@overload(estimate, **_OPTIONS)
+def _estimate(parameters, state, result):  # type: ignore[no-untyped-def]
+    if parameters.instance_class is TargetParameters:
+        return lambda parameters, state, result: target_estimates(parameters, state, result)
+    return lambda parameters, state, result: None
+
+
+class LoopSamples(NamedTuple):
+    """Results of a test of N steps.
+
+    Attributes
+    ----------
+    states, forces, commands : ndarray
+        Shapes (N, 4, n), (N, q, n) and (N, n).
+    found : ndarray
+        Results of `rig_step`, shape (N,).
+    estimates : ndarray
+        Estimates of the compensation method at the sampled steps, shape (M, k, n).
+    """
+
+    states: Floats
+    forces: Floats
+    commands: Floats
+    found: Ints
+    estimates: Floats
+
+
+class LoopBlocks(NamedTuple):
+    """The blocks as the loop sees them.
+
+    Attributes
+    ----------
+    rig, protection, interlock : tuple
+        Parameters and state of each.
+    force, control : tuple
+        Parameters and state of compensation method and controller.
+    under_way : ndarray
+        Points of the last steps in turn, shape (1 + d, p, q, n), of a loop with a delay of d steps.
+    drive : ndarray
+        Input of the rig, shape (n,).
+    is_valve_driven : bool
+        Whether that is the valve command.
+    window : int
+        Samples of the ground motion that the compensation method gets.
+    longest_ramp, period : int
+        Steps of the ramp, and from one sample of the estimates to the next.
+    """
+
+    rig: tuple[RigParameters, RigState]
+    protection: tuple[ProtectionParameters, ProtectionState]
+    interlock: tuple[InterlockParameters, InterlockState]
+    force: tuple[Any, Any]
+    control: tuple[Any, Any]
+    under_way: Floats
+    drive: Floats
+    is_valve_driven: bool
+    window: int
+    longest_ramp: int
+    period: int
+
+
+def run_compiled(
+    blocks: Blocks, samples: LoopSamples, loop_delay: int, period: int
+) -> Iterator[int]:
+    """Run a test of blocks that have been reset; give the steps done: 0 first, all at the end.
+
+    Parameters
+    ----------
+    blocks : Blocks
+        For which there is no `obstacle`.
+    samples : LoopSamples
+        The result.
+    loop_delay : int
+        Steps from a state to the first use of the force that is computed from it.
+    period : int
+        Steps from one sample of the estimates to the next.
+    """
+    rig, protected, interlock = blocks.rig, blocks.reference_force, blocks.force_controller
+    assert isinstance(rig, Rig) and isinstance(interlock, Interlock)
+    method: Any = protected.reference_force.compensator
+    control: Any = interlock.controller
+    points, quantities = protected.reference_force.shape
+    if quantities > 1:  # a controller needs no more of the future motion
+        future = isinstance(control, VelocityFeedforward) and control.parameters.inverse.shape[1]
+        points = min(points, 1 + loop_delay + future)
+    n = samples.commands.shape[1]
+    loop = LoopBlocks(
+        (rig.parameters, rig.state),
+        (protected.parameters, protected.state),
+        (interlock.parameters, interlock.state),
+        (method.parameters, method.state),
+        (control.parameters, control.state),
+        np.zeros((1 + loop_delay, points, quantities, n)),
+        np.zeros(n),
+        rig.drive == VALVE_COMMAND.name,
+        points if quantities > 1 else 1 + protected.preview,
+        protected.longest_ramp,
+        period,
+    )
+    known = np.ascontiguousarray(blocks.ground_motion.known)
+    total = len(samples.commands)
+    steps: Callable[..., int] = entry_point(run_steps, loop, samples, known, samples.states, 0, 0)
+    yield 0  # it is compiled
+    for first in range(0, total, BLOCK):
+        last = min(first + BLOCK, total)
+        noise = rig.sensors.noise_block(first // BLOCK, last - first)
+        done = steps(loop, samples, known, noise, first, last)
+        yield done
+        if done < last or last == total:
+            rig.take(samples.found[:done])
+            return
+
+
+def _run_steps(
+    loop: LoopBlocks, samples: LoopSamples, known: Floats, noise: Floats, first: int, last: int
+) -> int:
+    """Run steps of a test; give the number of steps done since its beginning.
+
+    The order of the steps, and of what protects them, is that of `simulate`.
+
+    Parameters
+    ----------
+    loop, samples
+        See there.
+    known : ndarray
+        Ground motion, and what is known beyond its end, shape (N + lead, n), m/s^2.
+    noise : ndarray
+        Of the sensors from the first step on, shape (steps, 4, n).
+    first, last : int
+        The first step, and the one after the last.
+    """
+    rig, protection, interlock = loop.rig, loop.protection, loop.interlock
+    force, control, drive = loop.force, loop.control, loop.drive
+    turns, _, quantities, n = loop.under_way.shape
+    window, is_target = loop.window, quantities > 1
+    for step in range(first, last):
+        measured, command = samples.states[step], samples.commands[step]
+        found = rig_step(rig[0], rig[1], step, drive, noise[step - first], measured)
+        samples.found[step] = found
+        # reference force
+        asked = loop.under_way[step % turns]
+        pace = begin_step(protection[0], protection[1], True)
+        if not protection[1].flags[HOLDING]:
+            respond(force[0], force[1], known[step : step + window], measured, pace, asked)
+        protect(protection[0], protection[1], known[step], measured, True, pace, asked)
+        late = loop.under_way[(step + 1) % turns]
+        sent = asked if is_target else late
+        for row in range(quantities):
+            for i in range(n):
+                samples.forces[step, row, i] = sent[0, row, i]
+        applied = late[turns - 1 if is_target else 0 :]
+        # force control
+        if begin_control(interlock[0], interlock[1], step, applied, measured, command):
+            limited = answer(control[0], control[1], applied, measured, command)
+            end_control(interlock[0], interlock[1], step, limited, command)
+        if step % loop.period == 0:
+            estimate(force[0], force[1], samples.estimates[step // loop.period])
+        for i in range(n):
+            is_valve = loop.is_valve_driven
+            drive[i] = command[i] if is_valve else applied[0, quantities - 1, i]
+        has_ended = protection[1].ramp[TAKEN] >= loop.longest_ramp
+        if has_ended or found & (LIMIT | BLIND) or interlock[1].flags[TRIP] != NOTHING:
+            return step + 1
+    return last
+
+
+run_steps = compiled(_run_steps, nogil=True)

@@ -1,0 +1,219 @@
+"""What the `seft` command observes of a test on the graph, and the services it calls."""
+
+import os
+import time
+from collections.abc import Collection, Iterable, Sequence
+from contextlib import closing
+from typing import Any
+
+from seft_msgs_py.errors import ExperimentError, InputError, WireError
+from seft_msgs_py.node.middleware import is_running, prepare_on_this_host
+from seft_msgs_py.node.rclpy_interface import (
+    SingleThreadedExecutor,
+    command_node,
+    message_class,
+    qos_profile,
+    raw_subscription,
+    taker,
+)
+from seft_msgs_py.node.realtime import AwakeClock
+from seft_msgs_py.node.senders import Senders
+from seft_msgs_py.node.shutdown import leave_graph
+from seft_msgs_py.wire.messages import decode_status
+from seft_msgs_py.wire.outcome import MOVING, RIG
+from seft_msgs_py.wire.topics import CLOCK_TOPIC, DIAGNOSTICS, EXPERIMENT_STATE, NODES, Topic, bare
+from std_srvs.srv import Trigger
+
+SERVICE_TIMEOUT = 10.0  # s
+DISCOVERY = 0.5  # s; nodes that take longer are found by the second check, before the start
+ANNOUNCEMENT = 3.2  # s; participants announce themselves every 3 s
+
+
+class Observer:
+    """Follows experiment/state, /clock and the recorder's status.
+
+    Parameters
+    ----------
+    nodes : sequence of str
+        Names that the nodes of a test have.
+
+    Attributes
+    ----------
+    state : str
+        The test's state; empty before the first message.
+    values : dict
+        Values of the state: ``detail``, ``steps``, ``step``.
+    time_ns : int
+        Experiment time, nanoseconds.
+    recorder_phase : str
+        ``idle``, ``recording``, ``saved``.
+    recorder_bag : str
+        Folder of the saved bag.
+    running : set of str
+        Rigs that report that they run.
+    """
+
+    def __init__(self, nodes: Sequence[str] = NODES) -> None:
+        self._nodes = tuple(nodes)
+        self.state = ""
+        self.values: dict[str, str] = {}
+        self.time_ns = 0
+        self.recorder_phase = ""
+        self.recorder_bag = ""
+        self.running: set[str] = set()
+        self._awake = AwakeClock()
+        self._heard_at = self._awake.time()
+        self._since = time.monotonic()
+        self._node = command_node("seft")
+        states = raw_subscription(self._node, EXPERIMENT_STATE)
+        self._take_state, self._senders = taker(states), Senders(self._node)
+        self._senders.add(EXPERIMENT_STATE, states.topic_name, states)
+        for topic, receive in ((CLOCK_TOPIC, self._on_clock), (DIAGNOSTICS, self._on_diagnostics)):
+            self._node.create_subscription(
+                message_class(topic), topic.name, receive, qos_profile(topic)
+            )
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+
+    def spin(self, timeout: float) -> None:
+        """Handle all messages that come within ``timeout`` seconds; poll at least once."""
+        deadline = time.monotonic() + timeout
+        while True:
+            self._executor.spin_once(timeout_sec=max(0.0, deadline - time.monotonic()))
+            self._awake.time()
+            self._hear_states()
+            if time.monotonic() >= deadline:
+                return
+
+    def silence(self) -> float:
+        """Time since the supervisor was last heard, s."""
+        return self._awake.time() - self._heard_at
+
+    def call(self, service: str, patience: float = SERVICE_TIMEOUT) -> tuple[bool, str]:
+        """Call a service of the supervisor; return whether it was accepted, and its answer.
+
+        Raises
+        ------
+        ExperimentError
+            If it does not answer within ``patience`` seconds.
+        """
+        client = self._node.create_client(Trigger, service)
+        try:
+            if not client.wait_for_service(patience):
+                raise ExperimentError(f"service {service} is not there; is supervisor running?")
+            future = client.call_async(Trigger.Request())
+            self._executor.spin_until_future_complete(future, patience)
+            self._hear_states()
+            response = future.result()
+            if response is None:
+                raise ExperimentError(f"supervisor did not answer {service}")
+            return response.success, response.message
+        finally:
+            self._node.destroy_client(client)
+
+    def present(self) -> list[str]:
+        """Names of a test's nodes that are on the graph, or on this host and not yet found."""
+        found, domain = self._found(), self._node.context.get_domain_id()
+        ours = [node for node in self._nodes if node in found or is_running(domain, f"/{node}")]
+        return ours + self._of_other_namespaces(found)
+
+    def refuse_other_tests(self, external: Collection[str] = ()) -> None:
+        """Check that no other test is on the graph: two would command each other's rig.
+
+        Raises
+        ------
+        InputError
+            If there is one, of other nodes than those that are external.
+        """
+        self.spin(DISCOVERY)
+        self._refuse([node for node in self.present() if node not in external])
+
+    def refuse_twins(self, topics: Iterable[Topic]) -> None:
+        """Check again that there is no other test, and no other publisher of this test's topics.
+
+        A node that runs already may be found only when it announces itself the next time.
+
+        Raises
+        ------
+        InputError
+            If there is one.
+        """
+        self.spin(max(0.0, self._since + ANNOUNCEMENT - time.monotonic()))
+        found = self._found()
+        twice = [node for node in self._nodes if found.count(node) > 1]
+        self._refuse(twice + self._of_other_namespaces(found))
+        for topic in topics:
+            infos = self._node.get_publishers_info_by_topic(topic.name)
+            if len(infos) > 1:
+                names = ", ".join(sorted(i.node_name for i in infos))
+                raise InputError(
+                    f"{len(infos)} nodes publish {topic.name} in ROS domain {_domain()} ({names}), "
+                    "and only one is this test's: end the other"
+                )
+
+    def _refuse(self, nodes: Sequence[str]) -> None:
+        if nodes:
+            raise InputError(
+                f"ROS domain {_domain()} already has a node {', '.join(nodes)}: another test's; "
+                "end it, set ROS_DOMAIN_ID to another number, or let a test have it with --external"
+            )
+
+    def _of_other_namespaces(self, found: Sequence[str]) -> list[str]:
+        """List nodes of another test, which shares /clock with this one."""
+        others = set(found) - set(self._nodes)
+        return sorted(node for node in others if bare(node) in NODES)
+
+    def _found(self) -> list[str]:
+        """List all nodes on the graph, with their namespaces, without the first slash."""
+        pairs = self._node.get_node_names_and_namespaces()
+        return [f"{namespace.rstrip('/')}/{name}"[1:] for name, namespace in pairs]
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        leave_graph(self._node)
+
+    def _hear_states(self) -> None:
+        while (taken := self._take_state()) is not None:
+            self._on_state(taken[0], taken[2])
+
+    def _on_state(self, raw: bytes, gid: bytes) -> None:
+        """Accept the state of a running test only from the supervisor that it began with."""
+        if self._senders.is_foreign(EXPERIMENT_STATE.name, gid):
+            return
+        try:
+            status = decode_status(raw)
+        except WireError:
+            return
+        self._heard_at = self._awake.time()
+        self.state, self.values = status.message, dict(status.values)
+        self._senders.follow(self.state in MOVING)
+
+    def _on_clock(self, message: Any) -> None:
+        self.time_ns = message.clock.sec * 1_000_000_000 + message.clock.nanosec
+
+    def _on_diagnostics(self, message: Any) -> None:
+        for status in message.status:
+            values = {item.key: item.value for item in status.values}
+            phase = values.get("phase", "")
+            if status.name == "recorder":
+                self.recorder_phase, self.recorder_bag = phase, values.get("bag", "")
+            elif bare(status.name) == RIG:
+                (self.running.add if phase == "running" else self.running.discard)(status.name)
+
+
+def _domain() -> str:
+    return os.environ.get("ROS_DOMAIN_ID", "0")
+
+
+def alone_on_the_graph(external: Collection[str] = ()) -> None:
+    """Prepare this process for the graph, and check that no test is on it.
+
+    Raises
+    ------
+    InputError
+        If there is one.
+    """
+    prepare_on_this_host()
+    with closing(Observer()) as observer:
+        observer.refuse_other_tests(external)

@@ -1,0 +1,208 @@
+"""The experiment in one process, without ROS: the same blocks, called in turn.
+
+If all of them are compiled, so is the loop over the steps. An ensemble is many such tests on
+several threads; tests with equal ground motion, reference force or force controller share these.
+"""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.wire.outcome import Trip
+from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
+
+from seft_ros.recording.environment import describe_environment
+from seft_ros.recording.record import (
+    Estimates,
+    Record,
+    Series,
+)
+from seft_ros.recording.samples import require_names
+from seft_ros.reference_force.estimate_sampler import sampling_period
+from seft_ros.test_run.blocks import Blocks, build_blocks
+from seft_ros.test_run.compiled_loop import LoopSamples, obstacle, run_compiled
+from seft_ros.test_run.state_machine import while_ramping_down
+
+Floats = npt.NDArray[np.float64]
+
+PROGRESS_STEPS = 5000
+
+
+def simulate(
+    experiment: Experiment,
+    blocks: Blocks,
+    progress: Callable[[int], None] | None = None,
+    environment: dict[str, Any] | None = None,
+) -> Record:
+    """Run a test offline.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Its resolved configuration.
+    blocks : Blocks
+        Made of it by `build_blocks`.
+    progress : callable, optional
+        Called at intervals with the number of steps done.
+    environment : dict, optional
+        Of the record; default that of this process.
+
+    Returns
+    -------
+    Record
+        Bit for bit that of nodes over DDS if no command is missed.
+    """
+    motion, force = blocks.ground_motion.samples, blocks.reference_force
+    (total, axes), quantities = motion.shape, force.reference_force.shape[1]
+    force.reset()
+    blocks.force_controller.reset()
+    estimated, period = force.estimates(), sampling_period(experiment.timebase)
+    samples = LoopSamples(
+        np.empty((total, 4, axes)),
+        np.empty((total, quantities, axes)),
+        np.empty((total, axes)),
+        np.empty(total, dtype=np.int64),
+        np.empty((-(-total // period), len(estimated), axes)),
+    )
+    run = run_plain if obstacle(blocks) else run_compiled
+    environment = environment or describe_environment("simulate")
+    loop = run(blocks, samples, experiment["reference_force"]["loop_delay"], period)
+    steps, start = next(loop), time.perf_counter()
+    for steps in loop:
+        if progress is not None:
+            progress(steps)
+    wall = time.perf_counter() - start
+    estimates = None
+    if estimated:
+        sampled = np.arange(0, steps, period, dtype=np.int64)
+        estimates = Estimates(sampled, samples.estimates[: len(sampled)], tuple(estimated))
+    return Record(
+        experiment=experiment,
+        series=loop_series(motion, samples, steps),
+        estimates=estimates,
+        trip=trip_of(
+            blocks.rig.violation or blocks.force_controller.reason,
+            force.cause,
+            steps - 1,
+            steps - force.steps_ramped,
+            experiment.timebase,
+        ),
+        saturation=blocks.rig.saturation,
+        wall_s=wall,
+        environment=environment,
+    )
+
+
+def run_plain(blocks: Blocks, samples: LoopSamples, loop_delay: int, period: int) -> Iterator[int]:
+    """Run a test as `run_compiled` does, with any blocks."""
+    rig, reference_force, interlock = blocks.rig, blocks.reference_force, blocks.force_controller
+    total, axes = samples.commands.shape
+    known, window = blocks.ground_motion.known, 1 + reference_force.preview
+    force_step, valve_step = reference_force.step, interlock.step
+    under_way = deque([np.zeros((1 + loop_delay, 1, axes))] * loop_delay)
+    valve_driven, names = rig.drive == VALVE_COMMAND.name, tuple(reference_force.estimates())
+    yield 0
+    state = rig.reset()
+    with np.errstate(over="ignore", invalid="ignore"):  # the limits see what is not finite
+        for step in range(total):
+            points = force_step(known[step : step + window], state)
+            samples.states[step], samples.forces[step] = state, points[0]
+            if loop_delay:
+                under_way.append(points)
+                points = under_way.popleft()[loop_delay:]
+            command = samples.commands[step] = valve_step(step, points, state)
+            if step % period == 0 and samples.estimates.size:
+                estimates = reference_force.estimates()
+                require_names(step, estimates, names)
+                samples.estimates[step // period] = list(estimates.values())
+            if rig.violation is not None or interlock.reason or reference_force.at_rest:
+                yield step + 1
+                return
+            if (step + 1) % PROGRESS_STEPS == 0:
+                yield step + 1
+            if step + 1 < total:
+                state = rig.step(command if valve_driven else points[0, -1])
+    yield total
+
+
+def loop_series(motion: Floats, samples: LoopSamples, steps: int) -> dict[str, Series]:
+    """Sort the samples of the first steps of a test by topic."""
+    numbers = np.arange(steps, dtype=np.int64)
+    values = {
+        GROUND_MOTION.name: motion[:steps, np.newaxis],
+        RIG_STATE.name: samples.states[:steps],
+        REFERENCE_FORCE.name: samples.forces[:steps],
+        VALVE_COMMAND.name: samples.commands[:steps, np.newaxis],
+    }
+    return {name: Series(numbers, each) for name, each in values.items()}
+
+
+def trip_of(
+    violation: str | None, cause: str | None, last: int, begun: int, timebase: Timebase
+) -> Trip | None:
+    """Say what ended a test before the end of its record, as supervisor and rig would.
+
+    Parameters
+    ----------
+    violation : str or None
+        Why rig or force controller ended it at once; empty or None if not.
+    cause : str or None
+        Why the reference force was ramped down.
+    last, begun : int
+        The last step, and the one at which the ramp began.
+    timebase : Timebase
+        Sampling clock.
+    """
+    if violation:
+        reason = violation if cause is None else while_ramping_down(violation, cause)
+        return Trip(reason, last, timebase.stamp_ns(last) / 1e9)
+    return None if cause is None else Trip(cause, begun, timebase.stamp_ns(begun) / 1e9)
+
+
+class Workshop:
+    """Prepares and runs the tests of an ensemble; each thread has its own blocks."""
+
+    def __init__(self) -> None:
+        self._of_thread = threading.local()
+
+    @cached_property
+    def _environment(self) -> dict[str, Any]:
+        return describe_environment("ensemble")
+
+    def run(self, experiment: Experiment) -> Record:
+        """Run a test, see `simulate`.
+
+        Raises
+        ------
+        InputError
+            As `build_blocks`.
+        """
+        return simulate(experiment, self.blocks(experiment), environment=self._environment)
+
+    def obstacle(self, experiment: Experiment) -> str:
+        """Say why a test can't run in the compiled loop, see `obstacle`; empty if it can."""
+        return obstacle(self.blocks(experiment))
+
+    def blocks(self, experiment: Experiment) -> Blocks:
+        """Make the blocks of a test, or find them among those of this thread's earlier tests."""
+        return build_blocks(experiment, vars(self._of_thread))
+
+
+def thread_map(workers: int, function: Callable[..., Any], *arguments: Any) -> Iterator[Any]:
+    """Give results in order, as `map` does, from several threads; 1: from the calling one."""
+    if workers == 1:
+        yield from map(function, *arguments)
+        return
+    pool = ThreadPoolExecutor(workers)
+    try:
+        yield from pool.map(function, *arguments)
+    finally:
+        pool.shutdown(cancel_futures=True)

@@ -1,0 +1,55 @@
+"""Parameter tables of all nodes; those of supervisor and recorder are written here."""
+
+from dataclasses import replace
+
+from seft_msgs_py.config.parameter_table import Parameter, Table, parameter_rows
+from seft_msgs_py.wire.topics import NODES
+from seft_plant_sim.rig.limits import limit_rows
+from seft_plant_sim.rig.rig_parameters import TABLE as RIG
+
+from seft_ros.force_controller.parameters import TABLE as FORCE_CONTROLLER
+from seft_ros.ground_motion.ground_motion_block import TABLE as GROUND_MOTION
+from seft_ros.reference_force.parameters import TABLE as REFERENCE_FORCE
+
+_WATCHDOG = parameter_rows(
+    """
+    watchdog.command_timeout | float | 0.02 | s | > 0        |
+        longest time that rig and force controller go without each other in realtime: the
+        rig without a new command, the force controller without a new state
+    watchdog.peer_timeout    | float | 1.0  | s | > 0 0.5 .. |
+        longest silence of a node, which sends a sign of life 5 times a second, before the
+        test trips
+    watchdog.ramp_margin     | float | 2.0  | s | > 0        |
+        longest time that the reference force may take beyond its ramp_down_time before the
+        test trips at once; ten times as long in lockstep, where the loop keeps no time
+    """
+)
+SUPERVISOR = Table(
+    "supervisor",
+    [
+        *limit_rows(),
+        *_WATCHDOG,
+        Parameter(
+            "peers",
+            "strings",
+            [node for node in NODES if node != "supervisor"],
+            "nodes that a test needs",
+            choices=tuple(node for node in NODES if node != "supervisor"),
+        ),
+    ],
+)
+
+_LIVE = parameter_rows(
+    """
+    directory | string | bags |  |               | folder in which a test's bag is made
+    name      | string |      |  | a file's name |
+        name of the bag in it; empty: date and time of the start
+    storage   | string | mcap |  | mcap, sqlite3 | file format of the bag
+    on_loss   | string | stop |  | stop, go_on   |
+        what becomes of a test whose bag is deleted, moved or can't be written on: it is brought
+        down, or goes on; the recorder keeps what comes, and saves it at the end
+    """
+)
+RECORDER = Table("recorder", [replace(row, live=True) for row in _LIVE])
+
+TABLES = (GROUND_MOTION, REFERENCE_FORCE, FORCE_CONTROLLER, RIG, SUPERVISOR, RECORDER)

@@ -1,0 +1,136 @@
+"""Whether the nodes of a test have found each other, judged by what each reports of itself."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from seft_msgs_py.wire.messages import Status
+from seft_msgs_py.wire.outcome import FINISHED, RIG, TRIPPED
+from seft_msgs_py.wire.topics import RigAxes, bare, topics_of, with_rigs
+
+RAMPING_DOWN, AT_REST = "ramping_down", "at_rest"  # phases of the reference force
+ALL_ANSWERED = "ended"
+"""Its phase when the test has ended and it has answered the last state."""
+SILENT = "silent"
+"""Key of a trip's values: the nodes that had fallen silent, once that is known; may be empty."""
+RECORDING = "recording"
+"""Phase of the recorder as long as the bag of a test is open, also after that test's end."""
+WAITS = "waits"
+"""Key of the recorder's values: why it can't record a test now; empty if it can."""
+CONFLICT = "one "
+"""Begin of what is missing if nodes were started with parameters that contradict."""
+_IN_A_TEST = ("running", FINISHED, TRIPPED)  # phases of the rig
+
+
+@dataclass(frozen=True)
+class Heard:
+    """The last status of a node, and when it came: s of an `AwakeClock`, and s of the test."""
+
+    status: Status
+    at: float
+    test_s: float = 0.0
+
+    @property
+    def phase(self) -> str:
+        """Phase that the node reports; empty if none."""
+        return self.status.values.get("phase", "")
+
+
+def missing(
+    peers: Sequence[str],
+    heard: Mapping[str, Heard],
+    descriptions: Mapping[str, Mapping[str, Any]],
+    now: float,
+    timeout: float,
+    rigs: Sequence[RigAxes],
+) -> str:
+    """Say what a test still lacks before it can start; empty if nothing.
+
+    Parameters
+    ----------
+    peers : sequence of str
+        Nodes that the test needs, each rig's own among them.
+    heard : mapping
+        Node name -> last status; holds the supervisor's own too.
+    descriptions : mapping
+        Node name -> description with the node's parameters.
+    now : float
+        Time on the clock of `Heard.at`, s.
+    timeout : float
+        Silence after which a node counts as absent, s.
+    rigs : sequence of RigAxes
+        The test's.
+    """
+    absent = [n for n in peers if n not in heard] + silent(peers, heard, now, timeout)
+    if absent:
+        return "node " + ", ".join(sorted(absent, key=list(peers).index))
+    undescribed = [node for node in peers if node not in descriptions]
+    if undescribed:
+        return "the parameters of " + ", ".join(undescribed)
+    rig_nodes = [node for node in with_rigs([RIG], rigs) if node in peers]
+    if conflict := _conflict(peers, descriptions, rig_nodes):
+        return conflict
+    topics = topics_of(rigs)
+    for publisher in (*peers, "supervisor"):
+        for topic in topics:
+            if topic.publisher not in (publisher, ""):
+                continue
+            known = heard[publisher].status.values.get(f"matched {topic.name}", "").split()
+            wanted = {node for node in topic.subscribers if node in (*peers, "supervisor")}
+            wanted.update(n for n in rig_nodes if descriptions[n].get("drive") == topic.name)
+            if topic.recorded and "recorder" in peers:
+                wanted.add("recorder")
+            lost = sorted(wanted - set(known) - {publisher})
+            if lost:
+                return f"{publisher} to reach {', '.join(lost)} on {topic.name}"
+            for node in sorted(wanted & set(heard)):
+                if heard[node].status.values.get(f"senders {topic.name}") == "0":
+                    return f"{node} to hear {publisher} on {topic.name}"
+    for node in rig_nodes:
+        if heard[node].phase in _IN_A_TEST:
+            return f"the {node} to leave the last test"  # its end would count for the next one
+    phases = {node: heard[node].phase for node in heard}
+    if phases.get("reference_force") in (RAMPING_DOWN, AT_REST, ALL_ANSWERED):
+        return "the reference force to leave the last test"
+    if "recorder" in peers:
+        if phases["recorder"] == RECORDING:
+            return "the recorder to save the last test"
+        if why := heard["recorder"].status.values.get(WAITS):
+            return f"the recorder, as {why}"
+    return "" if phases.get("ground_motion") == "primed" else "the first of the ground motion"
+
+
+def silent(
+    peers: Sequence[str], heard: Mapping[str, Heard], now: float, timeout: float
+) -> list[str]:
+    """List nodes that have been heard, but not for longer than ``timeout`` seconds."""
+    return [node for node in peers if node in heard and now - heard[node].at > timeout]
+
+
+def silence(node: str, heard: Mapping[str, Heard]) -> str:
+    """Say since when a node has been silent, by the time of the test."""
+    return f"node {node} has been silent since {heard[node].test_s:.2f} s"
+
+
+def _conflict(
+    peers: Sequence[str], descriptions: Mapping[str, Mapping[str, Any]], rig_nodes: Sequence[str]
+) -> str:
+    """Say which parameters contradict, so that the nodes can't work together; empty if none."""
+
+    def parameter(node: str, name: str, default: Any = None) -> Any:
+        return descriptions[node]["parameters"].get(name, default)
+
+    for name, nodes in (("rate", peers), ("axes", peers), ("pace", rig_nodes)):
+        for node in nodes[1:]:
+            value, other = parameter(nodes[0], name), parameter(node, name)
+            if other != value:
+                return f"{CONFLICT}{name}: {nodes[0]} has {value}, {node} has {other}"
+    if "reference_force" not in peers:
+        return ""
+    sent = parameter("reference_force", "loop_delay", 0)
+    for node in peers:
+        taken = parameter(node, "loop_delay", 0)
+        # a delay below zero is the one that the other side has measured
+        if bare(node) == "force_controller" and sent != taken and not (taken < 0 < sent):
+            return f"{CONFLICT}loop_delay: reference_force has {sent}, {node} has {taken}"
+    return ""

@@ -1,0 +1,229 @@
+"""The node processes of a test: started, watched and ended together."""
+
+import contextlib
+import ctypes
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import ExperimentError, InputError
+from seft_msgs_py.node.realtime import process_stat, take_equal_addresses
+from seft_msgs_py.wire.topics import bare, rig_name
+
+from seft_ros.test_run.orphan_reaper import OrphanReaper
+from seft_ros.test_run.process_layout import LOOP_NODES, ProcessLayout
+
+MODULES = {
+    "ground_motion": "seft_ros.nodes.ground_motion",
+    "reference_force": "seft_ros.nodes.reference_force",
+    "force_controller": "seft_ros.nodes.force_controller",
+    "rig": "seft_plant_sim.rig_node",
+    "supervisor": "seft_ros.nodes.supervisor",
+    "recorder": "seft_ros.nodes.recorder",
+}
+"""Module of each node, for ``python -m``: it works with and without a ROS installation."""
+COMPOSED = "seft_ros.nodes.loop"
+
+_PR_SET_PDEATHSIG = 1
+_LIBC = ctypes.CDLL(None, use_errno=True)
+
+
+class NodeProcesses:
+    """Processes of some nodes, each with its log file.
+
+    Parameters
+    ----------
+    nodes : iterable of str
+        Names of the nodes.
+    parameters : Path
+        Parameter file that all of them read.
+    logs : Path
+        Folder for the logs.
+    layout : ProcessLayout
+        Where they run.
+    lockstep : bool
+        Schedule the loop's nodes for throughput rather than for latency, until `settle`.
+
+    Attributes
+    ----------
+    bag : Path or None
+        Where the test's bag is.
+    """
+
+    def __init__(
+        self,
+        nodes: Iterable[str],
+        parameters: Path,
+        logs: Path,
+        layout: ProcessLayout,
+        *,
+        lockstep: bool,
+    ) -> None:
+        self._logs, nodes = logs, list(nodes)
+        self.bag: Path | None = None
+        self._cores = os.sched_getaffinity(0)
+        self._placement = layout.placement(nodes, lockstep=lockstep)
+        if self._placement is not None:
+            os.sched_setaffinity(0, self._placement.others)  # this process, too
+        self._logs_of: dict[str, Path] = {}
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        try:
+            for group in layout.groups(nodes):
+                self._processes.update(dict.fromkeys(group, self._start(group, parameters)))
+        except BaseException:
+            self.stop(0.0)
+            raise
+
+    def ended(self) -> dict[str, str]:
+        """Nodes whose process has ended: how it ended, with the last line it wrote."""
+        found = {}
+        for node, process in self._processes.items():
+            code = process.poll()
+            if code is not None:
+                how = f"killed by signal {-code}" if code < 0 else f"exit status {code}"
+                found[node] = f"node {node} ended ({how}): {self._last_line(node)}"
+        return found
+
+    def raise_if_ended(self) -> None:
+        """Check that all processes run.
+
+        Raises
+        ------
+        InputError
+            If one has found its input wrong.
+        ExperimentError
+            If one has ended otherwise.
+        """
+        for node, how in self.ended().items():
+            raise (InputError if self.exit_status(node) == 2 else ExperimentError)(how)
+
+    def stopped(self) -> list[str]:
+        """Nodes whose process a signal has stopped."""
+        return [node for node, pid in self.pids().items() if process_stat(pid)[:1] == ["T"]]
+
+    def exit_status(self, node: str) -> int | None:
+        """Exit status of a node's process; None while it runs."""
+        return self._processes[node].poll()
+
+    def pids(self) -> dict[str, int]:
+        """Process numbers by node."""
+        return {node: process.pid for node, process in self._processes.items()}
+
+    def settle(self, *, lockstep: bool) -> None:
+        """Prepare the loop's nodes for a test, when its pace is known."""
+        if self._placement is None:
+            return
+        for node, pid in self.pids().items():
+            if bare(node) in LOOP_NODES:
+                self._placement.settle(pid, lockstep=lockstep)
+
+    def stop(self, patience: float = 10.0) -> None:
+        """Ask all processes to end, and kill what has not after ``patience`` seconds."""
+        for process in set(self._processes.values()):
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+                process.send_signal(signal.SIGCONT)  # so that a stopped one ends cleanly, too
+        deadline = time.monotonic() + patience
+        for process in self._processes.values():
+            try:
+                process.wait(max(0.01, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        os.sched_setaffinity(0, self._cores)  # as before
+
+    def _start(self, group: tuple[str, ...], parameters: Path) -> "subprocess.Popen[bytes]":
+        names, rig = [bare(node) for node in group], rig_name(group[0])
+        what = [MODULES[names[0]]] if len(group) == 1 else [COMPOSED, "--nodes", *names]
+        command = [sys.executable, "-m", *what, "--ros-args", "--params-file", str(parameters)]
+        if rig:
+            command += ["-r", f"__ns:=/{rig}"]
+        shares_a_core = self._placement is not None and names[0] in LOOP_NODES
+        path = self._logs / ("_".join(node.replace("/", "_") for node in group) + ".log")
+        self._logs_of.update(dict.fromkeys(group, path))
+        with path.open("wb") as log:
+            process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,  # this process passes Ctrl-C on, in order
+                preexec_fn=_begin_in_the_loop if shares_a_core else _end_with_parent,
+                env=os.environ | {"ROS_LOG_DIR": str(self._logs)},
+            )
+        if self._placement is not None:
+            self._placement.put(names[0], process.pid)
+        return process
+
+    def _last_line(self, node: str) -> str:
+        text = self._logs_of[node].read_text(errors="replace").strip()
+        return text.splitlines()[-1] if text else "it wrote nothing"
+
+
+def _end_with_parent() -> None:
+    """Have the kernel end the calling process when the one that started it dies."""
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+def _begin_in_the_loop() -> None:
+    _end_with_parent()
+    take_equal_addresses()
+
+
+@contextmanager
+def node_processes(
+    nodes: Iterable[str],
+    experiment: Experiment,
+    layout: ProcessLayout,
+    *,
+    lockstep: bool,
+    bag: Path | None = None,
+) -> Iterator[NodeProcesses]:
+    """Run nodes of an experiment, and end them in any case, even if this process is killed.
+
+    Parameters
+    ----------
+    nodes : iterable of str
+        Names of the nodes.
+    experiment : Experiment
+        Holds the nodes' sections.
+    layout : ProcessLayout
+        Where they run.
+    lockstep : bool
+        Whether they need not keep time.
+    bag : Path, optional
+        Folder in which parameters and logs are kept, if it exists at the end; `NodeProcesses.bag`
+        replaces it.
+    """
+    folder = Path(tempfile.mkdtemp(prefix="seft-"))
+    parameters = folder / "parameters.yaml"
+    try:
+        parameters.write_text(experiment.to_yaml(), encoding="utf-8")
+        with OrphanReaper() as reaper:
+            processes = NodeProcesses(nodes, parameters, folder, layout, lockstep=lockstep)
+            try:
+                reaper.watch(processes.pids().values())
+                processes.bag = bag
+                yield processes
+            finally:
+                bag = processes.bag
+                processes.stop()
+    finally:
+        if bag is not None and bag.is_dir():
+            shutil.copytree(folder, bag / "logs", dirs_exist_ok=True)
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def one_node(
+    node: str, experiment: Experiment, *, lockstep: bool
+) -> contextlib.AbstractContextManager[NodeProcesses]:
+    """Run one node, for a command that stands in for the others; see `node_processes`."""
+    return node_processes([node], experiment, ProcessLayout(pin=not lockstep), lockstep=lockstep)

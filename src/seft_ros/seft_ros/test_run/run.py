@@ -1,0 +1,294 @@
+"""A whole test as separate processes: start, wait until all are ready, run, record, stop."""
+
+import contextlib
+import time
+from collections.abc import Callable, Collection
+from contextlib import closing
+from datetime import datetime
+from pathlib import Path
+from typing import NamedTuple, Self
+
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import ExperimentError, InputError
+from seft_msgs_py.node.middleware import prepare_on_this_host
+from seft_msgs_py.node.shutdown import as_before, on_ending
+from seft_msgs_py.wire.outcome import State
+from seft_msgs_py.wire.topics import EXPERIMENT_STATE, NODES, LoopTopic, bare, topics_of, with_rigs
+
+from seft_ros.conformance.driver import ENDED
+from seft_ros.recording.room import obstacle
+from seft_ros.test_run.observer import Observer
+from seft_ros.test_run.parameter_tables import RECORDER
+from seft_ros.test_run.peers import CONFLICT, SILENT
+from seft_ros.test_run.process_layout import LOOP_NODES, ProcessLayout
+from seft_ros.test_run.processes import MODULES, NodeProcesses, node_processes
+from seft_ros.test_run.state_machine import PACE
+
+POLL_PERIOD = 0.05  # s
+READY_TIMEOUT, SAVE_TIMEOUT = 60.0, 20.0  # s
+SLACK = 1.0  # s beyond the supervisor's own patience
+STANDING_STILL = 60.0  # s; a ramp that has not ended by then never will
+
+AT_ONCE = 2  # signals that are remembered: for a soft stop, and to abort
+
+Progress = Callable[[str, int], None]
+"""Called with the present stage and the steps done; may raise KeyboardInterrupt."""
+
+
+class Interruption:
+    """Remembers Ctrl-C and similar signals until they are asked for; the third acts at once.
+
+    An exception that a handler raises is raised wherever the program happens to be; within a
+    callback from C++ code it is lost, and the test would go on.
+    """
+
+    def __init__(self) -> None:
+        self._seen = self._given = 0
+
+    def __enter__(self) -> Self:
+        self._before = on_ending(self._remember)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        as_before(self._before)
+
+    def check(self) -> None:
+        """Raise KeyboardInterrupt once for each signal that has come."""
+        if self._seen > self._given:
+            self._given += 1
+            raise KeyboardInterrupt
+
+    def _remember(self, *_: object) -> None:
+        self._seen += 1
+        if self._seen > AT_ONCE:
+            raise KeyboardInterrupt
+
+
+class RunMonitor:
+    """Starts a test, watches it, and brings it down when the operator asks for that.
+
+    Parameters
+    ----------
+    observer : Observer
+        What is heard of the test.
+    processes : NodeProcesses
+        The nodes that were started here.
+    progress : callable
+        See `Progress`.
+    test : Experiment
+        Its configuration.
+    """
+
+    def __init__(
+        self, observer: Observer, processes: NodeProcesses, progress: Progress, test: Experiment
+    ) -> None:
+        self._observer, self._processes, self._progress = observer, processes, progress
+        self._period_ns = test.timebase.period_ns
+        self._timeout: float = test["supervisor"]["watchdog.peer_timeout"] + SLACK
+        self._topics = [
+            topic
+            for topic in topics_of(test.rigs)
+            if isinstance(topic, LoopTopic) or topic == EXPERIMENT_STATE
+        ]
+        self._broken = ""
+
+    def start(self) -> None:
+        """Start the test when all nodes are ready and nobody else publishes on its topics."""
+        observer = self._observer
+        deadline = time.monotonic() + READY_TIMEOUT
+        self._wait_until_ready(deadline)
+        observer.refuse_twins(self._topics)
+        self._processes.settle(lockstep=observer.values.get(PACE) == "lockstep")
+        while True:
+            self._wait_until_ready(deadline)
+            accepted, answer = observer.call("start")
+            if accepted:
+                return
+            if observer.state == State.TRIPPED:
+                raise ExperimentError(f"the supervisor refused to start: {answer}")
+            observer.spin(POLL_PERIOD)  # a node was away for a moment: wait for it
+
+    def _wait_until_ready(self, deadline: float) -> None:
+        observer = self._observer
+        while True:
+            observer.spin(POLL_PERIOD)
+            detail = observer.values.get("detail", "waiting for supervisor")
+            self._progress(detail, 0)
+            self._processes.raise_if_ended()
+            for node in self._processes.stopped():
+                raise ExperimentError(
+                    f"node {node} stands still before the test (a signal stopped it)"
+                )
+            if observer.state == State.READY:
+                return
+            if observer.state == State.TRIPPED:
+                raise ExperimentError(f"the test tripped before its start: {detail}")
+            if detail.startswith(f"waiting for {CONFLICT}"):  # waiting does not mend it
+                raise InputError(f"the nodes must have {detail.removeprefix('waiting for ')}")
+            if time.monotonic() > deadline:
+                raise InputError(f"not ready after {READY_TIMEOUT:g} s: {detail}")
+
+    def to_the_end(self) -> str:
+        """Watch until the test has ended.
+
+        Returns
+        -------
+        str
+            What broke it, with the step; empty if it ended as planned, or by a trip that the bag
+            describes.
+        """
+        observer, deadline = self._observer, float("inf")
+        while observer.state not in ENDED:
+            self._poll()
+            if self._broken:
+                deadline = min(deadline, time.monotonic() + STANDING_STILL)
+                if self._is_left_alone() or time.monotonic() > deadline:
+                    return self._broken
+        deadline = time.monotonic() + self._timeout  # the supervisor finds who fell silent
+        while observer.state == State.TRIPPED and SILENT not in observer.values:
+            if time.monotonic() > deadline:
+                break
+            self._poll()
+        silent = {*observer.values.get(SILENT, "").split()} - {*self._processes.stopped()}
+        while silent and not self._broken and time.monotonic() < deadline:
+            self._poll()  # a silent node may be about to end, and then says why
+        return self._broken or self._ending()
+
+    def bring_down(self) -> None:
+        """Stop the test softly and wait for its end; asked again, stop it at once."""
+        for service in ("stop", "estop"):
+            with contextlib.suppress(KeyboardInterrupt, ExperimentError):
+                self._observer.call(service, self._timeout)
+                deadline = time.monotonic() + STANDING_STILL
+                while self._observer.state not in ENDED and time.monotonic() < deadline:
+                    self._poll()
+                    if self._is_left_alone():
+                        return
+            if self._observer.state in ENDED:
+                return
+
+    def wait_until_saved(self) -> None:
+        """Wait for the recorder; one that is stopped before that closes its bag."""
+        deadline = time.monotonic() + SAVE_TIMEOUT
+        while self._observer.recorder_phase != "saved" and time.monotonic() < deadline:
+            gone = {*self._observer.values.get(SILENT, "").split(), *self._processes.ended()}
+            if self._observer.state not in ENDED or "recorder" in gone:
+                return
+            self._observer.spin(POLL_PERIOD)
+
+    def _poll(self) -> None:
+        self._observer.spin(POLL_PERIOD)
+        step = self._observer.time_ns // self._period_ns
+        for how in self._processes.ended().values():
+            self._broken = self._broken or f"{how} (at step {step})"
+        silence = self._observer.silence()
+        if not self._broken and silence > self._timeout:
+            self._broken = f"node supervisor has been silent for {silence:.1f} s (at step {step})"
+        self._progress(self._observer.state.replace("_", " "), step)
+
+    def _is_left_alone(self) -> bool:
+        """Tell whether no node is left that could report the end, and the rig rests."""
+        return self._observer.silence() > self._timeout and not self._observer.running
+
+    def _ending(self) -> str:
+        """Say how the test ended if the bag does not say it, or may not exist."""
+        observer = self._observer
+        step, values = observer.time_ns // self._period_ns, observer.values
+        detail = values.get("detail", "")
+        if observer.state == State.DONE:
+            stopped, steps = "stopped" in detail, values.get("steps", "")
+            self._progress("done", int(steps) if steps and not stopped else step + 1)
+            return detail if stopped else ""
+        if not values.get(SILENT) and "step" in values:
+            return ""
+        return f"{detail} (at step {values.get('step', step)})"
+
+
+def bag_path(experiment: Experiment, out: Path | None) -> Path:
+    """Folder of the bag of a test: ``out``, or as in the recorder's parameters.
+
+    Raises
+    ------
+    InputError
+        If no bag can be made there.
+    """
+    section = experiment["recorder"]
+    name = section["name"] or datetime.now().strftime("seft_%Y-%m-%d_%H-%M-%S")
+    path = out or Path(section["directory"]) / name
+    RECORDER.check({"name": path.name}, "recorder")
+    if why := obstacle(path):
+        raise InputError(f"{why}; name another folder with --out")
+    return path
+
+
+class Ending(NamedTuple):
+    """How a run ended: what broke it (empty: the bag has it all), and the folder of its bag.
+
+    That is another than planned, if the recorder lost the planned one.
+    """
+
+    fault: str
+    bag: Path
+
+
+def run_experiment(
+    experiment: Experiment,
+    bag: Path,
+    progress: Progress,
+    layout: ProcessLayout | None = None,
+    external: Collection[str] = (),
+) -> Ending:
+    """Run a test over DDS and record it.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Its resolved configuration.
+    bag : Path
+        Folder that the recorder makes.
+    progress : callable
+        See `Progress`.
+    layout : ProcessLayout, optional
+        Where the nodes run; default pinned, each in a process of its own.
+    external : collection of str
+        Nodes that someone else starts and ends; the experiment needs no section of them. Of
+        several rigs those of one or of all: ``east/rig`` or ``rig``.
+
+    Raises
+    ------
+    InputError
+        If the nodes do not become ready.
+    ExperimentError
+        If the run broke before anything was recorded.
+    """
+    prepare_on_this_host()
+    experiment["recorder"].update(directory=str(bag.parent.resolve()), name=bag.name)
+    layout = layout or ProcessLayout()
+    for node in LOOP_NODES:
+        if node in experiment.sections:
+            experiment[node].update(layout.wishes(node))
+    wanted = {*experiment["supervisor"]["peers"], "supervisor"}
+    every = with_rigs([node for node in MODULES if node in wanted], experiment.rigs)
+    external = [node for node in every if node in external or bare(node) in external]
+    nodes = [node for node in every if node not in external]
+    # the pace is the rig's own; an external rig tells it later
+    lockstep = "rig" not in map(bare, nodes) or experiment["rig"]["pace"] == "lockstep"
+    progress("looking for other tests", 0)
+    with closing(Observer(with_rigs(NODES, experiment.rigs))) as observer:
+        observer.refuse_other_tests(external)
+        progress("starting the nodes", 0)
+        with node_processes(nodes, experiment, layout, lockstep=lockstep, bag=bag) as processes:
+            monitor = RunMonitor(observer, processes, progress, experiment)
+            monitor.start()
+            try:
+                fault = monitor.to_the_end()
+            except KeyboardInterrupt:
+                monitor.bring_down()
+                raise
+            monitor.wait_until_saved()
+            saved = observer.recorder_bag
+            if saved and Path(saved).resolve() != bag.resolve():  # its own place was lost
+                bag = processes.bag = Path(saved)
+    if not bag.exists():
+        raise ExperimentError(fault or "the recorder made no bag")
+    return Ending(fault, bag)

@@ -1,0 +1,235 @@
+"""States of a test and the transitions between them, and which samples a state admits.
+
+docs/safety.md shows them as a diagram.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from seft_msgs_py.errors import WireError
+from seft_msgs_py.wire.messages import Status
+from seft_msgs_py.wire.outcome import ENDED as ENDED
+from seft_msgs_py.wire.outcome import MOVING as MOVING
+from seft_msgs_py.wire.outcome import State as State
+from seft_msgs_py.wire.timebase import Timebase
+
+ABORTED = "aborted by the operator"
+"""Reason of a trip by ``estop``: the emergency stop proper is a button in hardware."""
+PACE = "pace"
+"""Key of a state's values: the pace of the rig, as the rig reports it."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Answer to a request: whether it was accepted, and what happened or why not."""
+
+    accepted: bool
+    text: str
+
+
+class StateMachine:
+    """State of a test.
+
+    ::
+
+        idle <-> ready -> running -> done                   the record's end
+                          running -> ramping_down -> done | tripped     stop | soft trip
+                          running | ramping_down -> tripped             hard trip
+        done | tripped -> (reset) -> idle
+        estop: from every state to tripped
+
+    Attributes
+    ----------
+    state : State
+        Where the test is.
+    detail : str
+        Why: what the test waits for, or how it ended.
+    step : int or None
+        Step of a trip.
+    """
+
+    def __init__(self) -> None:
+        self.state = State.IDLE
+        self.detail = "starting"
+        self.step: int | None = None
+        self._then = State.DONE  # what the ramp leads to
+
+    def peers(self, waiting_for: str) -> None:
+        """Set what the graph still lacks; empty if it is complete."""
+        if self.state in (State.IDLE, State.READY):
+            self.state = State.IDLE if waiting_for else State.READY
+            self.detail = f"waiting for {waiting_for}" if waiting_for else "all nodes are ready"
+
+    def start(self) -> Answer:
+        """Start the test; only a ready one starts."""
+        if self.state is not State.READY:
+            return self._refusal("start")
+        self._go(State.RUNNING, "running")
+        return Answer(True, "the test is running")
+
+    def finish(self, detail: str) -> None:
+        """End a test at the end of its record; a test that is ramping down keeps its cause."""
+        if self.state is State.RUNNING:
+            self._go(State.DONE, detail)
+        else:
+            self.at_rest()
+
+    def soft_trip(self, reason: str, step: int | None = None) -> None:
+        """Ramp a running test down because of a fault with which the loop still works.
+
+        If it is ramping down already, the cause is added to the first one, and a stop becomes a
+        trip.
+        """
+        if self.state is State.RUNNING:
+            self._go(State.RAMPING_DOWN, reason, step)
+            self._then = State.TRIPPED
+        elif self.state is State.RAMPING_DOWN and reason not in self.detail:
+            self._add(reason, step)
+            self._then = State.TRIPPED
+
+    def at_rest(self) -> None:
+        """End the ramp: the reference force is zero."""
+        if self.state is State.RAMPING_DOWN:
+            self.state = self._then
+
+    def hard_trip(self, reason: str, step: int | None = None) -> None:
+        """End a test at once because of a limit or a fault; a ramp's cause is kept with it."""
+        if self.state is State.RUNNING:
+            self._go(State.TRIPPED, reason, step)
+        elif self.state is State.RAMPING_DOWN:
+            self._go(State.TRIPPED, while_ramping_down(reason, self.detail), step)
+
+    def note(self, finding: str) -> None:
+        """Add to a trip's cause what was found later."""
+        if self.state is State.TRIPPED and finding not in self.detail:
+            self._add(finding)
+
+    def stop(self) -> Answer:
+        """Ramp a running test down for the operator."""
+        if self.state is State.RAMPING_DOWN:
+            return Answer(True, f"the test is being brought down already ({self.detail})")
+        if self.state is not State.RUNNING:
+            return self._refusal("stop")
+        self._go(State.RAMPING_DOWN, "stopped by the operator")
+        self._then = State.DONE
+        return Answer(True, "the test is being brought down")
+
+    def estop(self) -> Answer:
+        """Trip from any state, at once; the reason of an earlier trip stays."""
+        if self.state is State.TRIPPED:
+            return Answer(True, f"the test has tripped already ({self.detail}); reset it")
+        if self.state is State.RAMPING_DOWN:
+            self.hard_trip(ABORTED)
+        else:
+            self._go(State.TRIPPED, ABORTED)
+        return Answer(True, f"{ABORTED}; reset before the next test")
+
+    def reset(self, moving: bool = False) -> Answer:
+        """Make the next test possible when one has ended and the rig is at rest."""
+        if self.state not in ENDED:
+            return self._refusal("reset")
+        if moving:
+            return Answer(False, f"can't reset: the rig is not at rest ({self.state})")
+        self._go(State.IDLE, "reset")
+        return Answer(True, "idle")
+
+    def _go(self, state: State, detail: str, step: int | None = None) -> None:
+        self.state, self.detail, self.step = state, detail, step
+
+    def _add(self, finding: str, step: int | None = None) -> None:
+        self.detail = f"{self.detail}; {finding}"
+        self.step = step if self.step is None else self.step
+
+    def _refusal(self, request: str) -> Answer:
+        return Answer(False, f"can't {request}: the test is {self.state} ({self.detail})")
+
+
+def while_ramping_down(reason: str, first: str) -> str:
+    """Reason of a trip while a test was ramping down for a first cause."""
+    return f"{reason} (while ramping down: {first})"
+
+
+LOCKSTEP = "lockstep"
+FARTHEST = 10.0  # s; a node that stalls for longer has lost the test anyway
+ABSURD = 1e9
+"""No rig has values beyond this in m, m/s, m/s^2 or N."""
+
+
+def check_magnitude(what: str, step: int, values: npt.NDArray[np.float64]) -> None:
+    """Check that a rig can have these finite values.
+
+    Raises
+    ------
+    WireError
+        If one is beyond `ABSURD`.
+    """
+    if math.hypot(*values.ravel().tolist()) > ABSURD and np.abs(values).max() > ABSURD:
+        raise WireError(f"{what} {step} has a value beyond {ABSURD:g}")
+
+
+class SampleOrder:
+    """Tells valid samples of a test from stale, repeated and foreign ones.
+
+    Parameters
+    ----------
+    timebase : Timebase
+        Sampling clock.
+    loop_delay : int
+        Steps by which a rig in lockstep may be ahead of the answer.
+
+    Attributes
+    ----------
+    last : int
+        Last answered step; -1 if none.
+    steps : int
+        Steps of the running test, 0 while no test is known to run.
+    in_lockstep : bool
+        Whether the rig of the running test waits for each answer before its next step.
+    may_begin : bool
+        Whether the next sample of step 0 begins a test: once after each end of a test.
+    """
+
+    def __init__(self, timebase: Timebase, loop_delay: int = 0) -> None:
+        self._farthest = round(FARTHEST * timebase.rate)
+        self._ahead_in_lockstep = 1 + loop_delay
+        self._state = ""  # of the experiment, as the supervisor reports it
+        self.last = -1
+        self.steps = 0
+        self.in_lockstep = False
+        self.may_begin = True
+
+    def follow(self, experiment: Status) -> None:
+        """Follow the state of the experiment; a repeated one is only a heartbeat."""
+        if experiment.message == self._state:
+            return
+        self._state = experiment.message
+        if experiment.message in MOVING:
+            self.in_lockstep = experiment.values.get(PACE) == LOCKSTEP
+            steps = experiment.number("steps")
+            self.steps = self.steps if steps is None else steps
+        else:
+            self.steps = 0
+            self.may_begin = True
+
+    def begins(self, step: int) -> bool:
+        """Tell whether a sample of this step begins a test, and begin it."""
+        if step != 0 or not (self.may_begin if self._state else self.last != 0):
+            return False
+        self.may_begin = False
+        self.last = -1
+        return True
+
+    def check(self, name: str, step: int) -> None:
+        """Check that a sample of this step may be answered.
+
+        Raises
+        ------
+        WireError
+            If the step is answered already, or too far ahead.
+        """
+        if step <= self.last:
+            raise WireError(f"{name} of step {step} after step {self.last} was answered")
+        if step > self.last + (self._ahead_in_lockstep if self.in_lockstep else self._farthest):
+            raise WireError(f"{name} of step {step} after step {self.last}: far in the future")

@@ -1,0 +1,237 @@
+"""The compiled loop gives the bits of the plain one, alone and in an ensemble."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from seft_msgs_py.config.experiment import Experiment, parse_override
+from seft_msgs_py.errors import InputError
+from seft_ros.force_controller.force_control import ControlKnowledge
+from seft_ros.force_controller.interlock import Interlock
+from seft_ros.force_controller.registered_control import RegisteredControl
+from seft_ros.reference_force.compensation.methods import METHODS
+from seft_ros.test_run import blocks as blocks_module
+from seft_ros.test_run import offline
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.compiled_loop import obstacle
+from seft_ros.test_run.offline import Workshop, simulate, thread_map
+from seft_ros.test_run.parameter_tables import TABLES
+from seft_ros.tournament.perturbed_rig import perturbed_rig
+
+JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
+SHORT = ("ground_motion:synthetic.duration:=12", "ground_motion:tail:=0.5")
+FINE = ("rig:sensors.adc_bits:=0",)  # no converter, which would hide small differences
+
+RATIO = "reference_force:mass_ratio:={}".format
+METHOD = "reference_force:compensation.method:={}".format
+DELAY = "reference_force:compensation.delay:=0.0139"
+WEAK = "ground_motion:peak_force:=400.0"
+STRONG = "ground_motion:peak_force:=4000.0"
+YIELDS = "rig:specimen.yield_displacement:=0.002"
+TWO = (
+    "/**:axes:=[x, y]",
+    "rig:specimen.stiffness:=[2.11e5, -3.0e4, -3.0e4, 1.8e5]",
+    "reference_force:model.stiffness:=[2.11e5, -3.0e4, -3.0e4, 1.8e5]",
+    "rig:actuator.flow_gain:=[0.0403, 0.035]",
+    "ground_motion:influence:=[1.0, 0.6]",
+)
+TARGET = (
+    METHOD("target_motion"),
+    "force_controller:method:=velocity_feedforward",
+    RATIO(1.0),
+    WEAK,
+)
+CASES = {
+    "nonlinear": (),
+    "target": TARGET,
+    "target, yielding": (*TARGET, "rig:specimen.kind:=bouc_wen", YIELDS),
+    "target, two axes": (*TWO, *TARGET),
+    "target, limited": (*TARGET, "reference_force:limits.force:=300.0"),
+    "target, link": (*TARGET, "reference_force:loop_delay:=4"),
+    "link": (RATIO(0.1), "reference_force:loop_delay:=4"),
+    "converters": ("rig:sensors.adc_bits:=16",),
+    "linear": ("rig:actuator.kind:=servo_hydraulic_linear", RATIO(0.5)),
+    "delay": ("rig:actuator.kind:=delay", "rig:actuator.delay:=0.0103", RATIO(0.5)),
+    "whole delay": ("rig:actuator.kind:=delay", "rig:actuator.delay:=0.010", RATIO(0.3)),
+    "ideal": ("rig:actuator.kind:=ideal", RATIO(0.5), METHOD("restoring")),
+    "ideal, yielding": (
+        "rig:actuator.kind:=ideal",
+        RATIO(0.5),
+        METHOD("restoring"),
+        "rig:specimen.kind:=bilinear",
+        YIELDS,
+    ),
+    "bilinear": ("rig:specimen.kind:=bilinear", YIELDS, RATIO(0.3)),
+    "bouc_wen": ("rig:specimen.kind:=bouc_wen", YIELDS),
+    "degrading": (
+        "rig:specimen.kind:=bouc_wen",
+        YIELDS,
+        "rig:specimen.bouc_wen.exponent:=1.7",
+        "rig:specimen.bouc_wen.beta:=0.7",
+        "rig:specimen.bouc_wen.gamma:=0.3",
+        "rig:specimen.bouc_wen.amplitude_loss:=0.01",
+        "rig:specimen.bouc_wen.strength_loss:=0.02",
+        "rig:specimen.bouc_wen.stiffness_loss:=0.03",
+    ),
+    "smith": (METHOD("smith"), DELAY, RATIO(1.0), WEAK),
+    "polynomial": (METHOD("polynomial"), DELAY, RATIO(0.3), WEAK),
+    "sloshing water": (
+        *TARGET,
+        "reference_force:computed.internal:=1",
+        "reference_force:computed.mass:=[35.0, 25.0]",
+        "reference_force:computed.stiffness:=[1421.2, -1421.2, -1421.2, 1421.2]",
+    ),
+    "two axes": (*TWO, RATIO(0.4)),
+    "two axes, mixed": (
+        *TWO, RATIO(0.3), "force_controller:per_axis:=true",
+        "force_controller:numerator:=[37.0, 30.0]", "force_controller:gain:=[1.0, 0.05, 0.0, 1.1]",
+        "force_controller:denominator:=[1.0, 17.14, 4002.0, 1.0, 16.0, 3600.0]",
+    ),
+    "two axes, yielding": (
+        *TWO,
+        *TARGET,
+        "rig:specimen.kind:=bouc_wen",
+        "rig:specimen.springs:=[1.0, 0.0, 0.0, 1.0, 1.0, -1.0]",
+        YIELDS,
+    ),
+    "derived and filtered": (
+        "rig:sensors.velocity:=derived", "rig:sensors.anti_alias:=200.0",
+        "rig:sensors.force_bias:=5.0",
+    ),
+    "eft": ("reference_force:method:=eft", RATIO(0.2), "ground_motion:peak_force:=300.0"),
+    "open loop": ("force_controller:feedback:=false",),
+    "saturated valve": (STRONG, "rig:actuator.rated_voltage:=2.0"),
+    "end stops": ("rig:actuator.stroke:=0.002", "rig:limits.displacement_rate:=30.0"),
+    # ends
+    "displacement": ("rig:limits.displacement:=0.003",),
+    "rate": ("rig:limits.acceleration_rate:=900.0",),
+    "blind": ("rig:sensors.acceleration_range:=5.0",),
+    "unstable": (RATIO(2.0),),
+    "unstable, not watched": (RATIO(2.0), "reference_force:instability.ratio:=0.0"),
+    "force": ("reference_force:limits.force:=600.0",),
+    "force rate": ("reference_force:limits.force_rate:=2e4",),
+    "force, short ramp": ("reference_force:limits.force:=600.0",
+                          "reference_force:ramp_down_time:=0.004"),
+    "interlock": ("force_controller:limits.force:=700.0",),
+    "valve at its limit": ("force_controller:voltage_limit:=0.05",),
+}  # fmt: skip
+
+
+def run_ensemble(experiments, reduce, workers=1):
+    """Results of tests on several threads, in their order."""
+    shop = Workshop()
+
+    def one(number, experiment):
+        return reduce(number, shop.run(experiment))
+
+    return thread_map(workers, one, range(len(experiments)), experiments)
+
+
+def load(*words):
+    return Experiment.load(TABLES, [JHU], [parse_override(word) for word in (*SHORT, *words)])
+
+
+def alike(found, wanted):
+    assert found.trip == wanted.trip
+    assert found.saturation == wanted.saturation
+    assert found.series.keys() == wanted.series.keys()
+    for name, series in wanted.series.items():
+        assert np.array_equal(found.series[name].steps, series.steps)
+        assert np.array_equal(found.series[name].values, series.values, equal_nan=True), name
+    assert (found.estimates is None) == (wanted.estimates is None)
+    if wanted.estimates is not None:
+        assert found.estimates.names == wanted.estimates.names
+        assert np.array_equal(found.estimates.steps, wanted.estimates.steps)
+        assert np.array_equal(found.estimates.values, wanted.estimates.values)
+
+
+def plain(monkeypatch, experiment):
+    with monkeypatch.context() as patch:
+        patch.setattr(offline, "obstacle", lambda _: "told to")
+        return simulate(experiment, build_blocks(experiment))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_test_is_that_of_the_plain_loop(name, monkeypatch):
+    experiment = load(*FINE, *CASES[name])
+    assert obstacle(build_blocks(experiment)) == ""
+    alike(Workshop().run(experiment), plain(monkeypatch, experiment))
+
+
+def test_the_cases_end_in_every_way():
+    shop = Workshop()
+    reasons = [trip.reason for words in CASES.values() if (trip := shop.run(load(*words)).trip)]
+    for part in (
+        "displacement", "acceleration rate", "blind", "instability", "reference force changes",
+        "reference force", "out of control",
+    ):  # fmt: skip
+        assert any(part in reason for reason in reasons), part
+
+
+def test_members_of_an_ensemble_are_tests_of_their_own():
+    whole = load(*FINE, RATIO(0.5))
+    rigs = [perturbed_rig(whole["rig"], whole.axes, 3, number, 0.3) for number in range(6)]
+    experiments = [Experiment(whole.sections | {"rig": rig}) for rig in rigs]
+    found = dict(run_ensemble(experiments, lambda number, record: (number, record), workers=2))
+    assert list(found) == list(range(6))
+    for number, experiment in enumerate(experiments):
+        alike(found[number], simulate(experiment, build_blocks(experiment)))
+
+
+def test_results_do_not_depend_on_the_number_of_threads():
+    experiments = [load(RATIO(ratio)) for ratio in (0.1, 0.2, 0.3)]
+
+    def states(workers):
+        records = run_ensemble(experiments, lambda _, record: record, workers)
+        return [record.series["rig/state"].values for record in records]
+
+    for one, two in zip(states(1), states(2), strict=True):
+        assert np.array_equal(one, two)
+
+
+def test_what_changes_on_line_is_not_compiled_and_says_so():
+    shop = Workshop()
+    assert shop.obstacle(load()) == ""
+    for words in (
+        (METHOD("ats"), DELAY),
+        (METHOD("smith"), DELAY, "reference_force:compensation.estimate_delay:=true"),
+    ):
+        assert "changes while the test runs" in shop.obstacle(load(*words))
+
+
+def test_a_method_of_ones_own_is_not_compiled(monkeypatch):
+    class Own:
+        def __init__(self, known):
+            self.preview, self._of = 0, METHODS["restoring"](known)
+
+        def __getattr__(self, name):
+            if name == "pace":
+                raise AttributeError(name)
+            return getattr(self._of, name)
+
+    monkeypatch.setitem(METHODS, "none", Own)
+    assert "changes while the test runs" in Workshop().obstacle(load())
+
+
+def test_a_controller_of_another_package_is_not_compiled(monkeypatch):
+    class Own:
+        def reset(self):
+            pass
+
+        def step(self, reference_force, state):
+            return 0.001 * (reference_force - state[3])
+
+    def interlock_of(experiment):
+        axes, timebase = experiment.axes, experiment.timebase
+        own = RegisteredControl(Own(), "own", ControlKnowledge(len(axes), timebase.dt, 10.0))
+        return Interlock.from_parameters(own, experiment["force_controller"], axes, timebase)
+
+    monkeypatch.setattr(blocks_module, "interlock_of", interlock_of)
+    assert "another package" in Workshop().obstacle(load())
+
+
+def test_wrong_input_is_told_as_ever():
+    with pytest.raises(InputError, match="lead"):
+        Workshop().run(load(*TARGET, "ground_motion:lead:=0.01"))
+    with pytest.raises(InputError, match="yield"):
+        Workshop().run(load("rig:specimen.kind:=bilinear"))

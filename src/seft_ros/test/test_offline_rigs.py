@@ -1,0 +1,93 @@
+"""Several rigs through offline loop, bag and back."""
+
+import numpy as np
+import pytest
+from seft_msgs_py.config.experiment import Experiment, parse_override
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.topics import rigs_of
+from seft_ros.force_controller.methods import force_control
+from seft_ros.paper.experiments import default_config
+from seft_ros.recording.bag_reader import read_bag
+from seft_ros.recording.record import Series
+from seft_ros.recording.record_bag import write_record
+from seft_ros.recording.samples import of_all_rigs
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.parameter_tables import TABLES
+
+SHORT = ("ground_motion:synthetic.duration:=1.0", "ground_motion:tail:=0.1")
+TWO = "/**:axes:=[west/x, east/x]"
+
+
+def plan(*overrides):
+    texts = [parse_override(text) for text in (*SHORT, *overrides)]
+    return Experiment.load(TABLES, [default_config()], texts)
+
+
+def simulated(*overrides):
+    test = plan(*overrides)
+    return simulate(test, build_blocks(test))
+
+
+def test_one_axis_of_a_rig_with_a_name_has_the_bits_of_the_one_without():
+    named, plain = simulated("/**:axes:=[west/x]"), simulated()
+    for topic, series in plain.series.items():
+        np.testing.assert_array_equal(named.series[topic].values, series.values)
+
+
+def test_two_equal_rigs_move_alike_but_for_their_noise():
+    record = simulated(TWO)
+    states = record.series["rig/state"].values
+    west, east = states[:, 0, 0], states[:, 0, 1]
+    assert not np.array_equal(west, east)
+    assert np.abs(west - east).max() < 0.05 * np.abs(west).max()
+
+
+def test_a_bag_gives_back_what_all_rigs_did(tmp_path):
+    record = simulated(TWO)
+    write_record(record, tmp_path / "bag")
+    found = read_bag(tmp_path / "bag")
+    for topic, series in record.series.items():
+        np.testing.assert_array_equal(found.series[topic].values, series.values)
+        np.testing.assert_array_equal(found.series[topic].steps, series.steps)
+    assert found.complete
+    assert (found.missed, found.overruns, found.trip) == (0, 0, None)
+    assert found.experiment.rigs == rigs_of(["west/x", "east/x"])
+
+
+def test_a_test_that_trips_tells_so_for_all(tmp_path):
+    record = simulated(TWO, "supervisor:limits.displacement:=1.0e-4")
+    assert "on axis " in record.trip.reason
+    write_record(record, tmp_path / "bag")
+    assert read_bag(tmp_path / "bag").trip == record.trip
+
+
+def test_steps_that_a_rig_lacks_are_nobody_s():
+    west = Series(
+        np.array([0, 1, 3]), np.arange(3.0)[:, None, None], received_ns=np.array([5, 6, 9])
+    )
+    east = Series(np.array([1, 2, 3]), -np.ones((3, 1, 1)), received_ns=np.array([7, 8, 8]))
+    both = of_all_rigs([west, east], rigs_of(["west/x", "east/x"]))
+    assert both.steps.tolist() == [1, 3]
+    np.testing.assert_array_equal(both.values[:, 0], [[1.0, -1.0], [2.0, -1.0]])
+    assert both.received_ns.tolist() == [7, 9]
+
+
+def test_a_gain_mixes_no_rigs():
+    test = plan(TWO, "force_controller:gain:=[1.0, 0.1, 0.0, 1.0]")
+    section = test["force_controller"]
+    with pytest.raises(InputError, match="mixes axes of different rigs"):
+        force_control(section, test.axes, test.timebase, test.rigs[0])
+
+
+def test_each_rig_has_the_controller_of_its_axes():
+    test = plan(
+        TWO,
+        "force_controller:per_axis:=true",
+        "force_controller:numerator:=[37.0, 74.0]",
+        "force_controller:denominator:=[1.0, 17.0, 4000.0, 1.0, 17.0, 4000.0]",
+    )
+    section, state = test["force_controller"], np.zeros((4, 1))
+    west, east = (force_control(section, test.axes, test.timebase, rig) for rig in test.rigs)
+    once, twice = (one.step(np.array([1.0]), state) for one in (west, east))
+    np.testing.assert_allclose(twice, 2.0 * once, rtol=1e-12)

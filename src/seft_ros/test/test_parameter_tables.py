@@ -1,0 +1,74 @@
+"""The tables of all nodes together: what is taken from where, and that none contradicts itself."""
+
+from pathlib import Path
+
+import pytest
+from seft_msgs_py.config.experiment import Experiment, parse_override
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.topics import NODES
+from seft_ros.test_run.parameter_tables import TABLES
+
+CONFIG = Path(__file__).parents[3] / "config"
+SPECIMEN = ("rig:specimen.mass:=52.7", "rig:specimen.stiffness:=2.11e5", "rig:specimen.damping:=9")
+ROWS = [(table.node, row) for table in TABLES for row in table.rows.values()]
+
+
+def load(*words, files=()):
+    return Experiment.load(TABLES, files, [parse_override(word) for word in words])
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ((), (52.7, 52.7, 52.7)),
+        (("reference_force:model.mass:=60",), (52.7, 60.0, 60.0)),
+        (("ground_motion:mass:=70",), (52.7, 52.7, 70.0)),
+        (("ground_motion:mass:=70", "reference_force:model.mass:=60"), (52.7, 60.0, 70.0)),
+    ],
+)
+def test_the_mass_comes_down_from_the_specimen_over_the_model_to_the_motion(words, expected):
+    experiment = load(*SPECIMEN, *words)
+    assert expected == (
+        experiment["rig"]["specimen.mass"],
+        experiment["reference_force"]["model.mass"],
+        experiment["ground_motion"]["mass"],
+    )
+
+
+def test_the_model_is_the_specimen_where_it_is_not_given():
+    model = load(*SPECIMEN)["reference_force"]
+    assert (model["model.damping"], model["model.stiffness"]) == (9.0, 2.11e5)
+
+
+def test_the_rig_trips_at_the_limits_of_the_supervisor_unless_it_has_its_own():
+    words = (*SPECIMEN, "supervisor:limits.force:=100", "supervisor:watchdog.command_timeout:=0.5")
+    rig = load(*words)["rig"]
+    assert (rig["limits.force"], rig["watchdog.command_timeout"]) == (100.0, 0.5)
+    assert load(*words, "rig:limits.force:=50")["rig"]["limits.force"] == 50.0
+
+
+def test_the_specimen_must_be_given():
+    with pytest.raises(InputError, match="must be given"):
+        load()
+
+
+def test_there_is_a_table_for_every_node():
+    assert sorted(table.node for table in TABLES) == sorted(NODES)
+
+
+@pytest.mark.parametrize(("node", "row"), ROWS, ids=[f"{node} {row.name}" for node, row in ROWS])
+def test_a_default_is_a_value_its_own_row_accepts(node, row):
+    if row.default is not None:
+        assert row.check(row.default, node) == row.default
+    assert row.description
+    assert not row.default_from or row.default_from.partition(":")[2] in {
+        other.name for owner, other in ROWS if owner == row.default_from.partition(":")[0]
+    }
+
+
+@pytest.mark.parametrize("path", sorted(CONFIG.glob("*.yaml")), ids=lambda path: path.name)
+def test_shipped_experiments_are_complete_and_survive_writing(path, tmp_path):
+    experiment = load(files=[path])
+    written = tmp_path / "written.yaml"
+    written.write_text(experiment.to_yaml())
+    assert load(files=[written]).sections == experiment.sections
