@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 from seft_msgs_py.config.experiment import Experiment
-from seft_plant_sim.reference.whole_structure import reference_response
+from seft_plant_sim.whole_structure import reference_response
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.tables import TABLES
-from seft_ros.reference_force.block import ReferenceForce
-from seft_ros.reference_force.compensation.methods import METHODS
+from seft_ros.reference_force.compensation_methods import METHODS
+from seft_ros.reference_force.reference_force_block import ReferenceForce
 
 CONFIG = Path(__file__).parent.parent / "config" / "jhu.yaml"
 STEPS = 2000

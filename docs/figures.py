@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Value
-from seft_plant_sim.reference.whole_structure import reference_response
+from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.drawing.style import FIRST, MARK, OTHERS, REFERENCE, TEXT, save_figure, tidy
 from seft_ros.experiment.blocks import build_blocks
@@ -28,7 +28,7 @@ from seft_ros.loop_shaping.plant import choose_plant
 from seft_ros.preflight.modes import predicted_modes
 from seft_ros.preflight.plan import Plan
 from seft_ros.preflight.stability_margins import HIGHEST_MASS_RATIO, critical_mass_ratio
-from seft_ros.reference_force.compensation.names import TARGET_MOTION
+from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 
 Floats = npt.NDArray[np.float64]
 Override = tuple[str, str, Value]

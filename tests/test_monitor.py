@@ -78,7 +78,7 @@ def monitor(start):
     """Start a monitor; give the process and the address that it prints."""
 
     def launch(*words):
-        process = start("seft_ros.commands.main", "monitor", "--port", "0", *words)
+        process = start("seft_ros.cli.main", "monitor", "--port", "0", *words)
         line = process.stdout.readline()
         assert line.startswith("seft monitor: "), process.stderr.read()
         return process, line.split()[-1]
@@ -89,7 +89,7 @@ def monitor(start):
 @pytest.fixture
 def run(start):
     """Start a test that lasts."""
-    return lambda *words: start("seft_ros.commands.main", "run", DEMO, *LONG, *words)
+    return lambda *words: start("seft_ros.cli.main", "run", DEMO, *LONG, *words)
 
 
 def text(browser, name):
@@ -226,7 +226,7 @@ def test_a_port_in_use_is_one_line(monitor, tmp_path):
     _, address = monitor()
     port = urlsplit(address).port
     again = subprocess.run(
-        [sys.executable, "-m", "seft_ros.commands.main", "monitor", f"--port={port}"],
+        [sys.executable, "-m", "seft_ros.cli.main", "monitor", f"--port={port}"],
         cwd=tmp_path,
         capture_output=True,
         text=True,

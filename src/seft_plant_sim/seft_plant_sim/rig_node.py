@@ -35,13 +35,11 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
-from seft_plant_sim.rig.command import Command
-from seft_plant_sim.rig.command_watch import CommandWatch, elapsed
-from seft_plant_sim.rig.recorder_lag import RecorderLag
-from seft_plant_sim.rig.rig import Rig, Stopped
-from seft_plant_sim.rig.rig_diagnostics import RoundTrip, with_health
-from seft_plant_sim.rig.rig_parameters import TABLE
-from seft_plant_sim.rig.sample_clock import SampleClock
+from seft_plant_sim.command import Command
+from seft_plant_sim.rig import Rig, Stopped
+from seft_plant_sim.rig_diagnostics import RoundTrip, with_health
+from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.rig_timing import CommandWatch, RecorderLag, SampleClock, elapsed
 
 CLOCK_PERIOD = 0.1  # s of the test's time
 BREATH = 0.005  # s from the first answer in realtime to the time of step 0

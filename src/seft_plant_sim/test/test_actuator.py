@@ -3,10 +3,10 @@ import pytest
 import scipy.linalg
 import scipy.optimize
 from seft_msgs_py.config.parameter_table import group, resolve
-from seft_plant_sim.actuator.actuator import delayed_force, servo_hydraulic
-from seft_plant_sim.actuator.hydraulics import Hydraulics
-from seft_plant_sim.rig.rig_parameters import TABLE
-from seft_plant_sim.specimen.specimen import Specimen
+from seft_plant_sim.actuator import Hydraulics
+from seft_plant_sim.continuous_model import delayed_force, servo_hydraulic
+from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.specimen import Specimen
 
 M, C, K = 52.7, 903.5, 2.11e5
 OIL, LEAKAGE, FLOW, VALVE_HZ, VALVE_DAMPING = 1.664e7, 20.0, 0.038527, 60.0, 0.7

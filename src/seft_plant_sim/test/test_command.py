@@ -7,7 +7,7 @@ from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, TARGET, VALVE_COMMAND
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_plant_sim.rig.command import Command
+from seft_plant_sim.command import Command
 
 AXES = ("east", "north")
 TIMEBASE = Timebase.from_rate(500.0)

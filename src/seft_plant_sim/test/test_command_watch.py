@@ -2,7 +2,7 @@
 
 import pytest
 from seft_msgs_py.wire.topics import VALVE_COMMAND
-from seft_plant_sim.rig.command_watch import CommandWatch
+from seft_plant_sim.rig_timing import CommandWatch
 
 PERIOD, TIMEOUT = 0.002, 0.02
 ALLOWED = 10  # steps

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from bare_rig import BareRig
 from seft_msgs_py.config.parameter_table import group, resolve
-from seft_plant_sim.rig.rig import continuous_model
-from seft_plant_sim.rig.rig_parameters import TABLE
-from seft_plant_sim.specimen.energy_balance import energy_balance
-from seft_plant_sim.specimen.specimen import Specimen
+from seft_plant_sim.rig import continuous_model
+from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.specimen import Specimen, energy_balance
 
 DT = 0.002
 M, C, K = 52.7, 800.0, 2.11e5

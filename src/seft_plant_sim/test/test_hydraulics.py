@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from seft_msgs_py.config.parameter_table import group, resolve
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.actuator.actuator import servo_hydraulic
-from seft_plant_sim.actuator.hydraulics import Hydraulics
-from seft_plant_sim.rig.rig_parameters import TABLE
-from seft_plant_sim.specimen.specimen import Specimen
+from seft_plant_sim.actuator import Hydraulics
+from seft_plant_sim.continuous_model import servo_hydraulic
+from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.specimen import Specimen
 
 SPECIMEN = Specimen(np.array([[52.7]]), np.array([[903.5]]), np.array([[2.11e5]]))
 PAIR = Specimen(np.diag([52.7, 80.0]), np.zeros((2, 2)), np.diag([2.11e5, 3e5]))

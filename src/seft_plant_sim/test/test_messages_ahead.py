@@ -1,7 +1,7 @@
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_plant_sim.rig.command import MessagesAhead
+from seft_plant_sim.command import MessagesAhead
 
 D = 3
 NOTHING = np.zeros((1 + D, 1))

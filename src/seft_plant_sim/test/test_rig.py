@@ -3,8 +3,8 @@ import pytest
 from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.timebase import Timebase
-from seft_plant_sim.rig.rig import Rig
-from seft_plant_sim.rig.rig_parameters import TABLE
+from seft_plant_sim.rig import Rig
+from seft_plant_sim.rig_parameters import TABLE
 
 TIMEBASE = Timebase.from_rate(500.0)
 ZERO = np.zeros(1)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.wire.messages import ERROR, OK, WARN, Status
 from seft_msgs_py.wire.outcome import ROUND_TRIPS
-from seft_plant_sim.rig.rig_diagnostics import RoundTrip, with_health
+from seft_plant_sim.rig_diagnostics import RoundTrip, with_health
 
 NONE = float("nan")
 

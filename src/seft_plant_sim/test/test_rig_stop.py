@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 from seft_msgs_py.config.experiment import Experiment
-from seft_plant_sim.rig.rig import Rig
-from seft_plant_sim.rig.rig_parameters import TABLE
+from seft_plant_sim.rig import Rig
+from seft_plant_sim.rig_parameters import TABLE
 
 JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"  # wherever it runs, as by colcon test
 

@@ -1,7 +1,7 @@
 """Deadlines of a simulated rig."""
 
 import pytest
-from seft_plant_sim.rig.sample_clock import HURRY, SampleClock
+from seft_plant_sim.rig_timing import HURRY, SampleClock
 
 
 def test_deadlines_are_a_period_apart_and_do_not_drift_by_small_delays():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_file import parse_override
-from seft_plant_sim.rig.limits import ROWS
+from seft_plant_sim.limits import ROWS
 from seft_ros.analysis.summary import balance_of, energy_numbers, summarise
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate

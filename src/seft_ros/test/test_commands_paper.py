@@ -99,8 +99,8 @@ def test_the_papers_rig_is_found_where_it_was_installed(tmp_path, monkeypatch, p
 
 @pytest.mark.skipif(not RECORDS.is_dir(), reason="no real records beside the project")
 def test_a_record_takes_the_place_of_the_synthetic_motion():
-    from seft_ros.commands.options import load_experiment
-    from seft_ros.commands.paper import _with_motion
+    from seft_ros.cli.options import load_experiment
+    from seft_ros.cli.study_commands import _with_motion
 
     words = {"unit": "cm/s2", "dt": 0.005, "column": None}
     file = RECORDS / "kobe_jma_1995.txt"

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 from seft_msgs_py.errors import InputError
-from seft_ros.reference_force.compensation.methods import METHODS
+from seft_ros.reference_force.compensation_methods import METHODS
 
 JHU = str(Path(__file__).parents[3] / "config" / "jhu.yaml")
 SHORT = ("-p", "ground_motion:synthetic.duration:=4", "-p", "ground_motion:tail:=0.5")

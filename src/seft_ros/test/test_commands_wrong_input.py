@@ -144,7 +144,7 @@ def test_a_wrong_command_line_is_refused(refused, words, told):
 @pytest.mark.parametrize("words", [["simulate", "none.yaml"], ["simulat"]])
 def test_the_process_ends_with_status_2_and_without_a_traceback(words):
     done = subprocess.run(
-        [sys.executable, "-m", "seft_ros.commands.main", *words],
+        [sys.executable, "-m", "seft_ros.cli.main", *words],
         capture_output=True,
         text=True,
         check=False,

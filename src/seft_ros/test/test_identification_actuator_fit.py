@@ -9,7 +9,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_file import parse_override
-from seft_plant_sim.rig.rig import Rig
+from seft_plant_sim.rig import Rig
 from seft_ros.experiment.tables import TABLES
 from seft_ros.identification.actuator_fit import fit_actuator
 from seft_ros.identification.excitation import excitation

@@ -5,7 +5,7 @@ from seft_msgs_py.config.parameter_file import parse_override
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.timing import link_numbers
-from seft_ros.commands import main as commands
+from seft_ros.cli import main as commands
 from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.link_record import LinkRecord
 from seft_ros.link.round_trips import (

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.rig.rig import continuous_model
+from seft_plant_sim.rig import continuous_model
 from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.block import ForceController
 from seft_ros.loop_shaping.controller import Controller

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_file import parse_override
-from seft_plant_sim.reference.whole_structure import reference_response
 from seft_plant_sim.sensors import BLOCK
+from seft_plant_sim.whole_structure import reference_response
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES

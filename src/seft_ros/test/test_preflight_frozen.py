@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.rig.limits import ROWS
-from seft_plant_sim.rig.rig import Rig
+from seft_plant_sim.limits import ROWS
+from seft_plant_sim.rig import Rig
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES
@@ -21,7 +21,7 @@ from seft_ros.preflight.plan import Plan
 from seft_ros.preflight.preflight_tables import summarise
 from seft_ros.preflight.stability_margins import HIGHEST_MASS_RATIO, find_margins
 from seft_ros.preflight.stability_verdict import preflight
-from seft_ros.reference_force.block import knowledge
+from seft_ros.reference_force.reference_force_block import knowledge
 from seft_ros.target.target_motion import TargetMotion
 
 DEMO = Path(__file__).parents[3] / "config" / "demo.yaml"

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment
-from seft_plant_sim.rig.limits import ROWS
+from seft_plant_sim.limits import ROWS
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES
@@ -16,7 +16,7 @@ from seft_ros.preflight.stability_margins import (
     stability_change,
 )
 from seft_ros.preflight.stability_verdict import preflight
-from seft_ros.reference_force.compensation.methods import METHODS
+from seft_ros.reference_force.compensation_methods import METHODS
 
 M, C, K = 52.7, 800.3, 2.11e5
 OF_FORCES = [name for name in METHODS if name != "target_motion"]  # test_preflight_frozen.py

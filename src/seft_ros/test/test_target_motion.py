@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_file import parse_override
-from seft_plant_sim.reference.whole_structure import reference_response
+from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES
-from seft_ros.reference_force.block import knowledge
+from seft_ros.reference_force.reference_force_block import knowledge
 from seft_ros.target.motion_observer import observe, observer_gains
 from seft_ros.target.restoring_model import (
     THRESHOLDS,

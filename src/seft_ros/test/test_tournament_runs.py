@@ -11,7 +11,7 @@ from seft_ros.analysis.summary import summarise
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES
-from seft_ros.reference_force.compensation.methods import METHODS
+from seft_ros.reference_force.compensation_methods import METHODS
 from seft_ros.tournament.entries import Entry, make_tournament
 from seft_ros.tournament.runs import count_calculations, run_all, step_cost
 

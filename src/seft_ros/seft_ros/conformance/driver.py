@@ -19,7 +19,7 @@ from seft_msgs_py.wire.topics import (
     LoopTopic,
 )
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
-from seft_plant_sim.rig.limits import NAMES, UNITS
+from seft_plant_sim.limits import NAMES, UNITS
 
 from seft_ros.experiment.state_machine import State
 from seft_ros.running.player import Player

@@ -5,7 +5,7 @@ from typing import Literal
 
 Verdict = Literal["passed", "failed", "not run"]
 
-_REFUSE = "refuse it: seft_plant_sim.rig.command.Command shows how; to the rig it is missing"
+_REFUSE = "refuse it: seft_plant_sim.command.Command shows how; to the rig it is missing"
 _MOTION = {
     "description": "publish JSON with node and parameters on experiment/description, latched",
     "diagnostics": "send a status named rig with its phase five times a second",
@@ -43,7 +43,7 @@ _OBEDIENCE = {
     "trip is latched": "keep a trip until experiment/state is idle",
     "watchdog: supervisor silent": "",
     "stands still": "before each command look how long the last new one is ago, by a clock that "
-    "goes on meanwhile: seft_plant_sim.rig.command_watch.CommandWatch shows how",
+    "goes on meanwhile: seft_plant_sim.rig_timing.CommandWatch shows how",
     "rests when done": "end the test at once when experiment/state is done",
     "rests when tripped": "end the test at once when experiment/state is tripped",
     "rests in a test under way": "begin only where experiment/state was ready before: a rig that "

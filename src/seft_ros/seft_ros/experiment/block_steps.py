@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from numba.extending import overload
 from seft_plant_sim.compiled import OPTIONS
-from seft_plant_sim.rig.rig import Rig
+from seft_plant_sim.rig import Rig
 
 from seft_ros.experiment.blocks import Blocks
 from seft_ros.force_controller.block import ForceController
@@ -17,7 +17,7 @@ from seft_ros.force_controller.velocity_feedforward import (
     VelocityFeedforward,
     feedforward_step,
 )
-from seft_ros.reference_force.compensation.linear_filter import (
+from seft_ros.reference_force.compensator import (
     LinearCompensator,
     LinearParameters,
     linear_step,

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_plant_sim.compiled import compiled, entry_point
-from seft_plant_sim.rig.rig import Rig
-from seft_plant_sim.rig.rig_step import BLIND, LIMIT, RigParameters, RigState, rig_step
+from seft_plant_sim.rig import Rig
+from seft_plant_sim.rig_step import BLIND, LIMIT, RigParameters, RigState, rig_step
 from seft_plant_sim.sensors import BLOCK
 
 from seft_ros.experiment.block_steps import answer, estimate, respond

@@ -3,7 +3,7 @@
 from seft_msgs_py.config.experiment import Experiment
 
 from seft_ros.force_controller.names import TRANSFER_FUNCTION, VELOCITY_FEEDFORWARD
-from seft_ros.reference_force.compensation.names import TARGET_MOTION
+from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 from seft_ros.target.force_command import FORCE_DRIVEN
 
 

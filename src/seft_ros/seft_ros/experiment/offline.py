@@ -21,7 +21,7 @@ from seft_ros.experiment.state_machine import while_ramping_down
 from seft_ros.recording.environment import describe_environment
 from seft_ros.recording.record import Estimates, Record, Series, Trip
 from seft_ros.recording.samples import require_names
-from seft_ros.reference_force.estimate_sampler import sampling_period
+from seft_ros.reference_force.reference_force_block import sampling_period
 
 Floats = npt.NDArray[np.float64]
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from seft_msgs_py.config.parameter_table import Parameter, Table, parameter_rows
 from seft_msgs_py.wire.topics import NODES
-from seft_plant_sim.rig.limits import limit_rows
+from seft_plant_sim.limits import limit_rows
 
 _WATCHDOG = parameter_rows(
     """

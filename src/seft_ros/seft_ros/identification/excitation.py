@@ -8,12 +8,12 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.rig.rig import Rig
+from seft_plant_sim.rig import Rig
 
 from seft_ros.force_controller.methods import force_control
 from seft_ros.ground_motion.resample import check_size
 from seft_ros.identification.rig_tests import TAIL, ground_accelerations, has_force_loop
-from seft_ros.reference_force.block import ReferenceForce
+from seft_ros.reference_force.reference_force_block import ReferenceForce
 
 Floats = npt.NDArray[np.float64]
 

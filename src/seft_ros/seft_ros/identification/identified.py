@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import ExperimentError
-from seft_plant_sim.specimen.specimen import Specimen
+from seft_plant_sim.specimen import Specimen
 
 from seft_ros.identification.actuator_fit import ActuatorFit, fit_actuator
 from seft_ros.identification.measured_test import (

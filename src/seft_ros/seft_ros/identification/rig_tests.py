@@ -11,7 +11,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RIG_STATE
-from seft_plant_sim.rig.limits import NAMES
+from seft_plant_sim.limits import NAMES
 
 from seft_ros.force_controller.kinds import one_controller
 from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD

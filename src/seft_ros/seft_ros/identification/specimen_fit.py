@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
-from seft_plant_sim.specimen.specimen import Specimen
+from seft_plant_sim.specimen import Specimen
 
 from seft_ros.identification.spectral import Response
 from seft_ros.loop_shaping.roots import Root, roots_of

@@ -5,6 +5,7 @@ from itertools import groupby
 from typing import Any
 
 import numpy as np
+from seft_msgs_py.config.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.rigs import rigs_of
@@ -12,11 +13,18 @@ from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_msgs_py.wire.trajectory_batch import decode_batch
-from seft_plant_sim.reference.whole_structure import RunningResponse
+from seft_plant_sim.whole_structure import RunningResponse
 
-from seft_ros.monitor.history import History, Stretch
+from seft_ros.monitor.history import (
+    ROWS,
+    Batch,
+    History,
+    RigBatches,
+    Signals,
+    Steps,
+    Stretch,
+)
 from seft_ros.monitor.live_response import LiveMotion, LiveReference
-from seft_ros.monitor.samples import ROWS, Batch, Floats, RigBatches, Signals, Steps
 
 HELD_BACK = 8
 """Steps that wait for what answers them."""

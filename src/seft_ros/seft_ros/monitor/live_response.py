@@ -3,9 +3,9 @@
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from seft_msgs_py.config.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_plant_sim.reference.whole_structure import RunningResponse, whole_structure
+from seft_plant_sim.whole_structure import RunningResponse, whole_structure
 
 from seft_ros.analysis.equivalent_motion import (
     DAMPING,
@@ -15,8 +15,6 @@ from seft_ros.analysis.equivalent_motion import (
     spectrum_frequencies,
 )
 from seft_ros.ground_motion.spectrum import RunningSpectrum
-
-Floats = npt.NDArray[np.float64]
 
 MOST_AT_ONCE = 4000
 """Steps: some milliseconds of work, also while it catches up with a test."""

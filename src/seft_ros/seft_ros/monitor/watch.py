@@ -23,7 +23,7 @@ from seft_ros.monitor.intake import Intake
 from seft_ros.monitor.session import Session
 
 if TYPE_CHECKING:  # a watch needs no ROS
-    from seft_ros.monitor.graph import Graph
+    from seft_ros.monitor.server import Graph
 
 TELLERS = ("rig", "reference_force", "force_controller", "ground_motion", "supervisor")
 """Who is believed about rate and axes, the first first."""

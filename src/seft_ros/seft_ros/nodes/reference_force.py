@@ -28,11 +28,9 @@ from seft_ros.experiment.sample_order import SampleOrder, check_magnitude
 from seft_ros.experiment.state_machine import ENDED, State
 from seft_ros.experiment.tables import TABLES
 from seft_ros.interlock.protected_force import ProtectedForce
-from seft_ros.reference_force.estimate_sampler import EstimateSampler
-from seft_ros.reference_force.motion_buffer import MotionBuffer
-from seft_ros.reference_force.parameters import TABLE
-from seft_ros.reference_force.state_gathering import StateGathering
-from seft_ros.reference_force.topic import reference_force_topic
+from seft_ros.reference_force.loop_inputs import MotionBuffer, StateGathering
+from seft_ros.reference_force.reference_force_block import EstimateSampler
+from seft_ros.reference_force.reference_force_parameters import TABLE, reference_force_topic
 
 RIG_POLL = 0.002  # s between polls for the state of a rig that is late
 

@@ -12,7 +12,7 @@ import seft_ros
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.method import with_method
 from seft_ros.identification.rig_tests import has_valve
-from seft_ros.reference_force.compensation.names import TARGET_MOTION
+from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 
 DELAY = 0.01
 """Delay of the actuator that the paper identified and simulates with (section 5.2), s."""

@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.reference.whole_structure import reference_response
-from seft_plant_sim.rig.limits import NAMES, UNITS
+from seft_plant_sim.limits import NAMES, UNITS
+from seft_plant_sim.whole_structure import reference_response
 
 from seft_ros.ground_motion.block import GroundMotion
 

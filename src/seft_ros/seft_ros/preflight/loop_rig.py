@@ -8,9 +8,9 @@ import numpy.typing as npt
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.continuous_model import Drive
-from seft_plant_sim.reference.whole_structure import tested_specimen
-from seft_plant_sim.rig.rig import continuous_model
-from seft_plant_sim.specimen.specimen import Specimen
+from seft_plant_sim.rig import continuous_model
+from seft_plant_sim.specimen import Specimen
+from seft_plant_sim.whole_structure import tested_specimen
 
 from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward

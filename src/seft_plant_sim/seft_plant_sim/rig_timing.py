@@ -1,0 +1,148 @@
+"""How long a rig has been without a new command, also where it stood still itself.
+
+When a simulated rig takes its samples in realtime.
+
+How far the recorder is behind a rig that keeps no time, and so can wait for it.
+"""
+
+import time
+
+from seft_msgs_py.node.awake_clock import AwakeClock
+from seft_msgs_py.wire.messages import decode_diagnostics
+from seft_msgs_py.wire.outcome import RECORDED, RECORDER
+from seft_msgs_py.wire.topics import LoopTopic
+
+
+def elapsed() -> float:
+    """Time that goes on while this process is stopped and while its machine sleeps, s."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
+class CommandWatch:
+    """Looks at the end of each period whether the rig may go on with the command that it holds.
+
+    A valve stays where it was while the rig's process or its machine stands still: what answers
+    a sample from before that is no answer any more, though it is the newest there is. So time
+    counts, not steps. Times are those of `elapsed`.
+
+    Parameters
+    ----------
+    topic : LoopTopic
+        Of the commands.
+    period : float
+        Of the samples, s.
+    timeout : float
+        Longest time without a new command, s; a period at least.
+    """
+
+    def __init__(self, topic: LoopTopic, period: float, timeout: float) -> None:
+        self._topic, self._period, self._timeout = topic, period, timeout
+        self.begin(0.0)
+
+    def begin(self, now: float) -> None:
+        """Begin with the first sample of a test."""
+        self._answered, self._fresh_at = -1, now
+
+    def fault(self, now: float, step: int, answered: int, *, in_vain: bool = False) -> str:
+        """Say why the test must end here, before a command is applied; empty if it may go on.
+
+        Parameters
+        ----------
+        now : float
+            Time, s.
+        step : int
+            Step of the last sample.
+        answered : int
+            Last step whose command is settled, -1 where none is.
+        in_vain : bool
+            Whether the rig has waited for it for as long as it may, and put off its next sample.
+        """
+        period, timeout = self._period, self._timeout
+        behind = step - answered
+        is_new = answered > self._answered or behind <= 0
+        without = now - self._fresh_at - is_new * period
+        if is_new:
+            self._answered, self._fresh_at = answered, now - max(behind, 0) * period
+        if without <= max(timeout, period) + period / 2 and not in_vain:
+            return ""
+        name = self._topic.name
+        if behind * period <= timeout and not in_vain:
+            return (
+                f"the rig stood still for {without:.3g} s, and its valve with it: its process or "
+                f"its host was stopped or overloaded ({timeout:g} s without a new {name} are "
+                "allowed)"
+            )
+        last = f"(the last is of step {answered})"
+        return f"no new {name} for {timeout:g} s {last}; is {self._topic.publisher} running?"
+
+
+HELD_UP = 0.5  # of a period, by which a deadline is missed: what is left is too short for an answer
+HURRY = 0.05  # of a period, by which steps are shorter while a rig makes up for what it is late
+
+
+class SampleClock:
+    """Absolute deadlines, one a period.
+
+    A rig that was held up for more than half a period (an overrun) goes on from there: hurrying
+    through the steps it is late for would leave the others no time to answer them. One that makes
+    up goes back to its time since the start, by steps that are a little shorter. Times are in s,
+    monotonic.
+    """
+
+    def __init__(self, period: float, start: float, *, makes_up: bool) -> None:
+        self._period, self._makes_up = period, makes_up
+        self._start = self._on_time = start
+        self.overruns = 0
+
+    def deadline(self, step: int) -> float:
+        """Time of a step, s, monotonic."""
+        return self._start + step * self._period
+
+    def awake(self, late: float) -> None:
+        """Take in by how many s a deadline was missed."""
+        if late > HELD_UP * self._period:
+            self.overruns += 1
+            self.fall_back(late)
+        if self._makes_up and self._start > self._on_time:
+            self._start -= min(HURRY * self._period, self._start - self._on_time)
+
+    def fall_back(self, time: float) -> None:
+        """Put off all that is to come, by a time in s."""
+        self._start += time
+
+
+MOST = 3072
+"""Steps: three quarters of what queues hold. The recorder tells five times a second where it is."""
+
+
+class RecorderLag:
+    """Follows what the recorder says of itself.
+
+    Parameters
+    ----------
+    patience : float
+        Silence after which it is waited for no more, s: whether a test goes on without it is the
+        supervisor's to say.
+    """
+
+    def __init__(self, patience: float) -> None:
+        self._patience, self._awake = patience, AwakeClock()
+        self._heard_at = -patience
+        self._recorded = 0
+
+    def hear(self, raw: bytes, _: int) -> None:
+        """Take in the diagnostics of a node."""
+        for status in decode_diagnostics(raw)[1]:
+            if status.name == RECORDER:
+                self._heard_at = self._awake.time()
+                self._recorded = int(status.number(RECORDED) or 0)
+
+    def reset(self) -> None:
+        """Begin a test."""
+        self._recorded = 0
+
+    def is_large(self, step: int) -> bool:
+        """Tell whether the rig should wait after a step until more is recorded."""
+        if step - self._recorded < MOST:
+            return False
+        return self._awake.time() - self._heard_at < self._patience

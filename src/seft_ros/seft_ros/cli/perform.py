@@ -1,0 +1,368 @@
+"""One test that a command makes, alone or of several, offline or over DDS: its bag, its numbers.
+
+The experiment performed: ``seft run`` over DDS, ``seft simulate`` in one process.
+"""
+
+from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Optional
+
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import ExperimentError, InputError
+
+from seft_ros.cli.options import (
+    Config,
+    External,
+    Files,
+    Json,
+    Params,
+    complain,
+    load_experiment,
+    option,
+    show,
+    step_progress,
+    warn,
+)
+from seft_ros.experiment.tables import TABLES
+from seft_ros.recording.record import Record
+
+if TYPE_CHECKING:
+    from seft_ros.running.process_layout import ProcessLayout
+
+
+FIGURE = "figure.png"
+
+
+def check_out(out: Path) -> None:
+    """Refuse a folder that exists already."""
+    if out.exists():
+        raise InputError(f"{out}: exists already; name another folder with --out")
+
+
+def offline_test(experiment: Experiment, bag: Path | None, label: str = "") -> Record:
+    """Run a test in one process, with a progress bar, and write its bag, if it shall have one.
+
+    Raises
+    ------
+    InputError
+        If a parameter makes no sense together with the others.
+    """
+    from seft_ros.experiment.blocks import build_blocks
+    from seft_ros.experiment.offline import simulate
+    from seft_ros.recording.record_bag import write_record
+
+    blocks = build_blocks(experiment)
+    motion = blocks.ground_motion
+    with step_progress(motion.steps) as tell:
+        record = simulate(experiment, blocks, lambda done: tell(f"{label}simulating", done))
+        tell(f"{label}writing the bag" if label else "done", len(record.series["rig/state"].steps))
+        if bag is not None:
+            chunks = [motion.chunk(index) for index in range(motion.chunks)]
+            write_record(record, bag, record.experiment["recorder"]["storage"], chunks)
+    return record
+
+
+def dds_test(
+    experiment: Experiment,
+    bag: Path,
+    steps: int,
+    external: Collection[str] = (),
+    *,
+    layout: "ProcessLayout | None" = None,
+    label: str = "",
+) -> tuple[Record, Path]:
+    """Run a test as separate nodes over DDS, with a progress bar, and read its bag.
+
+    Beside the record is the bag's folder: another, where the place for it was lost. The label
+    stands before what is told of the test, where there are several.
+
+    Raises
+    ------
+    InputError
+        If the nodes do not become ready.
+    ExperimentError
+        If the run broke; what was recorded is kept.
+    """
+    from seft_ros.recording.bag_reader import read_bag
+    from seft_ros.running.run import run_experiment
+    from seft_ros.running.run_monitor import Interruption
+
+    with step_progress(steps) as show_steps, Interruption() as interruption:
+
+        def tell(what: str, done: int) -> None:
+            interruption.check()
+            show_steps(f"{label}{what}", done)
+
+        try:
+            fault, bag = run_experiment(experiment, bag, tell, layout, external)
+        except KeyboardInterrupt:
+            kept = f"; what was recorded is in {bag}" if bag.exists() else ""
+            raise ExperimentError(f"{label}interrupted{kept}") from None
+    if fault:
+        raise ExperimentError(f"{label}{fault}; what was recorded is in {bag}")
+    return read_bag(bag), bag
+
+
+def show_test(record: Record, bag: Path | None, *, as_json: bool, figure: bool) -> bool:
+    """Show how a test went; draw its figure into the bag's folder, if there is one.
+
+    Returns
+    -------
+    bool
+        Whether it was stable.
+    """
+    from seft_ros.analysis.summary import reference_of, summarise
+    from seft_ros.analysis.summary_text import summary_table
+
+    reference = reference_of(record)
+    summary = summarise(record, reference)
+    if bag is not None:
+        summary["bag"] = str(bag)
+        if figure:
+            from seft_ros.analysis.figures import test_figure
+            from seft_ros.drawing.style import save_figure
+
+            save_figure(test_figure(record, reference), bag / FIGURE)
+            summary["figure"] = str(bag / FIGURE)
+    show(summary, as_json, [summary_table(record, summary)], "bag", "figure")
+    return bool(summary["stable"])
+
+
+TRAVEL, FORCE = 0.005, 2000.0
+"""Displacement (m) and force (N) at which a motion that looks at signs is stopped."""
+LINK_TIME = 5.0  # s for which a link is measured before a test
+Figure = Annotated[bool, option("Draw a figure into the bag's folder.", "--figure/--no-figure")]
+
+
+def run(
+    config: Config,
+    param: Params = None,
+    params_file: Files = None,
+    external: External = None,
+    out: Annotated[
+        Optional[Path],
+        option(
+            "Folder of the bag, must be new; default the recorder's directory and the time.", "DIR"
+        ),
+    ] = None,
+    pin: Annotated[
+        bool,
+        option(
+            "Keep the loop's nodes on one processor core and the others off it; all cores "
+            "stay awake, where that is allowed."
+        ),
+    ] = True,
+    composed: Annotated[
+        bool,
+        option(
+            "Put rig, reference_force and force_controller into one process, for rates that "
+            "separate processes can't hold; topics and bits stay as they are.",
+            "--composed",
+        ),
+    ] = False,
+    priority: Annotated[
+        int,
+        option(
+            "Real-time priority of the loop's nodes, their memory locked, cores awake; 0: none.",
+            "N",
+            min=0,
+            max=98,
+        ),
+    ] = 0,
+    check_signs: Annotated[
+        bool,
+        option(
+            "First move the rig by a few tenths of a millimetre, to see that units and signs of "
+            "channels and valve fit one another (seft conform looks at more).",
+            "--check-signs",
+        ),
+    ] = False,
+    accept_unstable: Annotated[
+        bool, option("Run a test that preflight finds unstable all the same.", "--accept-unstable")
+    ] = False,
+    figure: Figure = True,
+    json: Json = False,
+) -> int:
+    """Run an experiment as separate nodes over DDS, record it, and show how it went.
+
+    First of all the closed loop's eigenvalues must say that the test is stable, as seft preflight
+    tells at length; an unstable plan is refused.
+
+    Starts ground_motion, reference_force, force_controller, rig, recorder and supervisor,
+    waits until all have found each other, runs the test, and ends them.
+
+    Examples:
+
+        seft run config/demo.yaml
+
+        seft run config/jhu.yaml -p rig:pace:=lockstep --out bags/lockstep
+
+        ROS_DOMAIN_ID=7 seft run config/jhu.yaml --json
+
+        seft run config/jhu.yaml --composed --priority 50 -p rate:=2000.0
+
+        seft run config/jhu.yaml --external rig --check-signs
+
+        seft run config/jhu.yaml -p reference_force:mass_ratio:=2.0 --accept-unstable
+    """
+    from seft_ros.preflight.expected_peaks import expected_peaks, limit_warning
+    from seft_ros.running.process_layout import ProcessLayout
+    from seft_ros.running.run import bag_path
+
+    experiment = load_experiment(config, param, params_file, external)
+    bag = bag_path(experiment, out)
+    experiment = _with_measured_delay(experiment)
+    steps = _steps(experiment)
+    _check_stable(experiment, accept_unstable)
+    if warning := limit_warning(experiment, expected_peaks(experiment)):
+        warn(warning)
+    if check_signs:
+        _check_signs(experiment, external or ())
+    layout = ProcessLayout(pin=pin, composed=composed, priority=priority)
+    record, bag = dds_test(experiment, bag, steps, external or (), layout=layout)
+    if show_test(record, bag, as_json=json, figure=figure):
+        return 0
+    complain(f"the test tripped: {record.trip.reason}" if record.trip else "unstable")
+    return 1
+
+
+def simulate(
+    config: Config,
+    param: Params = None,
+    params_file: Files = None,
+    out: Annotated[
+        Optional[Path],
+        option(
+            "Write a bag of the same form as seft run, and a figure, into this new folder.", "DIR"
+        ),
+    ] = None,
+    figure: Figure = True,
+    json: Json = False,
+) -> int:
+    """Run an experiment in one process, without ROS, and compare it with the exact response.
+
+    The samples are, bit for bit, those of seft run where no command was missed.
+
+    Examples:
+
+        seft simulate config/jhu.yaml
+
+        seft simulate config/jhu.yaml -p reference_force:mass_ratio:=0.5 --out bags/half
+
+        seft simulate config/jhu.yaml -p ground_motion:file:=kobe.txt
+        -p ground_motion:unit:=cm/s2 -p ground_motion:dt:=0.005 --json
+    """
+    experiment = load_experiment(config, param, params_file)
+    if out is not None:
+        check_out(out)
+    record = offline_test(experiment, out)
+    if show_test(record, out, as_json=json, figure=figure):
+        return 0
+    complain(f"unstable: {record.trip.reason if record.trip else 'values are not finite'}")
+    return 1
+
+
+def _with_measured_delay(experiment: Experiment) -> Experiment:
+    """Measure the delay of the loop over its link, where the experiment asks for that.
+
+    Raises
+    ------
+    InputError
+        If the other side is not there.
+    """
+    section = experiment.sections.get("reference_force")
+    if section is None or section["loop_delay"] >= 0:
+        return experiment
+    if "force_controller" in experiment.sections:
+        raise InputError(
+            "reference_force: loop_delay is to be measured, but there is no link: force_controller "
+            "is to run here; give a number of steps, or --external force_controller"
+        )
+    from seft_ros.link.ping import measure
+    from seft_ros.link.round_trips import message_size, with_loop_delay
+
+    rate = experiment.timebase.rate
+    size, delays = message_size(experiment), []
+    for rig in experiment.rigs:
+        with step_progress(round(LINK_TIME * rate)) as show:
+            delays.append(measure(rate, LINK_TIME, size, show, rig).loop_delay)
+        whose = f" to {rig.name}" if rig.name else ""
+        complain(f"the link{whose} needs a delay of the loop of {delays[-1]} steps")
+    return with_loop_delay(experiment, max(delays))
+
+
+def _check_stable(experiment: Experiment, accept_unstable: bool) -> None:
+    """Refuse an unstable plan, unless that is accepted; say so where its models are not known.
+
+    Raises
+    ------
+    InputError
+        If the closed loop is unstable, and that is not accepted.
+    """
+    from seft_ros.preflight.plan import Plan
+    from seft_ros.preflight.stability_margins import critical_mass_ratio
+    from seft_ros.preflight.stability_verdict import instability
+
+    try:
+        plan = Plan(experiment)
+        if plan.is_stable():
+            return
+    except InputError as error:  # what the nodes themselves can't use has been refused before
+        complain(f"preflight could not be done: {error}")
+        return
+    told = f"unstable plan: {instability(plan)}"
+    if accept_unstable:
+        complain(f"{told}; accepted")
+        return
+    critical = critical_mass_ratio(plan)
+    where = f"; the critical mass ratio is {critical.value:.3g}" if critical else ""
+    raise InputError(
+        f"{told}{where}; see seft preflight, lower reference_force: mass_ratio, choose another "
+        "compensation.method, or run it all the same with --accept-unstable"
+    )
+
+
+def _check_signs(experiment: Experiment, external: Sequence[str]) -> None:
+    """Move the rig a little, and refuse the test where its channels do not fit one another.
+
+    Raises
+    ------
+    InputError
+        If they do not, or the test has several rigs.
+    """
+    from seft_ros.conformance.suite import TIMING, conform
+
+    if len(experiment.rigs) > 1:
+        raise InputError("--check-signs: of several rigs, look at each with seft conform")
+    alone, starts = Experiment(experiment.sections), "rig" not in external
+    if starts:
+        alone["rig"]["pace"] = "realtime"
+    found = conform(
+        alone,
+        lambda finding: None,
+        start_rig=starts,
+        amplitude=None,
+        travel=TRAVEL,
+        force=FORCE,
+        moves_only=True,
+    )
+    for finding in found:
+        if finding.verdict == "failed" and finding.check not in TIMING:
+            raise InputError(f"the rig: {finding.check}: {finding.told}; {finding.mend}")
+
+
+def _steps(experiment: Experiment) -> int:
+    """Count the steps of the test; makes the blocks to see that they can be made.
+
+    A node that is external has checked its own parameters; of such a ground motion the number
+    of steps is not known here.
+    """
+    from seft_ros.experiment.blocks import build_blocks
+    from seft_ros.ground_motion.block import GroundMotion
+
+    if all(table.node in experiment.sections for table in TABLES):
+        return build_blocks(experiment).ground_motion.steps
+    section = experiment.sections.get("ground_motion")
+    if section is None:
+        return 0
+    return GroundMotion.from_parameters(section, experiment.axes, experiment.timebase).steps
