@@ -59,11 +59,7 @@ class Command:
     """
 
     def __init__(
-        self,
-        codec: TrajectoryCodec,
-        limit: float,
-        loop_delay: int = 0,
-        rig: RigAxes | None = None,
+        self, codec: TrajectoryCodec, limit: float, loop_delay: int = 0, rig: RigAxes | None = None
     ) -> None:
         self.codec = codec
         self._rig = rig or RigAxes.whole(codec.axes)

@@ -1,4 +1,4 @@
-"""Machine code of the steps, kept on disk from one use to the next."""
+"""Machine code of the steps, cached on disk."""
 
 import hashlib
 import os
@@ -32,8 +32,8 @@ def compiled[F: Callable[..., Any]](function: F, *, nogil: bool = False) -> F:
     nogil : bool
         Whether it lets go of the interpreter's lock when Python calls it.
     """
-    # numba looks at the file of a function alone, not at what that calls: another text of the
-    # package, another place
+    # numba looks at the file of a function alone, not at what it calls: each text of the package
+    # has its own cache
     place, known = code_folder(Path(function.__code__.co_filename).parent), numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(place)
     try:

@@ -49,7 +49,7 @@ class ComputedSubstructure:
             If a matrix does not fit, is not symmetric, or an internal mass is not positive.
         """
         where, n = "reference_force: computed", len(axes)
-        # none of them is in a record that is older than they are
+        # records of older versions lack them
         given = {name: section.get(f"computed.{name}", 0.0) for name in _NAMES}
         ratio, q = section["mass_ratio"], int(given["internal"])
         names = (*axes, *(f"internal {index + 1}" for index in range(q)))

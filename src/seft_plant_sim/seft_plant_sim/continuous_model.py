@@ -1,10 +1,8 @@
-"""A structure or a rig between samples: a linear continuous model, and what is not linear.
+"""Actuator and specimen between samples: a linear continuous model, and what is not linear.
 
-Actuators on a specimen, as continuous models.
-
-What drives them differs. The ideal and the pure-delay actuator stand for an actuator with its
-force servo loop, as the paper's Eq. 5.2 does: they are driven by the reference force. The
-servo-hydraulic actuator is driven by its valve, so that the loop closes over the controller.
+The ideal and the pure-delay actuator stand for an actuator with its force servo loop, as the
+paper's Eq. 5.2 does: they are driven by the reference force. The servo-hydraulic actuator is driven
+by its valve, so that the loop closes over the controller.
 """
 
 from dataclasses import dataclass, replace
@@ -49,7 +47,7 @@ class ContinuousModel:
     deformation : ndarray
         Of the springs per displacement of each axis, shape (p, n).
     drive_limit : ndarray
-        Drive beyond which the actuators take no notice, shape (n,).
+        Drive at which the actuators saturate, shape (n,).
     """
 
     a: Floats
@@ -69,18 +67,14 @@ class ContinuousModel:
     def linear(
         cls, a: Floats, b: Floats, c: Floats, d: Floats, delay: float, drive: Drive
     ) -> "ContinuousModel":
-        """Make one without residuals."""
+        """Make a model without residuals."""
         n = b.shape[1]
-        unlimited = np.full(n, np.inf)
-        inputs, outputs = np.zeros((len(a), 0)), np.zeros((len(c), 0))
-        none = np.zeros((0, PISTON))
-        return cls(
-            a, b, c, d, delay, drive, inputs, outputs, none, (), np.zeros((0, n)), unlimited
-        )  # fmt: skip
+        residuals = np.zeros((len(a), 0)), np.zeros((len(c), 0)), np.zeros((0, PISTON)), ()
+        return cls(a, b, c, d, delay, drive, *residuals, np.zeros((0, n)), np.full(n, np.inf))
 
     @property
     def is_linear(self) -> bool:
-        """Whether nothing is not linear."""
+        """Whether there are no residuals."""
         return not (len(self.pistons) or self.springs)
 
 

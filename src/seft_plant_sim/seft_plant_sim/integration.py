@@ -105,16 +105,10 @@ def dynamics_of(
             )
     stretches = [_stretch(model, time, longest) for time in (before, after)]
     predict, correct, steps, periods = zip(*stretches, strict=True)
-    return Dynamics(
-        np.array(predict),
-        np.array(correct),
-        np.array(steps, dtype=np.int64),
-        np.array(periods, dtype=np.float64),
-        np.ascontiguousarray(np.hstack([model.c, model.d, model.outputs]).T),
-        np.ascontiguousarray(model.pistons),
-        _laws(model),
-        np.ascontiguousarray(model.deformation),
-    )
+    output = np.hstack([model.c, model.d, model.outputs]).T
+    arrays = (output, model.pistons, _laws(model), model.deformation)
+    by_stretch = np.array(predict), np.array(correct), np.array(steps, dtype=np.int64)
+    return Dynamics(*by_stretch, np.array(periods), *map(np.ascontiguousarray, arrays))
 
 
 def at_rest(dynamics: Dynamics) -> Motion:

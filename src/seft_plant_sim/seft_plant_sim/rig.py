@@ -1,18 +1,11 @@
-"""The simulated rig: actuator, specimen, sensors and limits, stepped by commands.
-
-How a valve closes where a test ends.
-
-A valve that closes at once on a mass M that moves with v makes the oil, of stiffness k, hammer with
-v sqrt(k M). Half a cosine has no corner at which the oil would ring.
-"""
+"""The simulated rig: actuator, specimen, sensors and limits, stepped by commands."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from seft_msgs_py.config.arrays import Floats, Ints, per_axis
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.wire.outcome import Saturation
@@ -52,19 +45,17 @@ class Safe:
         For how many steps the rig is followed to rest.
     """
 
-    command: npt.NDArray[np.float64]
+    command: Floats
     closing: int
     longest: int
 
     @classmethod
-    def from_parameters(cls, group: dict[str, Any], axes: Sequence[str], dt: float) -> "Safe":
-        """Make it of the parameters ``safe.*``; InputError if sizes do not fit the axes."""
-        command = per_axis(group["valve_command"], axes, "rig: safe.valve_command")
+    def from_parameters(
+        cls, group: dict[str, Any], axes: Sequence[str], dt: float, places: Sequence[int]
+    ) -> "Safe":
+        """Make it of ``safe.*`` for the axes at some places; InputError if sizes do not fit."""
+        command = per_axis(group["valve_command"], axes, "rig: safe.valve_command")[list(places)]
         return cls(command, round(group["close_time"] / dt), round(group["settle_time"] / dt))
-
-    def part(self, places: Sequence[int]) -> "Safe":
-        """Take the valves at some places among the axes."""
-        return replace(self, command=self.command[list(places)])
 
 
 @dataclass(frozen=True)
@@ -76,10 +67,7 @@ class Stopped:
 
 
 class Rig:
-    """What a lab's rig is to the rest of a test: it measures, and it obeys commands.
-
-    Made of actuator and specimen (the model), what is measured of them with a period of ``dt`` s,
-    and what trips and stops the test.
+    """Stands for a lab's rig: it measures, with a period of ``dt`` s, and obeys commands.
 
     Attributes
     ----------
@@ -146,7 +134,7 @@ class Rig:
             Limits(group(section, "limits"), own.axes, dt),
             SaturatedTime(section["limits.saturated_time"], dt),
             dt,
-            Safe.from_parameters(group(section, "safe"), axes, dt).part(own.places),
+            Safe.from_parameters(group(section, "safe"), axes, dt, own.places),
         )
 
     @property
@@ -160,10 +148,9 @@ class Rig:
         return self._sample(0)
 
     def step(self, command: Floats) -> Floats:
-        """Apply a command, shape (n,), and take the next sample, shape (4, n).
+        """Apply a command, shape (n,), V or N, see `drive`; take the next sample, shape (4, n).
 
-        The command is what drives the actuators, see `drive`: valve command in V or reference
-        force in N. Measured are displacement (m), velocity (m/s), acceleration (m/s^2), force (N).
+        Measured are displacement (m), velocity (m/s), acceleration (m/s^2), force (N).
         """
         self._command[:] = command
         return self._sample(self.step_index + 1)
@@ -171,9 +158,8 @@ class Rig:
     def stop(self) -> Stopped:
         """Bring the valve to its safe position and follow the rig until it rests.
 
-        A closed valve locks the piston: the oil column rings, friction and leakage damp it, and
-        what force is left leaks away. `sample` then is the true state; nothing is measured, and
-        no limit trips any more.
+        A closed valve locks the piston: the oil column rings, friction and leakage damp it, and the
+        remaining force leaks away. `sample` is the true state then; no limit trips any more.
         """
         if self._safe is None:
             return Stopped(0, 0.0)
@@ -197,7 +183,7 @@ class Rig:
     def violation_of(self, found: int) -> str | None:
         """Say why the test must end with the last sample, of which `rig_step` gave ``found``.
 
-        What a spring of another package has raised, this raises.
+        Raises what a spring of another package has raised.
         """
         if found & LIMIT:
             for spring in self._model.springs:
@@ -238,8 +224,7 @@ def continuous_model(
 ) -> ContinuousModel:
     """Model of actuator, specimen and anti-aliasing filters that a rig's parameters describe.
 
-    As `Rig.from_parameters` is given them; ``stiffness`` is a factor on the elastic specimen's,
-    the actuators being the same.
+    See `Rig.from_parameters`; ``stiffness`` is a factor on the elastic specimen's.
     """
     own = rig or RigAxes.whole(axes)
     whole = Specimen.from_parameters(group(section, "specimen"), axes, "rig: specimen")
@@ -292,22 +277,26 @@ class Rigs:
 
     def reset(self) -> Floats:
         """Bring the rigs to rest and take the sample of step 0, shape (4, n)."""
-        state = np.empty((4, self._axes))
-        for places, rig in self._rigs:
-            state[:, places] = rig.reset()
-        return state
+        return self._gather(rig.reset() for _, rig in self._rigs)
 
     def step(self, command: Floats) -> Floats:
         """Apply a command and take the next sample, see `Rig.step`."""
-        state = np.empty((4, self._axes))
-        for places, rig in self._rigs:
-            state[:, places] = rig.step(command[places])
-        return state
+        return self._gather(rig.step(command[places]) for places, rig in self._rigs)
+
+    def _gather(self, states: Iterable[Floats]) -> Floats:
+        whole = np.empty((4, self._axes))
+        for (places, _), state in zip(self._rigs, states, strict=True):
+            whole[:, places] = state
+        return whole
 
 
 @compiled
 def left_open(taken: int, steps: float) -> float:
-    """Part of the last command that is left after some of the steps in which a valve closes."""
+    """Fraction of the last command that is left after some of the steps in which a valve closes.
+
+    A valve that closes at once on a mass M with velocity v makes the oil, of stiffness k, hammer
+    with v sqrt(k M). Half a cosine has no corner at which the oil would ring.
+    """
     if taken >= steps:
         return 0.0
     return 0.5 * (1.0 + math.cos(math.pi * taken / steps))

@@ -34,7 +34,7 @@ class RigParameters(NamedTuple):
     dynamics : Dynamics
         Of actuator and specimen: from the last sample to the drive's change, and from there on.
     drive_limit : ndarray
-        Drive beyond which the actuators take no notice, shape (n,).
+        Drive at which the actuators saturate, shape (n,).
     changes_between : bool
         Whether the delayed drive changes between the samples.
     channels : Channels

@@ -1,15 +1,11 @@
-"""How long a rig has been without a new command, also where it stood still itself.
-
-When a simulated rig takes its samples in realtime.
-
-How far the recorder is behind a rig that keeps no time, and so can wait for it.
-"""
+"""What a rig node keeps an eye on beside its samples: time, commands, recorder, supervisor."""
 
 import time
 
+from seft_msgs_py.errors import WireError
 from seft_msgs_py.node.awake_clock import AwakeClock
-from seft_msgs_py.wire.messages import decode_diagnostics
-from seft_msgs_py.wire.outcome import RECORDED, RECORDER
+from seft_msgs_py.wire.messages import Status, decode_diagnostics, decode_status
+from seft_msgs_py.wire.outcome import MOVING, RECORDED, RECORDER, STOPPED
 from seft_msgs_py.wire.topics import LoopTopic
 
 
@@ -146,3 +142,63 @@ class RecorderLag:
         if step - self._recorded < MOST:
             return False
         return self._awake.time() - self._heard_at < self._patience
+
+
+class Supervision:
+    """What the supervisor asks of this rig, which does not move without one.
+
+    Parameters
+    ----------
+    patience : float
+        Silence of the supervisor after which a test must end, s.
+
+    Attributes
+    ----------
+    wanted : Status or None
+        State of the experiment that the rig follows; None while it stays at rest.
+    state : str
+        State that was published last.
+    fault : str
+        Fault of the program, which ends every test until the supervisor has said idle.
+    latched : bool
+        Whether a test tripped: there is no new one before the supervisor has said idle.
+    """
+
+    def __init__(self, patience: float) -> None:
+        self._patience, self._awake = patience, AwakeClock()
+        self._heard_at = self._awake.time()
+        self.wanted: Status | None = None
+        self.state = self.fault = ""
+        self.latched = self._armed = False
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether the rig is to move."""
+        return self.wanted is not None and self.wanted.message in MOVING
+
+    def hear(self, raw: bytes, _: int) -> None:
+        """Follow the supervisor; a rig that starts in the middle of a test stays at rest."""
+        status = decode_status(raw)
+        self._heard_at = self._awake.time()
+        if status.message == self.state:
+            return  # a sign of life
+        self.state = status.message
+        if status.message in MOVING and not (self._armed or self.is_moving):
+            why = "that was running before this rig was ready for it"
+            raise WireError("a test " + ("after a trip and no reset" if self.latched else why))
+        if status.message == "running" and not status.number("steps"):
+            raise WireError("a test that does not say how many steps it has")
+        if status.message == "idle":
+            self.latched, self.fault = False, ""
+        self._armed = status.message == "ready" and not self.latched
+        self.wanted = status
+
+    def reason_to_end(self) -> str | None:
+        """Give the reason why a test must end here, if there is one."""
+        if self.fault:
+            return self.fault
+        if not self.is_moving:
+            return STOPPED
+        if self._awake.time() - self._heard_at > self._patience:
+            return f"node supervisor has been silent for {self._patience:g} s"
+        return None

@@ -1,11 +1,10 @@
-"""The load-resisting member under test.
+"""The load-resisting member under test, and the energy balance of a test of it.
 
-Energy balance of a specimen under test: a check of its samples that needs no reference.
-
-M a + C v + r(x) = f (Eq. 2.4), each term times the velocity and integrated, says that the work
-of the actuators' force is kinetic energy, strain energy, and what dampers and springs dissipate
-(Uang & Bertero 1990, relative energy; the force does the work of the ground motion here). It
-closes if samples, mass, damping and restoring force fit each other.
+The balance checks the samples of a test without a reference: M a + C v + r(x) = f (Eq. 2.4), each
+term times the velocity and integrated, says that the work of the actuators' force is kinetic
+energy, strain energy, and what dampers and springs dissipate (Uang & Bertero 1990, relative energy;
+the force does the work of the ground motion here). It closes if samples, mass, damping and
+restoring force fit each other.
 """
 
 import itertools

@@ -1,7 +1,4 @@
-"""Springs of a specimen: ours by their compiled laws, and those of other packages.
-
-Kinds of springs that a specimen may have, and their parameters.
-"""
+"""Springs of a specimen: the kinds of spring, their parameters, and laws of other packages."""
 
 import ctypes
 import math

@@ -1,6 +1,6 @@
-"""Response of a structure to ground motion from rest: exact, or as near as one likes.
+"""The response that a perfect test would give: the whole structure from rest, solved exactly.
 
-The response that a perfect test would give: the whole structure, solved exactly.
+Where the structure is not linear, the response is as near as the integration's tolerance.
 """
 
 from collections.abc import Sequence
@@ -62,7 +62,7 @@ def response(structure: Specimen, ground_motion: Floats, dt: float) -> Floats:
 
 
 class ShakenStructure:
-    """A structure of n degrees of freedom whose ground motion becomes known by and by.
+    """A structure of n degrees of freedom whose ground motion becomes known step by step.
 
     A step of ``dt`` s is integrated in ``steps``; one is exact where the structure is linear.
     """

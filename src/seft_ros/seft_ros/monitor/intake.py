@@ -15,15 +15,7 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_msgs_py.wire.trajectory_batch import decode_batch
 from seft_plant_sim.whole_structure import RunningResponse
 
-from seft_ros.monitor.history import (
-    ROWS,
-    Batch,
-    History,
-    RigBatches,
-    Signals,
-    Steps,
-    Stretch,
-)
+from seft_ros.monitor.history import ROWS, Batch, History, RigBatches, Signals, Steps, Stretch
 from seft_ros.monitor.live_response import LiveMotion, LiveReference
 
 HELD_BACK = 8

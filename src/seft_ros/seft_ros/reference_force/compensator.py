@@ -43,14 +43,8 @@ class LinearFilter:
     def of_gains(cls, d: Floats, e: Floats) -> "LinearFilter":
         """Filter that remembers nothing."""
         n = len(d)
-        return cls(
-            a=np.zeros((0, 0)),
-            b=np.zeros((0, d.shape[1])),
-            h=np.zeros((0, e.shape[1])),
-            c=np.zeros((n, 0)),
-            d=d,
-            e=e,
-        )
+        b, h = np.zeros((0, d.shape[1])), np.zeros((0, e.shape[1]))
+        return cls(np.zeros((0, 0)), b, h, np.zeros((n, 0)), d, e)
 
     @property
     def axes(self) -> int:

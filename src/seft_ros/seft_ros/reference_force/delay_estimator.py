@@ -160,8 +160,8 @@ class DelayEstimator:
     is largest, the sums fading with a time constant of a second, and between the samples by the
     parabola through three of them (Knapp & Carter 1976, IEEE Trans. ASSP 24:320-327, on time
     delay by correlation). Neither an amplitude error of the actuator nor the loop around it
-    biases the estimate, as the measured force follows from the reference force whatever that is
-    made of. A force that is held between the samples acts half a step later than it shows.
+    biases the estimate, as the measured force follows from the reference force whatever its
+    origin. A force that is held between the samples acts half a step later than it shows.
 
     The estimate stays where it is while the forces are small or not alike, keeps within its
     bounds, and moves no faster than its rate.
@@ -175,7 +175,7 @@ class DelayEstimator:
     rate : float
         Largest change, s per s.
     excitation : float
-        RMS of both forces, in the band and the last second or so, from which on they tell, N.
+        Least RMS of both forces, in the band and about the last second, for an estimate, N.
     band : sequence of float
         Edges of the band-pass, Hz.
     dt : float
@@ -255,12 +255,12 @@ class DelayEstimator:
         peak = np.clip(correlation.argmax(axis=1), 1, self._lags - 2)
         before, at, after = (correlation[axes, peak + i] for i in (-1, 0, 1))
         curvature = 2 * at - before - after
-        told = (
+        valid = (
             (np.minimum(self._energy[axes, peak], self._answer[:, 0]) > self._enough)
             & (at > _ALIKE)
             & (curvature > 0)
         )
-        part = np.where(told, (after - before) / (2 * np.where(told, curvature, 1.0)), 0.0)
+        part = np.where(valid, (after - before) / (2 * np.where(valid, curvature, 1.0)), 0.0)
         found = np.clip((peak + part) * self._dt, *self._bounds)
         change = np.clip(found - self.delay, -self._most, self._most)
-        self.delay += np.where(told, change, 0.0)
+        self.delay += np.where(valid, change, 0.0)

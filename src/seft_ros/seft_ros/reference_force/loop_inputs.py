@@ -1,7 +1,4 @@
-"""States of several rigs, put together by step.
-
-Ground motion that has arrived, in one piece.
-"""
+"""What the reference-force node gathers for a step: states of several rigs, and ground motion."""
 
 import math
 from collections.abc import Sequence

@@ -1,7 +1,4 @@
-"""Reference force: what the actuators are asked to apply.
-
-When to look at what a compensation method identifies on line.
-"""
+"""Reference force that the actuators are to apply, and the sampling of what is identified on line."""
 
 from typing import Any, Protocol
 
@@ -13,18 +10,14 @@ from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_plant_sim.specimen import deformations
 
 from seft_ros.reference_force.compensation_methods import METHODS
-from seft_ros.reference_force.compensator import (
-    Compensator,
-    Knowledge,
-    tells_motion,
-)
+from seft_ros.reference_force.compensator import Compensator, Knowledge, tells_motion
 from seft_ros.reference_force.substructure import with_substructure
 
 
 class ReferenceForce:
     """Reference force of a test over n axes, as a compensation method computes it.
 
-    What all methods aim at is
+    All methods approximate
 
     - ``eft``:  f_r = -(M_e + M_c) a_g                  (paper Eq. 2.3)
     - ``seft``: f_r = -(M_e + M_c) a_g - M_c a          (paper Eq. 2.5)
@@ -103,19 +96,13 @@ class ReferenceForce:
 
 
 def compensator(method: str, known: Knowledge) -> Compensator:
-    """Make a compensation method of what is known of a test.
-
-    Raises
-    ------
-    InputError
-        If the method lacks something.
-    """
+    """Make a compensation method of what is known of a test; InputError if it lacks something."""
     made = METHODS[method](known)
     return made if tells_motion(made) else with_substructure(made, known)
 
 
 def knowledge(section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase) -> Knowledge:
-    """Gather what a compensation method is told of a test.
+    """Gather what is assumed of a test, for a compensation method.
 
     Raises
     ------
@@ -123,50 +110,39 @@ def knowledge(section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
         If the model's sizes do not fit the axes, its mass is not positive, or the loop's delay
         is not known.
     """
-    where = "reference_force: model"
+    where, n = "reference_force: model", len(axes)
     mass = mass_matrix(section["model.mass"], axes, f"{where}.mass")
     damping, stiffness = (
         symmetric_matrix(section[f"model.{name}"], axes, f"{where}.{name}")
         for name in ("damping", "stiffness")
     )
-    if section["method"] == "eft":  # the specimen carries all of the mass
+    if section["method"] == "eft":  # the specimen carries all of the mass (Eq. 2.2)
         mass = mass + section["mass_ratio"] * mass
-        computed = ComputedSubstructure.none(len(axes))
+        computed = ComputedSubstructure.none(n)
     else:
         computed = ComputedSubstructure.from_parameters(section, axes).without_inertial_coupling()
-    _check_total_mass(mass + computed.mass[: len(axes), : len(axes)])
-    options = {
-        name: value
-        for name, value in section.items()
-        if name.startswith(("compensation.", "tracking."))
-    }
+    total = mass + computed.mass[:n, :n]
+    if np.linalg.eigvalsh(total)[0] <= 0.0:
+        raise InputError(
+            "reference_force: computed.mass and model.mass add up to a mass on the axes that is "
+            f"not positive (definite): {total.tolist()}"
+        )
     loop_delay: int = section["loop_delay"]
     if loop_delay < 0:
         raise InputError(
             "reference_force: loop_delay is to be measured, which only seft run does; seft link "
             "tells it: give it with -p reference_force:loop_delay:=STEPS"
         )
-    _add_delay(options, loop_delay * timebase.dt)
-    springs = deformations(section.get("model.springs", 0.0), axes, where)
-    return Knowledge(mass, computed, damping, stiffness, timebase.dt, options, loop_delay, springs)
-
-
-def _check_total_mass(mass: Floats) -> None:
-    if np.linalg.eigvalsh(mass)[0] <= 0.0:
-        raise InputError(
-            "reference_force: computed.mass and model.mass add up to a mass on the axes that is "
-            f"not positive (definite): {mass.tolist()}"
-        )
-
-
-def _add_delay(options: dict[str, Any], delay: float) -> None:
-    """Lengthen the delays that are known by one that stands before them, s."""
+    prefixes = ("compensation.", "tracking.")
+    options = {name: value for name, value in section.items() if name.startswith(prefixes)}
+    late = loop_delay * timebase.dt  # delays that are given are those of the force loop alone
     for name in ("compensation.delay", "tracking.dead_time"):
         if options[name] > 0:
-            options[name] += delay
-    options["compensation.delay_range"] = [
-        bound + delay for bound in np.atleast_1d(options["compensation.delay_range"]).tolist()
-    ]
+            options[name] += late
+    bounds = np.atleast_1d(options["compensation.delay_range"])
+    options["compensation.delay_range"] = (bounds + late).tolist()
+    springs = deformations(section.get("model.springs", 0.0), axes, where)
+    return Knowledge(mass, computed, damping, stiffness, timebase.dt, options, loop_delay, springs)
 
 
 PERIOD_NS = NANOSECONDS_PER_SECOND // 10

@@ -5,8 +5,8 @@ structure obeys
 
     (M_e + M_c) (a + a_g) + g = -r,   so   (M_e + M_c) (a + a_g + (M_e + M_c)^-1 g) = -r
 
-Beside its masses M_c on the axes a substructure thus acts like further ground acceleration. A
-method is told a_g + (M_e + M_c)^-1 g for a_g, and need not know where it comes from.
+Beside its masses M_c on the axes a substructure acts like further ground acceleration. A method is
+given a_g* = a_g + (M_e + M_c)^-1 g instead of a_g (docs/theory.md, More than lumped mass).
 """
 
 from itertools import pairwise
@@ -26,7 +26,7 @@ REST_CORNER = 30.0  # Hz up to which the model's restoring force is corrected by
 
 
 def with_substructure(method: Compensator, knowledge: Knowledge) -> Compensator:
-    """Let a method work with all that is computed, see the module.
+    """Make a method work with the whole computed substructure, see the module.
 
     Parameters
     ----------
@@ -94,10 +94,7 @@ def substructure_motion(knowledge: Knowledge, preview: int) -> LinearFilter:
     n, computed, dt = knowledge.axes, knowledge.computed, knowledge.dt
     inside, steps = 2 * computed.internal, 1 + preview
     # everything is a combination of states, measured signals and ground motion
-    parts = np.split(
-        np.eye(inside + n + 4 * n + steps * n),
-        inside + n * np.arange(0, 5 + steps),
-    )
+    parts = np.split(np.eye(inside + n + 4 * n + steps * n), inside + n * np.arange(0, 5 + steps))
     before, rest, x, v, a, f, *ground = (part for part in parts)
     system, by_ground = _internal(knowledge)
     # the motion of the axes enters as input, and ends in itself
