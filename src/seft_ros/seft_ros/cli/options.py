@@ -1,7 +1,4 @@
-"""Options that several commands share, and the experiment that they name.
-
-What the commands print: results on stdout, complaints and progress on stderr.
-"""
+"""What the commands share: options, the experiment that they name, and how they print."""
 
 import json
 import sys
@@ -26,34 +23,20 @@ from seft_ros.loop_shaping import Source
 
 
 def option(text: str, named: str | None = None, **more: Any) -> Any:
-    """Make an option with a help text.
-
-    ``named`` is what its value is called, where it has the name of its parameter; or its own
-    name, ``--json``, where it takes no value.
-    """
+    """Make an option with a help text, and the name of its value, or its own such as ``--json``."""
     names, metavar = ([named], None) if named and named.startswith("--") else ([], named)
     return typer.Option(*names, help=text, metavar=metavar, **more)
 
 
-Config = Annotated[
-    Path, typer.Argument(metavar="CONFIG", help="Experiment: a ROS 2 parameter file.")
-]
+_OVERRIDE = "Override a parameter, as in ROS 2; may be given many times."
+_FILES = "Another parameter file, whose values win over CONFIG's; may be given many times."
+Config = Annotated[Path, typer.Argument(metavar="CONFIG", help="Experiment: ROS 2 parameter file.")]
 Bag = Annotated[Path, typer.Argument(metavar="BAG", help="Folder (or file) of a recorded test.")]
 Params = Annotated[
     Optional[list[str]],
-    typer.Option(
-        "-p",
-        "--param",
-        metavar="NODE:PARAMETER:=VALUE",
-        help="Override a parameter, as in ROS 2; may be given many times.",
-    ),
+    typer.Option("-p", "--param", metavar="NODE:PARAMETER:=VALUE", help=_OVERRIDE),
 ]
-Files = Annotated[
-    Optional[list[Path]],
-    option(
-        "Another parameter file, whose values win over CONFIG's; may be given many times.", "FILE"
-    ),
-]
+Files = Annotated[Optional[list[Path]], option(_FILES, "FILE")]
 Plant = Annotated[
     Source,
     option(
@@ -64,8 +47,8 @@ Plant = Annotated[
 External = Annotated[
     Optional[list[str]],
     option(
-        "This node runs already, started by someone else, such as a lab's hardware driver "
-        "as rig; its parameters are its own. May be given many times.",
+        "This node runs already with parameters of its own, such as a lab's hardware driver as "
+        "rig. May be given many times.",
         "NODE",
     ),
 ]
@@ -79,14 +62,15 @@ def load_experiment(
     external: Sequence[str] | None = None,
 ) -> Experiment:
     """Read an experiment of a command line; nodes that are external have no section in it."""
+    external = external or ()
     experiment = Experiment.load(
-        [table for table in TABLES if table.node not in (external or ())],
+        [table for table in TABLES if table.node not in external],
         [config, *(params_files or ())],
         [parse_override(text) for text in overrides or ()],
     )
     possible = [node for node in NODES if node not in ("supervisor", "recorder")]
     possible = list(dict.fromkeys([*possible, *with_rigs(possible, experiment.rigs)]))
-    for node in external or ():
+    for node in external:
         if node not in possible:
             raise InputError(
                 f"--external {node}: must be one of {', '.join(possible)}{nearest(node, possible)}"
@@ -100,7 +84,7 @@ PATIENCE = 1.0  # s without a word
 def show(
     summary: dict[str, Any], as_json: bool, tables: Iterable[RenderableType], *files: str
 ) -> None:
-    """Print a summary as JSON; or else tables, lines of text, and the files that it names."""
+    """Print a summary as JSON, or tables, lines of text, and the files that it names."""
     if as_json:
         print(json.dumps(summary, indent=2, allow_nan=False))
         return
@@ -117,12 +101,12 @@ def show(
 
 
 def complain(text: str) -> None:
-    """Say one line on stderr."""
+    """Print one line on stderr."""
     print(f"seft: {text}", file=sys.stderr, flush=True)
 
 
 def warn(text: str) -> None:
-    """Say on stderr what does not keep a command from going on."""
+    """Print a warning on stderr."""
     print(f"warning: {text}", file=sys.stderr, flush=True)
 
 
@@ -133,31 +117,12 @@ def stderr_console() -> Console:
 
 @contextmanager
 def step_progress(total: int, lost: str = "") -> Iterator[Callable[[str, int], None]]:
-    """Show the steps of a test as a bar.
+    """Show a bar of ``total`` steps; gives the function that takes a few words and the steps done.
 
-    Parameters
-    ----------
-    total : int
-        Steps of the test.
-    lost : str
-        What an interruption costs, of a calculation by several processes.
-
-    Yields
-    ------
-    callable
-        To be called with a few words on what goes on and the steps done.
-
-    Raises
-    ------
-    ExperimentError
-        If such a calculation is interrupted.
+    An interruption becomes an `ExperimentError` where ``lost`` says what it costs.
     """
-    columns = (
-        TextColumn("{task.description:40.40}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-    )
+    text = TextColumn("{task.description:40.40}")
+    columns = (text, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     try:
         with Progress(*columns, console=stderr_console()) as bar:
             task = bar.add_task("", total=total)

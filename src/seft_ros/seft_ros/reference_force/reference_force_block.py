@@ -1,4 +1,4 @@
-"""Reference force that the actuators are to apply, and the sampling of what is identified on line."""
+"""Reference force that the actuators are to apply; sampling of what is identified on line."""
 
 from typing import Any, Protocol
 
