@@ -13,8 +13,7 @@ import typer
 from seft_msgs_py.config.parameter_file import Override, parse_override
 from seft_msgs_py.errors import InputError
 
-from seft_ros.cli.options import Bag, Json, Params, complain, option, show, step_progress
-from seft_ros.cli.perform import check_out
+from seft_ros.cli.options import Bag, Json, Params, check_out, complain, option, show, step_progress
 
 if TYPE_CHECKING:
     from seft_ros.replay.recorded import Recorded

@@ -9,17 +9,20 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 
 from seft_ros.cli.options import (
+    FIGURE,
     Config,
     External,
     Files,
     Json,
     Params,
+    check_out,
     complain,
+    dds_test,
     load_experiment,
+    offline_test,
     option,
     show,
 )
-from seft_ros.cli.perform import FIGURE, check_out, dds_test, offline_test
 from seft_ros.recording.record import Record
 
 PILOT, OPEN_LOOP, CLOSED_LOOP = "pilot", "open_loop", "closed_loop"

@@ -1,12 +1,12 @@
-"""What the commands share: options, the experiment that they name, and how they print."""
+"""What the commands share: options, the experiment that they name, its test, and how to print."""
 
 import json
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Optional
+from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 from rich.console import Console, RenderableType
@@ -20,6 +20,10 @@ from seft_msgs_py.wire.topics import NODES
 
 from seft_ros.experiment.tables import TABLES
 from seft_ros.loop_shaping import Source
+from seft_ros.recording.record import Record
+
+if TYPE_CHECKING:
+    from seft_ros.running.process_layout import ProcessLayout
 
 
 def option(text: str, named: str | None = None, **more: Any) -> Any:
@@ -78,7 +82,8 @@ def load_experiment(
     return experiment
 
 
-PATIENCE = 1.0  # s without a word
+FIGURE = "figure.png"
+PATIENCE = 1.0  # s before a bar is shown
 
 
 def show(
@@ -152,3 +157,89 @@ def late_progress() -> Iterator[Callable[[str, int, int], None]]:
     finally:
         if bar.live.is_started:
             bar.stop()
+
+
+def check_out(out: Path) -> None:
+    """Refuse a folder that exists already."""
+    if out.exists():
+        raise InputError(f"{out}: exists already; name another folder with --out")
+
+
+def offline_test(experiment: Experiment, bag: Path | None, label: str = "") -> Record:
+    """Run a test in one process, with a progress bar, and write its bag, if one is given.
+
+    Raises `InputError` if parameters contradict each other.
+    """
+    from seft_ros.experiment.blocks import build_blocks
+    from seft_ros.experiment.offline import simulate
+    from seft_ros.recording.record_bag import write_record
+
+    blocks = build_blocks(experiment)
+    motion = blocks.ground_motion
+    with step_progress(motion.steps) as tell:
+        record = simulate(experiment, blocks, lambda done: tell(f"{label}simulating", done))
+        tell(f"{label}writing the bag" if label else "done", len(record.series["rig/state"].steps))
+        if bag is not None:
+            chunks = [motion.chunk(index) for index in range(motion.chunks)]
+            write_record(record, bag, record.experiment["recorder"]["storage"], chunks)
+    return record
+
+
+def dds_test(
+    experiment: Experiment,
+    bag: Path,
+    steps: int,
+    external: Collection[str] = (),
+    *,
+    layout: "ProcessLayout | None" = None,
+    label: str = "",
+) -> tuple[Record, Path]:
+    """Run a test as separate nodes over DDS, with a progress bar, and read its bag.
+
+    Gives the record and the bag's folder, which is another where the first was lost. The label
+    precedes what is said of one of several tests.
+
+    Raises
+    ------
+    InputError
+        If the nodes do not become ready.
+    ExperimentError
+        If the run broke; what was recorded is kept.
+    """
+    from seft_ros.recording.bag_reader import read_bag
+    from seft_ros.running.run import run_experiment
+    from seft_ros.running.run_monitor import Interruption
+
+    with step_progress(steps) as show_steps, Interruption() as interruption:
+
+        def tell(what: str, done: int) -> None:
+            interruption.check()
+            show_steps(f"{label}{what}", done)
+
+        try:
+            fault, bag = run_experiment(experiment, bag, tell, layout, external)
+        except KeyboardInterrupt:
+            kept = f"; what was recorded is in {bag}" if bag.exists() else ""
+            raise ExperimentError(f"{label}interrupted{kept}") from None
+    if fault:
+        raise ExperimentError(f"{label}{fault}; what was recorded is in {bag}")
+    return read_bag(bag), bag
+
+
+def show_test(record: Record, bag: Path | None, *, as_json: bool, figure: bool) -> bool:
+    """Show how a test went, draw its figure into its bag; return whether it was stable."""
+    from seft_ros.analysis.summary import reference_of, summarise
+    from seft_ros.analysis.summary_text import summary_table
+
+    reference = reference_of(record)
+    summary = summarise(record, reference)
+    if bag is not None:
+        summary["bag"] = str(bag)
+        if figure:
+            from seft_ros.analysis.figures import test_figure
+            from seft_ros.drawing.style import save_figure
+
+            save_figure(test_figure(record, reference), bag / FIGURE)
+            summary["figure"] = str(bag / FIGURE)
+    show(summary, as_json, [summary_table(record, summary)], "bag", "figure")
+    return bool(summary["stable"])

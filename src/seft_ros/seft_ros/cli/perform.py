@@ -1,14 +1,11 @@
-"""One test that a command makes, alone or of several, offline or over DDS: its bag, its numbers.
+"""``seft run`` over DDS, and ``seft simulate`` in one process."""
 
-The experiment performed: ``seft run`` over DDS, ``seft simulate`` in one process.
-"""
-
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Optional
+from typing import Annotated, Optional
 
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.errors import ExperimentError, InputError
+from seft_msgs_py.errors import InputError
 
 from seft_ros.cli.options import (
     Config,
@@ -16,117 +13,17 @@ from seft_ros.cli.options import (
     Files,
     Json,
     Params,
+    check_out,
     complain,
+    dds_test,
     load_experiment,
+    offline_test,
     option,
-    show,
+    show_test,
     step_progress,
     warn,
 )
 from seft_ros.experiment.tables import TABLES
-from seft_ros.recording.record import Record
-
-if TYPE_CHECKING:
-    from seft_ros.running.process_layout import ProcessLayout
-
-
-FIGURE = "figure.png"
-
-
-def check_out(out: Path) -> None:
-    """Refuse a folder that exists already."""
-    if out.exists():
-        raise InputError(f"{out}: exists already; name another folder with --out")
-
-
-def offline_test(experiment: Experiment, bag: Path | None, label: str = "") -> Record:
-    """Run a test in one process, with a progress bar, and write its bag, if it shall have one.
-
-    Raises
-    ------
-    InputError
-        If a parameter makes no sense together with the others.
-    """
-    from seft_ros.experiment.blocks import build_blocks
-    from seft_ros.experiment.offline import simulate
-    from seft_ros.recording.record_bag import write_record
-
-    blocks = build_blocks(experiment)
-    motion = blocks.ground_motion
-    with step_progress(motion.steps) as tell:
-        record = simulate(experiment, blocks, lambda done: tell(f"{label}simulating", done))
-        tell(f"{label}writing the bag" if label else "done", len(record.series["rig/state"].steps))
-        if bag is not None:
-            chunks = [motion.chunk(index) for index in range(motion.chunks)]
-            write_record(record, bag, record.experiment["recorder"]["storage"], chunks)
-    return record
-
-
-def dds_test(
-    experiment: Experiment,
-    bag: Path,
-    steps: int,
-    external: Collection[str] = (),
-    *,
-    layout: "ProcessLayout | None" = None,
-    label: str = "",
-) -> tuple[Record, Path]:
-    """Run a test as separate nodes over DDS, with a progress bar, and read its bag.
-
-    Beside the record is the bag's folder: another, where the place for it was lost. The label
-    stands before what is told of the test, where there are several.
-
-    Raises
-    ------
-    InputError
-        If the nodes do not become ready.
-    ExperimentError
-        If the run broke; what was recorded is kept.
-    """
-    from seft_ros.recording.bag_reader import read_bag
-    from seft_ros.running.run import run_experiment
-    from seft_ros.running.run_monitor import Interruption
-
-    with step_progress(steps) as show_steps, Interruption() as interruption:
-
-        def tell(what: str, done: int) -> None:
-            interruption.check()
-            show_steps(f"{label}{what}", done)
-
-        try:
-            fault, bag = run_experiment(experiment, bag, tell, layout, external)
-        except KeyboardInterrupt:
-            kept = f"; what was recorded is in {bag}" if bag.exists() else ""
-            raise ExperimentError(f"{label}interrupted{kept}") from None
-    if fault:
-        raise ExperimentError(f"{label}{fault}; what was recorded is in {bag}")
-    return read_bag(bag), bag
-
-
-def show_test(record: Record, bag: Path | None, *, as_json: bool, figure: bool) -> bool:
-    """Show how a test went; draw its figure into the bag's folder, if there is one.
-
-    Returns
-    -------
-    bool
-        Whether it was stable.
-    """
-    from seft_ros.analysis.summary import reference_of, summarise
-    from seft_ros.analysis.summary_text import summary_table
-
-    reference = reference_of(record)
-    summary = summarise(record, reference)
-    if bag is not None:
-        summary["bag"] = str(bag)
-        if figure:
-            from seft_ros.analysis.figures import test_figure
-            from seft_ros.drawing.style import save_figure
-
-            save_figure(test_figure(record, reference), bag / FIGURE)
-            summary["figure"] = str(bag / FIGURE)
-    show(summary, as_json, [summary_table(record, summary)], "bag", "figure")
-    return bool(summary["stable"])
-
 
 TRAVEL, FORCE = 0.005, 2000.0
 """Displacement (m) and force (N) at which a motion that looks at signs is stopped."""
@@ -141,22 +38,16 @@ def run(
     external: External = None,
     out: Annotated[
         Optional[Path],
-        option(
-            "Folder of the bag, must be new; default the recorder's directory and the time.", "DIR"
-        ),
+        option("New folder of the bag; default in the recorder's directory, by the time.", "DIR"),
     ] = None,
     pin: Annotated[
-        bool,
-        option(
-            "Keep the loop's nodes on one processor core and the others off it; all cores "
-            "stay awake, where that is allowed."
-        ),
+        bool, option("Give the loop's nodes a processor core of their own; keep cores awake.")
     ] = True,
     composed: Annotated[
         bool,
         option(
             "Put rig, reference_force and force_controller into one process, for rates that "
-            "separate processes can't hold; topics and bits stay as they are.",
+            "separate processes can't hold; topics and samples stay the same.",
             "--composed",
         ),
     ] = False,
@@ -172,8 +63,8 @@ def run(
     check_signs: Annotated[
         bool,
         option(
-            "First move the rig by a few tenths of a millimetre, to see that units and signs of "
-            "channels and valve fit one another (seft conform looks at more).",
+            "First move the rig by a few tenths of a millimetre, to check units and signs of "
+            "channels and valve (seft conform checks more).",
             "--check-signs",
         ),
     ] = False,
@@ -185,8 +76,8 @@ def run(
 ) -> int:
     """Run an experiment as separate nodes over DDS, record it, and show how it went.
 
-    First of all the closed loop's eigenvalues must say that the test is stable, as seft preflight
-    tells at length; an unstable plan is refused.
+    The test must be stable by the closed loop's eigenvalues, which seft preflight shows in detail;
+    an unstable plan is refused.
 
     Starts ground_motion, reference_force, force_controller, rig, recorder and supervisor,
     waits until all have found each other, runs the test, and ends them.
@@ -232,9 +123,7 @@ def simulate(
     params_file: Files = None,
     out: Annotated[
         Optional[Path],
-        option(
-            "Write a bag of the same form as seft run, and a figure, into this new folder.", "DIR"
-        ),
+        option("Write a bag as seft run does, and a figure, into this new folder.", "DIR"),
     ] = None,
     figure: Figure = True,
     json: Json = False,
@@ -265,10 +154,7 @@ def simulate(
 def _with_measured_delay(experiment: Experiment) -> Experiment:
     """Measure the delay of the loop over its link, where the experiment asks for that.
 
-    Raises
-    ------
-    InputError
-        If the other side is not there.
+    Raises `InputError` if the other side does not answer.
     """
     section = experiment.sections.get("reference_force")
     if section is None or section["loop_delay"] >= 0:
@@ -292,13 +178,7 @@ def _with_measured_delay(experiment: Experiment) -> Experiment:
 
 
 def _check_stable(experiment: Experiment, accept_unstable: bool) -> None:
-    """Refuse an unstable plan, unless that is accepted; say so where its models are not known.
-
-    Raises
-    ------
-    InputError
-        If the closed loop is unstable, and that is not accepted.
-    """
+    """Raise `InputError` for an unstable plan that is not accepted; warn if it can't be judged."""
     from seft_ros.preflight.plan import Plan
     from seft_ros.preflight.stability_margins import critical_mass_ratio
     from seft_ros.preflight.stability_verdict import instability
@@ -310,26 +190,20 @@ def _check_stable(experiment: Experiment, accept_unstable: bool) -> None:
     except InputError as error:  # what the nodes themselves can't use has been refused before
         complain(f"preflight could not be done: {error}")
         return
-    told = f"unstable plan: {instability(plan)}"
+    reason = f"unstable plan: {instability(plan)}"
     if accept_unstable:
-        complain(f"{told}; accepted")
+        complain(f"{reason}; accepted")
         return
     critical = critical_mass_ratio(plan)
     where = f"; the critical mass ratio is {critical.value:.3g}" if critical else ""
     raise InputError(
-        f"{told}{where}; see seft preflight, lower reference_force: mass_ratio, choose another "
+        f"{reason}{where}; see seft preflight, lower reference_force: mass_ratio, choose another "
         "compensation.method, or run it all the same with --accept-unstable"
     )
 
 
 def _check_signs(experiment: Experiment, external: Sequence[str]) -> None:
-    """Move the rig a little, and refuse the test where its channels do not fit one another.
-
-    Raises
-    ------
-    InputError
-        If they do not, or the test has several rigs.
-    """
+    """Move the rig a little; raise `InputError` if its channels contradict each other."""
     from seft_ros.conformance.suite import TIMING, conform
 
     if len(experiment.rigs) > 1:
@@ -352,10 +226,9 @@ def _check_signs(experiment: Experiment, external: Sequence[str]) -> None:
 
 
 def _steps(experiment: Experiment) -> int:
-    """Count the steps of the test; makes the blocks to see that they can be made.
+    """Count the steps of the test, and check that its blocks can be made.
 
-    A node that is external has checked its own parameters; of such a ground motion the number
-    of steps is not known here.
+    An external node has checked its own parameters; an external ground motion counts as 0 steps.
     """
     from seft_ros.experiment.blocks import build_blocks
     from seft_ros.ground_motion.block import GroundMotion
