@@ -25,7 +25,7 @@ _COLOURS = {"good": "green", "doubt": "yellow", "bad": "red", "none": "default"}
 
 def report(
     bag: Bag,
-    out: Annotated[Optional[Path], option("The page; default report.html in BAG.", "FILE")] = None,
+    out: Optional[Path] = option(None, "The page; default report.html in BAG.", "FILE"),
     json: Json = False,
 ) -> int:
     """Show whether a recorded test can be trusted, and where it can not.
@@ -92,7 +92,7 @@ def compare(
             metavar="BAG BAG...", help="Folders of recorded tests; the first is held against each."
         ),
     ],
-    figure: Annotated[Optional[Path], option("Draw the tests on one another.", "FILE")] = None,
+    figure: Optional[Path] = option(None, "Draw the tests on one another.", "FILE"),
     json: Json = False,
 ) -> int:
     """Compare recorded tests with the first of them, sample by sample, bit for bit.
@@ -154,26 +154,22 @@ def compare(
 
 def replay(
     bag: Bag,
-    node: Annotated[
-        Optional[list[str]],
-        option(
-            "reference_force, force_controller or rig; may be given many times. "
-            "Default: all three, one after another.",
-            "NODE",
-        ),
-    ] = None,
+    node: Optional[list[str]] = option(
+        None,
+        "reference_force, force_controller or rig; may be given many times. "
+        "Default: all three, one after another.",
+        "NODE",
+    ),
     param: Params = None,
-    offline: Annotated[
-        bool, option("Feed the node's block in this process, without ROS.", "--offline")
-    ] = False,
-    out: Annotated[
-        Optional[Path],
-        option(
-            "Write the test with the replayed answers in place of the recorded as a bag, "
-            "must be new; with one --node alone.",
-            "DIR",
-        ),
-    ] = None,
+    offline: bool = option(
+        False, "Feed the node's block in this process, without ROS.", "--offline"
+    ),
+    out: Optional[Path] = option(
+        None,
+        "Write the test with the replayed answers in place of the recorded as a bag, "
+        "must be new; with one --node alone.",
+        "DIR",
+    ),
     json: Json = False,
 ) -> int:
     """Feed a recorded test to one node, and see that it answers as recorded, bit for bit.

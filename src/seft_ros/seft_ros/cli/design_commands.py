@@ -5,7 +5,7 @@
 
 import cmath
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Optional
 
 from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import InputError
@@ -31,33 +31,21 @@ def design(
     param: Params = None,
     params_file: Files = None,
     plant: Plant = Source.AUTO,
-    axis: Annotated[Optional[str], option("Axis to be shown; default the first.", "NAME")] = None,
-    crossover: Annotated[
-        Optional[float], option("Propose a controller for this crossover.", "HZ")
-    ] = None,
-    gain_margin: Annotated[float, option("Least gain margin of a proposal in dB.", "DB")] = 6.0,
-    gain: Annotated[
-        Optional[float], option("Try gain * product(s - zeros) / product(s - poles).")
-    ] = None,
-    zero: Annotated[
-        Optional[list[str]],
-        option(
-            "Its zeros, one option each: real, or with a damping ratio a conjugate pair; "
-            "0 is a differentiator.",
-            "HZ[,DAMPING]",
-        ),
-    ] = None,
-    pole: Annotated[
-        Optional[list[str]], option("Its poles; 0 is an integrator.", "HZ[,DAMPING]")
-    ] = None,
-    numerator: Annotated[
-        Optional[str], option('Or its coefficients in s, highest power first: "37".')
-    ] = None,
-    denominator: Annotated[Optional[str], option('Likewise: "1 17.14 4002".')] = None,
-    out: Annotated[
-        Optional[Path], option("Write the controller to a new parameter file.", "FILE")
-    ] = None,
-    figure: Annotated[Path, option("Where to draw.", "PNG")] = Path("design.png"),
+    axis: Optional[str] = option(None, "Axis to be shown; default the first.", "NAME"),
+    crossover: Optional[float] = option(None, "Propose a controller for this crossover.", "HZ"),
+    gain_margin: float = option(6.0, "Least gain margin of a proposal in dB.", "DB"),
+    gain: Optional[float] = option(None, "Try gain * product(s - zeros) / product(s - poles)."),
+    zero: Optional[list[str]] = option(
+        None,
+        "Its zeros, one option each: real, or with a damping ratio a conjugate pair; "
+        "0 is a differentiator.",
+        "HZ[,DAMPING]",
+    ),
+    pole: Optional[list[str]] = option(None, "Its poles; 0 is an integrator.", "HZ[,DAMPING]"),
+    numerator: Optional[str] = option(None, 'Or its coefficients in s, highest power first: "37".'),
+    denominator: Optional[str] = option(None, 'Likewise: "1 17.14 4002".'),
+    out: Optional[Path] = option(None, "Write the controller to a new parameter file.", "FILE"),
+    figure: Path = option(Path("design.png"), "Where to draw.", "PNG"),
     json: Json = False,
 ) -> int:
     """Shape the force loop: plant, controller, loop and closed loop, with margins and delay.
@@ -147,18 +135,15 @@ def preflight(
     params_file: Files = None,
     external: External = None,
     plant: Plant = Source.AUTO,
-    figure: Annotated[
-        Optional[Path],
-        option(
-            "Draw where the test would be stable: mass ratio against dead time, and against "
-            "the specimen's local stiffness.",
-            "FILE",
-        ),
-    ] = None,
-    write: Annotated[
-        Optional[Path],
-        option("Write limits that fit the test into a parameter file, for --params-file.", "FILE"),
-    ] = None,
+    figure: Optional[Path] = option(
+        None,
+        "Draw where the test would be stable: mass ratio against dead time, and against "
+        "the specimen's local stiffness.",
+        "FILE",
+    ),
+    write: Optional[Path] = option(
+        None, "Write limits that fit the test into a parameter file, for --params-file.", "FILE"
+    ),
     json: Json = False,
 ) -> int:
     """Tell whether a planned test is stable, and how far from its limits, without moving anything.

@@ -3,7 +3,7 @@
 import math
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any, Optional
+from typing import Any, Optional
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
@@ -33,52 +33,42 @@ def identify(
     config: Config,
     param: Params = None,
     params_file: Files = None,
-    over_dds: Annotated[
-        bool,
-        option(
-            "Run the tests as separate nodes over DDS, or in one process without ROS.",
-            "--over-dds/--offline",
-        ),
-    ] = False,
+    over_dds: bool = option(
+        False,
+        "Run the tests as separate nodes over DDS, or in one process without ROS.",
+        "--over-dds/--offline",
+    ),
     external: External = None,
-    signal: Annotated[str, option("Excitation.", "random|chirp")] = "random",
-    seed: Annotated[int, option("Seed of the random signal.", min=0)] = 1,
-    band: Annotated[
-        tuple[float, float],
-        option(
-            "Band of the excitation in Hz; default 0.3 to 0.45 times the rate, at most 200.",
-            "LO HI",
-            show_default=False,
-        ),
-    ] = _BY_RATE,
-    duration: Annotated[float, option("Duration of each test in s.", "S")] = 120.0,
-    amplitude: Annotated[
-        Optional[float],
-        option(
-            "RMS of the valve drive, open loop; default found by a pilot test, so that the "
-            "rig uses up to a fifth of its limits.",
-            "V",
-        ),
-    ] = None,
-    force: Annotated[
-        Optional[float],
-        option(
-            "RMS of the reference force, closed loop; default 5 m/s^2 times the mass, at "
-            "most a 20th of the force limit (chirp: 0.3 times that).",
-            "N",
-        ),
-    ] = None,
-    out: Annotated[
-        Optional[Path], option("Folder of what is made, must be new; default by the time.", "DIR")
-    ] = None,
-    specimen: Annotated[
-        bool,
-        option(
-            "Write the specimen's mass, damping and stiffness to model.yaml, too, as "
-            "reference_force's model.*.",
-            "--specimen",
-        ),
-    ] = False,
+    signal: str = option("random", "Excitation.", "random|chirp"),
+    seed: int = option(1, "Seed of the random signal.", min=0),
+    band: tuple[float, float] = option(
+        _BY_RATE,
+        "Band of the excitation in Hz; default 0.3 to 0.45 times the rate, at most 200.",
+        "LO HI",
+        show_default=False,
+    ),
+    duration: float = option(120.0, "Duration of each test in s.", "S"),
+    amplitude: Optional[float] = option(
+        None,
+        "RMS of the valve drive, open loop; default found by a pilot test, so that the "
+        "rig uses up to a fifth of its limits.",
+        "V",
+    ),
+    force: Optional[float] = option(
+        None,
+        "RMS of the reference force, closed loop; default 5 m/s^2 times the mass, at "
+        "most a 20th of the force limit (chirp: 0.3 times that).",
+        "N",
+    ),
+    out: Optional[Path] = option(
+        None, "Folder of what is made, must be new; default by the time.", "DIR"
+    ),
+    specimen: bool = option(
+        False,
+        "Write the specimen's mass, damping and stiffness to model.yaml, too, as "
+        "reference_force's model.*.",
+        "--specimen",
+    ),
     json: Json = False,
 ) -> int:
     """Identify a rig: its actuators, and the force loop that they make with the specimen.

@@ -26,37 +26,33 @@ if TYPE_CHECKING:
     from seft_ros.running.process_layout import ProcessLayout
 
 
-def option(text: str, named: str | None = None, **more: Any) -> Any:
+def option(default: Any, text: str, named: str | None = None, **more: Any) -> Any:
     """Make an option with a help text, and the name of its value, or its own such as ``--json``."""
     names, metavar = ([named], None) if named and named.startswith("--") else ([], named)
-    return typer.Option(*names, help=text, metavar=metavar, **more)
+    return typer.Option(default, *names, help=text, metavar=metavar, **more)
 
 
 _OVERRIDE = "Override a parameter, as in ROS 2; may be given many times."
 _FILES = "Another parameter file, whose values win over CONFIG's; may be given many times."
+_PLANT = (
+    "rig: the simulated rig's linear model; identified: plant.* of force_controller; "
+    "auto: the identified one where it is given."
+)
+_EXTERNAL = (
+    "This node runs already with parameters of its own, such as a lab's hardware driver as rig. "
+    "May be given many times."
+)
+_JSON = "Print one JSON object on stdout, and nothing else there."
 Config = Annotated[Path, typer.Argument(metavar="CONFIG", help="Experiment: ROS 2 parameter file.")]
 Bag = Annotated[Path, typer.Argument(metavar="BAG", help="Folder (or file) of a recorded test.")]
 Params = Annotated[
     Optional[list[str]],
     typer.Option("-p", "--param", metavar="NODE:PARAMETER:=VALUE", help=_OVERRIDE),
 ]
-Files = Annotated[Optional[list[Path]], option(_FILES, "FILE")]
-Plant = Annotated[
-    Source,
-    option(
-        "rig: the simulated rig's linear model; identified: plant.* of force_controller; "
-        "auto: the identified one where it is given."
-    ),
-]
-External = Annotated[
-    Optional[list[str]],
-    option(
-        "This node runs already with parameters of its own, such as a lab's hardware driver as "
-        "rig. May be given many times.",
-        "NODE",
-    ),
-]
-Json = Annotated[bool, option("Print one JSON object on stdout, and nothing else there.", "--json")]
+Files = Annotated[Optional[list[Path]], typer.Option(metavar="FILE", help=_FILES)]
+Plant = Annotated[Source, typer.Option(help=_PLANT)]
+External = Annotated[Optional[list[str]], typer.Option(metavar="NODE", help=_EXTERNAL)]
+Json = Annotated[bool, typer.Option("--json", help=_JSON)]
 
 
 def load_experiment(

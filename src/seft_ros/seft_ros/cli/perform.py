@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Optional
 
+import typer
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 
@@ -28,7 +29,8 @@ from seft_ros.experiment.tables import TABLES
 TRAVEL, FORCE = 0.005, 2000.0
 """Displacement (m) and force (N) at which a motion that looks at signs is stopped."""
 LINK_TIME = 5.0  # s for which a link is measured before a test
-Figure = Annotated[bool, option("Draw a figure into the bag's folder.", "--figure/--no-figure")]
+_DRAW = "Draw a figure into the bag's folder."
+Figure = Annotated[bool, typer.Option("--figure/--no-figure", help=_DRAW)]
 
 
 def run(
@@ -36,41 +38,34 @@ def run(
     param: Params = None,
     params_file: Files = None,
     external: External = None,
-    out: Annotated[
-        Optional[Path],
-        option("New folder of the bag; default in the recorder's directory, by the time.", "DIR"),
-    ] = None,
-    pin: Annotated[
-        bool, option("Give the loop's nodes a processor core of their own; keep cores awake.")
-    ] = True,
-    composed: Annotated[
-        bool,
-        option(
-            "Put rig, reference_force and force_controller into one process, for rates that "
-            "separate processes can't hold; topics and samples stay the same.",
-            "--composed",
-        ),
-    ] = False,
-    priority: Annotated[
-        int,
-        option(
-            "Real-time priority of the loop's nodes, their memory locked, cores awake; 0: none.",
-            "N",
-            min=0,
-            max=98,
-        ),
-    ] = 0,
-    check_signs: Annotated[
-        bool,
-        option(
-            "First move the rig by a few tenths of a millimetre, to check units and signs of "
-            "channels and valve (seft conform checks more).",
-            "--check-signs",
-        ),
-    ] = False,
-    accept_unstable: Annotated[
-        bool, option("Run a test that preflight finds unstable all the same.", "--accept-unstable")
-    ] = False,
+    out: Optional[Path] = option(
+        None, "New folder of the bag; default in the recorder's directory, by the time.", "DIR"
+    ),
+    pin: bool = option(
+        True, "Give the loop's nodes a processor core of their own; keep cores awake."
+    ),
+    composed: bool = option(
+        False,
+        "Put rig, reference_force and force_controller into one process, for rates that "
+        "separate processes can't hold; topics and samples stay the same.",
+        "--composed",
+    ),
+    priority: int = option(
+        0,
+        "Real-time priority of the loop's nodes, their memory locked, cores awake; 0: none.",
+        "N",
+        min=0,
+        max=98,
+    ),
+    check_signs: bool = option(
+        False,
+        "First move the rig by a few tenths of a millimetre, to check units and signs of "
+        "channels and valve (seft conform checks more).",
+        "--check-signs",
+    ),
+    accept_unstable: bool = option(
+        False, "Run a test that preflight finds unstable all the same.", "--accept-unstable"
+    ),
     figure: Figure = True,
     json: Json = False,
 ) -> int:
@@ -121,10 +116,9 @@ def simulate(
     config: Config,
     param: Params = None,
     params_file: Files = None,
-    out: Annotated[
-        Optional[Path],
-        option("Write a bag as seft run does, and a figure, into this new folder.", "DIR"),
-    ] = None,
+    out: Optional[Path] = option(
+        None, "Write a bag as seft run does, and a figure, into this new folder.", "DIR"
+    ),
     figure: Figure = True,
     json: Json = False,
 ) -> int:

@@ -1,11 +1,8 @@
-"""``seft link``: self-test of the link between two hosts.
-
-``seft conform``: whether a rig's driver keeps the contract of a test.
-"""
+"""``seft link`` and ``seft conform``: whether a link, and a rig's driver, are fit for a test."""
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Optional
+from typing import TYPE_CHECKING, Any, Optional
 
 import typer
 from seft_msgs_py.config.experiment import Experiment
@@ -33,32 +30,25 @@ RATE, SIZE = 500.0, 1000  # Hz and bytes, where no experiment tells them
 
 
 def link(
-    config: Annotated[
-        Optional[Path],
-        typer.Argument(
-            metavar="[CONFIG]",
-            help="Experiment whose rate and message size are used, and which preflight looks at.",
-        ),
-    ] = None,
+    config: Optional[Path] = typer.Argument(
+        None,
+        metavar="[CONFIG]",
+        help="Experiment whose rate and message size are used, and which preflight looks at.",
+    ),
     param: Params = None,
     params_file: Files = None,
-    echo: Annotated[
-        bool, option("Be the other side: send back what comes, until Ctrl-C.", "--echo")
-    ] = False,
-    rig: Annotated[str, option("Of several rigs, whose link it is.", "NAME")] = "",
-    duration: Annotated[float, option("Time for which the link is measured.", "S")] = 10.0,
-    out: Annotated[
-        Optional[Path],
-        option(
-            "Write the delay of the loop as a parameter file, to be read by --params-file.", "FILE"
-        ),
-    ] = None,
+    echo: bool = option(False, "Be the other side: send back what comes, until Ctrl-C.", "--echo"),
+    rig: str = option("", "Of several rigs, whose link it is.", "NAME"),
+    duration: float = option(10.0, "Time for which the link is measured.", "S"),
+    out: Optional[Path] = option(
+        None, "Write the delay of the loop to a file for --params-file.", "FILE"
+    ),
     json: Json = False,
 ) -> int:
-    """Measure the link to another host, and tell what test it is good for.
+    """Measure the link to another host, and judge which test it is fit for.
 
     Sends messages of the size of a reference force at the rate of the test, which the other side
-    sends back: seft link --echo there, or its force_controller with a loop_delay. Tells round
+    sends back: seft link --echo there, or its force_controller with a loop_delay. Reports round
     trips, loss, reordering, the delay of the loop (loop_delay) that the link needs, the rate up to
     which none would be needed, and with CONFIG the mass ratio up to which the test is stable.
 
@@ -104,7 +94,12 @@ def link(
         "reasons": reasons,
     }
     if out is not None:
-        _write(out, trips.loop_delay)
+        text = "# by seft link: steps at the rate of the experiment\nreference_force:\n"
+        text += f"  ros__parameters:\n    loop_delay: {trips.loop_delay}\n"
+        try:
+            out.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"{out}: can't be written: {error.strerror}") from None
         summary["file"] = str(out)
     show(summary, json, [link_table(summary)])
     for reason in reasons:
@@ -114,15 +109,13 @@ def link(
 
 def _rig(name: str, experiment: Experiment | None) -> RigAxes | None:
     """Find the rig whose link is measured; None where there is but one."""
-    rigs: dict[str, RigAxes | None] = {"": None}
-    if experiment is not None and len(experiment.rigs) > 1:
-        rigs = {one.name: one for one in experiment.rigs}
+    if experiment is None or len(experiment.rigs) < 2:
+        if name:
+            raise InputError(f"--rig {name}: give CONFIG of a test that has several rigs")
+        return None
+    rigs = {rig.name: rig for rig in experiment.rigs}
     if name not in rigs:
-        raise InputError(
-            f"--rig {name}: must be {' or '.join(rigs)}, whose link it is"
-            if rigs.keys() != {""}
-            else f"--rig {name}: give CONFIG of a test that has several rigs"
-        )
+        raise InputError(f"--rig {name}: must be {' or '.join(rigs)}, whose link it is")
     return rigs[name]
 
 
@@ -138,44 +131,28 @@ def _echo() -> int:
     return 0
 
 
-def _write(file: Path, loop_delay: int) -> None:
-    text = (
-        "# by seft link: steps at the rate of the experiment\n"
-        f"reference_force:\n  ros__parameters:\n    loop_delay: {loop_delay}\n"
-    )
-    try:
-        file.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{file}: can't be written: {error.strerror}") from None
-
-
 def conform(
     config: Config,
     param: Params = None,
     params_file: Files = None,
-    start_rig: Annotated[
-        bool, option("Start the simulated rig of CONFIG; else a rig runs already.", "--start-rig")
-    ] = False,
-    amplitude: Annotated[
-        Optional[float],
-        option("Largest valve command; default 0.2 V (50 N for an idealised actuator).", "V"),
-    ] = None,
-    travel: Annotated[
-        float, option("Displacement from rest at which it is stopped, m.", "M")
-    ] = 0.005,
-    force: Annotated[float, option("Change of force at which it is stopped, N.", "N")] = 2000.0,
-    yes: Annotated[
-        bool, option("Move the rig without asking: nobody is within its reach.", "--yes")
-    ] = False,
+    start_rig: bool = option(
+        False, "Start the simulated rig of CONFIG; else a rig runs already.", "--start-rig"
+    ),
+    amplitude: Optional[float] = option(
+        None, "Largest valve command; default 0.2 V (50 N for an idealised actuator).", "V"
+    ),
+    travel: float = option(0.005, "Displacement from rest at which it is stopped, m.", "M"),
+    force: float = option(2000.0, "Change of force at which it is stopped, N.", "N"),
+    yes: bool = option(False, "Move the rig without asking: nobody is within its reach.", "--yes"),
     json: Json = False,
 ) -> int:
-    """See whether a rig's driver keeps its contract (docs/hardware.md) before a test relies on it.
+    """Check that a rig's driver keeps its contract (docs/hardware.md) before a test relies on it.
 
-    Plays supervisor and force controller for a node rig that runs already, such as a lab's own
-    driver: looks at what it says and sends; moves it by a few tenths of a millimetre to see that
-    units, signs and stamps fit one another; then sends what must be refused, and falls silent, to
-    see that it trips, rests and stays at rest. Each check has one line: passed or failed, the
-    measured number, how to mend it. What fails early ends the test before the rig moves further.
+    Acts as supervisor and force controller for a node rig that runs already, such as a lab's own
+    driver: checks its messages; moves it by a few tenths of a millimetre to compare units, signs
+    and stamps; then sends what must be refused, and falls silent, to check that it trips, rests
+    and stays at rest. Each check has one line: passed or failed, the measured number, how to mend
+    it. An early failure ends the checks before the rig moves further.
 
     CONFIG has rate, axes, limits, and the specimen's mass, damping and stiffness
     (reference_force: model.*); the rig's own parameters are taken from its description.
@@ -223,15 +200,11 @@ def conform(
 
 
 def _ask(amplitude: float | None, travel: float) -> None:
-    """Have a person say that the rig may move.
-
-    Raises
-    ------
-    InputError
-        If nobody can be asked, or the answer is no.
-    """
-    told = f"{amplitude or 0.2:g} V, stopped at {1e3 * travel:g} mm"
+    """Ask a person whether the rig may move; raise `InputError` without a yes."""
+    motion = f"{amplitude or 0.2:g} V, stopped at {1e3 * travel:g} mm"
     if not sys.stdin.isatty():
-        raise InputError(f"the rig will be moved ({told}): say --yes when nobody is in its reach")
-    if not typer.confirm(f"The rig will be moved ({told}). Is nobody within its reach?", err=True):
+        raise InputError(f"the rig will be moved ({motion}): say --yes when nobody is in its reach")
+    if not typer.confirm(
+        f"The rig will be moved ({motion}). Is nobody within its reach?", err=True
+    ):
         raise InputError("nothing was moved")

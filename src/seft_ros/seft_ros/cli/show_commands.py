@@ -1,9 +1,4 @@
-"""``seft monitor``: a page that shows a running test.
-
-``seft motion``: look at a ground motion before it moves anything.
-
-``seft parameters``: the parameter tables, as text for people and for docs.
-"""
+"""``seft motion``, ``seft parameters`` and ``seft monitor``: what they show moves nothing."""
 
 import re
 import secrets
@@ -21,37 +16,31 @@ from seft_ros.experiment.tables import TABLES
 
 
 def monitor(
-    host: Annotated[
-        str,
-        option(
-            "Address to serve at; others than this host's own need a token, and show the test "
-            "to whoever has it.",
-            "ADDRESS",
-        ),
-    ] = "127.0.0.1",
-    port: Annotated[int, option("Port; 0: any that is free.", "N", min=0, max=65535)] = 8765,
-    token: Annotated[
-        str,
-        option(
-            "What a browser must know; one is made where it is needed and not given. "
-            "SEFT_MONITOR_TOKEN keeps it out of the list of processes.",
-            "TEXT",
-            envvar="SEFT_MONITOR_TOKEN",
-        ),
-    ] = "",
-    watch_token: Annotated[
-        str,
-        option(
-            "What a browser must know to watch only, without buttons; control needs a token then, "
-            "also on this host. SEFT_MONITOR_WATCH_TOKEN keeps it out of the list of processes.",
-            "TEXT",
-            envvar="SEFT_MONITOR_WATCH_TOKEN",
-        ),
-    ] = "",
-    namespace: Annotated[str, option("Namespace of the test's topics.", "NAME")] = "",
-    open_page: Annotated[
-        bool, option("Open the page in the browser, off the loop's core too.", "--open")
-    ] = False,
+    host: str = option(
+        "127.0.0.1",
+        "Address to serve at; others than this host's own need a token, and show the test to "
+        "anyone who has it.",
+        "ADDRESS",
+    ),
+    port: int = option(8765, "Port; 0: any that is free.", "N", min=0, max=65535),
+    token: str = option(
+        "",
+        "Token that a browser must send; made where it is needed and not given. "
+        "SEFT_MONITOR_TOKEN keeps it out of the list of processes.",
+        "TEXT",
+        envvar="SEFT_MONITOR_TOKEN",
+    ),
+    watch_token: str = option(
+        "",
+        "Token to watch only, without buttons; control then needs a token, also on this host. "
+        "SEFT_MONITOR_WATCH_TOKEN keeps it out of the list of processes.",
+        "TEXT",
+        envvar="SEFT_MONITOR_WATCH_TOKEN",
+    ),
+    namespace: str = option("", "Namespace of the test's topics.", "NAME"),
+    open_page: bool = option(
+        False, "Open the page in the browser, off the loop's core too.", "--open"
+    ),
 ) -> int:
     """Show a running test on a page in the browser, with buttons to start and stop it.
 
@@ -111,16 +100,12 @@ _ROWS = {
 
 def motion(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="PEER AT2, columns or csv.")],
-    column: Annotated[
-        Optional[list[int]], option("Column, from 0; once for each axis to be shown.")
-    ] = None,
-    unit: Annotated[str, option("g, m/s2 or cm/s2.")] = "g",
-    dt: Annotated[float, option("Sampling period in s, where the file has none.")] = 0.0,
-    time_scale: Annotated[float, option("0.5: twice as fast.")] = 1.0,
-    rate: Annotated[float, option("Rate of the loop in Hz.")] = 500.0,
-    figure: Annotated[
-        Optional[Path], option("Where to draw; default FILE's name + .png.", "PNG")
-    ] = None,
+    column: Optional[list[int]] = option(None, "Column, from 0; once for each axis to be shown."),
+    unit: str = option("g", "g, m/s2 or cm/s2."),
+    dt: float = option(0.0, "Sampling period in s, where the file has none."),
+    time_scale: float = option(1.0, "0.5: twice as fast."),
+    rate: float = option(500.0, "Rate of the loop in Hz."),
+    figure: Optional[Path] = option(None, "Where to draw; default FILE's name + .png.", "PNG"),
     json: Json = False,
 ) -> int:
     """Show a record as a test at this rate would use it: numbers, and a figure with spectrum.
@@ -143,17 +128,8 @@ def motion(
 
     columns = column or [0]
     axes = [f"column {index}" for index in columns]
-    given = TABLE.check(
-        {
-            "file": str(file),
-            "column": columns,
-            "unit": unit,
-            "dt": dt,
-            "time_scale": time_scale,
-            "tail": 0.0,
-        },
-        "seft motion",
-    )
+    words = {"column": columns, "unit": unit, "dt": dt, "time_scale": time_scale, "tail": 0.0}
+    given = TABLE.check({"file": str(file), **words}, "seft motion")
     defaults = {row.name: row.default for row in TABLE.rows.values()}
     block = GroundMotion.from_parameters({**defaults, **given}, axes, Timebase.from_rate(rate))
     path = figure or Path(f"{file.stem}.png")
@@ -172,9 +148,7 @@ def motion(
 
 
 def parameters(
-    node: Annotated[
-        Optional[str], typer.Argument(metavar="NODE", help="One node; default all.")
-    ] = None,
+    node: Optional[str] = typer.Argument(None, metavar="NODE", help="One node; default all."),
 ) -> int:
     """Print every parameter with type, default, unit, bounds and meaning, as Markdown.
 

@@ -4,7 +4,7 @@
 """
 
 from pathlib import Path
-from typing import Annotated, Any, Optional
+from typing import Any, Optional
 
 import typer
 from seft_msgs_py.config.experiment import Experiment
@@ -23,32 +23,26 @@ from seft_ros.cli.options import (
 
 
 def paper(
-    config: Annotated[
-        Optional[Path],
-        typer.Argument(
-            metavar="[CONFIG]",
-            help="Experiment: a ROS 2 parameter file; default the paper's rig, config/jhu.yaml, as "
-            "installed.",
-            show_default=False,
-        ),
-    ] = None,
-    file: Annotated[
-        Optional[Path],
-        option(
-            "Record: PEER AT2, columns or csv. The paper's is Kobe 1995, JMA N-S. Default: "
-            "CONFIG's motion, which is synthetic.",
-            "MOTION",
-        ),
-    ] = None,
-    unit: Annotated[Optional[str], option("g, m/s2 or cm/s2; default g.")] = None,
-    dt: Annotated[Optional[float], option("Sampling period in s, where the file has none.")] = None,
-    column: Annotated[
-        Optional[int], option("Column of the file, from 0; default the first.")
-    ] = None,
-    out: Annotated[Path, option("The page.", "HTML")] = Path("paper.html"),
-    workers: Annotated[
-        Optional[int], option("Processes that calculate; default one for each core.", min=1)
-    ] = None,
+    config: Optional[Path] = typer.Argument(
+        None,
+        metavar="[CONFIG]",
+        help="Experiment: a ROS 2 parameter file; default the paper's rig, config/jhu.yaml, as "
+        "installed.",
+        show_default=False,
+    ),
+    file: Optional[Path] = option(
+        None,
+        "Record: PEER AT2, columns or csv. The paper's is Kobe 1995, JMA N-S. Default: "
+        "CONFIG's motion, which is synthetic.",
+        "MOTION",
+    ),
+    unit: Optional[str] = option(None, "g, m/s2 or cm/s2; default g."),
+    dt: Optional[float] = option(None, "Sampling period in s, where the file has none."),
+    column: Optional[int] = option(None, "Column of the file, from 0; default the first."),
+    out: Path = option(Path("paper.html"), "The page.", "HTML"),
+    workers: Optional[int] = option(
+        None, "Processes that calculate; default one for each core.", min=1
+    ),
     param: Params = None,
     params_file: Files = None,
     json: Json = False,
@@ -114,30 +108,25 @@ def _with_motion(experiment: Experiment, file: Path | None, given: dict[str, Any
 
 def tournament(
     config: Config,
-    method: Annotated[
-        Optional[list[str]],
-        option("Compensation method; may be given many times; default all.", "NAME"),
-    ] = None,
-    mass_ratio: Annotated[
-        Optional[list[float]],
-        option("Mass ratio; may be given many times; default CONFIG's.", "ALPHA"),
-    ] = None,
-    rigs: Annotated[int, option("Number of rigs, CONFIG's own included.", min=1)] = 8,
-    spread: Annotated[
-        float,
-        option(
-            "How far the other rigs are from CONFIG's: 0.2 is up to 20 % in stiffness and "
-            "up to twice or half the damping.",
-            min=0.0,
-            max=1.0,
-        ),
-    ] = 0.1,
-    seed: Annotated[int, option("Of what is drawn for them.", min=0)] = 1,
-    workers: Annotated[
-        Optional[int],
-        option("Threads, and processes, that calculate; default one for each core.", min=1),
-    ] = None,
-    figure: Annotated[Optional[Path], option("Draw the errors of all tests.", "FILE")] = None,
+    method: Optional[list[str]] = option(
+        None, "Compensation method; may be given many times; default all.", "NAME"
+    ),
+    mass_ratio: Optional[list[float]] = option(
+        None, "Mass ratio; may be given many times; default CONFIG's.", "ALPHA"
+    ),
+    rigs: int = option(8, "Number of rigs, CONFIG's own included.", min=1),
+    spread: float = option(
+        0.1,
+        "How far the other rigs are from CONFIG's: 0.2 is up to 20 % in stiffness and "
+        "up to twice or half the damping.",
+        min=0.0,
+        max=1.0,
+    ),
+    seed: int = option(1, "Of what is drawn for them.", min=0),
+    workers: Optional[int] = option(
+        None, "Threads, and processes, that calculate; default one for each core.", min=1
+    ),
+    figure: Optional[Path] = option(None, "Draw the errors of all tests.", "FILE"),
     param: Params = None,
     params_file: Files = None,
     json: Json = False,
