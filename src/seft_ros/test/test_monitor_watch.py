@@ -9,7 +9,7 @@ from seft_msgs_py.wire.messages import Status, encode_status, encode_string
 from seft_msgs_py.wire.topics import DESCRIPTION, EXPERIMENT_STATE, RIG_STATE
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.experiment.tables import TABLES
-from seft_ros.monitor.watch import Watch
+from seft_ros.monitor.server import Watch
 
 CONFIG = Path(__file__).parents[3] / "config" / "jhu.yaml"
 EXPERIMENT = Experiment.load(TABLES, [CONFIG])

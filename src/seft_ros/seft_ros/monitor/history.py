@@ -121,6 +121,8 @@ LENGTH = 2**15
 """Samples that are kept as they came: a minute at 500 Hz."""
 SAMPLES, ENVELOPE, RECENT = range(3)
 """Frames: new samples; the whole test so far; its last stretch, which the envelope has already."""
+Frame = str | bytes
+"""What a page receives: JSON text, or a frame of samples."""
 _HEADER = struct.Struct("<4I2d")
 
 

@@ -1,33 +1,20 @@
-"""The graph as the monitor hears it, and the supervisor's services.
-
-Messages wait in the middleware until they are asked for, ten times a second: waking for each
-would cost more than all else that the monitor does. What comes in each step is not sent again
-when it is lost, so that a monitor that is held up holds up nobody.
-
-The monitor's process: polls the graph ten times a second, and serves the page.
-"""
+"""The monitor's process: polls the graph ten times a second, and serves pages with what is new."""
 
 import asyncio
 import contextlib
 import errno
 import gc
+import json
 import os
 import signal
 import socket
-import threading
-from collections.abc import Callable
-from typing import Any
+import time
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
 
-import rclpy
-from rclpy.client import Client
-from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
-from rclpy.subscription import Subscription
-from seft_msgs_py.errors import InputError
-from seft_msgs_py.node.exit_watchdog import leave_graph
-from seft_msgs_py.node.middleware import prepare_on_this_host
-from seft_msgs_py.node.wait_set import raw_subscription, take_all
+from seft_msgs_py.errors import InputError, WireError
+from seft_msgs_py.wire.messages import decode_description, decode_diagnostics, decode_status
+from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
@@ -35,115 +22,158 @@ from seft_msgs_py.wire.topics import (
     GROUND_MOTION,
     REFERENCE_FORCE,
     RIG_STATE,
-    LoopTopic,
     Topic,
 )
-from std_srvs.srv import Trigger
 from tornado.httpserver import HTTPServer
 
 from seft_ros.monitor.access import Tokens, is_loopback
-from seft_ros.monitor.intake import Messages
+from seft_ros.monitor.history import RECENT, Frame, envelope_frame, samples_frame
+from seft_ros.monitor.intake import Intake
+from seft_ros.monitor.session import Session
 
-SERVICES = ("start", "stop", "estop", "reset")
-PATIENCE = {"start": 1.0, "stop": 3.0, "estop": 3.0, "reset": 1.0}  # s for an answer
-READ_DEPTH = 4096
-MOST_AT_ONCE = 8192
-_TOPICS = (EXPERIMENT_STATE, DESCRIPTION, DIAGNOSTICS, GROUND_MOTION, RIG_STATE, REFERENCE_FORCE)
-_DEPTHS = {EXPERIMENT_STATE: 64, DESCRIPTION: 64, DIAGNOSTICS: 512}
+if TYPE_CHECKING:  # Watch itself needs no ROS
+    from seft_ros.monitor.graph import Graph
 
-
-class Graph:
-    """A node that listens to a test.
-
-    Parameters
-    ----------
-    namespace : str
-        In which the test's topics and services are; empty: none.
-
-    Attributes
-    ----------
-    domain : int
-        ROS domain.
-    """
-
-    def __init__(self, namespace: str = "") -> None:
-        prepare_on_this_host()
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self._node = Node(
-            f"seft_monitor_{os.getpid()}",
-            namespace=namespace or None,
-            start_parameter_services=False,
-            enable_rosout=False,
-        )
-        self.domain: int = self._node.context.get_domain_id()
-        self._subscriptions: dict[str, Subscription] = {}
-        for topic in _TOPICS:
-            self._subscribe(topic)
-        # made now, and so found by the time that a stop is wanted
-        self._clients: dict[str, Client] = {
-            name: self._node.create_client(Trigger, name) for name in SERVICES
-        }
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self._node)
-        self._stopping = False
-        self._thread = threading.Thread(target=self._serve_clients, daemon=True)
-        self._thread.start()
-
-    def take(self, topic: Topic) -> Messages:
-        """Take what has come on a topic: bytes, and the wall-clock time in ns of their sending.
-
-        A topic of one of several rigs is listened to from the first time on.
-        """
-        if topic.name not in self._subscriptions:
-            self._subscribe(topic)
-        return take_all(self._subscriptions[topic.name], MOST_AT_ONCE)
-
-    def _subscribe(self, topic: Topic) -> None:
-        of_each_step = isinstance(topic, LoopTopic) and not topic.latched
-        self._subscriptions[topic.name] = raw_subscription(
-            self._node, topic, _DEPTHS.get(topic, READ_DEPTH), not of_each_step
-        )
-
-    async def call(self, service: str) -> tuple[bool, str]:
-        """Call a service of the supervisor; return whether it was done, and its answer."""
-        client = self._clients[service]
-        if not client.service_is_ready():
-            return False, f"{service} was not delivered: there is no supervisor on the graph"
-        loop = asyncio.get_running_loop()
-        answered: asyncio.Future[Any] = loop.create_future()
-
-        def answer(response: Any) -> None:
-            if not answered.done():
-                answered.set_result(response)
-
-        pending = client.call_async(Trigger.Request())
-        pending.add_done_callback(lambda done: loop.call_soon_threadsafe(answer, done.result()))
-        try:
-            response = await asyncio.wait_for(answered, PATIENCE[service])
-        except TimeoutError:
-            client.remove_pending_request(pending)
-            return False, f"the supervisor did not answer {service} within {PATIENCE[service]:g} s"
-        return response.success, response.message
-
-    def close(self) -> None:
-        """Leave the graph."""
-        self._stopping = True
-        self._executor.wake()
-        self._thread.join(timeout=3.0)
-        self._executor.shutdown(timeout_sec=1.0)
-        leave_graph(self._node)
-
-    def _serve_clients(self) -> None:
-        try:
-            while not self._stopping and rclpy.ok():
-                self._executor.spin_once(timeout_sec=2.0)
-        except (ExternalShutdownException, ShutdownException):
-            return
-
+TELLERS = ("rig", "reference_force", "force_controller", "ground_motion", "supervisor")
+"""Who is believed about rate and axes, the first first."""
 
 PERIOD = 0.1  # s
 NICE = 3
 """Gives way to the nodes, and still answers a stop on a busy machine."""
+LATEST = 1.0  # s from a press to the supervisor
+
+
+class Watch:
+    """Moves what comes from a graph to a `Session` and an `Intake`, and makes frames of it.
+
+    Parameters
+    ----------
+    graph : Graph
+        What is watched.
+    now : callable, optional
+        Time that requests of pages are dated by, s.
+    """
+
+    def __init__(self, graph: "Graph", now: Callable[[], float] = time.monotonic) -> None:
+        self._graph, self._now = graph, now
+        self.session = Session()
+        self.intake: Intake | None = None
+        self._told: dict[str, str] = {}
+        self._refused = 0
+
+    def poll(self) -> list[Frame]:
+        """Take what has come; give what is new, for pages that know the rest."""
+        self._hear_nodes()
+        intake = self.intake
+        if intake is None:
+            return self._news()  # samples wait in the middleware until they can be read
+        take, before = self._graph.take, intake.number
+        intake.motion(take(GROUND_MOTION))
+        forces = take(REFERENCE_FORCE)  # before the states: of each the state has come, too
+        new = intake.samples([take(RIG_STATE.of(rig)) for rig in intake.rigs], forces)
+        if intake.number != before:  # also without word of the supervisor
+            self.session.begin()
+        return self._news() + [samples_frame(intake.number, stretch) for stretch in new]
+
+    def everything(self) -> list[Frame]:
+        """Give all that a page needs which has just been opened."""
+        frames: list[Frame] = [*self._told.values(), self._time()]
+        if self.intake is not None and self.intake.number:
+            history, number = self.intake.history, self.intake.number
+            frames.append(envelope_frame(number, history.envelope))
+            frames.append(samples_frame(number, history.recent(), RECENT))
+        return frames
+
+    def lateness(self, state: int, at_ms: float) -> str:
+        """Say why a request to start or reset is not carried out; empty if it may be.
+
+        Parameters
+        ----------
+        state : int
+            `Session.number` when it was made.
+        at_ms : float
+            Time of this process when it was made, as the page knows it, ms.
+        """
+        if not 0.0 <= (late := self._now() - at_ms / 1e3) <= LATEST:
+            return f"it came {late:.1f} s late, and only a stop may; press it again"
+        if state != self.session.number:
+            return f"the test is {self.session.summary()['state']} by now; look, and press it again"
+        return ""
+
+    def _hear_nodes(self) -> None:
+        session = self.session
+        session.poll()
+        for node, description in self._decoded(DESCRIPTION, decode_description):
+            session.on_description(node, description["parameters"])
+            self._follow_description()
+        for status in self._decoded(EXPERIMENT_STATE, decode_status):
+            if session.on_state(status):
+                session.begin()
+                if self.intake is not None:
+                    self.intake.clear()
+        dt = self.intake.timebase.dt if self.intake else 0.0
+        for _, statuses in self._decoded(DIAGNOSTICS, decode_diagnostics):
+            session.on_diagnostics(statuses, dt)
+
+    def _decoded[Content](
+        self, topic: Topic, decode: Callable[[bytes], Content]
+    ) -> Iterator[Content]:
+        """Give what has come on a topic, and count what is not understood."""
+        for raw, _ in self._graph.take(topic):
+            try:
+                content = decode(raw)
+            except WireError:
+                self._refused += 1
+            else:
+                yield content
+
+    def _follow_description(self) -> None:
+        """Make what takes in samples anew where rate or axes have changed."""
+        sections = self.session.sections
+        teller = next((node for node in TELLERS if node in sections), None)
+        if teller is None:
+            return
+        try:
+            timebase = Timebase.from_rate(float(sections[teller]["rate"]))
+            axes = tuple(str(axis) for axis in sections[teller]["axes"])
+        except (InputError, KeyError, TypeError, ValueError):
+            self._refused += 1
+            return
+        intake = self.intake
+        if intake is None or intake.timebase != timebase or intake.signals.axes != axes:
+            intake = self.intake = Intake(axes, timebase, intake.number if intake else 0)
+        intake.describe(dict(sections))
+
+    def _news(self) -> list[Frame]:
+        """Make texts of what the nodes say; give those that are not as they were."""
+        session, intake = self.session, self.intake
+        test: dict[str, Any] = {"domain": self._graph.domain}
+        if intake is not None:
+            test |= {
+                "test": intake.number,
+                "dt": intake.timebase.dt,
+                "signals": intake.signals.layout(),
+                "reference_note": intake.reference_note,
+            }
+        refused = self._refused + (intake.refused if intake else 0)
+        messages: dict[str, dict[str, Any]] = {
+            "test": test,
+            "status": {**session.summary(), "refused": refused},
+            "events": {"events": session.events()},
+            "motion": {"motion": intake.own_motion if intake else {}},
+            "round_trips": {"round_trips": session.round_trips},
+        }
+        news: list[Frame] = []
+        for kind, content in messages.items():
+            text = json.dumps({"kind": kind, **content}, separators=(",", ":"))
+            if self._told.get(kind) != text:
+                self._told[kind] = text
+                news.append(text)
+        return [*news, self._time()]
+
+    def _time(self) -> str:
+        """Tell the time of this process: that it lives, and when a page was told what it shows."""
+        return json.dumps({"kind": "time", "at": round(1e3 * self._now())})
 
 
 def listen(host: str, port: int) -> socket.socket:
@@ -196,8 +226,7 @@ def serve(
     ready : callable
         Called when the page can be opened.
     """
-    from seft_ros.monitor.server import Graph
-    from seft_ros.monitor.watch import Watch
+    from seft_ros.monitor.graph import Graph
     from seft_ros.monitor.web import Pages, application
 
     graph = Graph(namespace)

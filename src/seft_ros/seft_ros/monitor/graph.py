@@ -1,0 +1,130 @@
+"""The ROS graph for the monitor, and the supervisor's services.
+
+Messages wait in the middleware until they are asked for, ten times a second: waking for each
+would cost more than all else that the monitor does. Lost messages of the loop are not sent again,
+so that a slow monitor delays nobody.
+"""
+
+import asyncio
+import os
+import threading
+from typing import Any
+
+import rclpy
+from rclpy.client import Client
+from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
+from seft_msgs_py.node.exit_watchdog import leave_graph
+from seft_msgs_py.node.middleware import prepare_on_this_host
+from seft_msgs_py.node.wait_set import raw_subscription, take_all
+from seft_msgs_py.wire.topics import (
+    DESCRIPTION,
+    DIAGNOSTICS,
+    EXPERIMENT_STATE,
+    GROUND_MOTION,
+    REFERENCE_FORCE,
+    RIG_STATE,
+    LoopTopic,
+    Topic,
+)
+from std_srvs.srv import Trigger
+
+from seft_ros.monitor.intake import Messages
+
+SERVICES = ("start", "stop", "estop", "reset")
+PATIENCE = {"start": 1.0, "stop": 3.0, "estop": 3.0, "reset": 1.0}  # s for an answer
+READ_DEPTH = 4096
+MOST_AT_ONCE = 8192
+_TOPICS = (EXPERIMENT_STATE, DESCRIPTION, DIAGNOSTICS, GROUND_MOTION, RIG_STATE, REFERENCE_FORCE)
+_DEPTHS = {EXPERIMENT_STATE: 64, DESCRIPTION: 64, DIAGNOSTICS: 512}
+
+
+class Graph:
+    """A node that listens to a test.
+
+    Parameters
+    ----------
+    namespace : str
+        In which the test's topics and services are; empty: none.
+
+    Attributes
+    ----------
+    domain : int
+        ROS domain.
+    """
+
+    def __init__(self, namespace: str = "") -> None:
+        prepare_on_this_host()
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        self._node = Node(
+            f"seft_monitor_{os.getpid()}",
+            namespace=namespace or None,
+            start_parameter_services=False,
+            enable_rosout=False,
+        )
+        self.domain: int = self._node.context.get_domain_id()
+        self._subscriptions: dict[str, Subscription] = {}
+        for topic in _TOPICS:
+            self._subscribe(topic)
+        # made now, and so found by the time that a stop is wanted
+        self._clients: dict[str, Client] = {
+            name: self._node.create_client(Trigger, name) for name in SERVICES
+        }
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        self._stopping = False
+        self._thread = threading.Thread(target=self._serve_clients, daemon=True)
+        self._thread.start()
+
+    def take(self, topic: Topic) -> Messages:
+        """Take what has come on a topic: bytes, and the wall-clock time in ns of their sending.
+
+        A topic of one of several rigs is listened to from the first time on.
+        """
+        if topic.name not in self._subscriptions:
+            self._subscribe(topic)
+        return take_all(self._subscriptions[topic.name], MOST_AT_ONCE)
+
+    def _subscribe(self, topic: Topic) -> None:
+        of_each_step = isinstance(topic, LoopTopic) and not topic.latched
+        self._subscriptions[topic.name] = raw_subscription(
+            self._node, topic, _DEPTHS.get(topic, READ_DEPTH), not of_each_step
+        )
+
+    async def call(self, service: str) -> tuple[bool, str]:
+        """Call a service of the supervisor; return whether it was done, and its answer."""
+        client = self._clients[service]
+        if not client.service_is_ready():
+            return False, f"{service} was not delivered: there is no supervisor on the graph"
+        loop = asyncio.get_running_loop()
+        answered: asyncio.Future[Any] = loop.create_future()
+
+        def answer(response: Any) -> None:
+            if not answered.done():
+                answered.set_result(response)
+
+        pending = client.call_async(Trigger.Request())
+        pending.add_done_callback(lambda done: loop.call_soon_threadsafe(answer, done.result()))
+        try:
+            response = await asyncio.wait_for(answered, PATIENCE[service])
+        except TimeoutError:
+            client.remove_pending_request(pending)
+            return False, f"the supervisor did not answer {service} within {PATIENCE[service]:g} s"
+        return response.success, response.message
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._stopping = True
+        self._executor.wake()
+        self._thread.join(timeout=3.0)
+        self._executor.shutdown(timeout_sec=1.0)
+        leave_graph(self._node)
+
+    def _serve_clients(self) -> None:
+        try:
+            while not self._stopping and rclpy.ok():
+                self._executor.spin_once(timeout_sec=2.0)
+        except (ExternalShutdownException, ShutdownException):
+            return
