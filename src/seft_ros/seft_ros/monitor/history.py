@@ -1,6 +1,4 @@
-"""Samples of a test as a monitor shows them: the signals, and the states of several rigs.
-
-What a test has done so far: the last stretch sample by sample, the whole as an envelope.
+"""History of a test: its signals, the last stretch sample by sample, the whole as an envelope.
 
 A page gets both as frames: a header, and float32 values signal by signal.
 """
@@ -203,8 +201,8 @@ class Stretch(NamedTuple):
 class History:
     """Signals of a test by step, from topics that come one after another.
 
-    What belongs to a step is written in any order; when no more of it is to be expected, it is
-    released, and then no longer changed.
+    Signals of a step are written in any order; a step is released when no more is expected, and
+    does not change after that.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The response to the ground motion of a running test, and the motion that it is a test of."""
+"""Reference response of a running test, and the ground motion that it really tests."""
 
 from typing import Any
 
@@ -46,8 +46,8 @@ class _Motion:
 class LiveReference:
     """Follows the ground motion of one test after another.
 
-    The first of a test's motion comes before the test begins; to who listens only later it
-    comes when it comes, all of it if the publisher still has all.
+    The first of a test's motion arrives before the test begins; a monitor that starts later gets
+    all of it if the publisher still has all.
 
     Attributes
     ----------
@@ -103,15 +103,15 @@ class LiveMotion:
 
     Parameters
     ----------
-    told : Experiment
-        What is told of the structure, as `assumed_structure` gives it.
+    assumed : Experiment
+        Assumed structure, see `assumed_structure`.
     """
 
-    def __init__(self, told: Experiment) -> None:
-        dt = told.timebase.dt
-        self._equivalent = EquivalentMotion(whole_structure(told), dt)
-        self._responses = RunningResponse(told), RunningResponse(told)
-        self._natural = natural_frequencies(told)
+    def __init__(self, assumed: Experiment) -> None:
+        dt = assumed.timebase.dt
+        self._equivalent = EquivalentMotion(whole_structure(assumed), dt)
+        self._responses = RunningResponse(assumed), RunningResponse(assumed)
+        self._natural = natural_frequencies(assumed)
         self._frequency = spectrum_frequencies((self._natural[0], self._natural[-1]), dt)
         self._spectra = RunningSpectrum(1 / self._frequency, dt, DAMPING)
         self._squares = np.zeros(2)  # of the response, and of the difference
@@ -119,8 +119,8 @@ class LiveMotion:
     @classmethod
     def of(cls, experiment: Experiment) -> "LiveMotion | None":
         """Make one, if the structure is known."""
-        told = assumed_structure(experiment)
-        return None if told is None else cls(told)
+        assumed = assumed_structure(experiment)
+        return None if assumed is None else cls(assumed)
 
     def advance(self, asked: Floats, states: Floats) -> None:
         """Go on over the next N steps.

@@ -35,7 +35,7 @@ if TYPE_CHECKING:  # Watch itself needs no ROS
     from seft_ros.monitor.graph import Graph
 
 TELLERS = ("rig", "reference_force", "force_controller", "ground_motion", "supervisor")
-"""Who is believed about rate and axes, the first first."""
+"""Nodes whose rate and axes are used, the first that is there."""
 
 PERIOD = 0.1  # s
 NICE = 3
