@@ -176,7 +176,9 @@ def test_a_run_is_shown_survives_a_reload_and_is_stopped_at_once(browser, monito
     assert "aborted by the operator" in text(browser, "state-detail")
     assert test.wait(60) == 1
     assert "aborted by the operator" in test.stderr.read()
-    wait_for(lambda: "have shut down" in text(browser, "state-detail"), "the nodes' end to be shown")
+    wait_for(
+        lambda: "have shut down" in text(browser, "state-detail"), "the nodes' end to be shown"
+    )
     os.kill(server.pid, signal.SIGSTOP)
     wait_for(lambda: state(browser) == "no data", "the page to miss the monitor")
     assert browser.find_element("tag name", "body").get_attribute("data-stale") == "true"

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from seft_plant_sim.springs import HystereticSpring
 from seft_ros.force_controller.force_control import LinearControl
-from seft_ros.reference_force.compensator import LinearCompensator, LinearFilter
+from seft_ros.reference_force.linear_filter import LinearCompensator, LinearFilter
 
 
 def half(knowledge, share=0.25):

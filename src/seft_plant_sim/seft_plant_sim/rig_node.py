@@ -28,9 +28,16 @@ from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
 from seft_plant_sim.command import Command
 from seft_plant_sim.rig import Rig, Stopped
-from seft_plant_sim.rig_diagnostics import RoundTrip, with_health
 from seft_plant_sim.rig_parameters import TABLE
-from seft_plant_sim.rig_timing import CommandWatch, RecorderLag, SampleClock, Supervision, elapsed
+from seft_plant_sim.rig_watch import (
+    CommandWatch,
+    RecorderLag,
+    RoundTrip,
+    SampleClock,
+    Supervision,
+    elapsed,
+    with_health,
+)
 
 CLOCK_PERIOD = 0.1  # s of the test's time
 BREATH = 0.005  # s from the first answer in realtime to the time of step 0

@@ -31,7 +31,7 @@ from seft_msgs_py.wire.topics import CLOCK_TOPIC, EXPERIMENT_STATE, RIG_STATE, V
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 from seft_plant_sim.command import Command
 from seft_plant_sim.limits import Limits
-from seft_plant_sim.rig_timing import CommandWatch, elapsed
+from seft_plant_sim.rig_watch import CommandWatch, elapsed
 
 from rig_driver.calibration import Calibration
 from rig_driver.hardware import Hardware

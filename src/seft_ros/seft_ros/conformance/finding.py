@@ -43,7 +43,7 @@ _OBEDIENCE = {
     "trip is latched": "keep a trip until experiment/state is idle",
     "watchdog: supervisor silent": "",
     "stands still": "before each command look how long the last new one is ago, by a clock that "
-    "goes on meanwhile: seft_plant_sim.rig_timing.CommandWatch shows how",
+    "goes on meanwhile: seft_plant_sim.rig_watch.CommandWatch shows how",
     "rests when done": "end the test at once when experiment/state is done",
     "rests when tripped": "end the test at once when experiment/state is tripped",
     "rests in a test under way": "begin only where experiment/state was ready before: a rig that "

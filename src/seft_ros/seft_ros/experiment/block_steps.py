@@ -17,11 +17,7 @@ from seft_ros.force_controller.velocity_feedforward import (
     VelocityFeedforward,
     feedforward_step,
 )
-from seft_ros.reference_force.compensator import (
-    LinearCompensator,
-    LinearParameters,
-    linear_step,
-)
+from seft_ros.reference_force.linear_filter import LinearCompensator, LinearParameters, linear_step
 from seft_ros.target.target_motion import TargetMotion
 from seft_ros.target.target_step import TargetParameters, target_estimates, target_step
 

@@ -9,7 +9,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from seft_ros.force_controller.force_control import LinearControl
-from seft_ros.reference_force.compensator import LinearFilter
+from seft_ros.reference_force.linear_filter import LinearFilter
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]

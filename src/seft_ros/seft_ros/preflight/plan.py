@@ -17,7 +17,8 @@ from seft_ros.loop_shaping import Source
 from seft_ros.preflight.closed_loop import ClosedLoop, closed_loop, growth_rate
 from seft_ros.preflight.frozen import BOUNDS, frozen_feedforward, frozen_target, read_of_points
 from seft_ros.preflight.loop_rig import choose_rig
-from seft_ros.reference_force.compensator import Compensator, LinearFilter
+from seft_ros.reference_force.compensator import Compensator
+from seft_ros.reference_force.linear_filter import LinearFilter
 from seft_ros.reference_force.reference_force_block import compensator, knowledge
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 from seft_ros.target.target_motion import TargetMotion

@@ -7,15 +7,10 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from seft_msgs_py.config.arrays import Floats
 
-from seft_ros.reference_force.compensator import Knowledge, LinearFilter
-from seft_ros.reference_force.delay_compensation import (
-    Memory,
-    Signals,
-    VaryingFilter,
-    delay_range,
-    given_delay,
-)
+from seft_ros.reference_force.compensator import Knowledge, Signals
+from seft_ros.reference_force.delay_compensation import delay_range, given_delay
 from seft_ros.reference_force.delay_estimator import ForceBlocks, whole_steps
+from seft_ros.reference_force.linear_filter import LinearFilter, Memory, VaryingFilter
 
 WINDOW = 1.0
 """Moving window of the least squares, s."""

@@ -17,18 +17,13 @@ from seft_ros.reference_force.ats import Ats
 from seft_ros.reference_force.compensator import (
     Compensator,
     Knowledge,
-    LinearCompensator,
-    LinearFilter,
     Method,
-)
-from seft_ros.reference_force.delay_compensation import (
-    DelayFilter,
-    Memory,
     Signals,
     between_samples,
-    delay_method,
 )
+from seft_ros.reference_force.delay_compensation import DelayFilter, delay_method
 from seft_ros.reference_force.delay_estimator import whole_steps
+from seft_ros.reference_force.linear_filter import LinearCompensator, LinearFilter, Memory
 from seft_ros.reference_force.reference_force_parameters import OWN, REGISTERED
 from seft_ros.target.target_motion import TargetMotion
 

@@ -1,176 +1,14 @@
-"""What all compensation methods have in common, and the linear ones among them."""
+"""What all compensation methods have in common, and the signals that their equations use."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from seft_msgs_py.config.arrays import Floats
-from seft_plant_sim.compiled import compiled, entry_point
 from seft_plant_sim.computed_substructure import ComputedSubstructure
-from seft_plant_sim.integration import multiply
 
-
-@dataclass(frozen=True)
-class LinearFilter:
-    """Linear, time-invariant compensation of n axes, with its states s.
-
-    With the measured y = (x, v, a, f) and the ground accelerations g of this step and the
-    `preview` coming ones::
-
-        f_r[k] = c s[k] + d y[k] + e g[k...]
-        s[k+1] = a s[k] + b y[k] + h g[k...]
-
-    The reference force itself may be among the states. Preflight takes the eigenvalues of the
-    closed loop from these very matrices.
-
-    Attributes
-    ----------
-    a, b, h : ndarray
-        Shapes (s, s), (s, 4n) and (s, (1 + preview) n).
-    c, d, e : ndarray
-        Shapes (n, s), (n, 4n) and (n, (1 + preview) n).
-    """
-
-    a: Floats
-    b: Floats
-    h: Floats
-    c: Floats
-    d: Floats
-    e: Floats
-
-    @classmethod
-    def of_gains(cls, d: Floats, e: Floats) -> "LinearFilter":
-        """Filter that remembers nothing."""
-        n = len(d)
-        b, h = np.zeros((0, d.shape[1])), np.zeros((0, e.shape[1]))
-        return cls(np.zeros((0, 0)), b, h, np.zeros((n, 0)), d, e)
-
-    @property
-    def axes(self) -> int:
-        """Number of axes n."""
-        return len(self.d)
-
-    @property
-    def preview(self) -> int:
-        """Steps of coming ground motion that it looks at."""
-        return self.e.shape[1] // self.axes - 1
-
-    def delayed(self, steps: int) -> "LinearFilter":
-        """Filter whose reference force comes so many steps later."""
-        if not steps:
-            return self
-        n, size, late = self.axes, len(self.a), self.axes * steps
-        shift = np.eye(late, k=-n)  # the newest force first
-        first = np.eye(late, n)
-        return LinearFilter(
-            a=np.block([[self.a, np.zeros((size, late))], [first @ self.c, shift]]),
-            b=np.vstack([self.b, first @ self.d]),
-            h=np.vstack([self.h, first @ self.e]),
-            c=np.hstack([np.zeros((n, size)), np.eye(n, late, k=late - n)]),
-            d=np.zeros_like(self.d),
-            e=np.zeros_like(self.e),
-        )
-
-    def matrix(self) -> Floats:
-        """Matrix from (s, y, g) to (f_r, s of the next step)."""
-        return np.block([[self.c, self.d, self.e], [self.a, self.b, self.h]])
-
-
-class LinearParameters(NamedTuple):
-    """What `linear_step` does not change: `LinearFilter.matrix`, transposed."""
-
-    matrix: Floats
-
-
-class LinearState(NamedTuple):
-    """What it does: states and inputs (s, y, g), and what the matrix makes of them (f_r, s)."""
-
-    work: Floats
-    result: Floats
-
-
-@compiled
-def linear_step(
-    parameters: LinearParameters,
-    state: LinearState,
-    ground: Floats,
-    measured: Floats,
-    pace: float,
-    points: Floats,
-) -> None:
-    """Compute the reference force of one step.
-
-    Parameters
-    ----------
-    parameters, state
-        The state is brought up to date.
-    ground : ndarray
-        Ground acceleration of this step and the coming ones, shape (1 + preview, n), m/s^2.
-    measured : ndarray
-        Displacement, velocity, acceleration and force, shape (4, n).
-    pace : float
-        Of no matter here, see `target_step`.
-    points : ndarray
-        The result, shape (1, 1, n), N.
-    """
-    work, result, n = state.work, state.result, measured.shape[1]
-    place = states = len(result) - n
-    for row in range(4):
-        for i in range(n):
-            work[place] = measured[row, i]
-            place += 1
-    for row in range(len(ground)):
-        for i in range(n):
-            work[place] = ground[row, i]
-            place += 1
-    multiply(parameters.matrix, work, result)
-    for i in range(n):
-        points[0, 0, i] = result[i]
-    for i in range(states):
-        work[i] = result[n + i]
-
-
-class LinearCompensator:
-    """A `LinearFilter` as a compensator: one matrix-vector product to a step.
-
-    Parameters
-    ----------
-    linear_filter : LinearFilter
-        The method.
-
-    Attributes
-    ----------
-    parameters, state : LinearParameters, LinearState
-        What `linear_step` takes, here and in a compiled loop.
-    """
-
-    def __init__(self, linear_filter: LinearFilter) -> None:
-        self.preview, n = linear_filter.preview, linear_filter.axes
-        self._filter = linear_filter
-        self.parameters = LinearParameters(np.ascontiguousarray(linear_filter.matrix().T))
-        self.state = LinearState(*map(np.zeros, self.parameters.matrix.shape))
-        self._points, measured = np.zeros((1, 1, n)), np.zeros((4, n))
-        arguments = measured, measured, 1.0, self._points
-        self._step = entry_point(linear_step, self.parameters, self.state, *arguments)
-
-    def reset(self) -> None:
-        """Forget the test so far."""
-        self.state.work[:] = 0.0
-
-    def step(self, ground_motion: Floats, state: Floats) -> Floats:
-        """Compute the reference force of one step, see `Compensator.step`."""
-        ground, state = (np.ascontiguousarray(each, np.float64) for each in (ground_motion, state))
-        self._step(self.parameters, self.state, ground, state, 1.0, self._points)
-        return self._points[0, 0].copy()
-
-    def estimates(self) -> dict[str, Floats]:
-        """Nothing is identified on line."""
-        return {}
-
-    def linear(self) -> LinearFilter:
-        """Return the filter."""
-        return self._filter
+from seft_ros.reference_force.linear_filter import LinearFilter
 
 
 @dataclass(frozen=True)
@@ -276,3 +114,70 @@ def tells_motion(compensator: Compensator) -> bool:
 
 
 Method = Callable[[Knowledge], Compensator]
+
+
+def between_samples(steps: float, count: int) -> Floats:
+    """Weights of ``count`` samples for the value ``steps`` after the first: linear interpolation.
+
+    Returns
+    -------
+    ndarray
+        Shape (count,); beyond the last sample they give that one.
+    """
+    weights: Floats = np.maximum(0.0, 1.0 - np.abs(np.arange(count) - min(steps, count - 1.0)))
+    return weights
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Each signal as a matrix of n rows over the columns (s, y, g) of `LinearFilter.matrix`.
+
+    What is added and multiplied by matrices with these is a gain matrix in the end.
+
+    Attributes
+    ----------
+    knowledge : Knowledge
+        The test.
+    preview : int
+        Coming steps of the ground motion among the columns.
+    blocks : int
+        Blocks of n states among them.
+    """
+
+    knowledge: Knowledge
+    preview: int
+    blocks: int = 0
+
+    def state(self, block: int) -> Floats:
+        """Block of states, shape (n, columns)."""
+        return self._rows(block)
+
+    @property
+    def displacement(self) -> Floats:
+        """Measured displacement x, shape (n, columns)."""
+        return self._rows(self.blocks)
+
+    @property
+    def velocity(self) -> Floats:
+        """Measured velocity v, shape (n, columns)."""
+        return self._rows(self.blocks + 1)
+
+    @property
+    def acceleration(self) -> Floats:
+        """Measured acceleration a, shape (n, columns)."""
+        return self._rows(self.blocks + 2)
+
+    @property
+    def restoring_force(self) -> Floats:
+        """Measured restoring force r = f - M_e a, shape (n, columns)."""
+        return self._rows(self.blocks + 3) - self.knowledge.mass @ self.acceleration
+
+    def ground_motion(self, time: float) -> Floats:
+        """Ground acceleration ``time`` seconds from now, shape (n, columns)."""
+        n = self.knowledge.axes
+        weights = between_samples(time / self.knowledge.dt, 1 + self.preview)
+        return np.hstack([np.zeros((n, (self.blocks + 4) * n)), np.kron(weights, np.eye(n))])
+
+    def _rows(self, block: int) -> Floats:
+        n = self.knowledge.axes
+        return np.eye(n, (self.blocks + 5 + self.preview) * n, k=block * n)

@@ -15,12 +15,8 @@ import numpy as np
 from seft_msgs_py.config.arrays import Floats
 from seft_plant_sim.lti import first_order_hold
 
-from seft_ros.reference_force.compensator import (
-    Compensator,
-    Knowledge,
-    LinearCompensator,
-    LinearFilter,
-)
+from seft_ros.reference_force.compensator import Compensator, Knowledge
+from seft_ros.reference_force.linear_filter import LinearCompensator, LinearFilter
 
 REST_CORNER = 30.0  # Hz up to which the model's restoring force is corrected by the measured one
 
