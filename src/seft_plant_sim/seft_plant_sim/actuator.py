@@ -149,7 +149,7 @@ def lost_opening(pistons: Floats, i: int, w: float, p: float) -> float:
     limit, load = pistons[i, OPENING], pistons[i, PER_CAPACITY] * p
     opening = limit if w > limit else -limit if w < -limit else w
     left = 1.0 - load if w >= 0.0 else 1.0 + load
-    # the root of what is left of the supply pressure; back through the valve below zero
+    # root of the remaining supply pressure; below zero the flow reverses
     return opening * left / math.sqrt(max(abs(left), STALL)) - w
 
 

@@ -1,4 +1,4 @@
-"""Messages that settle commands of coming steps: the newest that a rig may apply."""
+"""Commands of a rig: which message settles the command of a step."""
 
 from collections import deque
 
@@ -21,7 +21,7 @@ class MessagesAhead:
         self._messages = deque([(-1, nothing)])
 
     def add(self, step: int, points: Floats) -> None:
-        """Add the message of a step, newer than those before: points of it and coming steps."""
+        """Add the message of a step, newer than those before: points of it and later steps."""
         self._messages.append((step, points))
 
     def of(self, step: int) -> tuple[int, Floats]:
@@ -35,7 +35,7 @@ class MessagesAhead:
 class Command:
     """Takes the messages of one topic, and keeps the newest that fits the test.
 
-    A message that is refused leaves what is held as it is: to the rig, its command is missing.
+    A refused message changes nothing: to the rig, its command is missing.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class Command:
     def value(self) -> Floats:
         """Command to be applied after the last sample, shape (n,); zero where none has come.
 
-        Of a message that tells of coming steps it is the point of that sample's step, or the last.
+        Of a message with points of later steps, that of the sample's step counts, or the last.
         """
         age, points = self._messages.of(self.current)
         value: Floats = points[min(age, len(points) - 1)]
@@ -103,7 +103,7 @@ class Command:
                 f"{name} of step {step} after that of step {self.answered}: stale, duplicated or "
                 "out of order"
             )
-        settled = values[: 1 + self._loop_delay, 0]  # beyond, a target tells of what may come
+        settled = values[: 1 + self._loop_delay, 0]  # later points of a target are forecasts
         points = settled if self._places is None else settled[:, self._places]
         worst = points[0] if len(points) == 1 else points[np.abs(points).max(axis=1).argmax()]
         for axis, number in zip(self._rig.axes, worst.tolist(), strict=True):

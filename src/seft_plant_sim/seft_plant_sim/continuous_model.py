@@ -152,7 +152,7 @@ def servo_hydraulic(
     hydraulics : Hydraulics
         Of the n actuators.
     linear : bool
-        Leave out what is not linear in the actuator: the small-signal limit.
+        Whether the actuator is linearised: the small-signal limit.
     """
     n = specimen.axes
     a_specimen, b_specimen = specimen.state_matrices()

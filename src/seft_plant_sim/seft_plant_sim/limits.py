@@ -126,7 +126,7 @@ class Limits:
 
 @compiled
 def is_exceeded(times: Ints, count: int, step: int, window: int) -> bool:
-    """Count a step at which something is so; tell whether more are within a second than allowed.
+    """Count an event at a step; return whether a second has more of them than allowed.
 
     The last of such steps, shape (allowed + 1,), are kept in turn, ``count`` is how many there
     have been before, and the window is the steps of a second.

@@ -96,7 +96,7 @@ class RigNode(NodeBody):
             state = self._rig.step(self._drive.value)
 
     def run(self) -> None:
-        """Run a test each time the supervisor says so, until told to stop."""
+        """Run a test each time the supervisor says so, until the process ends."""
         supervision, ended = self._supervision, False
         self.report("idle")
         while not self._shell.stopping:
@@ -235,7 +235,7 @@ class RigNode(NodeBody):
         return with_health(status, margins, self._answered_at, self._round_trip.last)
 
     def _lockstep(self, step: int, is_last: bool) -> str | None:
-        """Wait for the commands of a step, and for the recorder; say why the test must end."""
+        """Wait for the commands of a step, and for the recorder; give a reason to end the test."""
         del is_last
         shell, timeout = self._shell, self._section["lockstep_timeout"]
         while self._recorder_lag.is_large(step) and self._supervision.state == "running":
@@ -245,7 +245,7 @@ class RigNode(NodeBody):
         deadline = time.monotonic() + timeout
         while self._valve.step < step or self._drive.step < step:
             if not shell.spin_once(0.05):
-                self._publish_clock(step)  # perhaps there is no ground motion so far ahead
+                self._publish_clock(step)  # the ground motion may need the time to go on
             if (why := self._reason_to_end()) is not None:
                 return why
             if time.monotonic() > deadline:
@@ -258,10 +258,9 @@ class RigNode(NodeBody):
     def _start_clock(self) -> None:
         """Begin the time of a test in realtime.
 
-        It begins soon after the first answer: the others prepare for a test, and tell of it, when
-        they first hear of it. Of several rigs, which begin together, one waits for another that
-        is behind: their steps are answered together. Behind links they can't see each other, and
-        each makes up for the time it has lost.
+        It begins soon after the first answer, as the other nodes prepare when they learn of a test.
+        Several rigs begin together; one waits for another that is behind, as their steps are
+        answered together. Over links they can't see each other: each makes up for lost time.
         """
         self._waits = not self._is_alone and not self._section["loop_delay"]
         start = time.monotonic() if self._is_alone else self._start
@@ -269,9 +268,9 @@ class RigNode(NodeBody):
         self._clock = SampleClock(self._timebase.dt, start, makes_up=makes_up)
 
     def _realtime(self, step: int, is_last: bool) -> str | None:
-        """Wait for the deadline of the next step; a command that is missing then is counted.
+        """Wait for the deadline of the next step, and count a command that is missing then.
 
-        Say why the test must end, if it must.
+        Gives the reason if the test must end.
         """
         shell, drive, clock = self._shell, self._drive, self._clock
         assert clock is not None
@@ -287,7 +286,7 @@ class RigNode(NodeBody):
         clock.awake(-left)
         late = time.monotonic() + period
         while drive.step < step and time.monotonic() < late and shell.spin_once(0.0):
-            pass  # what came while we were late counts as in time; a flood does not stop us
+            pass  # messages that arrived while we were late are in time; a flood must not block
         if self._waits and drive.step < step:
             clock.fall_back(self._wait_for_answer(step - 1, timeout) + FALL_BACK * period)
         if (why := self._reason_to_end()) is not None or is_last or self._rig.violation is not None:
@@ -312,7 +311,7 @@ class RigNode(NodeBody):
         return time.monotonic() - begun
 
     def _publish(self, step: int, state: Floats) -> bool:
-        """Publish a sample; False if it is no number, which no message may carry."""
+        """Publish a sample; False if it is not finite, which no message may carry."""
         self._valve.current = self._drive.current = step
         try:
             raw = self._state_codec.encode(step, state)

@@ -19,11 +19,11 @@ LONGEST_DELAY_STEPS = 1_000_000
 """Dead time in samples that a rig's memory may hold."""
 STROKE, FORCE_CAPACITY, VALVE = 16, 32, 64
 LIMIT, BLIND = 128, 256
-"""Bits of what a step gives, beside those of the sensors' channels at their range, 1 to 8: what
-else is at its end, and what ends the test: a limit, or sensors that are blind for too long."""
+"""Bits of a step's result, beside 1 to 8 for saturated sensors: other saturated parts, and the
+reasons to end the test, a limit or sensors that are saturated for too long."""
 ENDS = {f"{name}_range": 1 << row for row, name in enumerate(CHANNELS)}
 ENDS |= {"stroke": STROKE, "force_capacity": FORCE_CAPACITY, "valve": VALVE}
-"""Bits of what is at the end of its range, by name."""
+"""Bits of saturated parts, by name."""
 
 
 class RigParameters(NamedTuple):

@@ -14,16 +14,15 @@ from seft_msgs_py.wire.topics import LoopTopic
 
 
 def elapsed() -> float:
-    """Time that goes on while this process is stopped and while its machine sleeps, s."""
+    """Time that also runs while this process is stopped or its machine sleeps, s."""
     return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
 class CommandWatch:
-    """Looks at the end of each period whether the rig may go on with the command that it holds.
+    """Checks at the end of each period whether the rig may go on with the command that it holds.
 
-    A valve stays where it was while the rig's process or its machine stands still: what answers
-    a sample from before that is no answer any more, though it is the newest there is. So time
-    counts, not steps. Times are those of `elapsed`.
+    While the rig's process or its host stalls, the valve stays open, and the newest command answers
+    an old sample. So time counts, not steps. Times are those of `elapsed`.
 
     Parameters
     ----------
@@ -55,7 +54,7 @@ class CommandWatch:
         answered : int
             Last step whose command is settled, -1 where none is.
         in_vain : bool
-            Whether the rig has waited for it for as long as it may, and put off its next sample.
+            Whether the rig has put off its next sample and waited for as long as it may.
         """
         period, timeout = self._period, self._timeout
         behind = step - answered
@@ -76,17 +75,16 @@ class CommandWatch:
         return f"no new {name} for {timeout:g} s {last}; is {self._topic.publisher} running?"
 
 
-HELD_UP = 0.5  # of a period, by which a deadline is missed: what is left is too short for an answer
-HURRY = 0.05  # of a period, by which steps are shorter while a rig makes up for what it is late
+OVERRUN = 0.5  # of a period: lateness after which the rest of it is too short for an answer
+HURRY = 0.05  # of a period, by which steps are shorter while a rig makes up for lost time
 
 
 class SampleClock:
     """Absolute deadlines, one a period.
 
-    A rig that was held up for more than half a period (an overrun) goes on from there: hurrying
-    through the steps it is late for would leave the others no time to answer them. One that makes
-    up goes back to its time since the start, by steps that are a little shorter. Times are in s,
-    monotonic.
+    After an overrun, a deadline missed by more than half a period, all deadlines are put off:
+    hurried steps would leave the others no time to answer. A rig that makes up for lost time
+    returns to its schedule by slightly shorter steps. Times are in s, monotonic.
     """
 
     def __init__(self, period: float, start: float, *, makes_up: bool) -> None:
@@ -100,7 +98,7 @@ class SampleClock:
 
     def awake(self, late: float) -> None:
         """Take in by how many s a deadline was missed."""
-        if late > HELD_UP * self._period:
+        if late > OVERRUN * self._period:
             self.overruns += 1
             self.fall_back(late)
         if self._makes_up and self._start > self._on_time:
@@ -112,7 +110,7 @@ class SampleClock:
 
 
 MOST = 3072
-"""Steps: three quarters of what queues hold. The recorder tells five times a second where it is."""
+"""Steps: three quarters of what queues hold. The recorder reports its step five times a second."""
 
 
 class RecorderLag:
@@ -214,10 +212,10 @@ NARROW = 0.1  # of a limit: a smaller margin is warned of
 def with_health(
     status: Status, margins: Mapping[str, float], answered_at: float, last_trip: float
 ) -> Status:
-    """Add to a rig's status how well the test goes, under names that tools for diagnostics show.
+    """Add the health of the test to a rig's status, under names that diagnostic tools show.
 
-    That is what `Limits.margins` gives, when the newest command came (s, monotonic; 0: none has),
-    and the last time from a state to its command (s; nan: there was none).
+    It takes `Limits.margins`, the time of the newest command (s, monotonic; 0: none), and the last
+    round trip from a state to its command (s; nan: none).
     """
     values = {f"margin {name.replace('_', ' ')}": f"{left:.3f}" for name, left in margins.items()}
     narrow = [name.replace("_", " ") for name, left in margins.items() if not left >= NARROW]

@@ -77,7 +77,7 @@ def spring_force(laws: Floats, j: int, memory: Floats, e: float) -> float:
 
 @compiled
 def spring_energies(laws: Floats, j: int, memory: Floats) -> tuple[float, float]:
-    """Give the energy that a spring gives back when it is let go, and what it has dissipated, J."""
+    """Give a spring's recoverable energy and the energy that it has dissipated, J."""
     kind = int(laws[j, KIND])
     e, z, dissipated = memory[j, 0], memory[j, 1], memory[j, 2]
     k_0, k_1, z_y = laws[j, BESIDE], laws[j, HYSTERETIC], laws[j, Z_Y]

@@ -89,7 +89,7 @@ def compare(
     bags: Annotated[
         list[Path],
         typer.Argument(
-            metavar="BAG BAG...", help="Folders of recorded tests; the first is held against each."
+            metavar="BAG BAG...", help="Folders of recorded tests; the first is compared with each."
         ),
     ],
     figure: Optional[Path] = option(None, "Draw the tests on one another.", "FILE"),
@@ -97,9 +97,9 @@ def compare(
 ) -> int:
     """Compare recorded tests with the first of them, sample by sample, bit for bit.
 
-    Samples are aligned by the step in their stamps, whatever time it took and whoever
-    recorded them. At different rates, those at times both have are compared. Tests of
-    different length or axes are compared in what is common; the rest is told.
+    Samples are aligned by the step in their stamps, independent of duration and recorder. At
+    different rates, samples at common times are compared. Of tests of different length or axes,
+    the common part is compared, and the rest is reported.
 
     Bags are mcap or sqlite3, also of ros2 bag record: compressed, split into files, with any
     other topics. One that lacks experiment/description is compared without its configuration.
@@ -175,10 +175,10 @@ def replay(
     """Feed a recorded test to one node, and see that it answers as recorded, bit for bit.
 
     The node runs as a process over DDS with its recorded parameters; the replay plays the others:
-    it sends what the node was told, step by step, each when the one before is answered. So it is
-    as fast as the node, and nothing is lost. What -p overrides shows what a change does.
+    it sends the recorded messages step by step, each when the one before is answered. So it is as
+    fast as the node, and nothing is lost. -p shows the effect of a change.
 
-    reference_force is told ground_motion, rig/state and when the operator or a fault brought the
+    reference_force gets ground_motion, rig/state and when the operator or a fault brought the
     force down; force_controller rig/state and reference_force; rig valve_command, the held ones
     for those that it missed. Of the other nodes none runs.
 
@@ -231,7 +231,7 @@ def _replays(nodes: list[str], recorded: "Recorded", *, asked: bool) -> list["Re
     Raises
     ------
     InputError
-        If the bag does not have what a node was told that was asked for, or what any was told.
+        If the bag lacks the messages to a node that was named, or to all nodes.
     """
     from seft_ros.replay.replays import replay_to
 

@@ -151,7 +151,7 @@ def preflight(
     Takes the eigenvalues of the sampled closed loop of rig, compensation and force controller:
     critical mass ratio, critical delay, margins against a wrong gain and a wrong delay, and the
     false damping that the test will show; and sweeps the specimen's local stiffness from 0 to 3
-    times the told one. Exact where the loop is linear; the table says what that does not promise.
+    times the assumed one. Exact where the loop is linear; the table says what that excludes.
 
     The exact response of the planned test gives the peaks to expect, and limits that fit them.
 

@@ -60,9 +60,7 @@ def identify(
         "most a 20th of the force limit (chirp: 0.3 times that).",
         "N",
     ),
-    out: Optional[Path] = option(
-        None, "Folder of what is made, must be new; default by the time.", "DIR"
-    ),
+    out: Optional[Path] = option(None, "New folder of the results; default by the time.", "DIR"),
     specimen: bool = option(
         False,
         "Write the specimen's mass, damping and stiffness to model.yaml, too, as "
@@ -158,7 +156,7 @@ def identify(
 
     whole = {name: test for name, test in tests.items() if test.trip is None and name != PILOT}
     if not valve:
-        whole.pop(OPEN_LOOP, None)  # an external rig tells only then that it has none
+        whole.pop(OPEN_LOOP, None)  # only now an external rig has reported that it has none
     files = {"folder": folder, "excitation": record, **{name: folder / name for name in tests}}
     summary: dict[str, Any] = {}
     identified, tables = None, []

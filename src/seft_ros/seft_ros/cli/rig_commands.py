@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from seft_ros.conformance.finding import Finding
 
 
-RATE, SIZE = 500.0, 1000  # Hz and bytes, where no experiment tells them
+RATE, SIZE = 500.0, 1000  # Hz and bytes, without an experiment
 
 
 def link(

@@ -122,7 +122,7 @@ def tournament(
         min=0.0,
         max=1.0,
     ),
-    seed: int = option(1, "Of what is drawn for them.", min=0),
+    seed: int = option(1, "Seed of the random rigs.", min=0),
     workers: Optional[int] = option(
         None, "Threads, and processes, that calculate; default one for each core.", min=1
     ),

@@ -139,13 +139,13 @@ class Guarded(RequestHandler):
     """Checks of every request, and headers of every answer.
 
     The application's settings have ``access``, an `Access`; ``local_only``, whether the page is
-    served on this host alone: then it has no name but localhost, and who asks for another was led
+    served on this host alone: then its only name is localhost, and another was made to point here
     here by a name server (DNS rebinding); and ``port``.
 
     Attributes
     ----------
     controls : bool
-        Whether who asks may press buttons.
+        Whether the request may press buttons.
     """
 
     controls = False

@@ -62,7 +62,7 @@ class Watch:
         self._refused = 0
 
     def poll(self) -> list[Frame]:
-        """Take what has come; give what is new, for pages that know the rest."""
+        """Take the messages that have arrived; give what is new, for pages that have the rest."""
         self._hear_nodes()
         intake = self.intake
         if intake is None:
@@ -118,7 +118,7 @@ class Watch:
     def _decoded[Content](
         self, topic: Topic, decode: Callable[[bytes], Content]
     ) -> Iterator[Content]:
-        """Give what has come on a topic, and count what is not understood."""
+        """Decode the messages of a topic, and count those that can't be decoded."""
         for raw, _ in self._graph.take(topic):
             try:
                 content = decode(raw)
@@ -172,7 +172,7 @@ class Watch:
         return [*news, self._time()]
 
     def _time(self) -> str:
-        """Tell the time of this process: that it lives, and when a page was told what it shows."""
+        """Give the time of this process: a sign of life, and the age of what a page shows."""
         return json.dumps({"kind": "time", "at": round(1e3 * self._now())})
 
 
@@ -245,7 +245,7 @@ def serve(
             server = HTTPServer(web, idle_connection_timeout=60)
             server.add_socket(listening)
             gc.collect()
-            gc.freeze()  # what is here stays: no later collection looks at it
+            gc.freeze()  # later collections skip the objects that exist now
             ready()
             while not stopping.is_set():
                 pages.send(watch.poll())

@@ -85,7 +85,7 @@ class Service(Guarded):
     """
 
     async def post(self, name: str) -> None:
-        """Call the supervisor; answer with what it says."""
+        """Call the supervisor; answer with its answer."""
         if not self.controls:
             raise HTTPError(403, reason="this token may watch, and not control")
         why = "" if name in STOPS else self._lateness()

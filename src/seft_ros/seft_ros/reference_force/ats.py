@@ -117,7 +117,7 @@ class Ats:
             if not self._enough < min(total[0, 0], total[3, 3]) < math.inf:
                 continue
             now = self._coefficients[axis]
-            # one frequency alone can't tell three coefficients: what it can't stays as it is
+            # one frequency alone can't determine three coefficients: the rest stays as it is
             prior = np.diag(_PRIOR * np.diag(products))
             found = np.linalg.solve(products + prior, reference + prior @ now)
             bounded = np.clip(found, now - self._most, now + self._most)

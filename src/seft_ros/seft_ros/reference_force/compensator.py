@@ -13,7 +13,7 @@ from seft_ros.reference_force.linear_filter import LinearFilter
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What a method is told of the test over n axes.
+    """What a method knows, or assumes, of the test over n axes.
 
     Attributes
     ----------
@@ -68,14 +68,14 @@ class Knowledge:
 class Compensator(Protocol):
     """What the reference force asks of a compensation method.
 
-    A method that tells the motion of a target returns points of it, see `ReferenceForce.step`,
-    1 + ``preview`` of them, and has ``pace`` beside: 1 in a test; as that goes to 0, the ground
+    A method that computes the motion of a target returns 1 + ``preview`` points of it, see
+    `ReferenceForce.step`, and has an attribute ``pace``: 1 in a test; as it goes to 0, the ground
     motion fades and the target comes to rest.
 
     Attributes
     ----------
     preview : int
-        Steps of coming ground motion that it looks at.
+        Number of later steps whose ground motion it needs.
     """
 
     preview: int
@@ -89,7 +89,7 @@ class Compensator(Protocol):
         Parameters
         ----------
         ground_motion : ndarray
-            Ground acceleration of each axis, of this step and the coming ones, shape
+            Ground acceleration of each axis, of this step and the later ones, shape
             (1 + preview, n), m/s^2.
         state : ndarray
             Measured displacement (m), velocity (m/s), acceleration (m/s^2) and force (N),

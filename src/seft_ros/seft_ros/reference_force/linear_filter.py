@@ -14,7 +14,7 @@ class LinearFilter:
     """Linear, time-invariant compensation of n axes, with its states s.
 
     With the measured y = (x, v, a, f) and the ground accelerations g of this step and the
-    `preview` coming ones::
+    `preview` later ones::
 
         f_r[k] = c s[k] + d y[k] + e g[k...]
         s[k+1] = a s[k] + b y[k] + h g[k...]
@@ -51,7 +51,7 @@ class LinearFilter:
 
     @property
     def preview(self) -> int:
-        """Steps of coming ground motion that it looks at."""
+        """Number of later steps whose ground motion it needs."""
         return self.e.shape[1] // self.axes - 1
 
     def delayed(self, steps: int) -> "LinearFilter":
@@ -76,13 +76,13 @@ class LinearFilter:
 
 
 class LinearParameters(NamedTuple):
-    """What `linear_step` does not change: `LinearFilter.matrix`, transposed."""
+    """Constants of `linear_step`: `LinearFilter.matrix`, transposed."""
 
     matrix: Floats
 
 
 class LinearState(NamedTuple):
-    """What it does: states and inputs (s, y, g), and what the matrix makes of them (f_r, s)."""
+    """States and inputs (s, y, g), and the matrix's product with them (f_r, s)."""
 
     work: Floats
     result: Floats
@@ -104,11 +104,11 @@ def linear_step(
     parameters, state
         The state is brought up to date.
     ground : ndarray
-        Ground acceleration of this step and the coming ones, shape (1 + preview, n), m/s^2.
+        Ground acceleration of this step and the later ones, shape (1 + preview, n), m/s^2.
     measured : ndarray
         Displacement, velocity, acceleration and force, shape (4, n).
     pace : float
-        Of no matter here, see `target_step`.
+        Not used; see `target_step`.
     points : ndarray
         The result, shape (1, 1, n), N.
     """
@@ -173,7 +173,7 @@ class LinearCompensator:
 
 @dataclass(frozen=True)
 class Memory:
-    """What a filter of n axes remembers, whatever its output gains are.
+    """States of a filter of n axes, for any output gains.
 
     ::
 
@@ -195,7 +195,7 @@ class Memory:
 
     @classmethod
     def none(cls, axes: int) -> "Memory":
-        """Nothing is remembered."""
+        """Make one without states."""
         return cls(*(np.zeros((0, columns)) for columns in (0, 4 * axes, axes, axes)))
 
     @classmethod
@@ -217,7 +217,7 @@ class Memory:
         return cls(np.eye(size, k=-n), b, h, np.zeros((size, n)))
 
     def with_gains(self, gains: Floats) -> LinearFilter:
-        """Linear filter that it is with gains of shape (n, s + 4n + (1 + preview) n)."""
+        """Make the linear filter with gains of shape (n, s + 4n + (1 + preview) n)."""
         size, measured = self.b.shape
         c, d, e = np.split(gains, [size, size + measured], axis=1)
         w, h = self.w, self.w @ e
@@ -226,12 +226,12 @@ class Memory:
 
 
 class VaryingFilter:
-    """A `Memory` at work, with gains that may be set between two steps.
+    """Runs a `Memory` with gains that may be set between two steps.
 
     Parameters
     ----------
     memory : Memory
-        What it remembers.
+        Its states.
     gains : ndarray
         First gains, shape (n, s + 4n + (1 + preview) n).
 
@@ -240,7 +240,7 @@ class VaryingFilter:
     gains : ndarray
         Present gains, of the same shape.
     preview : int
-        Steps of coming ground motion that it looks at.
+        Number of later steps whose ground motion it needs.
     """
 
     def __init__(self, memory: Memory, gains: Floats) -> None:

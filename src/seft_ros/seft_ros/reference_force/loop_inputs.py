@@ -10,7 +10,7 @@ from seft_msgs_py.wire.rigs import RigAxes
 
 
 class StateGathering:
-    """Keeps the states that rigs have sent until all have sent that of the same step.
+    """Keeps the states of several rigs until all have sent the same step.
 
     Parameters
     ----------
@@ -80,14 +80,14 @@ class StateGathering:
         return self._since < math.inf
 
     def lost(self, now: float) -> str:
-        """Say whose states have failed to come, by the time in s, monotonic; empty if nobody's."""
+        """Name the rig whose states are late at a time in s, monotonic; empty if none is."""
         if now - self._since <= self._patience:
             return ""
         first, last = max(self._newest), min(self._newest)
         name, ahead = (self._rigs[self._newest.index(step)].name for step in (last, first))
-        told = f"the last is of step {last}" if last >= 0 else "none has come"
+        known = f"the last is of step {last}" if last >= 0 else "none has come"
         return (
-            f"no rig/state of {name} for {self._patience:g} s ({told}; {ahead} is at step {first})"
+            f"no rig/state of {name} for {self._patience:g} s ({known}; {ahead} is at step {first})"
         )
 
 

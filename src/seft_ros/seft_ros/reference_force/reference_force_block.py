@@ -32,7 +32,7 @@ class ReferenceForce:
     Attributes
     ----------
     preview : int
-        Steps of coming ground motion that `step` wants to see.
+        Number of later steps whose ground motion `step` needs.
     tells_motion : bool
         Whether it gives the motion of a target, and not the force alone.
     shape : (int, int)
@@ -72,7 +72,7 @@ class ReferenceForce:
         Parameters
         ----------
         ground_motion : ndarray
-            Ground acceleration of each axis, of this step and the coming ones, shape
+            Ground acceleration of each axis, of this step and the later ones, shape
             (1 + preview, n), m/s^2.
         state : ndarray
             Measured displacement, velocity, acceleration and force, shape (4, n).
@@ -82,7 +82,7 @@ class ReferenceForce:
         Returns
         -------
         ndarray
-            Points of this step and coming ones, shape (p, q, n). The last quantity is the force,
+            Points of this step and later ones, shape (p, q, n). The last quantity is the force,
             N; those of a target are displacement, velocity and force.
         """
         if not self.tells_motion:
@@ -102,7 +102,7 @@ def compensator(method: str, known: Knowledge) -> Compensator:
 
 
 def knowledge(section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase) -> Knowledge:
-    """Gather what is assumed of a test, for a compensation method.
+    """Gather what a compensation method may know of a test.
 
     Raises
     ------
@@ -130,8 +130,8 @@ def knowledge(section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
     loop_delay: int = section["loop_delay"]
     if loop_delay < 0:
         raise InputError(
-            "reference_force: loop_delay is to be measured, which only seft run does; seft link "
-            "tells it: give it with -p reference_force:loop_delay:=STEPS"
+            "reference_force: loop_delay is to be measured, which only seft run does; measure it "
+            "with seft link, and give it with -p reference_force:loop_delay:=STEPS"
         )
     prefixes = ("compensation.", "tracking.")
     options = {name: value for name, value in section.items() if name.startswith(prefixes)}

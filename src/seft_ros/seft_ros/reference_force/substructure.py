@@ -79,12 +79,12 @@ def substructure_motion(knowledge: Knowledge, preview: int) -> LinearFilter:
     knowledge : Knowledge
         With the substructure.
     preview : int
-        Steps of coming ground motion that are wanted.
+        Number of later steps whose ground motion is needed.
 
     Returns
     -------
     LinearFilter
-        Its output is a_g + (M_e + M_c)^-1 g of this step and the coming ones, shape
+        Its output is a_g + (M_e + M_c)^-1 g of this step and the later ones, shape
         ((1 + preview) n,), m/s^2.
     """
     n, computed, dt = knowledge.axes, knowledge.computed, knowledge.dt
@@ -111,13 +111,13 @@ def substructure_motion(knowledge: Knowledge, preview: int) -> LinearFilter:
     free, start, change = first_order_hold(whole, np.hstack([push, by_rest]), dt)
     motion = np.vstack([x, v, internal])
     found = [ground[0] + acceleration @ motion]
-    for now, coming in pairwise(ground):
+    for now, later in pairwise(ground):
         motion = (
             free @ motion
             + start @ np.vstack([now, rest])
-            + change @ np.vstack([coming - now, np.zeros_like(rest)])
+            + change @ np.vstack([later - now, np.zeros_like(rest)])
         )
-        found.append(coming + acceleration @ motion)
+        found.append(later + acceleration @ motion)
     states, signals = inside + n, inside + 5 * n
     c, d, e = np.split(np.vstack(found), [states, signals], axis=1)
     a, b, h = np.split(np.vstack([going_on, rest]), [states, signals], axis=1)
@@ -150,7 +150,7 @@ class SubstructureMotion:
         Returns
         -------
         ndarray
-            What stands for the ground motion of this step and the coming ones, shape
+            The equivalent ground motion of this step and the later ones, shape
             (1 + preview, n), m/s^2.
         """
         self._measured[:] = state.reshape(-1)
