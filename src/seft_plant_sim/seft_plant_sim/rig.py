@@ -118,13 +118,8 @@ class Rig:
     ) -> "Rig":
         """Make the rig of its section of an experiment, which is for all axes.
 
-        Of several rigs it is the one given, which has some of the axes.
-
-        Raises
-        ------
-        InputError
-            If sizes do not fit the axes, values make no rig, or its specimen is coupled with
-            that of another rig.
+        Of several rigs it is the one given, which has some of the axes. Raises `InputError` if
+        sizes do not fit the axes, values make no rig, or its specimen is coupled with another's.
         """
         own = rig or RigAxes.whole(axes)
         sensors, dt = group(section, "sensors"), timebase.dt

@@ -1,10 +1,10 @@
 """Parameter table of the rig."""
 
-from seft_msgs_py.config.parameter_table import Table, parameter_rows
+from seft_msgs_py.config.parameter_table import Parameter, Table, parameter_rows
 from seft_msgs_py.node import realtime
 
 from seft_plant_sim.limits import limit_rows
-from seft_plant_sim.springs import SPRING_PARAMETERS
+from seft_plant_sim.springs import KINDS
 
 PACE = parameter_rows(
     """
@@ -30,6 +30,62 @@ SPECIMEN = parameter_rows(
         spring by spring; 0: one between each axis and the ground
     """,
     "specimen",
+)
+
+SPRINGS = (
+    Parameter(
+        "specimen.kind",
+        "string",
+        "linear",
+        "restoring force: linear, bilinear with kinematic hardening, Bouc-Wen, Bouc-Wen that "
+        "pinches, flag-shaped (self-centring), Coulomb friction beside the spring, a second "
+        "spring beyond a gap, or Duffing's cubic spring",
+        choices=KINDS.names,
+    ),
+    KINDS.settings_row("specimen.settings", "a restoring force"),
+    *parameter_rows(
+        """
+        yield_displacement      | floats | 0.0  | m     | 0 ..       |
+            deformation at which a spring yields, for all or per spring
+        hardening_ratio         | floats | 0.05 |       | 0 .. 0.999 |
+            stiffness after yielding over the elastic one, likewise
+        bouc_wen.exponent       | float  | 1.0  |       | 1 ..       | sharpness of yielding, n
+        bouc_wen.beta           | float  | 0.5  |       |            | shape of unloading, beta
+        bouc_wen.gamma          | float  | 0.5  |       |            | shape of unloading, gamma
+        bouc_wen.amplitude_loss | float  | 0.0  |       | 0 ..       |
+            degradation of amplitude per work of yield force times yield displacement
+            (Baber & Wen 1981, delta_A)
+        bouc_wen.strength_loss  | float  | 0.0  |       | 0 ..       |
+            degradation of strength per work of yield force times yield displacement
+            (Baber & Wen 1981, delta_nu)
+        bouc_wen.stiffness_loss | float  | 0.0  |       | 0 ..       |
+            degradation of stiffness per work of yield force times yield displacement
+            (Baber & Wen 1981, delta_eta)
+        pinching.slip           | float  | 1.0  |       | 0 ..       |
+            half of the slip at each passage through zero force once it has grown, over
+            the yield displacement; the rest is as of bouc_wen
+        pinching.growth         | float  | 0.1  |       | > 0        |
+            growth of the slip per work of yield force times yield displacement
+        pinching.width          | float  | 0.15 |       | > 0        |
+            force within which it slips, over the yield force
+        flag.dissipation        | floats | 0.5  |       | 0 .. 1     |
+            height of the flag over the yield force, for all or per spring; 0: it
+            dissipates nothing
+        friction.force          | floats | 0.0  | N     | 0 ..       |
+            friction beside each spring, for all or per spring
+        friction.presliding     | float  | 2e-5 | m     | > 0        |
+            displacement by which it gives way before it slides
+        gap.width               | floats | 0.0  | m     | 0 ..       |
+            deformation either way at which the second spring engages, for all or per
+            spring
+        gap.stiffness           | floats | 0.0  | N/m   | 0 ..       |
+            stiffness of the second spring, likewise
+        duffing.cubic           | floats | 0.0  | N/m^3 |            |
+            coefficient of the deformation's cube, likewise; below 0 the spring softens,
+            up to its largest force
+        """,
+        "specimen",
+    ),
 )
 
 ACTUATOR = parameter_rows(
@@ -136,7 +192,7 @@ TABLE = Table(
     [
         *PACE,
         *SPECIMEN,
-        *SPRING_PARAMETERS,
+        *SPRINGS,
         *ACTUATOR,
         *SENSORS,
         *limit_rows(default_from="supervisor"),
