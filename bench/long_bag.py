@@ -56,7 +56,7 @@ def long_record(minutes: int) -> Record:
 
 def measured(*words: str) -> tuple[float, float]:
     """Run a `seft` command; give seconds of wall time and the peak of resident memory in bytes."""
-    command = [sys.executable, "-m", "seft_ros.commands.main", *words]
+    command = [sys.executable, "-m", "seft_ros.cli.main", *words]
     quiet = [(os.POSIX_SPAWN_OPEN, 1, os.devnull, os.O_WRONLY, 0)]
     start = time.perf_counter()
     child = os.posix_spawn(sys.executable, command, dict(os.environ), file_actions=quiet)

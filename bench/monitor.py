@@ -41,7 +41,7 @@ def cpu_time(pid: int) -> float:
 @contextlib.contextmanager
 def monitor() -> Iterator[tuple[int, str]]:
     """Run a monitor; give its process number and its address."""
-    command = [sys.executable, "-m", "seft_ros.commands.main", "monitor", "--port", "0"]
+    command = [sys.executable, "-m", "seft_ros.cli.main", "monitor", "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         try:

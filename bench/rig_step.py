@@ -11,9 +11,9 @@ import numpy as np
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.integration import multiply
-from seft_plant_sim.rig.rig import Rig
-from seft_plant_sim.rig.rig_parameters import TABLE
-from seft_plant_sim.rig.rig_step import rig_step
+from seft_plant_sim.rig import Rig
+from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.rig_step import rig_step
 
 CONFIG = Path(__file__).parent.parent / "config" / "demo.yaml"
 STEPS = 4000

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Value
-from seft_plant_sim.reference.whole_structure import reference_response
+from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.design.controller import Controller
 from seft_ros.design.loop_design import LoopDesign, shape_loop
@@ -25,7 +25,7 @@ from seft_ros.design.stability_margins import HIGHEST_MASS_RATIO, critical_mass_
 from seft_ros.design.stability_verdict import predicted_modes
 from seft_ros.drawing.style import FIRST, MARK, OTHERS, REFERENCE, TEXT, save_figure, tidy
 from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
-from seft_ros.reference_force.compensation.names import TARGET_MOTION
+from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES

@@ -11,7 +11,7 @@ import sys
 
 import numpy as np
 from seft_msgs_py.config.experiment import Experiment, parse_override
-from seft_plant_sim.reference.whole_structure import reference_response
+from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.test_run.blocks import Blocks, build_blocks
 from seft_ros.test_run.offline import simulate

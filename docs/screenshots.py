@@ -15,7 +15,7 @@ from PIL import Image
 from selenium import webdriver
 
 DOCS = Path(__file__).parent
-SEFT = [sys.executable, "-m", "seft_ros.commands.main"]
+SEFT = [sys.executable, "-m", "seft_ros.cli.main"]
 DEMO = str(DOCS.parent / "config" / "demo.yaml")
 WIDTH, HEIGHT, COLOURS = 1300, 1250, 64
 HIDE = """

@@ -13,7 +13,7 @@ import pytest
 from graph_tools import JHU, PATIENCE
 from hostile import Hostile
 from seft_msgs_py.config.experiment import Experiment
-from seft_ros.commands.main import main
+from seft_ros.cli.main import main
 from seft_ros.test_run.observer import Observer
 from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.processes import MODULES
@@ -45,7 +45,7 @@ def seft(domain, tmp_path, monkeypatch) -> Callable[..., subprocess.CompletedPro
         if words[0] in _OFFLINE and os.environ.get("PYTHONPATH") == _PATH:
             done = _here(words, tmp_path, monkeypatch)
         else:
-            command = [sys.executable, "-m", "seft_ros.commands.main", *words]
+            command = [sys.executable, "-m", "seft_ros.cli.main", *words]
             done = subprocess.run(
                 command, cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE
             )

@@ -131,7 +131,7 @@ class Run:
         self._mark = f"{MARK}={mark}".encode()
         terminal, behind = pty.openpty()
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "seft_ros.commands.main", "run", str(JHU), *words],
+            [sys.executable, "-m", "seft_ros.cli.main", "run", str(JHU), *words],
             cwd=folder,
             env=os.environ | {MARK: mark, "COLUMNS": "300", "TERM": "xterm"},
             stdout=subprocess.DEVNULL,

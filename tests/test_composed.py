@@ -52,7 +52,7 @@ def test_composed_realtime_tells_its_process_and_its_priority(seft_json, tmp_pat
 
 def test_a_composed_process_that_dies_ends_the_run_with_a_readable_bag(start, tmp_path):
     process = start(
-        *("seft_ros.commands.main", "run", JHU, "-p", "ground_motion:synthetic.duration:=600.0"),
+        *("seft_ros.cli.main", "run", JHU, "-p", "ground_motion:synthetic.duration:=600.0"),
         *(*STALLS_ALLOWED, *MISSES_ALLOWED, "--composed", "--out", "bag"),
         *("-p", "supervisor:watchdog.peer_timeout:=5.0"),
     )
@@ -73,7 +73,7 @@ def test_a_second_publisher_of_the_command_is_seen_by_a_composed_process(start, 
     hostile.join(VALVE_COMMAND)
     wait_for(lambda: observer._node.count_publishers(VALVE_COMMAND.name) == 1, "the stranger")
     words = ("run", JHU, *LOCKSTEP, *SHORT, "--composed", "--out", "bag")
-    process = start("seft_ros.commands.main", *words)
+    process = start("seft_ros.cli.main", *words)
     _, errors = process.communicate(timeout=PATIENCE)
     assert process.returncode != 0
     assert "Traceback" not in errors

@@ -8,11 +8,11 @@ import pytest
 from graph_tools import ROOT
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.wire.topics import LOOP_TOPICS, TOPICS
-from seft_ros.commands.main import APP
-from seft_ros.commands.parameters import parameters_text
+from seft_ros.cli.main import APP
+from seft_ros.cli.show_commands import parameters_text
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import critical_mass_ratio
-from seft_ros.reference_force.compensation.methods import METHODS
+from seft_ros.reference_force.compensation_methods import METHODS
 from seft_ros.test_run.parameter_tables import TABLES
 
 COMPENSATION = ROOT / "docs" / "compensation.md"

@@ -26,7 +26,7 @@ from graph_tools import (
     thorough_but,
     wait_for,
 )
-from seft_ros.commands.main import main
+from seft_ros.cli.main import main
 from seft_ros.recording.bag_reader import read_bag
 from seft_ros.test_run.processes import MODULES
 
@@ -51,7 +51,7 @@ class Run:
     def __init__(self, start, folder, *words, **options):
         self._bag = folder / "bag"
         words = (*LONG, *NO_COMMAND_ALLOWED, *MISSES_ALLOWED, *words)
-        words = ("seft_ros.commands.main", "run", JHU, *words, "--out", "bag")
+        words = ("seft_ros.cli.main", "run", JHU, *words, "--out", "bag")
         self.process = start(*words, **options)
         self.nodes = {}
 
@@ -361,9 +361,9 @@ def test_a_missing_peer_in_lockstep_ends_the_run_with_its_name(seft, tmp_path):
 def test_a_disk_that_fills_up_brings_the_test_down_softly_and_all_is_recorded(domain, tmp_path):
     disk = tmp_path / "disk"
     disk.mkdir()
-    run = [sys.executable, "-m", "seft_ros.commands.main", "run", str(JHU), *LONG]
+    run = [sys.executable, "-m", "seft_ros.cli.main", "run", str(JHU), *LONG]
     run += [*STALLS_ALLOWED, *MISSES_ALLOWED, "--out", "bag"]
-    report = [sys.executable, "-m", "seft_ros.commands.main", "report", "bag", "--out", "page.html"]
+    report = [sys.executable, "-m", "seft_ros.cli.main", "report", "bag", "--out", "page.html"]
     shell = (
         f"mount -t tmpfs -o size=60m tmpfs {disk} && cd {disk} || exit 77\n"
         f"{shlex.join(run)} & pid=$!\n"

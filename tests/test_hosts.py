@@ -49,7 +49,7 @@ def rig_host(two_hosts):
 
 def seft_run(two_hosts, *words):
     """Start `seft run` on a; what it starts is to run promptly."""
-    run = two_hosts.start("a", "seft_ros.commands.main", "run", DEMO, *ELSEWHERE, *PLAN, *words)
+    run = two_hosts.start("a", "seft_ros.cli.main", "run", DEMO, *ELSEWHERE, *PLAN, *words)
 
     def hurry():
         while run.poll() is None:
@@ -150,7 +150,7 @@ def test_the_link_is_measured_and_a_test_takes_the_delay_that_it_needs(two_hosts
     two_hosts.link(**DELAYED)
     _, controller = rig_host(*PATIENT, "-p", "reference_force:loop_delay:=-1")
     link = two_hosts.start(
-        *("a", "seft_ros.commands.main", "link", DEMO, *PLAN[:2], "--duration", "4"),
+        *("a", "seft_ros.cli.main", "link", DEMO, *PLAN[:2], "--duration", "4"),
         *("--out", "link.yaml", "--json"),
         prompt=True,
     )
@@ -180,8 +180,8 @@ def test_the_link_is_measured_and_a_test_takes_the_delay_that_it_needs(two_hosts
 @pytest.mark.alone
 def test_a_link_is_measured_against_an_echo_too(two_hosts):
     two_hosts.link(delay=0.002, loss=0.03)
-    echo = two_hosts.start("b", "seft_ros.commands.main", "link", "--echo", prompt=True)
-    words = ("a", "seft_ros.commands.main", "link", "--duration", "4", "--json")
+    echo = two_hosts.start("b", "seft_ros.cli.main", "link", "--echo", prompt=True)
+    words = ("a", "seft_ros.cli.main", "link", "--duration", "4", "--json")
     link = two_hosts.start(*words, prompt=True)
     out, told = link.communicate(timeout=PATIENCE)
     assert link.returncode == 0, told

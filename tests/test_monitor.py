@@ -78,7 +78,7 @@ def monitor(start):
     """Start a monitor; give the process and the address that it prints."""
 
     def launch(*words):
-        process = start("seft_ros.commands.main", "monitor", "--port", "0", *words)
+        process = start("seft_ros.cli.main", "monitor", "--port", "0", *words)
         line = process.stdout.readline()
         assert line.startswith("seft monitor: "), process.stderr.read()
         return process, line.split()[-1]
@@ -89,7 +89,7 @@ def monitor(start):
 @pytest.fixture
 def run(start):
     """Start a test that lasts."""
-    return lambda *words: start("seft_ros.commands.main", "run", DEMO, *LONG, *words)
+    return lambda *words: start("seft_ros.cli.main", "run", DEMO, *LONG, *words)
 
 
 def text(browser, name):
@@ -176,7 +176,9 @@ def test_a_run_is_shown_survives_a_reload_and_is_stopped_at_once(browser, monito
     assert "aborted by the operator" in text(browser, "state-detail")
     assert test.wait(60) == 1
     assert "aborted by the operator" in test.stderr.read()
-    wait_for(lambda: "have left" in text(browser, "state-detail"), "the nodes' end to be shown")
+    wait_for(
+        lambda: "have shut down" in text(browser, "state-detail"), "the nodes' end to be shown"
+    )
     os.kill(server.pid, signal.SIGSTOP)
     wait_for(lambda: state(browser) == "no data", "the page to miss the monitor")
     assert browser.find_element("tag name", "body").get_attribute("data-stale") == "true"
@@ -226,7 +228,7 @@ def test_a_port_in_use_is_one_line(monitor, tmp_path):
     _, address = monitor()
     port = urlsplit(address).port
     again = subprocess.run(
-        [sys.executable, "-m", "seft_ros.commands.main", "monitor", f"--port={port}"],
+        [sys.executable, "-m", "seft_ros.cli.main", "monitor", f"--port={port}"],
         cwd=tmp_path,
         capture_output=True,
         text=True,

@@ -85,9 +85,7 @@ SHORT = ("-p", "ground_motion:synthetic.duration:=3.0", "-p", "ground_motion:tai
 def report_of(folder, config, *words):
     """Simulate a short test and write its report."""
     for call in (("simulate", config, *SHORT, *words, "--out", "bag"), ("report", "bag")):
-        subprocess.run(
-            [sys.executable, "-m", "seft_ros.commands.main", *map(str, call)], cwd=folder
-        )
+        subprocess.run([sys.executable, "-m", "seft_ros.cli.main", *map(str, call)], cwd=folder)
     return folder / "bag" / "report.html"
 
 

@@ -10,9 +10,9 @@ THEIRS = '''"""A compensation method, a controller and a spring."""
 from dataclasses import dataclass
 
 import numpy as np
-from seft_plant_sim.specimen.restoring_force import HystereticSpring
+from seft_plant_sim.springs import HystereticSpring
 from seft_ros.force_controller.force_control import LinearControl
-from seft_ros.reference_force.compensation.linear_filter import LinearCompensator, LinearFilter
+from seft_ros.reference_force.linear_filter import LinearCompensator, LinearFilter
 
 
 def half(knowledge, share=0.25):

@@ -32,9 +32,7 @@ def test_of_a_simulated_test_who_needs_the_coming_motion_is_left_out(seft, seft_
 @pytest.mark.parametrize("config", [JHU, DEMO])
 def test_a_stopped_test_is_replayed_ramp_and_all(seft_json, start, tmp_path, config):
     words = ("-p", "rig:pace:=lockstep", "-p", "ground_motion:synthetic.duration:=60.0")
-    process = start(
-        "seft_ros.commands.main", "run", config, *words, *STALLS_ALLOWED, "--out", "bag"
-    )
+    process = start("seft_ros.cli.main", "run", config, *words, *STALLS_ALLOWED, "--out", "bag")
 
     def is_under_way():
         assert process.poll() is None, process.communicate()

@@ -45,7 +45,7 @@ def test_a_rig_that_is_lost_brings_the_other_to_rest(start, observer, tmp_path):
         *("-p", "supervisor:watchdog.peer_timeout:=5.0"),
     )
     words = (*STALLS_ALLOWED, *MISSES_ALLOWED, *sharp, "--out", "bag")
-    run = start("seft_ros.commands.main", "run", BRIDGE, *words)
+    run = start("seft_ros.cli.main", "run", BRIDGE, *words)
     bag = tmp_path / "bag"
 
     def is_under_way():
@@ -98,7 +98,7 @@ def east_on_b(two_hosts):
         east = two_hosts.start("b", COMPOSED, *nodes, *ros, prompt=True)
         external = ("--external", "east/rig", "--external", "east/force_controller")
         run = two_hosts.start(
-            *("a", "seft_ros.commands.main", "run", BRIDGE, *external, *words),
+            *("a", "seft_ros.cli.main", "run", BRIDGE, *external, *words),
             *("--composed", "--out", "hosts", "--json"),
             prompt=True,
         )

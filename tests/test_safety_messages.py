@@ -49,9 +49,7 @@ def attack(hostile, process):
 
 def start_run(start, tmp_path, *words):
     """Start a `seft run`; return it when its test is under way."""
-    process = start(
-        "seft_ros.commands.main", "run", JHU, *LONG, *words, "--out", "bag", "--no-figure"
-    )
+    process = start("seft_ros.cli.main", "run", JHU, *LONG, *words, "--out", "bag", "--no-figure")
 
     def is_under_way():
         assert process.poll() is None, process.communicate()

@@ -62,7 +62,7 @@ setup(
     extras_require={"test": ["hypothesis>=6.98", "pytest>=7.4", "pyyaml>=6.0"]},
     entry_points={
         "console_scripts": [
-            "seft = seft_ros.commands.main:main",
+            "seft = seft_ros.cli.main:main",
             *(f"{node} = seft_ros.nodes.{node}:main" for node in NODES),
         ]
     },

@@ -1,4 +1,4 @@
-"""Machine code of the steps, kept on disk from one use to the next."""
+"""Machine code of the steps, cached on disk."""
 
 import hashlib
 import os
@@ -11,8 +11,8 @@ import numba as typed_numba
 import numpy as np
 
 numba: Any = typed_numba  # older ones have no types
-# most loops run over one axis, or a few: what prepares a loop for vectors takes longer than it
-# saves; what stands in a row is put into vectors all the same, where numba would not
+# most loops run over few axes, where loop vectorisation costs more than it saves; statements in a
+# row are vectorised, which is off by default
 numba.config.LOOP_VECTORIZE, numba.config.SLP_VECTORIZE = 0, 1
 _entry_points: dict[Hashable, Callable[..., Any]] = {}
 OPTIONS = {"error_model": "numpy", "forceinline": True, "_nrt": False}
@@ -22,7 +22,7 @@ def compiled[F: Callable[..., Any]](function: F, *, nogil: bool = False) -> F:
     """Compile a function of arrays and numbers at its first call, or read it from the disk.
 
     No operation is reordered or fused, so that the function gives the same bits wherever it is
-    called from. It can't make arrays: counting who holds them takes longer than a step. Where the
+    called from. It can't make arrays: reference counting takes longer than a step. Where the
     disk can't be written to, it is compiled anew in each process.
 
     Parameters
@@ -32,8 +32,8 @@ def compiled[F: Callable[..., Any]](function: F, *, nogil: bool = False) -> F:
     nogil : bool
         Whether it lets go of the interpreter's lock when Python calls it.
     """
-    # numba looks at the file of a function alone, not at what that calls: another text of the
-    # package, another place
+    # numba looks at the file of a function alone, not at what it calls: each text of the package
+    # has its own cache
     place, known = code_folder(Path(function.__code__.co_filename).parent), numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(place)
     try:

@@ -4,14 +4,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from seft_msgs_py.config.arrays import Floats, Ints
 from seft_msgs_py.errors import InputError
 
-from seft_plant_sim.actuator.hydraulics import FASTEST, holding_force, lost_opening
+from seft_plant_sim.actuator import FASTEST, holding_force, lost_opening
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.continuous_model import ContinuousModel
 from seft_plant_sim.lti import first_order_hold
-from seft_plant_sim.specimen.spring_laws import (
+from seft_plant_sim.spring_laws import (
     BESIDE,
     GAP,
     HYSTERETIC,
@@ -22,9 +22,6 @@ from seft_plant_sim.specimen.spring_laws import (
     WIDTH,
     spring_force,
 )
-
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
 
 LONGEST_STEP = 5e-4  # s
 STEP_TIMES_RATE = 0.5  # of the fastest residual
@@ -108,16 +105,10 @@ def dynamics_of(
             )
     stretches = [_stretch(model, time, longest) for time in (before, after)]
     predict, correct, steps, periods = zip(*stretches, strict=True)
-    return Dynamics(
-        np.array(predict),
-        np.array(correct),
-        np.array(steps, dtype=np.int64),
-        np.array(periods, dtype=np.float64),
-        np.ascontiguousarray(np.hstack([model.c, model.d, model.outputs]).T),
-        np.ascontiguousarray(model.pistons),
-        _laws(model),
-        np.ascontiguousarray(model.deformation),
-    )
+    output = np.hstack([model.c, model.d, model.outputs]).T
+    arrays = (output, model.pistons, _laws(model), model.deformation)
+    by_stretch = np.array(predict), np.array(correct), np.array(steps, dtype=np.int64)
+    return Dynamics(*by_stretch, np.array(periods), *map(np.ascontiguousarray, arrays))
 
 
 def at_rest(dynamics: Dynamics) -> Motion:

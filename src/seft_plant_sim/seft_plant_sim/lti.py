@@ -49,7 +49,7 @@ def state_space_response(
 ) -> Complexes:
     """Response c (p - a)^-1 b + d at N points p of the s or z plane, shape (N, outputs, inputs).
 
-    b and d may be others at each point.
+    b and d may differ from point to point.
     """
     inputs = np.broadcast_to(b, (len(points), *b.shape[-2:]))
     states = np.linalg.solve(points[:, np.newaxis, np.newaxis] * np.eye(len(a)) - a, inputs)
@@ -102,10 +102,10 @@ def first_order_hold(a: Floats, b: Floats, dt: float) -> tuple[Floats, Floats, F
 
 
 def split_dead_time(delay: float, dt: float) -> tuple[int, float]:
-    """Split a dead time into whole sampling periods and the rest in s.
+    """Split a dead time into whole sampling periods and the remainder in s.
 
-    Between two samples the delayed input changes once, that rest after the first; 0: at the
-    sample itself.
+    Between two samples the delayed input changes once: the remainder after the first of them, at
+    the sample itself where it is 0.
     """
     whole = int(delay / dt + 1e-9)
     rest = delay - whole * dt

@@ -1,4 +1,4 @@
-"""Sensors of the rig: what the data acquisition sees of the true motion and force."""
+"""Sensors of the rig: what the data acquisition measures of the true motion and force."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple

@@ -2,8 +2,8 @@
 
 import numpy as np
 from seft_plant_sim.continuous_model import ContinuousModel
-from seft_plant_sim.rig.limits import NAMES, Limits, SaturatedTime
-from seft_plant_sim.rig.rig import Rig
+from seft_plant_sim.limits import NAMES, Limits, SaturatedTime
+from seft_plant_sim.rig import Rig
 from seft_plant_sim.sensors import Channels, Sensors
 
 

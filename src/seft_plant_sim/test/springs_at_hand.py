@@ -4,8 +4,8 @@ import itertools
 
 import numpy as np
 from seft_msgs_py.config.parameter_table import group, resolve
-from seft_plant_sim.rig.rig_parameters import TABLE
-from seft_plant_sim.specimen.spring_kinds import make_springs
+from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.springs import make_springs
 
 K, Y, A = 2.11e5, 0.004, 0.1
 

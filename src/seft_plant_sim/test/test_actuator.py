@@ -1,141 +1,114 @@
+"""From data sheets to what the actuator is, by hand after Merritt (1967)."""
+
 import numpy as np
 import pytest
-import scipy.linalg
-import scipy.optimize
 from seft_msgs_py.config.parameter_table import group, resolve
-from seft_plant_sim.actuator.actuator import delayed_force, servo_hydraulic
-from seft_plant_sim.actuator.hydraulics import Hydraulics
-from seft_plant_sim.rig.rig_parameters import TABLE
-from seft_plant_sim.specimen.specimen import Specimen
+from seft_msgs_py.errors import InputError
+from seft_plant_sim.actuator import Hydraulics
+from seft_plant_sim.continuous_model import servo_hydraulic
+from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.specimen import Specimen
 
-M, C, K = 52.7, 903.5, 2.11e5
-OIL, LEAKAGE, FLOW, VALVE_HZ, VALVE_DAMPING = 1.664e7, 20.0, 0.038527, 60.0, 0.7
-SPECIMEN = Specimen(np.array([[M]]), np.array([[C]]), np.array([[K]]))
+SPECIMEN = Specimen(np.array([[52.7]]), np.array([[903.5]]), np.array([[2.11e5]]))
+PAIR = Specimen(np.diag([52.7, 80.0]), np.zeros((2, 2)), np.diag([2.11e5, 3e5]))
+SHEET = {
+    "piston_area": 1e-3,  # m^2
+    "supply_pressure": 21e6,  # Pa
+    "rated_flow": 3e-4,  # m^3/s at
+    "rated_pressure_drop": 7e6,  # Pa
+    "rated_voltage": 5.0,  # V
+    "bulk_modulus": 1e9,  # Pa
+    "oil_volume": 2e-4,  # m^3
+    "leakage_coefficient": 3e-12,  # m^3/s/Pa
+}
 
 
-def hydraulics(specimen=SPECIMEN, axes=("x",), **changes):
-    """Actuators of the table's defaults, the paper's rig, with changes."""
-    given = {"specimen.mass": M, "specimen.stiffness": K}
-    given |= {f"actuator.{name}": value for name, value in changes.items()}
+def hydraulics(specimen=SPECIMEN, axes=("x",), **values):
+    given = {"specimen.mass": 1.0, "specimen.stiffness": 1.0}
+    given |= {f"actuator.{name}": value for name, value in (SHEET | values).items()}
     section = resolve({"rig": TABLE}, {"rig": TABLE.check(given)})["rig"]
     return Hydraulics.from_parameters(group(section, "actuator"), specimen, axes, "rig: actuator")
 
 
-MODEL = servo_hydraulic(
-    SPECIMEN,
-    hydraulics(
-        oil_stiffness=OIL,
-        leakage=LEAKAGE,
-        flow_gain=FLOW,
-        valve_frequency=VALVE_HZ,
-        valve_damping=VALVE_DAMPING,
-        dead_time=0.001,
-    ),
-    linear=True,
-)
+def test_data_sheets_give_the_identified_values():
+    """4 beta A^2/V; 4 beta C/V; Q sqrt(p_s/dp)/(A u); p_s A."""
+    made = hydraulics()
+    assert made.oil_stiffness.item() == pytest.approx(4 * 1e9 * 1e-6 / 2e-4)  # 2e7 N/m
+    assert made.leakage.item() == pytest.approx(60.0)
+    assert made.flow_gain.item() == pytest.approx(3e-4 * np.sqrt(3.0) / (1e-3 * 5.0))
+    assert made.force_capacity.item() == pytest.approx(21e3)
+    assert made.opening_limit.item() == 5.0
 
 
-def valve_to_force(s):
-    """By hand: f = k_oil (q w - v) / (s + lambda), with v = s f / (m s^2 + c s + k)."""
-    wv = 2 * np.pi * VALVE_HZ
-    valve = wv**2 / (s**2 + 2 * VALVE_DAMPING * wv * s + wv**2)
-    specimen = M * s**2 + C * s + K
-    return valve * OIL * FLOW * specimen / ((s + LEAKAGE) * specimen + OIL * s)
+@pytest.mark.parametrize("name", ["oil_stiffness", "flow_gain", "leakage", "force_capacity"])
+def test_an_identified_value_counts_before_the_data_sheet_and_changes_no_other(name):
+    sheet, given = hydraulics(), hydraulics(**{name: 123.0})
+    assert getattr(given, name).item() == 123.0
+    others = {"oil_stiffness", "flow_gain", "leakage", "force_capacity"} - {name}
+    for other in others:
+        assert getattr(given, other) == getattr(sheet, other)
 
 
-def controller(s):
-    """Eq. 3.1."""
-    return 37 / (s**2 + 17.14 * s + 4002)
+def test_an_oil_column_frequency_is_the_pole_of_actuator_and_specimen():
+    """Of mass, oil and specimen's spring together: the paper's 90 Hz, exactly if undamped."""
+    made = hydraulics(oil_column_frequency=90.0)
+    assert made.oil_stiffness.item() == pytest.approx(52.7 * (2 * np.pi * 90) ** 2 - 2.11e5)
+    undamped = Specimen(SPECIMEN.mass, np.zeros((1, 1)), SPECIMEN.stiffness)
+    closed = hydraulics(oil_column_frequency=90.0, leakage_coefficient=0.0)
+    poles = np.linalg.eigvals(servo_hydraulic(undamped, closed, linear=True).a)
+    (hz,) = {round(p.imag / (2 * np.pi), 6) for p in poles if p.imag > 2 * np.pi * 80}
+    assert hz == pytest.approx(90.0, abs=1e-5)
 
 
-def response(row, hz, model=MODEL):
-    s = 2j * np.pi * hz
-    inverse = np.linalg.solve(s * np.eye(len(model.a)) - model.a, model.b)
-    return (model.c[row] @ inverse + model.d[row]).item()
+def test_the_default_data_sheets_put_the_oil_column_at_90_hz():
+    given = {"specimen.mass": 1.0, "specimen.stiffness": 1.0}
+    section = resolve({"rig": TABLE}, {"rig": TABLE.check(given)})["rig"]
+    made = Hydraulics.from_parameters(group(section, "actuator"), SPECIMEN, ("x",), "rig: actuator")
+    resonance = np.sqrt((made.oil_stiffness.item() + 2.11e5) / 52.7) / (2 * np.pi)
+    assert resonance == pytest.approx(90.0, abs=0.1)
 
 
-@pytest.mark.parametrize("hz", [0.01, 1.0, 9.0, 10.07, 12.0, 30.0, 89.0, 90.0, 200.0])
-def test_the_response_is_that_of_the_equations_by_hand(hz):
-    s = 2j * np.pi * hz
-    force = valve_to_force(s)
-    specimen = M * s**2 + C * s + K
-    for row, factor in enumerate([1 / specimen, s / specimen, s**2 / specimen, 1.0]):
-        assert response(row, hz) == pytest.approx(force * factor, rel=1e-9)
-
-
-def test_zeros_of_valve_to_force_are_the_poles_of_the_specimen():
-    size = len(MODEL.a)
-    system = np.block([[MODEL.a, MODEL.b], [MODEL.c[3:4], MODEL.d[3:4]]])
-    mask = scipy.linalg.block_diag(np.eye(size), np.zeros((1, 1)))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        zeros = scipy.linalg.eigvals(system, mask)
-    zeros = zeros[np.abs(zeros) < 1e5]  # the others are at infinity
+def test_each_axis_may_have_its_own_actuator():
+    made = hydraulics(
+        PAIR,
+        ("x", "y"),
+        piston_area=[1e-3, 2e-3],
+        leakage=[0.0, 25.0],
+        friction=[10.0, 20.0],
+        stroke=0.1,
+    )
+    np.testing.assert_allclose(made.oil_stiffness, [2e7, 8e7])
+    np.testing.assert_allclose(made.force_capacity, [21e3, 42e3])
+    np.testing.assert_allclose(made.leakage, [60.0, 25.0])  # 0: that axis by its data sheet
+    np.testing.assert_allclose(made.friction, [10.0, 20.0])
+    np.testing.assert_allclose(made.stroke, [0.1, 0.1])
+    by_frequency = hydraulics(PAIR, ("x", "y"), oil_column_frequency=[90.0, 0.0])
     np.testing.assert_allclose(
-        np.sort_complex(zeros), np.sort_complex(np.roots([M, C, K])), rtol=1e-6
-    )
-    assert np.abs(zeros) / (2 * np.pi) == pytest.approx(10.07, abs=0.005)
-
-
-def test_the_oil_column_resonates_at_90_hz():
-    poles = np.linalg.eigvals(MODEL.a)
-    light = poles[np.abs(poles.real) < 0.1 * np.abs(poles)]
-    np.testing.assert_allclose(np.abs(light) / (2 * np.pi), [90.0, 90.0], atol=0.5)
-    assert len(poles) == 5
-    assert (poles.real < 0).all()
-
-
-def test_the_force_loop_crosses_over_at_12_hz():
-    def gain(hz):
-        return abs(controller(2j * np.pi * hz) * response(3, hz))
-
-    assert scipy.optimize.brentq(lambda hz: gain(hz) - 1, 11.0, 13.0) == pytest.approx(12, abs=0.01)
-    for hz in (0.1, 1.0, 5.0, 9.0, 11.9):
-        assert gain(hz) > 1
-    for hz in (12.1, 20.0, 60.0, 90.0, 200.0):
-        assert gain(hz) < 1
-
-
-def test_the_closed_force_loop_is_flat_to_25_hz_with_a_delay_near_14_ms():
-    """With 4 ms around the loop at 500 Hz: 1 dead time, 2 latency, 1 zero-order hold."""
-    hz = np.arange(0.1, 25.05, 0.1)
-    s = 2j * np.pi * hz
-    loop = controller(s) * valve_to_force(s) * np.exp(-0.004 * s)
-    tracking = loop / (1 + loop)
-    delay = -np.unwrap(np.angle(tracking)) / (2 * np.pi * hz)
-    assert np.abs(20 * np.log10(np.abs(tracking))).max() < 0.7
-    np.testing.assert_allclose(delay[hz < 10], 0.0138, atol=0.0004)
-
-
-def test_the_default_actuator_crosses_over_where_12_hz_remain_as_it_runs():
-    jhu = Specimen(np.array([[M]]), np.array([[800.3]]), np.array([[K]]))  # config/jhu.yaml
-    model = servo_hydraulic(jhu, hydraulics(), linear=True)
-
-    def gain(hz):
-        return abs(controller(2j * np.pi * hz) * response(3, hz, model))
-
-    assert scipy.optimize.brentq(lambda hz: gain(hz) - 1, 11.0, 13.0) == pytest.approx(
-        12.18, abs=0.02
+        by_frequency.oil_stiffness, [52.7 * (2 * np.pi * 90) ** 2 - 2.11e5, 2e7]
     )
 
 
-def test_the_drives_are_the_reference_force_and_the_valve():
-    assert MODEL.drive == "valve_command"
-    ideal = delayed_force(SPECIMEN, 0.0)
-    assert (ideal.drive, ideal.delay) == ("reference_force", 0.0)
-    assert delayed_force(SPECIMEN, 0.01).delay == 0.01
-    assert MODEL.delay == 0.001
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        (
+            {"oil_stiffness": 1e7, "oil_column_frequency": 90.0},
+            "rig: actuator: oil_stiffness and oil_column_frequency are both given; give one",
+        ),
+        (
+            {"oil_column_frequency": 10.0},
+            "oil_column_frequency is 10.0, but must be above the specimen's own frequency",
+        ),
+        ({"piston_area": [1.0, 2.0]}, r"rig: actuator\.piston_area: 2 values for 1 axes"),
+        ({"stroke": [1.0, 2.0]}, r"rig: actuator\.stroke: 2 values for 1 axes"),
+    ],
+)
+def test_values_that_contradict_each_other_are_refused(values, told):
+    with pytest.raises(InputError, match=told):
+        hydraulics(**values)
 
 
-def test_axes_are_coupled_by_the_specimen_alone():
-    mass = np.array([[2.0, 0.5], [0.5, 1.0]])
-    pair = Specimen(mass, np.zeros((2, 2)), np.diag([100.0, 200.0]))
-    values = np.array([[1e5, 2e5], [3.0, 4.0], [0.1, 0.2], [50.0, 60.0], [0.7, 0.8]])
-    names = ("oil_stiffness", "leakage", "flow_gain", "valve_frequency", "valve_damping")
-    given = {name: row.tolist() for name, row in zip(names, values, strict=True)}
-    model = servo_hydraulic(pair, hydraulics(pair, ("x", "y"), **given), linear=True)
-    x, v, f, w = (np.eye(10)[2 * i] + 2 * np.eye(10)[2 * i + 1] for i in range(4))
-    np.testing.assert_allclose((model.a @ f)[2:4], np.linalg.solve(mass, [1, 2]))
-    np.testing.assert_allclose((model.a @ x)[2:4], np.linalg.solve(mass, [-100, -400]))
-    np.testing.assert_allclose((model.a @ v)[4:6], [-1e5, -4e5])
-    np.testing.assert_allclose((model.a @ f)[4:6], [-3, -8])
-    np.testing.assert_allclose((model.a @ w)[4:6], [1e4, 8e4])
+@pytest.mark.parametrize("name", [*list(SHEET)[:-1], "friction_velocity", "stroke"])
+def test_a_data_sheet_has_positive_numbers(name):
+    with pytest.raises(InputError, match=f"actuator.{name} is 0.0, but must be greater than zero"):
+        hydraulics(**{name: 0.0})

@@ -3,11 +3,13 @@ import re
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, TARGET, VALVE_COMMAND
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_plant_sim.rig.command import Command
+from seft_plant_sim.command import Command, MessagesAhead
 
 AXES = ("east", "north")
 TIMEBASE = Timebase.from_rate(500.0)
@@ -92,3 +94,36 @@ def test_over_a_link_it_is_the_one_of_the_message_that_the_delay_tells():
     np.testing.assert_array_equal(command.value, [-3.0, 3.0])  # told at step 1 for step 3
     command.current = 9
     np.testing.assert_array_equal(command.value, [-5.0, 5.0])  # the last that is settled
+
+
+D = 3
+NOTHING = np.zeros((1 + D, 1))
+
+
+def points(step):
+    return np.full((1 + D, 1), float(step))
+
+
+@given(st.lists(st.integers(0, D), min_size=10, max_size=40))
+def test_when_a_message_came_does_not_matter_if_it_came_in_time(late):
+    """It is there by the step that uses it, and none overtakes another."""
+    there = np.maximum.accumulate(np.arange(len(late)) + late)
+    ahead = MessagesAhead(D, NOTHING)
+    for step in range(len(late)):
+        for sent in np.flatnonzero(there == step):
+            ahead.add(int(sent), points(sent))
+        age, found = ahead.of(step)
+        assert age == min(D, step + 1)
+        assert found[0, 0] == (step - D if step >= D else 0.0)
+
+
+def test_where_one_is_missing_the_next_counts_and_then_the_last():
+    ahead = MessagesAhead(D, NOTHING)
+    for step in (0, 1, 3):
+        ahead.add(step, points(step))
+    assert ahead.of(D + 1)[0] == D
+    assert ahead.of(D + 2)[0] == D - 1
+    assert ahead.of(D + 3)[0] == D
+    age, found = ahead.of(D + 10)
+    assert age == D + 7
+    assert found[0, 0] == 3.0

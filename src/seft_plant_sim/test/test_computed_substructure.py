@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.reference.computed_substructure import ComputedSubstructure
-from seft_plant_sim.reference.whole_structure import RunningResponse, reference_response
+from seft_plant_sim.computed_substructure import ComputedSubstructure
+from seft_plant_sim.whole_structure import RunningResponse, reference_response
 
 NOTHING = {
     "mass_ratio": 1.0,

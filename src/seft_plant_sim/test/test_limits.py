@@ -6,7 +6,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.config.parameter_table import Table
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.rig.limits import (
+from seft_plant_sim.limits import (
     NAMES,
     ROWS,
     Limits,

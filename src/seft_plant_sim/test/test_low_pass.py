@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from bare_rig import BareRig
 from seft_msgs_py.config.parameter_table import resolve
-from seft_plant_sim.actuator.actuator import delayed_force
-from seft_plant_sim.continuous_model import with_low_pass
-from seft_plant_sim.rig.rig import continuous_model
-from seft_plant_sim.rig.rig_parameters import TABLE
-from seft_plant_sim.specimen.specimen import Specimen
+from seft_plant_sim.continuous_model import delayed_force, with_low_pass
+from seft_plant_sim.rig import continuous_model
+from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.specimen import Specimen
 
 PAIR = Specimen(
     np.array([[60.0, 5.0], [5.0, 45.0]]),

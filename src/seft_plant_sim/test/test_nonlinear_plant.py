@@ -6,8 +6,8 @@ from bare_rig import BareRig
 from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
 from seft_plant_sim import integration
-from seft_plant_sim.rig.rig import continuous_model
-from seft_plant_sim.rig.rig_parameters import TABLE
+from seft_plant_sim.rig import continuous_model
+from seft_plant_sim.rig_parameters import TABLE
 
 DT = 0.002
 NOISE = np.random.default_rng(3).normal(size=(250, 1))

@@ -12,9 +12,9 @@ from bare_rig import BareRig
 from scipy.integrate import solve_ivp
 from seft_msgs_py.config.parameter_table import resolve
 from seft_plant_sim import integration
-from seft_plant_sim.actuator.hydraulics import STOP_DAMPING, STOP_STIFFNESS
-from seft_plant_sim.rig.rig import continuous_model
-from seft_plant_sim.rig.rig_parameters import TABLE
+from seft_plant_sim.actuator import STOP_DAMPING, STOP_STIFFNESS
+from seft_plant_sim.rig import continuous_model
+from seft_plant_sim.rig_parameters import TABLE
 
 DT = 0.002
 COUNT = 150

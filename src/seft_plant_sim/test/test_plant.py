@@ -7,9 +7,9 @@ import pytest
 from bare_rig import BareRig
 from scipy.integrate import solve_ivp
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.actuator.actuator import delayed_force, servo_hydraulic
-from seft_plant_sim.actuator.hydraulics import Hydraulics
-from seft_plant_sim.specimen.specimen import Specimen
+from seft_plant_sim.actuator import Hydraulics
+from seft_plant_sim.continuous_model import delayed_force, servo_hydraulic
+from seft_plant_sim.specimen import Specimen
 
 DT = 0.002
 PAPER = Specimen(np.array([[52.7]]), np.array([[903.5]]), np.array([[2.11e5]]))

@@ -7,10 +7,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import resolve
-from seft_plant_sim.reference import whole_structure
-from seft_plant_sim.reference.response import ShakenStructure, response
-from seft_plant_sim.reference.whole_structure import reference_response
-from seft_plant_sim.rig.rig_parameters import TABLE
+from seft_plant_sim import whole_structure
+from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.whole_structure import ShakenStructure, reference_response, response
 
 DT = 0.002
 ONE = {"mass": 52.7, "damping": 500.0, "stiffness": 2.11e5}

@@ -7,10 +7,10 @@ import pytest
 from bare_rig import BareRig
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.compiled import compiled
-from seft_plant_sim.reference.response import ShakenStructure
-from seft_plant_sim.rig.rig import Rig, continuous_model, saturation_of
-from seft_plant_sim.rig.rig_parameters import TABLE
-from seft_plant_sim.rig.rig_step import rig_step
+from seft_plant_sim.rig import Rig, continuous_model, saturation_of
+from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.rig_step import rig_step
+from seft_plant_sim.whole_structure import ShakenStructure
 
 JHU = "config/jhu.yaml"
 YIELDS = {"yield_displacement": 0.003}
@@ -97,7 +97,7 @@ def test_an_exact_force_gives_the_reference_the_nearer_the_finer_it_is_sampled(k
 
 
 def reference(experiment, ground, time, steps):
-    from seft_plant_sim.reference.whole_structure import tested_specimen
+    from seft_plant_sim.whole_structure import tested_specimen
 
     specimen = tested_specimen(experiment)
     shaken = ShakenStructure(specimen, time[1] - time[0], steps)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.rig.rig import Rig, Rigs
-from seft_plant_sim.rig.rig_parameters import TABLE
+from seft_plant_sim.rig import Rig, Rigs
+from seft_plant_sim.rig_parameters import TABLE
 
 PLAN = (
     "/**:axes:=[west/x, east/x, west/y]",

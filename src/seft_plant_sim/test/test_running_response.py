@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment
-from seft_plant_sim.reference.whole_structure import RunningResponse, reference_response
-from seft_plant_sim.rig.rig_parameters import TABLE
+from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.whole_structure import RunningResponse, reference_response
 
 MODEL = {"model.mass": [52.7], "method": "seft", "mass_ratio": 1.5, "rate": 500.0, "axes": ["x"]}
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.config.parameter_table import group, resolve
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.rig.rig_parameters import TABLE
+from seft_plant_sim.rig_parameters import TABLE
 from seft_plant_sim.sensors import CHANNELS, Channels, Sensors, measure
 
 DT = 0.002

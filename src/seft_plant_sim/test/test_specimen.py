@@ -4,9 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.config.parameter_table import group, resolve
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.rig.rig_parameters import TABLE
-from seft_plant_sim.specimen.specimen import Specimen
-from seft_plant_sim.specimen.spring_laws import (
+from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.specimen import Specimen
+from seft_plant_sim.spring_laws import (
     BESIDE,
     EXPONENT,
     HYSTERETIC,

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from seft_msgs_py.config.experiment import Experiment
-from seft_plant_sim.reference.whole_structure import reference_response
+from seft_plant_sim.whole_structure import reference_response
 
 M, C, K = 52.7, 903.5, 2.11e5
 MASS = np.array([[60.0, 5.0, 0.0], [5.0, 45.0, -3.0], [0.0, -3.0, 30.0]])

@@ -3,7 +3,7 @@
 import sys
 
 import pytest
-from seft_ros.commands.main import main
+from seft_ros.cli.main import main
 
 
 @pytest.fixture

@@ -1,7 +1,7 @@
 """A rig whose hardware fails at a given step: below what a driver measures and commands."""
 
 import numpy as np
-from seft_plant_sim.actuator.hydraulics import PER_CAPACITY
+from seft_plant_sim.actuator import PER_CAPACITY
 
 CHANNELS = ("displacement", "velocity", "acceleration", "force")
 SENSOR_FAULTS = {

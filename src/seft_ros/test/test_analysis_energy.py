@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
-from seft_plant_sim.rig.limits import ROWS
+from seft_plant_sim.limits import ROWS
 from seft_ros.analysis.summary import balance_of, energy_numbers, summarise
 from seft_ros.recording.bag_reader import read_bag
 from seft_ros.recording.record import Series

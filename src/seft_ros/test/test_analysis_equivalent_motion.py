@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import LOOP_TOPICS
-from seft_plant_sim.reference.whole_structure import reference_response, whole_structure
+from seft_plant_sim.whole_structure import reference_response, whole_structure
 from seft_ros.analysis.equivalent_motion import (
     EquivalentMotion,
     assumed_structure,

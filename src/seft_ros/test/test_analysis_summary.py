@@ -12,7 +12,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import Saturation, Trip
 from seft_msgs_py.wire.topics import LOOP_TOPICS
-from seft_plant_sim.reference.whole_structure import reference_response
+from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis import figures
 from seft_ros.analysis.metrics import delayed, nrmse
 from seft_ros.analysis.summary import json_safe, reference_of, summarise

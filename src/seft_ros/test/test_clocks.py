@@ -27,7 +27,7 @@ ALLOWED = {
     "seft_ros/recording/jitter_probe.py": "when the host stood still, for the bag",
     "seft_ros/recording/environment.py": "when the test was",
     "seft_ros/recording/record_bag.py": "times in the bag",
-    "seft_ros/commands/identify.py": "the folder's name",
+    "seft_ros/cli/identify.py": "the folder's name",
 }
 
 

@@ -7,12 +7,11 @@ from hypothesis import strategies as st
 from scipy.signal import butter, lfilter
 from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.wire.timebase import Timebase
-from seft_ros.reference_force.block import knowledge
-from seft_ros.reference_force.compensation.ats import parabola_weights
-from seft_ros.reference_force.compensation.delay.band_pass import BandPass
-from seft_ros.reference_force.compensation.delay.delay_estimator import DelayEstimator
-from seft_ros.reference_force.compensation.methods import METHODS
-from seft_ros.reference_force.parameters import TABLE
+from seft_ros.reference_force.ats import parabola_weights
+from seft_ros.reference_force.compensation_methods import METHODS
+from seft_ros.reference_force.delay_estimator import BandPass, DelayEstimator
+from seft_ros.reference_force.reference_force_block import knowledge
+from seft_ros.reference_force.reference_force_parameters import TABLE
 
 DT, START, BOUNDS, RATE = 0.002, 0.014, (0.002, 0.04), 0.01
 

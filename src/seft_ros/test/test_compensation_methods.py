@@ -10,10 +10,9 @@ from scipy.linalg import expm
 from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.timebase import Timebase
-from seft_ros.reference_force.block import knowledge
-from seft_ros.reference_force.compensation.methods import METHODS
-from seft_ros.reference_force.compensation.polynomial import lagrange_weights
-from seft_ros.reference_force.parameters import TABLE
+from seft_ros.reference_force.compensation_methods import METHODS, lagrange_weights
+from seft_ros.reference_force.reference_force_block import knowledge
+from seft_ros.reference_force.reference_force_parameters import TABLE
 
 M, C, K, DT, DELAY = 52.7, 800.3, 2.11e5, 0.002, 0.0133
 PREDICTORS = ("polynomial", "linear_acceleration", "model", "smith", "inverse")

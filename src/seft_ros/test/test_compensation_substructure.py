@@ -8,15 +8,14 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.timebase import Timebase
-from seft_plant_sim.reference.whole_structure import reference_response
-from seft_ros.reference_force.block import compensator, knowledge
-from seft_ros.reference_force.compensation.methods import METHODS
-from seft_ros.reference_force.compensation.names import TARGET_MOTION
-from seft_ros.reference_force.compensation.substructure import (
+from seft_plant_sim.whole_structure import reference_response
+from seft_ros.reference_force.compensation_methods import METHODS
+from seft_ros.reference_force.reference_force_block import compensator, knowledge
+from seft_ros.reference_force.reference_force_parameters import TABLE, TARGET_MOTION
+from seft_ros.reference_force.substructure import (
     _BehindMotion,
     substructure_motion,
 )
-from seft_ros.reference_force.parameters import TABLE
 
 RATE = 4000.0
 

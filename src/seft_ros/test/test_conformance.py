@@ -7,9 +7,9 @@ from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import Status
 from seft_msgs_py.wire.topics import RIG_STATE, VALVE_COMMAND
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_plant_sim.reference import whole_structure
-from seft_plant_sim.rig.command import Command
-from seft_plant_sim.rig.rig import Rig
+from seft_plant_sim import whole_structure
+from seft_plant_sim.command import Command
+from seft_plant_sim.rig import Rig
 from seft_ros.conformance import message_checks, motion_checks, obedience_checks
 from seft_ros.conformance.driver import Guard, Samples, Trial
 from seft_ros.conformance.finding import finding_line, found, not_run, verdict

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment, parse_override
-from seft_plant_sim.rig.rig import Rig
+from seft_plant_sim.rig import Rig
 from seft_ros.design.actuator_fit import fit_actuator
 from seft_ros.ground_motion.synthetic_motion import excitation
 from seft_ros.test_run.parameter_tables import TABLES

@@ -10,15 +10,18 @@ from scipy.optimize import brentq
 from scipy.signal import ss2tf
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.rig.limits import ROWS
-from seft_plant_sim.rig.rig import Rig, continuous_model
+from seft_plant_sim.limits import ROWS
+from seft_plant_sim.rig import (
+    Rig,
+    continuous_model,
+)
 from seft_ros.design.closed_loop import ClosedLoop
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import critical_mass_ratio
 from seft_ros.design.stability_verdict import predicted_modes
 from seft_ros.force_controller.block import ForceController
-from seft_ros.reference_force.block import ReferenceForce
-from seft_ros.reference_force.compensation.methods import METHODS
+from seft_ros.reference_force.compensation_methods import METHODS
+from seft_ros.reference_force.reference_force_block import ReferenceForce
 from seft_ros.test_run.parameter_tables import TABLES
 
 M, C, K = 52.7, 800.3, 2.11e5

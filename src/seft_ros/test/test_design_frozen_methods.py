@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.rig.limits import ROWS
-from seft_plant_sim.rig.rig import Rig
+from seft_plant_sim.limits import ROWS
+from seft_plant_sim.rig import Rig
 from seft_ros.design.closed_loop import frozen_target
 from seft_ros.design.plan import Plan
 from seft_ros.design.preflight_tables import summarise
@@ -18,7 +18,7 @@ from seft_ros.force_controller.velocity_feedforward import (
     LARGEST_GAIN_ERROR,
     VelocityFeedforward,
 )
-from seft_ros.reference_force.block import knowledge
+from seft_ros.reference_force.reference_force_block import knowledge
 from seft_ros.target.target_motion import TargetMotion
 from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.rig.rig import continuous_model
+from seft_plant_sim.rig import continuous_model
 from seft_ros.design.closed_loop import force_loop
 from seft_ros.design.controller import Controller
 from seft_ros.design.loop_design import shape_loop

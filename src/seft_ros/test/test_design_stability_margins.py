@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment
-from seft_plant_sim.rig.limits import ROWS
+from seft_plant_sim.limits import ROWS
 from seft_ros.design.plan import Plan
 from seft_ros.design.preflight_tables import summarise
 from seft_ros.design.stability_margins import (
@@ -13,7 +13,7 @@ from seft_ros.design.stability_margins import (
     stability_change,
 )
 from seft_ros.design.stability_verdict import preflight
-from seft_ros.reference_force.compensation.methods import METHODS
+from seft_ros.reference_force.compensation_methods import METHODS
 from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, sosfilt
 from seft_msgs_py.config.experiment import Experiment
-from seft_plant_sim.reference.computed_substructure import ComputedSubstructure
-from seft_plant_sim.reference.whole_structure import reference_response
+from seft_plant_sim.computed_substructure import ComputedSubstructure
+from seft_plant_sim.whole_structure import reference_response
 from seft_ros.interlock.instability import InstabilityWatch
-from seft_ros.reference_force.compensation.compensator import Knowledge
+from seft_ros.reference_force.compensator import Knowledge
 from seft_ros.test_run.parameter_tables import TABLES
 
 CONFIGS = Path(__file__).parents[3] / "config"

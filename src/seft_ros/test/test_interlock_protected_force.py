@@ -3,12 +3,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from seft_plant_sim.reference.computed_substructure import ComputedSubstructure
+from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_ros.interlock.instability import InstabilityWatch
 from seft_ros.interlock.plausibility import PlausibleForce
 from seft_ros.interlock.protected_force import ProtectedForce
 from seft_ros.interlock.ramp_down import RampDown
-from seft_ros.reference_force.compensation.compensator import Knowledge
+from seft_ros.reference_force.compensator import Knowledge
 from seft_ros.target.braking import continued
 
 DT = 0.002

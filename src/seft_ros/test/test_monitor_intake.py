@@ -7,7 +7,7 @@ import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_plant_sim.reference.whole_structure import reference_response, whole_structure
+from seft_plant_sim.whole_structure import reference_response, whole_structure
 from seft_ros.analysis.equivalent_motion import (
     EquivalentMotion,
     assumed_structure,

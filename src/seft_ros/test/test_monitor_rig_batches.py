@@ -3,7 +3,7 @@
 import numpy as np
 from seft_msgs_py.wire.messages import Status
 from seft_msgs_py.wire.topics import rigs_of
-from seft_ros.monitor.samples import RigBatches
+from seft_ros.monitor.history import RigBatches
 from seft_ros.monitor.session import Session
 
 RIGS = rigs_of(["west/x", "east/x", "west/y"])

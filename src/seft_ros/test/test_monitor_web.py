@@ -15,7 +15,7 @@ from seft_ros.monitor.access import (
     is_loopback,
     page_address,
 )
-from seft_ros.monitor.serve import listen
+from seft_ros.monitor.server import listen
 from seft_ros.monitor.web import Pages, application
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.httpserver import HTTPServer

@@ -9,7 +9,7 @@ from seft_msgs_py.errors import InputError
 from seft_ros.force_controller.force_control import ControlKnowledge
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.registered_control import RegisteredControl
-from seft_ros.reference_force.compensation.methods import METHODS
+from seft_ros.reference_force.compensation_methods import METHODS
 from seft_ros.test_run import blocks as blocks_module
 from seft_ros.test_run import offline
 from seft_ros.test_run.blocks import build_blocks

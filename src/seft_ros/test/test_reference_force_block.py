@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.timebase import Timebase
-from seft_ros.reference_force.block import ReferenceForce
-from seft_ros.reference_force.parameters import TABLE
+from seft_ros.reference_force.reference_force_block import ReferenceForce
+from seft_ros.reference_force.reference_force_parameters import TABLE
 
 NUMBERS = st.floats(-100, 100)
 

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
-from seft_plant_sim.reference.whole_structure import reference_response
+from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.metrics import nrmse
-from seft_ros.reference_force.block import knowledge
+from seft_ros.reference_force.reference_force_block import knowledge
 from seft_ros.target.motion_observer import observe, observer_gains
 from seft_ros.target.restoring_model import (
     THRESHOLDS,

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.rig.rig_parameters import TABLE
+from seft_plant_sim.rig_parameters import TABLE
 from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.tournament.perturbed_rig import UNCERTAINTY, check_rig, perturbed_rig
 

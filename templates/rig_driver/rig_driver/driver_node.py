@@ -34,9 +34,9 @@ from seft_msgs_py.wire.topics import (
     until_start,
 )
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
-from seft_plant_sim.rig.command import Command
-from seft_plant_sim.rig.command_watch import CommandWatch, elapsed
-from seft_plant_sim.rig.limits import Limits
+from seft_plant_sim.command import Command
+from seft_plant_sim.limits import Limits
+from seft_plant_sim.rig_watch import CommandWatch, elapsed
 
 from rig_driver.calibration import Calibration
 from rig_driver.hardware import Hardware

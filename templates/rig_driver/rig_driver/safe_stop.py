@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 import numpy.typing as npt
-from seft_plant_sim.rig.closing import left_open
+from seft_plant_sim.rig import left_open
 
 from rig_driver.hardware import Hardware
 

@@ -11,7 +11,7 @@ from scipy.linalg import eigh
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import GROUND_MOTION, RIG_STATE
-from seft_plant_sim.reference.whole_structure import (
+from seft_plant_sim.whole_structure import (
     WholeStructure,
     reference_response,
     whole_structure,

@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RIG_STATE
-from seft_plant_sim.reference.whole_structure import ReferenceResponse
+from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.alignment import Alignment, common_steps
 from seft_ros.analysis.metrics import nrmse

@@ -10,12 +10,12 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import GROUND_MOTION, LOOP_TOPICS, RIG_STATE
 from seft_plant_sim.lti import split_dead_time
-from seft_plant_sim.reference.whole_structure import (
+from seft_plant_sim.specimen import EnergyBalance, energy_balance
+from seft_plant_sim.whole_structure import (
     ReferenceResponse,
     reference_response,
     tested_specimen,
 )
-from seft_plant_sim.specimen.energy_balance import EnergyBalance, energy_balance
 
 from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
 from seft_ros.analysis.fault_detection import shares_of

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
-from seft_plant_sim.reference.whole_structure import ReferenceResponse, whole_structure
+from seft_plant_sim.whole_structure import ReferenceResponse, whole_structure
 
 from seft_ros.analysis.alignment import common_steps, every_step
 from seft_ros.analysis.equivalent_motion import EquivalentMotion, assumed_structure

@@ -196,7 +196,7 @@ def energy_error(force_error: Floats, velocity: Floats, dt: float) -> Floats:
     Positive where force control adds energy that the reference force would not have brought
     (as damping taken away), negative where it takes energy out (as damping added). Of whole
     cycles the rule is exact for band-limited signals. It is the loop's part of an energy balance,
-    which `seft_plant_sim.specimen.energy_balance` draws up for the specimen; after Mosqueda,
+    which `seft_plant_sim.specimen` draws up for the specimen; after Mosqueda,
     Stojadinovic & Mahin 2007 (Journal of Structural Engineering 133, 1100-1108), who take the work
     over the error of displacement, as there it is displacement that is tracked.
 

@@ -20,7 +20,7 @@ from seft_msgs_py.wire.topics import (
     LoopTopic,
 )
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
-from seft_plant_sim.rig.limits import NAMES, UNITS
+from seft_plant_sim.limits import NAMES, UNITS
 
 from seft_ros.test_run.player import Player
 from seft_ros.test_run.processes import NodeProcesses

@@ -8,7 +8,7 @@ from rich.text import Text
 
 Verdict = Literal["passed", "failed", "not run"]
 
-_REFUSE = "refuse it, as seft_plant_sim.rig.command.Command does: count it as a missing command"
+_REFUSE = "refuse it, as seft_plant_sim.command.Command does: count it as a missing command"
 _MOTION = {
     "description": "publish JSON with node and parameters on experiment/description, latched",
     "diagnostics": "send a status named rig with its phase five times a second",
@@ -46,7 +46,7 @@ _OBEDIENCE = {
     "trip is latched": "keep a trip until experiment/state is idle",
     "watchdog: supervisor silent": "",
     "stands still": "before each command check the age of the last new one, by a clock that does "
-    "not stop, as seft_plant_sim.rig.command_watch.CommandWatch does",
+    "not stop, as seft_plant_sim.rig_watch.CommandWatch does",
     "rests when done": "end the test at once when experiment/state is done",
     "rests when tripped": "end the test at once when experiment/state is tripped",
     "rests in a test under way": "start only if experiment/state was ready before: a rig that "

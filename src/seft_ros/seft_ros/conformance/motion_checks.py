@@ -5,7 +5,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.wire.trajectory import Floats
-from seft_plant_sim.specimen.specimen import Specimen
+from seft_plant_sim.specimen import Specimen
 
 from seft_ros.conformance.driver import Samples
 from seft_ros.conformance.finding import Finding, found, not_run

@@ -12,7 +12,7 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.node.realtime import boot, started
 from seft_msgs_py.wire.outcome import FINISHED, TRIPPED, State
 from seft_msgs_py.wire.topics import LOOP_TOPICS, VALVE_COMMAND
-from seft_plant_sim.reference.whole_structure import tested_specimen
+from seft_plant_sim.whole_structure import tested_specimen
 
 from seft_ros.conformance import message_checks, motion_checks, obedience_checks
 from seft_ros.conformance.driver import ENDED, SLOW, Answer, Guard, TestDriver, Trial

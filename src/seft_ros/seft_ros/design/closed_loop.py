@@ -21,7 +21,7 @@ from seft_ros.force_controller.velocity_feedforward import (
     begin_feedforward,
     feedforward_step,
 )
-from seft_ros.reference_force.compensation.linear_filter import LinearFilter
+from seft_ros.reference_force.linear_filter import LinearFilter
 from seft_ros.target.target_motion import TargetMotion
 from seft_ros.target.target_step import begin_target, target_step
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from seft_msgs_py.config.experiment import write_parameter_file
 from seft_msgs_py.errors import ExperimentError
 from seft_plant_sim.lti import TransferFunction
-from seft_plant_sim.specimen.specimen import Specimen
+from seft_plant_sim.specimen import Specimen
 
 from seft_ros.design.actuator_fit import ActuatorFit, fit_actuator
 from seft_ros.design.controller import Controller, polynomial_of

@@ -11,9 +11,9 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_plant_sim.continuous_model import Drive
-from seft_plant_sim.reference.whole_structure import tested_specimen
-from seft_plant_sim.rig.rig import continuous_model
-from seft_plant_sim.specimen.specimen import Specimen
+from seft_plant_sim.rig import continuous_model
+from seft_plant_sim.specimen import Specimen
+from seft_plant_sim.whole_structure import tested_specimen
 
 from seft_ros.design import Source
 from seft_ros.design.closed_loop import (
@@ -30,10 +30,13 @@ from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.methods import force_control
 from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
-from seft_ros.reference_force.block import compensator, knowledge
-from seft_ros.reference_force.compensation.compensator import Compensator
-from seft_ros.reference_force.compensation.linear_filter import LinearFilter
-from seft_ros.reference_force.compensation.names import TARGET_MOTION
+from seft_ros.reference_force.compensator import Compensator
+from seft_ros.reference_force.linear_filter import LinearFilter
+from seft_ros.reference_force.reference_force_block import (
+    compensator,
+    knowledge,
+)
+from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 from seft_ros.target.force_command import FORCE_DRIVEN
 from seft_ros.target.target_motion import TargetMotion
 from seft_ros.target.target_step import FORCE

@@ -9,17 +9,16 @@ import numpy.typing as npt
 from scipy.linalg import block_diag
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.actuator.actuator import servo_hydraulic
-from seft_plant_sim.actuator.hydraulics import Hydraulics
-from seft_plant_sim.continuous_model import ContinuousModel
+from seft_plant_sim.actuator import Hydraulics
+from seft_plant_sim.continuous_model import ContinuousModel, servo_hydraulic
 from seft_plant_sim.lti import (
     companion_form,
     first_order_hold,
     split_dead_time,
     state_space_response,
 )
-from seft_plant_sim.rig.rig import continuous_model
-from seft_plant_sim.specimen.specimen import Specimen
+from seft_plant_sim.rig import continuous_model
+from seft_plant_sim.specimen import Specimen
 
 from seft_ros.design import Source
 from seft_ros.design.controller import Root, lightly_damped, roots_of, uncancelled

@@ -9,8 +9,11 @@ import numpy as np
 from rich.table import Table
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.reference.whole_structure import reference_response
-from seft_plant_sim.rig.limits import NAMES, UNITS
+from seft_plant_sim.limits import (
+    NAMES,
+    UNITS,
+)
+from seft_plant_sim.whole_structure import reference_response
 
 from seft_ros.design.closed_loop import growth_rate
 from seft_ros.design.plan import Plan

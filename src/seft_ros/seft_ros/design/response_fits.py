@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 from seft_plant_sim.lti import TransferFunction
-from seft_plant_sim.specimen.specimen import Specimen
+from seft_plant_sim.specimen import Specimen
 
 from seft_ros.design.controller import Root, roots_of
 from seft_ros.design.measured_test import Response

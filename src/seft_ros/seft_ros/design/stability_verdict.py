@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import eigh
 from scipy.optimize import linear_sum_assignment
-from seft_plant_sim.reference.whole_structure import WholeStructure
+from seft_plant_sim.whole_structure import WholeStructure
 
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import Margins, Progress, find_margins

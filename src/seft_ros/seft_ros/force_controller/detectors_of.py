@@ -8,7 +8,7 @@ import numpy.typing as npt
 from seft_msgs_py.config.arrays import mass_matrix, per_axis, symmetric_matrix
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.rig.limits import NAMES
+from seft_plant_sim.limits import NAMES
 from seft_plant_sim.sensors import CHANNELS
 
 from seft_ros.force_controller.valve_model import valve_models

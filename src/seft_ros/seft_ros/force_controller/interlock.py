@@ -9,7 +9,7 @@ import numpy.typing as npt
 from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import RigAxes
 from seft_plant_sim.compiled import entry_point
-from seft_plant_sim.rig.limits import SaturatedTime
+from seft_plant_sim.limits import SaturatedTime
 
 from seft_ros.force_controller.detectors_of import detectors_of
 from seft_ros.force_controller.force_control import ForceControl

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 from seft_plant_sim.compiled import compiled
-from seft_plant_sim.rig.closing import left_open
-from seft_plant_sim.rig.limits import is_exceeded
+from seft_plant_sim.limits import is_exceeded
+from seft_plant_sim.rig import left_open
 
 from seft_ros.interlock.detector_arrays import DetectorParameters, DetectorState
 from seft_ros.interlock.detector_step import SOUND, begin_detectors, detect, take_command

@@ -7,7 +7,7 @@ import numpy.typing as npt
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import REFERENCE_FORCE
-from seft_plant_sim.rig.command import MessagesAhead
+from seft_plant_sim.command import MessagesAhead
 
 from seft_ros.force_controller.link_record import LinkRecord
 from seft_ros.interlock.ramp_down import RampDown

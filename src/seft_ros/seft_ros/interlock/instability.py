@@ -32,9 +32,9 @@ from seft_ros.interlock.watch_step import (
     WatchState,
     watch_step,
 )
-from seft_ros.reference_force.block import knowledge
-from seft_ros.reference_force.compensation.compensator import Knowledge
-from seft_ros.reference_force.compensation.substructure import substructure_motion
+from seft_ros.reference_force.compensator import Knowledge
+from seft_ros.reference_force.reference_force_block import knowledge
+from seft_ros.reference_force.substructure import substructure_motion
 
 Floats = npt.NDArray[np.float64]
 

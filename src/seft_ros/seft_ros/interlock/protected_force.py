@@ -25,7 +25,7 @@ from seft_ros.interlock.protection import (
     protect,
 )
 from seft_ros.interlock.ramp_down import RampDown
-from seft_ros.reference_force.block import ReferenceForce
+from seft_ros.reference_force.reference_force_block import ReferenceForce
 
 Floats = npt.NDArray[np.float64]
 

@@ -1,8 +1,7 @@
-"""Who may see the page and press its buttons: what every request must pass.
+"""Access control: who may see the page and press its buttons.
 
-A page in a browser can be asked for by any other page that the browser shows: so the names under
-which this one is asked for, and the page that a request comes from, are looked at. Beyond this
-host a token is needed as well: one that controls, or one that only watches.
+Any page that a browser shows can send requests here: each request must name this host, and come
+from this page. Other hosts need a token as well: one that controls, or one that only watches.
 """
 
 import hmac
@@ -64,12 +63,12 @@ class TooEarlyError(Exception):
 
 @dataclass(frozen=True)
 class Tokens:
-    """What gives a request its rights.
+    """Tokens that give a request its rights.
 
     Attributes
     ----------
     control : str
-        Sees all, and may press buttons; empty: nobody needs to know anything.
+        Sees all, and may press buttons; empty: no token is needed.
     watch : str
         Sees all, and may press none; empty: there is no such token.
     """
@@ -79,15 +78,15 @@ class Tokens:
 
 
 class Access:
-    """Tells who may do what; slows down who guesses.
+    """Checks tokens and keys, and slows down guessing.
 
-    A token is exchanged for a key that nobody can guess, which the browser keeps: keys are looked
-    at without delay, whoever else guesses at the same address.
+    A token is exchanged for a random key, which the browser keeps: keys are checked without delay,
+    even while somebody else guesses tokens from the same address.
 
     Parameters
     ----------
     tokens : Tokens
-        What there is to be known.
+        Tokens that are accepted.
     monotonic : callable, optional
         Time, s.
     """
@@ -99,7 +98,7 @@ class Access:
 
     @property
     def is_open(self) -> bool:
-        """Whether nothing must be known."""
+        """Whether no token is needed."""
         return not self._tokens.control
 
     def of_key(self, key: str) -> bool | None:
@@ -130,31 +129,31 @@ class Access:
         return None
 
     def new_key(self, controls: bool) -> str:
-        """Make a key for who knew a token."""
+        """Make a key for a browser that sent a token."""
         key = secrets.token_urlsafe(24)
         self._keys[key] = controls
         return key
 
 
 class Guarded(RequestHandler):
-    """What every request must pass, and every answer says.
+    """Checks of every request, and headers of every answer.
 
     The application's settings have ``access``, an `Access`; ``local_only``, whether the page is
-    served on this host alone: then it has no name but localhost, and who asks for another was led
+    served on this host alone: then its only name is localhost, and another was made to point here
     here by a name server (DNS rebinding); and ``port``.
 
     Attributes
     ----------
     controls : bool
-        Whether who asks may press buttons.
+        Whether the request may press buttons.
     """
 
     controls = False
     _wait = 0  # s
 
     def set_default_headers(self) -> None:
-        """Let the page load what is its own, be shown in no other page, and be kept nowhere."""
-        host = self.host if self._is_host() else ""  # what is no name does not go into a header
+        """Allow the page its own files only; forbid frames and caches."""
+        host = self.host if self._is_host() else ""  # no invalid name goes into a header
         policy = (
             "default-src 'none'; script-src 'self'; img-src 'self' data: blob:; "
             "style-src 'self' 'unsafe-inline'; "  # the plotting library makes style elements
@@ -166,7 +165,7 @@ class Guarded(RequestHandler):
             self.set_header(name, value)
 
     async def prepare(self) -> None:
-        """Refuse who asks under a foreign name, from a foreign page, or without the token."""
+        """Refuse requests under a foreign name, from a foreign page, or without the token."""
         if not self._is_host():
             raise HTTPError(403, reason="this page is served to its own host alone")
         acts = self.request.method != "GET" or "Upgrade" in self.request.headers
@@ -178,7 +177,7 @@ class Guarded(RequestHandler):
         self.controls = rights
 
     def _rights(self) -> bool | None:
-        """Tell whether who asks controls; None if nothing is known or offered."""
+        """Tell whether the request may control; None without a valid key or token."""
         bearer = self.request.headers.get("Authorization", "").removeprefix("Bearer ")
         offered = self.get_query_argument("token", "") or bearer
         if not offered:
@@ -194,7 +193,7 @@ class Guarded(RequestHandler):
         return rights
 
     def write_error(self, status_code: int, **_: Any) -> None:
-        """Say in plain text what is wrong; who lacks the token may type it."""
+        """Say in plain text what is wrong; without a token, offer to enter one."""
         if self._wait:
             self.set_header("Retry-After", str(self._wait))
         wants_page = self.request.method == "GET" and self.request.path == "/"
@@ -235,9 +234,9 @@ class Guarded(RequestHandler):
 
 
 class Missing(Guarded):
-    """An address behind which is nothing."""
+    """An address that does not exist."""
 
     async def prepare(self) -> None:
-        """Say so, to who may know."""
+        """Answer 404 to a request with the right to know."""
         await super().prepare()
         raise HTTPError(404, reason="there is nothing here")

@@ -1,8 +1,8 @@
-"""The graph as the monitor hears it, and the supervisor's services.
+"""The ROS graph for the monitor, and the supervisor's services.
 
 Messages wait in the middleware until they are asked for, ten times a second: waking for each
-would cost more than all else that the monitor does. What comes in each step is not sent again
-when it is lost, so that a monitor that is held up holds up nobody.
+would cost more than all else that the monitor does. Lost messages of the loop are not sent again,
+so that a slow monitor delays nobody.
 """
 
 import asyncio

@@ -1,25 +1,25 @@
-"""The samples of one test after another: from messages of the loop to a history."""
+"""Samples of one test after another: from messages of the loop to a history."""
 
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 from typing import Any
 
 import numpy as np
+from seft_msgs_py.config.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, rigs_of
 from seft_msgs_py.wire.trajectory import TrajectoryCodec, decode_batch
-from seft_plant_sim.reference.whole_structure import RunningResponse
+from seft_plant_sim.whole_structure import RunningResponse
 
-from seft_ros.monitor.history import History, Stretch
+from seft_ros.monitor.history import ROWS, Batch, History, RigBatches, Signals, Steps, Stretch
 from seft_ros.monitor.live_response import LiveMotion, LiveReference
-from seft_ros.monitor.samples import ROWS, Batch, Floats, RigBatches, Signals, Steps
 
 HELD_BACK = 8
-"""Steps that wait for what answers them."""
+"""Steps that wait for their reference force."""
 LONGEST_GAP = 2**14
-"""Steps; beyond, the history goes on as if nothing had been before."""
+"""Steps; after a longer gap the history begins anew."""
 
 Messages = list[tuple[bytes, int]]
 
@@ -47,9 +47,9 @@ class Intake:
     signals : Signals
         Its columns.
     refused : int
-        Messages that were not understood.
+        Messages that could not be decoded.
     reference_note : str
-        Why there is no exact response, in a sentence; empty if there is one.
+        Why there is no reference response, in a sentence; empty if there is one.
     own_motion : dict
         The test's own ground motion so far, of `LiveMotion.summary`, once a second.
     """
@@ -82,7 +82,9 @@ class Intake:
         """Take in the parameters of the nodes; they hold from the next test on."""
         self._sections = sections
         if self.number and self._reference.response is None:
-            self._reference.response = self._response()  # of who came up in the middle of a test
+            self._reference.response = (
+                self._response()
+            )  # the monitor started in the middle of a test
             self._follow_motion()
 
     def clear(self) -> None:
@@ -103,13 +105,7 @@ class Intake:
                 self._reference.motion(first, values[:, 0, :])
 
     def samples(self, states: Sequence[Messages], forces: Messages) -> list[Stretch]:
-        """Take in what came of each rig's states and of reference forces.
-
-        Returns
-        -------
-        list of Stretch
-            What of the history is new, and will not change.
-        """
+        """Take in states of each rig and reference forces; give what is new in the history."""
         self._new = []
         for steps, values, sent in self._batches_of_states(states):
             jumps = np.diff(steps)
@@ -161,7 +157,7 @@ class Intake:
         ):
             self._begin(first)
         elif first < self.history.head:
-            return  # of somebody else
+            return  # of another rig
         elif first > self.history.head + LONGEST_GAP:
             self._release(0)
             self.history.begin(first)
@@ -172,7 +168,7 @@ class Intake:
         self._steps[slots], self._recent[slots], self._sent[slots] = steps, values, sent
 
     def _take_forces(self, steps: Steps, forces: Floats, sent: Steps) -> None:
-        near = steps < self.history.head  # those ahead are of a state that is not here
+        near = steps < self.history.head  # the states of those ahead have not arrived
         steps, forces, sent = steps[near], forces[near], sent[near]
         self.history.write(steps, self.signals.reference["force"], forces)
         slots = steps % len(self._steps)
@@ -198,20 +194,19 @@ class Intake:
 
     def _response(self) -> RunningResponse | None:
         """Make the model of the whole structure, of what the nodes say of themselves."""
-        self.reference_note, nothing = "", "No response of the whole structure: "
         if "reference_force" not in self._sections:
-            self.reference_note = f"{nothing}reference_force has not described itself."
-            return None
-        try:
-            response = RunningResponse(Experiment(self._sections))
-        except InputError as error:
-            self.reference_note = f"{nothing}{error}."
-        except (KeyError, TypeError, ValueError):  # of a node of another version
-            self.reference_note = f"{nothing}the nodes' parameters do not describe it."
+            reason = "reference_force has not described itself"
         else:
-            if not response.exact:
-                self.reference_note = "The specimen yields: its response is near the exact one."
-            return response
+            try:
+                response = RunningResponse(Experiment(self._sections))
+                note = "The specimen yields: its response is near the exact one."
+                self.reference_note = "" if response.exact else note
+                return response
+            except InputError as error:
+                reason = str(error)
+            except (KeyError, TypeError, ValueError):  # a node of another version
+                reason = "the nodes' parameters do not describe it"
+        self.reference_note = f"No response of the whole structure: {reason}."
         return None
 
     def _advance_reference(self) -> None:

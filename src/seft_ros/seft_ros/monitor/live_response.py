@@ -1,11 +1,11 @@
-"""The response to the ground motion of a running test, and the motion that it is a test of."""
+"""Reference response of a running test, and the ground motion that it really tests."""
 
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from seft_msgs_py.config.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_plant_sim.reference.whole_structure import RunningResponse, whole_structure
+from seft_plant_sim.whole_structure import RunningResponse, whole_structure
 
 from seft_ros.analysis.equivalent_motion import (
     DAMPING,
@@ -15,8 +15,6 @@ from seft_ros.analysis.equivalent_motion import (
     spectrum_frequencies,
 )
 from seft_ros.ground_motion.response_spectrum import RunningSpectrum
-
-Floats = npt.NDArray[np.float64]
 
 MOST_AT_ONCE = 4000
 """Steps: some milliseconds of work, also while it catches up with a test."""
@@ -48,8 +46,8 @@ class _Motion:
 class LiveReference:
     """Follows the ground motion of one test after another.
 
-    The first of a test's motion comes before the test begins; to who listens only later it
-    comes when it comes, all of it if the publisher still has all.
+    The first of a test's motion arrives before the test begins; a monitor that starts later gets
+    all of it if the publisher still has all.
 
     Attributes
     ----------
@@ -105,15 +103,15 @@ class LiveMotion:
 
     Parameters
     ----------
-    told : Experiment
-        What is told of the structure, as `assumed_structure` gives it.
+    assumed : Experiment
+        Assumed structure, see `assumed_structure`.
     """
 
-    def __init__(self, told: Experiment) -> None:
-        dt = told.timebase.dt
-        self._equivalent = EquivalentMotion(whole_structure(told), dt)
-        self._responses = RunningResponse(told), RunningResponse(told)
-        self._natural = natural_frequencies(told)
+    def __init__(self, assumed: Experiment) -> None:
+        dt = assumed.timebase.dt
+        self._equivalent = EquivalentMotion(whole_structure(assumed), dt)
+        self._responses = RunningResponse(assumed), RunningResponse(assumed)
+        self._natural = natural_frequencies(assumed)
         self._frequency = spectrum_frequencies((self._natural[0], self._natural[-1]), dt)
         self._spectra = RunningSpectrum(1 / self._frequency, dt, DAMPING)
         self._squares = np.zeros(2)  # of the response, and of the difference
@@ -121,8 +119,8 @@ class LiveMotion:
     @classmethod
     def of(cls, experiment: Experiment) -> "LiveMotion | None":
         """Make one, if the structure is known."""
-        told = assumed_structure(experiment)
-        return None if told is None else cls(told)
+        assumed = assumed_structure(experiment)
+        return None if assumed is None else cls(assumed)
 
     def advance(self, asked: Floats, states: Floats) -> None:
         """Go on over the next N steps.

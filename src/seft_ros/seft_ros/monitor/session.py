@@ -1,4 +1,4 @@
-"""What the nodes of a graph say of themselves and of the test, as the page shows it."""
+"""State of the test and its nodes, from their messages, as the page shows it."""
 
 import time
 from collections import deque
@@ -12,7 +12,7 @@ from seft_msgs_py.wire.outcome import ENDED, RIG, State
 from seft_msgs_py.wire.topics import NODES, bare
 
 SILENCE = 1.0  # s; nodes give a sign of life five times a second
-ENDED_WITH_TEST = 0.5  # s before a test's end: who spoke then has left after it
+ENDED_WITH_TEST = 0.5  # s before a test's end: a node heard then was shut down after it
 NOT_BEGUN = (State.IDLE, State.READY)
 EVENTS = 200
 MARGIN, ROUND_TRIP = "margin ", "round trip "
@@ -22,7 +22,7 @@ SHOWN = {
     "rig": ("pace",),
     "recorder": ("name",),
 }
-"""Parameters that tell which test it is."""
+"""Parameters that identify a test."""
 
 
 class Session:
@@ -33,7 +33,7 @@ class Session:
     wall : callable, optional
         Wall-clock time, s, for the list of events.
     awake : AwakeClock, optional
-        Tells how long others have been silent.
+        Clock for the silence of nodes.
 
     Attributes
     ----------
@@ -61,19 +61,19 @@ class Session:
         self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS)
 
     def poll(self) -> None:
-        """Note the time; a supervisor that has fallen silent is an event."""
+        """Take the time; a supervisor that has fallen silent is an event."""
         self._now = self._awake.time()
         heard = self._nodes.get("")
         silent = heard is not None and self._now - heard[1] > SILENCE
         if silent and not self._silent:
             if self._experiment.message in ENDED:
-                self._note("left", "the nodes of the test have left", 4)
+                self._note("left", "the nodes of the test have shut down", 4)
             else:
-                self._note("gone", "nothing is heard of the supervisor any more", 3)
+                self._note("gone", "the supervisor has fallen silent", 3)
         self._silent = silent
 
     def on_state(self, status: Status) -> bool:
-        """Take in experiment/state; tell whether what came before is of another test."""
+        """Take in experiment/state; return whether a new test begins."""
         before, self._experiment = self._experiment, status
         self._nodes[""] = (status, self._now)
         last, news = ((each.message, each.values.get("detail", "")) for each in (before, status))
@@ -94,7 +94,7 @@ class Session:
         self._rigs = {}
 
     def on_diagnostics(self, statuses: list[Status], dt: float) -> None:
-        """Take in what nodes say of themselves; dt is the period of a step, s."""
+        """Take in the diagnostics of nodes; dt is the period of a step, s."""
         for status in statuses:
             if bare(status.name) not in NODES:
                 continue
@@ -146,7 +146,7 @@ class Session:
         }
 
     def _name(self) -> str:
-        """Say which test it is, in a few words."""
+        """Name the test in a few words."""
         motion, force = (self.sections.get(n, {}) for n in ("ground_motion", "reference_force"))
         if not motion and not force:
             return ""
@@ -154,7 +154,7 @@ class Session:
         if "mass_ratio" in force:
             words.append(f"mass ratio {force['mass_ratio']}")
         if method := force.get("compensation.method"):
-            words.append(f"{method}" if method != "none" else "uncompensated")
+            words.append(str(method) if method != "none" else "uncompensated")
         if bag := self.sections.get("recorder", {}).get("name"):
             words.append(f"bag {bag}")
         return ", ".join(words)
@@ -168,7 +168,7 @@ class Session:
         }
 
     def _of_all_rigs(self) -> dict[str, str]:
-        """Put together what rigs tell: what they miss added up, else the worst of each."""
+        """Combine the values of all rigs: the sum of what they missed, else the worst."""
         first, *others = list(self._rigs.values()) or [{}]
         found = dict(first)
         for other in others:
@@ -188,11 +188,11 @@ class Session:
         before = self._rigs.get(status.name, {})
         self._rigs[status.name] = values = dict(status.values)
         if status.name != next(iter(self._rigs)):
-            return  # round trips are shown of one
-        steps, told = (_whole(each.get("steps")) or 0 for each in (values, before))
-        if steps < told:
+            return  # round trips of the first rig are shown
+        steps, last = (_whole(each.get("steps")) or 0 for each in (values, before))
+        if steps < last:
             self.round_trips = []  # of another test
-        if steps == told:
+        if steps == last:
             return
         trip, missed = _named(values, ROUND_TRIP), _whole(values.get("missed")) or 0
         times = trip.get("median (ms)"), trip.get("largest (ms)")

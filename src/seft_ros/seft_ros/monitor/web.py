@@ -15,13 +15,13 @@ from tornado.web import Application, HTTPError, StaticFileHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from seft_ros.monitor.access import ASSETS, Access, Guarded, Missing, Tokens
-from seft_ros.monitor.watch import Frame
+from seft_ros.monitor.history import Frame
 from seft_ros.page.plots import plot
 
 LIBRARY = Path(bokeh.__file__).parent / "server" / "static" / "js"
 MOST_PAGES = 32
 BEHIND = 4_000_000
-"""Bytes that may wait for a slow page before it is left out, and later told all anew."""
+"""Bytes that may wait for a slow page; beyond, it is skipped, and later gets everything anew."""
 
 HEIGHT = 230  # pixels
 LEFT = 64  # pixels for the numbers: all figures begin at the same place, and nothing jumps
@@ -38,7 +38,7 @@ LINES = {
 """Of each figure: the vertical axis, and its lines, the last on top."""
 WIDTHS = {"natural": 1.0, "reference": 3.0, "answer": 1.0, "period": 1.0, "median": 2.0}
 STEPPED = ("largest", "median", "missed")
-"""What is told once a second, of the second before."""
+"""Signals that are sent once a second, of the second before."""
 
 STOPS = ("stop", "estop")
 Call = Callable[[str], Awaitable[tuple[bool, str]]]
@@ -80,12 +80,12 @@ class File(Guarded, StaticFileHandler):
 class Service(Guarded):
     """A button of the page.
 
-    A request to start or to reset says in which state the page has made it, and when; a stop may
-    come late.
+    A request to start or to reset says in which state the page made it, and when; a stop may be
+    late.
     """
 
     async def post(self, name: str) -> None:
-        """Call the supervisor; answer with what it says."""
+        """Call the supervisor; answer with its answer."""
         if not self.controls:
             raise HTTPError(403, reason="this token may watch, and not control")
         why = "" if name in STOPS else self._lateness()
@@ -103,27 +103,27 @@ class Service(Guarded):
 
 
 class Live(Guarded, WebSocketHandler):
-    """What a page is told while it is open."""
+    """Live frames to an open page."""
 
     waiting = 0
     """Bytes that have not gone out yet."""
 
     def check_origin(self, origin: str) -> bool:
-        """Look at the page that asks."""
+        """Accept this page only."""
         return self.is_own_page(origin)
 
     def open(self, *_: str, **__: str) -> None:
-        """Begin to tell."""
+        """Begin to send."""
         self.set_nodelay(True)
         self.send(json.dumps({"kind": "rights", "controls": self.controls}))
         if not self.settings["pages"].add(self):
             self.close(1013, "too many pages")
 
     def on_message(self, message: str | bytes) -> None:
-        """Take no orders here."""
+        """Ignore messages."""
 
     def on_close(self) -> None:
-        """Stop telling."""
+        """Stop sending."""
         self.settings["pages"].remove(self)
 
     def send(self, frame: Frame) -> None:
@@ -171,12 +171,12 @@ class Pages:
         self._open.pop(page, None)
 
     def close(self) -> None:
-        """Say goodbye to all pages."""
+        """Close all pages."""
         for page in list(self._open):
             page.close(1001, "the monitor has ended")
 
     def send(self, frames: list[Frame]) -> None:
-        """Send what is new to every page, and all to those that do not know it yet."""
+        """Send what is new to every page, and everything to pages that lack it."""
         for page, knows_all in list(self._open.items()):
             if page.waiting > BEHIND:
                 self._open[page] = False

@@ -19,11 +19,9 @@ from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
 from seft_ros.conformance.driver import ENDED
 from seft_ros.interlock.protected_force import ProtectedForce
-from seft_ros.reference_force.estimate_sampler import EstimateSampler
-from seft_ros.reference_force.motion_buffer import MotionBuffer
-from seft_ros.reference_force.parameters import TABLE
-from seft_ros.reference_force.state_gathering import StateGathering
-from seft_ros.reference_force.topic import reference_force_topic
+from seft_ros.reference_force.loop_inputs import MotionBuffer, StateGathering
+from seft_ros.reference_force.reference_force_block import EstimateSampler
+from seft_ros.reference_force.reference_force_parameters import TABLE, reference_force_topic
 from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.peers import ALL_ANSWERED, AT_REST, RAMPING_DOWN
 from seft_ros.test_run.state_machine import (

@@ -10,7 +10,7 @@ from seft_msgs_py.errors import InputError
 
 import seft_ros
 from seft_ros.design.rig_tests import has_valve
-from seft_ros.reference_force.compensation.names import TARGET_MOTION
+from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 from seft_ros.test_run.blocks import build_blocks, with_method
 
 DELAY = 0.01

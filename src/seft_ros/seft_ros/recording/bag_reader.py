@@ -37,7 +37,7 @@ from seft_ros.recording.gathering import (
 )
 from seft_ros.recording.record import Record
 from seft_ros.recording.samples import of_all_rigs, on_steps_of, until
-from seft_ros.reference_force.topic import reference_force_topic
+from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 
 UNDECODABLE = "undecodable"
 """Key of a record's environment: messages that could not be understood, and were left out."""

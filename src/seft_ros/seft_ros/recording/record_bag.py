@@ -29,7 +29,7 @@ from seft_ros.recording.bag_writer import BagWriter
 from seft_ros.recording.description import write_description
 from seft_ros.recording.record import Record
 from seft_ros.recording.samples import consecutive_runs
-from seft_ros.reference_force.topic import reference_force_topic
+from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 
 CHUNK_STEPS = 100
 NOT_FINITE = "not_finite"

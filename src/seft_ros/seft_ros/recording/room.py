@@ -12,7 +12,7 @@ from seft_msgs_py.wire.topics import RIG_STATE, TARGET, VALVE_COMMAND
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.recording.bag_storage import RESERVED, SPARE
-from seft_ros.reference_force.topic import reference_force_topic
+from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 
 _FRAME = 47  # bytes of an mcap file for each message beside it: its record's head, and the index
 

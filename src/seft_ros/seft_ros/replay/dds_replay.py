@@ -11,7 +11,7 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.recording.gathering import EstimatesGatherer, SeriesGatherer
 from seft_ros.recording.message_block import MessageBlock
-from seft_ros.reference_force.topic import reference_force_topic
+from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 from seft_ros.replay.replay_step import Answers, Replay, ReplayStep
 from seft_ros.test_run.observer import alone_on_the_graph
 from seft_ros.test_run.player import Player

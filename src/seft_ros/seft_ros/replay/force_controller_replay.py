@@ -13,7 +13,7 @@ from seft_ros.force_controller.methods import force_control
 from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
 from seft_ros.recording.record import Estimates, Series
 from seft_ros.recording.samples import until
-from seft_ros.reference_force.topic import reference_force_topic
+from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 from seft_ros.replay.recorded import Recorded
 from seft_ros.replay.replay_step import Replay, ReplayStep
 

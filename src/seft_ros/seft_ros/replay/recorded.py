@@ -21,7 +21,7 @@ from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
 from seft_ros.recording.bag_reader import read_bag, read_messages
 from seft_ros.recording.record import Record, Series
-from seft_ros.reference_force.topic import reference_force_topic
+from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 from seft_ros.interlock.protected_force import ProtectedForce
 from seft_ros.recording.record import Estimates, Series
 from seft_ros.recording.samples import EstimateBuffer, of_steps
-from seft_ros.reference_force.estimate_sampler import EstimateSampler
-from seft_ros.reference_force.motion_buffer import MotionBuffer
-from seft_ros.reference_force.topic import reference_force_topic
+from seft_ros.reference_force.loop_inputs import MotionBuffer
+from seft_ros.reference_force.reference_force_block import EstimateSampler
+from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 from seft_ros.replay.recorded import Recorded
 from seft_ros.replay.replay_step import Replay, ReplayStep
 

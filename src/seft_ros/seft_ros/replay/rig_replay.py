@@ -14,11 +14,11 @@ from seft_msgs_py.wire.topics import (
     Topic,
 )
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
-from seft_plant_sim.rig.rig import Rig
+from seft_plant_sim.rig import Rig
 
 from seft_ros.recording.record import Estimates, Series
 from seft_ros.recording.samples import until
-from seft_ros.reference_force.topic import reference_force_topic
+from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 from seft_ros.replay.recorded import Recorded
 from seft_ros.replay.replay_step import Replay, ReplayStep
 

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RIG_STATE
-from seft_plant_sim.reference.whole_structure import ReferenceResponse
-from seft_plant_sim.specimen.energy_balance import EnergyBalance
+from seft_plant_sim.specimen import EnergyBalance
+from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.alignment import every_step
 from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference

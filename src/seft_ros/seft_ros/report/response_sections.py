@@ -8,7 +8,7 @@ import numpy.typing as npt
 from bokeh.models import Range1d
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RIG_STATE
-from seft_plant_sim.reference.whole_structure import tested_specimen
+from seft_plant_sim.whole_structure import tested_specimen
 
 from seft_ros.analysis.equivalent_motion import MARGIN
 from seft_ros.analysis.spectra import delay_by_frequency

@@ -9,8 +9,8 @@ from seft_msgs_py.errors import InputError
 from seft_plant_sim.compiled import entry_point
 from seft_plant_sim.lti import first_order_hold
 
-from seft_ros.reference_force.compensation.compensator import Knowledge
-from seft_ros.reference_force.compensation.linear_filter import LinearFilter
+from seft_ros.reference_force.compensator import Knowledge
+from seft_ros.reference_force.linear_filter import LinearFilter
 from seft_ros.target.force_command import (
     FORCE_DRIVEN,
     CommandParameters,

@@ -11,8 +11,14 @@ import numpy.typing as npt
 from numba.extending import overload
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_plant_sim.compiled import OPTIONS, compiled, entry_point
-from seft_plant_sim.rig.rig import Rig
-from seft_plant_sim.rig.rig_step import BLIND, LIMIT, RigParameters, RigState, rig_step
+from seft_plant_sim.rig import Rig
+from seft_plant_sim.rig_step import (
+    BLIND,
+    LIMIT,
+    RigParameters,
+    RigState,
+    rig_step,
+)
 from seft_plant_sim.sensors import BLOCK
 
 from seft_ros.force_controller.block import ForceController
@@ -39,7 +45,7 @@ from seft_ros.interlock.protection import (
     protect,
 )
 from seft_ros.interlock.ramp_down import TAKEN
-from seft_ros.reference_force.compensation.linear_filter import (
+from seft_ros.reference_force.linear_filter import (
     LinearCompensator,
     LinearParameters,
     linear_step,

@@ -26,7 +26,7 @@ from seft_ros.recording.record import (
     Series,
 )
 from seft_ros.recording.samples import require_names
-from seft_ros.reference_force.estimate_sampler import sampling_period
+from seft_ros.reference_force.reference_force_block import sampling_period
 from seft_ros.test_run.blocks import Blocks, build_blocks
 from seft_ros.test_run.compiled_loop import LoopSamples, obstacle, run_compiled
 from seft_ros.test_run.state_machine import while_ramping_down

@@ -10,9 +10,9 @@ from seft_msgs_py.errors import InputError
 
 from seft_ros.force_controller.methods import force_control
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
-from seft_ros.reference_force.block import knowledge
-from seft_ros.reference_force.compensation.methods import METHODS
-from seft_ros.reference_force.parameters import TABLE
+from seft_ros.reference_force.compensation_methods import METHODS
+from seft_ros.reference_force.reference_force_block import knowledge
+from seft_ros.reference_force.reference_force_parameters import TABLE
 from seft_ros.test_run.blocks import build_blocks, with_method
 from seft_ros.tournament.perturbed_rig import check_rig, perturbed_rig
 

@@ -8,8 +8,8 @@ from seft_msgs_py.config.arrays import per_axis
 from seft_msgs_py.config.parameter_table import Section, Value
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.timebase import Timebase
-from seft_plant_sim.rig.rig import Rig
-from seft_plant_sim.rig.rig_parameters import TABLE
+from seft_plant_sim.rig import Rig
+from seft_plant_sim.rig_parameters import TABLE
 
 Floats = npt.NDArray[np.float64]
 

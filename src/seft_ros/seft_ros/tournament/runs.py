@@ -11,7 +11,7 @@ import numpy as np
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, SeftError
 from seft_msgs_py.wire.topics import RIG_STATE
-from seft_plant_sim.reference.whole_structure import (
+from seft_plant_sim.whole_structure import (
     ReferenceResponse,
     reference_response,
 )

@@ -50,11 +50,11 @@ export function showState(status, domain) {
   const when = status.step === null ? "" : ` (step ${status.step}, ${status.time_s} s)`;
   const details = {
     "": `nothing is heard of a test on ROS domain ${domain} yet`,
-    gone: `nothing is heard of the supervisor any more; the test was ${NAMES[status.state]} last`,
+    gone: `the supervisor has fallen silent; the test was ${NAMES[status.state]} last`,
   };
   element("state").dataset.state = key;
   set("state-name", NAMES[key] ?? key);
-  set("state-detail", details[key] ?? last + when + (gone ? "; its nodes have left" : ""));
+  set("state-detail", details[key] ?? last + when + (gone ? "; its nodes have shut down" : ""));
   set("name", status.name);
   document.title = `${NAMES[key] ?? key} – seft monitor`;
 }

@@ -1,0 +1,168 @@
+"""Parameters of a servo-hydraulic actuator: identified ones, or what data sheets say.
+
+Oil column, valve flow and leakage after Merritt (Hydraulic Control Systems, 1967, ch. 6).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from seft_msgs_py.config.arrays import Floats, per_axis
+from seft_msgs_py.errors import InputError
+
+from seft_plant_sim.compiled import compiled
+from seft_plant_sim.specimen import Specimen
+
+_AS_GIVEN = (
+    *("valve_frequency", "valve_damping", "stroke"),
+    *("friction", "friction_velocity", "viscous_friction"),
+)
+
+
+@dataclass(frozen=True)
+class Hydraulics:
+    """What the actuators of n axes do to the oil's force, each array of shape (n,).
+
+    Attributes
+    ----------
+    oil_stiffness : ndarray
+        k_oil, stiffness of the oil column, N/m.
+    leakage : ndarray
+        lambda, rate at which leakage lets a force decay, 1/s.
+    flow_gain : ndarray
+        q, piston velocity for one volt without load, m/s/V.
+    opening_limit : ndarray
+        Drive in V at which the valve is fully open.
+    force_capacity : ndarray
+        F_s, force at which the supply pressure is used up, N.
+    valve_frequency, valve_damping : ndarray
+        Natural frequency in Hz and damping ratio of the valve.
+    friction, friction_velocity : ndarray
+        Coulomb friction of the piston in N, and the velocity in m/s over which it builds up.
+    viscous_friction : ndarray
+        Viscous friction of the piston, N s/m.
+    stroke : ndarray
+        Largest displacement either way, m.
+    dead_time : float
+        Dead time of the valve in s.
+    """
+
+    oil_stiffness: Floats
+    leakage: Floats
+    flow_gain: Floats
+    opening_limit: Floats
+    force_capacity: Floats
+    valve_frequency: Floats
+    valve_damping: Floats
+    friction: Floats
+    friction_velocity: Floats
+    viscous_friction: Floats
+    stroke: Floats
+    dead_time: float
+
+    @classmethod
+    def from_parameters(
+        cls, group: dict[str, Any], specimen: Specimen, axes: Sequence[str], where: str
+    ) -> "Hydraulics":
+        """Make it of the parameters ``actuator.*``.
+
+        Where ``oil_stiffness`` (or ``oil_column_frequency``), ``flow_gain``, ``leakage`` and
+        ``force_capacity`` are given they count; else they follow from the data sheets.
+
+        Raises
+        ------
+        InputError
+            If sizes do not fit the axes, or values contradict each other.
+        """
+
+        def value(name: str) -> Floats:
+            return per_axis(group[name], axes, f"{where}.{name}")
+
+        area, supply, bulk = (value(n) for n in ("piston_area", "supply_pressure", "bulk_modulus"))
+        volume, voltage = value("oil_volume"), value("rated_voltage")
+        compliance = volume / (4.0 * bulk)  # m^3/Pa: volume flow that raises the load pressure
+        no_load = np.sqrt(supply / value("rated_pressure_drop"))  # rated flow is at that drop
+        oil_stiffness = value("oil_stiffness")
+        frequency = value("oil_column_frequency")
+        if (oil_stiffness > 0).any() and (frequency > 0).any():
+            raise InputError(
+                f"{where}: oil_stiffness and oil_column_frequency are both given; give one"
+            )
+        mass, stiffness = np.diag(specimen.mass), np.diag(specimen.stiffness)
+        of_frequency = mass * (2 * np.pi * frequency) ** 2 - stiffness
+        if ((frequency > 0) & (of_frequency <= 0)).any():
+            raise InputError(
+                f"{where}.oil_column_frequency is {group['oil_column_frequency']}, but must be "
+                "above the specimen's own frequency: the oil's spring acts beside the specimen's"
+            )
+        oil_stiffness = np.where(frequency > 0, of_frequency, oil_stiffness)
+        return cls(
+            oil_stiffness=_given_or(oil_stiffness, area**2 / compliance),
+            leakage=_given_or(value("leakage"), value("leakage_coefficient") / compliance),
+            flow_gain=_given_or(
+                value("flow_gain"), value("rated_flow") * no_load / (area * voltage)
+            ),
+            opening_limit=voltage,
+            force_capacity=_given_or(value("force_capacity"), supply * area),
+            dead_time=float(group["dead_time"]),
+            **{name: value(name) for name in _AS_GIVEN},
+        )
+
+    def part(self, places: Sequence[int]) -> "Hydraulics":
+        """Take the actuators at some places among the axes."""
+        values = {k: v[list(places)] for k, v in vars(self).items() if k != "dead_time"}
+        return replace(self, **values)
+
+
+def _given_or(given: Floats, from_data_sheet: Floats) -> Floats:
+    return np.where(given > 0, given, from_data_sheet)
+
+
+STOP_STIFFNESS = 2.0  # of the end stops, over the oil's
+STOP_DAMPING = 2.0  # s/m: a stop pushes that much harder per velocity (Hunt & Crossley 1975)
+STALL = 1e-4  # of the force capacity: where the square root of the flow is rounded off
+OPENING, PER_CAPACITY, STROKE, FRICTION, PER_VELOCITY, STOP, FASTEST = range(7)
+"""Columns of `piston_rows`."""
+COLUMNS = 7
+
+
+def piston_rows(hydraulics: Hydraulics, mass: Floats) -> Floats:
+    """Put n actuators, whose pistons move masses (n,) in kg, into rows for the compiled functions.
+
+    Each has its opening limit (V), 1 / force capacity (1/N), stroke (m), friction (N), 1 / friction
+    velocity (s/m), stiffness of the stops (N/m), and the largest rate at which friction or stops
+    answer (1/s); shape (n, 7).
+    """
+    h = hydraulics
+    stop = STOP_STIFFNESS * h.oil_stiffness
+    slope = np.where(h.friction > 0, h.friction / h.friction_velocity, 0.0)
+    fastest = np.maximum(np.sqrt(stop / mass), slope / mass)
+    ends = (h.opening_limit, 1.0 / h.force_capacity, h.stroke)
+    return np.column_stack([*ends, h.friction, 1.0 / h.friction_velocity, stop, fastest])
+
+
+@compiled
+def lost_opening(pistons: Floats, i: int, w: float, p: float) -> float:
+    """Valve's effective opening less its opening ``w`` (V), at a force ``p`` of the oil (N)."""
+    limit, load = pistons[i, OPENING], pistons[i, PER_CAPACITY] * p
+    opening = limit if w > limit else -limit if w < -limit else w
+    left = 1.0 - load if w >= 0.0 else 1.0 + load
+    # root of the remaining supply pressure; below zero the flow reverses
+    return opening * left / math.sqrt(max(abs(left), STALL)) - w
+
+
+@compiled
+def holding_force(pistons: Floats, i: int, x: float, v: float) -> float:
+    """Force of friction and end stops on a piston at ``x`` (m) with velocity ``v`` (m/s), N."""
+    friction, stroke = pistons[i, FRICTION], pistons[i, STROKE]
+    force = 0.0
+    if friction:  # tanh(v / over) by one exponential
+        faded = math.exp(-2.0 * abs(v) * pistons[i, PER_VELOCITY])
+        force = math.copysign(friction, v) * (1.0 - faded) / (1.0 + faded)
+    if x > stroke:
+        force += pistons[i, STOP] * (x - stroke) * max(0.0, 1.0 + STOP_DAMPING * v)
+    elif x < -stroke:
+        force += pistons[i, STOP] * (x + stroke) * max(0.0, 1.0 - STOP_DAMPING * v)
+    return force

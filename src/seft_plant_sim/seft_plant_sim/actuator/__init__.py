@@ -1,1 +1,0 @@
-"""Actuators on a specimen."""

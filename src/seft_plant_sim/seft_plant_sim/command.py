@@ -1,0 +1,118 @@
+"""Commands of a rig: which message settles the command of a step."""
+
+from collections import deque
+
+import numpy as np
+from seft_msgs_py.errors import WireError
+from seft_msgs_py.wire.topics import RigAxes
+from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
+
+
+class MessagesAhead:
+    """Points of messages, of which each step takes those of the message d steps before it.
+
+    So it does not matter when a message came, as long as it came in time. Where that message is
+    missing, the next counts, and where there is none, the last. Before the first message the
+    points are ``nothing``, as of step -1.
+    """
+
+    def __init__(self, loop_delay: int, nothing: Floats) -> None:
+        self._loop_delay = loop_delay
+        self._messages = deque([(-1, nothing)])
+
+    def add(self, step: int, points: Floats) -> None:
+        """Add the message of a step, newer than those before: points of it and later steps."""
+        self._messages.append((step, points))
+
+    def of(self, step: int) -> tuple[int, Floats]:
+        """Find the age of the message for a step, in steps, and its points; steps never go back."""
+        while len(self._messages) > 1 and self._messages[0][0] < step - self._loop_delay:
+            self._messages.popleft()
+        first, points = self._messages[0]
+        return step - first, points
+
+
+class Command:
+    """Takes the messages of one topic, and keeps the newest that fits the test.
+
+    A refused message changes nothing: to the rig, its command is missing.
+
+    Parameters
+    ----------
+    codec : TrajectoryCodec
+        Of the topic.
+    limit : float
+        Largest magnitude on any axis, in the topic's unit.
+    loop_delay : int
+        Steps beyond that of a message for which its points settle the command.
+    rig : RigAxes, optional
+        The rig that the command is for, if the topic has the axes of several.
+
+    Attributes
+    ----------
+    step : int
+        Last step whose command is settled; -1 where none is.
+    current : int
+        Step of the rig's last sample: no later one can have been answered.
+    answered : int
+        Step of the sample that the newest message answers; -1 where none has come.
+    """
+
+    def __init__(
+        self, codec: TrajectoryCodec, limit: float, loop_delay: int = 0, rig: RigAxes | None = None
+    ) -> None:
+        self.codec = codec
+        self._rig = rig or RigAxes.whole(codec.axes)
+        self._places = None if self._rig.axes == codec.axes else list(self._rig.places)
+        self._limit = limit
+        self._loop_delay = loop_delay
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to no drive, before the first sample of a test."""
+        self.answered = self.current = -1
+        self.step = self._loop_delay - 1
+        nothing = np.zeros((1 + self._loop_delay, len(self._rig.axes)))
+        self._messages = MessagesAhead(self._loop_delay, nothing)
+
+    @property
+    def value(self) -> Floats:
+        """Command to be applied after the last sample, shape (n,); zero where none has come.
+
+        Of a message with points of later steps, that of the sample's step counts, or the last.
+        """
+        age, points = self._messages.of(self.current)
+        value: Floats = points[min(age, len(points) - 1)]
+        return value
+
+    def take(self, raw: bytes) -> None:
+        """Take a message.
+
+        Raises
+        ------
+        WireError
+            If it is no command of these axes, is not finite or beyond the limit, answers a
+            sample that has not been taken, or is not newer than the one that is held.
+        """
+        step, values = self.codec.decode(raw)
+        name = self.codec.topic.name
+        if step > self.current:
+            raise WireError(f"{name} of step {step}, but the rig is at step {self.current}")
+        if step <= self.answered:
+            raise WireError(
+                f"{name} of step {step} after that of step {self.answered}: stale, duplicated or "
+                "out of order"
+            )
+        settled = values[: 1 + self._loop_delay, 0]  # later points of a target are forecasts
+        points = settled if self._places is None else settled[:, self._places]
+        worst = points[0] if len(points) == 1 else points[np.abs(points).max(axis=1).argmax()]
+        for axis, number in zip(self._rig.axes, worst.tolist(), strict=True):
+            if not abs(number) <= self._limit:
+                unit = self.codec.topic.units[0]
+                raise WireError(
+                    f"{name} of step {step} is {number:g} {unit} on axis {axis}, beyond the "
+                    f"limit of {self._limit:g} {unit}"
+                )
+        self.answered = step
+        self._messages.add(step, points)
+        self.step = step + self._loop_delay

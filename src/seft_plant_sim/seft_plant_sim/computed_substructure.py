@@ -1,0 +1,131 @@
+"""What is computed of a structure, beside the specimen: masses, dampers and springs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from seft_msgs_py.config.arrays import Floats, mass_matrix, symmetric_matrix
+from seft_msgs_py.errors import InputError
+
+_NAMES = ("mass", "damping", "stiffness", "internal", "influence")
+
+
+@dataclass(frozen=True)
+class ComputedSubstructure:
+    """Linear structure over the n axes, its interface, and q internal degrees of freedom.
+
+    With x of the axes, z inside, and the force -g on the specimen::
+
+        M (x'' + a_g, z'' + L a_g) + C (x', z') + K (x, z) = (-g, 0)
+
+    The lumped mass of the paper is one of M alone without internal degrees of freedom.
+
+    Attributes
+    ----------
+    mass, damping, stiffness : ndarray
+        M, C and K, shape (n + q, n + q), in kg, N s/m and N/m; the axes come first.
+    influence : ndarray
+        L, shape (q, n): ground acceleration of each internal degree of freedom per that of each
+        axis.
+    """
+
+    mass: Floats
+    damping: Floats
+    stiffness: Floats
+    influence: Floats
+
+    @classmethod
+    def from_parameters(
+        cls, section: dict[str, Any], axes: Sequence[str]
+    ) -> "ComputedSubstructure":
+        """Make it of a reference force's section: ``computed.*``, ``mass_ratio`` times as large.
+
+        Without ``computed.mass`` it is the mass of the specimen's model.
+
+        Raises
+        ------
+        InputError
+            If a matrix does not fit, is not symmetric, or an internal mass is not positive.
+        """
+        where, n = "reference_force: computed", len(axes)
+        # records of older versions lack them
+        given = {name: section.get(f"computed.{name}", 0.0) for name in _NAMES}
+        ratio, q = section["mass_ratio"], int(given["internal"])
+        names = (*axes, *(f"internal {index + 1}" for index in range(q)))
+        if np.any(given["mass"]):
+            mass = symmetric_matrix(given["mass"], names, f"{where}.mass")
+        elif q:
+            raise InputError(
+                f"{where}.internal is {q}, but {where}.mass is not given: give the masses of the "
+                "axes and of the internal degrees of freedom"
+            )
+        else:
+            mass = mass_matrix(section["model.mass"], axes, "reference_force: model.mass")
+        if q and np.linalg.eigvalsh(mass[n:, n:])[0] <= 0.0:
+            raise InputError(
+                f"{where}.mass is {given['mass']}, but the mass of the internal "
+                "degrees of freedom must be positive (definite)"
+            )
+        damping, stiffness = (
+            symmetric_matrix(given[name], names, f"{where}.{name}")
+            for name in ("damping", "stiffness")
+        )
+        influence = _influence(given["influence"], n, q, f"{where}.influence")
+        return cls(ratio * mass, ratio * damping, ratio * stiffness, influence)
+
+    @classmethod
+    def lumped(cls, mass: Floats) -> "ComputedSubstructure":
+        """Make one of masses on the axes alone, shape (n, n), kg."""
+        nothing = np.zeros_like(mass)
+        return cls(mass, nothing, nothing, nothing[:0])
+
+    @classmethod
+    def none(cls, axes: int) -> "ComputedSubstructure":
+        """Make one of nothing."""
+        return cls.lumped(np.zeros((axes, axes)))
+
+    @property
+    def internal(self) -> int:
+        """Number of internal degrees of freedom q."""
+        return len(self.influence)
+
+    @property
+    def axes(self) -> int:
+        """Number of axes n."""
+        return len(self.mass) - self.internal
+
+    @property
+    def is_lumped(self) -> bool:
+        """Whether it is masses on the axes and nothing else."""
+        return not (self.internal or self.damping.any() or self.stiffness.any())
+
+    def without_inertial_coupling(self) -> "ComputedSubstructure":
+        """Count the internal displacements from where a slow interface would take the masses.
+
+        With z = y - M_zz^-1 M_zx x no mass couples axes and y; the force g is the same.
+        """
+        n, q = self.axes, self.internal
+        if not q or not self.mass[n:, :n].any():
+            return self
+        shift = -np.linalg.solve(self.mass[n:, n:], self.mass[n:, :n])
+        change = np.eye(n + q)
+        change[n:, :n] = shift
+        mass, damping, stiffness = (
+            change.T @ matrix @ change for matrix in (self.mass, self.damping, self.stiffness)
+        )
+        mass[:n, n:] = mass[n:, :n] = 0.0
+        return ComputedSubstructure(mass, damping, stiffness, self.influence - shift)
+
+
+def _influence(value: float | Sequence[float], axes: int, internal: int, where: str) -> Floats:
+    numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    if not numbers.any():
+        return np.eye(1, axes).repeat(internal, axis=0)
+    if numbers.size != internal * axes:
+        raise InputError(
+            f"{where}: {numbers.size} values for {internal} internal degrees of freedom and "
+            f"{axes} axes; give {internal * axes}, those of each internal degree of freedom "
+            "together"
+        )
+    return numbers.reshape(internal, axes)

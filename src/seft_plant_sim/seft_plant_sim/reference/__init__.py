@@ -1,1 +1,0 @@
-"""The response that a perfect test would give."""

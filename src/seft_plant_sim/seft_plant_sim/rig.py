@@ -1,0 +1,296 @@
+"""The simulated rig: actuator, specimen, sensors and limits, stepped by commands."""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from seft_msgs_py.config.arrays import Floats, Ints, per_axis
+from seft_msgs_py.config.parameter_table import group
+from seft_msgs_py.wire.outcome import Saturation
+from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import VALVE_COMMAND, RigAxes
+
+from seft_plant_sim.actuator import Hydraulics
+from seft_plant_sim.compiled import compiled, entry_point
+from seft_plant_sim.continuous_model import (
+    ContinuousModel,
+    Drive,
+    delayed_force,
+    servo_hydraulic,
+    with_low_pass,
+)
+from seft_plant_sim.limits import Limits, SaturatedTime
+from seft_plant_sim.rig_step import BLIND, ENDS, LIMIT, move, rig_arrays, rig_step
+from seft_plant_sim.sensors import Sensors
+from seft_plant_sim.specimen import Specimen
+
+AT_REST = 1e-4  # m/s
+RESTS = 10  # steps below that, so that a vibration's turning point is no rest
+
+
+@dataclass(frozen=True)
+class Safe:
+    """Where a rig goes when a test ends.
+
+    Attributes
+    ----------
+    command : ndarray
+        The safe valve command, shape (n,), V.
+    closing : int
+        Steps in which the valve goes there.
+    longest : int
+        For how many steps the rig is followed to rest.
+    """
+
+    command: Floats
+    closing: int
+    longest: int
+
+    @classmethod
+    def from_parameters(
+        cls, group: dict[str, Any], axes: Sequence[str], dt: float, places: Sequence[int]
+    ) -> "Safe":
+        """Make it of ``safe.*`` for the axes at some places; InputError if sizes do not fit."""
+        command = per_axis(group["valve_command"], axes, "rig: safe.valve_command")[list(places)]
+        return cls(command, round(group["close_time"] / dt), round(group["settle_time"] / dt))
+
+
+@dataclass(frozen=True)
+class Stopped:
+    """In how many steps a rig came to rest, and the largest force of any actuator meanwhile, N."""
+
+    steps: int
+    peak_force: float
+
+
+class Rig:
+    """Stands for a lab's rig: it measures, with a period of ``dt`` s, and obeys commands.
+
+    Attributes
+    ----------
+    drive : str
+        Topic that drives the actuator: ``valve_command`` or ``reference_force``.
+    parameters, state : RigParameters, RigState
+        What `rig_step` takes, here and in a compiled loop.
+    step_index : int
+        Step of the last sample.
+    violation : str or None
+        The limit that the last sample breaks; the test must end with that sample.
+    saturation : Saturation
+        What has been saturated since the reset: stroke, force capacity, valve, and sensors.
+    """
+
+    def __init__(
+        self,
+        model: ContinuousModel,
+        sensors: Sensors,
+        limits: Limits,
+        saturated_time: SaturatedTime,
+        dt: float,
+        safe: Safe | None = None,
+    ) -> None:
+        self.drive: Drive = model.drive
+        self.sensors = sensors
+        self.limits = limits
+        self.parameters, self.state = rig_arrays(
+            model, sensors.channels, limits, saturated_time, dt
+        )
+        self.step_index = 0
+        self.violation: str | None = None
+        self.saturation = Saturation()
+        self._model, self._saturated_time, self._safe = model, saturated_time, safe
+        self._command = np.zeros(model.b.shape[1])
+        noise, measured = np.zeros((2, *self.state.measured.shape))
+        arguments = (self.parameters, self.state, 0, self._command, noise, measured)
+        self._step = entry_point(rig_step, *arguments)
+        self._move = entry_point(move, self.parameters, self.state, self._command)
+
+    @classmethod
+    def from_parameters(
+        cls,
+        section: dict[str, Any],
+        axes: tuple[str, ...],
+        timebase: Timebase,
+        rig: RigAxes | None = None,
+    ) -> "Rig":
+        """Make the rig of its section of an experiment, which is for all axes.
+
+        Of several rigs it is the one given, which has some of the axes. Raises `InputError` if
+        sizes do not fit the axes, values make no rig, or its specimen is coupled with another's.
+        """
+        own = rig or RigAxes.whole(axes)
+        sensors, dt = group(section, "sensors"), timebase.dt
+        return cls(
+            continuous_model(section, axes, own),
+            Sensors.from_parameters(sensors, section["seed"], dt, axes, "rig: sensors", own.places),
+            Limits(group(section, "limits"), own.axes, dt),
+            SaturatedTime(section["limits.saturated_time"], dt),
+            dt,
+            Safe.from_parameters(group(section, "safe"), axes, dt, own.places),
+        )
+
+    @property
+    def sample(self) -> Floats:
+        """The true state at the last step, shape (4, n)."""
+        return self.state.true.reshape(4, -1).copy()
+
+    def reset(self) -> Floats:
+        """Bring the rig to rest and take the sample of step 0, shape (4, n)."""
+        self.saturation = Saturation()
+        return self._sample(0)
+
+    def step(self, command: Floats) -> Floats:
+        """Apply a command, shape (n,), V or N, see `drive`; take the next sample, shape (4, n).
+
+        Measured are displacement (m), velocity (m/s), acceleration (m/s^2), force (N).
+        """
+        self._command[:] = command
+        return self._sample(self.step_index + 1)
+
+    def stop(self) -> Stopped:
+        """Bring the valve to its safe position and follow the rig until it rests.
+
+        A closed valve locks the piston: the oil column rings, friction and leakage damp it, and the
+        remaining force leaks away. `sample` is the true state then; no limit trips any more.
+        """
+        if self._safe is None:
+            return Stopped(0, 0.0)
+        valve_driven = self.drive == VALVE_COMMAND.name
+        safe = self._safe.command if valve_driven else np.zeros_like(self._command)
+        last = self.state.line[(self.state.counts[0] - 1) % len(self.state.line)].copy()
+        steps, resting, peak = 0, 0, 0.0
+        while steps < self._safe.longest and resting < RESTS:
+            command = safe + left_open(steps + 1, self._safe.closing) * (last - safe)
+            self._move(self.parameters, self.state, command)
+            peak = max(peak, float(np.abs(self.sample[3]).max()))
+            steps += 1
+            resting = resting + 1 if np.abs(self.sample[1]).max() < AT_REST else 0
+        return Stopped(steps, peak)
+
+    def take(self, found: Ints) -> None:
+        """Take over a test that a compiled loop has run, of what `rig_step` gave there, (N,)."""
+        self.step_index = len(found) - 1
+        self.violation, self.saturation = self.violation_of(int(found[-1])), saturation_of(found)
+
+    def violation_of(self, found: int) -> str | None:
+        """Say why the test must end with the last sample, of which `rig_step` gave ``found``.
+
+        Raises what a spring of another package has raised.
+        """
+        if found & LIMIT:
+            for spring in self._model.springs:
+                spring.check()
+            return self.limits.describe(self.state.measured, self.state.change)
+        if found & BLIND:
+            names = [name for name, bit in ENDS.items() if found & bit and bit < 16]
+            return self._saturated_time.describe([name.replace("_range", "") for name in names])
+        return None
+
+    def _sample(self, step: int) -> Floats:
+        self.step_index = step
+        measured = np.empty_like(self.state.measured)
+        noise = self.sensors.noise_of(step)
+        found = self._step(self.parameters, self.state, step, self._command, noise, measured)
+        self.violation = None
+        if found:
+            self.violation = self.violation_of(found)
+            self.saturation.add(step, [name for name, bit in ENDS.items() if found & bit])
+        return measured
+
+
+def saturation_of(found: Ints) -> Saturation:
+    """Count what was at the end of its range, of what `rig_step` gave by step, shape (N,)."""
+    saturation, ever = Saturation(), int(np.bitwise_or.reduce(found))
+    for name, bit in ENDS.items():
+        if ever & bit:
+            steps = np.flatnonzero(found & bit)
+            saturation.count(name, len(steps), int(steps[0]))
+    return saturation
+
+
+def continuous_model(
+    section: dict[str, Any],
+    axes: tuple[str, ...],
+    rig: RigAxes | None = None,
+    stiffness: float = 1.0,
+) -> ContinuousModel:
+    """Model of actuator, specimen and anti-aliasing filters that a rig's parameters describe.
+
+    See `Rig.from_parameters`; ``stiffness`` is a factor on the elastic specimen's.
+    """
+    own = rig or RigAxes.whole(axes)
+    whole = Specimen.from_parameters(group(section, "specimen"), axes, "rig: specimen")
+    specimen = whole.part(own, "rig: specimen")
+    specimen = replace(specimen, stiffness=stiffness * specimen.stiffness)
+    actuator = group(section, "actuator")
+    kind = actuator["kind"]
+    if kind in ("ideal", "delay"):
+        model = delayed_force(specimen, actuator["delay"] if kind == "delay" else 0.0)
+    else:
+        everywhere = Hydraulics.from_parameters(actuator, whole, axes, "rig: actuator")
+        hydraulics = everywhere.part(own.places)
+        model = servo_hydraulic(specimen, hydraulics, linear=kind == "servo_hydraulic_linear")
+    cutoff = section["sensors.anti_alias"]
+    return with_low_pass(model, cutoff) if cutoff else model
+
+
+class Rigs:
+    """Several rigs, each with its own axes, stepped together: the bits are those of their nodes."""
+
+    def __init__(self, rigs: Sequence[tuple[RigAxes, Rig]]) -> None:
+        self._rigs = [(list(of.places), rig) for of, rig in rigs]
+        self._axes = sum(len(places) for places, _ in self._rigs)
+
+    @classmethod
+    def from_parameters(
+        cls,
+        section: dict[str, Any],
+        axes: tuple[str, ...],
+        timebase: Timebase,
+        rigs: Sequence[RigAxes],
+    ) -> "Rigs":
+        """Make them of the rig's section of an experiment, see `Rig.from_parameters`."""
+        return cls([(one, Rig.from_parameters(section, axes, timebase, one)) for one in rigs])
+
+    @property
+    def drive(self) -> Drive:
+        """Topic that drives the actuators."""
+        return self._rigs[0][1].drive
+
+    @property
+    def violation(self) -> str | None:
+        """The limit that the last sample of a rig breaks; of several rigs the first counts."""
+        return next((rig.violation for _, rig in self._rigs if rig.violation), None)
+
+    @property
+    def saturation(self) -> Saturation:
+        """What has been at the end of its range on any of them."""
+        return Saturation.of_all([rig.saturation for _, rig in self._rigs])
+
+    def reset(self) -> Floats:
+        """Bring the rigs to rest and take the sample of step 0, shape (4, n)."""
+        return self._gather(rig.reset() for _, rig in self._rigs)
+
+    def step(self, command: Floats) -> Floats:
+        """Apply a command and take the next sample, see `Rig.step`."""
+        return self._gather(rig.step(command[places]) for places, rig in self._rigs)
+
+    def _gather(self, states: Iterable[Floats]) -> Floats:
+        whole = np.empty((4, self._axes))
+        for (places, _), state in zip(self._rigs, states, strict=True):
+            whole[:, places] = state
+        return whole
+
+
+@compiled
+def left_open(taken: int, steps: float) -> float:
+    """Fraction of the last command that is left after some of the steps in which a valve closes.
+
+    A valve that closes at once on a mass M with velocity v makes the oil, of stiffness k, hammer
+    with v sqrt(k M). Half a cosine has no corner at which the oil would ring.
+    """
+    if taken >= steps:
+        return 0.0
+    return 0.5 * (1.0 + math.cos(math.pi * taken / steps))

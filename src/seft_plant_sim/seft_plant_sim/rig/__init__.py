@@ -1,1 +1,0 @@
-"""The simulated rig: actuator, specimen, sensors and limits."""

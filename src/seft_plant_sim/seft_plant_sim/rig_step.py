@@ -1,0 +1,206 @@
+"""One sampling period of the rig, compiled: the same function in a node and in a loop."""
+
+from typing import NamedTuple
+
+import numpy as np
+from seft_msgs_py.config.arrays import Floats, Ints
+from seft_msgs_py.errors import InputError
+
+from seft_plant_sim.actuator import OPENING, PER_CAPACITY
+from seft_plant_sim.actuator import STROKE as STROKE_COLUMN
+from seft_plant_sim.compiled import compiled
+from seft_plant_sim.continuous_model import ContinuousModel
+from seft_plant_sim.integration import Dynamics, Motion, at_rest, dynamics_of, integrate, multiply
+from seft_plant_sim.limits import Limits, SaturatedTime, exceeds, is_exceeded
+from seft_plant_sim.lti import split_dead_time
+from seft_plant_sim.sensors import CHANNELS, Channels, measure
+
+LONGEST_DELAY_STEPS = 1_000_000
+"""Dead time in samples that a rig's memory may hold."""
+STROKE, FORCE_CAPACITY, VALVE = 16, 32, 64
+LIMIT, BLIND = 128, 256
+"""Bits of a step's result, beside 1 to 8 for saturated sensors: other saturated parts, and the
+reasons to end the test, a limit or sensors that are saturated for too long."""
+ENDS = {f"{name}_range": 1 << row for row, name in enumerate(CHANNELS)}
+ENDS |= {"stroke": STROKE, "force_capacity": FORCE_CAPACITY, "valve": VALVE}
+"""Bits of saturated parts, by name."""
+
+
+class RigParameters(NamedTuple):
+    """What does not change of a rig of n axes.
+
+    Attributes
+    ----------
+    dynamics : Dynamics
+        Of actuator and specimen: from the last sample to the drive's change, and from there on.
+    drive_limit : ndarray
+        Drive at which the actuators saturate, shape (n,).
+    changes_between : bool
+        Whether the delayed drive changes between the samples.
+    channels : Channels
+        Of the sensors.
+    limits : ndarray
+        `Limits.values`, shape (8,).
+    window : int
+        Steps of a second.
+    """
+
+    dynamics: Dynamics
+    drive_limit: Floats
+    changes_between: bool
+    channels: Channels
+    limits: Floats
+    window: int
+
+
+class RigState(NamedTuple):
+    """What changes of it from step to step.
+
+    Attributes
+    ----------
+    motion : Motion
+        Of actuator and specimen.
+    true : ndarray
+        Displacement (m), velocity (m/s), acceleration (m/s^2) and force (N) at the sample, (4n,).
+    line : ndarray
+        The last drives in turn, as long as the dead time is, shape (whole periods + 2, n).
+    counts : ndarray
+        Place of the oldest drive, and number of blind samples, shape (2,).
+    measured, change : ndarray
+        The sample as measured, and its change since the last one, shape (4, n).
+    largest : ndarray
+        Largest magnitudes of both so far, shape (8,).
+    blind : ndarray
+        The last steps at which a sensor was at its range, in turn.
+    """
+
+    motion: Motion
+    true: Floats
+    line: Floats
+    counts: Ints
+    measured: Floats
+    change: Floats
+    largest: Floats
+    blind: Ints
+
+
+def rig_arrays(
+    model: ContinuousModel,
+    channels: Channels,
+    limits: Limits,
+    saturated_time: SaturatedTime,
+    dt: float,
+) -> tuple[RigParameters, RigState]:
+    """Put a rig with a sampling period of ``dt`` s into arrays; InputError if it can't be run."""
+    whole, part = split_dead_time(model.delay, dt)
+    if whole > LONGEST_DELAY_STEPS:
+        raise InputError(f"actuator: a delay of {model.delay:g} s is {whole} samples long")
+    dynamics = dynamics_of(model, part, dt - part)
+    n = model.b.shape[1]
+    drive_limit = np.ascontiguousarray(model.drive_limit)
+    parameters = RigParameters(
+        dynamics, drive_limit, part > 0, channels, limits.values, saturated_time.window
+    )
+    state = RigState(
+        at_rest(dynamics),
+        np.zeros(4 * n),
+        np.zeros((whole + 2, n)),
+        np.zeros(2, dtype=np.int64),
+        np.zeros((4, n)),
+        np.zeros((4, n)),
+        limits.largest,
+        saturated_time.times(),
+    )
+    return parameters, state
+
+
+@compiled
+def rig_step(
+    parameters: RigParameters,
+    state: RigState,
+    step: int,
+    command: Floats,
+    noise: Floats,
+    measured: Floats,
+) -> int:
+    """Apply a command and take the next sample; step 0 brings the rig to rest instead.
+
+    Parameters
+    ----------
+    state : RigState
+        Brought up to date.
+    step : int
+        Step of the sample.
+    command : ndarray
+        What drives the actuators after the last sample, shape (n,), V or N.
+    noise, measured : ndarray
+        Of the sensors at this step, and the sample, which is the result; shape (4, n).
+
+    Returns
+    -------
+    int
+        Bits `LIMIT` or `BLIND` if the test must end, and those of `ENDS`.
+    """
+    if step == 0:
+        rest(state)
+    else:
+        move(parameters, state, command)
+    found = measure(parameters.channels, step, state.true, noise, state.measured, measured)
+    blind = found > 0
+    if exceeds(parameters.limits, step, state.measured, measured, state.largest):
+        found |= LIMIT
+    elif blind:
+        if is_exceeded(state.blind, state.counts[1], step, parameters.window):
+            found |= BLIND
+        state.counts[1] += 1
+    n = len(command)
+    for row in range(4):
+        for i in range(n):
+            state.change[row, i] = measured[row, i] - state.measured[row, i] if step else 0.0
+            state.measured[row, i] = measured[row, i]
+    z, pistons = state.motion.work, parameters.dynamics.pistons
+    for i in range(len(pistons)):
+        if abs(z[i]) >= pistons[i, STROKE_COLUMN]:
+            found |= STROKE
+        if abs(z[2 * n + i]) * pistons[i, PER_CAPACITY] >= 1.0:
+            found |= FORCE_CAPACITY
+        if abs(z[3 * n + i]) >= pistons[i, OPENING]:
+            found |= VALVE
+    return found
+
+
+@compiled
+def move(parameters: RigParameters, state: RigState, command: Floats) -> None:
+    """Advance the true state by one sampling period, with a command from the new sample on.
+
+    Where the actuator answers its drive without delay (the ideal one), the new sample holds that
+    answer already.
+    """
+    dynamics, motion, line = parameters.dynamics, state.motion, state.line
+    n, places, oldest = len(command), len(line), state.counts[0]
+    drive = len(motion.state)
+    after = (oldest + 1) % places
+    for stretch in range(2):
+        place = after if stretch else oldest
+        for i in range(n):
+            motion.work[drive + i] = line[place, i]
+        integrate(dynamics, stretch, motion)
+    for i in range(n):
+        limit, asked = parameters.drive_limit[i], command[i]
+        line[oldest, i] = limit if asked > limit else -limit if asked < -limit else asked
+    now = after if parameters.changes_between else (oldest + 2) % places
+    for i in range(n):
+        motion.work[drive + i] = line[now, i]
+    multiply(dynamics.output, motion.work, state.true)
+    state.counts[0] = after
+
+
+@compiled
+def rest(state: RigState) -> None:
+    """Bring the rig to rest, with no drive."""
+    state.motion.work[:] = 0.0
+    state.motion.springs[:] = 0.0
+    state.true[:] = 0.0
+    state.line[:] = 0.0
+    state.counts[:] = 0
+    state.largest[:] = 0.0

@@ -1,0 +1,282 @@
+"""What a rig node watches beside its samples: time, commands, recorder, supervisor, health."""
+
+import math
+import time
+from bisect import bisect_right
+from collections.abc import Mapping
+from dataclasses import replace
+
+from seft_msgs_py.errors import WireError
+from seft_msgs_py.node.realtime import AwakeClock
+from seft_msgs_py.wire.messages import WARN, Status, decode_diagnostics, decode_status
+from seft_msgs_py.wire.outcome import MOVING, RECORDED, RECORDER, STOPPED
+from seft_msgs_py.wire.topics import LoopTopic
+
+
+def elapsed() -> float:
+    """Time that also runs while this process is stopped or its machine sleeps, s."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
+class CommandWatch:
+    """Checks at the end of each period whether the rig may go on with the command that it holds.
+
+    While the rig's process or its host stalls, the valve stays open, and the newest command answers
+    an old sample. So time counts, not steps. Times are those of `elapsed`.
+
+    Parameters
+    ----------
+    topic : LoopTopic
+        Of the commands.
+    period : float
+        Of the samples, s.
+    timeout : float
+        Longest time without a new command, s; a period at least.
+    """
+
+    def __init__(self, topic: LoopTopic, period: float, timeout: float) -> None:
+        self._topic, self._period, self._timeout = topic, period, timeout
+        self.begin(0.0)
+
+    def begin(self, now: float) -> None:
+        """Begin with the first sample of a test."""
+        self._answered, self._fresh_at = -1, now
+
+    def fault(self, now: float, step: int, answered: int, *, in_vain: bool = False) -> str:
+        """Say why the test must end here, before a command is applied; empty if it may go on.
+
+        Parameters
+        ----------
+        now : float
+            Time, s.
+        step : int
+            Step of the last sample.
+        answered : int
+            Last step whose command is settled, -1 where none is.
+        in_vain : bool
+            Whether the rig has put off its next sample and waited for as long as it may.
+        """
+        period, timeout = self._period, self._timeout
+        behind = step - answered
+        is_new = answered > self._answered or behind <= 0
+        without = now - self._fresh_at - is_new * period
+        if is_new:
+            self._answered, self._fresh_at = answered, now - max(behind, 0) * period
+        if without <= max(timeout, period) + period / 2 and not in_vain:
+            return ""
+        name = self._topic.name
+        if behind * period <= timeout and not in_vain:
+            return (
+                f"the rig stood still for {without:.3g} s, and its valve with it: its process or "
+                f"its host was stopped or overloaded ({timeout:g} s without a new {name} are "
+                "allowed)"
+            )
+        last = f"(the last is of step {answered})"
+        return f"no new {name} for {timeout:g} s {last}; is {self._topic.publisher} running?"
+
+
+OVERRUN = 0.5  # of a period: lateness after which the rest of it is too short for an answer
+HURRY = 0.05  # of a period, by which steps are shorter while a rig makes up for lost time
+
+
+class SampleClock:
+    """Absolute deadlines, one a period.
+
+    After an overrun, a deadline missed by more than half a period, all deadlines are put off:
+    hurried steps would leave the others no time to answer. A rig that makes up for lost time
+    returns to its schedule by slightly shorter steps. Times are in s, monotonic.
+    """
+
+    def __init__(self, period: float, start: float, *, makes_up: bool) -> None:
+        self._period, self._makes_up = period, makes_up
+        self._start = self._on_time = start
+        self.overruns = 0
+
+    def deadline(self, step: int) -> float:
+        """Time of a step, s, monotonic."""
+        return self._start + step * self._period
+
+    def awake(self, late: float) -> None:
+        """Take in by how many s a deadline was missed."""
+        if late > OVERRUN * self._period:
+            self.overruns += 1
+            self.fall_back(late)
+        if self._makes_up and self._start > self._on_time:
+            self._start -= min(HURRY * self._period, self._start - self._on_time)
+
+    def fall_back(self, time: float) -> None:
+        """Put off all that is to come, by a time in s."""
+        self._start += time
+
+
+MOST = 3072
+"""Steps: three quarters of what queues hold. The recorder reports its step five times a second."""
+
+
+class RecorderLag:
+    """Follows what the recorder says of itself.
+
+    Parameters
+    ----------
+    patience : float
+        Silence after which it is waited for no more, s: whether a test goes on without it is the
+        supervisor's to say.
+    """
+
+    def __init__(self, patience: float) -> None:
+        self._patience, self._awake = patience, AwakeClock()
+        self._heard_at = -patience
+        self._recorded = 0
+
+    def hear(self, raw: bytes, _: int) -> None:
+        """Take in the diagnostics of a node."""
+        for status in decode_diagnostics(raw)[1]:
+            if status.name == RECORDER:
+                self._heard_at = self._awake.time()
+                self._recorded = int(status.number(RECORDED) or 0)
+
+    def reset(self) -> None:
+        """Begin a test."""
+        self._recorded = 0
+
+    def is_large(self, step: int) -> bool:
+        """Tell whether the rig should wait after a step until more is recorded."""
+        if step - self._recorded < MOST:
+            return False
+        return self._awake.time() - self._heard_at < self._patience
+
+
+class Supervision:
+    """What the supervisor asks of this rig, which does not move without one.
+
+    Parameters
+    ----------
+    patience : float
+        Silence of the supervisor after which a test must end, s.
+
+    Attributes
+    ----------
+    wanted : Status or None
+        State of the experiment that the rig follows; None while it stays at rest.
+    state : str
+        State that was published last.
+    fault : str
+        Fault of the program, which ends every test until the supervisor has said idle.
+    latched : bool
+        Whether a test tripped: there is no new one before the supervisor has said idle.
+    """
+
+    def __init__(self, patience: float) -> None:
+        self._patience, self._awake = patience, AwakeClock()
+        self._heard_at = self._awake.time()
+        self.wanted: Status | None = None
+        self.state = self.fault = ""
+        self.latched = self._armed = False
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether the rig is to move."""
+        return self.wanted is not None and self.wanted.message in MOVING
+
+    def hear(self, raw: bytes, _: int) -> None:
+        """Follow the supervisor; a rig that starts in the middle of a test stays at rest."""
+        status = decode_status(raw)
+        self._heard_at = self._awake.time()
+        if status.message == self.state:
+            return  # a sign of life
+        self.state = status.message
+        if status.message in MOVING and not (self._armed or self.is_moving):
+            why = "that was running before this rig was ready for it"
+            raise WireError("a test " + ("after a trip and no reset" if self.latched else why))
+        if status.message == "running" and not status.number("steps"):
+            raise WireError("a test that does not say how many steps it has")
+        if status.message == "idle":
+            self.latched, self.fault = False, ""
+        self._armed = status.message == "ready" and not self.latched
+        self.wanted = status
+
+    def reason_to_end(self) -> str | None:
+        """Give the reason why a test must end here, if there is one."""
+        if self.fault:
+            return self.fault
+        if not self.is_moving:
+            return STOPPED
+        if self._awake.time() - self._heard_at > self._patience:
+            return f"node supervisor has been silent for {self._patience:g} s"
+        return None
+
+
+NARROW = 0.1  # of a limit: a smaller margin is warned of
+
+
+def with_health(
+    status: Status, margins: Mapping[str, float], answered_at: float, last_trip: float
+) -> Status:
+    """Add the health of the test to a rig's status, under names that diagnostic tools show.
+
+    It takes `Limits.margins`, the time of the newest command (s, monotonic; 0: none), and the last
+    round trip from a state to its command (s; nan: none).
+    """
+    values = {f"margin {name.replace('_', ' ')}": f"{left:.3f}" for name, left in margins.items()}
+    narrow = [name.replace("_", " ") for name, left in margins.items() if not left >= NARROW]
+    if answered_at:
+        values["command age (ms)"] = f"{(time.monotonic() - answered_at) * 1e3:.2f}"
+    if not math.isnan(last_trip):
+        values["round trip last (ms)"] = f"{last_trip * 1e3:.3f}"
+    message, level = status.message, status.level
+    if narrow and level < WARN:
+        level = WARN
+        message += f"; less than {NARROW:.0%} left to the limit of {', '.join(narrow)}"
+    return replace(status, level=level, message=message, values={**status.values, **values})
+
+
+SHORTEST = 1e-5  # s, lower edge of the first bin
+PER_DECADE = 20  # bins: a median is right within 6 %
+DECADES = 7
+QUANTILES = {"p50": 0.5, "p90": 0.9, "p99": 0.99, "p99.9": 0.999}
+EDGES = [SHORTEST * 10 ** (at / PER_DECADE) for at in range(1, PER_DECADE * DECADES)]
+
+
+class RoundTrip:
+    """Histogram of times with bins of equal ratio, and the last and the largest time.
+
+    Attributes
+    ----------
+    last, largest : float
+        s; nan where there was none.
+    """
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the test so far."""
+        self._bins = [0] * (PER_DECADE * DECADES)
+        self.count = 0
+        self.last = self.largest = math.nan
+
+    def add(self, time: float) -> None:
+        """Count a time in seconds."""
+        self._bins[bisect_right(EDGES, time)] += 1
+        self.count += 1
+        self.last = time
+        self.largest = time if self.count == 1 else max(self.largest, time)
+
+    def quantile(self, share: float) -> float:
+        """Middle of the bin that holds a quantile, s; nan where there was no time.
+
+        At most the largest time.
+        """
+        seen = 0
+        for at, count in enumerate(self._bins):
+            seen += count
+            if seen >= share * self.count and seen:
+                return float(min(SHORTEST * 10 ** ((at + 0.5) / PER_DECADE), self.largest))
+        return math.nan
+
+    def numbers(self) -> dict[str, float]:
+        """Give quantiles and the largest, s, by the keys of `ROUND_TRIPS`; empty without a time."""
+        if not self.count:
+            return {}
+        quantiles = {key: self.quantile(share) for key, share in QUANTILES.items()}
+        return {**quantiles, "largest": self.largest}

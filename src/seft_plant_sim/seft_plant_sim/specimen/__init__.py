@@ -1,1 +1,0 @@
-"""The load-resisting member under test."""

@@ -1,0 +1,279 @@
+"""The response that a perfect test would give: the whole structure from rest, solved exactly.
+
+Where the structure is not linear, the response is as near as the integration's tolerance.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from seft_msgs_py.config.arrays import Floats, as_matrix
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import group
+
+from seft_plant_sim.compiled import compiled
+from seft_plant_sim.computed_substructure import ComputedSubstructure
+from seft_plant_sim.continuous_model import ContinuousModel, with_springs
+from seft_plant_sim.integration import Dynamics, Motion, at_rest, dynamics_of, integrate, multiply
+from seft_plant_sim.specimen import Specimen
+
+TOLERANCE = 1e-5
+"""Of displacement and velocity, relative to their peaks."""
+COARSEST = 4
+FINEST = 1 << 14
+"""Steps of the integration within one of the response."""
+
+
+def response(structure: Specimen, ground_motion: Floats, dt: float) -> Floats:
+    """Response to a ground motion that is linear between its samples.
+
+    Exact where the structure is linear. Else the steps of the integration are halved until the
+    response changes by less than `TOLERANCE`; it then is some four times as near.
+
+    Parameters
+    ----------
+    structure : Specimen
+        Of n degrees of freedom; its mass is the whole structure's.
+    ground_motion : ndarray
+        Ground acceleration of each, shape (N, n), m/s^2.
+    dt : float
+        Period of a step, s.
+
+    Returns
+    -------
+    ndarray
+        Relative displacement (m), velocity (m/s), acceleration (m/s^2) and force of the springs
+        (N, without damping), shape (4, N, n).
+    """
+    if not structure.springs:
+        return ShakenStructure(structure, dt, 1).advance(ground_motion)
+    steps = COARSEST
+    coarse = ShakenStructure(structure, dt, steps).advance(ground_motion)
+    while steps < FINEST:
+        steps *= 2
+        fine = ShakenStructure(structure, dt, steps).advance(ground_motion)
+        change, peak = (np.abs(y[:2]).max(axis=(1, 2)) for y in (fine - coarse, fine))
+        if (change <= TOLERANCE * peak).all():
+            break
+        coarse = fine
+    return fine
+
+
+class ShakenStructure:
+    """A structure of n degrees of freedom whose ground motion becomes known step by step.
+
+    A step of ``dt`` s is integrated in ``steps``; one is exact where the structure is linear.
+    """
+
+    def __init__(self, structure: Specimen, dt: float, steps: int) -> None:
+        self._structure, self._dt = structure, dt
+        self._dynamics = dynamics_of(_shaken(structure), 0.0, dt, dt / steps)
+        self._motion = at_rest(self._dynamics)
+        self._last: Floats | None = None
+
+    def advance(self, ground_motion: Floats) -> Floats:
+        """Go on over the next N steps; the first of all is step 0, at rest.
+
+        The ground motion has shape (N, n), N at least 1, m/s^2; the result is as of `response`.
+        """
+        motion = np.array(ground_motion, dtype=np.float64, order="C")
+        last = motion[0] if self._last is None else self._last
+        samples = np.empty((len(motion), 4 * motion.shape[1]))
+        _respond(self._dynamics, self._motion, self._dt, last, motion, samples, self._last is None)
+        for spring in self._structure.springs:
+            spring.check()
+        self._last = motion[-1]
+        return np.moveaxis(samples.reshape(len(motion), 4, -1), 1, 0)
+
+
+@partial(compiled, nogil=True)
+def _respond(
+    dynamics: Dynamics,
+    motion: Motion,
+    dt: float,
+    last: Floats,
+    ground_motion: Floats,
+    samples: Floats,
+    from_rest: bool,
+) -> None:
+    """Take a structure through the samples of a ground motion that follow the last one."""
+    n = len(last)
+    for k in range(len(ground_motion)):
+        for i in range(n):
+            before = last[i] if k == 0 else ground_motion[k - 1, i]
+            motion.work[2 * n + i] = before
+            motion.work[3 * n + i] = (ground_motion[k, i] - before) / dt
+        if k or not from_rest:
+            integrate(dynamics, 1, motion)
+        multiply(dynamics.output, motion.work, samples[k])
+
+
+def _shaken(structure: Specimen) -> ContinuousModel:
+    """Model of a structure with states x, v, a_g, driven by the slope of the ground motion.
+
+    M x'' + C x' + r(x) = -M a_g; the outputs are x, x', x'' and r(x).
+    """
+    n = structure.axes
+    zero, one = np.zeros((n, n)), np.eye(n)
+    moving, _ = structure.state_matrices()
+    a = np.block([[moving, np.vstack([zero, -one])], [zero, zero, zero]])
+    b = np.vstack([zero, zero, one])
+    stiffness = np.hstack([structure.stiffness, zero, zero])
+    c = np.vstack([np.eye(2 * n, 3 * n), a[n : 2 * n], stiffness])
+    linear = ContinuousModel.linear(a, b, c, np.zeros((4 * n, n)), 0.0, "reference_force")
+    model = with_springs(linear, structure)
+    if structure.springs:
+        model.outputs[3 * n :] = structure.deformation.T
+    return model
+
+
+@dataclass(frozen=True)
+class ReferenceResponse:
+    """Exact response of the whole structure, by step.
+
+    Attributes
+    ----------
+    displacement, velocity, acceleration : ndarray
+        Relative to the ground, shape (N, n), in m, m/s, m/s^2.
+    force : ndarray
+        Force that the actuators of a perfect test apply, shape (N, n), N.
+    """
+
+    displacement: Floats
+    velocity: Floats
+    acceleration: Floats
+    force: Floats
+
+
+def reference_response(experiment: Experiment, ground_motion: Floats) -> ReferenceResponse:
+    """Exact response of the whole structure of an experiment (paper Eq. 2.1).
+
+    M x'' + C x' + r(x) = -M a_g from rest. In a SEFT test it is the specimen and the computed
+    substructure; in an EFT test M is (1 + mass_ratio) times the model's mass, all of it on the
+    specimen (Eq. 2.2). Where the rig is simulated, the specimen is the simulated one; else it is
+    the reference-force node's model.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Resolved parameters.
+    ground_motion : ndarray
+        Ground acceleration of each axis by step, shape (N, n), m/s^2; linear in between.
+    """
+    section = experiment["reference_force"]
+    specimen = tested_specimen(experiment)
+    n, whole = specimen.axes, WholeStructure.of_test(specimen, section, experiment.axes)
+    structure, computed = whole.structure, whole.computed
+    motion = whole.motion(ground_motion)
+    x, v, a, r = response(structure, motion, experiment.timebase.dt)
+    if section["method"] == "eft":
+        force = -motion @ structure.mass.T
+    else:
+        # f = M_e a + C v + r(x) of the specimen alone
+        own = r - x @ computed.stiffness.T + v @ (structure.damping - computed.damping).T
+        force = a[:, :n] @ specimen.mass.T + own[:, :n]
+    return ReferenceResponse(x[:, :n], v[:, :n], a[:, :n], force)
+
+
+@dataclass(frozen=True)
+class WholeStructure:
+    """Specimen and computed substructure together.
+
+    Attributes
+    ----------
+    structure : Specimen
+        Over n axes, then q internal degrees of freedom.
+    computed : ComputedSubstructure
+        The part that is computed; nothing in an EFT test.
+    """
+
+    structure: Specimen
+    computed: ComputedSubstructure
+
+    @classmethod
+    def of_test(
+        cls, specimen: Specimen, section: dict[str, Any], axes: Sequence[str]
+    ) -> "WholeStructure":
+        """Make that of a test with a reference force's section, see `reference_response`."""
+        if section["method"] == "eft":
+            model_mass = as_matrix(section["model.mass"], axes, "reference_force: model.mass")
+            carried = replace(specimen, mass=(1.0 + section["mass_ratio"]) * model_mass)
+            return cls(carried, ComputedSubstructure.none(len(axes)))
+        return cls.of(specimen, ComputedSubstructure.from_parameters(section, axes))
+
+    @classmethod
+    def of(cls, specimen: Specimen, computed: ComputedSubstructure) -> "WholeStructure":
+        """Put them together at the axes."""
+        if computed.is_lumped:  # the very numbers of a structure that has no more than axes
+            return cls(replace(specimen, mass=specimen.mass + computed.mass), computed)
+        inside = [(0, computed.internal)] * 2
+        return cls(
+            replace(
+                specimen,
+                mass=np.pad(specimen.mass, inside) + computed.mass,
+                damping=np.pad(specimen.damping, inside) + computed.damping,
+                stiffness=np.pad(specimen.stiffness, inside) + computed.stiffness,
+                deformation=np.pad(specimen.deformation, [(0, 0), inside[1]])
+                if specimen.springs
+                else specimen.deformation,
+            ),
+            computed,
+        )
+
+    def motion(self, ground_motion: Floats) -> Floats:
+        """Ground acceleration of every degree of freedom, of that of the axes; (N, n + q)."""
+        if not self.computed.internal:
+            return ground_motion
+        return np.hstack([ground_motion, ground_motion @ self.computed.influence.T])
+
+
+def whole_structure(experiment: Experiment) -> WholeStructure:
+    """Give specimen and computed substructure of an experiment, see `reference_response`.
+
+    Raises
+    ------
+    InputError
+        If there is no such structure.
+    """
+    return WholeStructure.of_test(
+        tested_specimen(experiment), experiment["reference_force"], experiment.axes
+    )
+
+
+def tested_specimen(experiment: Experiment) -> Specimen:
+    """Specimen of an experiment: the simulated one, else the reference-force node's model."""
+    if "specimen.mass" in experiment.sections.get("rig", {}):
+        source, where = group(experiment["rig"], "specimen"), "rig: specimen"
+    else:
+        source, where = group(experiment["reference_force"], "model"), "reference_force: model"
+    return Specimen.from_parameters(source, experiment.axes, where)
+
+
+STEPS = 16
+"""Of the integration within a step where a structure yields: near enough to be looked at."""
+
+
+class RunningResponse:
+    """Response of the whole structure of an experiment as its ground motion becomes known.
+
+    It is exact where the structure is linear.
+    """
+
+    def __init__(self, experiment: Experiment) -> None:
+        self._whole = whole_structure(experiment)
+        structure = self._whole.structure
+        self.exact = not structure.springs
+        dt = experiment.timebase.dt
+        self._shaken = ShakenStructure(structure, dt, 1 if self.exact else STEPS)
+
+    def advance(self, ground_motion: Floats) -> tuple[Floats, Floats]:
+        """Go on over the next N steps of the ground motion, shape (N, n), m/s^2, N at least 1.
+
+        The first of all is step 0, at rest. Gives displacement and acceleration relative to the
+        ground, shape (N, n), m and m/s^2.
+        """
+        n = ground_motion.shape[1]
+        x, _, a, _ = self._shaken.advance(self._whole.motion(ground_motion))
+        return x[:, :n], a[:, :n]

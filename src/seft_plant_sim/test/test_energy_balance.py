@@ -1,0 +1,165 @@
+"""Energy balance: closed forms, and that it closes on the true samples of rigs."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from bare_rig import BareRig
+from seft_msgs_py.config.parameter_table import group, resolve
+from seft_plant_sim.rig import continuous_model
+from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.specimen import Specimen, energy_balance
+
+DT = 0.002
+M, C, K = 52.7, 800.0, 2.11e5
+ONE = Specimen(np.array([[M]]), np.array([[C]]), np.array([[K]]))
+COUNT = 2000
+LAWS = {
+    "linear": {},
+    "bilinear": {"kind": "bilinear"},
+    "Bouc-Wen": {"kind": "bouc_wen", "bouc_wen.exponent": 1.5},
+    "degrading": {"kind": "bouc_wen", "bouc_wen.strength_loss": 0.02},
+    "pinching": {"kind": "pinching"},
+    "flag": {"kind": "flag", "flag.dissipation": 0.8},
+    "friction": {"kind": "friction", "friction.force": 100.0},
+    "gap": {"kind": "gap", "gap.width": 0.001, "gap.stiffness": 4e5},
+    "cubic": {"kind": "duffing", "duffing.cubic": 1e10},
+}
+FRAME = {
+    "mass": [60.0, 45.0],
+    "damping": [900.0, -200.0, -200.0, 400.0],
+    "stiffness": [3.3e5, -1.5e5, -1.5e5, 1.5e5],
+    "springs": [1.0, 0.0, -1.0, 1.0],
+}
+laws = pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+
+
+def shaken_rig(commands, law, kind="servo_hydraulic", specimen=None, **actuator):
+    """Specimen and true samples, shape (N, 4, n), of a rig under these commands."""
+    values = specimen or {"mass": M, "damping": C, "stiffness": K}
+    if law:
+        values = {"yield_displacement": 0.0015} | values | law
+    given = {f"specimen.{name}": value for name, value in values.items()}
+    given |= {"actuator.kind": kind, "actuator.friction": 10.0}
+    given |= {f"actuator.{name}": value for name, value in actuator.items()}
+    section = resolve({"rig": TABLE}, {"rig": TABLE.check(given)})["rig"]
+    axes = ("x", "y")[: commands.shape[1]]
+    plant = BareRig(continuous_model(section, axes), DT)
+    samples = np.array([plant.reset(), *(plant.step(command) for command in commands)])
+    return Specimen.from_parameters(group(section, "specimen"), axes, "rig: specimen"), samples
+
+
+def drive_of(kind, axes=1):
+    """Sine or earthquake-like drive, shape (N, n), that ends before the record does."""
+    time = DT * np.arange(COUNT)[:, np.newaxis] + np.zeros(axes)
+    if kind == "sine":
+        drive = np.sin(2 * np.pi * 8.0 * time + np.arange(axes))
+    else:  # noise in the band of an earthquake, under an envelope
+        hz = np.fft.rfftfreq(COUNT, DT)[:, np.newaxis]
+        white = np.random.default_rng(4).normal(size=(COUNT, axes))
+        drive = np.fft.irfft(np.fft.rfft(white, axis=0) * (hz < 25) / (1 + hz / 5), COUNT, axis=0)
+        drive *= time * np.exp(-time) / np.abs(drive).max() * 2
+    return drive * (time < 3.0)
+
+
+def balance_of(specimen, samples, **options):
+    x, v, _, f = np.moveaxis(samples, 1, 0)
+    return energy_balance(specimen, x, v, f, DT, **options)
+
+
+@laws
+@pytest.mark.parametrize("motion", ["sine", "earthquake"])
+@pytest.mark.parametrize("kind", ["servo_hydraulic", "servo_hydraulic_linear", "ideal", "delay"])
+def test_the_balance_of_true_samples_closes(kind, motion, law):
+    """To 0.2 % of the largest input at any time, whatever the actuator and the specimen."""
+    drive = drive_of(motion)
+    held = {"ideal": {"held": 1.0}, "delay": {"held": 0.65}}.get(kind, {})
+    amplitude = 900.0 if held else 4.0
+    specimen, samples = shaken_rig(amplitude * drive, law, kind, delay=0.0033 if held else 0.0)
+    balance = balance_of(specimen, samples, **held)
+    assert np.abs(balance.error).max() < 2e-3
+    if law.get("kind") in ("gap", "duffing"):
+        assert not balance.hysteretic.any()
+    elif law:
+        assert balance.hysteretic[-1] > 0.2 * balance.input[-1]  # it did yield
+        loss = np.diff(balance.hysteretic)
+        assert loss.min() > -1e-5 * balance.input[-1]
+    else:
+        assert not balance.hysteretic.any()
+
+
+@laws
+def test_it_closes_for_a_shear_frame_on_two_actuators(law):
+    frame = FRAME | law
+    if not law:
+        del (frame := dict(frame))["springs"]
+    specimen, samples = shaken_rig(2.0 * drive_of("earthquake", 2), law, specimen=frame)
+    balance = balance_of(specimen, samples)
+    assert np.abs(balance.error).max() < 2e-3
+
+
+def steady(hz, count=COUNT):
+    """Exact steady state of x = X sin wt on the linear specimen, and w."""
+    w, t = 2 * np.pi * hz, DT * np.arange(count)
+    x, v, a = 0.005 * np.array([np.sin(w * t), w * np.cos(w * t), -(w**2) * np.sin(w * t)])
+    return w, np.stack([x, v, a, M * a + C * v + K * x], axis=1)[..., np.newaxis]
+
+
+@pytest.mark.parametrize("hz", [1.0, 10.0, 25.0, 60.0])
+def test_a_cycle_of_the_steady_state_puts_in_pi_c_w_times_the_amplitude_squared(hz):
+    """And the trapezoidal rule would put in (w dt)^2 / 6 less."""
+    w, samples = steady(hz)
+    balance = balance_of(ONE, samples)
+    seconds = int(DT * COUNT) - 1
+    cycles = np.pi * C * w * 0.005**2 * hz * seconds
+    first, last = 100, 100 + round(seconds / DT)
+    assert balance.input[last] - balance.input[first] == pytest.approx(cycles, rel=3e-3)
+    assert balance.damped[last] - balance.damped[first] == pytest.approx(cycles, rel=3e-3)
+    start = balance.input[0] - balance.kinetic[0] - balance.strain[0]
+    left = balance.input - balance.kinetic - balance.strain - balance.damped - start
+    assert np.abs(left).max() < 1e-2 * 0.5 * M * (0.005 * w) ** 2
+    f, x = samples[first : last + 1, 3, 0], samples[first : last + 1, 0, 0]
+    trapezoidal = np.sum((f[1:] + f[:-1]) / 2 * np.diff(x))
+    assert trapezoidal / cycles == pytest.approx(np.sinc(hz * DT * 2), abs=1e-6)
+
+
+def test_a_held_force_does_its_work_between_the_samples():
+    specimen, samples = shaken_rig(900.0 * drive_of("sine"), {}, "ideal")
+    assert np.abs(balance_of(specimen, samples, held=1.0).error).max() < 2e-3
+    assert np.abs(balance_of(specimen, samples).error).max() > 0.01  # half a sample late
+
+
+def test_a_wrong_specimen_does_not_close():
+    specimen, samples = shaken_rig(4.0 * drive_of("earthquake"), LAWS["bilinear"])
+    for wrong in (
+        dataclasses.replace(specimen, mass=2.0 * specimen.mass),
+        dataclasses.replace(specimen, damping=1.2 * specimen.damping),
+        Specimen(specimen.mass, specimen.damping, specimen.stiffness),  # that does not yield
+    ):
+        assert np.abs(balance_of(wrong, samples).error).max() > 0.02
+
+
+@laws
+def test_noise_of_the_sensors_opens_it_by_less_than_1_percent(law):
+    """5 um, 1 mm/s, 3 N; what remains is no drift, as noise of two sensors has no mean product."""
+    specimen, samples = shaken_rig(4.0 * drive_of("earthquake"), law)
+    rms = np.array([[5e-6], [1e-3], [0.05], [3.0]])
+    for seed in range(5):
+        noise = rms * np.random.default_rng(seed).normal(size=samples.shape)
+        assert np.abs(balance_of(specimen, samples + noise).error).max() < 0.01
+
+
+def test_a_velocity_that_lags_changes_no_work():
+    """Work is that over the displacement: a filtered derivative costs little of the balance."""
+    specimen, samples = shaken_rig(4.0 * drive_of("earthquake"), {})
+    exact = balance_of(specimen, samples)
+    late = samples.copy()
+    late[1:, 1] = samples[:-1, 1]
+    np.testing.assert_array_equal(balance_of(specimen, late).input, exact.input)
+
+
+def test_the_error_of_a_specimen_at_rest_is_no_number():
+    balance = balance_of(ONE, np.zeros((5, 4, 1)))
+    assert np.isnan(balance.error).all()
+    for field in dataclasses.fields(balance):
+        np.testing.assert_array_equal(getattr(balance, field.name), np.zeros(5))

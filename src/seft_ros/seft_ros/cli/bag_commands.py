@@ -1,0 +1,277 @@
+"""Commands on recorded tests: ``seft report``, ``seft recover`` and ``seft compare``.
+
+``seft replay``: a recorded test fed to one node once more.
+"""
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from string import ascii_lowercase
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from seft_msgs_py.config.experiment import Override, parse_override
+from seft_msgs_py.errors import InputError
+
+from seft_ros.cli.options import Bag, Json, Params, check_out, complain, option, show, step_progress
+
+if TYPE_CHECKING:
+    from seft_ros.replay.recorded import Recorded
+    from seft_ros.replay.replay_step import Replay
+
+
+_COLOURS = {"good": "green", "doubt": "yellow", "bad": "red", "none": "default"}
+
+
+def report(
+    bag: Bag,
+    out: Path | None = option(None, "The page; default report.html in BAG.", "FILE"),
+    json: Json = False,
+) -> int:
+    """Show whether a recorded test can be trusted, and where it can not.
+
+    Writes one HTML page that needs no network: verdict, what was tested, displacement, force and
+    acceleration against the exact response of the whole structure with windows at the peaks,
+    force tracking, hysteresis, spectra, energy, timing, estimates, events. Drag to zoom, click a
+    name in a legend to hide its line. --json prints the same numbers.
+
+    The bag holds all that is needed: samples, configuration, versions. A bag whose recorder was
+    cut off is read after seft recover BAG.
+
+    Examples
+    --------
+        seft report bags/half
+
+        seft report bags/half --json
+
+        seft report bags/half --out half.html
+    """
+    from rich.text import Text
+
+    from seft_ros.analysis.summary_text import summary_table
+    from seft_ros.page.content import check_page
+    from seft_ros.recording.bag_reader import read_bag
+    from seft_ros.report.numbers import report_numbers
+    from seft_ros.report.report_page import write_report
+
+    beside = bag.with_suffix(".html") if bag.is_file() else bag / "report.html"
+    page = beside if out is None else check_page(out)
+    findings = report_numbers(read_bag(bag))
+    write_report(findings, bag.resolve().name, page)
+    summary = findings.summary | {"bag": str(bag), "page": str(page)}
+    verdict = summary["verdict"]
+    lines = [
+        Text(verdict["text"], style=f"bold {_COLOURS[verdict['verdict']]}"),
+        *(Text(f"  {one['text']}", style=_COLOURS[one["verdict"]]) for one in verdict["findings"]),
+    ]
+    show(summary, json, [summary_table(findings.record, summary), *lines], "page")
+    return 0 if summary["stable"] and summary["complete"] else 1
+
+
+def recover(
+    bag: Annotated[Path, typer.Argument(metavar="BAG", help="Folder of a recorded test.")],
+) -> int:
+    """Make a bag readable whose recorder was killed: every complete message is kept.
+
+    The cut-off file stays beside it, named .cut. An intact bag is left as it is.
+
+    Example:
+
+        seft recover bags/half
+    """
+    from seft_ros.recording.recover import recover as recover_bag
+
+    print(recover_bag(bag))
+    return 0
+
+
+def compare(
+    bags: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="BAG BAG...", help="Folders of recorded tests; the first is compared with each."
+        ),
+    ],
+    figure: Path | None = option(None, "Draw the tests on one another.", "FILE"),
+    json: Json = False,
+) -> int:
+    """Compare recorded tests with the first of them, sample by sample, bit for bit.
+
+    Samples are aligned by the step in their stamps, independent of duration and recorder. At
+    different rates, samples at common times are compared. Of tests of different length or axes,
+    the common part is compared, and the rest is reported.
+
+    Bags are mcap or sqlite3, also of ros2 bag record: compressed, split into files, with any
+    other topics. One that lacks experiment/description is compared without its configuration.
+
+    Exit status 0 if all samples on the loop's topics are identical, 1 if not.
+
+    Examples
+    --------
+        seft simulate config/jhu.yaml --out bags/simulated
+
+        seft run config/jhu.yaml -p rig:pace:=lockstep --out bags/lockstep
+
+        seft compare bags/simulated bags/lockstep
+
+    Realtime and hardware against the simulation, as a picture:
+
+        seft compare bags/simulated bags/realtime bags/hardware --figure tests.png
+
+    What the stock recorder wrote, for a script; first_difference names topic, step and field:
+
+        ros2 bag record --all --output bags/stock
+
+        seft compare bags/simulated bags/stock --json
+    """
+    from seft_ros.analysis.comparison import compare_all
+    from seft_ros.analysis.comparison_text import (
+        comparison_table,
+        comparisons_table,
+        describe_bag,
+        legend,
+    )
+    from seft_ros.analysis.figures import comparison_figure
+    from seft_ros.drawing.style import check_figure, save_figure
+    from seft_ros.recording.bag_reader import read_bag
+
+    if not 2 <= len(bags) <= len(ascii_lowercase):
+        raise InputError(f"compare takes 2 to {len(ascii_lowercase)} bags, but got {len(bags)}")
+    path = check_figure(figure) if figure is not None else None
+    names, labels = [str(bag) for bag in bags], list(ascii_lowercase[: len(bags)])
+    records = [read_bag(bag, described=False) for bag in bags]
+    result = compare_all(names, records)
+    result["bags"] = list(map(describe_bag, names, records))
+    several = result.get("comparisons")
+    if path is not None:
+        titles = [f"{label}: {Path(name).name}" for label, name in zip(labels, names, strict=True)]
+        save_figure(comparison_figure(records, several or [result], titles), path)
+        result["figure"] = str(path)
+    table = comparisons_table(several, labels) if several else comparison_table(result)
+    show(result, json, [*map(legend, labels, result["bags"]), table], "figure")
+    return 0 if result["identical"] else 1
+
+
+def replay(
+    bag: Bag,
+    node: list[str] | None = option(
+        None,
+        "reference_force, force_controller or rig; may be given many times. "
+        "Default: all three, one after another.",
+        "NODE",
+    ),
+    param: Params = None,
+    offline: bool = option(
+        False, "Feed the node's block in this process, without ROS.", "--offline"
+    ),
+    out: Path | None = option(
+        None,
+        "Write the test with the replayed answers in place of the recorded as a bag, "
+        "must be new; with one --node alone.",
+        "DIR",
+    ),
+    json: Json = False,
+) -> int:
+    """Feed a recorded test to one node, and see that it answers as recorded, bit for bit.
+
+    The node runs as a process over DDS with its recorded parameters; the replay plays the others:
+    it sends the recorded messages step by step, each when the one before is answered. So it is as
+    fast as the node, and nothing is lost. -p shows the effect of a change.
+
+    reference_force gets ground_motion, rig/state and when the operator or a fault brought the
+    force down; force_controller rig/state and reference_force; rig valve_command, the held ones
+    for those that it missed. Of the other nodes none runs.
+
+    Exit status 0 if all answers are identical, 1 if not.
+
+    Examples
+    --------
+        seft replay bags/lockstep
+
+        seft replay bags/lockstep --node reference_force
+
+        seft replay bags/lockstep --node reference_force
+        -p reference_force:compensation.method:=none --out bags/none
+
+        seft compare bags/lockstep bags/none
+
+        seft replay bags/lockstep --node rig --offline --json
+    """
+    from seft_ros.replay.recorded import read_recorded
+    from seft_ros.replay.replay_table import replay_table
+    from seft_ros.replay.replays import REPLAYS
+
+    nodes = list(dict.fromkeys(node or REPLAYS))
+    if out is not None:
+        if len(nodes) > 1:
+            raise InputError("--out takes the answers of one node; name it with --node")
+        check_out(out)
+    overrides = [parse_override(text) for text in param or ()]
+    if overrides and len(nodes) > 1:
+        raise InputError("-p changes one node; name it with --node")
+    recorded = read_recorded(bag)
+    replays = _replays(nodes, recorded, asked=bool(node))
+    given = {"bag": str(bag), "overrides": param or []}
+    results = [_answers(one, recorded, overrides, offline, out) | given for one in replays]
+    identical = all(one["identical"] for one in results)
+    one_or_all = results[0] if len(results) == 1 else {"identical": identical, "replays": results}
+    tables = [replay_table(result) for result in results]
+    show(one_or_all, json, [*tables, *([f"bag: {out}"] if out else [])])
+    for result in results if not json else ():
+        for note in result["notes"]:
+            complain(f"{result['node']}: {note}")
+        if result["ended"]:
+            complain(f"{result['node']} answered no more: {result['ended']}")
+    return 0 if identical else 1
+
+
+def _replays(nodes: list[str], recorded: "Recorded", *, asked: bool) -> list["Replay"]:
+    """Make the replays to some nodes; of those that nobody asked for by name some may lack.
+
+    Raises
+    ------
+    InputError
+        If the bag lacks the messages to a node that was named, or to all nodes.
+    """
+    from seft_ros.replay.replays import replay_to
+
+    replays: list[Replay] = []
+    for name in nodes:
+        try:
+            replays.append(replay_to(name, recorded))
+        except InputError as error:
+            if asked or (name == nodes[-1] and not replays):
+                raise
+            complain(f"{name} is left out: {error}")
+    return replays
+
+
+def _answers(
+    replay: "Replay",
+    recorded: "Recorded",
+    overrides: Sequence[Override],
+    offline: bool,
+    out: Path | None,
+) -> dict[str, Any]:
+    from seft_ros.recording.record_bag import write_record
+    from seft_ros.replay.dds_replay import replay_over_dds
+    from seft_ros.replay.replay_step import Answers
+    from seft_ros.replay.replays import experiment_of
+    from seft_ros.replay.verdict import replay_verdict, replayed_record
+
+    meant = experiment_of(replay, overrides, fixed=False)
+    section = meant[replay.node]
+    with step_progress(len(replay.expected.steps)) as tell:
+        if offline:
+            tell(f"{replay.node} answers offline", 0)
+            start = time.monotonic()
+            answers = Answers(*replay.computed(section), time.monotonic() - start)
+            tell(f"{replay.node} has answered", len(answers.series.steps))
+        else:
+            answers = replay_over_dds(replay, experiment_of(replay, overrides), tell)
+    result = replay_verdict(replay, recorded, answers)
+    if out is not None:
+        record = replayed_record(replay, recorded, answers, section)
+        write_record(record, out, ground_motion=recorded.chunks)
+        result["out"] = str(out)
+    return result

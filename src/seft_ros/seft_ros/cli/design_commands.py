@@ -1,0 +1,204 @@
+"""``seft design``: shape the force loop.
+
+``seft preflight``: stability and delay margins before anything moves.
+"""
+
+import cmath
+from pathlib import Path
+
+from seft_msgs_py.config.parameter_table import nearest
+from seft_msgs_py.errors import InputError
+
+from seft_ros.cli.options import (
+    Config,
+    External,
+    Files,
+    Json,
+    Params,
+    Plant,
+    complain,
+    late_progress,
+    load_experiment,
+    option,
+    show,
+)
+from seft_ros.design import Source
+
+
+def design(
+    config: Config,
+    param: Params = None,
+    params_file: Files = None,
+    plant: Plant = Source.AUTO,
+    axis: str | None = option(None, "Axis to be shown; default the first.", "NAME"),
+    crossover: float | None = option(None, "Propose a controller for this crossover.", "HZ"),
+    gain_margin: float = option(6.0, "Least gain margin of a proposal in dB.", "DB"),
+    gain: float | None = option(None, "Try gain * product(s - zeros) / product(s - poles)."),
+    zero: list[str] | None = option(
+        None,
+        "Its zeros, one option each: real, or with a damping ratio a conjugate pair; "
+        "0 is a differentiator.",
+        "HZ[,DAMPING]",
+    ),
+    pole: list[str] | None = option(None, "Its poles; 0 is an integrator.", "HZ[,DAMPING]"),
+    numerator: str | None = option(None, 'Or its coefficients in s, highest power first: "37".'),
+    denominator: str | None = option(None, 'Likewise: "1 17.14 4002".'),
+    out: Path | None = option(None, "Write the controller to a new parameter file.", "FILE"),
+    figure: Path = option(Path("design.png"), "Where to draw.", "PNG"),
+    json: Json = False,
+) -> int:
+    """Shape the force loop: plant, controller, loop and closed loop, with margins and delay.
+
+    The plant leads from valve to actuator force. Its zeros are the specimen's poles
+    (control-structure interaction): the controller's poles go there, and its gain sets the
+    crossover, well below the oil-column resonance. Margins are those of the loop as it runs,
+    sampled, held and a step late; beside them stands what continuous time would give.
+
+    Without further options the experiment's own controller is judged. Exit status 1: with
+    this controller the loop is unstable; it is not written then.
+
+    Examples
+    --------
+        seft design config/jhu.yaml
+
+        seft design config/jhu.yaml --crossover 12 --out controller.yaml
+
+        seft simulate config/jhu.yaml --params-file controller.yaml
+
+        seft design config/jhu.yaml --gain 37 --pole 10.07,0.1355
+
+        seft design config/jhu.yaml --numerator 37 --denominator "1 17.14 4002" --json
+    """
+    from seft_ros.design.closed_loop import force_loop
+    from seft_ros.design.controller import (
+        Controller,
+        check_new,
+        given_controller,
+        write_controller,
+    )
+    from seft_ros.design.controller_proposal import propose_controller
+    from seft_ros.design.loop_design import (
+        axes_table,
+        design_table,
+        shape_loop,
+        summarise,
+        summarise_axes,
+    )
+    from seft_ros.design.loop_figures import design_figure
+    from seft_ros.design.plant import choose_plant
+    from seft_ros.drawing.style import save_figure
+
+    if out is not None:
+        check_new(out)
+    experiment = load_experiment(config, param, params_file)
+    dt, axes = experiment.timebase.dt, experiment.axes
+    if axis is not None and axis not in axes:
+        raise InputError(f"--axis {axis}: there is no such axis{nearest(axis, axes)}")
+    shown = 0 if axis is None else axes.index(axis)
+    whole = choose_plant(experiment, plant)
+    controller = given_controller(gain, zero or (), pole or (), numerator, denominator)
+    if crossover is not None:
+        if controller is not None:
+            raise InputError("--crossover proposes a controller: leave out what gives one")
+        controller = propose_controller(whole.axis(shown), crossover, dt, gain_margin)
+    elif controller is None:
+        controller = Controller.from_parameters(experiment["force_controller"])
+    loops = [shape_loop(whole.axis(index), controller, dt) for index in range(len(axes))]
+    slowest = force_loop(whole, controller, dt).dominant()
+
+    loop, stable = loops[shown], abs(slowest) < 1
+    title = f"{config}, axis {axes[shown]}: force loop at {1 / dt:g} Hz, plant: {whole.source}"
+    path = figure if figure.suffix else figure.with_suffix(".png")
+    save_figure(design_figure(loop, title), path)
+    summary = summarise(loop)
+    summary["axes"] = summarise_axes(axes, loops)
+    summary |= {"stable": stable, "proposed": crossover is not None, "figure": str(path)}
+    if out is not None and stable:
+        write_controller(controller, out)
+        summary["out"] = str(out)
+    tables = [design_table(loop, title), *([axes_table(summary["axes"])] if axes[1:] else [])]
+    show(summary, json, tables, "figure", "out")
+    if stable:
+        return 0
+    complain(
+        f"unstable: with this controller the force loop oscillates at "
+        f"{abs(cmath.phase(slowest)) / (2 * cmath.pi * dt):.3g} Hz, "
+        f"times {abs(slowest):.4g} each step"
+    )
+    return 1
+
+
+def preflight(
+    config: Config,
+    param: Params = None,
+    params_file: Files = None,
+    external: External = None,
+    plant: Plant = Source.AUTO,
+    figure: Path | None = option(
+        None,
+        "Draw where the test would be stable: mass ratio against dead time, and against "
+        "the specimen's local stiffness.",
+        "FILE",
+    ),
+    write: Path | None = option(
+        None, "Write limits that fit the test into a parameter file, for --params-file.", "FILE"
+    ),
+    json: Json = False,
+) -> int:
+    """Tell whether a planned test is stable, and how far from its limits, without moving anything.
+
+    Takes the eigenvalues of the sampled closed loop of rig, compensation and force controller:
+    critical mass ratio, critical delay, margins against a wrong gain and a wrong delay, and the
+    false damping that the test will show; and sweeps the specimen's local stiffness from 0 to 3
+    times the assumed one. Exact where the loop is linear; the table says what that excludes.
+
+    The exact response of the planned test gives the peaks to expect, and limits that fit them.
+
+    Exit status 1: the plan is unstable.
+
+    Examples
+    --------
+        seft preflight config/jhu.yaml -p reference_force:mass_ratio:=1.0
+
+        seft preflight config/demo.yaml --figure preflight.png
+
+        seft preflight config/jhu.yaml --write limits.yaml
+
+        seft preflight config/jhu.yaml --params-file identified/model.yaml --plant identified
+    """
+    from seft_ros.design.plan import Plan
+    from seft_ros.design.preflight_tables import (
+        expected_peaks,
+        limits_table,
+        preflight_tables,
+        proposed_limits,
+        summarise,
+        write_limits,
+    )
+    from seft_ros.design.stability_map import (
+        preflight_figure,
+        stability_maps,
+    )
+    from seft_ros.design.stability_verdict import preflight as fly
+    from seft_ros.drawing.style import check_figure, save_figure
+
+    path = check_figure(figure) if figure is not None else None
+    experiment = load_experiment(config, param, params_file, external)
+    plan = Plan(experiment, plant)
+    with late_progress() as tell:
+        found = fly(plan, tell)
+        summary = summarise(plan, found)
+        peaks = expected_peaks(experiment)
+        limits = proposed_limits(peaks)
+        summary |= {"expected_peaks": peaks, "proposed_limits": limits}
+        if write is not None:
+            write_limits(write, limits)
+        if path is not None:
+            maps = stability_maps(plan, found.margins, tell)
+            save_figure(preflight_figure(plan, found, maps), path)
+            summary["figure"] = str(path)
+    tables = preflight_tables(plan, found, f"preflight of {config}")
+    show(summary, json, [*tables, limits_table(experiment, peaks)], "figure")
+    for reason in found.reasons:
+        complain(f"{found.verdict}: {reason}")
+    return 1 if found.verdict == "unstable" else 0

@@ -1,0 +1,75 @@
+"""The `seft` command."""
+
+import signal
+import sys
+from contextlib import redirect_stdout
+
+import typer
+from seft_msgs_py.errors import SeftError
+from seft_msgs_py.node.shutdown import as_before, on_ending
+
+from seft_ros.cli.bag_commands import compare, recover, replay, report
+from seft_ros.cli.design_commands import design, preflight
+from seft_ros.cli.identify import identify
+from seft_ros.cli.options import complain
+from seft_ros.cli.perform import run, simulate
+from seft_ros.cli.rig_commands import conform, link
+from seft_ros.cli.show_commands import monitor, motion, parameters
+from seft_ros.cli.study_commands import paper, tournament
+
+APP = typer.Typer(
+    name="seft",
+    help="Substructure effective force testing (SEFT) on ROS 2.\n\n"
+    "seft run config/demo.yaml runs a test as separate nodes over DDS and records it; "
+    "seft simulate does the same in one process, without ROS. "
+    "seft COMMAND --help shows examples.",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+for command in (
+    *(run, simulate, report, compare, replay, motion, recover, identify, design, tournament),
+    *(preflight, link, conform, monitor, paper, parameters),
+):
+    APP.command()(command)
+
+
+@APP.callback(invoke_without_command=True)
+def seft(context: typer.Context) -> None:
+    """Print the help to stderr, where no command is given."""
+    if context.invoked_subcommand is None:
+        with redirect_stdout(sys.stderr):  # typer before 0.10 prints the help itself
+            print(context.get_help())
+        raise typer.Exit(2)
+
+
+def main() -> int:
+    """Run the command line; return 0 done, 1 tripped or unstable, 2 wrong input.
+
+    SIGTERM and a closed terminal are as Ctrl-C: whatever a command has set in motion rests first.
+    """
+    before = on_ending(signal.default_int_handler)
+    try:
+        return int(APP(standalone_mode=False) or 0)
+    except SeftError as error:
+        complain(str(error))
+        return error.exit_status
+    except typer.Exit as end:
+        return end.exit_code
+    except typer.Abort:
+        return 1
+    except KeyboardInterrupt:
+        complain("interrupted")
+        return 1
+    except Exception as error:
+        if not hasattr(error, "format_message"):
+            raise
+        # wrong use; whose class this is, typer's or click's, depends on typer's version
+        complain(f"{error.format_message()} (seft --help shows what there is)")
+        return 2
+    finally:
+        as_before(before)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,238 @@
+"""What the commands share: options, the experiment that they name, its test, and how to print."""
+
+import json
+import sys
+import time
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console, RenderableType
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from seft_msgs_py.config.experiment import Experiment, parse_override
+from seft_msgs_py.config.parameter_table import nearest
+from seft_msgs_py.errors import ExperimentError, InputError
+from seft_msgs_py.wire.topics import NODES, with_rigs
+
+from seft_ros.design import Source
+from seft_ros.recording.record import Record
+from seft_ros.test_run.parameter_tables import TABLES
+
+if TYPE_CHECKING:
+    from seft_ros.test_run.process_layout import ProcessLayout
+
+
+def option(default: Any, text: str, named: str | None = None, **more: Any) -> Any:
+    """Make an option with a help text, and the name of its value, or its own such as ``--json``."""
+    names, metavar = ([named], None) if named and named.startswith("--") else ([], named)
+    return typer.Option(default, *names, help=text, metavar=metavar, **more)
+
+
+_OVERRIDE = "Override a parameter, as in ROS 2; may be given many times."
+_FILES = "Another parameter file, whose values win over CONFIG's; may be given many times."
+_PLANT = (
+    "rig: the simulated rig's linear model; identified: plant.* of force_controller; "
+    "auto: the identified one where it is given."
+)
+_EXTERNAL = (
+    "This node runs already with parameters of its own, such as a lab's hardware driver as rig. "
+    "May be given many times."
+)
+_JSON = "Print one JSON object on stdout, and nothing else there."
+Config = Annotated[Path, typer.Argument(metavar="CONFIG", help="Experiment: ROS 2 parameter file.")]
+Bag = Annotated[Path, typer.Argument(metavar="BAG", help="Folder (or file) of a recorded test.")]
+Params = Annotated[
+    list[str] | None,
+    typer.Option("-p", "--param", metavar="NODE:PARAMETER:=VALUE", help=_OVERRIDE),
+]
+Files = Annotated[list[Path] | None, typer.Option(metavar="FILE", help=_FILES)]
+Plant = Annotated[Source, typer.Option(help=_PLANT)]
+External = Annotated[list[str] | None, typer.Option(metavar="NODE", help=_EXTERNAL)]
+Json = Annotated[bool, typer.Option("--json", help=_JSON)]
+
+
+def load_experiment(
+    config: Path,
+    overrides: list[str] | None,
+    params_files: Sequence[Path] | None = None,
+    external: Sequence[str] | None = None,
+) -> Experiment:
+    """Read an experiment of a command line; nodes that are external have no section in it."""
+    external = external or ()
+    experiment = Experiment.load(
+        [table for table in TABLES if table.node not in external],
+        [config, *(params_files or ())],
+        [parse_override(text) for text in overrides or ()],
+    )
+    possible = [node for node in NODES if node not in ("supervisor", "recorder")]
+    possible = list(dict.fromkeys([*possible, *with_rigs(possible, experiment.rigs)]))
+    for node in external:
+        if node not in possible:
+            raise InputError(
+                f"--external {node}: must be one of {', '.join(possible)}{nearest(node, possible)}"
+            )
+    return experiment
+
+
+FIGURE = "figure.png"
+PATIENCE = 1.0  # s before a bar is shown
+
+
+def show(
+    summary: dict[str, Any], as_json: bool, tables: Iterable[RenderableType], *files: str
+) -> None:
+    """Print a summary as JSON, or tables, lines of text, and the files that it names."""
+    if as_json:
+        print(json.dumps(summary, indent=2, allow_nan=False))
+        return
+    console = Console()
+    for table in tables:
+        if isinstance(table, str):
+            print(table)
+        else:
+            console.print(table)
+    width = max(map(len, files), default=0) + 2
+    for name in files:
+        if summary.get(name) is not None:
+            print(f"{name + ':':{width}}{summary[name]}")
+
+
+def complain(text: str) -> None:
+    """Print one line on stderr."""
+    print(f"seft: {text}", file=sys.stderr, flush=True)
+
+
+def warn(text: str) -> None:
+    """Print a warning on stderr."""
+    print(f"warning: {text}", file=sys.stderr, flush=True)
+
+
+def stderr_console() -> Console:
+    """Console for progress: stderr, so that stdout holds results alone."""
+    return Console(stderr=True)
+
+
+@contextmanager
+def step_progress(total: int, lost: str = "") -> Iterator[Callable[[str, int], None]]:
+    """Show a bar of ``total`` steps; gives the function that takes a few words and the steps done.
+
+    An interruption becomes an `ExperimentError` where ``lost`` says what it costs.
+    """
+    text = TextColumn("{task.description:40.40}")
+    columns = (text, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    try:
+        with Progress(*columns, console=stderr_console()) as bar:
+            task = bar.add_task("", total=total)
+            yield lambda description, done: bar.update(
+                task, description=description, completed=min(done, total)
+            )
+    except KeyboardInterrupt:
+        if not lost:
+            raise
+        raise ExperimentError(f"interrupted; {lost}") from None
+
+
+@contextmanager
+def late_progress() -> Iterator[Callable[[str, int, int], None]]:
+    """Show a bar on a terminal once it takes longer."""
+    console, start = stderr_console(), time.perf_counter()
+    bar = Progress(console=console, transient=True, disable=not console.is_terminal)
+    task = bar.add_task("")
+
+    def show(what: str, done: int, total: int) -> None:
+        if time.perf_counter() - start > PATIENCE:
+            bar.start()
+        bar.update(task, description=what, completed=done, total=total)
+
+    try:
+        yield show
+    finally:
+        if bar.live.is_started:
+            bar.stop()
+
+
+def check_out(out: Path) -> None:
+    """Refuse a folder that exists already."""
+    if out.exists():
+        raise InputError(f"{out}: exists already; name another folder with --out")
+
+
+def offline_test(experiment: Experiment, bag: Path | None, label: str = "") -> Record:
+    """Run a test in one process, with a progress bar, and write its bag, if one is given.
+
+    Raises `InputError` if parameters contradict each other.
+    """
+    from seft_ros.recording.record_bag import write_record
+    from seft_ros.test_run.blocks import build_blocks
+    from seft_ros.test_run.offline import simulate
+
+    blocks = build_blocks(experiment)
+    motion = blocks.ground_motion
+    with step_progress(motion.steps) as tell:
+        record = simulate(experiment, blocks, lambda done: tell(f"{label}simulating", done))
+        tell(f"{label}writing the bag" if label else "done", len(record.series["rig/state"].steps))
+        if bag is not None:
+            chunks = [motion.chunk(index) for index in range(motion.chunks)]
+            write_record(record, bag, record.experiment["recorder"]["storage"], chunks)
+    return record
+
+
+def dds_test(
+    experiment: Experiment,
+    bag: Path,
+    steps: int,
+    external: Collection[str] = (),
+    *,
+    layout: "ProcessLayout | None" = None,
+    label: str = "",
+) -> tuple[Record, Path]:
+    """Run a test as separate nodes over DDS, with a progress bar, and read its bag.
+
+    Gives the record and the bag's folder, which is another where the first was lost. The label
+    precedes what is said of one of several tests.
+
+    Raises
+    ------
+    InputError
+        If the nodes do not become ready.
+    ExperimentError
+        If the run broke; what was recorded is kept.
+    """
+    from seft_ros.recording.bag_reader import read_bag
+    from seft_ros.test_run.run import Interruption, run_experiment
+
+    with step_progress(steps) as show_steps, Interruption() as interruption:
+
+        def tell(what: str, done: int) -> None:
+            interruption.check()
+            show_steps(f"{label}{what}", done)
+
+        try:
+            fault, bag = run_experiment(experiment, bag, tell, layout, external)
+        except KeyboardInterrupt:
+            kept = f"; what was recorded is in {bag}" if bag.exists() else ""
+            raise ExperimentError(f"{label}interrupted{kept}") from None
+    if fault:
+        raise ExperimentError(f"{label}{fault}; what was recorded is in {bag}")
+    return read_bag(bag), bag
+
+
+def show_test(record: Record, bag: Path | None, *, as_json: bool, figure: bool) -> bool:
+    """Show how a test went, draw its figure into its bag; return whether it was stable."""
+    from seft_ros.analysis.summary import reference_of, summarise
+    from seft_ros.analysis.summary_text import summary_table
+
+    reference = reference_of(record)
+    summary = summarise(record, reference)
+    if bag is not None:
+        summary["bag"] = str(bag)
+        if figure:
+            from seft_ros.analysis.figures import test_figure
+            from seft_ros.drawing.style import save_figure
+
+            save_figure(test_figure(record, reference), bag / FIGURE)
+            summary["figure"] = str(bag / FIGURE)
+    show(summary, as_json, [summary_table(record, summary)], "bag", "figure")
+    return bool(summary["stable"])

@@ -1,0 +1,235 @@
+"""``seft run`` over DDS, and ``seft simulate`` in one process."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import InputError
+
+from seft_ros.cli.options import (
+    Config,
+    External,
+    Files,
+    Json,
+    Params,
+    check_out,
+    complain,
+    dds_test,
+    load_experiment,
+    offline_test,
+    option,
+    show_test,
+    step_progress,
+    warn,
+)
+from seft_ros.test_run.parameter_tables import TABLES
+
+TRAVEL, FORCE = 0.005, 2000.0
+"""Displacement (m) and force (N) at which a motion that looks at signs is stopped."""
+LINK_TIME = 5.0  # s for which a link is measured before a test
+_DRAW = "Draw a figure into the bag's folder."
+Figure = Annotated[bool, typer.Option("--figure/--no-figure", help=_DRAW)]
+
+
+def run(
+    config: Config,
+    param: Params = None,
+    params_file: Files = None,
+    external: External = None,
+    out: Path | None = option(
+        None, "New folder of the bag; default in the recorder's directory, by the time.", "DIR"
+    ),
+    pin: bool = option(
+        True, "Give the loop's nodes a processor core of their own; keep cores awake."
+    ),
+    composed: bool = option(
+        False,
+        "Put rig, reference_force and force_controller into one process, for rates that "
+        "separate processes can't hold; topics and samples stay the same.",
+        "--composed",
+    ),
+    priority: int = option(
+        0,
+        "Real-time priority of the loop's nodes, their memory locked, cores awake; 0: none.",
+        "N",
+        min=0,
+        max=98,
+    ),
+    check_signs: bool = option(
+        False,
+        "First move the rig by a few tenths of a millimetre, to check units and signs of "
+        "channels and valve (seft conform checks more).",
+        "--check-signs",
+    ),
+    accept_unstable: bool = option(
+        False, "Run a test that preflight finds unstable all the same.", "--accept-unstable"
+    ),
+    figure: Figure = True,
+    json: Json = False,
+) -> int:
+    """Run an experiment as separate nodes over DDS, record it, and show how it went.
+
+    The test must be stable by the closed loop's eigenvalues, which seft preflight shows in detail;
+    an unstable plan is refused.
+
+    Starts ground_motion, reference_force, force_controller, rig, recorder and supervisor,
+    waits until all have found each other, runs the test, and ends them.
+
+    Examples
+    --------
+        seft run config/demo.yaml
+
+        seft run config/jhu.yaml -p rig:pace:=lockstep --out bags/lockstep
+
+        ROS_DOMAIN_ID=7 seft run config/jhu.yaml --json
+
+        seft run config/jhu.yaml --composed --priority 50 -p rate:=2000.0
+
+        seft run config/jhu.yaml --external rig --check-signs
+
+        seft run config/jhu.yaml -p reference_force:mass_ratio:=2.0 --accept-unstable
+    """
+    from seft_ros.design.preflight_tables import expected_peaks, limit_warning
+    from seft_ros.test_run.process_layout import ProcessLayout
+    from seft_ros.test_run.run import bag_path
+
+    experiment = load_experiment(config, param, params_file, external)
+    bag = bag_path(experiment, out)
+    experiment = _with_measured_delay(experiment)
+    steps = _steps(experiment)
+    _check_stable(experiment, accept_unstable)
+    if warning := limit_warning(experiment, expected_peaks(experiment)):
+        warn(warning)
+    if check_signs:
+        _check_signs(experiment, external or ())
+    layout = ProcessLayout(pin=pin, composed=composed, priority=priority)
+    record, bag = dds_test(experiment, bag, steps, external or (), layout=layout)
+    if show_test(record, bag, as_json=json, figure=figure):
+        return 0
+    complain(f"the test tripped: {record.trip.reason}" if record.trip else "unstable")
+    return 1
+
+
+def simulate(
+    config: Config,
+    param: Params = None,
+    params_file: Files = None,
+    out: Path | None = option(
+        None, "Write a bag as seft run does, and a figure, into this new folder.", "DIR"
+    ),
+    figure: Figure = True,
+    json: Json = False,
+) -> int:
+    """Run an experiment in one process, without ROS, and compare it with the exact response.
+
+    The samples are, bit for bit, those of seft run where no command was missed.
+
+    Examples
+    --------
+        seft simulate config/jhu.yaml
+
+        seft simulate config/jhu.yaml -p reference_force:mass_ratio:=0.5 --out bags/half
+
+        seft simulate config/jhu.yaml -p ground_motion:file:=kobe.txt
+        -p ground_motion:unit:=cm/s2 -p ground_motion:dt:=0.005 --json
+    """
+    experiment = load_experiment(config, param, params_file)
+    if out is not None:
+        check_out(out)
+    record = offline_test(experiment, out)
+    if show_test(record, out, as_json=json, figure=figure):
+        return 0
+    complain(f"unstable: {record.trip.reason if record.trip else 'values are not finite'}")
+    return 1
+
+
+def _with_measured_delay(experiment: Experiment) -> Experiment:
+    """Measure the delay of the loop over its link, where the experiment asks for that.
+
+    Raises `InputError` if the other side does not answer.
+    """
+    section = experiment.sections.get("reference_force")
+    if section is None or section["loop_delay"] >= 0:
+        return experiment
+    if "force_controller" in experiment.sections:
+        raise InputError(
+            "reference_force: loop_delay is to be measured, but there is no link: force_controller "
+            "is to run here; give a number of steps, or --external force_controller"
+        )
+    from seft_ros.test_run.link_judgement import message_size, with_loop_delay
+    from seft_ros.test_run.link_measurement import measure
+
+    rate = experiment.timebase.rate
+    size, delays = message_size(experiment), []
+    for rig in experiment.rigs:
+        with step_progress(round(LINK_TIME * rate)) as show:
+            delays.append(measure(rate, LINK_TIME, size, show, rig).loop_delay)
+        whose = f" to {rig.name}" if rig.name else ""
+        complain(f"the link{whose} needs a delay of the loop of {delays[-1]} steps")
+    return with_loop_delay(experiment, max(delays))
+
+
+def _check_stable(experiment: Experiment, accept_unstable: bool) -> None:
+    """Raise `InputError` for an unstable plan that is not accepted; warn if it can't be judged."""
+    from seft_ros.design.plan import Plan
+    from seft_ros.design.stability_margins import critical_mass_ratio
+    from seft_ros.design.stability_verdict import instability
+
+    try:
+        plan = Plan(experiment)
+        if plan.is_stable():
+            return
+    except InputError as error:  # what the nodes themselves can't use has been refused before
+        complain(f"preflight could not be done: {error}")
+        return
+    reason = f"unstable plan: {instability(plan)}"
+    if accept_unstable:
+        complain(f"{reason}; accepted")
+        return
+    critical = critical_mass_ratio(plan)
+    where = f"; the critical mass ratio is {critical.value:.3g}" if critical else ""
+    raise InputError(
+        f"{reason}{where}; see seft preflight, lower reference_force: mass_ratio, choose another "
+        "compensation.method, or run it all the same with --accept-unstable"
+    )
+
+
+def _check_signs(experiment: Experiment, external: Sequence[str]) -> None:
+    """Move the rig a little; raise `InputError` if its channels contradict each other."""
+    from seft_ros.conformance.suite import TIMING, conform
+
+    if len(experiment.rigs) > 1:
+        raise InputError("--check-signs: of several rigs, look at each with seft conform")
+    alone, starts = Experiment(experiment.sections), "rig" not in external
+    if starts:
+        alone["rig"]["pace"] = "realtime"
+    found = conform(
+        alone,
+        lambda finding: None,
+        start_rig=starts,
+        amplitude=None,
+        travel=TRAVEL,
+        force=FORCE,
+        moves_only=True,
+    )
+    for finding in found:
+        if finding.verdict == "failed" and finding.check not in TIMING:
+            raise InputError(f"the rig: {finding.check}: {finding.told}; {finding.mend}")
+
+
+def _steps(experiment: Experiment) -> int:
+    """Count the steps of the test, and check that its blocks can be made.
+
+    An external node has checked its own parameters; an external ground motion counts as 0 steps.
+    """
+    from seft_ros.ground_motion.ground_motion_block import GroundMotion
+    from seft_ros.test_run.blocks import build_blocks
+
+    if all(table.node in experiment.sections for table in TABLES):
+        return build_blocks(experiment).ground_motion.steps
+    section = experiment.sections.get("ground_motion")
+    if section is None:
+        return 0
+    return GroundMotion.from_parameters(section, experiment.axes, experiment.timebase).steps

@@ -1,0 +1,209 @@
+"""``seft link`` and ``seft conform``: whether a link, and a rig's driver, are fit for a test."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.topics import RigAxes
+
+from seft_ros.cli.options import (
+    Config,
+    Files,
+    Json,
+    Params,
+    complain,
+    load_experiment,
+    option,
+    show,
+    stderr_console,
+    step_progress,
+)
+
+if TYPE_CHECKING:
+    from seft_ros.conformance.finding import Finding
+
+
+RATE, SIZE = 500.0, 1000  # Hz and bytes, without an experiment
+
+
+def link(
+    config: Path | None = typer.Argument(
+        None,
+        metavar="[CONFIG]",
+        help="Experiment whose rate and message size are used, and which preflight looks at.",
+    ),
+    param: Params = None,
+    params_file: Files = None,
+    echo: bool = option(False, "Be the other side: send back what comes, until Ctrl-C.", "--echo"),
+    rig: str = option("", "Of several rigs, whose link it is.", "NAME"),
+    duration: float = option(10.0, "Time for which the link is measured.", "S"),
+    out: Path | None = option(
+        None, "Write the delay of the loop to a file for --params-file.", "FILE"
+    ),
+    json: Json = False,
+) -> int:
+    """Measure the link to another host, and judge which test it is fit for.
+
+    Sends messages of the size of a reference force at the rate of the test, which the other side
+    sends back: seft link --echo there, or its force_controller with a loop_delay. Reports round
+    trips, loss, reordering, the delay of the loop (loop_delay) that the link needs, the rate up to
+    which none would be needed, and with CONFIG the mass ratio up to which the test is stable.
+
+    Exit status 1: the link is unusable, or the test unstable over it.
+
+    Examples
+    --------
+        seft link --echo
+
+        seft link config/demo.yaml
+
+        seft link config/demo.yaml --out link.yaml
+
+        seft link config/two_pier_bridge.yaml --rig east
+
+        seft run config/demo.yaml --params-file link.yaml --external rig
+        --external force_controller
+    """
+    from seft_ros.test_run.link_judgement import allowed, judge, link_table, message_size
+    from seft_ros.test_run.link_measurement import measure
+
+    if echo:
+        return _echo()
+    if out is not None and config is None:
+        raise InputError("--out needs CONFIG: a delay in steps is one at the rate of a test")
+    if duration <= 0:
+        raise InputError(f"--duration is {duration:g} s, but must be positive")
+    experiment = None if config is None else load_experiment(config, param, params_file)
+    rate, size = RATE, SIZE
+    if experiment is not None:
+        rate, size = experiment.timebase.rate, message_size(experiment)
+    other_side = _rig(rig, experiment)
+    with step_progress(max(2, round(duration * rate))) as tell:
+        trips = measure(rate, duration, size, tell, other_side)
+    test = None if experiment is None else allowed(experiment, trips.loop_delay)
+    verdict, reasons = judge(trips, test)
+    summary: dict[str, Any] = {
+        **trips.numbers_by_name(),
+        "size_bytes": size,
+        "test": None if test is None else test.numbers(),
+        "verdict": verdict,
+        "reasons": reasons,
+    }
+    if out is not None:
+        text = "# by seft link: steps at the rate of the experiment\nreference_force:\n"
+        text += f"  ros__parameters:\n    loop_delay: {trips.loop_delay}\n"
+        try:
+            out.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"{out}: can't be written: {error.strerror}") from None
+        summary["file"] = str(out)
+    show(summary, json, [link_table(summary)])
+    for reason in reasons:
+        complain(f"{verdict}: {reason}")
+    return 1 if verdict == "unusable" else 0
+
+
+def _rig(name: str, experiment: Experiment | None) -> RigAxes | None:
+    """Find the rig whose link is measured; None where there is but one."""
+    if experiment is None or len(experiment.rigs) < 2:
+        if name:
+            raise InputError(f"--rig {name}: give CONFIG of a test that has several rigs")
+        return None
+    rigs = {rig.name: rig for rig in experiment.rigs}
+    if name not in rigs:
+        raise InputError(f"--rig {name}: must be {' or '.join(rigs)}, whose link it is")
+    return rigs[name]
+
+
+def _echo() -> int:
+    from seft_ros.test_run.link_measurement import echo
+
+    console = stderr_console()
+    with console.status("echoing") as status:
+        try:
+            echo(lambda count: status.update(f"echoing: {count} messages so far"))
+        except KeyboardInterrupt:
+            return 0
+    return 0
+
+
+def conform(
+    config: Config,
+    param: Params = None,
+    params_file: Files = None,
+    start_rig: bool = option(
+        False, "Start the simulated rig of CONFIG; else a rig runs already.", "--start-rig"
+    ),
+    amplitude: float | None = option(
+        None, "Largest valve command; default 0.2 V (50 N for an idealised actuator).", "V"
+    ),
+    travel: float = option(0.005, "Displacement from rest at which it is stopped, m.", "M"),
+    force: float = option(2000.0, "Change of force at which it is stopped, N.", "N"),
+    yes: bool = option(False, "Move the rig without asking: nobody is within its reach.", "--yes"),
+    json: Json = False,
+) -> int:
+    """Check that a rig's driver keeps its contract (docs/hardware.md) before a test relies on it.
+
+    Acts as supervisor and force controller for a node rig that runs already, such as a lab's own
+    driver: checks its messages; moves it by a few tenths of a millimetre to compare units, signs
+    and stamps; then sends what must be refused, and falls silent, to check that it trips, rests
+    and stays at rest. Each check has one line: passed or failed, the measured number, how to mend
+    it. An early failure ends the checks before the rig moves further.
+
+    CONFIG has rate, axes, limits, and the specimen's mass, damping and stiffness
+    (reference_force: model.*); the rig's own parameters are taken from its description.
+
+    Exit status 0: it conforms; 1: it does not.
+
+    Examples
+    --------
+        seft conform config/jhu.yaml --start-rig
+
+        seft conform config/laboratory.yaml --amplitude 0.1
+
+        seft conform config/laboratory.yaml --yes --json
+    """
+    from seft_ros.conformance.finding import finding_line, verdict
+    from seft_ros.conformance.suite import conform as look_at
+
+    experiment = load_experiment(config, param, params_file, None if start_rig else ["rig"])
+    if len(experiment.rigs) > 1:
+        raise InputError(
+            f"{config}: the axes are of several rigs, but conform looks at one: give its axes "
+            'alone, without its name, as -p "/**:axes:=[x]", and parameters for these'
+        )
+    for name, value in (("--amplitude", amplitude), ("--travel", travel), ("--force", force)):
+        if value is not None and not 0 < value < float("inf"):
+            raise InputError(f"{name} is {value:g}, but must be positive")
+    if start_rig:
+        experiment["rig"]["pace"] = "realtime"
+    elif not yes:
+        _ask(amplitude, travel)
+    console = stderr_console()
+
+    def tell(finding: "Finding") -> None:
+        if not json:
+            console.print(finding_line(finding), soft_wrap=True, highlight=False)
+
+    findings = look_at(
+        experiment, tell, start_rig=start_rig, amplitude=amplitude, travel=travel, force=force
+    )
+    result = verdict(findings)
+    words = "conforms" if result["conforms"] else "does not conform"
+    counts = "{passed} passed, {failed} failed, {not_run} not run".format_map(result)
+    show({"config": str(config), **result}, json, [f"the rig {words}: {counts}"])
+    return 0 if result["conforms"] else 1
+
+
+def _ask(amplitude: float | None, travel: float) -> None:
+    """Ask a person whether the rig may move; raise `InputError` without a yes."""
+    motion = f"{amplitude or 0.2:g} V, stopped at {1e3 * travel:g} mm"
+    if not sys.stdin.isatty():
+        raise InputError(f"the rig will be moved ({motion}): say --yes when nobody is in its reach")
+    if not typer.confirm(
+        f"The rig will be moved ({motion}). Is nobody within its reach?", err=True
+    ):
+        raise InputError("nothing was moved")

@@ -1,0 +1,203 @@
+"""``seft motion``, ``seft parameters`` and ``seft monitor``: what they show moves nothing."""
+
+import re
+import secrets
+import webbrowser
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from seft_msgs_py.config.parameter_table import COMMON, Parameter, nearest
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.timebase import Timebase
+
+from seft_ros.cli.options import Json, option, show
+from seft_ros.test_run.parameter_tables import TABLES
+
+
+def monitor(
+    host: str = option(
+        "127.0.0.1",
+        "Address to serve at; others than this host's own need a token, and show the test to "
+        "anyone who has it.",
+        "ADDRESS",
+    ),
+    port: int = option(8765, "Port; 0: any that is free.", "N", min=0, max=65535),
+    token: str = option(
+        "",
+        "Token that a browser must send; made where it is needed and not given. "
+        "SEFT_MONITOR_TOKEN keeps it out of the list of processes.",
+        "TEXT",
+        envvar="SEFT_MONITOR_TOKEN",
+    ),
+    watch_token: str = option(
+        "",
+        "Token to watch only, without buttons; control then needs a token, also on this host. "
+        "SEFT_MONITOR_WATCH_TOKEN keeps it out of the list of processes.",
+        "TEXT",
+        envvar="SEFT_MONITOR_WATCH_TOKEN",
+    ),
+    namespace: str = option("", "Namespace of the test's topics.", "NAME"),
+    open_page: bool = option(
+        False, "Open the page in the browser, off the loop's core too.", "--open"
+    ),
+) -> int:
+    """Show a running test on a page in the browser, with buttons to start and stop it.
+
+    Any test on the ROS domain: of seft run, of ros2 run, several one after another. It shows the
+    state and trips, displacement, acceleration and force with their reference, round trip and
+    missed commands, margins to the limits. What it has seen survives a reload of the page.
+
+    Buttons call the supervisor: Start, Stop and Reset ask once more, Abort test takes one press.
+    A button in a browser is no emergency stop: that is a circuit in hardware.
+
+    It listens at 127.0.0.1 alone unless --host says otherwise. Ctrl-C ends it, not the test.
+
+    Examples
+    --------
+        seft monitor
+
+        seft monitor --open
+
+        ROS_DOMAIN_ID=7 seft monitor --port 8801
+
+        seft monitor --host 0.0.0.0 --token "$(openssl rand -hex 16)"
+    """
+    from seft_ros.monitor.access import Tokens, is_loopback, page_address
+    from seft_ros.monitor.server import keep_off_the_loop, listen, serve
+
+    for name, text in (("--token", token), ("--watch-token", watch_token)):
+        if any(not c.isprintable() or c.isspace() for c in text) or not text.isascii():
+            raise InputError(f"{name}: use printable ASCII characters without blanks")
+    if token and token == watch_token:
+        raise InputError("--watch-token: is the token that controls; use another")
+    if not re.fullmatch(r"(/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*)?", namespace, re.ASCII):
+        raise InputError(f"--namespace {namespace}: is no name of ROS, such as /lab2")
+    if not token and (watch_token or not is_loopback(host)):
+        token = secrets.token_urlsafe(24)
+    keep_off_the_loop()
+    listening = listen(host, port)
+    page = page_address(host, listening.getsockname()[1])
+    address = f"{page}?token={token}" if token else page
+
+    def ready() -> None:
+        print(f"seft monitor: {address}", flush=True)
+        if watch_token:
+            print(f"to watch only: {page}?token={watch_token}", flush=True)
+        if open_page:
+            webbrowser.open(address)
+
+    serve(listening, host, Tokens(token, watch_token), namespace, ready)
+    return 0
+
+
+_ROWS = {
+    "peak_acceleration": "peak acceleration, m/s²",
+    "arias_intensity": "Arias intensity, m/s",
+    "significant_duration": "significant duration (5-95 %), s",
+}
+
+
+def motion(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="PEER AT2, columns or csv.")],
+    column: list[int] | None = option(None, "Column, from 0; once for each axis to be shown."),
+    unit: str = option("g", "g, m/s2 or cm/s2."),
+    dt: float = option(0.0, "Sampling period in s, where the file has none."),
+    time_scale: float = option(1.0, "0.5: twice as fast."),
+    rate: float = option(500.0, "Rate of the loop in Hz."),
+    figure: Path | None = option(None, "Where to draw; default FILE's name + .png.", "PNG"),
+    json: Json = False,
+) -> int:
+    """Show a record as a test at this rate would use it: numbers, and a figure with spectrum.
+
+    Examples
+    --------
+        seft motion kobe_nishi_akashi_090.AT2
+
+        seft motion kobe_jma_1995.txt --unit cm/s2 --dt 0.005 --column 0 --column 1
+
+        seft motion record.csv --unit m/s2 --time-scale 0.5 --json
+    """
+    from rich.table import Table
+
+    from seft_ros.drawing.style import save_figure
+    from seft_ros.ground_motion.ground_motion_block import TABLE, GroundMotion
+    from seft_ros.ground_motion.response_spectrum import motion_figure, motion_summary
+
+    columns = column or [0]
+    axes = [f"column {index}" for index in columns]
+    words = {"column": columns, "unit": unit, "dt": dt, "time_scale": time_scale, "tail": 0.0}
+    given = TABLE.check({"file": str(file), **words}, "seft motion")
+    defaults = {row.name: row.default for row in TABLE.rows.values()}
+    block = GroundMotion.from_parameters({**defaults, **given}, axes, Timebase.from_rate(rate))
+    path = figure or Path(f"{file.stem}.png")
+    drawn = motion_figure(block.samples, block.timebase.dt, axes, f"{file.name}, {rate:g} Hz")
+    save_figure(drawn, path)
+    numbers = motion_summary(block.samples, block.timebase.dt)
+    table = Table(title=f"{block.source}: {numbers['steps']} steps at {rate} Hz")
+    table.add_column("")
+    for axis in axes:
+        table.add_column(axis, justify="right")
+    for name, label in _ROWS.items():
+        table.add_row(label, *(f"{value:.4g}" for value in numbers[name]))
+    summary = {"source": block.source, "rate_hz": rate, **numbers, "figure": str(path)}
+    show(summary, json, [table], "figure")
+    return 0
+
+
+def parameters(
+    node: str | None = typer.Argument(None, metavar="NODE", help="One node; default all."),
+) -> int:
+    """Print every parameter with type, default, unit, bounds and meaning, as Markdown.
+
+    Examples
+    --------
+        seft parameters rig
+
+        seft parameters > docs/parameters.md
+    """
+    names = [table.node for table in TABLES]
+    if node is not None and node not in names:
+        raise InputError(f"there is no node {node}{nearest(node, names)}")
+    print(parameters_text([node] if node else names))
+    return 0
+
+
+def parameters_text(nodes: list[str]) -> str:
+    """Markdown tables of some nodes' parameters."""
+    common = [row.name for row in COMMON]
+    parts = [
+        "# Parameters\n\nMade by `seft parameters`. A value in *italics* is taken from another "
+        "parameter of the same experiment where it is not given; **required** ones have none. "
+        "All are read when a node starts and then fixed, but for those marked *live*: "
+        "`ros2 param set` changes them for their next use.",
+        "## every node, under `/**`\n\n" + _table(COMMON),
+    ]
+    for table in TABLES:
+        if table.node in nodes:
+            own = tuple(row for name, row in table.rows.items() if name not in common)
+            parts.append(f"## {table.node}\n\n{_table(own)}")
+    return "\n\n".join(parts)
+
+
+def _table(rows: tuple[Parameter, ...]) -> str:
+    lines = ["| parameter | type | default | unit | meaning |", "|---|---|---|---|---|"]
+    for row in rows:
+        meaning = row.description.replace("|", "\\|") + (" (*live*)" if row.live else "")
+        lines.append(f"| `{row.name}` | {_type(row)} | {_default(row)} | {row.unit} | {meaning} |")
+    return "\n".join(lines)
+
+
+def _type(row: Parameter) -> str:
+    if row.choices:
+        return " \\| ".join(f"`{choice}`" for choice in row.choices)
+    if row.file_name:
+        return "name of a file"
+    limits = ((">", 0 if row.positive else None), (">=", row.minimum), ("<=", row.maximum))
+    bounds = [f"{sign} {value:g}" for sign, value in limits if value is not None]
+    return f"{row.kind} {', '.join(bounds)}".strip()
+
+
+def _default(row: Parameter) -> str:
+    own = "**required**" if row.default is None else f"`{row.default!r}`".replace("'", '"')
+    return f"*{row.default_from}*, else {own}" if row.default_from else own

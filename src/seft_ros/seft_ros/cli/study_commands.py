@@ -1,0 +1,202 @@
+"""``seft paper``: the paper's figures and claims, reproduced.
+
+``seft tournament``: all compensation methods on the same motion and rigs.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import typer
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import InputError
+
+from seft_ros.cli.options import (
+    Config,
+    Files,
+    Json,
+    Params,
+    load_experiment,
+    option,
+    show,
+    step_progress,
+)
+
+
+def paper(
+    config: Path | None = typer.Argument(
+        None,
+        metavar="[CONFIG]",
+        help="Experiment: a ROS 2 parameter file; default the paper's rig, config/jhu.yaml, as "
+        "installed.",
+        show_default=False,
+    ),
+    file: Path | None = option(
+        None,
+        "Record: PEER AT2, columns or csv. The paper's is Kobe 1995, JMA N-S. Default: "
+        "CONFIG's motion, which is synthetic.",
+        "MOTION",
+    ),
+    unit: str | None = option(None, "g, m/s2 or cm/s2; default g."),
+    dt: float | None = option(None, "Sampling period in s, where the file has none."),
+    column: int | None = option(None, "Column of the file, from 0; default the first."),
+    out: Path = option(Path("paper.html"), "The page.", "HTML"),
+    workers: int | None = option(
+        None, "Processes that calculate; default one for each core.", min=1
+    ),
+    param: Params = None,
+    params_file: Files = None,
+    json: Json = False,
+) -> int:
+    """Reproduce the figures and claims of the paper (Nakata & Combs 2012) on one page.
+
+    Identifies the simulated rig, runs the paper's tests and simulations, and judges every number
+    and statement by a criterion that stands beside it. Results do not depend on the number of
+    workers.
+
+    Exit status 0: the page was made. A claim that does not agree is a finding, not a failure; it
+    is shown as such. 1: interrupted, or the rig can't be identified. 2: wrong input.
+
+    Examples
+    --------
+        seft paper
+
+        seft paper --file kobe_jma_1995.txt --unit cm/s2 --dt 0.005 --column 0 --out kobe.html
+
+        seft paper --json -p rig:actuator.valve_frequency:=50.0
+    """
+    from seft_ros.page.content import check_page
+    from seft_ros.paper.claim import judge
+    from seft_ros.paper.claims_table import claims_table, summarise_paper
+    from seft_ros.paper.experiments import check_rig, default_config
+    from seft_ros.paper.findings import CALCULATIONS, find
+    from seft_ros.paper.page import write_paper
+    from seft_ros.tournament.workers import free_cores
+
+    path = check_page(out)
+    given = {"unit": unit, "dt": dt, "column": column}
+    experiment = load_experiment(config or default_config(), param, params_file)
+    experiment = _with_motion(experiment, file, given)
+    check_rig(experiment)
+    with step_progress(CALCULATIONS, "there is no page") as tell:
+        found = find(experiment, workers or free_cores(), tell)
+    claims = judge(found)
+    name = "the paper's rig" if config is None else str(config)
+    write_paper(found, claims, name, path)
+    summary = summarise_paper(found, claims, path)
+    agreed = f"{summary['agree']} of {len(claims)} claims agree"
+    table = claims_table(claims, f"{name} under {Path(found.source).name}: {agreed}")
+    show(summary, json, [table], "page")
+    return 0
+
+
+def _with_motion(experiment: Experiment, file: Path | None, given: dict[str, Any]) -> Experiment:
+    """Put the record of the command line in the place of the experiment's own."""
+    from seft_ros.ground_motion.ground_motion_block import TABLE
+    from seft_ros.paper.experiments import changed
+
+    words = {name: value for name, value in given.items() if value is not None}
+    if file is None:
+        if words and not experiment["ground_motion"]["file"]:
+            raise InputError(
+                f"--{next(iter(words))}: there is no record that it could be of; name one by --file"
+            )
+        section = words
+    else:
+        section = {"file": str(file), "unit": "g", "dt": 0.0, "column": 0, **words}
+    return changed(experiment, {"ground_motion": TABLE.check(section, "seft paper")})
+
+
+def tournament(
+    config: Config,
+    method: list[str] | None = option(
+        None, "Compensation method; may be given many times; default all.", "NAME"
+    ),
+    mass_ratio: list[float] | None = option(
+        None, "Mass ratio; may be given many times; default CONFIG's.", "ALPHA"
+    ),
+    rigs: int = option(8, "Number of rigs, CONFIG's own included.", min=1),
+    spread: float = option(
+        0.1,
+        "How far the other rigs are from CONFIG's: 0.2 is up to 20 % in stiffness and "
+        "up to twice or half the damping.",
+        min=0.0,
+        max=1.0,
+    ),
+    seed: int = option(1, "Seed of the random rigs.", min=0),
+    workers: int | None = option(
+        None, "Threads, and processes, that calculate; default one for each core.", min=1
+    ),
+    figure: Path | None = option(None, "Draw the errors of all tests.", "FILE"),
+    param: Params = None,
+    params_file: Files = None,
+    json: Json = False,
+) -> int:
+    """Run all compensation methods on the same motion and rigs, and rank them.
+
+    The first rig is CONFIG's own. The others differ from it at random in what an experimenter
+    does not know exactly: specimen, oil column, valve, dead time, friction, and the noise of the
+    sensors. The methods see the same rigs and go on believing CONFIG's model, tracking and delay.
+    Errors are those of the displacement against the exact response of each rig's own structure,
+    without any shift, as in seft simulate. Results do not depend on the number of workers.
+
+    Tests run in the compiled loop of seft simulate; those of methods that adapt in Python run in
+    its plain loop, many times slower. --json has the engine of each, and a note under the tables
+    says which they are.
+
+    Methods that need a delay or a model of the force loop find it in what seft identify writes;
+    those that lack something are named, and the others go on.
+
+    Examples
+    --------
+        seft tournament config/jhu.yaml --mass-ratio 0.5 --mass-ratio 1.5
+
+        seft tournament config/jhu.yaml --figure tournament.png
+
+        seft tournament config/jhu.yaml --rigs 30 --spread 0.2 --json
+
+        seft tournament config/jhu.yaml --params-file identified/model.yaml
+
+        seft tournament config/jhu.yaml --method none -p rig:seed:=7
+    """
+    from seft_ros.drawing.style import check_figure, save_figure
+    from seft_ros.tournament.entries import make_tournament
+    from seft_ros.tournament.figure import tournament_figure
+    from seft_ros.tournament.ranking_table import (
+        plain_runs,
+        reasons,
+        standings_table,
+        summarise_tournament,
+    )
+    from seft_ros.tournament.runs import count_calculations, run_all, step_cost
+    from seft_ros.tournament.standings import standings
+    from seft_ros.tournament.workers import free_cores
+
+    path = check_figure(figure) if figure is not None else None
+    experiment = load_experiment(config, param, params_file)
+    plan = make_tournament(
+        experiment, method or (), mass_ratio or (), rigs=rigs, seed=seed, spread=spread
+    )
+    total = count_calculations(plan)
+    with step_progress(total, "there is no result") as tell:
+        runs = run_all(plan, workers or free_cores(), tell)
+        tell("cost of a step", total)
+        costs = {key: step_cost(plan, *key) for key in plan.pairs()}
+    ranked = standings(plan, runs, costs)
+    section = experiment["ground_motion"]
+    motion = Path(section["file"]).name or "synthetic motion"
+    if section["peak_force"]:
+        motion += f" at {section['peak_force']:g} N"
+    title = f"{config}: {rigs} rigs, spread {100 * spread:g} %, {motion}"
+    if path is not None:
+        save_figure(tournament_figure(ranked, runs, title), path)
+    summary = summarise_tournament(plan, runs, ranked)
+    summary |= {"seed": seed, "spread": spread, "figure": None if path is None else str(path)}
+    by_ratio = {
+        row.mass_ratio: [one for one in ranked if one.mass_ratio == row.mass_ratio]
+        for row in ranked
+    }
+    tables = [
+        standings_table(own, f"{title}, mass ratio {ratio:g}") for ratio, own in by_ratio.items()
+    ]
+    show(summary, json, [*tables, *reasons(ranked), *plain_runs(runs)], "figure")
+    return 0

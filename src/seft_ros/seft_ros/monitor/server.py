@@ -1,0 +1,260 @@
+"""The monitor's process: polls the graph ten times a second, and serves pages with what is new."""
+
+import asyncio
+import contextlib
+import errno
+import gc
+import json
+import os
+import signal
+import socket
+import time
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
+
+from seft_msgs_py.errors import InputError, WireError
+from seft_msgs_py.wire.messages import decode_description, decode_diagnostics, decode_status
+from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import (
+    DESCRIPTION,
+    DIAGNOSTICS,
+    EXPERIMENT_STATE,
+    GROUND_MOTION,
+    REFERENCE_FORCE,
+    RIG_STATE,
+    Topic,
+)
+from tornado.httpserver import HTTPServer
+
+from seft_ros.monitor.access import Tokens, is_loopback
+from seft_ros.monitor.history import RECENT, Frame, envelope_frame, samples_frame
+from seft_ros.monitor.intake import Intake
+from seft_ros.monitor.session import Session
+
+if TYPE_CHECKING:  # Watch itself needs no ROS
+    from seft_ros.monitor.graph import Graph
+
+TELLERS = ("rig", "reference_force", "force_controller", "ground_motion", "supervisor")
+"""Nodes whose rate and axes are used, the first that is there."""
+
+PERIOD = 0.1  # s
+NICE = 3
+"""Gives way to the nodes, and still answers a stop on a busy machine."""
+LATEST = 1.0  # s from a press to the supervisor
+
+
+class Watch:
+    """Moves what comes from a graph to a `Session` and an `Intake`, and makes frames of it.
+
+    Parameters
+    ----------
+    graph : Graph
+        What is watched.
+    now : callable, optional
+        Time that requests of pages are dated by, s.
+    """
+
+    def __init__(self, graph: "Graph", now: Callable[[], float] = time.monotonic) -> None:
+        self._graph, self._now = graph, now
+        self.session = Session()
+        self.intake: Intake | None = None
+        self._told: dict[str, str] = {}
+        self._refused = 0
+
+    def poll(self) -> list[Frame]:
+        """Take the messages that have arrived; give what is new, for pages that have the rest."""
+        self._hear_nodes()
+        intake = self.intake
+        if intake is None:
+            return self._news()  # samples wait in the middleware until they can be read
+        take, before = self._graph.take, intake.number
+        intake.motion(take(GROUND_MOTION))
+        forces = take(REFERENCE_FORCE)  # before the states: of each the state has come, too
+        new = intake.samples([take(RIG_STATE.of(rig)) for rig in intake.rigs], forces)
+        if intake.number != before:  # also without word of the supervisor
+            self.session.begin()
+        return self._news() + [samples_frame(intake.number, stretch) for stretch in new]
+
+    def everything(self) -> list[Frame]:
+        """Give all that a page needs which has just been opened."""
+        frames: list[Frame] = [*self._told.values(), self._time()]
+        if self.intake is not None and self.intake.number:
+            history, number = self.intake.history, self.intake.number
+            frames.append(envelope_frame(number, history.envelope))
+            frames.append(samples_frame(number, history.recent(), RECENT))
+        return frames
+
+    def lateness(self, state: int, at_ms: float) -> str:
+        """Say why a request to start or reset is not carried out; empty if it may be.
+
+        Parameters
+        ----------
+        state : int
+            `Session.number` when it was made.
+        at_ms : float
+            Time of this process when it was made, as the page knows it, ms.
+        """
+        if not 0.0 <= (late := self._now() - at_ms / 1e3) <= LATEST:
+            return f"it came {late:.1f} s late, and only a stop may; press it again"
+        if state != self.session.number:
+            return f"the test is {self.session.summary()['state']} by now; look, and press it again"
+        return ""
+
+    def _hear_nodes(self) -> None:
+        session = self.session
+        session.poll()
+        for node, description in self._decoded(DESCRIPTION, decode_description):
+            session.on_description(node, description["parameters"])
+            self._follow_description()
+        for status in self._decoded(EXPERIMENT_STATE, decode_status):
+            if session.on_state(status):
+                session.begin()
+                if self.intake is not None:
+                    self.intake.clear()
+        dt = self.intake.timebase.dt if self.intake else 0.0
+        for _, statuses in self._decoded(DIAGNOSTICS, decode_diagnostics):
+            session.on_diagnostics(statuses, dt)
+
+    def _decoded[Content](
+        self, topic: Topic, decode: Callable[[bytes], Content]
+    ) -> Iterator[Content]:
+        """Decode the messages of a topic, and count those that can't be decoded."""
+        for raw, _ in self._graph.take(topic):
+            try:
+                content = decode(raw)
+            except WireError:
+                self._refused += 1
+            else:
+                yield content
+
+    def _follow_description(self) -> None:
+        """Make what takes in samples anew where rate or axes have changed."""
+        sections = self.session.sections
+        teller = next((node for node in TELLERS if node in sections), None)
+        if teller is None:
+            return
+        try:
+            timebase = Timebase.from_rate(float(sections[teller]["rate"]))
+            axes = tuple(str(axis) for axis in sections[teller]["axes"])
+        except (InputError, KeyError, TypeError, ValueError):
+            self._refused += 1
+            return
+        intake = self.intake
+        if intake is None or intake.timebase != timebase or intake.signals.axes != axes:
+            intake = self.intake = Intake(axes, timebase, intake.number if intake else 0)
+        intake.describe(dict(sections))
+
+    def _news(self) -> list[Frame]:
+        """Make texts of what the nodes say; give those that are not as they were."""
+        session, intake = self.session, self.intake
+        test: dict[str, Any] = {"domain": self._graph.domain}
+        if intake is not None:
+            test |= {
+                "test": intake.number,
+                "dt": intake.timebase.dt,
+                "signals": intake.signals.layout(),
+                "reference_note": intake.reference_note,
+            }
+        refused = self._refused + (intake.refused if intake else 0)
+        messages: dict[str, dict[str, Any]] = {
+            "test": test,
+            "status": {**session.summary(), "refused": refused},
+            "events": {"events": session.events()},
+            "motion": {"motion": intake.own_motion if intake else {}},
+            "round_trips": {"round_trips": session.round_trips},
+        }
+        news: list[Frame] = []
+        for kind, content in messages.items():
+            text = json.dumps({"kind": kind, **content}, separators=(",", ":"))
+            if self._told.get(kind) != text:
+                self._told[kind] = text
+                news.append(text)
+        return [*news, self._time()]
+
+    def _time(self) -> str:
+        """Give the time of this process: a sign of life, and the age of what a page shows."""
+        return json.dumps({"kind": "time", "at": round(1e3 * self._now())})
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """Take a port, 0 for any; a name that stands for several addresses means the first of IPv4.
+
+    Raises
+    ------
+    InputError
+        If it can't be had.
+    """
+    try:
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        family, _, _, _, address = min(found, key=lambda each: each[0] != socket.AF_INET)
+        listening = socket.create_server(address[:2], family=family, backlog=128)
+    except (OSError, UnicodeError) as error:
+        number = getattr(error, "errno", None) or 0
+        reason = os.strerror(number) if number > 0 else getattr(error, "strerror", str(error))
+        mend = "another seft monitor may have it; name another port with --port"
+        how = mend if number == errno.EADDRINUSE else "see --host and --port"
+        raise InputError(f"can't listen at {host}:{port} ({reason}); {how}") from None
+    listening.setblocking(False)
+    return listening
+
+
+def keep_off_the_loop() -> None:
+    """Leave the loop's core, the first one, to the loop, and the others to it where it needs them.
+
+    To be called before other threads are there: they inherit both.
+    """
+    cores = sorted(os.sched_getaffinity(0))
+    if len(cores) > 1:
+        os.sched_setaffinity(0, cores[1:])
+    with contextlib.suppress(OSError):
+        os.nice(NICE)
+
+
+def serve(
+    listening: socket.socket, host: str, tokens: Tokens, namespace: str, ready: Callable[[], None]
+) -> None:
+    """Serve the page until SIGINT or SIGTERM.
+
+    Parameters
+    ----------
+    listening : socket
+        As `listen` gives it for ``host``.
+    tokens : Tokens
+        What pages must know.
+    namespace : str
+        Of the test's topics.
+    ready : callable
+        Called when the page can be opened.
+    """
+    from seft_ros.monitor.graph import Graph
+    from seft_ros.monitor.web import Pages, application
+
+    graph = Graph(namespace)
+    try:
+        watch = Watch(graph)
+        pages = Pages(watch.everything)
+        port = listening.getsockname()[1]
+        local = is_loopback(host)
+        web = application(tokens, local, port, pages, graph.call, watch.lateness)
+
+        async def run() -> None:
+            stopping = asyncio.Event()
+            loop = asyncio.get_running_loop()
+            for number in (signal.SIGINT, signal.SIGTERM):
+                loop.add_signal_handler(number, stopping.set)
+            server = HTTPServer(web, idle_connection_timeout=60)
+            server.add_socket(listening)
+            gc.collect()
+            gc.freeze()  # later collections skip the objects that exist now
+            ready()
+            while not stopping.is_set():
+                pages.send(watch.poll())
+                with contextlib.suppress(TimeoutError):
+                    await asyncio.wait_for(stopping.wait(), PERIOD)
+            server.stop()
+            pages.close()
+            await server.close_all_connections()
+
+        asyncio.run(run())
+    finally:
+        graph.close()

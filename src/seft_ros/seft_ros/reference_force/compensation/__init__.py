@@ -1,1 +1,0 @@
-"""Compensation of the actuator's delay: one file to a method, one shape for all."""

@@ -1,1 +1,0 @@
-"""What methods share that compensate a delay, given or followed."""

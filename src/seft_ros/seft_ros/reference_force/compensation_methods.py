@@ -1,0 +1,259 @@
+"""Compensation methods by the name that a parameter file gives: ours, and those of others.
+
+Each is one equation for the reference force f_r, with the delay tau that it compensates, the
+measured restoring force r = f - M_e a, and S = M_c (M_e + M_c)^-1. Equation numbers are those of
+the paper and of docs/theory.md.
+"""
+
+import math
+from functools import partial
+
+import numpy as np
+from scipy.linalg import expm
+from seft_msgs_py.config.arrays import Floats
+from seft_msgs_py.errors import InputError
+
+from seft_ros.reference_force.ats import Ats
+from seft_ros.reference_force.compensator import (
+    Compensator,
+    Knowledge,
+    Method,
+    Signals,
+    between_samples,
+)
+from seft_ros.reference_force.delay_compensation import DelayFilter, delay_method
+from seft_ros.reference_force.delay_estimator import whole_steps
+from seft_ros.reference_force.linear_filter import LinearCompensator, LinearFilter, Memory
+from seft_ros.reference_force.reference_force_parameters import OWN, REGISTERED
+from seft_ros.target.target_motion import TargetMotion
+
+_FINE = 0.2  # rad: phase of the fastest mode in a step; its frequency errs by a 24th of the square
+_AT_REST = 1 - 1e-7  # least decay of the model's slowest mode in a step
+
+
+def none(knowledge: Knowledge) -> Compensator:
+    """f_r = -(M_e + M_c) a_g - M_c a (Eq. 2.5 and 5.3): the measured acceleration as it is."""
+    n = knowledge.axes
+    measured = np.zeros((n, 4 * n))
+    measured[:, 2 * n : 3 * n] = -knowledge.computed_mass
+    return LinearCompensator(LinearFilter.of_gains(measured, -knowledge.total_mass))
+
+
+def restoring(knowledge: Knowledge) -> Compensator:
+    """f_r* = -M_e a_g + S r: the algebraic loop of the acceleration feedback, solved.
+
+    With M_e a + r = f_r put into Eq. 2.5 for the acceleration that the force will cause: the
+    same force where the actuator is ideal, but the feedback ends with the specimen's own
+    stiffness and damping instead of its mass, so that the loop gain falls with frequency and
+    stays below one. Needs no model beyond the mass.
+    """
+    n, share = knowledge.axes, knowledge.share
+    measured = np.zeros((n, 4 * n))
+    measured[:, 2 * n : 3 * n] = -share @ knowledge.mass
+    measured[:, 3 * n :] = share
+    return LinearCompensator(LinearFilter.of_gains(measured, -knowledge.mass))
+
+
+@delay_method
+def polynomial(knowledge: Knowledge, longest: int) -> DelayFilter:
+    """f_r(t) = -(M_e + M_c) a_g(t + tau) - M_c sum_j l_j a(t - j p).
+
+    The l_j are the weights of Lagrange's polynomial of order N through the last N + 1
+    accelerations, a spacing p apart, for the instant t + tau. Horiuchi et al. (1996, 11WCEE,
+    paper 660) space them by the delay itself, p = tau, where the weights are 2, -1 or 3, -3, 1 or
+    4, -6, 4, -1; here p is the nearest whole number of steps, at least one.
+    """
+    n, dt = knowledge.axes, knowledge.dt
+    order = knowledge.options["compensation.order"]
+    blocks = order * longest  # past accelerations, the newest first
+    signals = Signals(knowledge, preview=longest, blocks=blocks)
+
+    def gains(delay: float) -> Floats:
+        spacing = max(1, round(delay / dt))
+        past = [signals.acceleration]
+        past += [signals.state(j * spacing - 1) for j in range(1, order + 1)]
+        weights = lagrange_weights(delay / (spacing * dt), order)
+        predicted = sum(weight * a for weight, a in zip(weights, past, strict=True))
+        ground = knowledge.total_mass @ signals.ground_motion(delay)
+        return np.asarray(-ground - knowledge.computed_mass @ predicted)
+
+    return DelayFilter(Memory.past(np.eye(n, 5 * n, k=2 * n), blocks), gains)
+
+
+def lagrange_weights(ahead: float, order: int) -> Floats:
+    """Weights of the values at 0, -1, ... -order for the polynomial's value at ``ahead``."""
+    nodes = -np.arange(order + 1.0)
+    weights = np.ones(order + 1)
+    for j in range(order + 1):
+        others = np.delete(nodes, j)
+        weights[j] = np.prod((ahead - others) / (nodes[j] - others))
+    return weights
+
+
+@delay_method
+def linear_acceleration(knowledge: Knowledge, longest: int) -> DelayFilter:
+    """f_r(t) = -(M_e + M_c) a_g(t + tau) - M_c a+, with a+ the acceleration predicted for t + tau.
+
+    After Horiuchi & Konno (2001, Phil. Trans. R. Soc. A 359:1893-1909), who let the acceleration
+    vary linearly over the delay, so that displacement and velocity at its end are (Newmark's
+    method with beta = 1/6)::
+
+        x+ = x + tau v + tau^2 (2 a + a+) / 6,    v+ = v + tau (a + a+) / 2
+
+    Here a+ closes the equation of motion of the whole structure at t + tau, where the ground
+    motion is known, instead of being extrapolated::
+
+        (M_e + M_c) a+ + C v+ + K x+ = -(M_e + M_c) a_g(t + tau)
+    """
+    signals = Signals(knowledge, preview=longest)
+    mass, damping, stiffness = knowledge.total_mass, knowledge.damping, knowledge.stiffness
+
+    def gains(delay: float) -> Floats:
+        x, v, a = signals.displacement, signals.velocity, signals.acceleration
+        load = -mass @ signals.ground_motion(delay)
+        free = damping @ (v + delay / 2 * a) + stiffness @ (x + delay * v + delay**2 / 3 * a)
+        effective = mass + delay / 2 * damping + delay**2 / 6 * stiffness
+        a_plus = np.linalg.solve(effective, load - free)
+        return np.asarray(load - knowledge.computed_mass @ a_plus)
+
+    return DelayFilter(Memory.none(knowledge.axes), gains)
+
+
+@delay_method
+def model(knowledge: Knowledge, longest: int) -> DelayFilter:
+    """f_r(t) = -(M_e + M_c) a_g(t + tau) - M_c a+, with a+ the acceleration predicted for t + tau.
+
+    Model-based compensation (Carrion & Spencer 2007, NSEL report 6; section 6 of the paper): the
+    measured displacement and velocity are the initial conditions of ::
+
+        (M_e + M_c) a + C v + K x = -(M_e + M_c) a_g
+
+    which the central-difference method solves up to t + tau under the known coming ground
+    motion, in equal steps of at most a sampling period that are short for the fastest mode.
+    """
+    signals = Signals(knowledge, preview=longest)
+    mass, damping, stiffness = knowledge.total_mass, knowledge.damping, knowledge.stiffness
+    squares = np.linalg.eigvals(np.linalg.solve(mass, stiffness)).real
+    fastest = math.sqrt(squares.max(initial=0.0))
+
+    def load(time: float) -> Floats:
+        return np.asarray(-mass @ signals.ground_motion(time))
+
+    def gains(delay: float) -> Floats:
+        count = max(whole_steps(delay, knowledge.dt), math.ceil(fastest * delay / _FINE))
+        h = delay / count
+        x, v = signals.displacement, signals.velocity
+        a = np.linalg.solve(mass, load(0.0) - damping @ v - stiffness @ x)
+        last = x - h * v + h**2 / 2 * a
+        effective = mass / h**2 + damping / (2 * h)
+        for i in range(count + 1):  # one step beyond, for the acceleration at t + tau
+            known = stiffness @ x - mass / h**2 @ (2 * x - last) - damping / (2 * h) @ last
+            oldest, last, x = last, x, np.linalg.solve(effective, load(i * h) - known)
+        a = (x - 2 * last + oldest) / h**2
+        return np.asarray(load(delay) - knowledge.computed_mass @ a)
+
+    return DelayFilter(Memory.none(knowledge.axes), gains)
+
+
+@delay_method
+def inverse(knowledge: Knowledge, longest: int) -> DelayFilter:
+    """f_r[k] = -M_e a_g(t + tau) + S (alpha_c r[k] - (alpha_c - 1) r[k-1]).
+
+    The actuator is taken as G(z) = z / (alpha_c z - (alpha_c - 1)), which comes nearer by one
+    alpha_c-th of the distance in each step, and the command is passed through its inverse (Chen
+    & Ricles 2009, Eng. Struct. 31:2643-2655). G lags by alpha_c - 1 steps, hence
+    alpha_c = 1 + tau / dt. The command is that of the solved loop, see `restoring`: with the
+    acceleration itself the inverse would make the feedback of high frequencies 2 alpha_c - 1
+    times as large. The ground motion needs no inverse, as it is known ahead.
+    """
+    n, share = knowledge.axes, knowledge.share
+    signals = Signals(knowledge, preview=longest, blocks=1)  # of r[k-1]
+
+    def gains(delay: float) -> Floats:
+        lead = delay / knowledge.dt
+        r, before = signals.restoring_force, signals.state(0)
+        ground = knowledge.mass @ signals.ground_motion(delay)
+        return np.asarray(-ground + share @ (r + lead * (r - before)))
+
+    measured = np.hstack([np.zeros((n, 2 * n)), -knowledge.mass, np.eye(n), np.zeros((n, n))])
+    return DelayFilter(Memory.past(measured, 1), gains)
+
+
+@delay_method
+def smith(knowledge: Knowledge, longest: int) -> DelayFilter:
+    """f_r(t) = -M_e a_g(t + tau) + S (r_s(t) + r(t) - r_s(t - tau)).
+
+    Smith (1959, ISA J. 6:2, 28-33): fed back is the response of a model of the specimen to the
+    reference force without delay, corrected by the measured response less that of the delayed
+    model. Where the model is right the delay is outside the loop.
+
+    The loop without delay is algebraic, M_e a_s + r_s = f_r and f_r = -(M_e + M_c) a_g - M_c a_s,
+    and solved as in `restoring`; the correction is that of the restoring force r = f - M_e a for
+    the same reason. The model's restoring force is r_s = C v_s + K x_s, with x_s and v_s exact for
+    a force that varies linearly from step to step.
+    """
+    n, share = knowledge.axes, knowledge.share
+    signals = Signals(knowledge, preview=longest, blocks=2 + longest)
+    free, before, at = _smith_model(knowledge)
+    stiffness_damping = np.hstack([knowledge.stiffness, knowledge.damping])
+    # the model at this step is (states) + at f_r; its past restoring forces, the newest first
+    known = stiffness_damping @ np.vstack([signals.state(0), signals.state(1)])
+    direct = stiffness_damping @ at
+
+    def gains(delay: float) -> Floats:
+        weights = between_samples(delay / knowledge.dt, 1 + longest)
+        delayed = sum(w * signals.state(2 + i) for i, w in enumerate(weights[1:]))
+        now = 1 - weights[0]
+        ground = knowledge.mass @ signals.ground_motion(delay)
+        force = -ground + share @ (now * known + signals.restoring_force - delayed)
+        return np.linalg.solve(np.eye(n) - now * share @ direct, force)
+
+    size = (2 + longest) * n
+    a = np.eye(size, k=-n)
+    a[: 2 * n] = 0.0
+    a[: 2 * n, : 2 * n] = free
+    a[2 * n : 3 * n] = known[:, :size]
+    w = np.vstack([free @ at + before, direct, np.zeros((size - 3 * n, n))])
+    return DelayFilter(Memory(a, np.zeros((size, 4 * n)), np.zeros((size, n)), w), gains)
+
+
+def _smith_model(knowledge: Knowledge) -> tuple[Floats, Floats, Floats]:
+    """Transition of (x_s, v_s) over a step: free z + before f_r[k] + at f_r[k+1].
+
+    Raises
+    ------
+    InputError
+        If the specimen does not come to rest by itself.
+    """
+    n, dt = knowledge.axes, knowledge.dt
+    by_force = np.linalg.inv(knowledge.mass)
+    # z, the force and its slope times dt
+    system = np.zeros((4 * n, 4 * n))
+    system[:n, n : 2 * n] = np.eye(n)
+    system[n : 2 * n, : 3 * n] = by_force @ np.hstack(
+        [-knowledge.stiffness, -knowledge.damping, np.eye(n)]
+    )
+    system[2 * n : 3 * n, 3 * n :] = np.eye(n) / dt
+    free, held, slope = np.split(expm(system * dt)[: 2 * n], [2 * n, 3 * n], axis=1)
+    if np.abs(np.linalg.eigvals(free)).max() > _AT_REST:
+        raise InputError(
+            "reference_force: compensation.method smith needs a model that comes to rest by "
+            "itself; give model.damping and model.stiffness above zero on every axis"
+        )
+    return free, held - slope, slope
+
+
+def _registered(name: str, knowledge: Knowledge) -> Compensator:
+    settings = knowledge.options.get("compensation.settings", "")
+    where = "reference_force: compensation.method"
+    made: Compensator = REGISTERED.make(name, settings, where, knowledge)
+    return made
+
+
+_OWN: tuple[Method, ...] = (
+    *(none, polynomial, linear_acceleration, model, smith, inverse, Ats, restoring, TargetMotion),
+)
+METHODS: dict[str, Method] = {
+    **dict(zip(OWN, _OWN, strict=True)),
+    **{name: partial(_registered, name) for name in REGISTERED.names if name in REGISTERED},
+}

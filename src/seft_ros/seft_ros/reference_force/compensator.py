@@ -1,0 +1,183 @@
+"""What all compensation methods have in common, and the signals that their equations use."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from seft_msgs_py.config.arrays import Floats
+from seft_plant_sim.computed_substructure import ComputedSubstructure
+
+from seft_ros.reference_force.linear_filter import LinearFilter
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What a method knows, or assumes, of the test over n axes.
+
+    Attributes
+    ----------
+    mass : ndarray
+        M_e on the rig, shape (n, n), kg.
+    computed : ComputedSubstructure
+        What is computed beside it, no mass of which couples axes and internal degrees of freedom.
+        In an EFT test it is nothing.
+    damping, stiffness : ndarray
+        C and K of the specimen as far as the experimenter knows them, shape (n, n), N s/m, N/m.
+    dt : float
+        Sampling period, s.
+    options : mapping
+        Parameters ``compensation.*`` and ``tracking.*`` of the reference force, by name; the
+        delays and dead times among them hold the loop's delay.
+    loop_delay : int
+        Steps from a state to the first use of the force that is computed from it.
+    springs : ndarray or None
+        Deformation of each spring that may yield per displacement of each axis, shape (p, n).
+    """
+
+    mass: Floats
+    computed: ComputedSubstructure
+    damping: Floats
+    stiffness: Floats
+    dt: float
+    options: Mapping[str, Any]
+    loop_delay: int = 0
+    springs: Floats | None = None
+
+    @property
+    def axes(self) -> int:
+        """Number of axes n."""
+        return len(self.mass)
+
+    @property
+    def computed_mass(self) -> Floats:
+        """M_c, computed on the axes, shape (n, n), kg: all that most methods need to know."""
+        return self.computed.mass[: self.axes, : self.axes]
+
+    @property
+    def total_mass(self) -> Floats:
+        """M_e + M_c, shape (n, n), kg."""
+        return self.mass + self.computed_mass
+
+    @property
+    def share(self) -> Floats:
+        """S = M_c (M_e + M_c)^-1, shape (n, n)."""
+        return self.computed_mass @ np.linalg.inv(self.total_mass)
+
+
+class Compensator(Protocol):
+    """What the reference force asks of a compensation method.
+
+    A method that computes the motion of a target returns 1 + ``preview`` points of it, see
+    `ReferenceForce.step`, and has an attribute ``pace``: 1 in a test; as it goes to 0, the ground
+    motion fades and the target comes to rest.
+
+    Attributes
+    ----------
+    preview : int
+        Number of later steps whose ground motion it needs.
+    """
+
+    preview: int
+
+    def reset(self) -> None:
+        """Forget the test so far."""
+
+    def step(self, ground_motion: Floats, state: Floats) -> Floats:
+        """Compute the reference force of one step.
+
+        Parameters
+        ----------
+        ground_motion : ndarray
+            Ground acceleration of each axis, of this step and the later ones, shape
+            (1 + preview, n), m/s^2.
+        state : ndarray
+            Measured displacement (m), velocity (m/s), acceleration (m/s^2) and force (N),
+            shape (4, n).
+
+        Returns
+        -------
+        ndarray
+            Shape (n,), N.
+        """
+
+    def estimates(self) -> dict[str, Floats]:
+        """Estimate of each quantity that is identified on line, by name; shape (n,) each."""
+
+    def linear(self) -> LinearFilter:
+        """Linear filter that the method is now: exactly, or as long as no estimate changes."""
+
+
+def tells_motion(compensator: Compensator) -> bool:
+    """Whether a method returns points of a target's motion, and has a pace."""
+    return hasattr(compensator, "pace")
+
+
+Method = Callable[[Knowledge], Compensator]
+
+
+def between_samples(steps: float, count: int) -> Floats:
+    """Weights of ``count`` samples for the value ``steps`` after the first: linear interpolation.
+
+    Returns
+    -------
+    ndarray
+        Shape (count,); beyond the last sample they give that one.
+    """
+    weights: Floats = np.maximum(0.0, 1.0 - np.abs(np.arange(count) - min(steps, count - 1.0)))
+    return weights
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Each signal as a matrix of n rows over the columns (s, y, g) of `LinearFilter.matrix`.
+
+    What is added and multiplied by matrices with these is a gain matrix in the end.
+
+    Attributes
+    ----------
+    knowledge : Knowledge
+        The test.
+    preview : int
+        Coming steps of the ground motion among the columns.
+    blocks : int
+        Blocks of n states among them.
+    """
+
+    knowledge: Knowledge
+    preview: int
+    blocks: int = 0
+
+    def state(self, block: int) -> Floats:
+        """Block of states, shape (n, columns)."""
+        return self._rows(block)
+
+    @property
+    def displacement(self) -> Floats:
+        """Measured displacement x, shape (n, columns)."""
+        return self._rows(self.blocks)
+
+    @property
+    def velocity(self) -> Floats:
+        """Measured velocity v, shape (n, columns)."""
+        return self._rows(self.blocks + 1)
+
+    @property
+    def acceleration(self) -> Floats:
+        """Measured acceleration a, shape (n, columns)."""
+        return self._rows(self.blocks + 2)
+
+    @property
+    def restoring_force(self) -> Floats:
+        """Measured restoring force r = f - M_e a, shape (n, columns)."""
+        return self._rows(self.blocks + 3) - self.knowledge.mass @ self.acceleration
+
+    def ground_motion(self, time: float) -> Floats:
+        """Ground acceleration ``time`` seconds from now, shape (n, columns)."""
+        n = self.knowledge.axes
+        weights = between_samples(time / self.knowledge.dt, 1 + self.preview)
+        return np.hstack([np.zeros((n, (self.blocks + 4) * n)), np.kron(weights, np.eye(n))])
+
+    def _rows(self, block: int) -> Floats:
+        n = self.knowledge.axes
+        return np.eye(n, (self.blocks + 5 + self.preview) * n, k=block * n)

@@ -1,0 +1,266 @@
+"""Delay from the reference force to the measured force, estimated while the test runs."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from seft_msgs_py.config.arrays import Floats
+from seft_msgs_py.errors import InputError
+
+MEMORY = 1.0
+"""Time constant with which the past is forgotten, s."""
+EVERY = 10
+"""Steps from one estimate to the next."""
+_ALIKE = 0.7  # least correlation coefficient of two signals that are one, delayed
+_TINY = 1e-300  # N^4: no division by zero
+_ROUNDING = 1e-9  # of a sampling period
+
+
+def whole_steps(time: float, dt: float) -> int:
+    """Fewest whole steps that cover a time, at least one."""
+    return max(1, math.ceil(time / dt - _ROUNDING))
+
+
+class BandPass:
+    """High-pass and low-pass of the second order (Butterworth) in a row, for many signals.
+
+    Each is the bilinear transform of w^2 or s^2 over s^2 + sqrt(2) w s + w^2, prewarped, as a
+    recursion of the direct form II, transposed.
+
+    Parameters
+    ----------
+    band : sequence of float
+        Cut-off frequencies, Hz.
+    dt : float
+        Sampling period, s.
+    signals : int
+        Number of signals p.
+
+    Raises
+    ------
+    InputError
+        If the band is empty or does not end below the Nyquist frequency.
+    """
+
+    def __init__(self, band: Sequence[float], dt: float, signals: int) -> None:
+        edges = np.atleast_1d(band).tolist()
+        if len(edges) != 2 or not 0 < edges[0] < edges[1] < 0.5 / dt:
+            raise InputError(
+                f"reference_force: compensation.band is {edges} Hz, but must be two "
+                f"frequencies above zero and below half the sampling rate, {0.5 / dt:g} Hz, "
+                "the lower first"
+            )
+        low, high = edges
+        (b, a), (d, c) = _second_order(low, dt, high_pass=True), _second_order(high, dt)
+        # states: two of the high-pass, two of the low-pass; then the input
+        first = np.array([1.0, 0.0, 0.0, 0.0, b[0]])
+        source = np.eye(5)[4]
+        second = d[0] * first + np.eye(5)[2]
+        self._matrix = np.array(
+            [
+                np.eye(5)[1] + b[1] * source - a[1] * first,
+                b[2] * source - a[2] * first,
+                np.eye(5)[3] + d[1] * first - c[1] * second,
+                d[2] * first - c[2] * second,
+                second,
+            ]
+        )
+        self._work = np.zeros((5, signals))
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self._work[:] = 0.0
+
+    def step(self, signals: Floats) -> Floats:
+        """Filter one sample of each signal, shape (p,)."""
+        self._work[4] = signals
+        result = self._matrix.dot(self._work)
+        self._work[:4] = result[:4]
+        passed: Floats = result[4]
+        return passed
+
+
+def _second_order(
+    frequency_hz: float, dt: float, high_pass: bool = False
+) -> tuple[list[float], list[float]]:
+    """Numerator and denominator in 1/z, denominator[0] = 1."""
+    t = math.tan(math.pi * frequency_hz * dt)
+    scale = 1 / (1 + math.sqrt(2) * t + t * t)
+    a = [1.0, 2 * (t * t - 1) * scale, (1 - math.sqrt(2) * t + t * t) * scale]
+    if high_pass:
+        return [scale, -2 * scale, scale], a
+    return [t * t * scale, 2 * t * t * scale, t * t * scale], a
+
+
+class ForceBlocks:
+    """Passes both forces of n axes through the same band-pass and hands them out in blocks.
+
+    Parameters
+    ----------
+    band : sequence of float
+        Edges of the band-pass, Hz.
+    dt : float
+        Sampling period, s.
+    axes : int
+        Number of axes n.
+    past, block : int
+        Steps before a block that come with it, and steps of a block.
+
+    Raises
+    ------
+    InputError
+        If the band does not fit the sampling rate.
+    """
+
+    def __init__(self, band: Sequence[float], dt: float, axes: int, past: int, block: int) -> None:
+        self._band = BandPass(band, dt, 2 * axes)
+        self._raw = np.zeros((2, axes))
+        self._samples = np.zeros((past + block, 2, axes))
+        self._past = self._row = past
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self._band.reset()
+        self._samples[:] = 0.0
+        self._row = self._past
+
+    def step(self, reference: Floats, measured: Floats) -> Floats | None:
+        """Take in the forces of one step, shape (n,) each, N.
+
+        A step with a value that is not finite is left out.
+
+        Returns
+        -------
+        ndarray or None
+            With the last step of a block, the steps before it and its own, shape (past + block, 2,
+            n): reference force and measured force in the band. It holds until the next step.
+        """
+        if self._row == len(self._samples):
+            self._samples[: self._past] = self._samples[-self._past :]
+            self._row = self._past
+        raw = self._raw
+        raw[0] = reference
+        raw[1] = measured
+        if not math.isfinite(raw.sum()):
+            return None
+        self._samples[self._row] = self._band.step(raw.ravel()).reshape(raw.shape)
+        self._row += 1
+        return self._samples if self._row == len(self._samples) else None
+
+
+class DelayEstimator:
+    """Delay at which the measured force of each of n axes is most like the reference force.
+
+    With both forces passed through the same band-pass, p and q, it is the lag l at which a p[k-l]
+    leaves least of q[k], whatever the amplitude a: where the normalised correlation ::
+
+        sum q[k] p[k-l] / sqrt(sum q[k]^2 sum p[k-l]^2)
+
+    is largest, the sums fading with a time constant of a second, and between the samples by the
+    parabola through three of them (Knapp & Carter 1976, IEEE Trans. ASSP 24:320-327, on time
+    delay by correlation). Neither an amplitude error of the actuator nor the loop around it
+    biases the estimate, as the measured force follows from the reference force whatever its
+    origin. A force that is held between the samples acts half a step later than it shows.
+
+    The estimate stays where it is while the forces are small or not alike, keeps within its
+    bounds, and moves no faster than its rate.
+
+    Parameters
+    ----------
+    start : float
+        First estimate, s.
+    bounds : tuple of float
+        Shortest and longest delay, s.
+    rate : float
+        Largest change, s per s.
+    excitation : float
+        Least RMS of both forces, in the band and about the last second, for an estimate, N.
+    band : sequence of float
+        Edges of the band-pass, Hz.
+    dt : float
+        Sampling period, s.
+    axes : int
+        Number of axes n.
+
+    Attributes
+    ----------
+    delay : ndarray
+        Present estimate, shape (n,), s.
+
+    Raises
+    ------
+    InputError
+        If the band does not fit the sampling rate.
+    """
+
+    def __init__(
+        self,
+        start: float,
+        bounds: tuple[float, float],
+        rate: float,
+        excitation: float,
+        band: Sequence[float],
+        dt: float,
+        axes: int,
+    ) -> None:
+        self.delay = np.full(axes, start)
+        self._start, self._bounds, self._dt = start, bounds, dt
+        self._most = rate * dt * EVERY
+        self._enough = excitation**2 * MEMORY / dt
+        self._lags = whole_steps(bounds[1], dt) + 2
+        self._forces = ForceBlocks(band, dt, axes, past=self._lags, block=EVERY)
+        keep = math.exp(-dt / MEMORY)
+        self._keep, self._fade = keep**EVERY, keep ** np.arange(EVERY - 1, -1, -1)
+        # sums of q[k] p[k-l], of p[k-l]^2, and of q[k]^2
+        self._products, self._energy = np.zeros((2, axes, self._lags))
+        self._answer = np.zeros((axes, 1))
+        self._axes = np.arange(axes)
+
+    def reset(self) -> None:
+        """Back to the first estimate."""
+        self.delay[:] = self._start
+        self._forces.reset()
+        for sums in (self._products, self._energy, self._answer):
+            sums[:] = 0.0
+
+    def step(self, reference: Floats, measured: Floats) -> None:
+        """Take in the forces of one step.
+
+        Parameters
+        ----------
+        reference, measured : ndarray
+            Shape (n,), N. A step with a value that is not finite is left out.
+        """
+        block = self._forces.step(reference, measured)
+        if block is not None:
+            self._add(block[:, 0], block[:, 1])
+            self._follow()
+
+    def _add(self, p: Floats, q: Floats) -> None:
+        """Add a block to the sums, and let the past fade."""
+        newest = q[self._lags :] * self._fade[:, np.newaxis]
+        delayed = sliding_window_view(p[1:], self._lags, axis=0)[..., ::-1]
+        self._products *= self._keep
+        self._products += np.einsum("sn,snl->nl", newest, delayed)
+        self._energy *= self._keep
+        self._energy += np.einsum("s,snl->nl", self._fade, delayed**2)
+        self._answer *= self._keep
+        self._answer[:, 0] += np.einsum("sn,sn->n", newest, q[self._lags :])
+
+    def _follow(self) -> None:
+        """Move the estimates towards the peaks of the correlation."""
+        axes = self._axes
+        correlation = self._products / np.sqrt(self._energy * self._answer + _TINY)
+        peak = np.clip(correlation.argmax(axis=1), 1, self._lags - 2)
+        before, at, after = (correlation[axes, peak + i] for i in (-1, 0, 1))
+        curvature = 2 * at - before - after
+        valid = (
+            (np.minimum(self._energy[axes, peak], self._answer[:, 0]) > self._enough)
+            & (at > _ALIKE)
+            & (curvature > 0)
+        )
+        part = np.where(valid, (after - before) / (2 * np.where(valid, curvature, 1.0)), 0.0)
+        found = np.clip((peak + part) * self._dt, *self._bounds)
+        change = np.clip(found - self.delay, -self._most, self._most)
+        self.delay += np.where(valid, change, 0.0)

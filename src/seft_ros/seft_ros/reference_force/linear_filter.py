@@ -1,0 +1,272 @@
+"""Linear compensation: from what is measured and known ahead to the reference force."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from seft_msgs_py.config.arrays import Floats
+from seft_plant_sim.compiled import compiled, entry_point
+from seft_plant_sim.integration import multiply
+
+
+@dataclass(frozen=True)
+class LinearFilter:
+    """Linear, time-invariant compensation of n axes, with its states s.
+
+    With the measured y = (x, v, a, f) and the ground accelerations g of this step and the
+    `preview` later ones::
+
+        f_r[k] = c s[k] + d y[k] + e g[k...]
+        s[k+1] = a s[k] + b y[k] + h g[k...]
+
+    The reference force itself may be among the states. Preflight takes the eigenvalues of the
+    closed loop from these very matrices.
+
+    Attributes
+    ----------
+    a, b, h : ndarray
+        Shapes (s, s), (s, 4n) and (s, (1 + preview) n).
+    c, d, e : ndarray
+        Shapes (n, s), (n, 4n) and (n, (1 + preview) n).
+    """
+
+    a: Floats
+    b: Floats
+    h: Floats
+    c: Floats
+    d: Floats
+    e: Floats
+
+    @classmethod
+    def of_gains(cls, d: Floats, e: Floats) -> "LinearFilter":
+        """Filter that remembers nothing."""
+        n = len(d)
+        b, h = np.zeros((0, d.shape[1])), np.zeros((0, e.shape[1]))
+        return cls(np.zeros((0, 0)), b, h, np.zeros((n, 0)), d, e)
+
+    @property
+    def axes(self) -> int:
+        """Number of axes n."""
+        return len(self.d)
+
+    @property
+    def preview(self) -> int:
+        """Number of later steps whose ground motion it needs."""
+        return self.e.shape[1] // self.axes - 1
+
+    def delayed(self, steps: int) -> "LinearFilter":
+        """Filter whose reference force comes so many steps later."""
+        if not steps:
+            return self
+        n, size, late = self.axes, len(self.a), self.axes * steps
+        shift = np.eye(late, k=-n)  # the newest force first
+        first = np.eye(late, n)
+        return LinearFilter(
+            a=np.block([[self.a, np.zeros((size, late))], [first @ self.c, shift]]),
+            b=np.vstack([self.b, first @ self.d]),
+            h=np.vstack([self.h, first @ self.e]),
+            c=np.hstack([np.zeros((n, size)), np.eye(n, late, k=late - n)]),
+            d=np.zeros_like(self.d),
+            e=np.zeros_like(self.e),
+        )
+
+    def matrix(self) -> Floats:
+        """Matrix from (s, y, g) to (f_r, s of the next step)."""
+        return np.block([[self.c, self.d, self.e], [self.a, self.b, self.h]])
+
+
+class LinearParameters(NamedTuple):
+    """Constants of `linear_step`: `LinearFilter.matrix`, transposed."""
+
+    matrix: Floats
+
+
+class LinearState(NamedTuple):
+    """States and inputs (s, y, g), and the matrix's product with them (f_r, s)."""
+
+    work: Floats
+    result: Floats
+
+
+@compiled
+def linear_step(
+    parameters: LinearParameters,
+    state: LinearState,
+    ground: Floats,
+    measured: Floats,
+    pace: float,
+    points: Floats,
+) -> None:
+    """Compute the reference force of one step.
+
+    Parameters
+    ----------
+    parameters, state
+        The state is brought up to date.
+    ground : ndarray
+        Ground acceleration of this step and the later ones, shape (1 + preview, n), m/s^2.
+    measured : ndarray
+        Displacement, velocity, acceleration and force, shape (4, n).
+    pace : float
+        Not used; see `target_step`.
+    points : ndarray
+        The result, shape (1, 1, n), N.
+    """
+    work, result, n = state.work, state.result, measured.shape[1]
+    place = states = len(result) - n
+    for row in range(4):
+        for i in range(n):
+            work[place] = measured[row, i]
+            place += 1
+    for row in range(len(ground)):
+        for i in range(n):
+            work[place] = ground[row, i]
+            place += 1
+    multiply(parameters.matrix, work, result)
+    for i in range(n):
+        points[0, 0, i] = result[i]
+    for i in range(states):
+        work[i] = result[n + i]
+
+
+class LinearCompensator:
+    """A `LinearFilter` as a compensator: one matrix-vector product to a step.
+
+    Parameters
+    ----------
+    linear_filter : LinearFilter
+        The method.
+
+    Attributes
+    ----------
+    parameters, state : LinearParameters, LinearState
+        What `linear_step` takes, here and in a compiled loop.
+    """
+
+    def __init__(self, linear_filter: LinearFilter) -> None:
+        self.preview, n = linear_filter.preview, linear_filter.axes
+        self._filter = linear_filter
+        self.parameters = LinearParameters(np.ascontiguousarray(linear_filter.matrix().T))
+        self.state = LinearState(*map(np.zeros, self.parameters.matrix.shape))
+        self._points, measured = np.zeros((1, 1, n)), np.zeros((4, n))
+        arguments = measured, measured, 1.0, self._points
+        self._step = entry_point(linear_step, self.parameters, self.state, *arguments)
+
+    def reset(self) -> None:
+        """Forget the test so far."""
+        self.state.work[:] = 0.0
+
+    def step(self, ground_motion: Floats, state: Floats) -> Floats:
+        """Compute the reference force of one step, see `Compensator.step`."""
+        ground, state = (np.ascontiguousarray(each, np.float64) for each in (ground_motion, state))
+        self._step(self.parameters, self.state, ground, state, 1.0, self._points)
+        return self._points[0, 0].copy()
+
+    def estimates(self) -> dict[str, Floats]:
+        """Nothing is identified on line."""
+        return {}
+
+    def linear(self) -> LinearFilter:
+        """Return the filter."""
+        return self._filter
+
+
+@dataclass(frozen=True)
+class Memory:
+    """States of a filter of n axes, for any output gains.
+
+    ::
+
+        f_r[k] = gains (s[k], y[k], g[k...])
+        s[k+1] = a s[k] + b y[k] + h g[k] + w f_r[k]
+
+    The states s mean the same at all gains, and so remain right while these change.
+
+    Attributes
+    ----------
+    a, b, h, w : ndarray
+        Shapes (s, s), (s, 4n), (s, n) and (s, n).
+    """
+
+    a: Floats
+    b: Floats
+    h: Floats
+    w: Floats
+
+    @classmethod
+    def none(cls, axes: int) -> "Memory":
+        """Make one without states."""
+        return cls(*(np.zeros((0, columns)) for columns in (0, 4 * axes, axes, axes)))
+
+    @classmethod
+    def past(cls, signal: Floats, blocks: int) -> "Memory":
+        """Last values of a signal, the newest first.
+
+        Parameters
+        ----------
+        signal : ndarray
+            The signal of the measured y and the ground acceleration g[k], shape (n, 5n).
+        blocks : int
+            Number of values.
+        """
+        n = len(signal)
+        size = blocks * n
+        newest = np.zeros((size, 5 * n))
+        newest[:n] = signal
+        b, h = newest[:, : 4 * n], newest[:, 4 * n :]
+        return cls(np.eye(size, k=-n), b, h, np.zeros((size, n)))
+
+    def with_gains(self, gains: Floats) -> LinearFilter:
+        """Make the linear filter with gains of shape (n, s + 4n + (1 + preview) n)."""
+        size, measured = self.b.shape
+        c, d, e = np.split(gains, [size, size + measured], axis=1)
+        w, h = self.w, self.w @ e
+        h[:, : self.h.shape[1]] += self.h
+        return LinearFilter(self.a + w @ c, self.b + w @ d, h, c, d, e)
+
+
+class VaryingFilter:
+    """Runs a `Memory` with gains that may be set between two steps.
+
+    Parameters
+    ----------
+    memory : Memory
+        Its states.
+    gains : ndarray
+        First gains, shape (n, s + 4n + (1 + preview) n).
+
+    Attributes
+    ----------
+    gains : ndarray
+        Present gains, of the same shape.
+    preview : int
+        Number of later steps whose ground motion it needs.
+    """
+
+    def __init__(self, memory: Memory, gains: Floats) -> None:
+        self.gains = gains
+        n, size = len(gains), len(memory.a)
+        self._update = np.ascontiguousarray(np.hstack([memory.a, memory.b, memory.h]))
+        self._inputs = memory.w.copy() if memory.w.any() else None
+        self._work = np.zeros(gains.shape[1])
+        self._states = self._work[:size]
+        self._measured = self._work[size : size + 4 * n].reshape(4, n)
+        self._remembered = self._work[: size + 5 * n]
+        self._ground_motion = self._work[size + 4 * n :].reshape(-1, n)
+        self.preview = len(self._ground_motion) - 1
+
+    def reset(self) -> None:
+        """Forget the test so far."""
+        self._work[:] = 0.0
+
+    def step(self, ground_motion: Floats, state: Floats) -> Floats:
+        """Compute the reference force of one step, see `Compensator.step`."""
+        self._measured[:] = state
+        self._ground_motion[:] = ground_motion
+        force: Floats = self.gains.dot(self._work)
+        if len(self._states):
+            states = self._update.dot(self._remembered)
+            if self._inputs is not None:
+                states += self._inputs.dot(force)
+            self._states[:] = states
+        return force

@@ -1,0 +1,215 @@
+"""A computed substructure that is more than lumped mass, for every compensation method.
+
+With g the force of its dampers, springs and internal degrees of freedom on the axes, the whole
+structure obeys
+
+    (M_e + M_c) (a + a_g) + g = -r,   so   (M_e + M_c) (a + a_g + (M_e + M_c)^-1 g) = -r
+
+Beside its masses M_c on the axes a substructure acts like further ground acceleration. A method is
+given a_g* = a_g + (M_e + M_c)^-1 g instead of a_g (docs/theory.md, More than lumped mass).
+"""
+
+from itertools import pairwise
+
+import numpy as np
+from seft_msgs_py.config.arrays import Floats
+from seft_plant_sim.lti import first_order_hold
+
+from seft_ros.reference_force.compensator import Compensator, Knowledge
+from seft_ros.reference_force.linear_filter import LinearCompensator, LinearFilter
+
+REST_CORNER = 30.0  # Hz up to which the model's restoring force is corrected by the measured one
+
+
+def with_substructure(method: Compensator, knowledge: Knowledge) -> Compensator:
+    """Make a method work with the whole computed substructure, see the module.
+
+    Parameters
+    ----------
+    method : Compensator
+        Made for the lumped masses.
+    knowledge : Knowledge
+        What it was made of.
+
+    Returns
+    -------
+    Compensator
+        The method itself where there is nothing but masses.
+    """
+    if knowledge.computed.is_lumped:
+        return method
+    motion = substructure_motion(knowledge, method.preview)
+    if isinstance(method, LinearCompensator):
+        return LinearCompensator(_behind(method.linear(), motion))
+    return _BehindMotion(method, motion)
+
+
+def whole_system(knowledge: Knowledge) -> tuple[Floats, Floats]:
+    """Give the whole structure in state space, as far as it is known.
+
+    Returns
+    -------
+    a, b : ndarray
+        Shapes (N, N) and (N, n): of the states (x, v) of the axes, then of the internal degrees
+        of freedom, driven by the ground acceleration. Rows n to 2n give x''.
+    """
+    n, computed = knowledge.axes, knowledge.computed
+    inverse = np.linalg.inv(knowledge.mass + knowledge.computed_mass)
+    restoring = np.hstack([knowledge.stiffness, knowledge.damping])
+    size = 2 * n + 2 * computed.internal
+    a, b = np.zeros((size, size)), np.zeros((size, n))
+    a[:n, n : 2 * n] = np.eye(n)
+    a[n : 2 * n, : 2 * n] = -inverse @ restoring
+    b[n : 2 * n] = -np.eye(n)
+    if not computed.is_lumped:
+        a[n : 2 * n] -= inverse @ _force(knowledge)
+        a[2 * n :], b[2 * n :] = _internal(knowledge)
+    return a, b
+
+
+def substructure_motion(knowledge: Knowledge, preview: int) -> LinearFilter:
+    """Give the filter to the ground acceleration that stands for a substructure.
+
+    Its internal degrees of freedom are driven by the measured motion of the axes, exactly where
+    that is linear between samples: stable at any frequency and step. Over the preview, the whole
+    structure is expected to move as its model does beside the measured restoring force.
+
+    Parameters
+    ----------
+    knowledge : Knowledge
+        With the substructure.
+    preview : int
+        Number of later steps whose ground motion is needed.
+
+    Returns
+    -------
+    LinearFilter
+        Its output is a_g + (M_e + M_c)^-1 g of this step and the later ones, shape
+        ((1 + preview) n,), m/s^2.
+    """
+    n, computed, dt = knowledge.axes, knowledge.computed, knowledge.dt
+    inside, steps = 2 * computed.internal, 1 + preview
+    # everything is a combination of states, measured signals and ground motion
+    parts = np.split(np.eye(inside + n + 4 * n + steps * n), inside + n * np.arange(0, 5 + steps))
+    before, rest, x, v, a, f, *ground = (part for part in parts)
+    system, by_ground = _internal(knowledge)
+    # the motion of the axes enters as input, and ends in itself
+    free, start, change = first_order_hold(
+        system[:, 2 * n :], np.hstack([system[:, : 2 * n], by_ground]), dt
+    )
+    here = np.vstack([x, v, ground[0]])
+    internal = before + change @ here
+    going_on = free @ internal + (start - change) @ here
+    residual = f - knowledge.mass @ a - knowledge.stiffness @ x - knowledge.damping @ v
+    rest = rest + (1.0 - np.exp(-2 * np.pi * REST_CORNER * dt)) * (residual - rest)
+
+    inverse = np.linalg.inv(knowledge.total_mass)
+    acceleration = inverse @ _force(knowledge)
+    whole, push = whole_system(knowledge)
+    by_rest = np.zeros_like(push)
+    by_rest[n : 2 * n] = -inverse
+    free, start, change = first_order_hold(whole, np.hstack([push, by_rest]), dt)
+    motion = np.vstack([x, v, internal])
+    found = [ground[0] + acceleration @ motion]
+    for now, later in pairwise(ground):
+        motion = (
+            free @ motion
+            + start @ np.vstack([now, rest])
+            + change @ np.vstack([later - now, np.zeros_like(rest)])
+        )
+        found.append(later + acceleration @ motion)
+    states, signals = inside + n, inside + 5 * n
+    c, d, e = np.split(np.vstack(found), [states, signals], axis=1)
+    a, b, h = np.split(np.vstack([going_on, rest]), [states, signals], axis=1)
+    return LinearFilter(a, b, h, c, d, e)
+
+
+class SubstructureMotion:
+    """The filter of `substructure_motion` under way.
+
+    Parameters
+    ----------
+    motion : LinearFilter
+        As it gives it.
+    """
+
+    def __init__(self, motion: LinearFilter) -> None:
+        self.filter = motion
+        self._matrix = np.ascontiguousarray(motion.matrix())
+        self._work = np.zeros(self._matrix.shape[1])
+        self._states, signals = np.split(self._work, [len(motion.a)])
+        self._measured, self._ground = np.split(signals, [motion.d.shape[1]])
+
+    def reset(self) -> None:
+        """Forget the test so far."""
+        self._work[:] = 0.0
+
+    def step(self, ground_motion: Floats, state: Floats) -> Floats:
+        """Take a step in, as `Compensator.step` is given it.
+
+        Returns
+        -------
+        ndarray
+            The equivalent ground motion of this step and the later ones, shape
+            (1 + preview, n), m/s^2.
+        """
+        self._measured[:] = state.reshape(-1)
+        self._ground[:] = ground_motion.reshape(-1)
+        result = self._matrix.dot(self._work)
+        outputs, self._states[:] = np.split(result, [len(self.filter.c)])
+        return outputs.reshape(ground_motion.shape)
+
+
+class _BehindMotion:
+    """A method that is not linear, behind a `SubstructureMotion`."""
+
+    def __init__(self, method: Compensator, motion: LinearFilter) -> None:
+        self.preview = method.preview
+        self.estimates = method.estimates
+        self._method, self._motion = method, SubstructureMotion(motion)
+
+    def reset(self) -> None:
+        """Forget the test so far."""
+        self._motion.reset()
+        self._method.reset()
+
+    def step(self, ground_motion: Floats, state: Floats) -> Floats:
+        """Compute the reference force of one step, see `Compensator.step`."""
+        return self._method.step(self._motion.step(ground_motion, state), state)
+
+    def linear(self) -> LinearFilter:
+        """Linear filter that the method is now, see `Compensator.linear`."""
+        return _behind(self._method.linear(), self._motion.filter)
+
+
+def _behind(method: LinearFilter, motion: LinearFilter) -> LinearFilter:
+    """Put a filter behind one that makes its ground motion."""
+    none = np.zeros((len(motion.a), len(method.a)))
+    return LinearFilter(
+        a=np.block([[motion.a, none], [method.h @ motion.c, method.a]]),
+        b=np.vstack([motion.b, method.b + method.h @ motion.d]),
+        h=np.vstack([motion.h, method.h @ motion.e]),
+        c=np.hstack([method.e @ motion.c, method.c]),
+        d=method.d + method.e @ motion.d,
+        e=method.e @ motion.e,
+    )
+
+
+def _force(knowledge: Knowledge) -> Floats:
+    """Gain from (x, v, z, z') to the force g, shape (n, 2n + 2q)."""
+    n, computed = knowledge.axes, knowledge.computed
+    k, c = computed.stiffness, computed.damping
+    return np.hstack([k[:n, :n], c[:n, :n], k[:n, n:], c[:n, n:]])
+
+
+def _internal(knowledge: Knowledge) -> tuple[Floats, Floats]:
+    """Rate of (z, z') by (x, v, z, z') and by a_g, shapes (2q, 2n + 2q) and (2q, n)."""
+    n, computed = knowledge.axes, knowledge.computed
+    q = computed.internal
+    k, c = (
+        np.linalg.solve(computed.mass[n:, n:], matrix[n:])
+        for matrix in (computed.stiffness, computed.damping)
+    )
+    moved = -np.hstack([k[:, :n], c[:, :n], k[:, n:], c[:, n:]])
+    still = np.hstack([np.zeros((q, 2 * n + q)), np.eye(q)])
+    return np.vstack([still, moved]), np.vstack([np.zeros((q, n)), -computed.influence])

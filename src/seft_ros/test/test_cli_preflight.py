@@ -1,0 +1,162 @@
+"""`seft preflight`, and `seft run`, which does it first."""
+
+import json
+from pathlib import Path
+
+import pytest
+from matplotlib.figure import Figure
+from seft_msgs_py.errors import ExperimentError
+from seft_ros.design import stability_map
+
+JHU = str(Path(__file__).parents[3] / "config" / "jhu.yaml")
+DELAY = ("-p", "rig:actuator.kind:=delay", "-p", "rig:actuator.delay:=0.01")
+RATIO = "reference_force:mass_ratio:="
+IDENTIFIED = {
+    "plant.numerator": [7000.0],
+    "plant.denominator": [1.0, 0.5],
+    "plant.dead_time": 0.002,
+}
+KEYS = {
+    *("verdict", "reasons", "basis", "promise", "plant", "compensation", "mass_ratio"),
+    *("critical_mass_ratio", "crossing_hz", "dead_time_s", "critical_delay_s"),
+    *("critical_added_delay_s", "delay_crossing_hz", "gain", "sure_delay_s", "sure_gain"),
+    *("local_stiffness", "local_stiffness_followed", "told_delay_error_s"),
+    *("false_damping_ratio", "frequency_error", "modes", "spectral_radius", "growth_rate"),
+    *("dominant_hz", "states", "expected_peaks", "proposed_limits"),
+}
+
+
+@pytest.fixture
+def told(seft):
+    """Status and numbers of a preflight."""
+
+    def run(*words):
+        status, out, _ = seft("preflight", *words, "--json")
+        return status, json.loads(out)
+
+    return run
+
+
+FAR = "warning: limits are more than 4 times"
+
+
+def test_ten_milliseconds_end_at_the_known_mass_ratio(told):
+    status, found = told(JHU, *DELAY, "-p", f"{RATIO}0.5")
+    assert set(found) == KEYS
+    assert (status, found["verdict"], found["basis"]) == (0, "stable", "exact")
+    assert found["critical_mass_ratio"] == pytest.approx(0.94, abs=0.02)
+    assert found["dead_time_s"] == 0.010
+    added = found["critical_delay_s"] - found["dead_time_s"]
+    assert found["critical_added_delay_s"] == pytest.approx(added) and added > 0
+    unused = ("local_stiffness_followed", "told_delay_error_s", "sure_delay_s", "sure_gain")
+    assert [found[name] for name in unused] == [None] * 4
+    assert found["local_stiffness"]["planned"] == 1.0
+    assert found["false_damping_ratio"] > 0
+
+
+@pytest.mark.parametrize(
+    ("ratio", "verdict", "expected"), [(0.9, "marginal", 0), (1.0, "unstable", 1)]
+)
+def test_the_exit_status_is_the_verdicts(told, ratio, verdict, expected):
+    status, found = told(JHU, *DELAY, "-p", f"{RATIO}{ratio}")
+    assert (status, found["verdict"]) == (expected, verdict)
+    assert found["reasons"]
+    assert (found["spectral_radius"] > 1) is (verdict == "unstable")
+
+
+def test_for_people_there_is_a_table_and_every_reason_in_a_line(seft):
+    status, out, err = seft("preflight", JHU, *DELAY, "-p", f"{RATIO}0.9")
+    assert status == 0
+    for words in ("marginal", "mass ratio", "dead time", "damping ratio", "Exact eigenvalues"):
+        assert words in out
+    assert err.startswith("seft: marginal: the critical mass ratio 0.933 is less than")
+    assert all(line.startswith("seft: marginal: ") for line in err.splitlines())
+
+
+def test_the_figure_is_drawn_of_both_maps(seft, tmp_path, monkeypatch):
+    monkeypatch.setattr(stability_map, "FINEST", 15)
+    words = ("preflight", JHU, *DELAY, "--figure", "map", "--json")
+    status, out, _ = seft(*words)
+    assert status == 0
+    assert json.loads(out)["figure"] == "map.png"
+    assert (tmp_path / "map.png").stat().st_size > 20_000
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["none.yaml"], "none.yaml"),
+        ([JHU, "--plant", "rigg"], "rigg"),
+        ([JHU, "--plant", "identified"], "seft identify"),
+        ([JHU, "--external", "rig"], "seft identify"),
+        ([JHU, "--external", "reference_force"], "reference_force: runs elsewhere"),
+        ([JHU, "-p", "rig:actuator.dead_time:=1.0", "-p", "rate:=1000.0"], "1000 samples"),
+        ([JHU, "-p", "reference_force:compensation.method:=model"], "compensation.delay"),
+        ([JHU, "--figure", "none/map.png"], "none/map.png"),
+    ],
+)
+def test_wrong_input_is_told_in_one_line(seft, tmp_path, monkeypatch, words, named):
+    monkeypatch.setattr("seft_ros.design.stability_map.preflight_figure", lambda *_: Figure())
+    monkeypatch.setattr("seft_ros.design.stability_map.stability_maps", lambda *_: None)
+    status, out, err = seft("preflight", *words)
+    assert (status, out) == (2, "")
+    assert err.count("\n") == 1
+    assert named in err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture
+def flown(monkeypatch):
+    """Tests that `seft run` would have started."""
+    started = []
+
+    def start(experiment, *_, **__):
+        started.append(experiment)
+        raise ExperimentError("started")
+
+    monkeypatch.setattr("seft_ros.cli.perform.dds_test", start)
+    return started
+
+
+def test_run_refuses_an_unstable_plan_before_anything_moves(seft, tmp_path, flown):
+    status, out, err = seft("run", JHU, "-p", f"{RATIO}2.0")
+    assert (status, out, flown) == (2, "", [])
+    assert err.count("\n") == 1
+    assert "unstable plan: oscillates at" in err
+    assert "critical mass ratio is 1.33" in err
+    assert "--accept-unstable" in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_run_takes_an_unstable_plan_that_is_accepted(seft, flown):
+    status, _, err = seft("run", JHU, "-p", f"{RATIO}2.0", "--accept-unstable")
+    assert (status, len(flown)) == (1, 1)
+    assert err.splitlines()[0].endswith("accepted")
+
+
+def test_run_starts_a_stable_plan_without_a_word(seft, flown):
+    status, _, err = seft("run", JHU, "-p", f"{RATIO}0.5")
+    assert (status, len(flown)) == (1, 1)
+    assert [line for line in err.splitlines() if FAR not in line] == ["seft: started"]
+
+
+@pytest.mark.parametrize("node", ["rig", "reference_force", "force_controller"])
+def test_run_says_where_no_preflight_can_be_done(seft, flown, node):
+    status, _, err = seft("run", JHU, "--external", node)
+    assert (status, len(flown)) == (1, 1)
+    first, second = (line for line in err.splitlines() if FAR not in line)
+    assert first.startswith("seft: preflight could not be done: ")
+    assert second == "seft: started"
+
+
+def test_run_judges_an_external_rig_by_its_identified_plant(seft, flown):
+    """An integrator under a gain far too high."""
+    words = [
+        x for item in IDENTIFIED.items() for x in ("-p", "force_controller:{}:={}".format(*item))
+    ]
+    status, _, err = seft(
+        *("run", JHU, "--external", "rig", *words),
+        *("-p", "force_controller:numerator:=1.0", "-p", "force_controller:denominator:=1.0"),
+    )
+    assert (status, flown) == (2, [])
+    assert "unstable plan" in err

@@ -1,0 +1,211 @@
+"""Wrong input is told in one line on stderr, with exit status 2; results are the only stdout."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+CONFIG = Path(__file__).parents[3] / "config"
+JHU = str(CONFIG / "jhu.yaml")
+AT2 = "PEER NGA\nKOBE\nACCELERATION IN G\n"
+KEYS = {"steps", "rate_hz", "duration_s", "wall_s", "realtime_factor", "stable", "trip"}
+MEASURES = {"nrmse", "nrmse_aligned", "peak", "reference_peak", "delay_s"}
+SHORT = ("-p", "ground_motion:synthetic.duration:=4", "-p", "ground_motion:tail:=1")
+
+
+@pytest.fixture
+def refused(seft):
+    """Run what must be refused; give the one line."""
+
+    def run(*words):
+        status, out, err = seft(*words)
+        assert (status, out) == (2, "")
+        assert err.count("\n") == 1
+        assert err.startswith("seft: ")
+        assert "Traceback" not in err
+        return err
+
+    return run
+
+
+@pytest.fixture
+def record(tmp_path):
+    """Words that make an experiment read a file of this name and text."""
+
+    def write(name, text, **parameters):
+        (tmp_path / name).write_text(text)
+        words = [f"file:={tmp_path / name}", *(f"{k}:={v}" for k, v in parameters.items())]
+        return [word for text in words for word in ("-p", f"ground_motion:{text}")]
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("parameter", "told"),
+    [
+        ("reference_force:mass_ratio:=x", ['mass_ratio is "x"', "must be a number"]),
+        ("reference_force:mass_ratio:=true", ["mass_ratio is True"]),
+        ("reference_force:mass_ratio:=.nan", ["mass_ratio is nan", "finite"]),
+        ("reference_force:mass_ratio:=-1", ["mass_ratio is -1.0", "at least 0"]),
+        ("reference_force:mass_ration:=1", ["no parameter mass_ration", "mass_ratio?"]),
+        ("reference_forse:mass_ratio:=1", ["no node reference_forse", "reference_force?"]),
+        ("reference_force:method:=tef", ["one of eft, seft"]),
+        ("reference_force:mass_ratio", ["expected node:parameter:=value"]),
+        ("ground_motion:unit:=ft/s2", ["unit", "ft/s2", "g, m/s2, cm/s2"]),
+        ("ground_motion:file:=none.AT2", ["none.AT2"]),
+        ('ground_motion:file:="two\\nlines"', ["two lines"]),
+        ("rate:=333", ["333 Hz", "320 and 400"]),
+        ("rate:=0", ["rate is 0.0", "greater than zero"]),
+        ("axes:=[x, x]", ["names must differ"]),
+        ("axes:=[]", ["axes is []", "must not be empty"]),
+        ("rig:specimen.mass:=0", ["specimen.mass is 0.0", "positive"]),
+        ("reference_force:model.mass:=-1", ["mass", "positive"]),
+        ("rig:specimen.mass:=[1, 2]", ["specimen.mass", "2 values for 1 axes"]),
+        ("rig:actuator.kind:=servo", ["one of ideal, delay, servo_hydraulic"]),
+        ("force_controller:numerator:=[1, 2, 3, 4]", ["improper", "degree 3"]),
+        ("force_controller:denominator:=0", ["denominator is zero"]),
+        ("force_controller:denominator:=[1, -1000]", ["1000 rad/s"]),
+        ("force_controller:voltage_limit:=0", ["voltage_limit is 0.0"]),
+        ("supervisor:limits.force:=-1", ["limits.force is -1.0"]),
+        ("recorder:storage:=csv", ["one of mcap, sqlite3"]),
+    ],
+)
+def test_a_wrong_parameter_is_refused(refused, parameter, told):
+    line = refused("simulate", JHU, "-p", parameter)
+    for words in told:
+        assert words in line
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "parameters", "told"),
+    [
+        ("cut.AT2", AT2 + "NPTS=  9, DT= .01 SEC\n 1e-3 2e-3\n 3e-3\n", {}, "cut.AT2"),
+        ("nan.AT2", AT2 + "NPTS=  4, DT= .01 SEC\n 1e-3 nan 2e-3 3e-3\n", {}, "nan.AT2"),
+        ("head.AT2", AT2, {}, "head.AT2"),
+        ("nan.txt", "1.0\nnan\n2.0\n", {"dt": 0.01}, "nan.txt"),
+        ("inf.txt", "1.0\ninf\n2.0\n", {"dt": 0.01}, "inf.txt"),
+        ("words.txt", "1.0\ntwo\n3.0\n", {"dt": 0.01}, "words.txt"),
+        ("empty.txt", "", {"dt": 0.01}, "empty.txt"),
+        ("no_dt.txt", "1.0\n2.0\n3.0\n", {}, "dt"),
+        ("narrow.txt", "1.0\n2.0\n3.0\n", {"dt": 0.01, "column": 3}, "column"),
+        ("still.txt", "0.0\n0.0\n0.0\n", {"dt": 0.01}, "zeros"),
+    ],
+)
+def test_a_faulty_record_is_refused(refused, record, name, text, parameters, told):
+    assert told in refused("simulate", JHU, *record(name, text, **parameters))
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "holds no node names"),
+        ("rig: [", "line 1"),
+        ("rigg:\n  ros__parameters: {}\n", "did you mean rig?"),
+        ("rig:\n  ros__parameters: {speed: 1}\n", "there is no parameter speed"),
+        ("rig:\n  ros__parameters: {}\n", "must be given"),
+    ],
+)
+def test_a_faulty_experiment_is_refused(refused, tmp_path, text, told):
+    path = tmp_path / "experiment.yaml"
+    path.write_text(text)
+    assert told in refused("simulate", path)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["simulat", JHU], "simulat"),
+        (["simulate"], "CONFIG"),
+        (["simulate", JHU, "--josn"], "--josn"),
+        (["simulate", JHU, "-p"], "-p"),
+        (["simulate", JHU, "extra"], "extra"),
+        (["simulate", "none.yaml"], "none.yaml: No such file"),
+        (["simulate", "."], "directory"),
+        (["simulate", JHU, *SHORT, "--out", "."], "exists already"),
+        (["run", "none.yaml"], "none.yaml: No such file"),
+        (["run", JHU, "-p", "rate:=333"], "320 and 400"),
+        (["run", JHU, "--external", "rigg"], "did you mean rig?"),
+        (["run", JHU, "--external", "recorder"], "--external recorder: must be one of"),
+        (["simulate", JHU, "--params-file", "none.yaml"], "none.yaml: No such file"),
+        (["report", "none"], "none"),
+        (["compare", "none", "other"], "none"),
+        (["recover", "none"], "none"),
+        (["motion", "none.AT2"], "none.AT2"),
+        (["motion", JHU, "--unit", "ft"], "unit"),
+        (["parameters", "rigg"], "did you mean rig?"),
+    ],
+)
+def test_a_wrong_command_line_is_refused(refused, words, told):
+    assert told in refused(*words)
+
+
+@pytest.mark.parametrize("words", [["simulate", "none.yaml"], ["simulat"]])
+def test_the_process_ends_with_status_2_and_without_a_traceback(words):
+    done = subprocess.run(
+        [sys.executable, "-m", "seft_ros.cli.main", *words],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.count("\n") == 1
+
+
+def test_simulate_prints_one_json_object_and_nothing_else(seft, tmp_path):
+    status, out, _ = seft("simulate", JHU, *SHORT, "--json")
+    summary = json.loads(out)
+    assert status == 0
+    assert set(summary) >= KEYS
+    for quantity in ("displacement", "acceleration", "force"):
+        assert set(summary[quantity]) >= MEASURES
+    assert (summary["stable"], summary["trip"]) == (True, None)
+    assert summary["rate_hz"] == 500.0
+    assert summary["steps"] == 1501  # 4 s twice as fast, 1 s of tail
+    assert summary["duration_s"] == pytest.approx(3.002)
+    assert list(tmp_path.iterdir()) == []  # nothing is written without --out
+
+
+def test_a_test_that_trips_ends_with_status_1_and_says_so(seft):
+    words = ("-p", "reference_force:mass_ratio:=1.5", "-p", "supervisor:limits.acceleration:=30")
+    unwatched = ("-p", "reference_force:instability.ratio:=0.0")  # a limit is to trip it
+    status, out, err = seft("simulate", JHU, *words, *unwatched, "--json")
+    summary = json.loads(out)
+    assert status == 1
+    assert summary["stable"] is False
+    assert set(summary["trip"]) == {"reason", "step", "time_s"}
+    assert summary["trip"]["step"] == summary["steps"] - 1
+    assert "acceleration" in err.splitlines()[-1]
+    assert "beyond the limit of 30" in err.splitlines()[-1]
+
+
+def test_out_names_the_folder_of_the_bag_which_reports_the_same(seft, tmp_path):
+    status, out, _ = seft("simulate", JHU, *SHORT, "--out", "bag", "--json")
+    assert status == 0
+    simulated = json.loads(out)
+    assert (tmp_path / "bag" / "metadata.yaml").is_file()
+    status, out, _ = seft("report", "bag", "--json")
+    assert status == 0
+    reported = json.loads(out)
+    for key in KEYS | {"displacement", "acceleration", "force"}:
+        assert reported[key] == simulated[key]
+    status, out, err = seft("simulate", JHU, *SHORT, "--out", "bag")
+    assert (status, out) == (2, "")
+    assert "bag: exists already" in err
+
+
+def test_motion_prints_one_json_object_and_draws(seft, record, tmp_path):
+    record("tent.txt", "0\n2\n0\n-4\n0\n")
+    words = ("--unit", "m/s2", "--dt", "0.01", "--rate", "100", "--json")
+    status, out, _ = seft("motion", "tent.txt", *words)
+    assert status == 0
+    assert json.loads(out)["peak_acceleration"] == [4.0]
+    assert (tmp_path / "tent.png").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("words", [["--help"], ["simulate", "--help"], ["run", "--help"]])
+def test_help_is_a_result(seft, words):
+    status, out, err = seft(*words)
+    assert (status, err) == (0, "")
+    assert "seft" in out
