@@ -216,7 +216,9 @@ def shown(result):
 
 def test_the_table_says_where_records_first_differ():
     a, b = make_record(), make_record(missed=3)
-    assert "identical, bit for bit; steps without a command in time: 3 in b" in shown(compare(a, b))
+    assert "identical, bit for bit; steps that missed the command deadline: 3 in b" in shown(
+        compare(a, b)
+    )
     b.series["rig/state"].values[3, 3, 1] = 77.0
     text = shown(compare(a, b))
     assert "first difference at step 3, rig/state, effort of axis y" in text

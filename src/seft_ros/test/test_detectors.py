@@ -10,7 +10,7 @@ from rig_faults import CHANNELS, FAULTS, FaultyRig
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_file import parse_override
 from seft_msgs_py.errors import InputError
-from seft_ros.analysis.fault_detection import shares_of
+from seft_ros.analysis.summary import shares_of
 from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES

@@ -18,7 +18,7 @@ from seft_ros.force_controller.force_control import ControlKnowledge
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.registered_control import RegisteredControl
 from seft_ros.reference_force.compensation.methods import METHODS
-from seft_ros.tournament.perturbed_rig import perturbed_rig
+from seft_ros.tournament.entries import perturbed_rig
 
 JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
 SHORT = ("ground_motion:synthetic.duration:=12", "ground_motion:tail:=0.5")

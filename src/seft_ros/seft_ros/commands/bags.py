@@ -39,9 +39,9 @@ def report(
     from rich.text import Text
 
     from seft_ros.analysis.summary_text import summary_table
-    from seft_ros.page.content import check_page
+    from seft_ros.drawing.page import check_page
     from seft_ros.recording.bag_reader import read_bag
-    from seft_ros.report.numbers import report_numbers
+    from seft_ros.report.report_numbers import report_numbers
     from seft_ros.report.report_page import write_report
 
     beside = bag.with_suffix(".html") if bag.is_file() else bag / "report.html"
@@ -114,11 +114,10 @@ def compare(
 
         seft compare bags/simulated bags/stock --json
     """
-    from seft_ros.analysis.comparison import compare_all
+    from seft_ros.analysis.comparison import compare_all, describe_bag
     from seft_ros.analysis.comparison_text import (
         comparison_table,
         comparisons_table,
-        describe_bag,
         legend,
     )
     from seft_ros.analysis.figures import comparison_figure

@@ -59,7 +59,7 @@ def paper(
 
         seft paper --json -p rig:actuator.valve_frequency:=50.0
     """
-    from seft_ros.page.content import check_page
+    from seft_ros.drawing.page import check_page
     from seft_ros.paper.claim import judge
     from seft_ros.paper.claims_table import claims_table, summarise_paper
     from seft_ros.paper.experiments import check_rig, default_config

@@ -66,15 +66,14 @@ def tournament(
     """
     from seft_ros.drawing.style import check_figure, save_figure
     from seft_ros.tournament.entries import make_tournament
-    from seft_ros.tournament.figure import tournament_figure
-    from seft_ros.tournament.ranking_table import (
-        plain_runs,
-        reasons,
+    from seft_ros.tournament.runs import count_calculations, run_all, step_cost
+    from seft_ros.tournament.standings import (
+        notes,
+        standings,
         standings_table,
         summarise_tournament,
     )
-    from seft_ros.tournament.runs import count_calculations, run_all, step_cost
-    from seft_ros.tournament.standings import standings
+    from seft_ros.tournament.tournament_figure import tournament_figure
     from seft_ros.tournament.workers import free_cores
 
     path = check_figure(figure) if figure is not None else None
@@ -104,5 +103,5 @@ def tournament(
     tables = [
         standings_table(own, f"{title}, mass ratio {ratio:g}") for ratio, own in by_ratio.items()
     ]
-    show(summary, json, [*tables, *reasons(ranked), *plain_runs(runs)], "figure")
+    show(summary, json, [*tables, *notes(ranked, runs)], "figure")
     return 0

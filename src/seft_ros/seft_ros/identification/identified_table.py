@@ -7,8 +7,7 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from seft_ros.analysis.summary import json_safe
-from seft_ros.drawing.tables import Number, look_up, make_table
+from seft_ros.drawing.tables import Number, json_safe, look_up, make_table
 from seft_ros.identification.actuator_fit import ActuatorFit
 from seft_ros.identification.identified import ClosedLoop, Identified, ValveResponse
 from seft_ros.identification.spectral import Measurement

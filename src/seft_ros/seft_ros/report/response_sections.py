@@ -1,7 +1,7 @@
-"""What moved and how right it was: responses, force tracking, specimen, spectra, ground motion."""
+"""Sections of a report on the responses: histories, tracking, specimen, spectra, ground motion."""
 
+import math
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,49 +13,47 @@ from seft_plant_sim.reference.whole_structure import tested_specimen
 from seft_ros.analysis.equivalent_motion import MARGIN
 from seft_ros.analysis.spectra import delay_by_frequency
 from seft_ros.analysis.summary import COMPARED
-from seft_ros.analysis.summary_text import agreement_rows
-from seft_ros.analysis.tracking import Tracked, tracked_of
+from seft_ros.analysis.summary_text import AGREEMENT, agreement_rows
+from seft_ros.analysis.tracking import Tracked
 from seft_ros.analysis.tracking_metrics import energy_error
-from seft_ros.drawing.style import FIRST, MARK, OTHERS, REFERENCE
+from seft_ros.drawing.page import Block, Plot, Section, Table, Text
+from seft_ros.drawing.plots import against, band, level, line, mark, plot, time_range
+from seft_ros.drawing.style import OTHERS, REFERENCE
 from seft_ros.drawing.tables import (
     DISPLAY_UNITS,
     RESPONSES,
     Number,
     axis_label,
-    number,
     percent,
     rows_of,
 )
-from seft_ros.page.content import Block, Plot, Section, Table, Text
-from seft_ros.page.plots import band, level, line, mark, path, plot, time_range
-from seft_ros.report.numbers import Findings
+from seft_ros.report.report_numbers import Findings
 
-Floats = npt.NDArray[np.floating[Any]]
+Floats = npt.NDArray[np.float64]
 
 COHERENT = 0.9
 """Coherence below which amplitude and delay mean little, and are not drawn."""
 WINDOW = 1.0
 """Length of a zoom window, s."""
 
-_FEW = 4  # natural frequencies that are told
+_FEW = 4  # natural frequencies that are listed
 _MODEL = (
-    "The exact response is that of the linear model that reference_force was told: how the "
-    "specimen differs from it is in these numbers, too."
+    "The reference response is that of the linear model in the parameters of reference_force: "
+    "these numbers include how the specimen differs from it."
 )
 _SENT = (
-    "The force that was meant is the reference force of the same step, so even an ideal actuator "
-    "is one period late."
+    "The intended force is the reference force of the same step, so even an ideal actuator is one "
+    "period late."
 )
 _DERIVED = (
-    "The compensation method sends the reference force ahead of time, so the force that was meant "
-    "is derived from what was measured: -M_e a_g + S r, with r = f - M_e a the specimen's "
-    "restoring force."
+    "The compensation method sends the reference force ahead of time, so the intended force is "
+    "derived from measurements: -M_e a_g + S r, with r = f - M_e a the specimen's restoring force."
 )
 _TESTED = (
-    "What was measured is the exact test for one ground motion: that which, with the measured "
-    "force and acceleration, satisfies the whole structure's equation of motion. No model of the "
-    "specimen and no exact response is needed for it. A test is as right as that motion is the one "
-    "asked for. What the sensors themselves get wrong is not seen."
+    "The measured test is the exact one for one ground motion: that which, with the measured force "
+    "and acceleration, satisfies the whole structure's equation of motion. This needs no model of "
+    "the specimen and no reference response. A test is as right as that motion is the one asked "
+    "for. Errors of the sensors themselves are not seen."
 )
 _TRACKING = (
     Number("delay (J1)", "J.J1", "ms"),
@@ -67,10 +65,35 @@ _TRACKING = (
     Number("tracking indicator at the end", "tracking_indicator_end"),
     Number("energy error over the input", "energy_error", form=percent),
 )
+_STRUCTURE = "equivalent_motion.structure"
+_GROUND_MOTION = (
+    Number(
+        "response of the linear whole structure differs by",
+        "equivalent_motion.response_nrmse",
+        form=percent,
+    ),
+    Number(
+        "worst of structures of other stiffness",
+        "equivalent_motion.worst_response_nrmse",
+        form=percent,
+        at="equivalent_motion.worst_frequency_hz",
+    ),
+    Number(
+        "their stiffness, over that of the specimen's model",
+        f"{_STRUCTURE}.stiffness_factors",
+        form=lambda factors: "{:.2g} to {:.2g}".format(*factors),
+    ),
+    Number(
+        "largest deviation of the spectrum in their band",
+        "equivalent_motion.spectrum_deviation",
+        form=percent,
+        at="equivalent_motion.spectrum_deviation_frequency_hz",
+    ),
+)
 _TARGET = (
-    Number("displacement off its target, over its RMS", "nrmse", form=percent),
-    Number("RMS of that", "rms", "mm", 1e3),
-    Number("at most", "peak", "mm", 1e3),
+    Number("displacement off its target, over its RMS", "tracking_error.nrmse", form=percent),
+    Number("RMS of that", "tracking_error.rms", "mm", 1e3),
+    Number("at most", "tracking_error.peak", "mm", 1e3),
 )
 
 
@@ -78,33 +101,45 @@ def agreement_section(findings: Findings) -> Section:
     """Table of peaks, errors and delays."""
     summary = findings.summary
     several = len(summary["axes"]) > 1
-    rows = []
-    for axis, part in summary["axes"].items():
-        rows += agreement_rows(part, f"{axis} " if several else "", ".4g")
-    headings = ("", "peak", "exact peak", "NRMSE", "aligned", "delay")
-    blocks: list[Block] = [Table(headings, rows)]
-    if summary["reference_specimen"] == "model":
-        blocks.insert(0, Text(_MODEL))
-    return Section("Agreement with the exact response", blocks)
+    rows = [
+        row
+        for axis, part in summary["axes"].items()
+        for row in agreement_rows(part, f"{axis} " if several else "")
+    ]
+    note = [Text(_MODEL)] if summary["reference_specimen"] == "model" else []
+    headings = ["", *(column.label for column in AGREEMENT)]
+    return Section("Agreement with the reference response", [*note, Table(headings, rows)])
 
 
 def ground_motion_section(findings: Findings) -> Section:
     """Numbers of a test's own ground motion, and its response spectrum for each axis."""
-    title, difference = "The ground motion that was tested", findings.difference
+    title, difference = "The tested ground motion", findings.difference
     if difference is None:
         text = "Not known: the record lacks samples, ground motion, or the structure's description."
         return Section(title, [Text(text)])
-    blocks: list[Block] = [Text(_TESTED), _ground_motion_table(findings.summary)]
+    summary = findings.summary
+    structure = summary["equivalent_motion"]["structure"]
+    modes = [
+        f"{hz:.3g} Hz ({percent(ratio)} damping)"
+        for hz, ratio in zip(structure["frequency_hz"], structure["damping_ratio"], strict=True)
+    ]
+    more = ["..."] if len(modes) > _FEW else []
+    rows = rows_of(_GROUND_MOTION, summary)
+    rows.insert(1, ["its natural frequencies", ", ".join(modes[:_FEW] + more)])
+    if summary["tracking_error"] is not None:
+        rows += rows_of(_TARGET, summary)
+    blocks: list[Block] = [Text(_TESTED), Table((), rows)]
     axes = findings.record.experiment.axes
     for column, axis in enumerate(axes):
         panel = plot("frequency / Hz", "pseudo-acceleration / (m/s²)", log_x=True, log_y=True)
-        frequency = difference.frequency_hz
-        asked, tested = (spectra[:, column] for spectra in (difference.asked, difference.tested))
-        line(panel, frequency, asked, "asked for", color=REFERENCE, width=3.0)
-        line(panel, frequency, tested, "tested", color=FIRST)
+        curves = [
+            (difference.frequency_hz, spectra[:, column])
+            for spectra in (difference.asked, difference.tested)
+        ]
+        against(panel, *curves, ("asked for", "tested"))
         band(panel, *difference.band_hz, color=REFERENCE)
         for natural in difference.natural_hz:
-            mark(panel, natural, color=MARK)
+            mark(panel, natural)
         caption = (
             f"Response spectrum (5 % damping){f' of {axis}' if len(axes) > 1 else ''}. Dashed: "
             f"natural frequencies of the whole structure. Shaded: from 1/{MARGIN:g} of the "
@@ -115,55 +150,36 @@ def ground_motion_section(findings: Findings) -> Section:
     return Section(title, blocks)
 
 
-def _ground_motion_table(summary: dict[str, Any]) -> Table:
-    numbers, tracking = summary["equivalent_motion"], summary["tracking_error"]
-    structure = numbers["structure"]
-    frequencies, (low, high) = structure["frequency_hz"], structure["stiffness_factors"]
-    few = zip(frequencies[:_FEW], structure["damping_ratio"], strict=False)
-    modes = ", ".join(f"{hz:.3g} Hz ({percent(ratio)} damping)" for hz, ratio in few)
-    worst, deviation = (
-        f"{percent(numbers[value])}, at {number(numbers[hz], unit='Hz')}"
-        for value, hz in (
-            ("worst_response_nrmse", "worst_frequency_hz"),
-            ("spectrum_deviation", "spectrum_deviation_frequency_hz"),
-        )
-    )
-    rows = [
-        ["response of the linear whole structure differs by", percent(numbers["response_nrmse"])],
-        ["its natural frequencies", modes + ", ..." * (len(frequencies) > _FEW)],
-        [f"worst of structures with {low:.2g} to {high:.2g} times the specimen's stiffness", worst],
-        ["largest deviation of the spectrum in their band", deviation],
-    ]
-    return Table((), rows + (rows_of(_TARGET, tracking) if tracking is not None else []))
-
-
 def history_sections(findings: Findings, column: int, title: str) -> Iterator[Section]:
     """One section for each quantity of an axis: the whole test, and windows at peaks."""
-    states = findings.record.series[RIG_STATE.name]
+    record = findings.record
+    states, dt = record.series[RIG_STATE.name], record.experiment.timebase.dt
     if not len(states.steps):
         return
-    dt = findings.record.experiment.timebase.dt
     time = states.steps * dt
-    shared = time_range(np.array([0.0, time[-1]]))
+    shared = time_range([0.0, time[-1]])
     for name in RESPONSES:
         _, scale = DISPLAY_UNITS[name]
-        y = states.values[:, COMPARED[name], column] * scale
-        exact = None
+        y, exact = states.values[:, COMPARED[name], column] * scale, None
         if findings.reference is not None:
             exact = getattr(findings.reference, name)[:, column] * scale
-        whole = plot("time / s", axis_label(name), x_range=shared)
-        _draw_history(whole, time, y, exact, dt)
-        if findings.record.trip is not None:
-            mark(whole, findings.record.trip.time_s)
-        blocks = [Plot(whole, "Whole test; the three quantities zoom together.", wide=True)]
+        windows = [(shared, "Whole test; the three quantities zoom together.")]
         for step, caption in _places(y, exact, states.steps, dt):
-            low, high = step * dt - WINDOW / 2, step * dt + WINDOW / 2
-            panel = plot("time / s", axis_label(name), x_range=Range1d(low, high))
-            inside = slice(*np.searchsorted(time, (low, high)))
-            first, last = max(0, int(np.floor(low / dt))), int(np.ceil(high / dt)) + 1
-            part = None if exact is None else exact[first:last]
-            _draw_history(panel, time[inside], y[inside], part, dt, first)
-            blocks.append(Plot(panel, caption))
+            middle = step * dt
+            windows.append((Range1d(middle - WINDOW / 2, middle + WINDOW / 2), caption))
+        blocks = []
+        for x_range, caption in windows:
+            panel = plot("time / s", axis_label(name), x_range=x_range)
+            begin, end = x_range.start, x_range.end
+            inside = slice(np.searchsorted(time, begin), np.searchsorted(time, end, side="right"))
+            reference = None
+            if exact is not None:
+                first, last = max(0, int(begin / dt)), min(len(exact), math.ceil(end / dt) + 1)
+                reference = np.arange(first, last) * dt, exact[first:last]
+            against(panel, reference, (time[inside], y[inside]))
+            if x_range is shared and record.trip is not None:
+                mark(panel, record.trip.time_s)
+            blocks.append(Plot(panel, caption, wide=x_range is shared))
         yield Section(f"{name.capitalize()}{title}", blocks)
 
 
@@ -177,25 +193,15 @@ def _places(
     error = np.nan_to_num(np.abs(y - exact[steps]))
     error[np.abs(steps - peak) < WINDOW / 2 / dt] = 0.0
     return [
-        (peak, "At the peak of the exact response."),
-        (int(steps[error.argmax()]), "Where else the test is most wrong."),
+        (peak, "At the peak of the reference response."),
+        (int(steps[error.argmax()]), "At the largest error elsewhere."),
     ]
 
 
-def _draw_history(
-    panel: Any, time: Floats, y: Floats, exact: Floats | None, dt: float, first: int = 0
-) -> None:
-    if exact is not None:
-        at = (first + np.arange(len(exact))) * dt
-        line(panel, at, exact, "exact response", color=REFERENCE, width=3.0)
-    line(panel, time, y, "test", color=FIRST)
-
-
-def tracking_section(findings: Findings, column: int, title: str) -> Section:
+def tracking_section(findings: Findings, signals: Tracked, column: int, title: str) -> Section:
     """Tracking of an axis: numbers, time history, synchronisation plot, delay by frequency."""
-    record = findings.record
-    signals, dt = tracked_of(record), record.experiment.timebase.dt
-    row = findings.summary["tracking"][record.experiment.axes[column]]
+    experiment = findings.record.experiment
+    row = findings.summary["tracking"][experiment.axes[column]]
     of_structure = [
         Number(f"{name}, of the structure", f"J.{name}", "%")
         for name in row["J"]
@@ -204,7 +210,7 @@ def tracking_section(findings: Findings, column: int, title: str) -> Section:
     table = Table((), rows_of((*_TRACKING, *of_structure), row))
     blocks: list[Block] = [Text(_DERIVED if signals.derived else _SENT), table]
     if len(signals.steps) > 1:
-        blocks += _tracking_plots(signals, column, dt)
+        blocks += _tracking_plots(signals, column, experiment.timebase.dt)
     return Section(f"Force tracking{title}", blocks)
 
 
@@ -212,14 +218,13 @@ def _tracking_plots(signals: Tracked, column: int, dt: float) -> Iterator[Block]
     command, force = signals.command[:, column], signals.force[:, column]
     panel = plot("time / s", "force / N")
     time = signals.steps * dt
-    line(panel, time, command, "force that was meant", color=REFERENCE, width=3.0)
-    line(panel, time, force, "measured force", color=FIRST)
-    yield Plot(panel, "What was meant, and what the load cell measured.")
+    against(panel, (time, command), (time, force), ("intended force", "measured force"))
+    yield Plot(panel, "The intended force, and the force that the load cell measured.")
 
-    panel = plot("force that was meant / N", "measured force / N", height=380)
+    panel = plot("intended force / N", "measured force / N", height=380)
     ends = np.array([command.min(), command.max()])
-    line(panel, ends, ends, "", color=REFERENCE, width=2.0)
-    path(panel, command, force, "test", color=FIRST)
+    line(panel, ends, ends, color=REFERENCE, width=2.0)
+    against(panel, None, (command, force), loop=True)
     caption = (
         "Synchronisation: on the diagonal the force is right; a loop that opens is delay, a slope "
         "off the diagonal is amplitude."
@@ -229,23 +234,23 @@ def _tracking_plots(signals: Tracked, column: int, dt: float) -> Iterator[Block]
     found = delay_by_frequency(command, force, dt)
     means = np.nan_to_num(found.coherence) >= COHERENT
     if not means.any():
-        yield Text("No frequency at which the force that was meant explains the measured force.")
+        yield Text("No frequency at which the intended force explains the measured force.")
         return
     delay = plot("frequency / Hz", "delay / ms", log_x=True)
     amplitude = plot("frequency / Hz", "amplitude", log_x=True, x_range=delay.x_range)
     note = f"by frequency, where the coherence is {COHERENT:g} or more."
     for panel, y, label, right, caption in (
         (delay, found.delay_s * 1e3, "delay", 0.0, "Delay of the measured force"),
-        (amplitude, found.amplitude, "amplitude", 1.0, "Measured over meant force"),
+        (amplitude, found.amplitude, "amplitude", 1.0, "Measured over intended force"),
     ):
-        line(panel, found.frequency_hz, np.where(means, y, np.nan), label, color=FIRST)
+        line(panel, found.frequency_hz, np.where(means, y, np.nan), label)
         level(panel, right)
         yield Plot(panel, f"{caption} {note}")
 
 
 def hysteresis_section(findings: Findings, column: int, title: str) -> Section:
-    """Restoring force over displacement of an axis, test and exact."""
-    states = findings.record.series[RIG_STATE.name]
+    """Restoring force over displacement of an axis, test and reference."""
+    states, exact = findings.record.series[RIG_STATE.name], findings.reference
     heading = f"Hysteresis{title}"
     try:
         mass = tested_specimen(findings.record.experiment).mass
@@ -253,26 +258,26 @@ def hysteresis_section(findings: Findings, column: int, title: str) -> Section:
         return Section(heading, [Text("The specimen's mass is not known.")])
     if not len(states.steps):
         return Section(heading, [Text("There are no samples.")])
+
+    def loop(x: Floats, a: Floats, f: Floats) -> tuple[Floats, Floats]:
+        return x[:, column] * 1e3, (f - a @ mass.T)[:, column]
+
     panel = plot("displacement / mm", "restoring force / N", height=380)
-    exact = findings.reference
-    if exact is not None:
-        force = (exact.force - exact.acceleration @ mass.T)[:, column]
-        displacement = exact.displacement[:, column]
-        path(panel, displacement * 1e3, force, "exact response", color=REFERENCE, width=3.0)
     x, _, a, f = np.moveaxis(states.values, 1, 0)
-    path(panel, x[:, column] * 1e3, (f - a @ mass.T)[:, column], "test", color=FIRST)
+    reference = exact and loop(exact.displacement, exact.acceleration, exact.force)
+    against(panel, reference, loop(x, a, f), loop=True)
     caption = "Restoring force f - m a: its width is what damping and yielding dissipate."
     return Section(heading, [Plot(panel, caption, wide=True)])
 
 
 def spectra_section(findings: Findings, column: int, title: str) -> Section:
-    """Amplitude spectral densities of an axis, test against exact response."""
+    """Amplitude spectral densities of an axis, test against reference response."""
+    limits = findings.summary["instability_band_hz"]
     note = f"Band where instability would start: {findings.band_note}."
-    if findings.band is not None:
-        low, high = findings.band
+    if limits is not None:
         note = (
-            f"Shaded: where instability would start, {low:.3g} to {high:.3g} Hz. Vibration beyond "
-            "the exact response there grows first when a test loses its margins."
+            "Shaded: where instability would start, {:.3g} to {:.3g} Hz. Vibration beyond the "
+            "reference response there grows first when a test loses its margins.".format(*limits)
         )
     blocks: list[Block] = []
     for name, by_axis in findings.spectra.items():
@@ -281,29 +286,26 @@ def spectra_section(findings: Findings, column: int, title: str) -> Section:
             continue
         unit, scale = DISPLAY_UNITS[name]
         panel = plot("frequency / Hz", f"{name} / ({unit}/√Hz)", log_x=True, log_y=True)
-        if findings.band is not None:
-            band(panel, *findings.band)
-        if exact is not None:
-            x, y = exact.frequency_hz[1:], exact.amplitude[1:] * scale
-            line(panel, x, y, "exact response", color=REFERENCE, width=3.0)
-        line(panel, test.frequency_hz[1:], test.amplitude[1:] * scale, "test", color=FIRST)
+        if limits is not None:
+            band(panel, *limits)
+        reference, own = (
+            part and (part.frequency_hz[1:], part.amplitude[1:] * scale) for part in (exact, test)
+        )
+        against(panel, reference, own)
         blocks.append(Plot(panel, f"Amplitude spectral density of the {name}. {note}"))
     return Section(f"Spectra{title}", blocks or [Text("The record is too short for spectra.")])
 
 
-def energy_section(findings: Findings) -> Section:
+def energy_section(findings: Findings, signals: Tracked) -> Section:
     """Energy balance of the specimen, and what the actuators' force error adds to it."""
-    record = findings.record
-    signals, dt, axes = tracked_of(record), record.experiment.timebase.dt, record.experiment.axes
-    blocks: list[Block] = []
+    experiment, blocks = findings.record.experiment, list[Block]()
+    dt, axes = experiment.timebase.dt, experiment.axes
     if findings.energies:
         panel = plot("time / s", "energy / J")
         for (name, (steps, energy)), color in zip(findings.energies.items(), OTHERS, strict=False):
             line(panel, steps * dt, energy, name, color=color)
         closure = findings.summary["energy"]["closure"]
-        left = (
-            "" if closure is None else f" At most {closure:.2%} of the input is left unexplained."
-        )
+        left = "" if closure is None else f" At most {closure:.2%} of the input is unexplained."
         blocks.append(Plot(panel, f"Work of the actuators' force, and where it went.{left}"))
     else:
         text = "No energy balance: the specimen is not known, or samples are missing."
@@ -316,7 +318,7 @@ def energy_section(findings: Findings) -> Section:
             line(panel, signals.steps * dt, y, label, color=color)
         level(panel, 0.0)
         caption = (
-            "Work of measured less meant force: where it grows, the force loop's error adds "
+            "Work of measured less intended force: where it grows, the force loop's error adds "
             "energy (as damping taken away); where it falls, it takes energy out."
         )
         blocks.append(Plot(panel, caption))

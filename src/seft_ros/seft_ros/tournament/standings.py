@@ -1,19 +1,27 @@
-"""How the methods of a tournament came off, best first."""
+"""How the methods of a tournament did, best first: ranking, tables, JSON values."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from statistics import median
+from typing import Any
 
-from seft_ros.tournament.entries import Tournament
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+from rich.text import Text
+
+from seft_ros.drawing.tables import GOOD_ERROR, Number, json_safe, make_table, percent
+from seft_ros.tournament.entries import UNCERTAINTY, Tournament
 from seft_ros.tournament.runs import Run
+
+RANKING = "ranked by share unstable, then worst NRMSE of the displacement"
 
 
 @dataclass(frozen=True)
 class Standing:
     """One method at one mass ratio, over all rigs.
 
-    Errors are those of the displacement, without any shift; they leave unstable tests out.
+    Errors are those of the displacement, without any shift, of the stable tests.
 
     Attributes
     ----------
@@ -54,12 +62,24 @@ class Standing:
     not_possible: str | None = None
 
 
+_COLUMNS = (
+    Number("", "rank", form=str),
+    Number("method", "method"),
+    Number("NRMSE\nmedian", "nrmse_median", form=percent),
+    Number("\nworst", "nrmse_worst", form=percent),
+    Number("peak\nerror", "peak_error", form=lambda value: percent(value, "+")),
+    Number("delay", "delay_s", "ms", 1e3, ".1f"),
+    Number("unstable", "unstable_share", "%", 100.0, ".3g"),
+    Number("cost", "cost_s", "µs", 1e6, ".2g"),
+)
+
+
 def standings(
     tournament: Tournament, runs: Sequence[Run], costs: Mapping[tuple[float, str], float]
 ) -> list[Standing]:
     """Rank the methods of each mass ratio by their worst case.
 
-    The fewer tests of a method went unstable the better; of those with as many, the smaller
+    The fewer tests of a method were unstable the better; of those with as many, the smaller
     largest error is better, or, where some were unstable, the smaller median. Methods that are
     not possible come last.
 
@@ -81,27 +101,26 @@ def standings(
                 left_out.append(Standing(ratio, method, not_possible=reason))
                 continue
             own = [run for run in runs if run.entry[::2] == (ratio, method)]
-            ranked.append(_standing(ratio, method, own, costs.get((ratio, method))))
+            ranked.append(_standing(own, costs.get((ratio, method))))
         ranked.sort(key=_badness)
-        badness = [_badness(standing) for standing in ranked]
-        found += [
-            replace(standing, rank=1 + badness.index(bad))
-            for standing, bad in zip(ranked, badness, strict=True)
-        ]
+        badness = [_badness(row) for row in ranked]
+        found += [replace(row, rank=1 + badness.index(_badness(row))) for row in ranked]
         found += left_out
     return found
 
 
-def _standing(ratio: float, method: str, runs: Sequence[Run], cost: float | None) -> Standing:
+def _standing(runs: Sequence[Run], cost: float | None) -> Standing:
+    """Sum the tests of one method at one mass ratio up."""
     stable = [run.summary["displacement"] for run in runs if run.stable]
-    errors = _known(part["nrmse"] for part in stable)
-    delays = _known(part["delay_s"] for part in stable)
+    errors, delays = (
+        [part[key] for part in stable if part[key] is not None] for key in ("nrmse", "delay_s")
+    )
     peaks = [
         part["peak"] / part["reference_peak"] - 1.0 for part in stable if part["reference_peak"]
     ]
     return Standing(
-        mass_ratio=ratio,
-        method=method,
+        mass_ratio=runs[0].entry.mass_ratio,
+        method=runs[0].entry.method,
         nrmse_configured=next((run.nrmse for run in runs if run.entry.rig == 0), None),
         nrmse_median=median(errors) if errors else None,
         nrmse_worst=max(errors) if len(errors) == len(runs) else None,
@@ -112,13 +131,71 @@ def _standing(ratio: float, method: str, runs: Sequence[Run], cost: float | None
     )
 
 
-def _badness(standing: Standing) -> tuple[float, float, float]:
-    share, worst, middle = (
-        math.inf if value is None else value
-        for value in (standing.unstable_share, standing.nrmse_worst, standing.nrmse_median)
+def _badness(standing: Standing) -> list[float]:
+    values = (standing.unstable_share, standing.nrmse_worst, standing.nrmse_median)
+    return [math.inf if value is None else value for value in values]
+
+
+def standings_table(standings: Sequence[Standing], title: str) -> Table:
+    """Tabulate the methods at one mass ratio, best first; green: right on every rig."""
+    table = make_table(
+        [column.label for column in _COLUMNS],
+        (),
+        left=(0, 1),
+        title=Text(title),
+        caption=Text(RANKING),
+        box=SIMPLE_HEAD,  # 80 columns are enough
+        show_edge=False,
+        padding=(0, 1, 0, 0),
     )
-    return share, worst, middle
+    for standing in standings:
+        if standing.not_possible is None:
+            row, worst = asdict(standing), standing.nrmse_worst
+            style = "green" if worst is not None and worst <= GOOD_ERROR else "yellow"
+            if standing.unstable_share:
+                style, row["nrmse_worst"] = "red", "unstable"
+            table.add_row(*(column.text(row) for column in _COLUMNS), style=style)
+    return table
 
 
-def _known(values: Iterable[float | None]) -> list[float]:
-    return [value for value in values if value is not None]
+def notes(standings: Sequence[Standing], runs: Sequence[Run]) -> list[str]:
+    """Say why methods are not possible, and which ran on the uncompiled blocks and why."""
+    said = {
+        f"{row.method}: not possible: {row.not_possible}": None
+        for row in standings
+        if row.not_possible is not None
+    }
+    methods: dict[str, dict[str, None]] = {}
+    for run in runs:
+        if run.obstacle:
+            methods.setdefault(run.obstacle, {})[run.entry.method] = None
+    plain = [f"{', '.join(names)}: on the plain blocks: {why}" for why, names in methods.items()]
+    return [*said, *plain]
+
+
+def summarise_tournament(
+    tournament: Tournament, runs: Sequence[Run], standings: Sequence[Standing]
+) -> dict[str, Any]:
+    """Summarise a tournament: ``seft tournament --json``.
+
+    Returns
+    -------
+    dict
+        ``rigs`` (by number: seed of the noise, and each parameter that is uncertain),
+        ``standings`` (as `Standing`, best first within a mass ratio) and ``runs`` (mass_ratio,
+        rig, method, engine, obstacle, and the test's summary of `Run`).
+    """
+    found: dict[str, Any] = json_safe(
+        {
+            "rigs": [
+                {"rig": number, "seed": rig["seed"], **{name: rig[name] for name in UNCERTAINTY}}
+                for number, rig in enumerate(tournament.rigs)
+            ],
+            "standings": [asdict(standing) for standing in standings],
+            "runs": [
+                run.entry._asdict() | {"engine": run.engine, "obstacle": run.obstacle} | run.summary
+                for run in runs
+            ],
+        }
+    )
+    return found

@@ -1,4 +1,4 @@
-"""Zoomable figures in one style; what is too long to be seen is thinned before it is drawn."""
+"""The one style of a page's zoomable figures; long signals are thinned before they are drawn."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -8,12 +8,13 @@ import numpy.typing as npt
 from bokeh.models import BoxAnnotation, HoverTool, NumeralTickFormatter, Range1d, Span
 from bokeh.plotting import figure
 
-from seft_ros.drawing.style import FIRST, GRID, MARK, MOST_POINTS, TEXT, thinned
+from seft_ros.drawing.style import FIRST, GRID, MARK, MOST_POINTS, REFERENCE, TEXT, thinned
 
 Floats = npt.NDArray[np.floating[Any]]
 
 _HEIGHT = 260  # pixels
 _TOOLS = "box_zoom,xwheel_zoom,pan,reset,save"
+_FAINT = "#aab1b8"
 
 
 def plot(
@@ -27,7 +28,7 @@ def plot(
 ) -> figure:
     """Make an empty figure, as wide as the page gives it room and so many pixels high.
 
-    Labels are with unit: ``time / s``. Figures with the same ``x_range`` zoom together.
+    Labels have units: ``time / s``. Figures with the same ``x_range`` zoom together.
     """
     shared = {} if x_range is None else {"x_range": x_range}
     found = figure(
@@ -50,7 +51,7 @@ def plot(
     for axis in found.axis:
         axis.axis_label_text_font_style = "normal"
         axis.axis_label_text_color = axis.major_label_text_color = TEXT
-        axis.axis_line_color = axis.major_tick_line_color = axis.minor_tick_line_color = "#aab1b8"
+        axis.axis_line_color = axis.major_tick_line_color = axis.minor_tick_line_color = _FAINT
     if log_x:
         found.xaxis.formatter = NumeralTickFormatter(format="0.[000]")
     return found
@@ -60,17 +61,21 @@ def line(
     panel: figure,
     x: Floats,
     y: Floats,
-    label: str,
+    label: str = "",
     *,
     color: str = FIRST,
     width: float = 1.3,
     dash: str = "solid",
+    loop: bool = False,
 ) -> None:
-    """Draw a line over increasing x, thinned to `MOST_POINTS`; what is not finite is a gap.
+    """Draw a line, thinned to `MOST_POINTS`; values that are not finite are a gap.
 
-    The label stands in the legend and under the pointer; empty: in neither.
+    The label is in the legend and under the pointer; empty: in neither. A line is over increasing
+    x; a ``loop``, such as a hysteresis, is one of which neither coordinate increases.
     """
     at = thinned(y)
+    if loop:
+        at = np.arange(0, len(x), max(1, -(-len(x) // (2 * MOST_POINTS))))
     renderer = panel.line(
         np.asarray(x)[at].astype(np.float32),
         np.where(np.isfinite(y[at]), y[at], np.nan).astype(np.float32),
@@ -79,33 +84,32 @@ def line(
         line_dash=dash,
         **({"legend_label": label} if label else {}),
     )
-    if label:
+    if label and not loop:
         tips = [(label, "@y{0.0000a}"), (str(panel.xaxis.axis_label), "@x{0.000}")]
         panel.add_tools(HoverTool(renderers=[renderer], tooltips=tips, visible=False))
-        _place_legend(panel)
-
-
-def path(
-    panel: figure, x: Floats, y: Floats, label: str, *, color: str = FIRST, width: float = 0.9
-) -> None:
-    """Draw a curve of which neither coordinate increases, such as a hysteresis."""
-    step = max(1, -(-len(x) // (2 * MOST_POINTS)))
-    panel.line(
-        x[::step].astype(np.float32),
-        y[::step].astype(np.float32),
-        color=color,
-        line_width=width,
-        **({"legend_label": label} if label else {}),
-    )
     if label:
         _place_legend(panel)
 
 
-def bars(panel: figure, edges: Floats, counts: Floats, *, color: str = FIRST) -> None:
+def against(
+    panel: figure,
+    exact: tuple[Floats, Floats] | None,
+    test: tuple[Floats, Floats],
+    labels: tuple[str, str] = ("exact response", "test"),
+    *,
+    loop: bool = False,
+) -> None:
+    """Draw a test, (x, y), over its reference, if there is one."""
+    if exact is not None:
+        line(panel, *exact, labels[0], color=REFERENCE, width=3.0, loop=loop)
+    line(panel, *test, labels[1], width=0.9 if loop else 1.3, loop=loop)
+
+
+def bars(panel: figure, edges: Floats, counts: Floats) -> None:
     """Draw a histogram: counts, shape (B,), between edges, shape (B + 1,)."""
     low = 0.5 if "Log" in type(panel.y_scale).__name__ else 0.0
     renderer = panel.quad(
-        left=edges[:-1], right=edges[1:], bottom=low, top=counts, color=color, line_color="white"
+        left=edges[:-1], right=edges[1:], bottom=low, top=counts, color=FIRST, line_color="white"
     )
     tips = [("from", "@left{0.000}"), ("to", "@right{0.000}"), ("count", "@top{0}")]
     panel.add_tools(HoverTool(renderers=[renderer], tooltips=tips, visible=False))
@@ -117,14 +121,14 @@ def band(panel: figure, low: float, high: float, color: str = MARK) -> None:
     panel.add_layout(BoxAnnotation(left=low, right=high, **shade))
 
 
-def mark(panel: figure, x: float, *, color: str = MARK) -> None:
+def mark(panel: figure, x: float) -> None:
     """Draw a vertical dashed line."""
-    panel.add_layout(Span(location=x, dimension="height", line_color=color, line_dash="dashed"))
+    panel.add_layout(Span(location=x, dimension="height", line_color=MARK, line_dash="dashed"))
 
 
-def level(panel: figure, y: float, *, color: str = "#aab1b8") -> None:
-    """Draw a horizontal line."""
-    panel.add_layout(Span(location=y, dimension="width", line_color=color, line_dash="dashed"))
+def level(panel: figure, y: float) -> None:
+    """Draw a horizontal dashed line."""
+    panel.add_layout(Span(location=y, dimension="width", line_color=_FAINT, line_dash="dashed"))
 
 
 def time_range(times: Sequence[float] | Floats) -> Range1d:

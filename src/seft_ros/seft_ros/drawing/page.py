@@ -1,9 +1,8 @@
-"""What stands on a page, and its file: HTML that needs nothing else. Its look is in templates."""
+"""A page of text, tables and figures in one HTML file; its look is in the templates."""
 
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 from pathlib import Path
 
 from bokeh.embed import components
@@ -13,17 +12,9 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from seft_msgs_py.errors import InputError
 
 from seft_ros.drawing.style import check_folder
+from seft_ros.drawing.tables import Mark
 
 SUFFIX = ".html"
-
-
-class Mark(StrEnum):
-    """How good something is; the value is its class in the style sheet."""
-
-    GOOD = "good"
-    DOUBT = "doubt"
-    BAD = "bad"
-    NONE = "none"
 
 
 @dataclass(frozen=True)
@@ -44,7 +35,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Verdict:
-    """The line that counts, in the colour of its mark; below it, what it rests on."""
+    """The verdict in one line, in the colour of its mark; below it, the findings behind it."""
 
     mark: Mark
     text: str
@@ -54,7 +45,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows under headings; columns after the first stand to the right where ``numbers``.
+    """Rows under headings; columns after the first are aligned to the right where ``numbers``.
 
     Without headings it is a list of names and values. A wide one has the page's whole width.
     """
@@ -72,9 +63,9 @@ class Table:
 
 @dataclass(frozen=True)
 class Plot:
-    """A zoomable figure of `seft_ros.page.plots`, and in one or two sentences what to look for.
+    """A figure of `seft_ros.drawing.plots`, and in one or two sentences what to look for.
 
-    A wide one has the page's whole width; else two stand side by side where there is room.
+    A wide one has the page's whole width; otherwise two are side by side where there is room.
     """
 
     figure: Model
@@ -85,7 +76,7 @@ class Plot:
 
 @dataclass(frozen=True)
 class Grid:
-    """Plots side by side, 2 to 4 in a row, where there is room; else one below the other."""
+    """Plots side by side, 2 to 4 in a row, where there is room; otherwise one below the other."""
 
     plots: Sequence[Plot]
     columns: int = 3
@@ -97,7 +88,7 @@ Block = Text | Verdict | Table | Plot | Grid
 
 @dataclass(frozen=True)
 class Section:
-    """A heading and what stands under it."""
+    """A heading and the blocks under it."""
 
     title: str
     blocks: Sequence[Block] = field(default_factory=tuple)
@@ -106,18 +97,20 @@ class Section:
 def write_page(path: Path, title: str, subtitle: str, sections: Sequence[Section]) -> None:
     """Write a page; figures, the library that draws them, and styles are inside the file.
 
-    An InputError says why it can't be.
+    An InputError says why it can't be written.
     """
-    figures = {
-        name: plot.figure
-        for place, section in enumerate(sections)
-        for index, block in enumerate(section.blocks)
-        for name, plot in _plots(f"{place}-{index}", block)
-    }
+    figures = {}  # by the name under which the template looks for them
+    for place, section in enumerate(sections):
+        for index, block in enumerate(section.blocks):
+            if isinstance(block, Plot):
+                figures[f"{place}-{index}"] = block.figure
+            elif isinstance(block, Grid):
+                own = {f"{place}-{index}-{n}": p.figure for n, p in enumerate(block.plots)}
+                figures.update(own)
     script, places = components(figures) if figures else ("", {})
     library = Resources(mode="inline", components=["bokeh"]).render_js() if figures else ""
     environment = Environment(
-        loader=PackageLoader("seft_ros.page", "templates"),
+        loader=PackageLoader("seft_ros.drawing", "templates"),
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -138,17 +131,10 @@ def write_page(path: Path, title: str, subtitle: str, sections: Sequence[Section
         raise InputError(f"{path}: the page can't be written ({error.strerror})") from None
 
 
-def _plots(name: str, block: Block) -> list[tuple[str, Plot]]:
-    """Name the plots of a block, as the template looks for them."""
-    if isinstance(block, Grid):
-        return [(f"{name}-{index}", plot) for index, plot in enumerate(block.plots)]
-    return [(name, block)] if isinstance(block, Plot) else []
-
-
 def check_page(path: Path) -> Path:
-    """Complete the name of a page's file, before the work is done that it is to show.
+    """Complete the name of a page's file, before the work is done that it shows.
 
-    An InputError says that there is no such folder, or that it names another kind of file.
+    An InputError says that there is no such folder, or that the suffix is of another kind of file.
     """
     path = path if path.suffix else path.with_suffix(SUFFIX)
     if path.suffix.lower() not in (SUFFIX, ".htm"):
