@@ -10,7 +10,7 @@ from seft_ros.experiment.blocks import build_blocks
 from seft_ros.experiment.offline import simulate
 from seft_ros.experiment.tables import TABLES
 from seft_ros.force_controller.methods import force_control
-from seft_ros.paper.experiments import default_config
+from seft_ros.paper.paper_tests import default_config
 from seft_ros.recording.bag_reader import read_bag
 from seft_ros.recording.record import Series
 from seft_ros.recording.record_bag import write_record

@@ -60,11 +60,10 @@ def paper(
         seft paper --json -p rig:actuator.valve_frequency:=50.0
     """
     from seft_ros.drawing.page import check_page
-    from seft_ros.paper.claim import judge
-    from seft_ros.paper.claims_table import claims_table, summarise_paper
-    from seft_ros.paper.experiments import check_rig, default_config
+    from seft_ros.paper.claims import claims_table, judge_claims, summarise_paper
     from seft_ros.paper.findings import CALCULATIONS, find
-    from seft_ros.paper.page import write_paper
+    from seft_ros.paper.paper_page import write_paper
+    from seft_ros.paper.paper_tests import check_rig, default_config
     from seft_ros.tournament.workers import free_cores
 
     path = check_page(out)
@@ -74,7 +73,7 @@ def paper(
     check_rig(experiment)
     with step_progress(CALCULATIONS, "there is no page") as tell:
         found = find(experiment, workers or free_cores(), tell)
-    claims = judge(found)
+    claims = judge_claims(found)
     name = "the paper's rig" if config is None else str(config)
     write_paper(found, claims, name, path)
     summary = summarise_paper(found, claims, path)
@@ -87,7 +86,7 @@ def paper(
 def _with_motion(experiment: Experiment, file: Path | None, given: dict[str, Any]) -> Experiment:
     """Put the record of the command line in the place of the experiment's own."""
     from seft_ros.ground_motion.parameters import TABLE
-    from seft_ros.paper.experiments import changed
+    from seft_ros.paper.paper_tests import changed
 
     words = {name: value for name, value in given.items() if value is not None}
     if file is None:
