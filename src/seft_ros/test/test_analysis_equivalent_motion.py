@@ -17,14 +17,14 @@ from seft_ros.analysis.equivalent_motion import (
 )
 from seft_ros.analysis.judgement import verdict
 from seft_ros.analysis.metrics import delayed
+from seft_ros.analysis.report_numbers import report_numbers
+from seft_ros.analysis.report_page import write_report
 from seft_ros.analysis.summary import summarise
 from seft_ros.analysis.tracking import tracked_of, tracking_error, tracking_error_of, tracking_of
 from seft_ros.drawing.tables import Mark
 from seft_ros.experiment.tables import TABLES
 from seft_ros.recording.bag_reader import read_bag
 from seft_ros.recording.record import Record, Series
-from seft_ros.report.report_numbers import report_numbers
-from seft_ros.report.report_page import write_report
 
 ROOT = Path(__file__).parents[3]
 COUNT = 1500

@@ -11,8 +11,8 @@ from rich.console import Console
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.figures import test_figure as draw
+from seft_ros.analysis.result_text import summary_table
 from seft_ros.analysis.summary import summarise
-from seft_ros.analysis.summary_text import summary_table
 from seft_ros.recording.record import Estimates, Record, Series, Trip
 
 DELAY = np.array([[0.010, 0.010], [0.0141, 0.009], [0.0136, 0.012]])

@@ -16,8 +16,8 @@ from seft_plant_sim.reference.whole_structure import reference_response
 from seft_ros.analysis import figures
 from seft_ros.analysis.judgement import verdict
 from seft_ros.analysis.metrics import delayed, nrmse
+from seft_ros.analysis.result_text import summary_table
 from seft_ros.analysis.summary import reference_of, summarise
-from seft_ros.analysis.summary_text import summary_table
 from seft_ros.drawing.style import save_figure
 from seft_ros.drawing.tables import json_safe
 from seft_ros.recording.record import Record, Series

@@ -16,9 +16,10 @@ from seft_ros.drawing.page import (
     Text,
     Verdict,
     check_page,
+    line,
+    plot,
     write_page,
 )
-from seft_ros.drawing.plots import line, plot
 from seft_ros.drawing.style import MOST_POINTS, thinned
 from seft_ros.drawing.tables import Mark
 

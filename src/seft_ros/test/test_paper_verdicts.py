@@ -116,7 +116,7 @@ def test_results_like_the_papers_agree_throughout():
         ),
         (
             {("delay", 1.0): a_test(7.1, 0.6, trip=Trip("force", 5, 0.01))},
-            "displacement of Eq. 5.4 as it stands matches the experiment at alpha = 1",
+            "displacement of Eq. 5.4 as printed matches the experiment at alpha = 1",
         ),
         (
             {("model", 0.5): a_test(8.2, 0.8)},

@@ -12,8 +12,7 @@ from seft_ros.drawing.style import check_figure
 from seft_ros.drawing.tables import percent
 from seft_ros.tournament.entries import Entry, Tournament
 from seft_ros.tournament.runs import Run
-from seft_ros.tournament.standings import notes, standings, standings_table
-from seft_ros.tournament.tournament_figure import tournament_figure
+from seft_ros.tournament.standings import notes, standings, standings_table, tournament_figure
 
 LOST = None
 """Error of an unstable test."""

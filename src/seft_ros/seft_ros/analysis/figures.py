@@ -14,8 +14,8 @@ from seft_plant_sim.reference.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.alignment import Alignment, common_steps
 from seft_ros.analysis.metrics import nrmse
+from seft_ros.analysis.result_text import title_of
 from seft_ros.analysis.summary import COMPARED
-from seft_ros.analysis.summary_text import title_of
 from seft_ros.drawing.style import (
     FIRST,
     MARK,

@@ -46,7 +46,7 @@ class Judgement:
 
 
 def judge(summary: dict[str, Any]) -> Judgement:
-    """Judge a test by the summary that `seft_ros.report.report_numbers` gives."""
+    """Judge a test by the summary that `seft_ros.analysis.report_numbers` gives."""
     order = (Mark.BAD, Mark.DOUBT, Mark.GOOD, Mark.NONE)
     found = (*_beginning(summary), *_errors(summary), *_loop(summary), *losses(summary))
     findings = sorted(found, key=lambda finding: order.index(finding.verdict))

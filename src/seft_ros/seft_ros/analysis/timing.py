@@ -137,8 +137,8 @@ def link_numbers(record: Record) -> dict[str, Any] | None:
 
     These are ``loop_delay`` (steps), ``age`` of the messages in steps (p50, p99, largest), ``late``
     (forces whose message was older than the loop's delay: they are predictions), ``held`` (forces
-    of which no message told: the one before was held), ``forces`` (all of them). None where no link
-    lies between reference force and force controller, or nothing was told.
+    that no message held: the one before was held), ``forces`` (all of them). None where no link is
+    between reference force and force controller, or it counted nothing.
     """
     link, section = record.link, record.experiment.sections.get("reference_force", {})
     loop_delay = section.get("loop_delay", 0)

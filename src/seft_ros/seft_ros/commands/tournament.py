@@ -72,8 +72,8 @@ def tournament(
         standings,
         standings_table,
         summarise_tournament,
+        tournament_figure,
     )
-    from seft_ros.tournament.tournament_figure import tournament_figure
     from seft_ros.tournament.workers import free_cores
 
     path = check_figure(figure) if figure is not None else None

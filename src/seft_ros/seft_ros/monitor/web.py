@@ -14,7 +14,7 @@ from bokeh.plotting import figure
 from tornado.web import Application, HTTPError, StaticFileHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
-from seft_ros.drawing.plots import plot
+from seft_ros.drawing.page import plot
 from seft_ros.monitor.access import ASSETS, Access, Guarded, Missing, Tokens
 from seft_ros.monitor.watch import Frame
 

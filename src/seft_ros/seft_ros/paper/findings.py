@@ -89,7 +89,7 @@ class Findings:
     tests : dict
         ``rig``, ``eft``, ``delay`` (pure, the paper's), ``banded`` (the same within the force
         loop's bandwidth), ``own`` (that with the rig's own delay), ``model`` and ``model_tau``
-        (compensated, told the whole delay and tau alone), ``plain``, ``target`` and
+        (compensated for the whole delay and for tau alone), ``plain``, ``target`` and
         ``target_full`` (beyond the paper), each with its mass ratio.
     growths : dict
         Eigenvalues of ``rig``, ``delay`` and ``banded`` loops.

@@ -36,7 +36,7 @@ def facts(found: Findings) -> Values:
         "vibration_hz": VIBRATION_HZ,
         "tau_ms": 1e3 * DELAY,
         "own_ms": 1e3 * (found.own_delay - found.experiment.timebase.dt),
-        "told_ms": 1e3 * whole_delay(found.experiment),
+        "whole_ms": 1e3 * whole_delay(found.experiment),
         "band_note": "" if bandwidth is None else f"-3 dB at {bandwidth:.3g} Hz",
     }
 
@@ -189,7 +189,7 @@ def vibration(found: Findings, kind: str, ratio: float, name: str, times: float)
 
 
 def vibration_ratio(found: Findings, kind: str, ratio: float, name: str) -> float:
-    """Level of the vibration over that of the exact response; NaN where that has none."""
+    """Level of the vibration over that of the reference response; NaN where that has none."""
     ours, exact = found.tests[kind, ratio].vibrations(name)
     return ours.rms / exact.rms if exact.rms > 0 else float("nan")
 

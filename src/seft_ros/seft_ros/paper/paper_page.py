@@ -19,9 +19,14 @@ from seft_ros.drawing.page import (
     Table,
     Text,
     Verdict,
+    band,
+    level,
+    line,
+    mark,
+    plot,
+    time_range,
     write_page,
 )
-from seft_ros.drawing.plots import band, level, line, mark, plot, time_range
 from seft_ros.drawing.style import FIRST, OTHERS, REFERENCE
 from seft_ros.drawing.tables import DISPLAY_UNITS, GOOD_ERROR, RESPONSES, Mark
 from seft_ros.loop_shaping.margins import BAND_HZ
@@ -70,12 +75,9 @@ def write_paper(found: Findings, claims: Sequence[Claim], config: str, path: Pat
 
 def _overview(found: Findings, claims: Sequence[Claim]) -> list[Block]:
     against = [
-        Cell(
-            f"{_placed(claim)}: paper {claim.paper}, ours {claim.ours}.{_sentence(claim.note)}",
-            Mark.BAD,
-        )
-        for claim in claims
-        if not claim.agrees
+        Cell(f"{_placed(c)}: paper {c.paper}, ours {c.ours}.{_sentence(c.note)}", Mark.BAD)
+        for c in claims
+        if not c.agrees
     ]
     record = f"Ground motion: {Path(found.source).name}"
     if not found.experiment["ground_motion"]["file"]:
@@ -103,7 +105,7 @@ def _beyond(found: Findings) -> list[Block]:
         "target": f"target_motion, {lower:g} N",
         "target_full": f"target_motion, {full:g} N",
     }
-    rows = [
+    rows: list[list[str | Cell]] = [
         [f"{ratio:g}", *(_error(found.tests[kind, ratio]) for kind in kinds)] for ratio in BEYOND
     ]
     note = Text("Displacement errors, RMS over RMS, without any shift.")
@@ -218,16 +220,9 @@ def histories_figure(found: Findings) -> Grid:
 
 
 def simulations_figure(found: Findings, kind: str, label: str, caption: str) -> Grid:
-    """Draw Figure 7 or 8: reference, experiment and a simulation.
+    """Draw Figure 7 or 8: reference, experiment and a simulation, ``kind`` of `Findings.tests`.
 
-    Parameters
-    ----------
-    found : Findings
-        What was calculated.
-    kind : str
-        Which simulation, as in `Findings.tests`.
-    label, caption : str
-        Its name in the legend, and what to look for.
+    ``label`` is its name in the legend, ``caption`` says what to look for.
     """
     color = _SIMULATED if kind == "banded" else _COMPENSATED
     cells = []
@@ -271,16 +266,9 @@ def pure_delay_figure(found: Findings) -> Plot:
     return Plot(panel, caption, wide=True)
 
 
-FIGURES: dict[str, Any] = {
-    draw.__name__: draw
-    for draw in (
-        open_loop_figure,
-        closed_loop_figure,
-        histories_figure,
-        simulations_figure,
-        pure_delay_figure,
-    )
-}
+_OF_LOOPS = (open_loop_figure, closed_loop_figure)
+_OF_TESTS = (histories_figure, simulations_figure, pure_delay_figure)
+FIGURES: dict[str, Any] = {draw.__name__: draw for draw in (*_OF_LOOPS, *_OF_TESTS)}
 """The figures that paper_page.yaml names."""
 
 

@@ -181,7 +181,7 @@ class Vibration(NamedTuple):
 
 @dataclass(frozen=True)
 class Outcome:
-    """Signals of a test up to its end or trip, and its exact response.
+    """Signals of a test up to its end or trip, and its reference response.
 
     Attributes
     ----------
@@ -217,7 +217,7 @@ class Outcome:
     def agreement(
         self, name: str, reference: "Outcome | None" = None, *, controlled: bool = False
     ) -> Agreement:
-        """Hold a quantity against its exact response, or against another test of the motion.
+        """Compare a quantity with its reference response, or with another test of the motion.
 
         A test that ended early agrees over what there is of it; ``controlled``: below the
         vibration, where force is controlled.
@@ -231,7 +231,7 @@ class Outcome:
         return agreement(y, other, self.dt)
 
     def vibrations(self, name: str) -> tuple[Vibration, Vibration]:
-        """Find the vibration of a quantity as measured, and of its exact response."""
+        """Find the vibration of a quantity as measured, and of its reference response."""
         rate = 1.0 / self.dt
         return vibration(self.measured[name], rate), vibration(self.exact[name], rate)
 

@@ -50,7 +50,7 @@ class Run:
 
     @property
     def stable(self) -> bool:
-        """Whether it neither tripped nor went beyond all numbers."""
+        """Whether it neither tripped nor has samples that are not finite."""
         return bool(self.summary["stable"])
 
     @property
@@ -61,7 +61,7 @@ class Run:
 
 
 def count_calculations(tournament: Tournament) -> int:
-    """Count what `run_all` calculates: tests, and exact responses."""
+    """Count what `run_all` calculates: tests, and reference responses."""
     entries = tournament.entries()
     return len(entries) + len({entry[:2] for entry in entries})
 
@@ -91,7 +91,7 @@ def run_all(
     entries, shop = tournament.entries(), Workshop()
     experiments = {entry: tournament.experiment_of(entry) for entry in entries}
     structures = {entry[:2]: experiment for entry, experiment in experiments.items()}
-    # the rigs of a tournament differ in numbers alone, so that one stands for all
+    # the rigs of a tournament differ in numbers alone, so that one represents all
     obstacles = {e[::2]: shop.obstacle(experiments[e]) for e in entries if e.rig == 0}
     references: dict[tuple[float, int], ReferenceResponse] = {}
     runs: dict[Entry, Run] = {}
@@ -149,7 +149,7 @@ def _uncompiled(experiment: Experiment, reference: ReferenceResponse) -> dict[st
 
 
 def _brief(record: Record, reference: ReferenceResponse) -> dict[str, Any]:
-    """Summarise a test against the exact response, cut to the steps that it lasted."""
+    """Summarise a test against the reference response, cut to the steps that it lasted."""
     steps = len(record.series[RIG_STATE.name].steps)
     parts = {field.name: getattr(reference, field.name)[:steps] for field in fields(reference)}
     return summarise_briefly(record, ReferenceResponse(**parts))
@@ -158,7 +158,7 @@ def _brief(record: Record, reference: ReferenceResponse) -> dict[str, Any]:
 def step_cost(tournament: Tournament, mass_ratio: float, method: str) -> float:
     """Time a step of the reference force alone: the median of some passes, s.
 
-    Its input is the exact response of the configured rig, beginning with the strongest shaking,
+    Its input is the reference response of the configured rig, beginning with the strongest shaking,
     so that methods which identify have something to identify. A first pass warms up and does not
     count.
     """

@@ -7,7 +7,17 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.wire.topics import GROUND_MOTION
 
-from seft_ros.analysis.summary_text import title_of
+from seft_ros.analysis.report_numbers import Findings
+from seft_ros.analysis.report_sections import (
+    agreement_section,
+    energy_section,
+    ground_motion_section,
+    history_sections,
+    hysteresis_section,
+    spectra_section,
+    tracking_section,
+)
+from seft_ros.analysis.result_text import title_of
 from seft_ros.analysis.timing import GAP, timing_of
 from seft_ros.analysis.tracking import tracked_of
 from seft_ros.drawing.page import (
@@ -18,22 +28,15 @@ from seft_ros.drawing.page import (
     Table,
     Text,
     Verdict,
+    bars,
+    line,
+    mark,
+    plot,
     write_page,
 )
-from seft_ros.drawing.plots import bars, line, mark, plot
 from seft_ros.drawing.style import OTHERS, SECOND
 from seft_ros.drawing.tables import DISPLAY_UNITS, Mark, Number, axis_label, percent, rows_of
 from seft_ros.recording.record import Record
-from seft_ros.report.report_numbers import Findings
-from seft_ros.report.response_sections import (
-    agreement_section,
-    energy_section,
-    ground_motion_section,
-    history_sections,
-    hysteresis_section,
-    spectra_section,
-    tracking_section,
-)
 
 _BINS = 80
 _MARKS = {"ok": Mark.NONE, "warn": Mark.DOUBT, "error": Mark.BAD, "stale": Mark.BAD}

@@ -11,23 +11,27 @@ from seft_msgs_py.wire.topics import RIG_STATE
 from seft_plant_sim.reference.whole_structure import tested_specimen
 
 from seft_ros.analysis.equivalent_motion import MARGIN
-from seft_ros.analysis.spectra import delay_by_frequency
+from seft_ros.analysis.report_numbers import Findings
+from seft_ros.analysis.result_text import AGREEMENT, agreement_rows
 from seft_ros.analysis.summary import COMPARED
-from seft_ros.analysis.summary_text import AGREEMENT, agreement_rows
 from seft_ros.analysis.tracking import Tracked
-from seft_ros.analysis.tracking_metrics import energy_error
-from seft_ros.drawing.page import Block, Plot, Section, Table, Text
-from seft_ros.drawing.plots import against, band, level, line, mark, plot, time_range
-from seft_ros.drawing.style import OTHERS, REFERENCE
-from seft_ros.drawing.tables import (
-    DISPLAY_UNITS,
-    RESPONSES,
-    Number,
-    axis_label,
-    percent,
-    rows_of,
+from seft_ros.analysis.tracking_metrics import delay_by_frequency, energy_error
+from seft_ros.drawing.page import (
+    Block,
+    Plot,
+    Section,
+    Table,
+    Text,
+    against,
+    band,
+    level,
+    line,
+    mark,
+    plot,
+    time_range,
 )
-from seft_ros.report.report_numbers import Findings
+from seft_ros.drawing.style import OTHERS, REFERENCE
+from seft_ros.drawing.tables import DISPLAY_UNITS, RESPONSES, Number, axis_label, percent, rows_of
 
 Floats = npt.NDArray[np.float64]
 
@@ -41,14 +45,12 @@ _MODEL = (
     "The reference response is that of the linear model in the parameters of reference_force: "
     "these numbers include how the specimen differs from it."
 )
-_SENT = (
-    "The intended force is the reference force of the same step, so even an ideal actuator is one "
-    "period late."
-)
-_DERIVED = (
-    "The compensation method sends the reference force ahead of time, so the intended force is "
-    "derived from measurements: -M_e a_g + S r, with r = f - M_e a the specimen's restoring force."
-)
+_INTENDED = {
+    False: "The intended force is the reference force of the same step, so even an ideal actuator "
+    "is one period late.",
+    True: "The compensation method sends the reference force ahead of time, so the intended force "
+    "is derived from measurements: -M_e a_g + S r, with r = f - M_e a the restoring force.",
+}
 _TESTED = (
     "The measured test is the exact one for one ground motion: that which, with the measured force "
     "and acceleration, satisfies the whole structure's equation of motion. This needs no model of "
@@ -65,35 +67,20 @@ _TRACKING = (
     Number("tracking indicator at the end", "tracking_indicator_end"),
     Number("energy error over the input", "energy_error", form=percent),
 )
-_STRUCTURE = "equivalent_motion.structure"
 _GROUND_MOTION = (
-    Number(
-        "response of the linear whole structure differs by",
-        "equivalent_motion.response_nrmse",
-        form=percent,
-    ),
-    Number(
-        "worst of structures of other stiffness",
-        "equivalent_motion.worst_response_nrmse",
-        form=percent,
-        at="equivalent_motion.worst_frequency_hz",
-    ),
-    Number(
-        "their stiffness, over that of the specimen's model",
-        f"{_STRUCTURE}.stiffness_factors",
-        form=lambda factors: "{:.2g} to {:.2g}".format(*factors),
-    ),
-    Number(
-        "largest deviation of the spectrum in their band",
-        "equivalent_motion.spectrum_deviation",
-        form=percent,
-        at="equivalent_motion.spectrum_deviation_frequency_hz",
-    ),
-)
+    Number("response of the linear whole structure differs by", "response_nrmse", form=percent),
+    Number("its natural frequencies", "modes"),
+    Number("worst of structures of other stiffness", "worst_response_nrmse", form=percent,
+           at="worst_frequency_hz"),
+    Number("their stiffness, over that of the specimen's model", "structure.stiffness_factors",
+           form=lambda factors: "{:.2g} to {:.2g}".format(*factors)),
+    Number("largest deviation of the spectrum in their band", "spectrum_deviation", form=percent,
+           at="spectrum_deviation_frequency_hz"),
+)  # fmt: skip
 _TARGET = (
-    Number("displacement off its target, over its RMS", "tracking_error.nrmse", form=percent),
-    Number("RMS of that", "tracking_error.rms", "mm", 1e3),
-    Number("at most", "tracking_error.peak", "mm", 1e3),
+    Number("displacement off its target, over its RMS", "nrmse", form=percent),
+    Number("RMS of that", "rms", "mm", 1e3),
+    Number("at most", "peak", "mm", 1e3),
 )
 
 
@@ -117,26 +104,22 @@ def ground_motion_section(findings: Findings) -> Section:
     if difference is None:
         text = "Not known: the record lacks samples, ground motion, or the structure's description."
         return Section(title, [Text(text)])
-    summary = findings.summary
-    structure = summary["equivalent_motion"]["structure"]
+    numbers, target = (findings.summary[key] for key in ("equivalent_motion", "tracking_error"))
+    structure = numbers["structure"]
     modes = [
         f"{hz:.3g} Hz ({percent(ratio)} damping)"
         for hz, ratio in zip(structure["frequency_hz"], structure["damping_ratio"], strict=True)
     ]
-    more = ["..."] if len(modes) > _FEW else []
-    rows = rows_of(_GROUND_MOTION, summary)
-    rows.insert(1, ["its natural frequencies", ", ".join(modes[:_FEW] + more)])
-    if summary["tracking_error"] is not None:
-        rows += rows_of(_TARGET, summary)
+    some = ", ".join(modes[:_FEW] + ["..."] * (len(modes) > _FEW))
+    rows = rows_of(_GROUND_MOTION, numbers | {"modes": some})
+    rows += rows_of(_TARGET, target) if target is not None else []
     blocks: list[Block] = [Text(_TESTED), Table((), rows)]
     axes = findings.record.experiment.axes
     for column, axis in enumerate(axes):
         panel = plot("frequency / Hz", "pseudo-acceleration / (m/s²)", log_x=True, log_y=True)
-        curves = [
-            (difference.frequency_hz, spectra[:, column])
-            for spectra in (difference.asked, difference.tested)
-        ]
-        against(panel, *curves, ("asked for", "tested"))
+        asked = difference.frequency_hz, difference.asked[:, column]
+        tested = difference.frequency_hz, difference.tested[:, column]
+        against(panel, asked, tested, ("asked for", "tested"))
         band(panel, *difference.band_hz, color=REFERENCE)
         for natural in difference.natural_hz:
             mark(panel, natural)
@@ -208,7 +191,7 @@ def tracking_section(findings: Findings, signals: Tracked, column: int, title: s
         if name not in ("J1", "J2", "J3")
     ]
     table = Table((), rows_of((*_TRACKING, *of_structure), row))
-    blocks: list[Block] = [Text(_DERIVED if signals.derived else _SENT), table]
+    blocks: list[Block] = [Text(_INTENDED[signals.derived]), table]
     if len(signals.steps) > 1:
         blocks += _tracking_plots(signals, column, experiment.timebase.dt)
     return Section(f"Force tracking{title}", blocks)
@@ -236,15 +219,16 @@ def _tracking_plots(signals: Tracked, column: int, dt: float) -> Iterator[Block]
     if not means.any():
         yield Text("No frequency at which the intended force explains the measured force.")
         return
-    delay = plot("frequency / Hz", "delay / ms", log_x=True)
-    amplitude = plot("frequency / Hz", "amplitude", log_x=True, x_range=delay.x_range)
-    note = f"by frequency, where the coherence is {COHERENT:g} or more."
-    for panel, y, label, right, caption in (
-        (delay, found.delay_s * 1e3, "delay", 0.0, "Delay of the measured force"),
-        (amplitude, found.amplitude, "amplitude", 1.0, "Measured over intended force"),
+    shared = None
+    for y, label, unit, right, caption in (
+        (found.delay_s * 1e3, "delay", " / ms", 0.0, "Delay of the measured force"),
+        (found.amplitude, "amplitude", "", 1.0, "Measured over intended force"),
     ):
+        panel = plot("frequency / Hz", f"{label}{unit}", log_x=True, x_range=shared)
+        shared = panel.x_range
         line(panel, found.frequency_hz, np.where(means, y, np.nan), label)
         level(panel, right)
+        note = f"by frequency, where the coherence is {COHERENT:g} or more."
         yield Plot(panel, f"{caption} {note}")
 
 
@@ -259,13 +243,13 @@ def hysteresis_section(findings: Findings, column: int, title: str) -> Section:
     if not len(states.steps):
         return Section(heading, [Text("There are no samples.")])
 
-    def loop(x: Floats, a: Floats, f: Floats) -> tuple[Floats, Floats]:
-        return x[:, column] * 1e3, (f - a @ mass.T)[:, column]
-
     panel = plot("displacement / mm", "restoring force / N", height=380)
+    reference = None
+    if exact is not None:
+        force = (exact.force - exact.acceleration @ mass.T)[:, column]
+        reference = exact.displacement[:, column] * 1e3, force
     x, _, a, f = np.moveaxis(states.values, 1, 0)
-    reference = exact and loop(exact.displacement, exact.acceleration, exact.force)
-    against(panel, reference, loop(x, a, f), loop=True)
+    against(panel, reference, (x[:, column] * 1e3, (f - a @ mass.T)[:, column]), loop=True)
     caption = "Restoring force f - m a: its width is what damping and yielding dissipate."
     return Section(heading, [Plot(panel, caption, wide=True)])
 
@@ -288,10 +272,10 @@ def spectra_section(findings: Findings, column: int, title: str) -> Section:
         panel = plot("frequency / Hz", f"{name} / ({unit}/√Hz)", log_x=True, log_y=True)
         if limits is not None:
             band(panel, *limits)
-        reference, own = (
-            part and (part.frequency_hz[1:], part.amplitude[1:] * scale) for part in (exact, test)
-        )
-        against(panel, reference, own)
+        reference = None
+        if exact is not None:
+            reference = exact.frequency_hz[1:], exact.amplitude[1:] * scale
+        against(panel, reference, (test.frequency_hz[1:], test.amplitude[1:] * scale))
         blocks.append(Plot(panel, f"Amplitude spectral density of the {name}. {note}"))
     return Section(f"Spectra{title}", blocks or [Text("The record is too short for spectra.")])
 

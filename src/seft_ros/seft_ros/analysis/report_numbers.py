@@ -14,7 +14,6 @@ from seft_plant_sim.specimen.energy_balance import EnergyBalance
 from seft_ros.analysis.alignment import every_step
 from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
 from seft_ros.analysis.judgement import Judgement, judge
-from seft_ros.analysis.spectra import Spectrum, spectrum_of, vibration
 from seft_ros.analysis.summary import COMPARED, ENERGIES, balance_of, reference_of, summarise
 from seft_ros.drawing.style import thinned
 from seft_ros.drawing.tables import json_safe
@@ -23,6 +22,69 @@ from seft_ros.preflight.stability_margins import instability_band
 from seft_ros.recording.record import Record
 
 Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """One-sided power spectral density of a signal.
+
+    Attributes
+    ----------
+    frequency_hz : ndarray
+        Shape (F,), from 0 to Nyquist's.
+    power : ndarray
+        Shape (F,), square of the signal's unit per Hz.
+    """
+
+    frequency_hz: Floats
+    power: Floats
+
+    @property
+    def amplitude(self) -> Floats:
+        """Amplitude spectral density, shape (F,), the signal's unit per root Hz."""
+        return np.sqrt(self.power)
+
+    def rms(self, low: float = 0.0, high: float = np.inf) -> float:
+        """RMS of what lies in a band of frequencies, Hz, in the signal's unit."""
+        inside = (self.frequency_hz >= low) & (self.frequency_hz <= high)
+        width = self.frequency_hz[1] if len(self.frequency_hz) > 1 else 0.0
+        return float(np.sqrt(self.power[inside].sum() * width))
+
+
+def spectrum_of(y: Floats, dt: float, segment_s: float = 4.0) -> Spectrum:
+    """Estimate a power spectral density from averaged segments (Welch 1967).
+
+    Hann windows that overlap by half, and no mean; a record shorter than a segment is one. What is
+    not finite makes a spectrum of NaN.
+
+    Parameters
+    ----------
+    y : ndarray
+        Shape (N,).
+    dt, segment_s : float
+        Sampling period and length of a segment, s; the inverse of that is the resolution.
+    """
+    from scipy.signal import welch  # 20 MB that no node needs
+
+    size = min(len(y), max(2, round(segment_s / dt)))
+    if size < 2:
+        return Spectrum(np.empty(0), np.empty(0))
+    with np.errstate(all="ignore"):
+        return Spectrum(*welch(y, fs=1 / dt, nperseg=size, detrend="constant"))
+
+
+def vibration(measured: Spectrum, exact: Spectrum, band: tuple[float, float]) -> float:
+    """RMS that a signal has in a band (Hz) beyond its reference, over the whole reference's RMS.
+
+    0 where it has no more than the reference; NaN where that is zero throughout.
+    """
+    beyond = measured.rms(*band) ** 2 - exact.rms(*band) ** 2
+    whole = exact.rms()
+    if not whole > 0 or np.isnan(beyond):
+        return float("nan")
+    return float(np.sqrt(max(beyond, 0.0)) / whole)
+
+
 Spectra = list[tuple[Spectrum, Spectrum | None]]
 
 
@@ -50,7 +112,7 @@ class Findings:
     summary : dict
         All numbers, JSON values: what `summarise` gives and ``instability_band_hz`` (two numbers
         or null), ``vibration`` (``ratio``, the largest of all axes, and ``axes``: see
-        `seft_ros.analysis.spectra.vibration`), ``uncompensated_delay_s`` (how far the force lags
+        `vibration`), ``uncompensated_delay_s`` (how far the force lags
         in a test that does nothing about it, else null), ``events`` and ``verdict``.
     """
 
