@@ -293,7 +293,7 @@ def test_a_rig_of_which_nothing_is_known_is_judged_all_the_same(seft, tmp_path):
     bare = Experiment(record.experiment.sections | {"rig": rig})
     findings = report_numbers(dataclasses.replace(record, experiment=bare))
     assert findings.judgement.verdict is Mark.BAD
-    assert "tested ground motion" in findings.judgement.text
-    assert "tested ground motion" in verdict(findings.summary)
+    assert "equivalent ground motion" in findings.judgement.text
+    assert "equivalent ground motion" in verdict(findings.summary)
     write_report(findings, "bare", tmp_path / "bare.html")
-    assert "The tested ground motion" in (tmp_path / "bare.html").read_text()
+    assert "The equivalent ground motion" in (tmp_path / "bare.html").read_text()

@@ -66,7 +66,7 @@ def verdict(summary: dict[str, Any]) -> str:
     elif error is not None and summary["reference_specimen"] == "simulated":
         text = f"done: displacement error {percent(error)}, {percent(aligned)} without its delay"
     elif (worst := worst_response(summary)) is not None:
-        text = f"done: response to the tested ground motion off by {percent(worst)} at most"
+        text = f"done: response to the equivalent ground motion off by {percent(worst)} at most"
     else:
         text = "done, without a reference to compare it with"
     bad = (f.text for f in losses(summary) if f.verdict is not Mark.GOOD and summary[f.name])
@@ -127,12 +127,12 @@ def _errors(summary: dict[str, Any]) -> Iterator[Finding]:
 
     found, error = summary["equivalent_motion"], worst_response(summary)
     if error is None:
-        text = "the tested ground motion is not known from the record"
+        text = "the equivalent ground motion is not known from the record"
         yield Finding("equivalent_motion", Mark.NONE if simulated else Mark.DOUBT, text)
     else:
         low, high = found["structure"]["band_hz"]
         text = (
-            f"the response of linear structures to the tested ground motion differs by up to "
+            f"the response of linear structures to the equivalent ground motion differs by up to "
             f"{percent(error)} from that to the one asked for (worst at "
             f"{found['worst_frequency_hz']:.3g} Hz of {low:.3g} to {high:.3g} Hz; "
             f"{percent(found['response_nrmse'])} with the stiffness of the model; {good})"

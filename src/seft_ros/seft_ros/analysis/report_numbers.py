@@ -89,7 +89,7 @@ Spectra = list[tuple[Spectrum, Spectrum | None]]
 
 
 @dataclass(frozen=True)
-class Findings:
+class Report:
     """The numbers of a report, and what its figures draw; what is not known is None.
 
     Attributes
@@ -106,7 +106,7 @@ class Findings:
     band_note : str
         Why there is no instability band; empty if there is.
     difference : MotionDifference or None
-        The tested ground motion against the one asked for.
+        The equivalent ground motion against the one asked for.
     judgement : Judgement
         Verdict.
     summary : dict
@@ -126,7 +126,7 @@ class Findings:
     summary: dict[str, Any]
 
 
-def report_numbers(record: Record) -> Findings:
+def report_numbers(record: Record) -> Report:
     """Analyse a test; an InputError is that of `reference_of`."""
     reference, balance = reference_of(record), balance_of(record)
     difference = motion_difference(record)
@@ -155,7 +155,7 @@ def report_numbers(record: Record) -> Findings:
     }
     judgement = judge(summary)
     summary = json_safe(summary | {"verdict": asdict(judgement)})
-    return Findings(record, reference, energies, spectra, note, difference, judgement, summary)
+    return Report(record, reference, energies, spectra, note, difference, judgement, summary)
 
 
 def _thinned(

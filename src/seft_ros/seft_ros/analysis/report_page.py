@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.wire.topics import GROUND_MOTION
 
-from seft_ros.analysis.report_numbers import Findings
+from seft_ros.analysis.report_numbers import Report
 from seft_ros.analysis.report_sections import (
     agreement_section,
     energy_section,
@@ -62,35 +62,35 @@ _GAPS = (
 )
 
 
-def write_report(findings: Findings, name: str, path: Path) -> None:
+def write_report(report: Report, name: str, path: Path) -> None:
     """Write the page of a test of this name; an InputError says that it can't be written."""
-    write_page(path, f"Test {name}", title_of(findings.record), list(_sections(findings)))
+    write_page(path, f"Test {name}", title_of(report.record), list(_sections(report)))
 
 
-def _sections(findings: Findings) -> Iterator[Section]:
-    judgement, record = findings.judgement, findings.record
+def _sections(report: Report) -> Iterator[Section]:
+    judgement, record = report.judgement, report.record
     axes, signals = record.experiment.axes, tracked_of(record)
     cells = [Cell(finding.text, finding.verdict) for finding in judgement.findings]
     yield Section("Verdict", [Verdict(judgement.verdict, judgement.text, cells)])
-    tested = [_test_rows(findings), _software_rows(record.environment)]
+    tested = [_test_rows(report), _software_rows(record.environment)]
     yield Section("What was tested", [Table((), rows, numbers=False) for rows in tested])
-    yield agreement_section(findings)
-    yield ground_motion_section(findings)
+    yield agreement_section(report)
+    yield ground_motion_section(report)
     for column, axis in enumerate(axes):
         title = f" of {axis}" if len(axes) > 1 else ""
-        yield from history_sections(findings, column, title)
-        yield tracking_section(findings, signals, column, title)
-        yield hysteresis_section(findings, column, title)
-        yield spectra_section(findings, column, title)
-    yield energy_section(findings, signals)
-    yield Section("Timing", list(_timing(findings)))
+        yield from history_sections(report, column, title)
+        yield tracking_section(report, signals, column, title)
+        yield hysteresis_section(report, column, title)
+        yield spectra_section(report, column, title)
+    yield energy_section(report, signals)
+    yield Section("Timing", list(_timing(report)))
     yield Section("Estimates", list(_estimates(record)))
     yield Section("Interlock and events", list(_events(record)))
     yield Section("Parameters", _parameters(record))
 
 
-def _test_rows(findings: Findings) -> list[tuple[str, str]]:
-    record, summary = findings.record, findings.summary
+def _test_rows(report: Report) -> list[tuple[str, str]]:
+    record, summary = report.record, report.summary
     sections = record.experiment.sections
     force, rig = sections.get("reference_force", {}), sections.get("rig")
     ground, pace = record.series[GROUND_MOTION.name].values, summary["realtime_factor"]
@@ -163,9 +163,9 @@ def _parameters(record: Record) -> list[Block]:
     ]
 
 
-def _timing(findings: Findings) -> Iterator[Block]:
+def _timing(report: Report) -> Iterator[Block]:
     """Missed deadlines, round trips as a histogram, gaps by topic."""
-    summary, record = findings.summary, findings.record
+    summary, record = report.summary, report.record
     timing, rows = timing_of(record), _loss_rows(summary, record)
     if timing is None:
         why = "The offline loop has no messages that could be late."

@@ -11,7 +11,7 @@ from seft_msgs_py.wire.topics import RIG_STATE
 from seft_plant_sim.reference.whole_structure import tested_specimen
 
 from seft_ros.analysis.equivalent_motion import MARGIN
-from seft_ros.analysis.report_numbers import Findings
+from seft_ros.analysis.report_numbers import Report
 from seft_ros.analysis.result_text import AGREEMENT, agreement_rows
 from seft_ros.analysis.summary import COMPARED
 from seft_ros.analysis.tracking import Tracked
@@ -84,9 +84,9 @@ _TARGET = (
 )
 
 
-def agreement_section(findings: Findings) -> Section:
+def agreement_section(report: Report) -> Section:
     """Table of peaks, errors and delays."""
-    summary = findings.summary
+    summary = report.summary
     several = len(summary["axes"]) > 1
     rows = [
         row
@@ -98,13 +98,13 @@ def agreement_section(findings: Findings) -> Section:
     return Section("Agreement with the reference response", [*note, Table(headings, rows)])
 
 
-def ground_motion_section(findings: Findings) -> Section:
+def ground_motion_section(report: Report) -> Section:
     """Numbers of a test's own ground motion, and its response spectrum for each axis."""
-    title, difference = "The tested ground motion", findings.difference
+    title, difference = "The equivalent ground motion", report.difference
     if difference is None:
         text = "Not known: the record lacks samples, ground motion, or the structure's description."
         return Section(title, [Text(text)])
-    numbers, target = (findings.summary[key] for key in ("equivalent_motion", "tracking_error"))
+    numbers, target = (report.summary[key] for key in ("equivalent_motion", "tracking_error"))
     structure = numbers["structure"]
     modes = [
         f"{hz:.3g} Hz ({percent(ratio)} damping)"
@@ -114,7 +114,7 @@ def ground_motion_section(findings: Findings) -> Section:
     rows = rows_of(_GROUND_MOTION, numbers | {"modes": some})
     rows += rows_of(_TARGET, target) if target is not None else []
     blocks: list[Block] = [Text(_TESTED), Table((), rows)]
-    axes = findings.record.experiment.axes
+    axes = report.record.experiment.axes
     for column, axis in enumerate(axes):
         panel = plot("frequency / Hz", "pseudo-acceleration / (m/s²)", log_x=True, log_y=True)
         asked = difference.frequency_hz, difference.asked[:, column]
@@ -133,9 +133,9 @@ def ground_motion_section(findings: Findings) -> Section:
     return Section(title, blocks)
 
 
-def history_sections(findings: Findings, column: int, title: str) -> Iterator[Section]:
+def history_sections(report: Report, column: int, title: str) -> Iterator[Section]:
     """One section for each quantity of an axis: the whole test, and windows at peaks."""
-    record = findings.record
+    record = report.record
     states, dt = record.series[RIG_STATE.name], record.experiment.timebase.dt
     if not len(states.steps):
         return
@@ -144,8 +144,8 @@ def history_sections(findings: Findings, column: int, title: str) -> Iterator[Se
     for name in RESPONSES:
         _, scale = DISPLAY_UNITS[name]
         y, exact = states.values[:, COMPARED[name], column] * scale, None
-        if findings.reference is not None:
-            exact = getattr(findings.reference, name)[:, column] * scale
+        if report.reference is not None:
+            exact = getattr(report.reference, name)[:, column] * scale
         windows = [(shared, "Whole test; the three quantities zoom together.")]
         for step, caption in _places(y, exact, states.steps, dt):
             middle = step * dt
@@ -181,10 +181,10 @@ def _places(
     ]
 
 
-def tracking_section(findings: Findings, signals: Tracked, column: int, title: str) -> Section:
+def tracking_section(report: Report, signals: Tracked, column: int, title: str) -> Section:
     """Tracking of an axis: numbers, time history, synchronisation plot, delay by frequency."""
-    experiment = findings.record.experiment
-    row = findings.summary["tracking"][experiment.axes[column]]
+    experiment = report.record.experiment
+    row = report.summary["tracking"][experiment.axes[column]]
     of_structure = [
         Number(f"{name}, of the structure", f"J.{name}", "%")
         for name in row["J"]
@@ -232,12 +232,12 @@ def _tracking_plots(signals: Tracked, column: int, dt: float) -> Iterator[Block]
         yield Plot(panel, f"{caption} {note}")
 
 
-def hysteresis_section(findings: Findings, column: int, title: str) -> Section:
+def hysteresis_section(report: Report, column: int, title: str) -> Section:
     """Restoring force over displacement of an axis, test and reference."""
-    states, exact = findings.record.series[RIG_STATE.name], findings.reference
+    states, exact = report.record.series[RIG_STATE.name], report.reference
     heading = f"Hysteresis{title}"
     try:
-        mass = tested_specimen(findings.record.experiment).mass
+        mass = tested_specimen(report.record.experiment).mass
     except (InputError, KeyError):
         return Section(heading, [Text("The specimen's mass is not known.")])
     if not len(states.steps):
@@ -254,17 +254,17 @@ def hysteresis_section(findings: Findings, column: int, title: str) -> Section:
     return Section(heading, [Plot(panel, caption, wide=True)])
 
 
-def spectra_section(findings: Findings, column: int, title: str) -> Section:
+def spectra_section(report: Report, column: int, title: str) -> Section:
     """Amplitude spectral densities of an axis, test against reference response."""
-    limits = findings.summary["instability_band_hz"]
-    note = f"Band where instability would start: {findings.band_note}."
+    limits = report.summary["instability_band_hz"]
+    note = f"Band where instability would start: {report.band_note}."
     if limits is not None:
         note = (
             "Shaded: where instability would start, {:.3g} to {:.3g} Hz. Vibration beyond the "
             "reference response there grows first when a test loses its margins.".format(*limits)
         )
     blocks: list[Block] = []
-    for name, by_axis in findings.spectra.items():
+    for name, by_axis in report.spectra.items():
         test, exact = by_axis[column]
         if len(test.frequency_hz) < 2:
             continue
@@ -280,15 +280,15 @@ def spectra_section(findings: Findings, column: int, title: str) -> Section:
     return Section(f"Spectra{title}", blocks or [Text("The record is too short for spectra.")])
 
 
-def energy_section(findings: Findings, signals: Tracked) -> Section:
+def energy_section(report: Report, signals: Tracked) -> Section:
     """Energy balance of the specimen, and what the actuators' force error adds to it."""
-    experiment, blocks = findings.record.experiment, list[Block]()
+    experiment, blocks = report.record.experiment, list[Block]()
     dt, axes = experiment.timebase.dt, experiment.axes
-    if findings.energies:
+    if report.energies:
         panel = plot("time / s", "energy / J")
-        for (name, (steps, energy)), color in zip(findings.energies.items(), OTHERS, strict=False):
+        for (name, (steps, energy)), color in zip(report.energies.items(), OTHERS, strict=False):
             line(panel, steps * dt, energy, name, color=color)
-        closure = findings.summary["energy"]["closure"]
+        closure = report.summary["energy"]["closure"]
         left = "" if closure is None else f" At most {closure:.2%} of the input is unexplained."
         blocks.append(Plot(panel, f"Work of the actuators' force, and where it went.{left}"))
     else:

@@ -23,9 +23,9 @@ from seft_ros.recording.record import Record
 
 AGREEMENT = (
     Number("peak", "peak"),
-    Number("reference peak", "reference_peak"),
+    Number("reference\npeak", "reference_peak"),
     Number("NRMSE", "nrmse", form=percent),
-    Number("NRMSE aligned", "nrmse_aligned", form=percent),
+    Number("NRMSE\naligned", "nrmse_aligned", form=percent),
     Number("delay", "delay_s", "ms", 1e3, ".2f"),
 )
 """Agreement of a quantity with its reference, by column; the peaks are in the quantity's unit."""
@@ -93,7 +93,7 @@ def _notes(summary: dict[str, Any]) -> list[str]:
     lines, found, tracking = [pace], summary["equivalent_motion"], summary["tracking_error"]
     if found is not None:
         lines.append(
-            "tested ground motion against the one asked for: response differs by "
+            "equivalent ground motion against the one asked for: response differs by "
             f"{percent(found['response_nrmse'])}, at worst {percent(found['worst_response_nrmse'])}"
         )
     if tracking is not None:
