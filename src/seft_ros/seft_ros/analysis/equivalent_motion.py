@@ -27,8 +27,7 @@ Floats = npt.NDArray[np.float64]
 DAMPING = 0.05
 """Of the oscillators of a spectrum."""
 MARGIN = 2.0
-"""Structures are tried with up to this many times the largest secant stiffness seen in the test,
-and down to the smallest over it."""
+"""Structures are tried from the smallest secant stiffness over this to the largest times this."""
 _PERIODS, _AROUND = 60, 4.0  # of a spectrum, and how far it goes beyond the structure's frequencies
 _FACTOR_STEP = 1.5  # at most, from a stiffness that is tried to the next
 _FACTORS = (0.1, 10.0)  # of secant stiffness: what is beyond is noise or a stop

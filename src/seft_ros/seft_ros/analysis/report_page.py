@@ -9,7 +9,6 @@ from seft_msgs_py.wire.topics import GROUND_MOTION
 
 from seft_ros.analysis.report_numbers import Report
 from seft_ros.analysis.report_sections import (
-    agreement_section,
     energy_section,
     ground_motion_section,
     history_sections,
@@ -17,7 +16,7 @@ from seft_ros.analysis.report_sections import (
     spectra_section,
     tracking_section,
 )
-from seft_ros.analysis.result_text import title_of
+from seft_ros.analysis.result_text import AGREEMENT, agreement_rows, title_of
 from seft_ros.analysis.timing import GAP, timing_of
 from seft_ros.analysis.tracking import tracked_of
 from seft_ros.drawing.page import (
@@ -41,6 +40,10 @@ from seft_ros.recording.record import Record
 _BINS = 80
 _MARKS = {"ok": Mark.NONE, "warn": Mark.DOUBT, "error": Mark.BAD, "stale": Mark.BAD}
 _SOFTWARE = ("python", "platform", "cpus")
+_MODEL = (
+    "The reference response is that of the linear model in the parameters of reference_force: "
+    "these numbers include how the specimen differs from it."
+)
 _LINK = (
     Number("delay of the loop over the link", "loop_delay", "steps", form=str),
     Number(
@@ -74,7 +77,7 @@ def _sections(report: Report) -> Iterator[Section]:
     yield Section("Verdict", [Verdict(judgement.verdict, judgement.text, cells)])
     tested = [_test_rows(report), _software_rows(record.environment)]
     yield Section("What was tested", [Table((), rows, numbers=False) for rows in tested])
-    yield agreement_section(report)
+    yield _agreement(report.summary)
     yield ground_motion_section(report)
     for column, axis in enumerate(axes):
         title = f" of {axis}" if len(axes) > 1 else ""
@@ -87,6 +90,19 @@ def _sections(report: Report) -> Iterator[Section]:
     yield Section("Estimates", list(_estimates(record)))
     yield Section("Interlock and events", list(_events(record)))
     yield Section("Parameters", _parameters(record))
+
+
+def _agreement(summary: dict[str, Any]) -> Section:
+    """Table of peaks, errors and delays."""
+    several = len(summary["axes"]) > 1
+    rows = [
+        row
+        for axis, part in summary["axes"].items()
+        for row in agreement_rows(part, f"{axis} " if several else "")
+    ]
+    note = [Text(_MODEL)] if summary["reference_specimen"] == "model" else []
+    headings = ["", *(column.label for column in AGREEMENT)]
+    return Section("Agreement with the reference response", [*note, Table(headings, rows)])
 
 
 def _test_rows(report: Report) -> list[tuple[str, str]]:

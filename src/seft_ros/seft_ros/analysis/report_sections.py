@@ -12,7 +12,6 @@ from seft_plant_sim.reference.whole_structure import tested_specimen
 
 from seft_ros.analysis.equivalent_motion import MARGIN
 from seft_ros.analysis.report_numbers import Report
-from seft_ros.analysis.result_text import AGREEMENT, agreement_rows
 from seft_ros.analysis.summary import COMPARED
 from seft_ros.analysis.tracking import Tracked
 from seft_ros.analysis.tracking_metrics import delay_by_frequency, energy_error
@@ -41,10 +40,6 @@ WINDOW = 1.0
 """Length of a zoom window, s."""
 
 _FEW = 4  # natural frequencies that are listed
-_MODEL = (
-    "The reference response is that of the linear model in the parameters of reference_force: "
-    "these numbers include how the specimen differs from it."
-)
 _INTENDED = {
     False: "The intended force is the reference force of the same step, so even an ideal actuator "
     "is one period late.",
@@ -84,26 +79,14 @@ _TARGET = (
 )
 
 
-def agreement_section(report: Report) -> Section:
-    """Table of peaks, errors and delays."""
-    summary = report.summary
-    several = len(summary["axes"]) > 1
-    rows = [
-        row
-        for axis, part in summary["axes"].items()
-        for row in agreement_rows(part, f"{axis} " if several else "")
-    ]
-    note = [Text(_MODEL)] if summary["reference_specimen"] == "model" else []
-    headings = ["", *(column.label for column in AGREEMENT)]
-    return Section("Agreement with the reference response", [*note, Table(headings, rows)])
-
-
 def ground_motion_section(report: Report) -> Section:
     """Numbers of a test's own ground motion, and its response spectrum for each axis."""
     title, difference = "The equivalent ground motion", report.difference
     if difference is None:
-        text = "Not known: the record lacks samples, ground motion, or the structure's description."
-        return Section(title, [Text(text)])
+        text = Text(
+            "Not known: samples, ground motion, or the structure's description are missing."
+        )
+        return Section(title, [text])
     numbers, target = (report.summary[key] for key in ("equivalent_motion", "tracking_error"))
     structure = numbers["structure"]
     modes = [
@@ -185,19 +168,16 @@ def tracking_section(report: Report, signals: Tracked, column: int, title: str) 
     """Tracking of an axis: numbers, time history, synchronisation plot, delay by frequency."""
     experiment = report.record.experiment
     row = report.summary["tracking"][experiment.axes[column]]
-    of_structure = [
-        Number(f"{name}, of the structure", f"J.{name}", "%")
-        for name in row["J"]
-        if name not in ("J1", "J2", "J3")
-    ]
+    names = [name for name in row["J"] if name not in ("J1", "J2", "J3")]
+    of_structure = [Number(f"{name}, of the structure", f"J.{name}", "%") for name in names]
     table = Table((), rows_of((*_TRACKING, *of_structure), row))
-    blocks: list[Block] = [Text(_INTENDED[signals.derived]), table]
-    if len(signals.steps) > 1:
-        blocks += _tracking_plots(signals, column, experiment.timebase.dt)
-    return Section(f"Force tracking{title}", blocks)
+    plots = _tracking_plots(signals, column, experiment.timebase.dt)
+    return Section(f"Force tracking{title}", [Text(_INTENDED[signals.derived]), table, *plots])
 
 
 def _tracking_plots(signals: Tracked, column: int, dt: float) -> Iterator[Block]:
+    if len(signals.steps) < 2:
+        return
     command, force = signals.command[:, column], signals.force[:, column]
     panel = plot("time / s", "force / N")
     time = signals.steps * dt
@@ -292,8 +272,7 @@ def energy_section(report: Report, signals: Tracked) -> Section:
         left = "" if closure is None else f" At most {closure:.2%} of the input is unexplained."
         blocks.append(Plot(panel, f"Work of the actuators' force, and where it went.{left}"))
     else:
-        text = "No energy balance: the specimen is not known, or samples are missing."
-        blocks.append(Text(text))
+        blocks.append(Text("No energy balance: the specimen is unknown, or samples are missing."))
     if len(signals.steps) > 1:
         panel = plot("time / s", "energy error / J")
         work = energy_error(signals.force - signals.command, signals.velocity, dt)

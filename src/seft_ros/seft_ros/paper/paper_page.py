@@ -108,9 +108,9 @@ def _beyond(found: Findings) -> list[Block]:
     rows: list[list[str | Cell]] = [
         [f"{ratio:g}", *(_error(found.tests[kind, ratio]) for kind in kinds)] for ratio in BEYOND
     ]
-    note = Text("Displacement errors, RMS over RMS, without any shift.")
+    note = "Displacement errors, RMS over RMS, without any shift."
     table = Table(("mass ratio alpha", *kinds.values()), rows, wide=True)
-    return [Text(text), table, note, beyond_figure(found)]
+    return [Text(text), table, Text(note), beyond_figure(found)]
 
 
 def _error(test: Outcome) -> Cell:
@@ -154,8 +154,7 @@ def open_loop_figure(found: Findings) -> Grid:
          [] if crossover is None else [crossover],
          "High, then low, without a kink; it crosses 0 dB at the mark."),
     ]  # fmt: skip
-    shared = Range1d(*_RANGE_HZ)
-    magnitudes, phases = [], []
+    shared, magnitudes, phases = Range1d(*_RANGE_HZ), [], []
     for title, curves, marks, caption in columns:
         panels = [
             plot("frequency / Hz", label, x_range=shared, log_x=True, height=_HEIGHT)
@@ -177,11 +176,9 @@ def closed_loop_figure(found: Findings) -> Grid:
     labels = ("(a) magnitude, dB", "(b) phase / degrees")
     panels = [plot("frequency / Hz", label, x_range=shared) for label in labels]
     measured, model = found.closed.measured, found.valve.loop
-    curves = [
-        (measured.frequencies_hz, measured.response, _MEASURED),
-        (model.frequencies_hz, model.sampled.tracking, _MODEL),
-    ]
-    _draw_responses(panels, curves, _CLOSED_TO_HZ)
+    own = measured.frequencies_hz, measured.response, _MEASURED
+    modelled = model.frequencies_hz, model.sampled.tracking, _MODEL
+    _draw_responses(panels, [own, modelled], _CLOSED_TO_HZ)
     level(panels[0], 0.0)
     for panel in panels:
         band(panel, 0.0, BAND_HZ, color=FIRST)

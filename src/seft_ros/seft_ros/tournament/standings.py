@@ -24,7 +24,7 @@ RANKING = "ranked by share unstable, then worst NRMSE of the displacement"
 
 _SMALLEST = 1e-4  # %: below, an error is drawn here
 _EDGE = 0.92  # share of the width, beyond which unstable tests are marked
-_DIAMOND, _CROSSES = 0.943, 0.976  # there
+_DIAMOND, _CROSSES = 0.943, 0.976
 _ROW = 0.36  # inch
 _STRIP = 0.56  # of a row, over which the rigs are spread
 _NOTE: dict[str, Any] = {"fontsize": 8, "va": "center"}
@@ -213,16 +213,13 @@ def summarise_tournament(
 
 
 def tournament_figure(standings: Sequence[Standing], runs: Sequence[Run], title: str) -> Figure:
-    """Draw the displacement error on every rig by method, best method on top.
-
-    ``standings`` are best first within a mass ratio, ``runs`` is every test.
-    """
+    """Draw the displacement error of every run by method; ``standings`` are best first."""
     ratios = list(dict.fromkeys(row.mass_ratio for row in standings))
     columns = 1 if len(ratios) <= 3 else 2
     rows = -(-len(ratios) // columns)
     methods = max(sum(row.mass_ratio == ratio for row in standings) for ratio in ratios)
-    width, height = (9.0 if columns == 1 else 13.0), 1.3 + rows * (0.9 + _ROW * methods)
-    figure = new_figure(width, height)
+    width = 9.0 if columns == 1 else 13.0
+    figure = new_figure(width, 1.3 + rows * (0.9 + _ROW * methods))
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     # the axis holds all errors, in %, and to the right of them the unstable tests
     errors = [_percent(run.nrmse) for run in runs if run.nrmse is not None] or [1.0]
@@ -232,8 +229,8 @@ def tournament_figure(standings: Sequence[Standing], runs: Sequence[Run], title:
     locator = LogLocator(subs=(1.0,) if edge - low > 3 else (1.0, 2.0, 5.0))
     ticks = [tick for tick in locator.tick_values(10**low, 10**edge) if tick <= 10**edge]
     for panel, ratio in zip(panels, ratios, strict=False):
-        own = [row for row in standings if row.mass_ratio == ratio]
         tidy(panel)
+        own = [row for row in standings if row.mass_ratio == ratio]
         panel.set_xscale("log")
         panel.set_xlim(10**low, 10**high)
         panel.xaxis.set_major_locator(FixedLocator(ticks))
@@ -244,8 +241,7 @@ def tournament_figure(standings: Sequence[Standing], runs: Sequence[Run], title:
         if lost:
             inside: dict[str, Any] = {"transform": panel.transAxes, "color": MARK}
             panel.add_patch(Rectangle((_EDGE, 0.0), 1.0 - _EDGE, 1.0, alpha=0.06, lw=0, **inside))
-            middle = {"ha": "center", "va": "bottom", "fontsize": 8}
-            panel.text((1.0 + _EDGE) / 2, 1.0, "unstable", **middle, **inside)
+            panel.text((1.0 + _EDGE) / 2, 1.0, "unstable", ha="center", fontsize=8, **inside)
         for place, row in enumerate(own):
             key = row.mass_ratio, row.method
             _draw(panel, place, row, [run for run in runs if run.entry[::2] == key])
@@ -292,8 +288,8 @@ def _draw(panel: Axes, place: int, standing: Standing, runs: Sequence[Run]) -> N
         panel.plot(crosses, heights[rigs], transform=edge, **_STYLES["unstable"])
         if 0 in lost:
             panel.plot(_DIAMOND, place, transform=edge, **_STYLES["configured rig"] | {"mec": MARK})
-        text = f"{len(lost)} of {len(runs)}"
-        panel.text(1.01, place, text, transform=edge, color=MARK, **_NOTE)
+        share = f"{len(lost)} of {len(runs)}"
+        panel.text(1.01, place, share, transform=edge, color=MARK, **_NOTE)
     if standing.not_possible is not None:
         panel.text(0.01, place, "not possible", transform=edge, color=REFERENCE, **_NOTE)
 
