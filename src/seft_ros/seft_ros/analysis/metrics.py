@@ -1,7 +1,7 @@
 """How well a measured response agrees with a reference.
 
-All axes are taken together where arrays have several. A measure that makes no sense (of no
-samples, against a reference that is zero throughout, of values that are not finite) is NaN.
+All axes of an array are taken together. An undefined measure (of no samples, against a reference
+that is zero throughout, of values that are not finite) is NaN.
 """
 
 import math
@@ -49,17 +49,17 @@ def agreement(y: Floats, reference: Floats, dt: float, steps: Steps | None = Non
     Parameters
     ----------
     y : ndarray
-        Response at the steps there are, shape (M, n) or (M,).
+        Response at the recorded steps, shape (M, n) or (M,).
     reference : ndarray
         At every step from 0 on, shape (N, n) or (N,).
     dt : float
         Sampling period, s.
     steps : ndarray of int, optional
-        Shape (M,), strictly increasing and below N; default all N. For the delay, what is
-        missing is interpolated; errors count the steps there are.
+        Shape (M,), strictly increasing and below N; default all N. For the delay,
+        missing steps are interpolated; errors count the recorded ones.
     """
     y, reference = columns(y), columns(reference)
-    if steps is None or len(steps) == len(reference):  # no step lacks
+    if steps is None or len(steps) == len(reference):  # no step is missing
         steps, at_steps = np.arange(len(reference)), reference
     else:
         at_steps = reference[steps]
