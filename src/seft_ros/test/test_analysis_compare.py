@@ -11,7 +11,7 @@ from rich.console import Console
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.comparison import compare
-from seft_ros.analysis.comparison_text import comparison_table
+from seft_ros.analysis.result_text import comparison_table
 from seft_ros.recording.record import Estimates, Record, Series
 
 AXES = ("x", "y")
@@ -216,7 +216,9 @@ def shown(result):
 
 def test_the_table_says_where_records_first_differ():
     a, b = make_record(), make_record(missed=3)
-    assert "identical, bit for bit; steps without a command in time: 3 in b" in shown(compare(a, b))
+    assert "identical, bit for bit; steps that missed the command deadline: 3 in b" in shown(
+        compare(a, b)
+    )
     b.series["rig/state"].values[3, 3, 1] = 77.0
     text = shown(compare(a, b))
     assert "first difference at step 3, rig/state, effort of axis y" in text

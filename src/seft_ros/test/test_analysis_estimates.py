@@ -12,8 +12,8 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.outcome import Trip
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.figures import test_figure as draw
+from seft_ros.analysis.result_text import summary_table
 from seft_ros.analysis.summary import summarise
-from seft_ros.analysis.summary_text import summary_table
 from seft_ros.recording.record import (
     Estimates,
     Record,

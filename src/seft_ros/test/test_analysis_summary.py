@@ -14,10 +14,12 @@ from seft_msgs_py.wire.outcome import Saturation, Trip
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis import figures
+from seft_ros.analysis.judgement import verdict
 from seft_ros.analysis.metrics import delayed, nrmse
-from seft_ros.analysis.summary import json_safe, reference_of, summarise
-from seft_ros.analysis.summary_text import summary_table, verdict
+from seft_ros.analysis.result_text import summary_table
+from seft_ros.analysis.summary import reference_of, summarise
 from seft_ros.drawing.style import save_figure
+from seft_ros.drawing.tables import json_safe
 from seft_ros.recording.record import Record, Series
 
 COUNT = 2000
@@ -180,10 +182,10 @@ def test_what_was_at_the_end_of_its_range_is_told_by_name():
         "valve": {"samples": 12, "first_step": 40},
     }
     assert list(summary["saturated"]) == ["force_range", "valve"]
-    words = "at the end of its range: force range (3 samples from 1.000 s), valve (12 samples"
+    words = "saturated: force range in 3 samples from 1.000 s, valve in 12 samples"
     assert words in verdict(summary)
     assert summary["stable"] is True
-    assert "range" not in verdict(summarise(make_record()))
+    assert "saturated" not in verdict(summarise(make_record()))
 
 
 def test_without_the_whole_ground_motion_there_is_no_reference():
@@ -242,7 +244,7 @@ def test_numbers_that_json_lacks_become_null():
             "TRIPPED at 1.400 s (step 700): force [N]",
         ),
         ({"complete": False, "missed": None}, "CUT OFF"),
-        ({"missed": 7}, "7 of 2000 steps had no command in time"),
+        ({"missed": 7}, "7 of 2000 steps missed the command deadline"),
     ],
 )
 def test_the_verdict_says_how_the_test_went(changes, words):
@@ -282,7 +284,7 @@ def test_a_figure_has_a_column_for_each_axis_up_to_three(axes):
     drawn = figures.test_figure(record, reference_of(record))
     assert len(drawn.axes) == 3 * min(len(axes), 3)
     labels = [text.get_text() for text in drawn.legends[0].get_texts()]
-    assert labels == ["exact response", "test"]
+    assert labels == ["reference response", "test"]
     for panel in drawn.axes:
         assert len(panel.lines) == 2
     assert "mass ratio 0.5" in drawn.texts[0].get_text()
@@ -297,7 +299,7 @@ def test_a_figure_holds_the_samples_in_units_for_people_against_time():
     assert np.array_equal(test.get_ydata(), record.series["rig/state"].values[:, 0, 0] * 1e3)
     assert test.get_xdata()[-1] == pytest.approx(3.998)
     assert np.array_equal(exact.get_ydata(), reference_of(record).displacement[:, 0] * 1e3)
-    assert panel.get_title(loc="right") == "NRMSE 10 %"
+    assert panel.get_title(loc="right") == "NRMSE 10.0 %"
 
 
 def test_a_trip_is_a_line_across_all_panels_and_stands_in_the_title():

@@ -5,8 +5,8 @@ import re
 from pathlib import Path
 
 import pytest
-from seft_ros.paper import experiments, findings
-from seft_ros.paper.experiments import default_config
+from seft_ros.paper import findings, paper_tests
+from seft_ros.paper.paper_tests import default_config
 
 ROOT = Path(__file__).parents[3]
 RECORDS = ROOT.parent / "shared" / "data"
@@ -93,7 +93,7 @@ def test_the_papers_rig_is_found_where_it_was_installed(tmp_path, monkeypatch, p
     for path in (package / "__init__.py", installed):
         path.parent.mkdir(parents=True)
         path.touch()
-    monkeypatch.setattr(experiments.seft_ros, "__file__", str(package / "__init__.py"))
+    monkeypatch.setattr(paper_tests.seft_ros, "__file__", str(package / "__init__.py"))
     assert default_config() == installed
 
 

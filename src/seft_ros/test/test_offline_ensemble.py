@@ -16,7 +16,7 @@ from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.compiled_loop import obstacle
 from seft_ros.test_run.offline import Workshop, simulate, thread_map
 from seft_ros.test_run.parameter_tables import TABLES
-from seft_ros.tournament.perturbed_rig import perturbed_rig
+from seft_ros.tournament.entries import perturbed_rig
 
 JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
 SHORT = ("ground_motion:synthetic.duration:=12", "ground_motion:tail:=0.5")

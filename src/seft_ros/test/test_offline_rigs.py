@@ -6,7 +6,7 @@ from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import rigs_of
 from seft_ros.force_controller.methods import force_control
-from seft_ros.paper.experiments import default_config
+from seft_ros.paper.paper_tests import default_config
 from seft_ros.recording.bag_reader import read_bag
 from seft_ros.recording.record import Series
 from seft_ros.recording.record_bag import write_record

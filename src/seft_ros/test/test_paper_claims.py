@@ -6,15 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from seft_ros.paper import measures
-from seft_ros.paper.claim import Statement, statements, verdict
-from seft_ros.paper.measures import vibration_ratio
-from seft_ros.paper.outcome import (
-    Outcome,
-    explained,
-    magnitude_and_phase,
-    vibration,
-    without_vibration,
-)
+from seft_ros.paper.claims import Statement, statements, verdict
+from seft_ros.paper.measures import explained, magnitude_and_phase, vibration_ratio
+from seft_ros.paper.paper_tests import Outcome, vibration, without_vibration
 
 RATE = 500.0
 TIME = np.arange(5000) / RATE

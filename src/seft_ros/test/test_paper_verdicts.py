@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from seft_msgs_py.wire.outcome import Trip
 from seft_ros.design.controller import Root
-from seft_ros.paper.claim import judge, statements
+from seft_ros.paper.claims import judge_claims, statements
 from seft_ros.paper.findings import Findings, Growth
-from seft_ros.paper.outcome import Outcome
+from seft_ros.paper.paper_tests import Outcome
 
 DT = 0.002
 TIME = np.arange(6000) * DT
@@ -71,7 +71,7 @@ class _Sections(dict):
 
 def verdicts(found):
     of_loop = ("Section 3.1", "Figure 3", "Figure 4")  # nothing is made up of those
-    claims = judge(found, [row for row in statements() if not row.where.startswith(of_loop)])
+    claims = judge_claims(found, [row for row in statements() if not row.where.startswith(of_loop)])
     return {claim.claim: claim.agrees for claim in claims}
 
 
@@ -116,7 +116,7 @@ def test_results_like_the_papers_agree_throughout():
         ),
         (
             {("delay", 1.0): a_test(7.1, 0.6, trip=Trip("force", 5, 0.01))},
-            "displacement of Eq. 5.4 as it stands matches the experiment at alpha = 1",
+            "displacement of Eq. 5.4 as printed matches the experiment at alpha = 1",
         ),
         (
             {("model", 0.5): a_test(8.2, 0.8)},

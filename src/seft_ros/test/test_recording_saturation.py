@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
+from seft_ros.analysis.judgement import verdict
 from seft_ros.analysis.summary import summarise
-from seft_ros.analysis.summary_text import verdict
 from seft_ros.recording.bag_reader import read_bag
 from seft_ros.recording.record_bag import write_record
 from seft_ros.test_run.blocks import build_blocks
@@ -33,7 +33,7 @@ def test_what_the_rig_counted_is_in_the_bag_and_in_its_summary(tmp_path, storage
     for one in (record, read_bag(tmp_path / "bag")):
         assert one.saturation == blocks.rig.saturation
         assert summarise(one)["saturated"]["force_range"] == expected
-        assert f"force range ({expected['samples']} samples from" in verdict(summarise(one))
+        assert f"force range in {expected['samples']} samples from" in verdict(summarise(one))
 
 
 def test_a_second_test_of_the_same_blocks_counts_anew():

@@ -9,11 +9,10 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from seft_msgs_py.errors import InputError
 from seft_ros.drawing.style import check_figure
+from seft_ros.drawing.tables import percent
 from seft_ros.tournament.entries import Entry, Tournament
-from seft_ros.tournament.figure import tournament_figure
-from seft_ros.tournament.ranking_table import percent, reasons, standings_table
 from seft_ros.tournament.runs import Run
-from seft_ros.tournament.standings import standings
+from seft_ros.tournament.standings import notes, standings, standings_table, tournament_figure
 
 LOST = None
 """Error of an unstable test."""
@@ -129,7 +128,7 @@ def test_the_table_fits_a_terminal():
     assert none[:5] == ["3", "none", "20.0", "%", "unstable"]
     assert "…" not in text
     assert "lacking" not in text
-    assert reasons(rows) == ["lacking: not possible: it lacks a delay"]
+    assert notes(rows, []) == ["lacking: not possible: it lacks a delay"]
 
 
 @pytest.mark.parametrize(

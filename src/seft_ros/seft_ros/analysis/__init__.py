@@ -1,1 +1,1 @@
-"""What a record tells: agreement with the exact response, figures, comparisons."""
+"""What a record shows: agreement with the reference, judgement, tables, figures, report."""

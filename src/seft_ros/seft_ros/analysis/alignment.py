@@ -1,4 +1,4 @@
-"""How samples lie on one another: common steps of two series, common axes of two records."""
+"""Alignment of samples: common steps of two series, common axes of two records."""
 
 import math
 from dataclasses import dataclass
@@ -17,9 +17,9 @@ Where = slice | npt.NDArray[np.intp]
 
 
 def common_steps(one: Steps, other: Steps) -> tuple[Steps, Where, Where]:
-    """Find the steps that are in both, and where they stand in each; both strictly increase.
+    """Find the steps that are in both, and their indices in each; both strictly increase.
 
-    Where both are the same, as they mostly are, places are slices: they copy nothing.
+    Where both are the same, as they mostly are, indices are slices: they copy nothing.
     """
     if np.array_equal(one, other):
         return one, slice(None), slice(None)
@@ -47,7 +47,7 @@ class Alignment:
     only : pair of tuple of str
         Axes that one record has and the other has not.
     columns : pair of list of int
-        Where the common axes stand in each record.
+        Indices of the common axes in each record.
     every : pair of int
         Steps of each record from one instant of the grid to the next; both 1 at equal rates.
     """
@@ -70,7 +70,7 @@ class Alignment:
         axes = tuple(axis for axis in one.axes if axis in other.axes)
         if not axes:
             raise InputError(
-                f"the tests can't be compared, for they have no axis in common: axes are "
+                "the tests can't be compared because they have no axis in common: axes are "
                 f"{list(one.axes)} in the first and {list(other.axes)} in the second"
             )
         grid = math.lcm(one.timebase.period_ns, other.timebase.period_ns)

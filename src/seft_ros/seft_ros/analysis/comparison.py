@@ -12,7 +12,9 @@ from seft_msgs_py.wire.topics import ESTIMATES, LOOP_TOPICS, REFERENCE_FORCE, RI
 
 from seft_ros.analysis.alignment import Alignment, common_steps
 from seft_ros.analysis.metrics import nrmse, peak
-from seft_ros.analysis.summary import json_safe
+from seft_ros.analysis.result_text import title_of
+from seft_ros.drawing.tables import json_safe
+from seft_ros.recording.bag_reader import UNDECODABLE
 from seft_ros.recording.record import Record, Series
 
 Floats = npt.NDArray[np.float64]
@@ -25,13 +27,13 @@ def compare(a: Record, b: Record) -> dict[str, Any]:
     Parameters
     ----------
     a, b : Record
-        With an axis in common, if not all; lengths and rates may differ.
+        With at least one common axis; lengths and rates may differ.
 
     Returns
     -------
     dict
         ``identical``: both have the same rate and axes, hold the same steps on every loop
-        topic, and equal bits; so too of the estimates, if either has any.
+        topic, and equal bits; also of the estimates, if either has any.
         ``first_difference``: None, or ``topic``, ``step``, ``field``, ``axis``, ``a``, ``b`` of
         the smallest step that differs, first in the order of `LOOP_TOPICS`, estimates last;
         where a record lacks the step, field and axis are None and a, b are "present" or
@@ -42,8 +44,8 @@ def compare(a: Record, b: Record) -> dict[str, Any]:
         ``axes``: those ``compared``, and those ``only_a`` and ``only_b`` has.
         ``topics``: for each topic ``samples_a``, ``samples_b``, ``identical``, ``compared``
         (samples both hold), ``missing_a`` and ``missing_b`` (steps, or common instants, that
-        only the other has), and of what is compared ``max_abs`` and ``nrmse``
-        (RMS(a - b) / RMS(a)): the largest of its fields, which ``fields`` has one by one.
+        only the other has), and of the compared samples ``max_abs`` and ``nrmse``
+        (RMS(a - b) / RMS(a)): the largest of its ``fields``, which have the same two.
 
     Raises
     ------
@@ -61,22 +63,27 @@ def compare(a: Record, b: Record) -> dict[str, Any]:
         counts = {"samples_a": len(one.steps), "samples_b": len(other.steps)}
         topics[topic] = {**counts, "identical": value is None and lacking is None, **figures}
         values.append(value and {"topic": topic, **value})
-        # a sample that lacks stands before a value that differs in the same step
+        # a missing sample comes before a value that differs in the same step
         missing += [lacking and {"topic": topic, **lacking}, values[-1]]
-    first, first_value = _earliest(missing), _earliest(values)
+    first, first_value = (
+        min((one for one in differences if one), key=lambda one: one["step"], default=None)
+        for differences in (missing, values)
+    )
     only_a, only_b = alignment.only
-    found_all = {
-        "identical": first is None and not (only_a or only_b or alignment.by_time),
-        "first_difference": _in_own_steps(first, alignment),
-        "first_value_difference": _in_own_steps(first_value, alignment),
-        "missed": {"a": a.missed, "b": b.missed},
-        "aligned_by": "time" if alignment.by_time else "step",
-        "rate_hz": {"a": a.experiment.timebase.rate, "b": b.experiment.timebase.rate},
-        "length_s": {"a": length_s(a), "b": length_s(b)},
-        "axes": {"compared": alignment.axes, "only_a": only_a, "only_b": only_b},
-        "topics": topics,
-    }
-    return {key: json_safe(value) for key, value in found_all.items()}
+    found: dict[str, Any] = json_safe(
+        {
+            "identical": first is None and not (only_a or only_b or alignment.by_time),
+            "first_difference": _in_own_steps(first, alignment),
+            "first_value_difference": _in_own_steps(first_value, alignment),
+            "missed": {"a": a.missed, "b": b.missed},
+            "aligned_by": "time" if alignment.by_time else "step",
+            "rate_hz": {"a": a.experiment.timebase.rate, "b": b.experiment.timebase.rate},
+            "length_s": {"a": length_s(a), "b": length_s(b)},
+            "axes": {"compared": alignment.axes, "only_a": only_a, "only_b": only_b},
+            "topics": topics,
+        }
+    )
+    return found
 
 
 def compare_all(names: Sequence[str], records: Sequence[Record]) -> dict[str, Any]:
@@ -96,9 +103,21 @@ def compare_all(names: Sequence[str], records: Sequence[Record]) -> dict[str, An
             raise InputError(f"{names[0]} and {name}: {error}") from None
     if len(comparisons) == 1:
         return comparisons[0]
+    identical = all(comparison["identical"] for comparison in comparisons)
+    return {"identical": identical, "comparisons": comparisons}
+
+
+def describe_bag(path: str, record: Record) -> dict[str, Any]:
+    """Describe a bag, as ``--json`` prints it; what is not known is None."""
     return {
-        "identical": all(comparison["identical"] for comparison in comparisons),
-        "comparisons": comparisons,
+        "bag": path,
+        "title": title_of(record) if record.described else None,
+        "mode": record.environment.get("mode"),
+        "rate_hz": record.experiment.timebase.rate,
+        "axes": list(record.experiment.axes),
+        "length_s": length_s(record),
+        "complete": record.complete if record.described else None,
+        "undecodable": record.environment.get(UNDECODABLE, 0),
     }
 
 
@@ -115,7 +134,7 @@ def _pairs(a: Record, b: Record) -> Iterator[tuple[str, Sequence[str], Series, S
     for topic in LOOP_TOPICS:
         one, other = a.series[topic.name], b.series[topic.name]
         quantities = topic.quantities
-        if topic == REFERENCE_FORCE:  # perhaps of a target, then with its motion before
+        if topic == REFERENCE_FORCE:  # with target_motion the target's motion comes before it
             count = min(one.values.shape[1], other.values.shape[1])
             quantities = TARGET.quantities[-count:]
             one, other = (replace(s, values=s.values[:, -count:]) for s in (one, other))
@@ -123,11 +142,10 @@ def _pairs(a: Record, b: Record) -> Iterator[tuple[str, Sequence[str], Series, S
     found = [record.estimates for record in (a, b)]
     names = tuple(dict.fromkeys(name for some in found if some for name in some.names))
     if names:
-        one, other = (_rows(record, names) for record in (a, b))
-        yield ESTIMATES.name, names, one, other
+        yield ESTIMATES.name, names, _estimates(a, names), _estimates(b, names)
 
 
-def _rows(record: Record, names: Sequence[str]) -> Series:
+def _estimates(record: Record, names: Sequence[str]) -> Series:
     """Estimates by these names; NaN where there is none of a name."""
     estimates, axes = record.estimates, len(record.experiment.axes)
     if estimates is None:
@@ -182,10 +200,6 @@ def _first_missing(one: Series, other: Series) -> First:
     step = int(np.setxor1d(one.steps, other.steps, assume_unique=True)[0])
     words = ("present", "missing") if step in one.steps else ("missing", "present")
     return {"step": step, "field": None, "axis": None, "a": words[0], "b": words[1]}
-
-
-def _earliest(found: Sequence[First]) -> First:
-    return min((one for one in found if one), key=lambda one: one["step"], default=None)
 
 
 def _in_own_steps(first: First, alignment: Alignment) -> First:

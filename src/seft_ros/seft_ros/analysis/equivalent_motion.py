@@ -1,4 +1,4 @@
-"""The ground motion of which a test as measured is the exact one, against that asked for."""
+"""The ground motion for which the measured test is exact, against the one asked for."""
 
 import math
 from dataclasses import dataclass
@@ -27,8 +27,7 @@ Floats = npt.NDArray[np.float64]
 DAMPING = 0.05
 """Of the oscillators of a spectrum."""
 MARGIN = 2.0
-"""Stiffness up to which structures are tried, over the largest secant stiffness seen in the test;
-and down to which, under the smallest."""
+"""Structures are tried from the smallest secant stiffness over this to the largest times this."""
 _PERIODS, _AROUND = 60, 4.0  # of a spectrum, and how far it goes beyond the structure's frequencies
 _FACTOR_STEP = 1.5  # at most, from a stiffness that is tried to the next
 _FACTORS = (0.1, 10.0)  # of secant stiffness: what is beyond is noise or a stop
@@ -36,13 +35,13 @@ _SMALLEST = 0.1  # half cycle that counts, over the largest
 
 
 def assumed_structure(experiment: Experiment, stiffness_factor: float = 1.0) -> Experiment | None:
-    """Take of an experiment what the reference-force node assumes of the structure.
+    """Give the structure that the reference-force node assumes, the model and what is computed.
 
     Returns
     -------
     Experiment or None
-        One without a rig: its whole structure is linear, the model (its stiffness times the
-        factor) and the computed substructure. None if it does not describe one.
+        One without a rig: its whole structure is linear, with the model's stiffness times the
+        factor. None if the experiment does not describe one.
     """
     section = experiment.sections.get("reference_force", {})
     try:
@@ -55,7 +54,7 @@ def assumed_structure(experiment: Experiment, stiffness_factor: float = 1.0) -> 
 
 
 class EquivalentMotion:
-    """Follows the ground motion that a test was of, from what was measured.
+    """Computes the ground motion of a test from measurements.
 
     With the specimen's restoring force r = f - M_e a, and the force g of what is computed beside
     lumped mass (docs/theory.md, "More than lumped mass"), the whole structure obeys
@@ -74,10 +73,7 @@ class EquivalentMotion:
     dt : float
         Sampling period, s.
 
-    Attributes
-    ----------
-    mass : ndarray
-        M_e, that of the specimen, shape (n, n), kg.
+    The attribute ``mass`` is M_e, that of the specimen, shape (n, n), kg.
     """
 
     def __init__(self, whole: WholeStructure, dt: float) -> None:
@@ -165,18 +161,14 @@ class MotionDifference:
     asked: Floats
     tested: Floats
 
-    @property
-    def deviation(self) -> Floats:
-        """Spectrum of what was tested over that of what was asked, less 1; shape (P, n)."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return self.tested / self.asked - 1.0
-
     def numbers(self) -> dict[str, Any]:
-        """For JSON; docs/metrics.md tells what each number is."""
+        """For JSON; docs/metrics.md explains each number."""
         worst = int(np.argmax(np.nan_to_num(self.tried_nrmse, nan=-1.0)))
         low, high = self.band_hz
         inside = (self.frequency_hz >= low * (1 - 1e-9)) & (self.frequency_hz <= high * (1 + 1e-9))
-        frequency, deviation = self.frequency_hz[inside], self.deviation[inside]
+        frequency = self.frequency_hz[inside]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            deviation = self.tested[inside] / self.asked[inside] - 1.0
         size = np.where(np.isfinite(deviation), np.abs(deviation), -1.0)
         place = np.unravel_index(np.argmax(size), size.shape) if (size >= 0).any() else None
         return {
@@ -198,8 +190,8 @@ class MotionDifference:
 def motion_difference(record: Record) -> MotionDifference | None:
     """Compare the ground motion of which a test is the exact one with the one asked for.
 
-    No specimen model decides it: the structures tried are linear, and their stiffness runs from
-    half the smallest to twice the largest secant stiffness that the specimen had in the test.
+    It needs no specimen model: the structures tried are linear, and their stiffness runs from half
+    the smallest to twice the largest secant stiffness that the specimen had in the test.
 
     Returns
     -------
@@ -221,9 +213,8 @@ def motion_difference(record: Record) -> MotionDifference | None:
         tested = equivalent.advance(measured)
         factors = _factors(structure, measured, equivalent.mass)
         tried = [one for one in (assumed_structure(record.experiment, f) for f in factors) if one]
-        errors = [_response_nrmse(one, asked, tested) for one in tried]
-        assumed_error = _response_nrmse(assumed, asked, tested)
-        modes = [_modes(whole_structure(one))[0] for one in tried]
+        first, *errors = (_response_nrmse(one, asked, tested) for one in (assumed, *tried))
+        modes = [natural_frequencies(one) for one in tried]
         natural, damping = _modes(structure)
         band = (float(modes[0][0]), float(modes[-1][-1]))
         frequency = spectrum_frequencies(band, dt)
@@ -231,18 +222,9 @@ def motion_difference(record: Record) -> MotionDifference | None:
             np.stack([response_spectrum(y, dt, 1 / frequency, DAMPING) for y in a.T], axis=1)
             for a in (asked, tested)
         ]
-    return MotionDifference(
-        natural_hz=natural,
-        damping=damping,
-        response_nrmse=assumed_error,
-        factors=factors,
-        tried_hz=np.array([mode[0] for mode in modes]),
-        tried_nrmse=np.array(errors),
-        band_hz=band,
-        frequency_hz=frequency,
-        asked=spectra[0],
-        tested=spectra[1],
-    )
+    firsts = np.array([mode[0] for mode in modes])
+    tries = (factors, firsts, np.array(errors))
+    return MotionDifference(natural, damping, first, *tries, band, frequency, *spectra)
 
 
 def spectrum_frequencies(band_hz: tuple[float, float], dt: float) -> Floats:
@@ -275,7 +257,7 @@ def _modes(whole: WholeStructure) -> tuple[Floats, Floats]:
 
 
 def _factors(whole: WholeStructure, states: Floats, mass: Floats) -> Floats:
-    """Stiffnesses to be tried, over the model's: half to twice the secant stiffnesses seen."""
+    """Stiffnesses to try, over the model's: half to twice the secant stiffnesses of the test."""
     n = len(mass)
     stiffness = (whole.structure.stiffness[:n, :n] - whole.computed.stiffness[:n, :n]).copy()
     seen = secant_stiffness(states, mass, stiffness)

@@ -1,4 +1,4 @@
-"""Figures of tests: one against the exact response, or several on one another."""
+"""Figures of tests: one against its reference response, or several on one another."""
 
 from collections.abc import Sequence
 from itertools import cycle
@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RIG_STATE
@@ -15,8 +14,8 @@ from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.alignment import Alignment, common_steps
 from seft_ros.analysis.metrics import nrmse
+from seft_ros.analysis.result_text import title_of
 from seft_ros.analysis.summary import COMPARED
-from seft_ros.analysis.summary_text import title_of
 from seft_ros.drawing.style import (
     FIRST,
     MARK,
@@ -24,11 +23,12 @@ from seft_ros.drawing.style import (
     REFERENCE,
     SECOND,
     TEXT,
-    legend_below,
+    finish,
+    new_figure,
     thinned,
     tidy,
 )
-from seft_ros.drawing.tables import DISPLAY_UNITS, RESPONSES, axis_label
+from seft_ros.drawing.tables import DISPLAY_UNITS, RESPONSES, axis_label, percent
 from seft_ros.recording.record import Record
 
 Floats = npt.NDArray[np.floating[Any]]
@@ -39,24 +39,34 @@ _MOST_BRIDGED = 5  # steps
 
 
 def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
-    """Draw displacement, force and acceleration of a test over time, against the exact response.
+    """Draw displacement, force and acceleration of a test over time, against the reference.
 
-    One column for each axis, of more than `MOST_AXES` the first. Below stands what the
-    compensation identified on line, if anything.
+    One column for each axis, of more than `MOST_AXES` the first. Below are the parameters that
+    the compensation identified on line, if any.
     """
     axes, estimates = record.experiment.axes[:MOST_AXES], record.estimates
+    states, dt = record.series[RIG_STATE.name], record.experiment.timebase.dt
     estimated = estimates.names if estimates else ()
     heights = [2.4] * len(RESPONSES) + [1.3] * len(estimated)  # inches
-    figure, panels = _panels(9.5 if len(axes) == 1 else 5.5 * len(axes), heights, len(axes))
+    width = 9.5 if len(axes) == 1 else 5.5 * len(axes)
+    figure, panels = _panels(width, heights, len(axes))
     for row, name in enumerate((*RESPONSES, *estimated)):
+        _, scale = DISPLAY_UNITS.get(name, ("", 1.0))
         for column, panel in enumerate(panels[row]):
-            if estimates is None or row < len(RESPONSES):
-                _draw_response(panel, record, reference, name, column)
-            else:
-                _, scale = DISPLAY_UNITS.get(name, ("", 1.0))
-                time = estimates.steps * record.experiment.timebase.dt
+            if estimates is not None and row >= len(RESPONSES):
                 values = estimates.values[:, row - len(RESPONSES), column]
-                panel.plot(time, values * scale, color=SECOND, lw=1.2)
+                panel.plot(estimates.steps * dt, values * scale, color=SECOND, lw=1.2)
+            else:
+                y = states.values[:, COMPARED[name], column]
+                if reference is not None:
+                    exact = getattr(reference, name)[:, column]
+                    at, look = thinned(exact), {"color": REFERENCE, "lw": 2.2}
+                    panel.plot(at * dt, exact[at] * scale, label="reference response", **look)
+                    error = nrmse(y, exact[states.steps])
+                    text = f"NRMSE {percent(error)}" if np.isfinite(error) else "NRMSE undefined"
+                    panel.set_title(text, loc="right", fontsize=9, color=TEXT)
+                at = thinned(y)
+                panel.plot(states.steps[at] * dt, y[at] * scale, color=FIRST, lw=0.9, label="test")
             if record.trip is not None:
                 panel.axvline(record.trip.time_s, color=MARK, lw=1.2, ls="--", label="trip")
             panel.margins(x=0.01)
@@ -70,25 +80,8 @@ def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
     title = title_of(record)
     if record.trip is not None:
         title += f"\ntripped at {record.trip.time_s:.3f} s: {record.trip.reason}"
-    _finish(figure, panels[:1, 0], title)
+    finish(figure, panels[:1, 0], title)
     return figure
-
-
-def _draw_response(
-    panel: Axes, record: Record, reference: ReferenceResponse | None, name: str, column: int
-) -> None:
-    states, dt = record.series[RIG_STATE.name], record.experiment.timebase.dt
-    _, scale = DISPLAY_UNITS[name]
-    y = states.values[:, COMPARED[name], column]
-    if reference is not None:
-        exact = getattr(reference, name)[:, column]
-        at = thinned(exact)
-        panel.plot(at * dt, exact[at] * scale, color=REFERENCE, lw=2.2, label="exact response")
-        error = nrmse(y, exact[states.steps])
-        text = f"NRMSE {error * 100:.3g} %" if np.isfinite(error) else "NRMSE undefined"
-        panel.set_title(text, loc="right", fontsize=9, color=TEXT)
-    at = thinned(y)
-    panel.plot(states.steps[at] * dt, y[at] * scale, color=FIRST, lw=0.9, label="test")
 
 
 def comparison_figure(
@@ -96,7 +89,7 @@ def comparison_figure(
 ) -> Figure:
     """Draw displacement, force and acceleration of the first axis that all tests have.
 
-    Below each stands how the further tests differ from the first. A dashed line marks the first
+    Below each is the difference of the further tests from the first. A dashed line marks the first
     difference on any topic, bars at the foot mark where a test lacks states of the rig.
 
     Parameters
@@ -106,7 +99,7 @@ def comparison_figure(
     comparisons : sequence of dict
         Of each further record with the first, as `seft_ros.analysis.comparison.compare` gives it.
     names : sequence of str
-        What the records are called.
+        Names of the records.
 
     Raises
     ------
@@ -118,8 +111,7 @@ def comparison_figure(
     if not common:
         raise InputError("no axis is in all of these tests, so there is no figure of them")
     axis = common[0]
-    heights = [1.9, 1.1] * len(RESPONSES)  # inches
-    figure, grid = _panels(9.5, heights, margin=0.6)
+    figure, grid = _panels(9.5, [1.9, 1.1] * len(RESPONSES), margin=0.6)
     panels = grid[:, 0]
     for name, overlay, difference in zip(RESPONSES, panels[::2], panels[1::2], strict=True):
         _draw_overlay(overlay, records, names, name, axis)
@@ -136,7 +128,7 @@ def comparison_figure(
         panel.margins(x=0.01)
         tidy(panel)
     panels[-1].set_xlabel("time / s", color=TEXT)
-    _finish(figure, panels[:2], f"axis {axis}: difference from {names[0]}")
+    finish(figure, panels[:2], f"axis {axis}: difference from {names[0]}")
     return figure
 
 
@@ -168,7 +160,14 @@ def _draw_differences(panel: Axes, records: Sequence[Record], name: str, axis: s
         apart = other.values[in_b][:, row, column] - one.values[in_a][:, row, column]
         panel.plot(*_broken(steps * dt, apart * scale, steps), color=next(colours), lw=0.9)
         differ, common = differ or bool(np.any(apart != 0)), common or len(steps) > 0
-        _mark_missing(panel, np.setxor1d(one.steps, other.steps), dt)
+        missing = np.setxor1d(one.steps, other.steps)
+        if len(missing):
+            ends = np.flatnonzero(np.diff(missing) != 1)
+            starts, stops = missing[[0, *(ends + 1)]] * dt, missing[[*ends, -1]] * dt
+            foot, heights = panel.get_xaxis_transform(), np.full(len(starts), 0.05)
+            panel.hlines(heights, starts, stops, transform=foot, color=MARK, lw=4)
+            panel.plot(starts, heights, "|", transform=foot, color=MARK, ms=7)
+            panel.plot([], [], color=MARK, lw=4, label="samples missing")
     if not differ:
         panel.set_ylim(-1, 1)
         panel.set_yticks([0])
@@ -185,34 +184,10 @@ def _broken(time: Floats, values: Floats, steps: Steps) -> tuple[Floats, Floats]
     return np.insert(time, gaps, np.nan), np.insert(values, gaps, np.nan)
 
 
-def _mark_missing(panel: Axes, steps: Steps, dt: float) -> None:
-    if not len(steps):
-        return
-    ends = np.flatnonzero(np.diff(steps) != 1)
-    starts, stops = steps[[0, *(ends + 1)]] * dt, steps[[*ends, -1]] * dt
-    foot = panel.get_xaxis_transform()
-    panel.hlines(np.full(len(starts), 0.05), starts, stops, transform=foot, color=MARK, lw=4)
-    panel.plot(starts, np.full(len(starts), 0.05), "|", transform=foot, color=MARK, ms=7)
-    panel.plot([], [], color=MARK, lw=4, label="samples missing")
-
-
 def _panels(
     width: float, heights: Sequence[float], columns: int = 1, margin: float = 0.0
 ) -> tuple[Figure, npt.NDArray[np.object_]]:
     """Make a figure of panels that share their time, row by row; sizes in inches."""
-    figure = Figure(figsize=(width, sum(heights) + margin), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(width, sum(heights) + margin)
     options: dict[str, Any] = {"squeeze": False, "height_ratios": heights}
     return figure, figure.subplots(len(heights), columns, sharex=True, sharey="row", **options)
-
-
-def _finish(figure: Figure, labelled: npt.NDArray[np.object_], title: str) -> None:
-    """Give a figure its title, and a legend of what is labelled in these panels."""
-    figure.align_ylabels()
-    entries = {
-        label: handle
-        for panel in labelled
-        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)
-    }
-    legend_below(figure, entries, 4)
-    figure.suptitle(title, fontsize=11, color=TEXT, parse_math=False)

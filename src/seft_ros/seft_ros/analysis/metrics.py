@@ -1,7 +1,7 @@
 """How well a measured response agrees with a reference.
 
-All axes are taken together where arrays have several. A measure that makes no sense (of no
-samples, against a reference that is zero throughout, of values that are not finite) is NaN.
+All axes of an array are taken together. An undefined measure (of no samples, against a reference
+that is zero throughout, of values that are not finite) is NaN.
 """
 
 import math
@@ -49,17 +49,17 @@ def agreement(y: Floats, reference: Floats, dt: float, steps: Steps | None = Non
     Parameters
     ----------
     y : ndarray
-        Response at the steps there are, shape (M, n) or (M,).
+        Response at the recorded steps, shape (M, n) or (M,).
     reference : ndarray
         At every step from 0 on, shape (N, n) or (N,).
     dt : float
         Sampling period, s.
     steps : ndarray of int, optional
-        Shape (M,), strictly increasing and below N; default all N. For the delay, what is
-        missing is interpolated; errors count the steps there are.
+        Shape (M,), strictly increasing and below N; default all N. For the delay,
+        missing steps are interpolated; errors count the recorded ones.
     """
-    y, reference = _columns(y), _columns(reference)
-    if steps is None or len(steps) == len(reference):  # no step lacks
+    y, reference = columns(y), columns(reference)
+    if steps is None or len(steps) == len(reference):  # no step is missing
         steps, at_steps = np.arange(len(reference)), reference
     else:
         at_steps = reference[steps]
@@ -89,7 +89,7 @@ def nrmse_aligned(
     Samples for which the shifted reference would have to be known beyond its end (as with
     a negative delay) count as free of error. ``steps`` as in `agreement`.
     """
-    y, reference = _columns(y), _columns(reference)
+    y, reference = columns(y), columns(reference)
     if steps is None:
         steps = np.arange(len(reference))
     if not math.isfinite(delay):
@@ -115,7 +115,7 @@ def best_fit_delay(y: Floats, reference: Floats, dt: float) -> float:
     method on the correlation's Fourier series, which is exact for band-limited signals. One
     delay for all axes. Zero where no delay makes the error smaller. Shapes (N, n) or (N,).
     """
-    return _best_fit(_columns(y), _columns(reference), dt)[0]
+    return _best_fit(columns(y), columns(reference), dt)[0]
 
 
 def _best_fit(y: Floats, reference: Floats, dt: float) -> tuple[float, float]:
@@ -159,9 +159,8 @@ def delayed(y: Floats, delay: float, dt: float) -> Floats:
     count, shift = len(y), delay / dt
     if shift == int(shift) and 0 <= shift < count:  # no interpolation, and exact
         return np.concatenate([np.zeros_like(y[: int(shift)]), y[: count - int(shift)]])
-    columns = _columns(y)
     size = next_fast_len(2 * count + math.ceil(abs(shift)), real=True)
-    spectrum = rfft(_faded(columns, size), axis=0, overwrite_x=True)
+    spectrum = rfft(_faded(columns(y), size), axis=0, overwrite_x=True)
     for block in _blocks(len(spectrum)):
         turns = np.arange(block.start, block.stop)[:, np.newaxis] * (shift / size)
         spectrum[block] *= np.exp(-2j * np.pi * turns)
@@ -209,29 +208,19 @@ def _blocks(count: int) -> Iterator[slice]:
         yield slice(start, min(start + _BLOCK, count))
 
 
-def paired_columns(commanded: Floats, measured: Floats) -> tuple[Floats, Floats]:
-    """Give two signals of the same shape, (N,) or (N, n), with an axis in each column.
-
-    Raises
-    ------
-    ValueError
-        If the shapes differ, or are of other dimensions.
-    """
-    one, other = (np.asarray(signal, dtype=np.float64) for signal in (commanded, measured))
+def paired(one: Floats, other: Floats) -> tuple[Floats, Floats]:
+    """Give two signals of the same shape, (N,) or (N, n); a ValueError if they are not."""
+    one, other = (np.asarray(signal, dtype=np.float64) for signal in (one, other))
     if one.shape != other.shape or one.ndim not in (1, 2):
         raise ValueError(
             f"two signals of the same shape (N,) or (N, n) are needed, not {one.shape} "
             f"and {other.shape}"
         )
-    return _columns(one), _columns(other)
+    return one, other
 
 
-def peaks(y: Floats) -> Floats:
-    """Largest magnitude of each column, shape (n,); NaN of no samples, or if one is NaN."""
-    return np.abs(y).max(axis=0) if len(y) else np.full(y.shape[1:], np.nan)
-
-
-def _columns(y: Floats) -> Floats:
+def columns(y: Floats) -> Floats:
+    """Give a signal of shape (N,) the shape (N, 1)."""
     return y[:, np.newaxis] if y.ndim == 1 else y
 
 

@@ -1,6 +1,5 @@
-"""What a test was worth, as a dict of JSON values: the ``--json`` of run, simulate, report."""
+"""The numbers of a test as a dict of JSON values: the ``--json`` of run, simulate, report."""
 
-import math
 from dataclasses import asdict
 from typing import Any
 
@@ -8,7 +7,13 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.topics import GROUND_MOTION, LOOP_TOPICS, RIG_STATE
+from seft_msgs_py.wire.topics import (
+    GROUND_MOTION,
+    LOOP_TOPICS,
+    REFERENCE_FORCE,
+    RIG_STATE,
+    VALVE_COMMAND,
+)
 from seft_plant_sim.lti import split_dead_time
 from seft_plant_sim.specimen import EnergyBalance, energy_balance
 from seft_plant_sim.whole_structure import (
@@ -17,11 +22,13 @@ from seft_plant_sim.whole_structure import (
     tested_specimen,
 )
 
+from seft_ros.analysis.alignment import common_steps
 from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
-from seft_ros.analysis.fault_detection import shares_of
 from seft_ros.analysis.metrics import Agreement, agreement, peak
 from seft_ros.analysis.timing import link_numbers, timing_of
 from seft_ros.analysis.tracking import tracking_error_of, tracking_of
+from seft_ros.drawing.tables import json_safe
+from seft_ros.force_controller.detectors_of import detector_shares
 from seft_ros.recording.record import Estimates, Record
 
 Floats = npt.NDArray[np.float64]
@@ -49,21 +56,20 @@ def summarise(
     Returns
     -------
     dict
-        ``steps`` (from 0 to the last that was recorded), ``first_step`` (the first that was),
+        ``steps`` (from 0 to the last recorded), ``first_step`` (the first recorded),
         ``rate_hz``, ``duration_s``, ``wall_s``, ``realtime_factor``, ``complete``, ``stable`` (no
-        trip, and all samples finite), ``trip`` (reason, step, time_s), ``missed`` (steps without a
-        command in time), ``overruns`` (times the rig's own clock was held up), ``timing`` (see
-        `timing_of`), ``saturated`` (what was at the end of its range: stroke, force_capacity,
-        valve, a sensor's range; with samples and first_step), ``link`` (see `link_numbers`),
-        ``lost`` (samples that the record lacks, by topic), ``energy`` (see `energy_numbers`),
-        ``estimates`` (what the compensation identified on line: name -> axis -> first, last, least
-        and largest, SI units), ``equivalent_motion`` (see `MotionDifference.numbers`),
-        ``tracking_error`` (see `tracking_error`), ``detectors`` (of faults, see `shares_of`),
-        ``reference_specimen`` (of the exact response: ``simulated``, or the ``model``, which is no
-        truth to judge a test by), ``tracking`` (see
-        `tracking_of`), and for displacement (m), acceleration (m/s^2) and force (N) what
-        `Agreement` has, over all axes; ``axes`` has the same three for each axis. What is unknown,
-        makes no sense or does not exist is null.
+        trip, and all samples finite), ``trip`` (reason, step, time_s), ``missed`` (steps that
+        missed the command deadline), ``overruns`` (of the rig's sampling), ``timing`` (see
+        `timing_of`), ``saturated`` (stroke, force_capacity, valve, a sensor's range -> samples and
+        first_step), ``link`` (see `link_numbers`), ``lost`` (samples missing from the record, by
+        topic), ``energy`` (see `energy_numbers`), ``estimates`` (identified on line by the
+        compensation: name -> axis -> first, last, least and largest, SI units),
+        ``equivalent_motion`` (see `MotionDifference.numbers`), ``tracking_error`` (see
+        `tracking_error`), ``detectors`` (of faults, see `shares_of`), ``reference_specimen`` (of
+        the reference response: ``simulated``, or the ``model``, by which no test can be judged),
+        ``tracking`` (see `tracking_of`), and for displacement (m), acceleration (m/s^2) and force
+        (N) the fields of `Agreement`, over all axes; ``axes`` has the same three for each axis.
+        Null: unknown, undefined or not there.
     """
     if reference is None:
         reference = reference_of(record)
@@ -77,7 +83,7 @@ def summarise(
     }
     difference = difference or motion_difference(record)
     simulated = "specimen.mass" in record.experiment.sections.get("rig", {})
-    summary = {
+    found: dict[str, Any] = {
         **_outcome(record),
         "first_step": int(recorded[0]) if len(recorded) else None,
         "rate_hz": record.experiment.timebase.rate,
@@ -89,7 +95,10 @@ def summarise(
         "overruns": record.overruns,
         "timing": timing and timing.numbers,
         "link": link_numbers(record),
-        "lost": {topic.name: _lost(record, topic.name, steps) for topic in LOOP_TOPICS},
+        "lost": {
+            topic.name: steps - int(np.searchsorted(record.series[topic.name].steps, steps))
+            for topic in LOOP_TOPICS
+        },
         "energy": energy_numbers(balance or balance_of(record)),
         "estimates": _estimates(record.estimates, axes),
         "equivalent_motion": difference and difference.numbers(),
@@ -100,7 +109,8 @@ def summarise(
         **(by_axis[axes[0]] if len(axes) == 1 else _responses(record, reference, slice(None))),
         "axes": by_axis,
     }
-    return {key: json_safe(value) for key, value in summary.items()}
+    summary: dict[str, Any] = json_safe(found)
+    return summary
 
 
 def summarise_briefly(record: Record, reference: ReferenceResponse) -> dict[str, Any]:
@@ -108,19 +118,10 @@ def summarise_briefly(record: Record, reference: ReferenceResponse) -> dict[str,
 
     For many tests of which no more is wanted: the rest takes most of the time.
     """
-    summary = {**_outcome(record), **_responses(record, reference, slice(None))}
-    return {key: json_safe(value) for key, value in summary.items()}
-
-
-def json_safe(value: Any) -> Any:
-    """Replace what JSON has no number for by None, in dicts and lists too."""
-    if isinstance(value, dict):
-        return {key: json_safe(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [json_safe(item) for item in value]
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    return value
+    summary: dict[str, Any] = json_safe(
+        {**_outcome(record), **_responses(record, reference, slice(None))}
+    )
+    return summary
 
 
 def reference_of(record: Record) -> ReferenceResponse | None:
@@ -227,28 +228,39 @@ def _responses(
 def _estimates(
     estimates: Estimates | None, axes: tuple[str, ...]
 ) -> dict[str, dict[str, dict[str, float]]]:
-    """How each estimate went on each axis; empty if nothing was identified."""
-    if estimates is None:
-        return {}
-    return {
-        name: {
-            axis: {
-                "first": float(values[0]),
-                "last": float(values[-1]),
-                "least": float(np.min(values)),
-                "largest": float(np.max(values)),
+    """How each estimate changed on each axis; empty if nothing was identified."""
+    found: dict[str, dict[str, dict[str, float]]] = {}
+    if estimates is not None:
+        for row, name in enumerate(estimates.names):
+            values = estimates.values[:, row]
+            ends = (values[0], values[-1], values.min(axis=0), values.max(axis=0))
+            found[name] = {
+                axis: dict(zip(("first", "last", "least", "largest"), four, strict=True))
+                for axis, four in zip(axes, np.transpose(ends).tolist(), strict=True)
             }
-            for axis, values in zip(axes, estimates.values[:, row].T, strict=True)
-        }
-        for row, name in enumerate(estimates.names)
-    }
+    return found
+
+
+def shares_of(record: Record) -> dict[str, float] | None:
+    """Say how near each detector of faults came to its threshold, see `detector_shares`.
+
+    None where it is not known: the configuration is of an older version or not recorded, or no
+    sample was answered.
+    """
+    section = record.experiment.sections.get("force_controller", {})
+    states, forces, sent = (
+        record.series[topic.name] for topic in (RIG_STATE, REFERENCE_FORCE, VALVE_COMMAND)
+    )
+    steps, at_states, at_forces = common_steps(states.steps, forces.steps)
+    if "detectors.warn_only" not in section or not len(steps) or not len(sent.steps):
+        return None
+    newest = np.searchsorted(sent.steps, steps, side="right") - 1
+    commands = np.where(newest[:, np.newaxis] < 0, 0.0, sent.values[newest, 0])
+    measured, forces_there = states.values[at_states], forces.values[at_forces]
+    with np.errstate(over="ignore", invalid="ignore"):
+        return detector_shares(record.experiment, steps, forces_there, measured, commands)
 
 
 def _steps(record: Record) -> int:
     steps = record.series[RIG_STATE.name].steps
     return int(steps[-1]) + 1 if len(steps) else 0
-
-
-def _lost(record: Record, topic: str, steps: int) -> int:
-    series = record.series[topic]
-    return steps - int(np.searchsorted(series.steps, steps))

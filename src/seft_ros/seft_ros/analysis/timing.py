@@ -1,9 +1,9 @@
-"""When the messages of a test came: round trips, gaps on each topic, stalls of the host, the link.
+"""Timing of a test's messages: round trips, gaps on each topic, stalls of the host, the link.
 
-Times are those at which the recorder received them, which is what a bag holds: on one host some
-tens of microseconds after the nodes did, and more where the recorder had to wait for its core, so
-that the longest round trips are rather shorter than they seem. What the rig itself measured comes
-with them. A test of the offline loop has no times.
+Times are those at which the recorder received the messages, as in a bag: on one host some tens of
+microseconds after the nodes did, and more where the recorder had to wait for its core, so that
+the longest round trips seem longer than they are. The rig's own measurements are beside them. A
+test of the offline loop has no times.
 """
 
 from dataclasses import dataclass
@@ -35,8 +35,8 @@ class Timing:
     numbers : dict
         JSON values: ``paced`` (whether the rig kept a pace: in lockstep gaps mean nothing),
         ``period_s`` of the loop, ``round_trip_s`` (percentiles, largest, how many of the steps
-        over_a_period), ``round_trip_at_the_rig_s`` (the same as the rig measured it, by the keys
-        of `ROUND_TRIPS`; empty where it did not), ``gaps`` (topic -> median_s and largest_s of the
+        over_a_period), ``round_trip_at_the_rig_s`` (the same as measured by the rig, by the
+        keys of `ROUND_TRIPS`; empty without), ``gaps`` (topic -> median_s and largest_s of the
         intervals between its messages, largest_step after which the largest was, count of those
         longer than `GAP` periods), ``stalls`` (see `stalls_of`).
     """
@@ -92,17 +92,17 @@ def _gaps(record: Record, dt: float) -> dict[str, dict[str, Any]]:
 
 
 def stalls_of(record: Record) -> dict[str, Any] | None:
-    """Hold a test's missed steps against the stalls of its host.
+    """Compare a test's missed steps with the scheduling stalls of its host.
 
     Returns
     -------
     dict or None
-        Of a bare process that slept on the loop's core while the test ran: ``beats`` (deadlines
-        it slept to), ``count`` (those that it met late), ``late_s`` (what counts as late) and
-        ``longest_s``; ``missed_listed`` (listed steps without a command in time that can be looked
-        at) and ``missed_in_a_stall`` (those in whose period it was late; that begins when the
-        state was due, a period after the one before). None where nobody watched: the offline
-        loop, lockstep, a rig on another host.
+        From a bare process that slept on the loop's core during the test: ``beats`` (deadlines it
+        slept to), ``count`` (those that it met late), ``late_s`` (what counts as late) and
+        ``longest_s``; ``missed_listed`` (listed steps that missed the command deadline and are in
+        the record) and ``missed_in_a_stall`` (those in whose period it was late; a period begins
+        when the state was due, a period after the one before). None where no such process ran:
+        the offline loop, lockstep, a rig on another host.
     """
     seen = record.environment.get("stalls")
     if not isinstance(seen, dict):
@@ -135,10 +135,10 @@ def stalls_of(record: Record) -> dict[str, Any] | None:
 def link_numbers(record: Record) -> dict[str, Any] | None:
     """Summarise what the force controller counted on the link of a test on several hosts.
 
-    These are ``loop_delay`` (steps), ``age`` of the messages in steps (p50, p99, largest), ``late``
-    (forces whose message was older than the loop's delay: they are predictions), ``held`` (forces
-    of which no message told: the one before was held), ``forces`` (all of them). None where no link
-    lies between reference force and force controller, or nothing was told.
+    ``loop_delay`` (steps), ``age`` of the messages in steps (p50, p99, largest), ``late`` (forces
+    whose message was older than the loop's delay: they are predictions), ``held`` (forces that no
+    message reached: the one before was held), ``forces`` (all of them). None where no link is
+    between reference force and force controller, or it counted nothing.
     """
     link, section = record.link, record.experiment.sections.get("reference_force", {})
     loop_delay = section.get("loop_delay", 0)

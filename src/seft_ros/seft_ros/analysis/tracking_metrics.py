@@ -1,8 +1,8 @@
 """Measures of tracking from the literature, of plain signals; docs/metrics.md compares them.
 
-Signals are of shape (N, n) or (N,), results of shape (n,) or (). A measure that makes no sense
-(of a command that is zero throughout, of too few samples, of what is not finite) is NaN. Signals
-of different shapes are a ValueError.
+Signals are of shape (N, n) or (N,), results of shape (n,) or (). Undefined results (of a command
+that is zero throughout, of too few samples, of values that are not finite) are NaN. Signals of
+different shapes are a ValueError.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.fft import next_fast_len, rfft
 
-from seft_ros.analysis.metrics import best_fit_delay, nrmse, paired_columns, peak, peaks
+from seft_ros.analysis.metrics import best_fit_delay, columns, delayed, nrmse, paired, peak
 
 Floats = npt.NDArray[np.float64]
 Steps = npt.NDArray[np.int64]
@@ -29,59 +29,45 @@ def benchmark_criteria(
     dt: float,
     steps: Steps | None = None,
 ) -> list[dict[str, float]]:
-    """Evaluate a test by the criteria of the benchmark problem for real-time hybrid simulation.
-
-    Silva, Gomez, Maghareh, Dyke & Spencer 2020, Mechanical Systems and Signal Processing 135,
-    106381. There displacement is tracked and the axes are floors; in SEFT it is force. J1 is
-    found between the samples (`best_fit_delay`), where the benchmark's code has whole samples
-    from 0 to 49. That code takes standard deviations for RMS, and numbers otherwise: its J5 is
-    the peak error of floor 1, J6 and J7 the normalised errors of floors 2 and 3.
+    """Evaluate a test by J1 to J9 of the RTHS benchmark (Silva et al. 2020).
 
     Parameters
     ----------
     commanded, measured : ndarray
-        What is tracked, c and m, M samples: reference force and measured force of a step, N.
+        c and m, M samples: intended force and measured force of a step, N.
     reference_displacement, displacement : ndarray
         x_ref of the reference structure and x as measured, shape (L, n) or (L,), m.
     dt : float
         Sampling period, s.
     steps : ndarray of int, optional
         Steps of ``commanded`` and ``measured``, shape (M,), strictly increasing; default all. For
-        J1 what is missing is interpolated; J2 and J3 count the steps there are.
+        J1 missing ones are interpolated; J2 and J3 count the steps there are.
 
     Returns
     -------
     list of dict
         Of each axis ``J1``, the tracking delay, ms, positive where the measured signal lags;
-        ``J2``, RMS(m - c) / RMS(c), and ``J3``, max|m - c| / max|c|, %. The first axis has besides
+        ``J2``, RMS(m - c) / RMS(c), and ``J3``, max|m - c| / max|c|, %. The first axis also has
         ``J4``, RMS(x_ref - x) / RMS(x_ref), and ``J7``, max|x_ref - x| / max|x_ref|, %; the second
         these as J5 and J8, the third as J6 and J9.
     """
-    c, m = paired_columns(commanded, measured)
-    reference, x = paired_columns(reference_displacement, displacement)
-    if steps is None:
-        steps = np.arange(len(c))
+    c, m = map(columns, paired(commanded, measured))
+    reference, x = map(columns, paired(reference_displacement, displacement))
+    steps = np.arange(len(c)) if steps is None else steps
     found = []
-    for axis, tracked in enumerate(zip(m.T, c.T, strict=True)):
-        row = {
-            "J1": 1e3 * _delay(*tracked, dt, steps),
-            "J2": 100 * nrmse(*tracked),
-            "J3": 100 * _peak_error(*tracked),
-        }
+    for axis, (y, command) in enumerate(zip(m.T, c.T, strict=True)):
+        row = {"J2": 100 * nrmse(y, command), "J3": 100 * _peak_error(y, command)}
+        delay = np.nan
+        if len(steps) and np.isfinite(y).all() and np.isfinite(command).all():
+            every = np.arange(steps[0], steps[-1] + 1)
+            filled, wanted = (np.interp(every, steps, signal) for signal in (y, command))
+            delay = best_fit_delay(filled, wanted, dt)
+        row = {"J1": 1e3 * delay} | row
         if axis < FLOORS:
             floor = x[:, axis], reference[:, axis]
             row |= {f"J{4 + axis}": 100 * nrmse(*floor), f"J{7 + axis}": 100 * _peak_error(*floor)}
         found.append(row)
     return found
-
-
-def _delay(y: Floats, command: Floats, dt: float, steps: Steps) -> float:
-    if not (len(steps) and np.isfinite(y).all() and np.isfinite(command).all()):
-        return np.nan
-    every = np.arange(steps[0], steps[-1] + 1)
-    if len(every) == len(steps):
-        return best_fit_delay(y, command, dt)
-    return best_fit_delay(np.interp(every, steps, y), np.interp(every, steps, command), dt)
 
 
 def _peak_error(y: Floats, reference: Floats) -> float:
@@ -116,14 +102,12 @@ class FrequencyEvaluation:
 def frequency_evaluation_index(
     commanded: Floats, measured: Floats, dt: float, power: float = 2.0
 ) -> FrequencyEvaluation:
-    """Evaluate tracking by the frequency evaluation index (FEI).
+    """Evaluate tracking by the frequency evaluation index (FEI) of Guo et al. 2014.
 
     F = sum_j (Y_j / C_j) |C_j|^l / sum_j |C_j|^l over the discrete Fourier spectra C of the
-    command and Y of what was measured, at the frequencies from 0 to below Nyquist's (Guo et al.
-    2014, Smart Materials and Structures 23, 045042). Amplitude and delay follow from F and from
-    the equivalent frequency f = sum_j f_j |C_j|^l / sum_j |C_j|^l. The phase is that of the
-    plane's four quadrants (atan2): the arctan of the quotient, as printed, is wrong from a
-    quarter of the equivalent period on. Delays are told apart up to half of it.
+    command and Y of the measured signal, from 0 to below Nyquist's frequency. Amplitude and delay
+    follow from F and from the equivalent frequency f = sum_j f_j |C_j|^l / sum_j |C_j|^l. The
+    phase is that of atan2: delays are distinct up to half a period of f.
 
     The record is taken to be periodic: it should begin and end at rest. Of one longer than
     `LONG` samples the few at the end are left out that would make its transform slow. Of a
@@ -132,18 +116,17 @@ def frequency_evaluation_index(
     ``power`` is l, positive, else a ValueError; at 2 F is the complex gain that fits best by least
     squares.
     """
-    c, m = paired_columns(commanded, measured)
+    c, m = paired(commanded, measured)
+    if not power > 0:
+        raise ValueError(f"the power is {power}, not positive")
+    if not len(c):
+        return FrequencyEvaluation(*(np.full(c.shape[1:], np.nan) for _ in range(4)))
     if len(c) > LONG:
         kept = next(n for n in range(len(c), 0, -1) if next_fast_len(n, real=True) == n)
         c, m = c[:kept], m[:kept]
-    if not power > 0:
-        raise ValueError(f"the power is {power}, not positive")
-    shape = np.shape(commanded)[1:]
     bins = (len(c) + 1) // 2
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        most_c, most_m = peaks(c), peaks(m)
-        if not len(c):
-            return FrequencyEvaluation(*(np.full(shape, np.nan) for _ in range(4)))
+        most_c, most_m = _peaks(c), _peaks(m)
         command = rfft(c / most_c, axis=0)[:bins]
         answer = rfft(m / np.where(most_m == 0, 1.0, most_m), axis=0)[:bins]
         magnitude = np.abs(command)
@@ -155,50 +138,101 @@ def frequency_evaluation_index(
         phase = np.arctan2(index.imag, index.real)
         amplitude = np.abs(index) * most_m / most_c
         delay = np.where(frequency > 0, -phase / (2 * np.pi * frequency), np.nan)
-    broken = ~np.isfinite(amplitude)
     found = (amplitude, phase, frequency, delay)
-    return FrequencyEvaluation(*(np.where(broken, np.nan, y).reshape(shape) for y in found))
+    return FrequencyEvaluation(*(np.where(np.isfinite(amplitude), y, np.nan) for y in found))
+
+
+@dataclass(frozen=True)
+class DelayByFrequency:
+    """Tracking in each of F bands; of one signal of shape (N,), without the axes.
+
+    Attributes
+    ----------
+    frequency_hz : ndarray
+        Centres of the bands, shape (F,), from the first above zero to Nyquist's.
+    amplitude : ndarray
+        Measured over commanded, |H1|, shape (F, n).
+    delay_s : ndarray
+        Phase delay, shape (F, n); positive where the measured signal lags.
+    coherence : ndarray
+        Magnitude squared, 0 to 1, shape (F, n): how far the command explains what was measured.
+        Where it is low the rest means little. With one segment it is 1 and says nothing.
+    """
+
+    frequency_hz: Floats
+    amplitude: Floats
+    delay_s: Floats
+    coherence: Floats
+
+
+def delay_by_frequency(
+    commanded: Floats, measured: Floats, dt: float, segment_s: float = 4.0
+) -> DelayByFrequency:
+    """Estimate amplitude and delay in each band from averaged cross spectra.
+
+    H1 = S_cm / S_cc by Welch's method (Welch 1967; Bendat & Piersol, Random Data), with Hann
+    windows that overlap by half. The record's best-fit delay (`best_fit_delay`) is taken out first
+    and added again, so that the phase does not wrap where a delay exceeds half a period, and both
+    signals' segments hold the same. NaN where the command has nothing, or anything is not finite.
+
+    Parameters
+    ----------
+    commanded, measured : ndarray
+        Of the same shape, (N, n) or (N,), else a ValueError.
+    dt, segment_s : float
+        Sampling period and length of a segment, s.
+    """
+    from scipy.signal import csd, welch
+
+    c, m = map(columns, paired(commanded, measured))
+    size = min(len(c), max(2, round(segment_s / dt)))
+    shape = np.shape(commanded)[1:]
+    if size < 2:
+        return DelayByFrequency(np.empty(0), *(np.empty((0, *shape)) for _ in range(3)))
+    delays = [best_fit_delay(*pair, dt) for pair in zip(m.T, c.T, strict=True)]
+    common = np.where(np.isfinite(delays), delays, 0.0)
+    aligned = np.stack([delayed(y, -tau, dt) for y, tau in zip(m.T, common, strict=True)], axis=1)
+    options = {"fs": 1 / dt, "nperseg": size, "axis": 0, "detrend": "constant"}
+    with np.errstate(all="ignore"):
+        frequency, power = welch(c, **options)
+        _, answer = welch(aligned, **options)
+        _, cross = csd(c, aligned, **options)
+        response = (cross / np.where(power > 0, power, np.nan))[1:]
+        coherence = np.abs(cross) ** 2 / np.where(answer > 0, power * answer, np.nan)
+    frequency = frequency[1:]
+    delay = common - np.angle(response) / (2 * np.pi * frequency[:, np.newaxis])
+    found = (np.abs(response), delay, coherence[1:])
+    return DelayByFrequency(frequency, *(y.reshape(-1, *shape) for y in found))
 
 
 def tracking_indicator(commanded: Floats, measured: Floats) -> Floats:
-    """Accumulate the tracking indicator TI: the area that a signal encloses over its command.
+    """Accumulate the tracking indicator of Mercan & Ricles 2007.
 
     TI = (A - TA) / 2, where from one sample to the next A grows by (c' + c) / 2 (m' - m) and TA
-    by (m' + m) / 2 (c' - c) (Mercan & Ricles 2007, Earthquake Engineering & Structural Dynamics
-    36, 1523-1543). It grows while the measured signal lags and falls while it leads; a wrong
-    amplitude alone leaves it at zero. A sine of amplitudes C and M whose measured signal lags by
-    phi adds pi C M sin(phi) in each cycle. Given is TI so far at each sample, of the signals'
-    shape, in the square of their unit; 0 at the first.
+    by (m' + m) / 2 (c' - c). Given is TI so far at each sample, of the signals' shape, in the
+    square of their unit; 0 at the first.
     """
-    c, m = paired_columns(commanded, measured)
+    c, m = paired(commanded, measured)
     indicator = np.zeros_like(c)
     with np.errstate(invalid="ignore", over="ignore"):
         # A and TA have the products c' m' and c m in common, which this leaves out
         indicator[1:] = np.cumsum(0.5 * (c[:-1] * m[1:] - c[1:] * m[:-1]), axis=0)
-    return indicator.reshape(np.shape(commanded))
+    return indicator
 
 
 def relative_tracking_indicator(commanded: Floats, measured: Floats) -> Floats:
     """TI at the end over the square of the command's peak."""
-    c, m = paired_columns(commanded, measured)
-    shape = np.shape(commanded)[1:]
-    if len(c) < 2:
-        return np.full(shape, np.nan)
+    c, m = paired(commanded, measured)
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        most = peaks(c)
-        end = tracking_indicator(c / most, m / most)[-1]
-    return np.where(np.isfinite(end), end, np.nan).reshape(shape)
+        most = _peaks(c)
+        return _end(tracking_indicator(c / most, m / most))
 
 
 def energy_error(force_error: Floats, velocity: Floats, dt: float) -> Floats:
     """Accumulate the work of the force error on the specimen, by the trapezoidal rule.
 
-    Positive where force control adds energy that the reference force would not have brought
-    (as damping taken away), negative where it takes energy out (as damping added). Of whole
-    cycles the rule is exact for band-limited signals. It is the loop's part of an energy balance,
-    which `seft_plant_sim.specimen` draws up for the specimen; after Mosqueda,
-    Stojadinovic & Mahin 2007 (Journal of Structural Engineering 133, 1100-1108), who take the work
-    over the error of displacement, as there it is displacement that is tracked.
+    Positive where force control adds energy (as damping taken away), negative where it takes
+    energy out (as damping added). Of whole cycles the rule is exact for band-limited signals.
 
     Parameters
     ----------
@@ -212,26 +246,30 @@ def energy_error(force_error: Floats, velocity: Floats, dt: float) -> Floats:
     ndarray
         Work so far at each sample, of the signals' shape, J; 0 at the first.
     """
-    error, v = paired_columns(force_error, velocity)
+    error, v = paired(force_error, velocity)
     work = np.zeros_like(error)
     with np.errstate(invalid="ignore", over="ignore"):
         power = error * v
         work[1:] = np.cumsum((power[1:] + power[:-1]) * (dt / 2), axis=0)
-    return work.reshape(np.shape(force_error))
+    return work
 
 
 def relative_energy_error(
     reference_force: Floats, force: Floats, velocity: Floats, dt: float
 ) -> Floats:
-    """Energy error at the end over the largest input energy.
-
-    The input energy is the work of the measured force so far, of which the largest magnitude
-    counts. Forces of the same step, N; else as in `energy_error`.
-    """
-    reference, measured = paired_columns(reference_force, force)
-    _, v = paired_columns(force, velocity)
+    """Energy error at the end over the largest input energy, that of the measured force."""
+    reference, measured = paired(reference_force, force)
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        largest = peaks(energy_error(measured, v, dt))
-        work = energy_error(measured - reference, v, dt)
-        end = work[-1] / largest if len(work) > 1 else np.full(work.shape[1:], np.nan)
-    return np.where(np.isfinite(end), end, np.nan).reshape(np.shape(force)[1:])
+        largest = _peaks(energy_error(measured, velocity, dt))
+        return _end(energy_error(measured - reference, velocity, dt) / largest)
+
+
+def _end(y: Floats) -> Floats:
+    """Last values, NaN of less than two or where they are not finite."""
+    end = y[-1] if len(y) > 1 else np.full(y.shape[1:], np.nan)
+    return np.where(np.isfinite(end), end, np.nan)
+
+
+def _peaks(y: Floats) -> Floats:
+    """Largest magnitude of each column; NaN of no samples, or if one is NaN."""
+    return np.asarray(np.abs(y).max(axis=0)) if len(y) else np.full(y.shape[1:], np.nan)

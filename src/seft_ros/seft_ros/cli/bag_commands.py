@@ -48,11 +48,11 @@ def report(
     """
     from rich.text import Text
 
-    from seft_ros.analysis.summary_text import summary_table
-    from seft_ros.page.content import check_page
+    from seft_ros.analysis.report_numbers import report_numbers
+    from seft_ros.analysis.report_page import write_report
+    from seft_ros.analysis.result_text import summary_table
+    from seft_ros.drawing.page import check_page
     from seft_ros.recording.bag_reader import read_bag
-    from seft_ros.report.numbers import report_numbers
-    from seft_ros.report.report_page import write_report
 
     beside = bag.with_suffix(".html") if bag.is_file() else bag / "report.html"
     page = beside if out is None else check_page(out)
@@ -124,14 +124,13 @@ def compare(
 
         seft compare bags/simulated bags/stock --json
     """
-    from seft_ros.analysis.comparison import compare_all
-    from seft_ros.analysis.comparison_text import (
+    from seft_ros.analysis.comparison import compare_all, describe_bag
+    from seft_ros.analysis.figures import comparison_figure
+    from seft_ros.analysis.result_text import (
         comparison_table,
         comparisons_table,
-        describe_bag,
         legend,
     )
-    from seft_ros.analysis.figures import comparison_figure
     from seft_ros.drawing.style import check_figure, save_figure
     from seft_ros.recording.bag_reader import read_bag
 

@@ -221,8 +221,8 @@ def dds_test(
 
 def show_test(record: Record, bag: Path | None, *, as_json: bool, figure: bool) -> bool:
     """Show how a test went, draw its figure into its bag; return whether it was stable."""
+    from seft_ros.analysis.result_text import summary_table
     from seft_ros.analysis.summary import reference_of, summarise
-    from seft_ros.analysis.summary_text import summary_table
 
     reference = reference_of(record)
     summary = summarise(record, reference)

@@ -64,12 +64,18 @@ def paper(
 
         seft paper --json -p rig:actuator.valve_frequency:=50.0
     """
-    from seft_ros.page.content import check_page
-    from seft_ros.paper.claim import judge
-    from seft_ros.paper.claims_table import claims_table, summarise_paper
-    from seft_ros.paper.experiments import check_rig, default_config
+    from seft_ros.drawing.page import check_page
+    from seft_ros.paper.claims import (
+        claims_table,
+        judge_claims,
+        summarise_paper,
+    )
     from seft_ros.paper.findings import CALCULATIONS, find
-    from seft_ros.paper.page import write_paper
+    from seft_ros.paper.paper_page import write_paper
+    from seft_ros.paper.paper_tests import (
+        check_rig,
+        default_config,
+    )
     from seft_ros.tournament.workers import free_cores
 
     path = check_page(out)
@@ -79,7 +85,7 @@ def paper(
     check_rig(experiment)
     with step_progress(CALCULATIONS, "there is no page") as tell:
         found = find(experiment, workers or free_cores(), tell)
-    claims = judge(found)
+    claims = judge_claims(found)
     name = "the paper's rig" if config is None else str(config)
     write_paper(found, claims, name, path)
     summary = summarise_paper(found, claims, path)
@@ -92,7 +98,7 @@ def paper(
 def _with_motion(experiment: Experiment, file: Path | None, given: dict[str, Any]) -> Experiment:
     """Put the record of the command line in the place of the experiment's own."""
     from seft_ros.ground_motion.ground_motion_block import TABLE
-    from seft_ros.paper.experiments import changed
+    from seft_ros.paper.paper_tests import changed
 
     words = {name: value for name, value in given.items() if value is not None}
     if file is None:
@@ -160,15 +166,14 @@ def tournament(
     """
     from seft_ros.drawing.style import check_figure, save_figure
     from seft_ros.tournament.entries import make_tournament
-    from seft_ros.tournament.figure import tournament_figure
-    from seft_ros.tournament.ranking_table import (
-        plain_runs,
-        reasons,
+    from seft_ros.tournament.runs import count_calculations, run_all, step_cost
+    from seft_ros.tournament.standings import (
+        notes,
+        standings,
         standings_table,
         summarise_tournament,
+        tournament_figure,
     )
-    from seft_ros.tournament.runs import count_calculations, run_all, step_cost
-    from seft_ros.tournament.standings import standings
     from seft_ros.tournament.workers import free_cores
 
     path = check_figure(figure) if figure is not None else None
@@ -198,5 +203,5 @@ def tournament(
     tables = [
         standings_table(own, f"{title}, mass ratio {ratio:g}") for ratio, own in by_ratio.items()
     ]
-    show(summary, json, [*tables, *reasons(ranked), *plain_runs(runs)], "figure")
+    show(summary, json, [*tables, *notes(ranked, runs)], "figure")
     return 0

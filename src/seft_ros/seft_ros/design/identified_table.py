@@ -7,12 +7,11 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from seft_ros.analysis.summary import json_safe
 from seft_ros.design.actuator_fit import ActuatorFit
 from seft_ros.design.identified import ClosedLoop, Identified
 from seft_ros.design.loop_design import plant_numbers, tracking_numbers
 from seft_ros.design.measured_test import Measurement
-from seft_ros.drawing.tables import Number, look_up, make_table
+from seft_ros.drawing.tables import Number, json_safe, look_up, make_table
 
 LISTED_HZ = (1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
 """Frequencies of the table of delays."""

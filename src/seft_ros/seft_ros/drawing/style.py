@@ -1,5 +1,6 @@
-"""Look of the figures, and their way into a file."""
+"""The one style of matplotlib's figures, and their way into a file."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +21,17 @@ REFERENCE = "#9aa3ad"  # what should be
 FIRST = "#0b5fa5"  # what is
 SECOND = "#3d8c40"
 OTHERS = (FIRST, SECOND, "#d9822b", "#7b4fa3", "#00857c", "#8a5a2b")
-"""Lines that are held against one in `REFERENCE`, in turn."""
+"""Colours of lines that are compared with one in `REFERENCE`, in turn."""
 MARK = "#c1272d"
 GRID = "#e6e9ec"
 TEXT = "#33383d"
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Make an empty figure, sizes in inches, that does not touch the user's pyplot."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
 
 
 def tidy(panel: Axes) -> None:
@@ -34,11 +42,23 @@ def tidy(panel: Axes) -> None:
     panel.spines[["top", "right"]].set_visible(False)
 
 
-def legend_below(figure: Figure, entries: dict[str, Artist], columns: int, **font: Any) -> None:
+def finish(figure: Figure, labelled: Iterable[Axes], title: str) -> None:
+    """Give a figure its title, and below a legend of the lines with a label in these panels."""
+    figure.align_ylabels()
+    entries = {
+        label: handle
+        for panel in labelled
+        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)
+    }
+    legend_below(figure, entries, 4)
+    figure.suptitle(title, fontsize=11, color=TEXT, parse_math=False)
+
+
+def legend_below(figure: Figure, entries: dict[str, Artist], columns: int) -> None:
     """Put a legend below all panels of a constrained layout, which makes room for it.
 
-    (matplotlib before 3.7 has no place "outside lower center".) ``entries`` are what is drawn, by
-    its label; ``font`` is a ``fontsize``.
+    (matplotlib before 3.7 has no place "outside lower center".) ``entries`` maps labels to
+    what is drawn.
     """
     legend = figure.legend(
         list(entries.values()),
@@ -47,7 +67,6 @@ def legend_below(figure: Figure, entries: dict[str, Artist], columns: int, **fon
         ncols=columns,
         frameon=False,
         borderaxespad=0.2,
-        **font,
     )
     height = legend.get_window_extent().height / figure.bbox.height
     layout = figure.get_layout_engine()
@@ -56,7 +75,7 @@ def legend_below(figure: Figure, entries: dict[str, Artist], columns: int, **fon
 
 
 def check_figure(path: Path) -> Path:
-    """Complete the name of a figure's file, before the work is done that it is to show.
+    """Complete the name of a figure's file, before the work is done that it shows.
 
     An InputError says that there is no such folder, or that figures have no such format.
     """
@@ -76,10 +95,7 @@ def check_folder(path: Path) -> Path:
 
 
 def save_figure(figure: Figure, path: str | Path) -> None:
-    """Save a figure; the suffix tells the format, png where there is none.
-
-    An InputError says why it can't be.
-    """
+    """Save a figure in the format of the suffix, png without one; an InputError says why not."""
     path = Path(path)
     path = path if path.suffix else path.with_suffix(".png")
     try:
@@ -92,20 +108,14 @@ def save_figure(figure: Figure, path: str | Path) -> None:
 def thinned(y: Floats, most: int = MOST_POINTS) -> npt.NDArray[np.int64]:
     """Choose about ``most`` of N samples that draw the same picture; all where there are no more.
 
-    They are the least and the largest of each stretch; indices increase.
+    They are the smallest and the largest of each stretch; indices increase.
     """
     count = len(y)
     if count <= most:
         return np.arange(count)
-    stretches = max(1, most // 2)
-    length = -(-count // stretches)
-    whole = count // length * length
-    rows = np.nan_to_num(y[:whole]).reshape(-1, length)
-    starts = np.arange(0, whole, length)
-    rest = np.nan_to_num(y[whole:])
-    ends = [0, count - 1]
-    if whole < count:
-        ends += [whole + int(rest.argmin()), whole + int(rest.argmax())]
-    return np.unique(
-        np.concatenate([starts + rows.argmin(axis=1), starts + rows.argmax(axis=1), np.array(ends)])
-    )
+    length = -(-count // max(1, most // 2))
+    starts = np.arange(0, count, length)
+    # the last stretch is filled up with its last sample
+    rows = np.pad(np.nan_to_num(y), (0, len(starts) * length - count), "edge").reshape(-1, length)
+    places = (starts + rows.argmin(axis=1), starts + rows.argmax(axis=1), [0, count - 1])
+    return np.unique(np.concatenate(places))

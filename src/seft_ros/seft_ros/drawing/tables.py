@@ -1,9 +1,12 @@
-"""How people read a result: one description of each number serves tables, pages and figures."""
+"""How a result is read: one description of each number serves tables, pages, figures and JSON."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any
 
+import numpy as np
 from rich.table import Table
 from rich.text import Text
 
@@ -25,7 +28,16 @@ GOOD_ERROR = 0.05
 _LEAST = 0.001  # %
 _LEFT: dict[str, Any] = {"title_justify": "left", "title_style": "", "caption_justify": "left"}
 CENTRED: dict[str, Any] = {"title_justify": "center", "title_style": None, "caption_style": None}
-"""Options of a table whose title stands in its middle, in italics."""
+"""Options of a table whose title is centred, in italics."""
+
+
+class Mark(StrEnum):
+    """How good something is; the value is its class in a page's style sheet."""
+
+    GOOD = "good"
+    DOUBT = "doubt"
+    BAD = "bad"
+    NONE = "none"
 
 
 @dataclass(frozen=True)
@@ -37,7 +49,7 @@ class Number:
     label : str
         Its name in a table or beside an axis.
     key : str
-        Where it stands in the result, with a dot between levels; empty: the result itself.
+        Its place in the result, with a dot between levels; empty: the result itself.
     unit : str
         In which it is displayed.
     scale : float
@@ -77,7 +89,7 @@ class Number:
 
 
 def look_up(result: Any, key: str) -> Any:
-    """Find what stands under a dotted key of nested mappings; None where it is not."""
+    """Find the value of a dotted key in nested mappings; None where there is none."""
     if isinstance(result, Mapping) and key in result:  # such as p99.9
         return result[key]
     for part in key.split(".") if key else ():
@@ -101,16 +113,31 @@ def number(value: float | None, scale: float = 1.0, unit: str = "", form: str = 
     return Number("", "", unit, scale, form).text(value)
 
 
-def percent(value: float | None) -> str:
-    """Write a ratio as a percentage of three digits; a dash where there is none."""
+def percent(value: float | None, sign: str = "") -> str:
+    """Write a ratio as a percentage of three digits; a dash where there is none.
+
+    ``sign`` is "+" where positive ones have a sign, too.
+    """
     if value is None:
         return "-"
-    return "0 %" if value == 0 else f"{value * 100:#.3g} %".replace(". %", " %")
+    form = f"{sign}.0f" if value == 0 or abs(value) >= 10 else f"{sign}#.3g"
+    return f"{value * 100:{form}} %".replace(". %", " %")
 
 
 def small_percent(value: float | None) -> str:
     """Write a ratio as `percent` does, but none of the far too small ones."""
     return f"<{_LEAST:g} %" if value is not None and 0 < value * 100 < _LEAST else percent(value)
+
+
+def json_safe(value: Any) -> Any:
+    """Replace what JSON has no number for by None, in dicts and lists too."""
+    if isinstance(value, dict):
+        return {key: json_safe(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_safe(item) for item in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value
 
 
 def make_table(
@@ -130,11 +157,11 @@ def make_table(
     rows : iterable of sequences
         Cells; None draws a line between sections.
     left : sequence of int
-        Columns that stand to the left; the others stand to the right.
+        Columns aligned to the left; the others are aligned to the right.
     wrap : bool
         Whether cells may be wrapped in a narrow terminal.
     **options : Any
-        Of `rich.table.Table`; title and caption stand to the left, plain, unless told otherwise.
+        Of `rich.table.Table`; title and caption are to the left and plain by default.
     """
     table = Table(**{**_LEFT, "caption_style": "", **options})
     for column, heading in enumerate(headings):

@@ -14,9 +14,9 @@ from bokeh.plotting import figure
 from tornado.web import Application, HTTPError, StaticFileHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
+from seft_ros.drawing.page import plot
 from seft_ros.monitor.access import ASSETS, Access, Guarded, Missing, Tokens
 from seft_ros.monitor.history import Frame
-from seft_ros.page.plots import plot
 
 LIBRARY = Path(bokeh.__file__).parent / "server" / "static" / "js"
 MOST_PAGES = 32

@@ -24,18 +24,19 @@ from seft_ros.design.rig_tests import (
     voltage_after,
 )
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
-from seft_ros.paper.experiments import (
+from seft_ros.paper.paper_tests import (
     BEYOND_SHARE,
     DELAY,
+    Outcome,
     changed,
     conventional,
     delayed,
     model_compensated,
     recommended,
-    told_delay,
+    run_test,
     uncompensated,
+    whole_delay,
 )
-from seft_ros.paper.outcome import Outcome, run_test
 from seft_ros.recording.record import Record
 from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate
@@ -88,7 +89,7 @@ class Findings:
     tests : dict
         ``rig``, ``eft``, ``delay`` (pure, the paper's), ``banded`` (the same within the force
         loop's bandwidth), ``own`` (that with the rig's own delay), ``model`` and ``model_tau``
-        (compensated, told the whole delay and tau alone), ``plain``, ``target`` and
+        (compensated for the whole delay and for tau alone), ``plain``, ``target`` and
         ``target_full`` (beyond the paper), each with its mass ratio.
     growths : dict
         Eigenvalues of ``rig``, ``delay`` and ``banded`` loops.
@@ -141,7 +142,7 @@ def find(experiment: Experiment, workers: int, progress: Progress) -> Findings:
     Parameters
     ----------
     experiment : Experiment
-        As `seft_ros.paper.experiments.check_rig` wants it.
+        One that `seft_ros.paper.paper_tests.check_rig` accepts.
     workers : int
         Number of processes; the results do not depend on it.
     progress : callable
@@ -174,20 +175,13 @@ def find(experiment: Experiment, workers: int, progress: Progress) -> Findings:
         run(planned, 0)
         (identified,) = identifying
         progress("identification", len(tests) + 1)
-        planned |= (banded := _banded(experiment, identified))
+        planned |= (banded := _banded(experiment, identified.closed_loops[0]))
         run(banded, 1)
-    return Findings(
-        uncompensated(experiment, 0.0),
-        motion.source,
-        peak_force,
-        identified,
-        tests,
-        {
-            key: _growth(plan)
-            for key, plan in planned.items()
-            if key[0] in ("rig", "delay", "banded")
-        },
-    )
+    growths = {
+        key: _growth(plan) for key, plan in planned.items() if key[0] in ("rig", "delay", "banded")
+    }
+    plain = uncompensated(experiment, 0.0)
+    return Findings(plain, motion.source, peak_force, identified, tests, growths)
 
 
 def _planned(experiment: Experiment, peak_force: float) -> dict[Key, Experiment]:
@@ -198,7 +192,7 @@ def _planned(experiment: Experiment, peak_force: float) -> dict[Key, Experiment]
     planned["eft", 0.0] = conventional(experiment)
     for ratio in COMPUTED:
         planned["delay", ratio] = delayed(experiment, ratio, DELAY)
-        planned["model", ratio] = model_compensated(experiment, ratio, told_delay(experiment))
+        planned["model", ratio] = model_compensated(experiment, ratio, whole_delay(experiment))
         planned["model_tau", ratio] = model_compensated(experiment, ratio, DELAY)
     for ratio in BEYOND:
         planned["plain", ratio] = uncompensated(less, ratio)
@@ -207,17 +201,16 @@ def _planned(experiment: Experiment, peak_force: float) -> dict[Key, Experiment]
     return planned
 
 
-def _banded(experiment: Experiment, identified: Identified) -> dict[Key, Experiment]:
+def _banded(experiment: Experiment, closed: ClosedLoop) -> dict[Key, Experiment]:
     """Plan simulations with a delay within the identified bandwidth of the force loop."""
-    tracking = identified.closed_loops[0].tracking
-    bandwidth = tracking.bandwidth_hz or 0.0
+    bandwidth = closed.tracking.bandwidth_hz or 0.0
     # what was identified, from f_r of a step to f of the same step, has the sampling period in it
-    own = max((tracking.delay_s or 0.0) - experiment.timebase.dt, 0.0)
-    planned = {}
-    for ratio in COMPUTED:
-        planned["banded", ratio] = delayed(experiment, ratio, DELAY, bandwidth)
-        planned["own", ratio] = delayed(experiment, ratio, own, bandwidth)
-    return planned
+    own = max((closed.tracking.delay_s or 0.0) - experiment.timebase.dt, 0.0)
+    return {
+        (kind, ratio): delayed(experiment, ratio, delay, bandwidth)
+        for ratio in COMPUTED
+        for kind, delay in (("banded", DELAY), ("own", own))
+    }
 
 
 def _growth(experiment: Experiment) -> Growth:

@@ -1,4 +1,4 @@
-"""The measures that claims.yaml names: findings in, a number or several by name out."""
+"""The measures named in claims.yaml: from the findings, a number or several by name."""
 
 from operator import attrgetter
 from pathlib import Path
@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import scipy.signal
 from scipy.ndimage import median_filter
 
 from seft_ros.design.loop_margins import BAND_HZ
-from seft_ros.paper.experiments import DELAY, told_delay
 from seft_ros.paper.findings import Findings
-from seft_ros.paper.outcome import VIBRATION_HZ, explained, magnitude_and_phase
+from seft_ros.paper.paper_tests import DELAY, SEGMENT, VIBRATION_HZ, Outcome, whole_delay
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
@@ -20,10 +20,12 @@ Values = dict[str, Any]
 _OUTLIERS = 5  # points of the running median over a measured magnitude
 _ZERO_HZ = (2.0, 40.0)  # where the zero of a plant like the paper's is looked for
 _SMOOTHED = 9
+_AROUND = (0.7, 1.3)  # of a natural frequency
+_MOVED = 0.05  # of the largest power in the band: below, a phase says nothing
 
 
 def facts(found: Findings) -> Values:
-    """Collect what texts speak of besides what was measured."""
+    """Collect the numbers that texts name besides the measured ones."""
     bandwidth = found.closed.tracking.bandwidth_hz
     return {
         "source": Path(found.source).name,
@@ -34,7 +36,7 @@ def facts(found: Findings) -> Values:
         "vibration_hz": VIBRATION_HZ,
         "tau_ms": 1e3 * DELAY,
         "own_ms": 1e3 * (found.own_delay - found.experiment.timebase.dt),
-        "told_ms": 1e3 * told_delay(found.experiment),
+        "whole_ms": 1e3 * whole_delay(found.experiment),
         "band_note": "" if bandwidth is None else f"-3 dB at {bandwidth:.3g} Hz",
     }
 
@@ -187,7 +189,7 @@ def vibration(found: Findings, kind: str, ratio: float, name: str, times: float)
 
 
 def vibration_ratio(found: Findings, kind: str, ratio: float, name: str) -> float:
-    """Level of the vibration over that of the exact response; NaN where that has none."""
+    """Level of the vibration over that of the reference response; NaN where that has none."""
     ours, exact = found.tests[kind, ratio].vibrations(name)
     return ours.rms / exact.rms if exact.rms > 0 else float("nan")
 
@@ -219,6 +221,50 @@ def growth(found: Findings, kind: str, ratio: float) -> Values:
     growth = found.growths[kind, ratio]
     grows = "grows" if growth.rate > 0 else "decays"
     return {"rate": growth.rate, "grows": grows, "time": 1 / abs(growth.rate), "hz": growth.hz}
+
+
+def magnitude_and_phase(
+    y: Floats, reference: Floats, rate: float, natural_hz: float, delay: float
+) -> tuple[float, float]:
+    """Compare a response with its reference from 0.7 to 1.3 times a natural frequency.
+
+    Parameters
+    ----------
+    y, reference : ndarray
+        Shape (N,).
+    rate, natural_hz : float
+        Of sampling, and of the whole structure, Hz.
+    delay : float
+        Taken out of y first, s.
+
+    Returns
+    -------
+    magnitude : float
+        |y / reference| over the band.
+    phase : float
+        Largest phase between them in the band, either way, degrees. Both are NaN where the
+        signals are too short to tell.
+    """
+    segment = min(len(y), int(SEGMENT * rate))
+    f, cross = scipy.signal.csd(reference, y, rate, nperseg=segment)
+    _, power = scipy.signal.welch(reference, rate, nperseg=segment)
+    band = (f > _AROUND[0] * natural_hz) & (f < _AROUND[1] * natural_hz)
+    if not band.any() or not power[band].max() > 0:  # a test that tripped at once
+        return float("nan"), float("nan")
+    found = cross[band] * np.exp(2j * np.pi * f[band] * delay)
+    magnitude = float(abs(found.sum()) / power[band].sum())
+    moved = power[band] >= _MOVED * power[band].max()
+    return magnitude, float(np.abs(np.angle(found[moved], deg=True)).max())
+
+
+def explained(simulation: Outcome, rig: Outcome) -> float:
+    """Share of the rig's error energy in displacement that a simulation has too, at most 1."""
+    count = min(len(simulation.time), len(rig.time))
+    y, x, exact = (
+        part["displacement"][:count] for part in (rig.measured, simulation.measured, rig.exact)
+    )
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        return float(1.0 - np.sum((y - x) ** 2) / np.sum((y - exact) ** 2))
 
 
 def decibels(response: Complexes) -> Floats:

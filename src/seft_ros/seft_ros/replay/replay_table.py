@@ -5,7 +5,7 @@ from typing import Any
 from rich.console import Group
 from rich.text import Text
 
-from seft_ros.analysis.comparison_text import FIELD_UNITS
+from seft_ros.analysis.result_text import FIELD_UNITS
 from seft_ros.drawing.tables import make_table, number, small_percent
 
 

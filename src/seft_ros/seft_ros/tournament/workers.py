@@ -1,4 +1,4 @@
-"""Several processes for independent calculations, which end with what started them."""
+"""Several processes for independent calculations; they end with the process that started them."""
 
 import multiprocessing
 import os
@@ -32,8 +32,8 @@ def free_cores() -> int:
 def parallel_map(workers: int) -> Iterator[Map]:
     """Give a `map` that calculates on several processes, and keeps the order.
 
-    A worker is a fresh interpreter (spawn) with one thread for linear algebra, which it has of
-    `seft_msgs_py`. When the block is left early, the workers stop what they do.
+    A worker is a fresh interpreter (spawn) with one thread for linear algebra, which
+    `seft_msgs_py` sets. When the block is left early, the workers stop their calculations.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class _Worker:
 
 
 def _become_worker() -> None:
-    """Stop calculating when told to, and end when the parent is gone, however that came about."""
+    """Stop calculating on request, and end when the parent has ended for whatever reason."""
     parent = multiprocessing.parent_process()
     assert parent is not None
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from seft_ros.analysis.spectra import spectrum_of, vibration
+from seft_ros.analysis.report_numbers import spectrum_of, vibration
 
 DT = 0.002
 TIME = np.arange(20_000) * DT

@@ -4,8 +4,8 @@ import copy
 import dataclasses
 
 import pytest
-from seft_ros.page.content import Mark
-from seft_ros.report.judgement import judge
+from seft_ros.analysis.judgement import judge
+from seft_ros.drawing.tables import Mark
 
 GOOD = {
     "steps": 1000,

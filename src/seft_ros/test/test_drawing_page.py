@@ -8,19 +8,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError
-from seft_ros.drawing.style import MOST_POINTS, thinned
-from seft_ros.page.content import (
+from seft_ros.drawing.page import (
     Cell,
-    Mark,
     Plot,
     Section,
     Table,
     Text,
     Verdict,
     check_page,
+    line,
+    plot,
     write_page,
 )
-from seft_ros.page.plots import line, plot
+from seft_ros.drawing.style import MOST_POINTS, thinned
+from seft_ros.drawing.tables import Mark
 
 
 def written(tmp_path: Path, *blocks: Text | Verdict | Table | Plot) -> str:

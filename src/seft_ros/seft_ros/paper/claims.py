@@ -1,30 +1,28 @@
 """Claims of the paper, stated in claims.yaml, and the verdict on each."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+import operator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from rich.table import Table
 from ruamel.yaml import YAML
 
+from seft_ros.drawing.tables import CENTRED, json_safe, make_table
 from seft_ros.paper import measures
-from seft_ros.paper.findings import Findings
+from seft_ros.paper.findings import BEYOND, Findings
 
 Values = Mapping[str, Any]
 
-_CRITERIA: dict[str, Callable[[float, float, Any], bool]] = {
-    "within": lambda ours, tolerance, paper: abs(ours - paper) <= tolerance * (1 + 1e-9),
-    "at_most": lambda ours, limit, _: ours <= limit,
-    "at_least": lambda ours, limit, _: ours >= limit,
-    "above": lambda ours, limit, _: ours > limit,
-}
+_CRITERIA = {"at_most": operator.le, "at_least": operator.ge, "above": operator.gt}
 
 
 @dataclass(frozen=True)
 class Claim:
-    """What the paper says and what comes out here.
+    """A claim of the paper, and the verdict on it.
 
     Attributes
     ----------
@@ -53,7 +51,7 @@ class Claim:
 
 @dataclass(frozen=True, kw_only=True)
 class Statement:
-    """What the paper says, and how it is measured: claims.yaml explains the fields."""
+    """A statement of the paper, and how it is measured: claims.yaml explains the fields."""
 
     where: str = ""
     claim: str = ""
@@ -77,11 +75,22 @@ class Statement:
     otherwise: Values = field(default_factory=dict)
 
 
-def judge(found: Findings, rows: Iterable[Statement] | None = None) -> list[Claim]:
+def judge_claims(found: Findings, rows: Iterable[Statement] | None = None) -> list[Claim]:
     """Judge every claim, or those given; none is left out for not agreeing."""
     facts = measures.facts(found)
-    rows = statements() if rows is None else rows
-    return [verdict(row, _measured(row, found), facts) for row in rows]
+    claims = []
+    for row in statements() if rows is None else rows:
+        measure = getattr(measures, row.measure)
+        own = {key: row.each[key] for key in ("kind", "ratio", "name") if key in row.each}
+        arguments = {**row.of, **own}
+        if row.rises:
+            ratios = {f"at {ratio:g}": ratio for ratio in row.rises}
+            values = {at: measure(found, **arguments, ratio=ratios[at]) for at in ratios}
+        else:
+            values = measure(found, **arguments)
+        measured = values if isinstance(values, dict) else {"value": values}
+        claims.append(verdict(row, measured, facts))
+    return claims
 
 
 def statements() -> list[Statement]:
@@ -90,7 +99,7 @@ def statements() -> list[Statement]:
 
 
 def read_rows(name: str) -> list[dict[str, Any]]:
-    """Read a list of mappings that stands beside this file."""
+    """Read a list of mappings from a file beside this one."""
     rows: list[dict[str, Any]] = YAML(typ="safe", pure=True).load(Path(__file__).with_name(name))
     return rows
 
@@ -107,18 +116,8 @@ def _spread(rows: Iterable[dict[str, Any]], outer: Values) -> Iterator[Statement
                 yield Statement(**row | {"each": own})
 
 
-def _measured(row: Statement, found: Findings) -> Values:
-    measure = getattr(measures, row.measure)
-    own = {key: row.each[key] for key in ("kind", "ratio", "name") if key in row.each}
-    of = {**row.of, **own}
-    if row.rises:
-        return {f"at {ratio:g}": measure(found, **of, ratio=ratio) for ratio in row.rises}
-    values = measure(found, **of)
-    return values if isinstance(values, dict) else {"value": values}
-
-
 def verdict(row: Statement, measured: Values, facts: Values) -> Claim:
-    """Hold what was measured against a claim's criterion.
+    """Check measured values against a claim's criterion.
 
     Parameters
     ----------
@@ -127,7 +126,7 @@ def verdict(row: Statement, measured: Values, facts: Values) -> Claim:
     measured : mapping
         What its measure gave, by name; a single number is the ``value``.
     facts : mapping
-        What texts speak of besides.
+        Other numbers that its texts name.
     """
     limits = [
         (keeps, measured[name], limit)
@@ -135,8 +134,13 @@ def verdict(row: Statement, measured: Values, facts: Values) -> Claim:
         if (given := getattr(row, sign)) is not None
         for name, limit in (given if isinstance(given, dict) else {"value": given}).items()
     ]
-    known = all(value is not None and math.isfinite(value) for _, value, _ in limits)
-    agrees = known and all(keeps(value, limit, row.paper) for keeps, value, limit in limits)
+    judged = [value for _, value, _ in limits]
+    if row.within is not None:
+        judged.append(measured["value"])
+    known = all(value is not None and math.isfinite(value) for value in judged)
+    agrees = known and all(bool(keeps(value, limit)) for keeps, value, limit in limits)
+    if known and row.within is not None:
+        agrees = bool(abs(measured["value"] - row.paper) <= row.within * (1 + 1e-9))
     if row.rises:
         agrees = all(a < b for a, b in pairwise(measured.values()))
     row = _worded(row, measured, known)
@@ -154,7 +158,7 @@ def verdict(row: Statement, measured: Values, facts: Values) -> Claim:
 
 def _worded(row: Statement, measured: Values, known: bool) -> Statement:
     """Word the measured values and the criterion, where a row leaves that to its numbers."""
-    unit = row.unit and f" {row.unit}"
+    unit, noun = row.unit and f" {row.unit}", row.noun and f" {row.noun}"
     if row.criterion:
         return row
     if row.rises:
@@ -164,12 +168,47 @@ def _worded(row: Statement, measured: Values, known: bool) -> Statement:
         ours = f"{{value:.4g}}{unit}" if known else "not found"
         paper = f"{row.paper:g}{unit}"
         return replace(row, paper=paper, ours=ours, criterion=f"within {row.within:g}{unit}")
-    most = row.at_most is not None
-    limit = f"{row.at_most if most else row.at_least:{row.format}}"
-    return replace(
-        row,
-        ours=f"{{value:{row.format}}}{unit}{row.noun and f' {row.noun}'}"
-        if known
-        else "not finite",
-        criterion=f"{row.what} at {'most' if most else 'least'} {limit}{unit}".strip(),
-    )
+    sign, limit = ("least", row.at_least) if row.at_most is None else ("most", row.at_most)
+    ours = f"{{value:{row.format}}}{unit}{noun}" if known else "not finite"
+    criterion = f"{row.what} at {sign} {limit:{row.format}}{unit}".strip()
+    return replace(row, ours=ours, criterion=criterion)
+
+
+def claims_table(claims: Sequence[Claim], title: str) -> Table:
+    """Make a table of claim, paper, ours, agrees."""
+    headings = ("claim", "paper", "ours", "agrees")
+    verdicts = {True: "[green]yes[/]", False: "[bold red]no[/]"}
+    rows = [(f"{c.claim} ({c.where})", c.paper, c.ours, verdicts[c.agrees]) for c in claims]
+    return make_table(headings, rows, left=range(4), wrap=True, title=title, **CENTRED)
+
+
+def summarise_paper(found: Findings, claims: list[Claim], page: Path) -> dict[str, Any]:
+    """Summarise a reproduction: ``seft paper --json``.
+
+    Returns
+    -------
+    dict
+        ``record`` (source of the ground motion) and ``synthetic``; ``claims``, a list of claim,
+        paper, ours, agrees, criterion, where and note; ``agree`` and ``disagree``, counts;
+        ``beyond``, errors of the displacement with the recommended compensator; ``page``, its
+        path.
+    """
+    agree = sum(claim.agrees for claim in claims)
+    tests = {ratio: found.tests["target", ratio] for ratio in BEYOND}
+    return {
+        "record": found.source,
+        "synthetic": not found.experiment["ground_motion"]["file"],
+        "claims": [asdict(claim) for claim in claims],
+        "agree": agree,
+        "disagree": len(claims) - agree,
+        "beyond": [
+            {
+                "mass_ratio": ratio,
+                "peak_force": test.input_peak,
+                "stable": test.stable,
+                "nrmse": json_safe(test.agreement("displacement").nrmse),
+            }
+            for ratio, test in tests.items()
+        ],
+        "page": str(page),
+    }

@@ -1,17 +1,30 @@
-"""The tests that reproduce the paper, each a change of one experiment."""
+"""The tests that reproduce the paper: each a change of one experiment, and its outcome."""
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+import scipy.signal
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.outcome import Trip
+from seft_msgs_py.wire.topics import GROUND_MOTION, RIG_STATE
 
 import seft_ros
+from seft_ros.analysis.metrics import Agreement, agreement
+from seft_ros.analysis.summary import COMPARED, reference_of
+from seft_ros.design.loop_margins import BAND_HZ
 from seft_ros.design.rig_tests import has_valve
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 from seft_ros.test_run.blocks import build_blocks, with_method
+from seft_ros.test_run.offline import simulate
+
+Floats = npt.NDArray[np.float64]
 
 DELAY = 0.01
 """Delay of the actuator that the paper identified and simulates with (section 5.2), s."""
@@ -22,6 +35,12 @@ BEYOND_SHARE = 0.4
 LEAST_RATE = 200.0
 """Sampling rate that shows the vibration, at 30 to 45 Hz, Hz."""
 
+VIBRATION_HZ = BAND_HZ
+"""Frequency above which motion is vibration, Hz: up to here the paper controls force (section
+3.2), and the paper's structures, at 10 Hz and less, do not respond above it."""
+
+SEGMENT = 2.0  # s of Welch's segments: 0.5 Hz
+_ORDER = 4
 _CONFIG = "jhu.yaml"
 _QUANTITIES = ("position", "velocity", "acceleration", "force")
 _FAR = {"displacement": 1e3, "velocity": 1e3, "acceleration": 1e4, "force": 1e6}
@@ -127,13 +146,13 @@ def delayed(
     return changed(simulated, {"rig": rig, "reference_force": force})
 
 
-def model_compensated(experiment: Experiment, mass_ratio: float, told: float) -> Experiment:
-    """Simulate the pure delay with the paper's compensation, told a delay in s (section 6)."""
-    force = {"compensation.method": "model", "compensation.delay": told}
+def model_compensated(experiment: Experiment, mass_ratio: float, delay: float) -> Experiment:
+    """Simulate the pure delay with the paper's compensation for a delay in s (section 6)."""
+    force = {"compensation.method": "model", "compensation.delay": delay}
     return changed(delayed(experiment, mass_ratio, DELAY), {"reference_force": force})
 
 
-def told_delay(experiment: Experiment) -> float:
+def whole_delay(experiment: Experiment) -> float:
     """Whole delay of the simulated loop: tau, the sampling period of Eq. 5.4, half a one held."""
     return DELAY + 1.5 * experiment.timebase.dt
 
@@ -145,3 +164,111 @@ def recommended(experiment: Experiment, mass_ratio: float, peak_force: float) ->
         "ground_motion": {"peak_force": peak_force},
     }
     return changed(with_method(experiment, TARGET_MOTION), changes)
+
+
+class Vibration(NamedTuple):
+    """What of a signal lies above `VIBRATION_HZ`.
+
+    Level in the signal's unit, share of the signal's energy (0 to 1), and the frequency at which
+    it is strongest.
+    """
+
+    rms: float
+    share: float
+    peak_hz: float
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Signals of a test up to its end or trip, and its reference response.
+
+    Attributes
+    ----------
+    dt : float
+        Sampling period, s.
+    measured, exact : dict
+        displacement (m), acceleration (m/s^2), force (N) -> shape (N,).
+    trip : Trip or None
+        Where a limit ended it.
+    saturated : tuple of str
+        What was at the end of its range, as the rig names it.
+    input_peak : float
+        Largest |m a_g|, N.
+    """
+
+    dt: float
+    measured: dict[str, Floats]
+    exact: dict[str, Floats]
+    trip: Trip | None = None
+    saturated: tuple[str, ...] = ()
+    input_peak: float = 0.0
+
+    @property
+    def stable(self) -> bool:
+        """Whether it ran to its end."""
+        return self.trip is None and all(np.isfinite(y).all() for y in self.measured.values())
+
+    @cached_property
+    def time(self) -> Floats:
+        """Shape (N,), s."""
+        return self.dt * np.arange(len(self.measured["displacement"]), dtype=np.float64)
+
+    def agreement(
+        self, name: str, reference: "Outcome | None" = None, *, controlled: bool = False
+    ) -> Agreement:
+        """Compare a quantity with its reference response, or with another test of the motion.
+
+        A test that ended early agrees over what there is of it; ``controlled``: below the
+        vibration, where force is controlled.
+        """
+        y = self.measured[name]
+        other = self.exact[name] if reference is None else reference.measured[name]
+        count = min(len(y), len(other))
+        y, other = y[:count], other[:count]
+        if controlled:
+            y, other = (without_vibration(part, 1.0 / self.dt) for part in (y, other))
+        return agreement(y, other, self.dt)
+
+    def vibrations(self, name: str) -> tuple[Vibration, Vibration]:
+        """Find the vibration of a quantity as measured, and of its reference response."""
+        rate = 1.0 / self.dt
+        return vibration(self.measured[name], rate), vibration(self.exact[name], rate)
+
+
+def run_test(experiment: Experiment) -> Outcome:
+    """Run a test offline, on the first axis."""
+    record = simulate(experiment, build_blocks(experiment))
+    reference = reference_of(record)
+    assert reference is not None
+    states = record.series[RIG_STATE.name].values
+    mass = float(np.atleast_1d(experiment["reference_force"]["model.mass"])[0])
+    motion = record.series[GROUND_MOTION.name].values
+    return Outcome(
+        experiment.timebase.dt,
+        {name: states[:, row, 0] for name, row in COMPARED.items()},
+        {name: getattr(reference, name)[:, 0] for name in COMPARED},
+        record.trip,
+        tuple(sorted(record.saturation.samples)),
+        mass * float(np.abs(motion).max()),
+    )
+
+
+def vibration(y: Floats, rate: float) -> Vibration:
+    """Find the high-frequency vibration of a signal, shape (N,), by Welch's method."""
+    segment = min(len(y), int(SEGMENT * rate))
+    f, density = scipy.signal.welch(y, rate, nperseg=segment)
+    high = f > VIBRATION_HZ
+    energy, total = float(density[high].sum()), float(density.sum())
+    return Vibration(
+        rms=float(np.sqrt(energy * rate / segment)),
+        share=energy / total if total > 0 else float("nan"),
+        peak_hz=float(f[high][density[high].argmax()]) if high.any() else float("nan"),
+    )
+
+
+def without_vibration(y: Floats, rate: float) -> Floats:
+    """Keep what lies below `VIBRATION_HZ`, without shifting it; shape (N,) as given."""
+    low_pass = scipy.signal.butter(_ORDER, VIBRATION_HZ, fs=rate, output="sos")
+    edge = min(6 * _ORDER, len(y) - 1)  # what a test that tripped at once has room for
+    kept: Floats = scipy.signal.sosfiltfilt(low_pass, y, padlen=edge)
+    return kept

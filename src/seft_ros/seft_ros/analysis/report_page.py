@@ -1,4 +1,4 @@
-"""The report of a test as a page; here also what was tested, and how the test ran."""
+"""The report of a test as a page; also its sections on the experiment and on how it ran."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -7,16 +7,8 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.wire.topics import GROUND_MOTION
 
-from seft_ros.analysis.summary_text import title_of
-from seft_ros.analysis.timing import GAP
-from seft_ros.drawing.style import OTHERS, SECOND
-from seft_ros.drawing.tables import DISPLAY_UNITS, Number, axis_label, percent, rows_of
-from seft_ros.page.content import Block, Cell, Mark, Plot, Section, Table, Text, Verdict, write_page
-from seft_ros.page.plots import bars, line, mark, plot
-from seft_ros.recording.record import Record
-from seft_ros.report.numbers import Findings
-from seft_ros.report.response_sections import (
-    agreement_section,
+from seft_ros.analysis.report_numbers import Report
+from seft_ros.analysis.report_sections import (
     energy_section,
     ground_motion_section,
     history_sections,
@@ -24,10 +16,34 @@ from seft_ros.report.response_sections import (
     spectra_section,
     tracking_section,
 )
+from seft_ros.analysis.result_text import AGREEMENT, agreement_rows, title_of
+from seft_ros.analysis.timing import GAP, timing_of
+from seft_ros.analysis.tracking import tracked_of
+from seft_ros.drawing.page import (
+    Block,
+    Cell,
+    Plot,
+    Section,
+    Table,
+    Text,
+    Verdict,
+    bars,
+    line,
+    mark,
+    plot,
+    write_page,
+)
+from seft_ros.drawing.style import OTHERS, SECOND
+from seft_ros.drawing.tables import DISPLAY_UNITS, Mark, Number, axis_label, percent, rows_of
+from seft_ros.recording.record import Record
 
 _BINS = 80
 _MARKS = {"ok": Mark.NONE, "warn": Mark.DOUBT, "error": Mark.BAD, "stale": Mark.BAD}
 _SOFTWARE = ("python", "platform", "cpus")
+_MODEL = (
+    "The reference response is that of the linear model in the parameters of reference_force: "
+    "these numbers include how the specimen differs from it."
+)
 _LINK = (
     Number("delay of the loop over the link", "loop_delay", "steps", form=str),
     Number(
@@ -49,42 +65,56 @@ _GAPS = (
 )
 
 
-def write_report(findings: Findings, name: str, path: Path) -> None:
+def write_report(report: Report, name: str, path: Path) -> None:
     """Write the page of a test of this name; an InputError says that it can't be written."""
-    write_page(path, f"Test {name}", title_of(findings.record), list(_sections(findings)))
+    write_page(path, f"Test {name}", title_of(report.record), list(_sections(report)))
 
 
-def _sections(findings: Findings) -> Iterator[Section]:
-    judgement, axes = findings.judgement, findings.record.experiment.axes
+def _sections(report: Report) -> Iterator[Section]:
+    judgement, record = report.judgement, report.record
+    axes, signals = record.experiment.axes, tracked_of(record)
     cells = [Cell(finding.text, finding.verdict) for finding in judgement.findings]
     yield Section("Verdict", [Verdict(judgement.verdict, judgement.text, cells)])
-    tested = [_test_rows(findings), _software_rows(findings.record.environment)]
+    tested = [_test_rows(report), _software_rows(record.environment)]
     yield Section("What was tested", [Table((), rows, numbers=False) for rows in tested])
-    yield agreement_section(findings)
-    yield ground_motion_section(findings)
+    yield _agreement(report.summary)
+    yield ground_motion_section(report)
     for column, axis in enumerate(axes):
         title = f" of {axis}" if len(axes) > 1 else ""
-        yield from history_sections(findings, column, title)
-        yield tracking_section(findings, column, title)
-        yield hysteresis_section(findings, column, title)
-        yield spectra_section(findings, column, title)
-    yield energy_section(findings)
-    yield Section("Timing", list(_timing(findings)))
-    yield Section("Estimates", list(_estimates(findings.record)))
-    yield Section("Interlock and events", list(_events(findings.record)))
-    yield Section("Parameters", _parameters(findings.record))
+        yield from history_sections(report, column, title)
+        yield tracking_section(report, signals, column, title)
+        yield hysteresis_section(report, column, title)
+        yield spectra_section(report, column, title)
+    yield energy_section(report, signals)
+    yield Section("Timing", list(_timing(report)))
+    yield Section("Estimates", list(_estimates(record)))
+    yield Section("Interlock and events", list(_events(record)))
+    yield Section("Parameters", _parameters(record))
 
 
-def _test_rows(findings: Findings) -> list[tuple[str, str]]:
-    record, summary = findings.record, findings.summary
+def _agreement(summary: dict[str, Any]) -> Section:
+    """Table of peaks, errors and delays."""
+    several = len(summary["axes"]) > 1
+    rows = [
+        row
+        for axis, part in summary["axes"].items()
+        for row in agreement_rows(part, f"{axis} " if several else "")
+    ]
+    note = [Text(_MODEL)] if summary["reference_specimen"] == "model" else []
+    headings = ["", *(column.label for column in AGREEMENT)]
+    return Section("Agreement with the reference response", [*note, Table(headings, rows)])
+
+
+def _test_rows(report: Report) -> list[tuple[str, str]]:
+    record, summary = report.record, report.summary
     sections = record.experiment.sections
     force, rig = sections.get("reference_force", {}), sections.get("rig")
     ground, pace = record.series[GROUND_MOTION.name].values, summary["realtime_factor"]
     largest = f"{np.abs(ground).max():.4g} m/s²" if ground.size else "unknown"
     fast = "" if pace is None else f", {pace:.3g} times real time"
     rows = [
-        ("method", f"{force.get('method', 'unknown')}, mass ratio {_of(force, 'mass_ratio')}"),
-        ("compensation", str(force.get("compensation.method", "unknown"))),
+        ("method", f"{_of(force, 'method')}, mass ratio {_of(force, 'mass_ratio')}"),
+        ("compensation", _of(force, "compensation.method")),
         ("ground motion", _motion(sections.get("ground_motion", {}))),
         ("largest ground acceleration", largest),
         ("axes", ", ".join(record.experiment.axes)),
@@ -114,10 +144,8 @@ def _software_rows(environment: dict[str, Any]) -> list[tuple[str, str]]:
 def _motion(section: dict[str, Any]) -> str:
     if not section:
         return "unknown"
-    if section.get("file"):
-        name = Path(section["file"]).name
-    else:
-        name = f"synthetic, seed {_of(section, 'synthetic.seed')}"
+    name = Path(section.get("file", "")).name
+    name = name or f"synthetic, seed {_of(section, 'synthetic.seed')}"
     if section.get("peak_force"):
         name += f", scaled to {section['peak_force']:g} N"
     if section.get("time_scale", 1.0) != 1.0:
@@ -151,10 +179,10 @@ def _parameters(record: Record) -> list[Block]:
     ]
 
 
-def _timing(findings: Findings) -> Iterator[Block]:
-    """Round trips as a histogram, missed commands, gaps by topic."""
-    timing, summary, record = findings.timing, findings.summary, findings.record
-    rows = _loss_rows(summary, record)
+def _timing(report: Report) -> Iterator[Block]:
+    """Missed deadlines, round trips as a histogram, gaps by topic."""
+    summary, record = report.summary, report.record
+    timing, rows = timing_of(record), _loss_rows(summary, record)
     if timing is None:
         why = "The offline loop has no messages that could be late."
         if record.environment.get("mode") != "simulate":
@@ -162,14 +190,12 @@ def _timing(findings: Findings) -> Iterator[Block]:
         yield Table((), rows)
         yield Text(why)
         return
-    trips, numbers = timing.round_trip_s * 1e3, summary["timing"]
-    rows += _stall_rows(numbers["stalls"], bool(summary["missed"]))
-    found = numbers["round_trip_at_the_rig_s"]
-    rows += rows_of((_milliseconds(f"round trip at the rig, {key}", key) for key in found), found)
-    found = numbers["round_trip_s"]
-    keys = [key for key in found if key.startswith("p") or key == "largest"]
-    rows += rows_of((_milliseconds(f"round trip, as recorded, {key}", key) for key in keys), found)
-    rows.append(["of these longer than a period", str(found["over_a_period"])])
+    numbers, trips = timing.numbers, timing.round_trip_s * 1e3
+    at_the_rig, recorded = numbers["round_trip_at_the_rig_s"], numbers["round_trip_s"]
+    for label, found in (("round trip at the rig", at_the_rig), ("round trip, recorded", recorded)):
+        keys = [key for key in found if key not in ("over_a_period", "steps")]
+        rows += rows_of((Number(f"{label}, {k}", k, "ms", 1e3, ".3f") for k in keys), found)
+    rows.append(["of these longer than a period", str(recorded["over_a_period"])])
     yield Table((), rows, numbers=False)
     if len(trips):
         panel = plot("round trip / ms", "steps", log_y=True)
@@ -191,37 +217,31 @@ def _timing(findings: Findings) -> Iterator[Block]:
 
 def _loss_rows(summary: dict[str, Any], record: Record) -> list[list[str]]:
     missed, steps, overruns = summary["missed"], summary["steps"], summary["overruns"]
-    commands = "unknown" if missed is None else f"{missed} of {steps}"
-    if missed and steps:
-        commands += f" ({percent(missed / steps)})"
-    rows = [["steps without a command in time", commands]]
+    rows = [
+        ["steps that missed the command deadline", "unknown"],
+        ["sampling overruns of the rig", "unknown" if overruns is None else str(overruns)],
+    ]
+    if missed is not None:
+        share = f" ({percent(missed / steps)})" if missed and steps else ""
+        rows[0][1] = f"{missed} of {steps}{share}"
     if missed:
         listed = record.missed_steps
-        more = ", ..." if missed > len(listed) else ""
-        rows.append(["these steps", ", ".join(map(str, listed)) + more])
-    held_up = "unknown" if overruns is None else str(overruns)
-    rows.append(["times the rig's own clock was held up", held_up])
-    return rows + (rows_of(_LINK, summary["link"]) if summary["link"] else [])
-
-
-def _stall_rows(stalls: dict[str, Any] | None, is_missed: bool) -> list[list[str]]:
-    """Rows on the machine itself, as a bare process saw it that slept on the loop's core."""
-    if stalls is None:
-        return []
-    share = percent(stalls["count"] / max(stalls["beats"], 1))
-    text = (
-        f"{stalls['count']} of {stalls['beats']} wake-ups ({share}) more than "
-        f"{stalls['late_s'] * 1e3:.3f} ms late, the worst by {stalls['longest_s'] * 1e3:.3f} ms"
-    )
-    rows = [["the machine itself: a process that only slept", text]]
-    if is_missed:
-        text = f"{stalls['missed_in_a_stall']} of the {stalls['missed_listed']} listed"
-        rows.append(["missed while the machine stood still", text])
+        more = ["..."] if missed > len(listed) else []
+        rows.insert(1, ["these steps", ", ".join([*map(str, listed), *more])])
+    if summary["link"]:
+        rows += rows_of(_LINK, summary["link"])
+    stalls = summary["timing"] and summary["timing"]["stalls"]
+    if stalls:
+        share = percent(stalls["count"] / max(stalls["beats"], 1))
+        text = (
+            f"{stalls['count']} of {stalls['beats']} wake-ups ({share}) more than "
+            f"{stalls['late_s'] * 1e3:.3f} ms late, the worst by {stalls['longest_s'] * 1e3:.3f} ms"
+        )
+        rows.append(["host scheduling stalls, as a process that only slept saw them", text])
+        if missed:
+            text = f"{stalls['missed_in_a_stall']} of the {stalls['missed_listed']} listed"
+            rows.append(["missed during a stall of the host", text])
     return rows
-
-
-def _milliseconds(label: str, key: str) -> Number:
-    return Number(label, key, "ms", 1e3, ".3f")
 
 
 def _estimates(record: Record) -> Iterator[Block]:
@@ -242,7 +262,7 @@ def _estimates(record: Record) -> Iterator[Block]:
 
 
 def _events(record: Record) -> Iterator[Block]:
-    """States of the test, warnings and trips, as the nodes told them."""
+    """States of the test, warnings and trips, as reported by the nodes."""
     trip, events = record.trip, record.events
     if trip is not None:
         text = f"tripped at step {trip.step}, {trip.time_s:.3f} s: {trip.reason}"

@@ -1,0 +1,230 @@
+"""Whether a test can be trusted, from the numbers of its summary; all thresholds are here."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from seft_ros.drawing.tables import GOOD_ERROR, Mark, percent
+
+BAD_ERROR = 0.15
+"""Displacement error (nrmse), and error of its peak, from which a test is worth nothing; likewise
+for the response to its own ground motion, and for a target's displacement."""
+GOOD_VIBRATION, BAD_VIBRATION = 0.1, 0.3
+"""Acceleration in the instability band beyond the reference's, over all of the reference's."""
+BAD_MISSED = 0.05
+"""Share of steps that missed the command deadline."""
+BAD_LATE = 0.2
+"""Share of reference forces that came over the link after the loop's delay."""
+GOOD_CLOSURE = 0.05
+"""Error of the energy balance: do the samples fit the specimen they are said to be of?"""
+GOOD_DELAY = 2.0
+"""Periods that the force loop may lag where nothing compensates for it."""
+
+_WORDS = {
+    Mark.GOOD: "This test can be trusted.",
+    Mark.DOUBT: "This test can be trusted with reservations",
+    Mark.BAD: "This test can not be trusted",
+}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One fact for or against a test: what, how much, how much would be good."""
+
+    name: str
+    verdict: Mark
+    text: str
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Verdict on a test: that of its worst finding, in one line; and all, the worst first."""
+
+    verdict: Mark
+    text: str
+    findings: list[Finding]
+
+
+def judge(summary: dict[str, Any]) -> Judgement:
+    """Judge a test by the summary that `seft_ros.analysis.report_numbers` gives."""
+    order = (Mark.BAD, Mark.DOUBT, Mark.GOOD, Mark.NONE)
+    found = (*_beginning(summary), *_errors(summary), *_loop(summary), *losses(summary))
+    findings = sorted(found, key=lambda finding: order.index(finding.verdict))
+    worst = findings[0].verdict
+    text = _WORDS[worst]
+    if worst is not Mark.GOOD:
+        reasons = [f.text.split(" (")[0] for f in findings if f.verdict is worst]
+        text += f": {'; '.join(reasons)}."
+    return Judgement(worst, text, findings)
+
+
+def verdict(summary: dict[str, Any]) -> str:
+    """Say how a test went, in one line."""
+    error, aligned = (summary["displacement"][key] for key in ("nrmse", "nrmse_aligned"))
+    if (ending := _early_ending(summary)) is not None:
+        text = ending[0].upper() + ending[1]
+    elif error is not None and summary["reference_specimen"] == "simulated":
+        text = f"done: displacement error {percent(error)}, {percent(aligned)} without its delay"
+    elif (worst := worst_response(summary)) is not None:
+        text = f"done: response to the equivalent ground motion off by {percent(worst)} at most"
+    else:
+        text = "done, without a reference to compare it with"
+    bad = (f.text for f in losses(summary) if f.verdict is not Mark.GOOD and summary[f.name])
+    return "; ".join((text, *bad))
+
+
+def worst_response(summary: dict[str, Any]) -> float | None:
+    """Give the largest response error to the test's own ground motion; None if unknown."""
+    found = summary["equivalent_motion"]
+    return found and found["worst_response_nrmse"]
+
+
+def _early_ending(summary: dict[str, Any]) -> tuple[str, str] | None:
+    """Say how a test ended before its time, a headline and the rest; None: it did not."""
+    trip = summary["trip"]
+    if trip is not None:
+        return "tripped", f" at {trip['time_s']:.3f} s (step {trip['step']}): {trip['reason']}"
+    if not summary["stable"]:
+        return "unstable", ": samples are not finite"
+    if summary["first_step"] is None:
+        return "nothing known", ": the record has no rig/state"
+    if not summary["complete"]:
+        return "cut off", ": the record ends before the test did"
+    return None
+
+
+def _beginning(summary: dict[str, Any]) -> Iterator[Finding]:
+    """Find whether all of the test is there."""
+    if summary["first_step"]:
+        text = (
+            f"the record begins at step {summary['first_step']} of the test; errors are of what is "
+            "there, against the reference response from step 0 on"
+        )
+        yield Finding("beginning", Mark.BAD, text)
+    if (ending := _early_ending(summary)) is not None:
+        yield Finding("ending", Mark.BAD, "".join(ending))
+    else:
+        text = f"it ran to its end, {summary['steps']} steps, {summary['duration_s']:g} s"
+        yield Finding("ending", Mark.GOOD, text)
+
+
+def _errors(summary: dict[str, Any]) -> Iterator[Finding]:
+    """Find how right it was; without a simulated specimen its own ground motion and target say."""
+    simulated, part = summary["reference_specimen"] == "simulated", summary["displacement"]
+    good = f"good: up to {percent(GOOD_ERROR)}"
+    if simulated and part["nrmse"] is None:
+        yield Finding("displacement_error", Mark.DOUBT, "its displacement error is not known")
+    elif simulated:
+        text = (
+            f"displacement error {percent(part['nrmse'])} against the reference response of the "
+            f"whole structure ({good})"
+        )
+        yield Finding("displacement_error", _grade(part["nrmse"]), text)
+        ratio = part["peak"] / part["reference_peak"] if part["reference_peak"] else float("nan")
+        word, off = "larger" if ratio > 1 else "smaller", abs(ratio - 1)
+        text = f"peak displacement {percent(off)} {word} than the reference's ({good})"
+        yield Finding("displacement_peak", _grade(off), text)
+
+    found, error = summary["equivalent_motion"], worst_response(summary)
+    if error is None:
+        text = "the equivalent ground motion is not known from the record"
+        yield Finding("equivalent_motion", Mark.NONE if simulated else Mark.DOUBT, text)
+    else:
+        low, high = found["structure"]["band_hz"]
+        text = (
+            f"the response of linear structures to the equivalent ground motion differs by up to "
+            f"{percent(error)} from that to the one asked for (worst at "
+            f"{found['worst_frequency_hz']:.3g} Hz of {low:.3g} to {high:.3g} Hz; "
+            f"{percent(found['response_nrmse'])} with the stiffness of the model; {good})"
+        )
+        yield Finding("equivalent_motion", Mark.NONE if simulated else _grade(error), text)
+
+    target = summary["tracking_error"]
+    if target is not None and target["nrmse"] is None:
+        yield Finding("tracking_error", Mark.DOUBT, "its distance from its target is not known")
+    elif target is not None:
+        text = (
+            f"displacement off its target by {percent(target['nrmse'])} "
+            f"(RMS {target['rms'] * 1e3:.3g} mm, at most {target['peak'] * 1e3:.3g} mm; {good})"
+        )
+        yield Finding("tracking_error", Mark.NONE if simulated else _grade(target["nrmse"]), text)
+
+
+def _loop(summary: dict[str, Any]) -> Iterator[Finding]:
+    """Find what the force loop did, of the numbers that are known."""
+    ratio, delay = summary["vibration"]["ratio"], summary["uncompensated_delay_s"]
+    if ratio is not None:
+        low, high = summary["instability_band_hz"]
+        text = (
+            f"vibration of {percent(ratio)} of the reference acceleration where instability would "
+            f"start, {low:.3g} to {high:.3g} Hz (good: up to {GOOD_VIBRATION:.0%})"
+        )
+        yield Finding("vibration", _grade(ratio, GOOD_VIBRATION, BAD_VIBRATION), text)
+    if delay is not None:
+        good = GOOD_DELAY * (1.0 / summary["rate_hz"])
+        text = (
+            f"force lags by {delay * 1e3:.3g} ms and nothing compensates for it "
+            f"(good: up to {good * 1e3:.3g} ms)"
+        )
+        yield Finding("delay", _grade(delay, good, float("inf")), text)
+    if summary["energy"] and (closure := summary["energy"]["closure"]) is not None:
+        text = (
+            f"energy balance of the specimen closes to {percent(closure)} "
+            f"(good: {GOOD_CLOSURE:.0%}; otherwise samples and specimen do not fit)"
+        )
+        yield Finding("energy_balance", _grade(closure, GOOD_CLOSURE, float("inf")), text)
+
+
+def losses(summary: dict[str, Any]) -> Iterator[Finding]:
+    """Find what was too late, lost, or saturated."""
+    missed, steps, link = summary["missed"], summary["steps"], summary["link"]
+    if missed is None:
+        text = "it is not known how many steps missed the command deadline"
+        yield Finding("missed", Mark.DOUBT, text)
+    elif missed:
+        text = f"{missed} of {steps} steps missed the command deadline{_in_a_stall(summary)}"
+        yield Finding("missed", Mark.BAD if missed > BAD_MISSED * steps else Mark.DOUBT, text)
+    else:
+        yield Finding("missed", Mark.GOOD, "no step missed the command deadline")
+    if link and link["late"]:
+        late, forces = link["late"], link["forces"]
+        text = (
+            f"{late} of {forces} reference forces came after the loop's delay of "
+            f"{link['loop_delay']} steps and were predicted, {link['held']} of them held"
+        )
+        yield Finding("link", Mark.BAD if late > BAD_LATE * forces else Mark.DOUBT, text)
+    elif link:
+        text = f"every reference force came within the loop's delay of {link['loop_delay']} steps"
+        yield Finding("link", Mark.GOOD, text)
+    lost = [f"{count} of {topic}" for topic, count in summary["lost"].items() if count]
+    if summary["first_step"] is not None:
+        text = f"samples lost: {', '.join(lost)}" if lost else "no sample is lost from the record"
+        yield Finding("lost", Mark.DOUBT if lost else Mark.GOOD, text)
+    if summary["overruns"]:
+        yield Finding(
+            "overruns", Mark.DOUBT, f"sampling overruns of the rig: {summary['overruns']}"
+        )
+    saturated = [
+        f"{name.replace('_', ' ')} in {row['samples']} samples from "
+        f"{row['first_step'] * (1.0 / summary['rate_hz']):.3f} s"
+        for name, row in summary["saturated"].items()
+    ]
+    text = f"saturated: {', '.join(saturated)}" if saturated else "nothing was saturated"
+    yield Finding("saturated", Mark.DOUBT if saturated else Mark.GOOD, text)
+
+
+def _in_a_stall(summary: dict[str, Any]) -> str:
+    """Say how many of the missed steps were the host's doing, if that was watched."""
+    stalls = (summary.get("timing") or {}).get("stalls")
+    if not stalls or not stalls["missed_listed"]:
+        return ""
+    text = f", {stalls['missed_in_a_stall']} of them during a host scheduling stall"
+    if stalls["missed_listed"] < summary["missed"]:
+        text += f" (of the first {stalls['missed_listed']})"
+    return text
+
+
+def _grade(value: float, good: float = GOOD_ERROR, bad: float = BAD_ERROR) -> Mark:
+    if value <= good:
+        return Mark.GOOD
+    return Mark.DOUBT if value <= bad else Mark.BAD

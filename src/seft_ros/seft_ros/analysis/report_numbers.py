@@ -1,0 +1,187 @@
+"""All numbers of a report, as ``seft report --json`` prints them, and the arrays it draws."""
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.topics import RIG_STATE
+from seft_plant_sim.specimen import EnergyBalance
+from seft_plant_sim.whole_structure import ReferenceResponse
+
+from seft_ros.analysis.alignment import every_step
+from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
+from seft_ros.analysis.judgement import Judgement, judge
+from seft_ros.analysis.summary import COMPARED, ENERGIES, balance_of, reference_of, summarise
+from seft_ros.design.plan import Plan
+from seft_ros.design.stability_margins import instability_band
+from seft_ros.drawing.style import thinned
+from seft_ros.drawing.tables import json_safe
+from seft_ros.recording.record import Record
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """One-sided power spectral density of a signal.
+
+    Attributes
+    ----------
+    frequency_hz : ndarray
+        Shape (F,), from 0 to Nyquist's.
+    power : ndarray
+        Shape (F,), square of the signal's unit per Hz.
+    """
+
+    frequency_hz: Floats
+    power: Floats
+
+    @property
+    def amplitude(self) -> Floats:
+        """Amplitude spectral density, shape (F,), the signal's unit per root Hz."""
+        return np.sqrt(self.power)
+
+    def rms(self, low: float = 0.0, high: float = np.inf) -> float:
+        """RMS of what lies in a band of frequencies, Hz, in the signal's unit."""
+        inside = (self.frequency_hz >= low) & (self.frequency_hz <= high)
+        width = self.frequency_hz[1] if len(self.frequency_hz) > 1 else 0.0
+        return float(np.sqrt(self.power[inside].sum() * width))
+
+
+def spectrum_of(y: Floats, dt: float, segment_s: float = 4.0) -> Spectrum:
+    """Estimate a power spectral density from averaged segments (Welch 1967).
+
+    Hann windows that overlap by half, and no mean; a record shorter than a segment is one. What is
+    not finite makes a spectrum of NaN.
+
+    Parameters
+    ----------
+    y : ndarray
+        Shape (N,).
+    dt, segment_s : float
+        Sampling period and length of a segment, s; the inverse of that is the resolution.
+    """
+    from scipy.signal import welch  # 20 MB that no node needs
+
+    size = min(len(y), max(2, round(segment_s / dt)))
+    if size < 2:
+        return Spectrum(np.empty(0), np.empty(0))
+    with np.errstate(all="ignore"):
+        return Spectrum(*welch(y, fs=1 / dt, nperseg=size, detrend="constant"))
+
+
+def vibration(measured: Spectrum, exact: Spectrum, band: tuple[float, float]) -> float:
+    """RMS that a signal has in a band (Hz) beyond its reference, over the whole reference's RMS.
+
+    0 where it has no more than the reference; NaN where that is zero throughout.
+    """
+    beyond = measured.rms(*band) ** 2 - exact.rms(*band) ** 2
+    whole = exact.rms()
+    if not whole > 0 or np.isnan(beyond):
+        return float("nan")
+    return float(np.sqrt(max(beyond, 0.0)) / whole)
+
+
+Spectra = list[tuple[Spectrum, Spectrum | None]]
+
+
+@dataclass(frozen=True)
+class Report:
+    """The numbers of a report, and what its figures draw; what is not known is None.
+
+    Attributes
+    ----------
+    record : Record
+        The test.
+    reference : ReferenceResponse or None
+        Reference response, by step from 0.
+    energies : dict
+        Part of the energy balance -> steps and J, thinned to be drawn; of parts that are not
+        zero throughout. Empty if there is no balance.
+    spectra : dict
+        ``force`` and ``acceleration`` -> for each axis the spectra of test and reference.
+    band_note : str
+        Why there is no instability band; empty if there is.
+    difference : MotionDifference or None
+        The equivalent ground motion against the one asked for.
+    judgement : Judgement
+        Verdict.
+    summary : dict
+        All numbers, JSON values: what `summarise` gives and ``instability_band_hz`` (two numbers
+        or null), ``vibration`` (``ratio``, the largest of all axes, and ``axes``: see
+        `vibration`), ``uncompensated_delay_s`` (how far the force lags
+        in a test that does nothing about it, else null), ``events`` and ``verdict``.
+    """
+
+    record: Record
+    reference: ReferenceResponse | None
+    energies: dict[str, tuple[npt.NDArray[np.int64], Floats]]
+    spectra: dict[str, Spectra]
+    band_note: str
+    difference: MotionDifference | None
+    judgement: Judgement
+    summary: dict[str, Any]
+
+
+def report_numbers(record: Record) -> Report:
+    """Analyse a test; an InputError is that of `reference_of`."""
+    reference, balance = reference_of(record), balance_of(record)
+    difference = motion_difference(record)
+    summary = summarise(record, reference, balance, difference)
+    energies = _thinned(balance)
+    del balance  # as long as the record, and drawn from a few points
+    spectra = {name: _spectra(record, reference, name) for name in ("force", "acceleration")}
+    band, note = None, ""
+    try:
+        band = instability_band(Plan(record.experiment))
+        note = "" if band else "none: the loop stays stable as far as was looked"
+    except (InputError, KeyError) as error:
+        note = f"not known: {error}"
+    ratios = [
+        vibration(test, exact, band) if band and exact else math.nan
+        for test, exact in spectra["acceleration"]
+    ]
+    summary |= {
+        "instability_band_hz": band and list(band),
+        "vibration": {
+            "ratio": max((ratio for ratio in ratios if not math.isnan(ratio)), default=None),
+            "axes": dict(zip(record.experiment.axes, json_safe(ratios), strict=True)),
+        },
+        "uncompensated_delay_s": _uncompensated_delay(record, summary),
+        "events": [asdict(event) for event in record.events],
+    }
+    judgement = judge(summary)
+    summary = json_safe(summary | {"verdict": asdict(judgement)})
+    return Report(record, reference, energies, spectra, note, difference, judgement, summary)
+
+
+def _thinned(
+    balance: EnergyBalance | None,
+) -> dict[str, tuple[npt.NDArray[np.int64], Floats]]:
+    energies = {} if balance is None else {name: getattr(balance, name) for name in ENERGIES}
+    places = {name: thinned(energy) for name, energy in energies.items() if np.any(energy)}
+    return {name: (at, energies[name][at]) for name, at in places.items()}
+
+
+def _spectra(record: Record, reference: ReferenceResponse | None, name: str) -> Spectra:
+    states, dt = record.series[RIG_STATE.name], record.experiment.timebase.dt
+    every = np.arange(states.steps[-1] + 1) if len(states.steps) else states.steps
+    measured = every_step(states, every)[:, COMPARED[name]]
+    exact = None if reference is None else getattr(reference, name)
+    return [
+        (spectrum_of(y, dt), None if exact is None else spectrum_of(exact[:, column], dt))
+        for column, y in enumerate(measured.T)
+    ]
+
+
+def _uncompensated_delay(record: Record, summary: dict[str, Any]) -> float | None:
+    section = record.experiment.sections.get("reference_force", {})
+    fed_back = section.get("method") == "seft" and section.get("mass_ratio", 0.0) > 0
+    if not fed_back or section.get("compensation.method") != "none":
+        return None
+    delays = [row["J"]["J1"] for row in summary["tracking"].values()]
+    known = [abs(delay) for delay in delays if delay is not None]
+    return max(known) * 1e-3 if known else None

@@ -1,0 +1,288 @@
+"""Sections of a report on the responses: histories, tracking, specimen, spectra, ground motion."""
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import numpy.typing as npt
+from bokeh.models import Range1d
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.topics import RIG_STATE
+from seft_plant_sim.whole_structure import tested_specimen
+
+from seft_ros.analysis.equivalent_motion import MARGIN
+from seft_ros.analysis.report_numbers import Report
+from seft_ros.analysis.summary import COMPARED
+from seft_ros.analysis.tracking import Tracked
+from seft_ros.analysis.tracking_metrics import delay_by_frequency, energy_error
+from seft_ros.drawing.page import (
+    Block,
+    Plot,
+    Section,
+    Table,
+    Text,
+    against,
+    band,
+    level,
+    line,
+    mark,
+    plot,
+    time_range,
+)
+from seft_ros.drawing.style import OTHERS, REFERENCE
+from seft_ros.drawing.tables import DISPLAY_UNITS, RESPONSES, Number, axis_label, percent, rows_of
+
+Floats = npt.NDArray[np.float64]
+
+COHERENT = 0.9
+"""Coherence below which amplitude and delay mean little, and are not drawn."""
+WINDOW = 1.0
+"""Length of a zoom window, s."""
+
+_FEW = 4  # natural frequencies that are listed
+_INTENDED = {
+    False: "The intended force is the reference force of the same step, so even an ideal actuator "
+    "is one period late.",
+    True: "The compensation method sends the reference force ahead of time, so the intended force "
+    "is derived from measurements: -M_e a_g + S r, with r = f - M_e a the restoring force.",
+}
+_TESTED = (
+    "The measured test is the exact one for one ground motion: that which, with the measured force "
+    "and acceleration, satisfies the whole structure's equation of motion. This needs no model of "
+    "the specimen and no reference response. A test is as right as that motion is the one asked "
+    "for. Errors of the sensors themselves are not seen."
+)
+_TRACKING = (
+    Number("delay (J1)", "J.J1", "ms"),
+    Number("normalised error (J2)", "J.J2", "%"),
+    Number("peak error (J3)", "J.J3", "%"),
+    Number("amplitude (FEI)", "fei_amplitude"),
+    Number("delay (FEI)", "fei_delay_s", "ms", 1e3),
+    Number("frequency it belongs to (FEI)", "fei_frequency_hz", "Hz"),
+    Number("tracking indicator at the end", "tracking_indicator_end"),
+    Number("energy error over the input", "energy_error", form=percent),
+)
+_GROUND_MOTION = (
+    Number("response of the linear whole structure differs by", "response_nrmse", form=percent),
+    Number("its natural frequencies", "modes"),
+    Number("worst of structures of other stiffness", "worst_response_nrmse", form=percent,
+           at="worst_frequency_hz"),
+    Number("their stiffness, over that of the specimen's model", "structure.stiffness_factors",
+           form=lambda factors: "{:.2g} to {:.2g}".format(*factors)),
+    Number("largest deviation of the spectrum in their band", "spectrum_deviation", form=percent,
+           at="spectrum_deviation_frequency_hz"),
+)  # fmt: skip
+_TARGET = (
+    Number("displacement off its target, over its RMS", "nrmse", form=percent),
+    Number("RMS of that", "rms", "mm", 1e3),
+    Number("at most", "peak", "mm", 1e3),
+)
+
+
+def ground_motion_section(report: Report) -> Section:
+    """Numbers of a test's own ground motion, and its response spectrum for each axis."""
+    title, difference = "The equivalent ground motion", report.difference
+    if difference is None:
+        text = Text(
+            "Not known: samples, ground motion, or the structure's description are missing."
+        )
+        return Section(title, [text])
+    numbers, target = (report.summary[key] for key in ("equivalent_motion", "tracking_error"))
+    structure = numbers["structure"]
+    modes = [
+        f"{hz:.3g} Hz ({percent(ratio)} damping)"
+        for hz, ratio in zip(structure["frequency_hz"], structure["damping_ratio"], strict=True)
+    ]
+    some = ", ".join(modes[:_FEW] + ["..."] * (len(modes) > _FEW))
+    rows = rows_of(_GROUND_MOTION, numbers | {"modes": some})
+    rows += rows_of(_TARGET, target) if target is not None else []
+    blocks: list[Block] = [Text(_TESTED), Table((), rows)]
+    axes = report.record.experiment.axes
+    for column, axis in enumerate(axes):
+        panel = plot("frequency / Hz", "pseudo-acceleration / (m/s²)", log_x=True, log_y=True)
+        asked = difference.frequency_hz, difference.asked[:, column]
+        tested = difference.frequency_hz, difference.tested[:, column]
+        against(panel, asked, tested, ("asked for", "tested"))
+        band(panel, *difference.band_hz, color=REFERENCE)
+        for natural in difference.natural_hz:
+            mark(panel, natural)
+        caption = (
+            f"Response spectrum (5 % damping){f' of {axis}' if len(axes) > 1 else ''}. Dashed: "
+            f"natural frequencies of the whole structure. Shaded: from 1/{MARGIN:g} of the "
+            f"smallest to {MARGIN:g} times the largest secant stiffness of the specimen in this "
+            "test; there both must agree."
+        )
+        blocks.append(Plot(panel, caption))
+    return Section(title, blocks)
+
+
+def history_sections(report: Report, column: int, title: str) -> Iterator[Section]:
+    """One section for each quantity of an axis: the whole test, and windows at peaks."""
+    record = report.record
+    states, dt = record.series[RIG_STATE.name], record.experiment.timebase.dt
+    if not len(states.steps):
+        return
+    time = states.steps * dt
+    shared = time_range([0.0, time[-1]])
+    for name in RESPONSES:
+        _, scale = DISPLAY_UNITS[name]
+        y, exact = states.values[:, COMPARED[name], column] * scale, None
+        if report.reference is not None:
+            exact = getattr(report.reference, name)[:, column] * scale
+        windows = [(shared, "Whole test; the three quantities zoom together.")]
+        for step, caption in _places(y, exact, states.steps, dt):
+            middle = step * dt
+            windows.append((Range1d(middle - WINDOW / 2, middle + WINDOW / 2), caption))
+        blocks = []
+        for x_range, caption in windows:
+            panel = plot("time / s", axis_label(name), x_range=x_range)
+            begin, end = x_range.start, x_range.end
+            inside = slice(np.searchsorted(time, begin), np.searchsorted(time, end, side="right"))
+            reference = None
+            if exact is not None:
+                first, last = max(0, int(begin / dt)), min(len(exact), math.ceil(end / dt) + 1)
+                reference = np.arange(first, last) * dt, exact[first:last]
+            against(panel, reference, (time[inside], y[inside]))
+            if x_range is shared and record.trip is not None:
+                mark(panel, record.trip.time_s)
+            blocks.append(Plot(panel, caption, wide=x_range is shared))
+        yield Section(f"{name.capitalize()}{title}", blocks)
+
+
+def _places(
+    y: Floats, exact: Floats | None, steps: npt.NDArray[np.int64], dt: float
+) -> list[tuple[int, str]]:
+    """Choose steps to look at more closely, and say why."""
+    if exact is None:
+        return [(int(steps[np.nanargmax(np.abs(y))]), "At the peak.")]
+    peak = int(np.abs(exact).argmax())
+    error = np.nan_to_num(np.abs(y - exact[steps]))
+    error[np.abs(steps - peak) < WINDOW / 2 / dt] = 0.0
+    return [
+        (peak, "At the peak of the reference response."),
+        (int(steps[error.argmax()]), "At the largest error elsewhere."),
+    ]
+
+
+def tracking_section(report: Report, signals: Tracked, column: int, title: str) -> Section:
+    """Tracking of an axis: numbers, time history, synchronisation plot, delay by frequency."""
+    experiment = report.record.experiment
+    row = report.summary["tracking"][experiment.axes[column]]
+    names = [name for name in row["J"] if name not in ("J1", "J2", "J3")]
+    of_structure = [Number(f"{name}, of the structure", f"J.{name}", "%") for name in names]
+    table = Table((), rows_of((*_TRACKING, *of_structure), row))
+    plots = _tracking_plots(signals, column, experiment.timebase.dt)
+    return Section(f"Force tracking{title}", [Text(_INTENDED[signals.derived]), table, *plots])
+
+
+def _tracking_plots(signals: Tracked, column: int, dt: float) -> Iterator[Block]:
+    if len(signals.steps) < 2:
+        return
+    command, force = signals.command[:, column], signals.force[:, column]
+    panel = plot("time / s", "force / N")
+    time = signals.steps * dt
+    against(panel, (time, command), (time, force), ("intended force", "measured force"))
+    yield Plot(panel, "The intended force, and the force that the load cell measured.")
+
+    panel = plot("intended force / N", "measured force / N", height=380)
+    ends = np.array([command.min(), command.max()])
+    line(panel, ends, ends, color=REFERENCE, width=2.0)
+    against(panel, None, (command, force), loop=True)
+    caption = (
+        "Synchronisation: on the diagonal the force is right; a loop that opens is delay, a slope "
+        "off the diagonal is amplitude."
+    )
+    yield Plot(panel, caption)
+
+    found = delay_by_frequency(command, force, dt)
+    means = np.nan_to_num(found.coherence) >= COHERENT
+    if not means.any():
+        yield Text("No frequency at which the intended force explains the measured force.")
+        return
+    shared = None
+    for y, label, unit, right, caption in (
+        (found.delay_s * 1e3, "delay", " / ms", 0.0, "Delay of the measured force"),
+        (found.amplitude, "amplitude", "", 1.0, "Measured over intended force"),
+    ):
+        panel = plot("frequency / Hz", f"{label}{unit}", log_x=True, x_range=shared)
+        shared = panel.x_range
+        line(panel, found.frequency_hz, np.where(means, y, np.nan), label)
+        level(panel, right)
+        note = f"by frequency, where the coherence is {COHERENT:g} or more."
+        yield Plot(panel, f"{caption} {note}")
+
+
+def hysteresis_section(report: Report, column: int, title: str) -> Section:
+    """Restoring force over displacement of an axis, test and reference."""
+    states, exact = report.record.series[RIG_STATE.name], report.reference
+    heading = f"Hysteresis{title}"
+    try:
+        mass = tested_specimen(report.record.experiment).mass
+    except (InputError, KeyError):
+        return Section(heading, [Text("The specimen's mass is not known.")])
+    if not len(states.steps):
+        return Section(heading, [Text("There are no samples.")])
+
+    panel = plot("displacement / mm", "restoring force / N", height=380)
+    reference = None
+    if exact is not None:
+        force = (exact.force - exact.acceleration @ mass.T)[:, column]
+        reference = exact.displacement[:, column] * 1e3, force
+    x, _, a, f = np.moveaxis(states.values, 1, 0)
+    against(panel, reference, (x[:, column] * 1e3, (f - a @ mass.T)[:, column]), loop=True)
+    caption = "Restoring force f - m a: its width is what damping and yielding dissipate."
+    return Section(heading, [Plot(panel, caption, wide=True)])
+
+
+def spectra_section(report: Report, column: int, title: str) -> Section:
+    """Amplitude spectral densities of an axis, test against reference response."""
+    limits = report.summary["instability_band_hz"]
+    note = f"Band where instability would start: {report.band_note}."
+    if limits is not None:
+        note = (
+            "Shaded: where instability would start, {:.3g} to {:.3g} Hz. Vibration beyond the "
+            "reference response there grows first when a test loses its margins.".format(*limits)
+        )
+    blocks: list[Block] = []
+    for name, by_axis in report.spectra.items():
+        test, exact = by_axis[column]
+        if len(test.frequency_hz) < 2:
+            continue
+        unit, scale = DISPLAY_UNITS[name]
+        panel = plot("frequency / Hz", f"{name} / ({unit}/√Hz)", log_x=True, log_y=True)
+        if limits is not None:
+            band(panel, *limits)
+        reference = None
+        if exact is not None:
+            reference = exact.frequency_hz[1:], exact.amplitude[1:] * scale
+        against(panel, reference, (test.frequency_hz[1:], test.amplitude[1:] * scale))
+        blocks.append(Plot(panel, f"Amplitude spectral density of the {name}. {note}"))
+    return Section(f"Spectra{title}", blocks or [Text("The record is too short for spectra.")])
+
+
+def energy_section(report: Report, signals: Tracked) -> Section:
+    """Energy balance of the specimen, and what the actuators' force error adds to it."""
+    experiment, blocks = report.record.experiment, list[Block]()
+    dt, axes = experiment.timebase.dt, experiment.axes
+    if report.energies:
+        panel = plot("time / s", "energy / J")
+        for (name, (steps, energy)), color in zip(report.energies.items(), OTHERS, strict=False):
+            line(panel, steps * dt, energy, name, color=color)
+        closure = report.summary["energy"]["closure"]
+        left = "" if closure is None else f" At most {closure:.2%} of the input is unexplained."
+        blocks.append(Plot(panel, f"Work of the actuators' force, and where it went.{left}"))
+    else:
+        blocks.append(Text("No energy balance: the specimen is unknown, or samples are missing."))
+    if len(signals.steps) > 1:
+        panel = plot("time / s", "energy error / J")
+        work = energy_error(signals.force - signals.command, signals.velocity, dt)
+        labels: Sequence[str] = axes if len(axes) > 1 else ("force loop",)
+        for label, y, color in zip(labels, work.T, OTHERS, strict=False):
+            line(panel, signals.steps * dt, y, label, color=color)
+        level(panel, 0.0)
+        caption = (
+            "Work of measured less intended force: where it grows, the force loop's error adds "
+            "energy (as damping taken away); where it falls, it takes energy out."
+        )
+        blocks.append(Plot(panel, caption))
+    return Section("Energy", blocks)

@@ -1,0 +1,297 @@
+"""A page of text, tables and zoomable figures in one HTML file; its look is in the templates."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from bokeh.embed import components
+from bokeh.model import Model
+from bokeh.models import BoxAnnotation, HoverTool, NumeralTickFormatter, Range1d, Span
+from bokeh.plotting import figure
+from bokeh.resources import Resources
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from seft_msgs_py.errors import InputError
+
+from seft_ros.drawing.style import (
+    FIRST,
+    GRID,
+    MARK,
+    MOST_POINTS,
+    REFERENCE,
+    TEXT,
+    check_folder,
+    thinned,
+)
+from seft_ros.drawing.tables import Mark
+
+Floats = npt.NDArray[np.floating[Any]]
+
+SUFFIX = ".html"
+_HEIGHT = 260  # pixels
+_TOOLS = "box_zoom,xwheel_zoom,pan,reset,save"
+_FAINT = "#aab1b8"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Text in a table, with a mark."""
+
+    text: str
+    mark: Mark = Mark.NONE
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph."""
+
+    text: str
+    kind: str = "text"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The verdict in one line, in the colour of its mark; below it, the findings behind it."""
+
+    mark: Mark
+    text: str
+    findings: Sequence[Cell] = ()
+    kind: str = "verdict"
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows under headings; columns after the first are aligned to the right where ``numbers``.
+
+    Without headings it is a list of names and values. A wide one has the page's whole width.
+    """
+
+    headings: Sequence[str]
+    rows: Sequence[Sequence[str | Cell]]
+    numbers: bool = True
+    wide: bool = False
+    kind: str = "table"
+
+    def cells(self) -> list[list[Cell]]:
+        """All cells, those without a mark too."""
+        return [[c if isinstance(c, Cell) else Cell(c) for c in row] for row in self.rows]
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A figure of `seft_ros.drawing.page`, and in one or two sentences what to look for.
+
+    A wide one has the page's whole width; otherwise two are side by side where there is room.
+    """
+
+    figure: Model
+    caption: str = ""
+    wide: bool = False
+    kind: str = "plot"
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Plots side by side, 2 to 4 in a row, where there is room; otherwise one below the other."""
+
+    plots: Sequence[Plot]
+    columns: int = 3
+    kind: str = "grid"
+
+
+Block = Text | Verdict | Table | Plot | Grid
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading and the blocks under it."""
+
+    title: str
+    blocks: Sequence[Block] = field(default_factory=tuple)
+
+
+def write_page(path: Path, title: str, subtitle: str, sections: Sequence[Section]) -> None:
+    """Write a page; figures, the library that draws them, and styles are inside the file.
+
+    An InputError says why it can't be written.
+    """
+    figures = {}  # by the name under which the template looks for them
+    for place, section in enumerate(sections):
+        for index, block in enumerate(section.blocks):
+            if isinstance(block, Plot):
+                figures[f"{place}-{index}"] = block.figure
+            elif isinstance(block, Grid):
+                own = {f"{place}-{index}-{n}": p.figure for n, p in enumerate(block.plots)}
+                figures.update(own)
+    script, places = components(figures) if figures else ("", {})
+    library = Resources(mode="inline", components=["bokeh"]).render_js() if figures else ""
+    environment = Environment(
+        loader=PackageLoader("seft_ros.drawing", "templates"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
+    )
+    text = environment.get_template("page.html").render(
+        title=title,
+        subtitle=subtitle,
+        sections=sections,
+        anchors=[re.sub(r"[^a-z0-9]+", "-", s.title.lower()).strip("-") for s in sections],
+        library=library,
+        script=script,
+        places=places,
+    )
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: the page can't be written ({error.strerror})") from None
+
+
+def check_page(path: Path) -> Path:
+    """Complete the name of a page's file, before the work is done that it shows.
+
+    An InputError says that there is no such folder, or that the suffix is of another kind of file.
+    """
+    path = path if path.suffix else path.with_suffix(SUFFIX)
+    if path.suffix.lower() not in (SUFFIX, ".htm"):
+        raise InputError(f"{path}: pages end in {SUFFIX}")
+    return check_folder(path)
+
+
+def plot(
+    x_label: str,
+    y_label: str,
+    *,
+    x_range: Range1d | None = None,
+    log_x: bool = False,
+    log_y: bool = False,
+    height: int = _HEIGHT,
+) -> figure:
+    """Make an empty figure, as wide as the page gives it room and so many pixels high.
+
+    Labels have units: ``time / s``. Figures with the same ``x_range`` zoom together.
+    """
+    shared = {} if x_range is None else {"x_range": x_range}
+    found = figure(
+        height=height,
+        sizing_mode="stretch_width",
+        tools=_TOOLS,
+        active_drag="box_zoom",
+        x_axis_label=x_label,
+        y_axis_label=y_label,
+        x_axis_type="log" if log_x else "linear",
+        y_axis_type="log" if log_y else "linear",
+        **shared,
+    )
+    found.toolbar.logo = None
+    found.toolbar.autohide = True
+    found.outline_line_color = None
+    found.min_border_right = 12
+    for grid in found.grid:
+        grid.grid_line_color = GRID
+    for axis in found.axis:
+        axis.axis_label_text_font_style = "normal"
+        axis.axis_label_text_color = axis.major_label_text_color = TEXT
+        axis.axis_line_color = axis.major_tick_line_color = axis.minor_tick_line_color = _FAINT
+    if log_x:
+        found.xaxis.formatter = NumeralTickFormatter(format="0.[000]")
+    return found
+
+
+def line(
+    panel: figure,
+    x: Floats,
+    y: Floats,
+    label: str = "",
+    *,
+    color: str = FIRST,
+    width: float = 1.3,
+    dash: str = "solid",
+    loop: bool = False,
+) -> None:
+    """Draw a line, thinned to `MOST_POINTS`; values that are not finite are a gap.
+
+    The label is in the legend and under the pointer; empty: in neither. A line is over increasing
+    x; a ``loop``, such as a hysteresis, is one of which neither coordinate increases.
+    """
+    at = thinned(y)
+    if loop:
+        at = np.arange(0, len(x), max(1, -(-len(x) // (2 * MOST_POINTS))))
+    renderer = panel.line(
+        np.asarray(x)[at].astype(np.float32),
+        np.where(np.isfinite(y[at]), y[at], np.nan).astype(np.float32),
+        color=color,
+        line_width=width,
+        line_dash=dash,
+        **({"legend_label": label} if label else {}),
+    )
+    if label and not loop:
+        tips = [(label, "@y{0.0000a}"), (str(panel.xaxis.axis_label), "@x{0.000}")]
+        panel.add_tools(HoverTool(renderers=[renderer], tooltips=tips, visible=False))
+    if label:
+        _place_legend(panel)
+
+
+def against(
+    panel: figure,
+    exact: tuple[Floats, Floats] | None,
+    test: tuple[Floats, Floats],
+    labels: tuple[str, str] = ("reference response", "test"),
+    *,
+    loop: bool = False,
+) -> None:
+    """Draw a test, (x, y), over its reference, if there is one."""
+    if exact is not None:
+        line(panel, *exact, labels[0], color=REFERENCE, width=3.0, loop=loop)
+    line(panel, *test, labels[1], width=0.9 if loop else 1.3, loop=loop)
+
+
+def bars(panel: figure, edges: Floats, counts: Floats) -> None:
+    """Draw a histogram: counts, shape (B,), between edges, shape (B + 1,)."""
+    low = 0.5 if "Log" in type(panel.y_scale).__name__ else 0.0
+    renderer = panel.quad(
+        left=edges[:-1], right=edges[1:], bottom=low, top=counts, color=FIRST, line_color="white"
+    )
+    tips = [("from", "@left{0.000}"), ("to", "@right{0.000}"), ("count", "@top{0}")]
+    panel.add_tools(HoverTool(renderers=[renderer], tooltips=tips, visible=False))
+
+
+def band(panel: figure, low: float, high: float, color: str = MARK) -> None:
+    """Shade a range of x."""
+    shade = {"fill_color": color, "fill_alpha": 0.1, "line_color": None, "level": "underlay"}
+    panel.add_layout(BoxAnnotation(left=low, right=high, **shade))
+
+
+def mark(panel: figure, x: float) -> None:
+    """Draw a vertical dashed line."""
+    panel.add_layout(Span(location=x, dimension="height", line_color=MARK, line_dash="dashed"))
+
+
+def level(panel: figure, y: float) -> None:
+    """Draw a horizontal dashed line."""
+    panel.add_layout(Span(location=y, dimension="width", line_color=_FAINT, line_dash="dashed"))
+
+
+def time_range(times: Sequence[float] | Floats) -> Range1d:
+    """Make a range that figures over the same time share."""
+    low, high = (float(times[0]), float(times[-1])) if len(times) else (0.0, 1.0)
+    high = high if high > low else low + 1.0
+    return Range1d(low, high, bounds=(low, high))
+
+
+def _place_legend(panel: figure) -> None:
+    legend = panel.legend
+    if legend and legend[0] in panel.center:
+        panel.center.remove(legend[0])
+        panel.add_layout(legend[0], "above")
+    legend.orientation = "horizontal"
+    legend.border_line_color = None
+    legend.background_fill_alpha = 0.0
+    legend.label_text_color = TEXT
+    legend.label_text_font_size = "13px"
+    legend.padding = legend.margin = 0
+    legend.spacing = 14
+    legend.click_policy = "hide"

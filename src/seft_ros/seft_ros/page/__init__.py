@@ -1,1 +1,0 @@
-"""Self-contained pages of text, tables and figures."""
