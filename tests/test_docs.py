@@ -10,12 +10,15 @@ from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.wire.topics import LOOP_TOPICS, TOPICS
 from seft_ros.cli.main import APP
 from seft_ros.cli.show_commands import parameters_text
+from seft_ros.conformance.finding import CHECKS
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import critical_mass_ratio
 from seft_ros.reference_force.compensation_methods import METHODS
 from seft_ros.test_run.parameter_tables import TABLES
 
 COMPENSATION = ROOT / "docs" / "compensation.md"
+FIRST_CELLS = re.compile(r"^\| (.+?) \|", re.MULTILINE)
+OF_ROS = {"Could not find metadata in bag directory", "Trying to set a read-only parameter"}
 
 
 def test_the_parameter_tables_are_those_of_the_code():
@@ -87,3 +90,22 @@ def test_layouts_for_outside_tools_plot_fields_of_our_topics():
     assert len(shown) == 6
     called = {panel["serviceName"] for name, panel in foxglove.items() if "CallService" in name}
     assert called == {"/start", "/stop", "/estop", "/reset"}
+
+
+def test_the_page_on_troubleshooting_quotes_messages_of_the_code():
+    files = [path for path in (ROOT / "src").rglob("*.py") if "test" not in path.parts]
+    code = "\n".join(path.read_text() for path in files)
+    code = re.sub(r'"\s*\n\s*f?"', "", code)  # a string that continues on the next line
+    table = (ROOT / "docs" / "troubleshooting.md").read_text().split("\n## ")[0]
+    quotes = [quote for cell in FIRST_CELLS.findall(table) for quote in re.findall("`(.+?)`", cell)]
+    parts = {part.strip() for quote in quotes for part in quote.split("...")} - OF_ROS
+    assert len(parts) > 20
+    assert {part for part in parts if part not in code} == set()
+
+
+def test_the_page_on_hardware_explains_each_check_of_a_driver():
+    page = (ROOT / "docs" / "hardware.md").read_text().split("## The conformance test")[1]
+    names = {name for cell in FIRST_CELLS.findall(page) for name in cell.split(", ")} - {"check"}
+    patterns = [re.compile(re.escape(name).replace(r"\.\.\.", ".+")) for name in names]
+    assert {n for n in CHECKS if not any(p.fullmatch(n) for p in patterns)} == set()
+    assert {p.pattern for p in patterns if not any(p.fullmatch(n) for n in CHECKS)} == set()
