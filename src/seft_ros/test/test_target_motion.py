@@ -166,7 +166,7 @@ def followed(restoring, x, v, stiffness=K, damping=800.0, noise=4.0, seed=1):
     rng, last = np.random.default_rng(seed), 0.0
     left = []
     for one, rate, r in zip(x, v, restoring, strict=True):
-        move_stops(parameters.thresholds, np.array([one - last]), state.stops)
+        move_stops(parameters, np.array([one - last]), state.stops)
         last = one
         measured = np.array([r + noise * rng.standard_normal()])
         follow(parameters, state, np.array([one]), np.array([rate]), measured)

@@ -150,7 +150,7 @@ def command_step(
     points : ndarray
         As of `target_step`, shape (taps or more, 3, n); the force of the first is replaced.
     """
-    p, n = parameters, points.shape[2]
+    p, n = parameters, len(target.axes)
     y, stops, known = state.motion, state.stops, running.model.stops
     for i in range(n):
         y[i], y[n + i] = running.measured[0, i], running.measured[1, i]

@@ -35,7 +35,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 from seft_plant_sim.compiled import compiled
-from seft_plant_sim.integration import multiply
 
 Floats = npt.NDArray[np.float64]
 
@@ -74,6 +73,9 @@ class ModelParameters(NamedTuple):
 
     Attributes
     ----------
+    springs : tuple of int
+        0 to n - 1. The length of a tuple is known where a step is compiled: its loops need not
+        count, which a step of one axis would do for most of its time.
     thresholds : ndarray
         y, shape (n, m), m.
     start : ndarray
@@ -98,6 +100,7 @@ class ModelParameters(NamedTuple):
         Largest growth of the evidence for what is told while it is not believed, per step.
     """
 
+    springs: tuple[int, ...]
     thresholds: Floats
     start: Floats
     prior: Floats
@@ -181,16 +184,17 @@ def model_arrays(
     offset = OFFSET_TO_NOISE * least_seen
     stiff = np.abs(stiffness)
 
-    def fours(*columns: Floats) -> Floats:
+    def padded(*columns: Floats) -> Floats:
         values = np.hstack(columns)
         return np.pad(values, [(0, 0), (0, -values.shape[1] % 4)])
 
     def variance(p: float, k: float, c: float, w: float) -> Floats:
-        return fours(p * offset, k * stiff, c * damps, w * force) ** 2
+        return padded(p * offset, k * stiff, c * damps, w * force) ** 2
 
     parameters = ModelParameters(
+        springs=tuple(range(n)),
         thresholds=thresholds,
-        start=fours(np.zeros((n, 1)), stiffness, damping, np.zeros_like(thresholds)),
+        start=padded(np.zeros((n, 1)), stiffness, damping, np.zeros_like(thresholds)),
         prior=variance(1.0, UNCERTAIN_STIFFNESS, UNCERTAIN_DAMPING, 1.0),
         drift=variance(0.0, DRIFT, DRIFT, DRIFT) * dt,
         change=variance(1.0, CHANGING_STIFFNESS, CHANGING_DAMPING, CHANGING_SLIDER),
@@ -235,6 +239,32 @@ def begin_model(parameters: ModelParameters, state: ModelState) -> None:
 
 
 @compiled
+def fours(count: int) -> int:
+    """Round up to a multiple of four: the processor has instructions for four at a time."""
+    return (count + 3) // 4 * 4
+
+
+@compiled
+def multiply(columns: int, rows: int, transposed: Floats, vector: Floats, result: Floats) -> None:
+    """Multiply a matrix, given transposed, by a vector; its sizes are known when compiled."""
+    whole = rows - rows % 4
+    for i in range(0, whole, 4):
+        one = two = three = four = 0.0
+        for j in range(columns):
+            factor = vector[j]
+            one += transposed[j, i] * factor
+            two += transposed[j, i + 1] * factor
+            three += transposed[j, i + 2] * factor
+            four += transposed[j, i + 3] * factor
+        result[i], result[i + 1], result[i + 2], result[i + 3] = one, two, three, four
+    for i in range(whole, rows):
+        one = 0.0
+        for j in range(columns):
+            one += transposed[j, i] * vector[j]
+        result[i] = one
+
+
+@compiled
 def stopped(z: float, y: float) -> float:
     """Keep z between -y and y."""
     z = y if z > y else z
@@ -242,9 +272,10 @@ def stopped(z: float, y: float) -> float:
 
 
 @compiled
-def move_stops(thresholds: Floats, change: Floats, stops: Floats) -> None:
+def move_stops(parameters: ModelParameters, change: Floats, stops: Floats) -> None:
     """Move stop operators by a change of each deformation, shape (n,), m."""
-    for j in range(len(change)):
+    thresholds = parameters.thresholds
+    for j in range(len(parameters.springs)):
         moved = change[j]
         for i in range(0, THRESHOLDS, 4):  # the processor has instructions for four at a time
             one = stopped(stops[j, i] + moved, thresholds[j, i])
@@ -255,10 +286,13 @@ def move_stops(thresholds: Floats, change: Floats, stops: Floats) -> None:
 
 
 @compiled
-def slider_forces(values: Floats, stops: Floats, forces: Floats) -> None:
-    """Force of the sliders of each spring by its parameters, shape (n,), N: the result."""
-    first = 1 + 2 * len(values)
-    for j in range(len(forces)):
+def slider_forces(
+    parameters: ModelParameters, values: Floats, stops: Floats, forces: Floats
+) -> None:
+    """Force of the sliders of each spring by these values, shape (n,), N: the result."""
+    n = len(parameters.springs)
+    first = 1 + 2 * n
+    for j in range(n):
         one = two = three = four = 0.0
         for i in range(0, THRESHOLDS, 4):
             one += values[j, first + i] * stops[j, i]
@@ -271,7 +305,7 @@ def slider_forces(values: Floats, stops: Floats, forces: Floats) -> None:
 @compiled
 def motion_noise(parameters: ModelParameters, state: ModelState, j: int) -> float:
     """Variance of the force of spring j by the noise of the motion, at the slope as found, N^2."""
-    found, observed, n = state.found[j], parameters.observed, len(state.found)
+    found, observed, n = state.found[j], parameters.observed, len(parameters.springs)
     sticking = 0.0
     for i in range(THRESHOLDS):
         if abs(state.stops[j, i]) < parameters.thresholds[j, i]:
@@ -293,7 +327,8 @@ def follow(
     The stops have moved to the deformations e before; ``sums[:, 3]`` then holds the force that is
     to act on the structure over this step beside the model's, to make good for what was not seen.
     """
-    n, q = parameters.start.shape
+    n = len(parameters.springs)
+    q = fours(1 + 2 * n + THRESHOLDS)
     for j in range(n):
         phi, last, p = state.regressors[j], state.last[j], state.covariance[j]
         gain, taken, left = state.work[0], state.work[1], state.work[2]
@@ -312,7 +347,7 @@ def follow(
             innovation -= found[i] * phi[i]
             told -= parameters.start[j, i] * phi[i]
             p[i, i] += parameters.drift[j, i]
-        multiply(p, phi, gain)  # p is symmetric
+        multiply(q, q, p, phi, gain)  # p is symmetric
         for i in range(q):
             variance += phi[i] * gain[i]
         moves = (e[j] / parameters.least[j, 0]) ** 2 + (rate[j] / parameters.least[j, 1]) ** 2 > 1.0

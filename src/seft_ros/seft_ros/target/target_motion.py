@@ -167,6 +167,8 @@ def target_arrays(known: Knowledge) -> tuple[TargetParameters, TargetState]:
     mending[:, : 2 * size] = change.T
     squares = np.linalg.eigvals(inverse @ stiffness).real
     parameters = TargetParameters(
+        axes=tuple(range(n)),
+        dofs=tuple(range(size)),
         dt=dt,
         substeps=substeps,
         gains=gains,

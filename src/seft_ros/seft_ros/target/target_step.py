@@ -15,16 +15,17 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 from seft_plant_sim.compiled import compiled
-from seft_plant_sim.integration import multiply
 
 from seft_ros.interlock.plausibility import is_finite
 from seft_ros.target.motion_observer import observe
 from seft_ros.target.restoring_model import (
+    THRESHOLDS,
     ModelParameters,
     ModelState,
     begin_model,
     follow,
     move_stops,
+    multiply,
     slider_forces,
 )
 
@@ -41,6 +42,8 @@ class TargetParameters(NamedTuple):
 
     Attributes
     ----------
+    axes, dofs : tuple of int
+        0 to n - 1, and 0 to N - 1: their lengths are known where a step is compiled.
     dt : float
         Sampling period, s.
     substeps : int
@@ -69,6 +72,8 @@ class TargetParameters(NamedTuple):
         Of the restoring force.
     """
 
+    axes: tuple[int, ...]
+    dofs: tuple[int, ...]
     dt: float
     substeps: int
     gains: Floats
@@ -148,7 +153,7 @@ def begin_target(parameters: TargetParameters, state: TargetState) -> None:
     state.target[:] = 0.0
     state.stops[:] = 0.0
     state.is_running[0] = 0.0
-    state.coming[3 * len(parameters.influence) + len(parameters.mass)] = 1.0
+    state.coming[3 * len(parameters.dofs) + len(parameters.axes)] = 1.0
     take_model(parameters, state, 1.0)
 
 
@@ -181,28 +186,28 @@ def target_step(
     if not is_finite(measured, 0):
         points[:] = np.nan
         return
-    n, p, first = len(parameters.mass), parameters, state.is_running[0] == 0.0
+    n, p, first = len(parameters.axes), parameters, state.is_running[0] == 0.0
     before, e, rate, force = state.springs[0], state.springs[1], state.springs[2], state.springs[3]
     if not first:
-        times(p.deformation, state.measured[0], before)
+        times(n, n, p.deformation, state.measured[0], before)
     observe(p.gains, p.dt, first, measured, state.measured)
-    times(p.deformation, state.measured[0], e)
-    times(p.deformation, state.measured[1], rate)
+    times(n, n, p.deformation, state.measured[0], e)
+    times(n, n, p.deformation, state.measured[1], rate)
     # r = f - M_e a (2)
-    times(p.mass, measured[2], state.axes[0])
+    times(n, n, p.mass, measured[2], state.axes[0])
     for i in range(n):
         state.axes[0, i] = measured[3, i] - state.axes[0, i]
-    times(p.to_springs, state.axes[0], force)
+    times(n, n, p.to_springs, state.axes[0], force)
     if first:  # at rest, wherever the specimen is
         for i in range(n):
             state.target[i] = state.measured[0, i]
         before[:] = 0.0
         for i in range(n):
             state.springs[4, i] = e[i]
-        move_stops(p.model.thresholds, state.springs[4], state.stops)
+        move_stops(p.model, state.springs[4], state.stops)
     for i in range(n):
         state.springs[4, i] = e[i] - before[i]
-    move_stops(p.model.thresholds, state.springs[4], state.model.stops)
+    move_stops(p.model, state.springs[4], state.model.stops)
     follow(p.model, state.model, e, rate, force)
     take_model(p, state, pace)
     if not first:
@@ -217,7 +222,7 @@ def target_step(
 def target_estimates(parameters: TargetParameters, state: TargetState, result: Floats) -> None:
     """Give stiffness, damping and sliders' force of each spring as found, shape (3, n)."""
     values, thresholds = state.model.found, parameters.model.thresholds
-    n = len(values)
+    n = len(parameters.axes)
     for j in range(n):
         result[0, j], result[1, j] = values[j, 1 + j], values[j, 1 + n + j]
         result[2, j] = 0.0
@@ -226,11 +231,11 @@ def target_estimates(parameters: TargetParameters, state: TargetState, result: F
 
 
 @compiled
-def times(matrix: Floats, vector: Floats, result: Floats) -> None:
+def times(rows: int, columns: int, matrix: Floats, vector: Floats, result: Floats) -> None:
     """Multiply a matrix by a vector."""
-    for i in range(matrix.shape[0]):
+    for i in range(rows):
         total = 0.0
-        for k in range(matrix.shape[1]):
+        for k in range(columns):
             total += matrix[i, k] * vector[k]
         result[i] = total
 
@@ -238,7 +243,7 @@ def times(matrix: Floats, vector: Floats, result: Floats) -> None:
 @compiled
 def take_model(p: TargetParameters, state: TargetState, pace: float) -> None:
     """Make the push of the model's parameters; what was this sample's is the last one's now."""
-    n, half, values, by_motion = len(p.mass), len(p.influence), state.model.values, state.by_motion
+    n, half, values, by_motion = len(p.axes), len(p.dofs), state.model.values, state.by_motion
     for j in range(n):
         for k in range(n):
             by_motion[j, k] = by_motion[j, n + k] = 0.0
@@ -278,11 +283,11 @@ def push(
     one told: by the model of the last sample (0) or this one (1), with these forces of sliders.
     """
     by_state, constant = state.by_state[model], state.constant[model]
-    for i in range(len(constant)):
+    for i in range(len(p.dofs)):
         total = constant[i]
-        for k in range(by_state.shape[1]):
+        for k in range(2 * len(p.dofs)):
             total += by_state[i, k] * y[k]
-        for k in range(len(ground)):
+        for k in range(len(p.axes)):
             total -= p.influence[i, k] * ground[k] + p.by_spring[i, k] * sliders[k]
         result[i] = total
 
@@ -292,7 +297,7 @@ def specimen_force(
     p: TargetParameters, state: TargetState, y: Floats, sliders: Floats, r: Floats
 ) -> None:
     """Force of the specimen at the state y by this sample's model: r = D^T s, shape (n,), N."""
-    n = len(r)
+    n = len(p.axes)
     r[:] = 0.0
     for j in range(n):
         s = state.model.values[j, 0] + sliders[j]
@@ -307,12 +312,12 @@ def advance(
     p: TargetParameters, state: TargetState, before: Floats, now: Floats, pace: float
 ) -> None:
     """Integrate Eq. (1) from the last sample to this one; the model changes linearly."""
-    n, half, model, ground = len(now), len(p.influence), state.model, state.axes[1]
+    n, half, model, ground = len(p.axes), len(p.dofs), state.model, state.axes[1]
     y, begin, stops = state.target, state.target[2 * half :], state.stops
     old, new, moved = state.dofs[0], state.dofs[1], state.dofs[2]
     change, of_old, of_new = state.springs[4], state.springs[5], state.springs[6]
-    slider_forces(model.before, stops, of_old)
-    slider_forces(model.values, stops, of_new)
+    slider_forces(p.model, model.before, stops, of_old)
+    slider_forces(p.model, model.values, stops, of_new)
     for step in range(p.substeps):
         for side in range(2):
             part = (step + side) / p.substeps
@@ -331,11 +336,11 @@ def advance(
                 continue
             for i in range(half):
                 begin[i] = new[i]
-            times(p.deforming, y, change)
-            move_stops(p.model.thresholds, change, stops)
-            slider_forces(model.before, stops, of_old)
-            slider_forces(model.values, stops, of_new)
-            times(p.hold, y, moved)
+            times(n, 3 * half, p.deforming, y, change)
+            move_stops(p.model, change, stops)
+            slider_forces(p.model, model.before, stops, of_old)
+            slider_forces(p.model, model.values, stops, of_new)
+            times(2 * half, 3 * half, p.hold, y, moved)
             for i in range(2 * half):
                 y[i] = moved[i]
 
@@ -347,7 +352,7 @@ def take_substep(p: TargetParameters, state: TargetState) -> None:
     If the push stayed b, it would be c at the end. The state is mended by ``change (c - b)``, and
     with it the push: ``G z`` is what a constant push does, and `mending` of the rise c - b.
     """
-    n, half, by_state, by_motion = len(p.mass), len(p.influence), state.by_state[1], state.by_motion
+    n, half, by_state, by_motion = len(p.axes), len(p.dofs), state.by_state[1], state.by_motion
     rise, mending, substep, force = state.rise, state.mending, state.substep, state.force
     size, one = 3 * half, 3 * half + n
     for i in range(half):
@@ -361,8 +366,8 @@ def take_substep(p: TargetParameters, state: TargetState) -> None:
             for k in range(2 * half):
                 total += by_state[m, k] * p.change[k, i]
             mending[i, 2 * half + m] = total
-        times(p.deforming, mending[i], mending[i, size:])
-    for k in range(len(substep)):
+        times(n, size, p.deforming, mending[i], mending[i, size:])
+    for k in range(size + 2 * n + 1):
         for m in range(size + n):
             total = p.steady[k, m]
             for i in range(half):
@@ -393,24 +398,25 @@ def predict(
         f* = M_e a* + r = F z,  z = (y, b, a_g, 1, s)                                          (3)
         (y, b, change of the deformations in the next substep) = G z                           (4)
     """
-    n, half, z, new = points.shape[2], len(p.influence), state.coming, state.next
+    n, half, z, new = len(p.axes), len(p.dofs), state.coming, state.next
     size, stops = 3 * half, state.coming_stops
+    columns = size + 2 * n + 1
     ground, sliders, change = z[size : size + n], z[size + n + 1 :], new[size:]
     take_substep(p, state)
     for i in range(2 * half):
         z[i] = state.target[i]
     for j in range(n):
         ground[j] = pace * known[0, j]
-        for i in range(stops.shape[1]):
+        for i in range(THRESHOLDS):
             stops[j, i] = state.stops[j, i]
-    slider_forces(state.model.values, stops, sliders)
+    slider_forces(p.model, state.model.values, stops, sliders)
     push(p, state, 1, z, sliders, ground, z[2 * half :])
-    times(p.deforming, z, change)
+    times(n, size, p.deforming, z, change)
     for point in range(len(points)):
         for i in range(n):
             points[point, 0, i] = z[i]
             points[point, 1, i] = z[half + i]
-        multiply(state.force, z, points[point, 2])
+        multiply(columns, n, state.force, z, points[point, 2])
         if point + 1 == len(points):
             break
         for step in range(p.substeps):
@@ -418,9 +424,9 @@ def predict(
             for i in range(n):
                 rise = known[point + 1, i] - known[point, i]
                 ground[i] = pace * (known[point, i] + part * rise)
-            move_stops(p.model.thresholds, change, stops)
-            slider_forces(state.model.values, stops, sliders)
-            multiply(state.substep, z, new)
+            move_stops(p.model, change, stops)
+            slider_forces(p.model, state.model.values, stops, sliders)
+            multiply(columns, size + n, state.substep, z, new)
             for i in range(size):
                 z[i] = new[i]
 
@@ -453,11 +459,11 @@ def move_by_force(
         Displacements, then velocities, and stop operators; shapes (2n,), (n, m). Brought up to
         date.
     """
-    n, h = len(force), span / p.substeps
+    n, h = len(p.axes), span / p.substeps
     r, new, change, sliders = state.axes[0], state.axes[1], state.springs[4], state.springs[5]
     for _ in range(p.substeps):
         for side in range(2):
-            slider_forces(state.model.values, stops, sliders)
+            slider_forces(p.model, state.model.values, stops, sliders)
             specimen_force(p, state, y, sliders, r)
             for i in range(n):
                 a = 0.0
@@ -472,6 +478,6 @@ def move_by_force(
                 change[j] = 0.0
                 for i in range(n):
                     change[j] += p.deformation[j, i] * (new[i] - y[i])
-            move_stops(p.model.thresholds, change, stops)
+            move_stops(p.model, change, stops)
             for i in range(n):
                 y[i] = new[i]
