@@ -53,7 +53,7 @@ def test_the_newest_answer_is_held():
         (TrajectoryCodec(VALVE_COMMAND, ("east",), TIMEBASE).encode(4, np.zeros(1)), "axes are"),
         (b"\x00\x00" + message(4, 1.0, 1.0)[2:], "no little-endian CDR"),
         (b"", "0 bytes"),
-        (b"\x00\x01\x00\x00garbage", "ends early"),
+        (b"\x00\x01\x00\x00garbage", "bytes can't be read"),
     ],
 )
 def test_what_does_not_fit_is_refused_and_nothing_changes(raw, words):

@@ -3,11 +3,7 @@ import itertools
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_msgs_py.wire.outcome import (
-    MOVING,
-    State,
-)
-from seft_ros.conformance.driver import ENDED
+from seft_msgs_py.wire.outcome import ENDED, MOVING, State
 from seft_ros.test_run.state_machine import StateMachine
 
 RUNNING = (("peers", ""), ("start",))

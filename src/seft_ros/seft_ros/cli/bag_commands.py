@@ -7,7 +7,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 from string import ascii_lowercase
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 from seft_msgs_py.config.experiment import Override, parse_override
@@ -25,7 +25,7 @@ _COLOURS = {"good": "green", "doubt": "yellow", "bad": "red", "none": "default"}
 
 def report(
     bag: Bag,
-    out: Path | None = option(None, "The page; default report.html in BAG.", "FILE"),
+    out: Optional[Path] = option(None, "The page; default report.html in BAG.", "FILE"),
     json: Json = False,
 ) -> int:
     """Show whether a recorded test can be trusted, and where it can not.
@@ -38,8 +38,8 @@ def report(
     The bag holds all that is needed: samples, configuration, versions. A bag whose recorder was
     cut off is read after seft recover BAG.
 
-    Examples
-    --------
+    Examples:
+
         seft report bags/half
 
         seft report bags/half --json
@@ -92,7 +92,7 @@ def compare(
             metavar="BAG BAG...", help="Folders of recorded tests; the first is compared with each."
         ),
     ],
-    figure: Path | None = option(None, "Draw the tests on one another.", "FILE"),
+    figure: Optional[Path] = option(None, "Draw the tests on one another.", "FILE"),
     json: Json = False,
 ) -> int:
     """Compare recorded tests with the first of them, sample by sample, bit for bit.
@@ -106,8 +106,8 @@ def compare(
 
     Exit status 0 if all samples on the loop's topics are identical, 1 if not.
 
-    Examples
-    --------
+    Examples:
+
         seft simulate config/jhu.yaml --out bags/simulated
 
         seft run config/jhu.yaml -p rig:pace:=lockstep --out bags/lockstep
@@ -153,7 +153,7 @@ def compare(
 
 def replay(
     bag: Bag,
-    node: list[str] | None = option(
+    node: Optional[list[str]] = option(
         None,
         "reference_force, force_controller or rig; may be given many times. "
         "Default: all three, one after another.",
@@ -163,7 +163,7 @@ def replay(
     offline: bool = option(
         False, "Feed the node's block in this process, without ROS.", "--offline"
     ),
-    out: Path | None = option(
+    out: Optional[Path] = option(
         None,
         "Write the test with the replayed answers in place of the recorded as a bag, "
         "must be new; with one --node alone.",
@@ -183,8 +183,8 @@ def replay(
 
     Exit status 0 if all answers are identical, 1 if not.
 
-    Examples
-    --------
+    Examples:
+
         seft replay bags/lockstep
 
         seft replay bags/lockstep --node reference_force

@@ -5,6 +5,7 @@
 
 import cmath
 from pathlib import Path
+from typing import Optional
 
 from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import InputError
@@ -30,20 +31,20 @@ def design(
     param: Params = None,
     params_file: Files = None,
     plant: Plant = Source.AUTO,
-    axis: str | None = option(None, "Axis to be shown; default the first.", "NAME"),
-    crossover: float | None = option(None, "Propose a controller for this crossover.", "HZ"),
+    axis: Optional[str] = option(None, "Axis to be shown; default the first.", "NAME"),
+    crossover: Optional[float] = option(None, "Propose a controller for this crossover.", "HZ"),
     gain_margin: float = option(6.0, "Least gain margin of a proposal in dB.", "DB"),
-    gain: float | None = option(None, "Try gain * product(s - zeros) / product(s - poles)."),
-    zero: list[str] | None = option(
+    gain: Optional[float] = option(None, "Try gain * product(s - zeros) / product(s - poles)."),
+    zero: Optional[list[str]] = option(
         None,
         "Its zeros, one option each: real, or with a damping ratio a conjugate pair; "
         "0 is a differentiator.",
         "HZ[,DAMPING]",
     ),
-    pole: list[str] | None = option(None, "Its poles; 0 is an integrator.", "HZ[,DAMPING]"),
-    numerator: str | None = option(None, 'Or its coefficients in s, highest power first: "37".'),
-    denominator: str | None = option(None, 'Likewise: "1 17.14 4002".'),
-    out: Path | None = option(None, "Write the controller to a new parameter file.", "FILE"),
+    pole: Optional[list[str]] = option(None, "Its poles; 0 is an integrator.", "HZ[,DAMPING]"),
+    numerator: Optional[str] = option(None, 'Or its coefficients in s, highest power first: "37".'),
+    denominator: Optional[str] = option(None, 'Likewise: "1 17.14 4002".'),
+    out: Optional[Path] = option(None, "Write the controller to a new parameter file.", "FILE"),
     figure: Path = option(Path("design.png"), "Where to draw.", "PNG"),
     json: Json = False,
 ) -> int:
@@ -57,8 +58,8 @@ def design(
     Without further options the experiment's own controller is judged. Exit status 1: with
     this controller the loop is unstable; it is not written then.
 
-    Examples
-    --------
+    Examples:
+
         seft design config/jhu.yaml
 
         seft design config/jhu.yaml --crossover 12 --out controller.yaml
@@ -134,13 +135,13 @@ def preflight(
     params_file: Files = None,
     external: External = None,
     plant: Plant = Source.AUTO,
-    figure: Path | None = option(
+    figure: Optional[Path] = option(
         None,
         "Draw where the test would be stable: mass ratio against dead time, and against "
         "the specimen's local stiffness.",
         "FILE",
     ),
-    write: Path | None = option(
+    write: Optional[Path] = option(
         None, "Write limits that fit the test into a parameter file, for --params-file.", "FILE"
     ),
     json: Json = False,
@@ -156,8 +157,8 @@ def preflight(
 
     Exit status 1: the plan is unstable.
 
-    Examples
-    --------
+    Examples:
+
         seft preflight config/jhu.yaml -p reference_force:mass_ratio:=1.0
 
         seft preflight config/demo.yaml --figure preflight.png

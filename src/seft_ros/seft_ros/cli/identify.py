@@ -3,7 +3,7 @@
 import math
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Optional
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
@@ -48,19 +48,19 @@ def identify(
         show_default=False,
     ),
     duration: float = option(120.0, "Duration of each test in s.", "S"),
-    amplitude: float | None = option(
+    amplitude: Optional[float] = option(
         None,
         "RMS of the valve drive, open loop; default found by a pilot test, so that the "
         "rig uses up to a fifth of its limits.",
         "V",
     ),
-    force: float | None = option(
+    force: Optional[float] = option(
         None,
         "RMS of the reference force, closed loop; default 5 m/s^2 times the mass, at "
         "most a 20th of the force limit (chirp: 0.3 times that).",
         "N",
     ),
-    out: Path | None = option(None, "New folder of the results; default by the time.", "DIR"),
+    out: Optional[Path] = option(None, "New folder of the results; default by the time.", "DIR"),
     specimen: bool = option(
         False,
         "Write the specimen's mass, damping and stiffness to model.yaml, too, as "
@@ -83,8 +83,8 @@ def identify(
 
     Rigs without a valve (actuator.kind ideal or delay) have the closed loop only.
 
-    Examples
-    --------
+    Examples:
+
         seft identify config/jhu.yaml --out identified
 
         seft simulate config/jhu.yaml --params-file identified/model.yaml

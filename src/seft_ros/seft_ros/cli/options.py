@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 from rich.console import Console, RenderableType
@@ -44,12 +44,12 @@ _JSON = "Print one JSON object on stdout, and nothing else there."
 Config = Annotated[Path, typer.Argument(metavar="CONFIG", help="Experiment: ROS 2 parameter file.")]
 Bag = Annotated[Path, typer.Argument(metavar="BAG", help="Folder (or file) of a recorded test.")]
 Params = Annotated[
-    list[str] | None,
+    Optional[list[str]],
     typer.Option("-p", "--param", metavar="NODE:PARAMETER:=VALUE", help=_OVERRIDE),
 ]
-Files = Annotated[list[Path] | None, typer.Option(metavar="FILE", help=_FILES)]
+Files = Annotated[Optional[list[Path]], typer.Option(metavar="FILE", help=_FILES)]
 Plant = Annotated[Source, typer.Option(help=_PLANT)]
-External = Annotated[list[str] | None, typer.Option(metavar="NODE", help=_EXTERNAL)]
+External = Annotated[Optional[list[str]], typer.Option(metavar="NODE", help=_EXTERNAL)]
 Json = Annotated[bool, typer.Option("--json", help=_JSON)]
 
 

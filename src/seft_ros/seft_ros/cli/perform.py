@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 from seft_msgs_py.config.experiment import Experiment
@@ -38,7 +38,7 @@ def run(
     param: Params = None,
     params_file: Files = None,
     external: External = None,
-    out: Path | None = option(
+    out: Optional[Path] = option(
         None, "New folder of the bag; default in the recorder's directory, by the time.", "DIR"
     ),
     pin: bool = option(
@@ -77,8 +77,8 @@ def run(
     Starts ground_motion, reference_force, force_controller, rig, recorder and supervisor,
     waits until all have found each other, runs the test, and ends them.
 
-    Examples
-    --------
+    Examples:
+
         seft run config/demo.yaml
 
         seft run config/jhu.yaml -p rig:pace:=lockstep --out bags/lockstep
@@ -116,7 +116,7 @@ def simulate(
     config: Config,
     param: Params = None,
     params_file: Files = None,
-    out: Path | None = option(
+    out: Optional[Path] = option(
         None, "Write a bag as seft run does, and a figure, into this new folder.", "DIR"
     ),
     figure: Figure = True,
@@ -126,8 +126,8 @@ def simulate(
 
     The samples are, bit for bit, those of seft run where no command was missed.
 
-    Examples
-    --------
+    Examples:
+
         seft simulate config/jhu.yaml
 
         seft simulate config/jhu.yaml -p reference_force:mass_ratio:=0.5 --out bags/half

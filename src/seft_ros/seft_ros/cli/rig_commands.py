@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Optional
 
 import typer
 from seft_msgs_py.config.experiment import Experiment
@@ -30,7 +30,7 @@ RATE, SIZE = 500.0, 1000  # Hz and bytes, without an experiment
 
 
 def link(
-    config: Path | None = typer.Argument(
+    config: Optional[Path] = typer.Argument(
         None,
         metavar="[CONFIG]",
         help="Experiment whose rate and message size are used, and which preflight looks at.",
@@ -40,7 +40,7 @@ def link(
     echo: bool = option(False, "Be the other side: send back what comes, until Ctrl-C.", "--echo"),
     rig: str = option("", "Of several rigs, whose link it is.", "NAME"),
     duration: float = option(10.0, "Time for which the link is measured.", "S"),
-    out: Path | None = option(
+    out: Optional[Path] = option(
         None, "Write the delay of the loop to a file for --params-file.", "FILE"
     ),
     json: Json = False,
@@ -54,8 +54,8 @@ def link(
 
     Exit status 1: the link is unusable, or the test unstable over it.
 
-    Examples
-    --------
+    Examples:
+
         seft link --echo
 
         seft link config/demo.yaml
@@ -137,7 +137,7 @@ def conform(
     start_rig: bool = option(
         False, "Start the simulated rig of CONFIG; else a rig runs already.", "--start-rig"
     ),
-    amplitude: float | None = option(
+    amplitude: Optional[float] = option(
         None, "Largest valve command; default 0.2 V (50 N for an idealised actuator).", "V"
     ),
     travel: float = option(0.005, "Displacement from rest at which it is stopped, m.", "M"),
@@ -158,8 +158,8 @@ def conform(
 
     Exit status 0: it conforms; 1: it does not.
 
-    Examples
-    --------
+    Examples:
+
         seft conform config/jhu.yaml --start-rig
 
         seft conform config/laboratory.yaml --amplitude 0.1

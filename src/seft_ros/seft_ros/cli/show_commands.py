@@ -4,7 +4,7 @@ import re
 import secrets
 import webbrowser
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 from seft_msgs_py.config.parameter_table import COMMON, Parameter, nearest
@@ -53,8 +53,8 @@ def monitor(
 
     It listens at 127.0.0.1 alone unless --host says otherwise. Ctrl-C ends it, not the test.
 
-    Examples
-    --------
+    Examples:
+
         seft monitor
 
         seft monitor --open
@@ -100,18 +100,18 @@ _ROWS = {
 
 def motion(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="PEER AT2, columns or csv.")],
-    column: list[int] | None = option(None, "Column, from 0; once for each axis to be shown."),
+    column: Optional[list[int]] = option(None, "Column, from 0; once for each axis to be shown."),
     unit: str = option("g", "g, m/s2 or cm/s2."),
     dt: float = option(0.0, "Sampling period in s, where the file has none."),
     time_scale: float = option(1.0, "0.5: twice as fast."),
     rate: float = option(500.0, "Rate of the loop in Hz."),
-    figure: Path | None = option(None, "Where to draw; default FILE's name + .png.", "PNG"),
+    figure: Optional[Path] = option(None, "Where to draw; default FILE's name + .png.", "PNG"),
     json: Json = False,
 ) -> int:
     """Show a record as a test at this rate would use it: numbers, and a figure with spectrum.
 
-    Examples
-    --------
+    Examples:
+
         seft motion kobe_nishi_akashi_090.AT2
 
         seft motion kobe_jma_1995.txt --unit cm/s2 --dt 0.005 --column 0 --column 1
@@ -146,12 +146,12 @@ def motion(
 
 
 def parameters(
-    node: str | None = typer.Argument(None, metavar="NODE", help="One node; default all."),
+    node: Optional[str] = typer.Argument(None, metavar="NODE", help="One node; default all."),
 ) -> int:
     """Print every parameter with type, default, unit, bounds and meaning, as Markdown.
 
-    Examples
-    --------
+    Examples:
+
         seft parameters rig
 
         seft parameters > docs/parameters.md

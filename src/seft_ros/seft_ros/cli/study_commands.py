@@ -4,7 +4,7 @@
 """
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Optional
 
 import typer
 from seft_msgs_py.config.experiment import Experiment
@@ -23,24 +23,24 @@ from seft_ros.cli.options import (
 
 
 def paper(
-    config: Path | None = typer.Argument(
+    config: Optional[Path] = typer.Argument(
         None,
         metavar="[CONFIG]",
         help="Experiment: a ROS 2 parameter file; default the paper's rig, config/jhu.yaml, as "
         "installed.",
         show_default=False,
     ),
-    file: Path | None = option(
+    file: Optional[Path] = option(
         None,
         "Record: PEER AT2, columns or csv. The paper's is Kobe 1995, JMA N-S. Default: "
         "CONFIG's motion, which is synthetic.",
         "MOTION",
     ),
-    unit: str | None = option(None, "g, m/s2 or cm/s2; default g."),
-    dt: float | None = option(None, "Sampling period in s, where the file has none."),
-    column: int | None = option(None, "Column of the file, from 0; default the first."),
+    unit: Optional[str] = option(None, "g, m/s2 or cm/s2; default g."),
+    dt: Optional[float] = option(None, "Sampling period in s, where the file has none."),
+    column: Optional[int] = option(None, "Column of the file, from 0; default the first."),
     out: Path = option(Path("paper.html"), "The page.", "HTML"),
-    workers: int | None = option(
+    workers: Optional[int] = option(
         None, "Processes that calculate; default one for each core.", min=1
     ),
     param: Params = None,
@@ -56,8 +56,8 @@ def paper(
     Exit status 0: the page was made. A claim that does not agree is a finding, not a failure; it
     is shown as such. 1: interrupted, or the rig can't be identified. 2: wrong input.
 
-    Examples
-    --------
+    Examples:
+
         seft paper
 
         seft paper --file kobe_jma_1995.txt --unit cm/s2 --dt 0.005 --column 0 --out kobe.html
@@ -114,10 +114,10 @@ def _with_motion(experiment: Experiment, file: Path | None, given: dict[str, Any
 
 def tournament(
     config: Config,
-    method: list[str] | None = option(
+    method: Optional[list[str]] = option(
         None, "Compensation method; may be given many times; default all.", "NAME"
     ),
-    mass_ratio: list[float] | None = option(
+    mass_ratio: Optional[list[float]] = option(
         None, "Mass ratio; may be given many times; default CONFIG's.", "ALPHA"
     ),
     rigs: int = option(8, "Number of rigs, CONFIG's own included.", min=1),
@@ -129,10 +129,10 @@ def tournament(
         max=1.0,
     ),
     seed: int = option(1, "Seed of the random rigs.", min=0),
-    workers: int | None = option(
+    workers: Optional[int] = option(
         None, "Threads, and processes, that calculate; default one for each core.", min=1
     ),
-    figure: Path | None = option(None, "Draw the errors of all tests.", "FILE"),
+    figure: Optional[Path] = option(None, "Draw the errors of all tests.", "FILE"),
     param: Params = None,
     params_file: Files = None,
     json: Json = False,
@@ -152,8 +152,8 @@ def tournament(
     Methods that need a delay or a model of the force loop find it in what seft identify writes;
     those that lack something are named, and the others go on.
 
-    Examples
-    --------
+    Examples:
+
         seft tournament config/jhu.yaml --mass-ratio 0.5 --mass-ratio 1.5
 
         seft tournament config/jhu.yaml --figure tournament.png
