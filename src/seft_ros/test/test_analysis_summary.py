@@ -17,8 +17,8 @@ from seft_ros.analysis import figures
 from seft_ros.analysis.metrics import delayed, nrmse
 from seft_ros.analysis.summary import json_safe, reference_of, summarise
 from seft_ros.analysis.summary_text import summary_table, verdict
+from seft_ros.bags.record import Record, Series
 from seft_ros.drawing.style import save_figure
-from seft_ros.recording.record import Record, Series
 
 COUNT = 2000
 DT = 0.002

@@ -13,7 +13,7 @@ from seft_msgs_py.wire.topics import ESTIMATES, LOOP_TOPICS, REFERENCE_FORCE, RI
 from seft_ros.analysis.alignment import Alignment, common_steps
 from seft_ros.analysis.metrics import nrmse, peak
 from seft_ros.analysis.summary import json_safe
-from seft_ros.recording.record import Record, Series
+from seft_ros.bags.record import Record, Series
 
 Floats = npt.NDArray[np.float64]
 First = dict[str, Any] | None

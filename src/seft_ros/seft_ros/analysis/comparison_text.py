@@ -8,9 +8,9 @@ from seft_msgs_py.wire.topics import LOOP_TOPICS, TARGET
 
 from seft_ros.analysis.comparison import length_s
 from seft_ros.analysis.summary_text import title_of
+from seft_ros.bags.bag_reader import UNDECODABLE
+from seft_ros.bags.record import Record
 from seft_ros.drawing.tables import make_table, small_percent
-from seft_ros.recording.bag_reader import UNDECODABLE
-from seft_ros.recording.record import Record
 
 FIELD_UNITS = {
     (topic.name, quantity): unit

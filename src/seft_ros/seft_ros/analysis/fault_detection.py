@@ -3,8 +3,8 @@
 import numpy as np
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 
+from seft_ros.bags.record import Record
 from seft_ros.force_controller.detectors_of import detector_shares
-from seft_ros.recording.record import Record
 
 
 def shares_of(record: Record) -> dict[str, float] | None:

@@ -22,7 +22,7 @@ from seft_ros.analysis.fault_detection import shares_of
 from seft_ros.analysis.metrics import Agreement, agreement, peak
 from seft_ros.analysis.timing import link_numbers, timing_of
 from seft_ros.analysis.tracking import tracking_error_of, tracking_of
-from seft_ros.recording.record import Estimates, Record
+from seft_ros.bags.record import Estimates, Record
 
 Floats = npt.NDArray[np.float64]
 

@@ -5,6 +5,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
+from seft_ros.bags.record import Record
 from seft_ros.drawing.tables import (
     DISPLAY_UNITS,
     GOOD_ERROR,
@@ -14,7 +15,6 @@ from seft_ros.drawing.tables import (
     number,
     percent,
 )
-from seft_ros.recording.record import Record
 
 
 def agreement_columns(quantity: str, delay_form: str) -> tuple[Number, ...]:

@@ -39,8 +39,8 @@ def report(
     from rich.text import Text
 
     from seft_ros.analysis.summary_text import summary_table
+    from seft_ros.bags.bag_reader import read_bag
     from seft_ros.page.content import check_page
-    from seft_ros.recording.bag_reader import read_bag
     from seft_ros.report.numbers import report_numbers
     from seft_ros.report.report_page import write_report
 
@@ -69,7 +69,7 @@ def recover(
 
         seft recover bags/half
     """
-    from seft_ros.recording.recover import recover as recover_bag
+    from seft_ros.bags.bag_files import recover as recover_bag
 
     print(recover_bag(bag))
     return 0
@@ -122,8 +122,8 @@ def compare(
         legend,
     )
     from seft_ros.analysis.figures import comparison_figure
+    from seft_ros.bags.bag_reader import read_bag
     from seft_ros.drawing.style import check_figure, save_figure
-    from seft_ros.recording.bag_reader import read_bag
 
     if not 2 <= len(bags) <= len(ascii_lowercase):
         raise InputError(f"compare takes 2 to {len(ascii_lowercase)} bags, but got {len(bags)}")

@@ -8,10 +8,10 @@ from typing import Annotated, Any, Optional
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 
+from seft_ros.bags.record import Record
 from seft_ros.commands.one_test import FIGURE, check_out, dds_test, offline_test
 from seft_ros.commands.options import Config, External, Files, Json, Params, load_experiment, option
 from seft_ros.commands.output import complain, show
-from seft_ros.recording.record import Record
 
 PILOT, OPEN_LOOP, CLOSED_LOOP = "pilot", "open_loop", "closed_loop"
 _BY_RATE = (math.nan, math.nan)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
 
+from seft_ros.bags.record import Record
 from seft_ros.commands.output import show, step_progress
-from seft_ros.recording.record import Record
 
 if TYPE_CHECKING:
     from seft_ros.test_run.process_layout import ProcessLayout
@@ -30,7 +30,7 @@ def offline_test(experiment: Experiment, bag: Path | None, label: str = "") -> R
     InputError
         If a parameter makes no sense together with the others.
     """
-    from seft_ros.recording.record_bag import write_record
+    from seft_ros.bags.record_bag import write_record
     from seft_ros.test_run.blocks import build_blocks
     from seft_ros.test_run.offline import simulate
 
@@ -66,7 +66,7 @@ def dds_test(
     ExperimentError
         If the run broke; what was recorded is kept.
     """
-    from seft_ros.recording.bag_reader import read_bag
+    from seft_ros.bags.bag_reader import read_bag
     from seft_ros.test_run.run import Interruption, run_experiment
 
     with step_progress(steps) as show_steps, Interruption() as interruption:

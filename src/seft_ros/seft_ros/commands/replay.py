@@ -13,8 +13,7 @@ from seft_ros.commands.options import Bag, Json, Params, option
 from seft_ros.commands.output import complain, show, step_progress
 
 if TYPE_CHECKING:
-    from seft_ros.replay.recorded import Recorded
-    from seft_ros.replay.replay_step import Replay
+    from seft_ros.bags.recorded_test import Recorded, Replay
 
 
 def replay(
@@ -66,9 +65,9 @@ def replay(
 
         seft replay bags/lockstep --node rig --offline --json
     """
-    from seft_ros.replay.recorded import read_recorded
-    from seft_ros.replay.replay_table import replay_table
-    from seft_ros.replay.replays import REPLAYS
+    from seft_ros.bags.node_replays import REPLAYS
+    from seft_ros.bags.recorded_test import read_recorded
+    from seft_ros.bags.replay_verdict import replay_table
 
     nodes = list(dict.fromkeys(node or REPLAYS))
     if out is not None:
@@ -102,7 +101,7 @@ def _replays(nodes: list[str], recorded: "Recorded", *, asked: bool) -> list["Re
     InputError
         If the bag does not have what a node was told that was asked for, or what any was told.
     """
-    from seft_ros.replay.replays import replay_to
+    from seft_ros.bags.node_replays import replay_to
 
     replays: list[Replay] = []
     for name in nodes:
@@ -122,11 +121,10 @@ def _answers(
     offline: bool,
     out: Path | None,
 ) -> dict[str, Any]:
-    from seft_ros.recording.record_bag import write_record
-    from seft_ros.replay.dds_replay import replay_over_dds
-    from seft_ros.replay.replay_step import Answers
-    from seft_ros.replay.replays import experiment_of
-    from seft_ros.replay.verdict import replay_verdict, replayed_record
+    from seft_ros.bags.dds_replay import replay_over_dds
+    from seft_ros.bags.record_bag import write_record
+    from seft_ros.bags.recorded_test import Answers, experiment_of
+    from seft_ros.bags.replay_verdict import replay_verdict, replayed_record
 
     meant = experiment_of(replay, overrides, fixed=False)
     section = meant[replay.node]

@@ -23,10 +23,10 @@ from seft_ros.analysis.summary import (
     summarise,
 )
 from seft_ros.analysis.timing import Timing, timing_of
+from seft_ros.bags.record import Record
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import instability_band
 from seft_ros.drawing.style import thinned
-from seft_ros.recording.record import Record
 from seft_ros.report.judgement import Judgement, judge
 
 Floats = npt.NDArray[np.float64]

@@ -9,11 +9,11 @@ from seft_msgs_py.wire.topics import GROUND_MOTION
 
 from seft_ros.analysis.summary_text import title_of
 from seft_ros.analysis.timing import GAP
+from seft_ros.bags.record import Record
 from seft_ros.drawing.style import OTHERS, SECOND
 from seft_ros.drawing.tables import DISPLAY_UNITS, Number, axis_label, percent, rows_of
 from seft_ros.page.content import Block, Cell, Mark, Plot, Section, Table, Text, Verdict, write_page
 from seft_ros.page.plots import bars, line, mark, plot
-from seft_ros.recording.record import Record
 from seft_ros.report.numbers import Findings
 from seft_ros.report.response_sections import (
     agreement_section,
