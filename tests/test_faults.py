@@ -26,8 +26,8 @@ from graph_tools import (
     thorough_but,
     wait_for,
 )
+from seft_ros.bags.bag_reader import read_bag
 from seft_ros.cli.main import main
-from seft_ros.recording.bag_reader import read_bag
 from seft_ros.test_run.processes import MODULES
 
 NO_COMMAND_ALLOWED = ("-p", "supervisor:watchdog.command_timeout:=60.0")

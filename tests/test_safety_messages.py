@@ -17,8 +17,8 @@ from seft_msgs_py.wire.topics import (
     RIG_STATE,
     VALVE_COMMAND,
 )
-from seft_ros.recording.bag_files import open_bag
-from seft_ros.recording.bag_reader import read_bag
+from seft_ros.bags.bag_files import open_bag
+from seft_ros.bags.bag_reader import read_bag
 from seft_ros.test_run.processes import MODULES
 
 LONG = ("-p", "ground_motion:synthetic.duration:=60.0")

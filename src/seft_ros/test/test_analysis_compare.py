@@ -12,7 +12,11 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.comparison import compare
 from seft_ros.analysis.result_text import comparison_table
-from seft_ros.recording.record import Estimates, Record, Series
+from seft_ros.bags.record import (
+    Estimates,
+    Record,
+    Series,
+)
 
 AXES = ("x", "y")
 COUNT = 40

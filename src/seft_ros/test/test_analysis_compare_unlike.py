@@ -10,7 +10,10 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.comparison import compare, compare_all
 from seft_ros.analysis.result_text import comparison_table, comparisons_table
-from seft_ros.recording.record import Record, Series
+from seft_ros.bags.record import (
+    Record,
+    Series,
+)
 
 SEED = {"x": 1.0, "y": 2.0, "z": 3.0}
 

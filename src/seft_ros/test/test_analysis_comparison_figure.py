@@ -7,7 +7,7 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.comparison import compare_all
 from seft_ros.analysis.figures import comparison_figure
-from seft_ros.recording.record import Record, Series
+from seft_ros.bags.record import Record, Series
 
 
 def make_record(rate=500.0, lost=(), axes=("x", "y")):

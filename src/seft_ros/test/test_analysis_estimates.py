@@ -14,7 +14,7 @@ from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.figures import test_figure as draw
 from seft_ros.analysis.result_text import summary_table
 from seft_ros.analysis.summary import summarise
-from seft_ros.recording.record import (
+from seft_ros.bags.record import (
     Estimates,
     Record,
     Series,

@@ -18,9 +18,12 @@ from seft_ros.analysis.judgement import verdict
 from seft_ros.analysis.metrics import delayed, nrmse
 from seft_ros.analysis.result_text import summary_table
 from seft_ros.analysis.summary import reference_of, summarise
+from seft_ros.bags.record import (
+    Record,
+    Series,
+)
 from seft_ros.drawing.style import save_figure
 from seft_ros.drawing.tables import json_safe
-from seft_ros.recording.record import Record, Series
 
 COUNT = 2000
 DT = 0.002

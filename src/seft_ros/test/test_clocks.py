@@ -24,9 +24,9 @@ ALLOWED = {
     "seft_ros/test_run/run.py": "the bag's name",
     "seft_ros/test_run/player.py": "when a message was sent, for conform and replay",
     "seft_ros/conformance/suite.py": "the same",
-    "seft_ros/recording/jitter_probe.py": "when the host stood still, for the bag",
-    "seft_ros/recording/environment.py": "when the test was",
-    "seft_ros/recording/record_bag.py": "times in the bag",
+    "seft_ros/bags/stall_watch.py": "when the host stood still, for the bag",
+    "seft_ros/bags/description.py": "when the test was",
+    "seft_ros/bags/record_bag.py": "times in the bag",
     "seft_ros/cli/identify.py": "the folder's name",
 }
 

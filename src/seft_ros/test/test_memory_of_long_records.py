@@ -9,10 +9,10 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.comparison import compare
 from seft_ros.analysis.summary import reference_of, summarise
-from seft_ros.recording import bag_reader
-from seft_ros.recording.bag_reader import read_bag
-from seft_ros.recording.record import Record, Series
-from seft_ros.recording.record_bag import write_record
+from seft_ros.bags import bag_reader
+from seft_ros.bags.bag_reader import read_bag
+from seft_ros.bags.record import Record, Series
+from seft_ros.bags.record_bag import write_record
 
 STEPS = 40_000
 BATCHES = 10e6  # bytes that reading takes whatever the length

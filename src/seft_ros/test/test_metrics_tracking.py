@@ -8,7 +8,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_ros.analysis.metrics import delayed
 from seft_ros.analysis.summary import summarise
 from seft_ros.analysis.tracking import tracking_of
-from seft_ros.recording.record import Record, Series
+from seft_ros.bags.record import Record, Series
 
 COUNT = 3000
 DT = 0.002

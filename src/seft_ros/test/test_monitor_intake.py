@@ -13,9 +13,9 @@ from seft_ros.analysis.equivalent_motion import (
     assumed_structure,
     motion_difference,
 )
+from seft_ros.bags.record import Record, Series
 from seft_ros.ground_motion.response_spectrum import response_spectrum
 from seft_ros.monitor.intake import Intake
-from seft_ros.recording.record import Record, Series
 from seft_ros.test_run.parameter_tables import TABLES
 
 CONFIG = Path(__file__).parents[3] / "config" / "jhu.yaml"

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 
-from seft_ros.recording.record import Record, Series
+from seft_ros.bags.record import Record, Series
 
 Floats = npt.NDArray[np.float64]
 Steps = npt.NDArray[np.int64]

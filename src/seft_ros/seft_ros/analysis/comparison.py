@@ -13,9 +13,12 @@ from seft_msgs_py.wire.topics import ESTIMATES, LOOP_TOPICS, REFERENCE_FORCE, RI
 from seft_ros.analysis.alignment import Alignment, common_steps
 from seft_ros.analysis.metrics import nrmse, peak
 from seft_ros.analysis.result_text import title_of
+from seft_ros.bags.bag_reader import UNDECODABLE
+from seft_ros.bags.record import (
+    Record,
+    Series,
+)
 from seft_ros.drawing.tables import json_safe
-from seft_ros.recording.bag_reader import UNDECODABLE
-from seft_ros.recording.record import Record, Series
 
 Floats = npt.NDArray[np.float64]
 First = dict[str, Any] | None

@@ -19,8 +19,8 @@ from seft_plant_sim.whole_structure import (
 
 from seft_ros.analysis.alignment import every_step
 from seft_ros.analysis.metrics import nrmse
+from seft_ros.bags.record import Record
 from seft_ros.ground_motion.response_spectrum import response_spectrum
-from seft_ros.recording.record import Record
 
 Floats = npt.NDArray[np.float64]
 

@@ -16,6 +16,7 @@ from seft_ros.analysis.alignment import Alignment, common_steps
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.analysis.result_text import title_of
 from seft_ros.analysis.summary import COMPARED
+from seft_ros.bags.record import Record
 from seft_ros.drawing.style import (
     FIRST,
     MARK,
@@ -29,7 +30,6 @@ from seft_ros.drawing.style import (
     tidy,
 )
 from seft_ros.drawing.tables import DISPLAY_UNITS, RESPONSES, axis_label, percent
-from seft_ros.recording.record import Record
 
 Floats = npt.NDArray[np.floating[Any]]
 Steps = npt.NDArray[np.int64]

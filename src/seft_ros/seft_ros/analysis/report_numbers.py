@@ -15,11 +15,11 @@ from seft_ros.analysis.alignment import every_step
 from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
 from seft_ros.analysis.judgement import Judgement, judge
 from seft_ros.analysis.summary import COMPARED, ENERGIES, balance_of, reference_of, summarise
+from seft_ros.bags.record import Record
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import instability_band
 from seft_ros.drawing.style import thinned
 from seft_ros.drawing.tables import json_safe
-from seft_ros.recording.record import Record
 
 Floats = npt.NDArray[np.float64]
 

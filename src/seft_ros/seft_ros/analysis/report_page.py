@@ -19,6 +19,7 @@ from seft_ros.analysis.report_sections import (
 from seft_ros.analysis.result_text import AGREEMENT, agreement_rows, title_of
 from seft_ros.analysis.timing import GAP, timing_of
 from seft_ros.analysis.tracking import tracked_of
+from seft_ros.bags.record import Record
 from seft_ros.drawing.page import (
     Block,
     Cell,
@@ -35,7 +36,6 @@ from seft_ros.drawing.page import (
 )
 from seft_ros.drawing.style import OTHERS, SECOND
 from seft_ros.drawing.tables import DISPLAY_UNITS, Mark, Number, axis_label, percent, rows_of
-from seft_ros.recording.record import Record
 
 _BINS = 80
 _MARKS = {"ok": Mark.NONE, "warn": Mark.DOUBT, "error": Mark.BAD, "stale": Mark.BAD}

@@ -9,6 +9,7 @@ from rich.text import Text
 from seft_msgs_py.wire.topics import LOOP_TOPICS, TARGET
 
 from seft_ros.analysis.judgement import verdict, worst_response
+from seft_ros.bags.record import Record
 from seft_ros.drawing.tables import (
     DISPLAY_UNITS,
     GOOD_ERROR,
@@ -19,7 +20,6 @@ from seft_ros.drawing.tables import (
     percent,
     small_percent,
 )
-from seft_ros.recording.record import Record
 
 AGREEMENT = (
     Number("peak", "peak"),

@@ -27,9 +27,12 @@ from seft_ros.analysis.equivalent_motion import MotionDifference, motion_differe
 from seft_ros.analysis.metrics import Agreement, agreement, peak
 from seft_ros.analysis.timing import link_numbers, timing_of
 from seft_ros.analysis.tracking import tracking_error_of, tracking_of
+from seft_ros.bags.record import (
+    Estimates,
+    Record,
+)
 from seft_ros.drawing.tables import json_safe
 from seft_ros.force_controller.detectors_of import detector_shares
-from seft_ros.recording.record import Estimates, Record
 
 Floats = npt.NDArray[np.float64]
 

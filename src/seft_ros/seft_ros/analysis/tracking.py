@@ -18,7 +18,7 @@ from seft_ros.analysis.tracking_metrics import (
     relative_energy_error,
     relative_tracking_indicator,
 )
-from seft_ros.recording.record import Record
+from seft_ros.bags.record import Record
 
 Floats = npt.NDArray[np.float64]
 Steps = npt.NDArray[np.int64]

@@ -16,8 +16,7 @@ from seft_msgs_py.errors import InputError
 from seft_ros.cli.options import Bag, Json, Params, check_out, complain, option, show, step_progress
 
 if TYPE_CHECKING:
-    from seft_ros.replay.recorded import Recorded
-    from seft_ros.replay.replay_step import Replay
+    from seft_ros.bags.recorded_test import Recorded, Replay
 
 
 _COLOURS = {"good": "green", "doubt": "yellow", "bad": "red", "none": "default"}
@@ -51,8 +50,8 @@ def report(
     from seft_ros.analysis.report_numbers import report_numbers
     from seft_ros.analysis.report_page import write_report
     from seft_ros.analysis.result_text import summary_table
+    from seft_ros.bags.bag_reader import read_bag
     from seft_ros.drawing.page import check_page
-    from seft_ros.recording.bag_reader import read_bag
 
     beside = bag.with_suffix(".html") if bag.is_file() else bag / "report.html"
     page = beside if out is None else check_page(out)
@@ -79,7 +78,7 @@ def recover(
 
         seft recover bags/half
     """
-    from seft_ros.recording.recover import recover as recover_bag
+    from seft_ros.bags.bag_files import recover as recover_bag
 
     print(recover_bag(bag))
     return 0
@@ -131,8 +130,8 @@ def compare(
         comparisons_table,
         legend,
     )
+    from seft_ros.bags.bag_reader import read_bag
     from seft_ros.drawing.style import check_figure, save_figure
-    from seft_ros.recording.bag_reader import read_bag
 
     if not 2 <= len(bags) <= len(ascii_lowercase):
         raise InputError(f"compare takes 2 to {len(ascii_lowercase)} bags, but got {len(bags)}")
@@ -196,9 +195,9 @@ def replay(
 
         seft replay bags/lockstep --node rig --offline --json
     """
-    from seft_ros.replay.recorded import read_recorded
-    from seft_ros.replay.replay_table import replay_table
-    from seft_ros.replay.replays import REPLAYS
+    from seft_ros.bags.node_replays import REPLAYS
+    from seft_ros.bags.recorded_test import read_recorded
+    from seft_ros.bags.replay_verdict import replay_table
 
     nodes = list(dict.fromkeys(node or REPLAYS))
     if out is not None:
@@ -232,7 +231,7 @@ def _replays(nodes: list[str], recorded: "Recorded", *, asked: bool) -> list["Re
     InputError
         If the bag lacks the messages to a node that was named, or to all nodes.
     """
-    from seft_ros.replay.replays import replay_to
+    from seft_ros.bags.node_replays import replay_to
 
     replays: list[Replay] = []
     for name in nodes:
@@ -252,11 +251,13 @@ def _answers(
     offline: bool,
     out: Path | None,
 ) -> dict[str, Any]:
-    from seft_ros.recording.record_bag import write_record
-    from seft_ros.replay.dds_replay import replay_over_dds
-    from seft_ros.replay.replay_step import Answers
-    from seft_ros.replay.replays import experiment_of
-    from seft_ros.replay.verdict import replay_verdict, replayed_record
+    from seft_ros.bags.dds_replay import replay_over_dds
+    from seft_ros.bags.record_bag import write_record
+    from seft_ros.bags.recorded_test import Answers, experiment_of
+    from seft_ros.bags.replay_verdict import (
+        replay_verdict,
+        replayed_record,
+    )
 
     meant = experiment_of(replay, overrides, fixed=False)
     section = meant[replay.node]

@@ -8,6 +8,7 @@ from typing import Any, Optional
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 
+from seft_ros.bags.record import Record
 from seft_ros.cli.options import (
     FIGURE,
     Config,
@@ -23,7 +24,6 @@ from seft_ros.cli.options import (
     option,
     show,
 )
-from seft_ros.recording.record import Record
 
 PILOT, OPEN_LOOP, CLOSED_LOOP = "pilot", "open_loop", "closed_loop"
 _BY_RATE = (math.nan, math.nan)

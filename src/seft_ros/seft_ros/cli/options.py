@@ -16,8 +16,8 @@ from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.wire.topics import NODES, with_rigs
 
+from seft_ros.bags.record import Record
 from seft_ros.design import Source
-from seft_ros.recording.record import Record
 from seft_ros.test_run.parameter_tables import TABLES
 
 if TYPE_CHECKING:
@@ -164,7 +164,7 @@ def offline_test(experiment: Experiment, bag: Path | None, label: str = "") -> R
 
     Raises `InputError` if parameters contradict each other.
     """
-    from seft_ros.recording.record_bag import write_record
+    from seft_ros.bags.record_bag import write_record
     from seft_ros.test_run.blocks import build_blocks
     from seft_ros.test_run.offline import simulate
 
@@ -200,7 +200,7 @@ def dds_test(
     ExperimentError
         If the run broke; what was recorded is kept.
     """
-    from seft_ros.recording.bag_reader import read_bag
+    from seft_ros.bags.bag_reader import read_bag
     from seft_ros.test_run.run import Interruption, run_experiment
 
     with step_progress(steps) as show_steps, Interruption() as interruption:

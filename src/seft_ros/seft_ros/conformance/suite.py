@@ -14,12 +14,12 @@ from seft_msgs_py.wire.outcome import FINISHED, TRIPPED, State
 from seft_msgs_py.wire.topics import LOOP_TOPICS, VALVE_COMMAND
 from seft_plant_sim.whole_structure import tested_specimen
 
+from seft_ros.bags.stall_watch import StallWatch
 from seft_ros.conformance import message_checks, motion_checks, obedience_checks
 from seft_ros.conformance.driver import ENDED, SLOW, Answer, Guard, TestDriver, Trial
 from seft_ros.conformance.finding import LATER, Finding, found, not_run
 from seft_ros.conformance.motion_checks import Drive
 from seft_ros.conformance.obedience_checks import PATIENCE, RESTING, BadCommands, rested
-from seft_ros.recording.stall_watch import StallWatch
 from seft_ros.test_run.observer import alone_on_the_graph
 from seft_ros.test_run.process_layout import prefer_latency
 from seft_ros.test_run.processes import one_node

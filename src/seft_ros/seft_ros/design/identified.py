@@ -11,6 +11,7 @@ from seft_msgs_py.errors import ExperimentError
 from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.specimen import Specimen
 
+from seft_ros.bags.record import Record
 from seft_ros.design.actuator_fit import ActuatorFit, fit_actuator
 from seft_ros.design.controller import Controller, polynomial_of
 from seft_ros.design.loop_design import LoopDesign, shape_loop
@@ -26,7 +27,6 @@ from seft_ros.design.measured_test import (
 )
 from seft_ros.design.plant import Plant, SampledPlant, small_signal
 from seft_ros.design.response_fits import SpecimenFit, TrackingFit, fit_specimen, fit_tracking
-from seft_ros.recording.record import Record
 
 Floats = npt.NDArray[np.float64]
 

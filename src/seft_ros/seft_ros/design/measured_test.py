@@ -7,8 +7,8 @@ import numpy.typing as npt
 import scipy.signal
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 
+from seft_ros.bags.record import Record
 from seft_ros.design.loop_margins import BAND_HZ
-from seft_ros.recording.record import Record
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]

@@ -15,13 +15,13 @@ from seft_msgs_py.wire.topics import RIG_STATE
 from seft_plant_sim.limits import NAMES
 from seft_plant_sim.rig import Rig
 
+from seft_ros.bags.record import Record
 from seft_ros.force_controller.kinds import one_controller
 from seft_ros.force_controller.methods import force_control
 from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
 from seft_ros.ground_motion.ground_motion_block import check_size
 from seft_ros.ground_motion.synthetic_motion import excitation, shortest_duration
 from seft_ros.interlock.detectors import MODEL_BASED
-from seft_ros.recording.record import Record
 from seft_ros.reference_force.reference_force_block import ReferenceForce
 from seft_ros.target.force_command import FORCE_DRIVEN
 

@@ -45,11 +45,10 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
+from seft_ros.bags.description import describe_environment
+from seft_ros.bags.lasting_bag import LastingBag, expected_size, obstacle
+from seft_ros.bags.stall_watch import StallWatch
 from seft_ros.conformance.driver import ENDED
-from seft_ros.recording.environment import describe_environment
-from seft_ros.recording.lasting_bag import LastingBag
-from seft_ros.recording.room import expected_size, obstacle
-from seft_ros.recording.stall_watch import StallWatch
 from seft_ros.test_run.parameter_tables import RECORDER, TABLES
 from seft_ros.test_run.peers import ALL_ANSWERED, RECORDING, SILENT, WAITS
 
@@ -117,7 +116,7 @@ class RecorderNode(NodeBody):
         if self._bag is None:
             self._check_place()
             return
-        self._bag.look()
+        self._bag.poll()
         self._report_trouble(self._bag)
         self._values = {**self._values, RECORDED: str(self._recorded())}
         self._shell.note(self._status())

@@ -9,6 +9,7 @@ import numpy as np
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError
 
+from seft_ros.bags.record import Record
 from seft_ros.design import Source
 from seft_ros.design.controller import Controller
 from seft_ros.design.identified import ClosedLoop, Identified, ValveResponse, identify
@@ -37,7 +38,6 @@ from seft_ros.paper.paper_tests import (
     uncompensated,
     whole_delay,
 )
-from seft_ros.recording.record import Record
 from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.tournament.workers import parallel_map

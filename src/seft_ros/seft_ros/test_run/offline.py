@@ -19,13 +19,13 @@ from seft_msgs_py.wire.outcome import Trip
 from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 
-from seft_ros.recording.environment import describe_environment
-from seft_ros.recording.record import (
+from seft_ros.bags.description import describe_environment
+from seft_ros.bags.record import (
     Estimates,
     Record,
     Series,
+    require_names,
 )
-from seft_ros.recording.samples import require_names
 from seft_ros.reference_force.reference_force_block import sampling_period
 from seft_ros.test_run.blocks import Blocks, build_blocks
 from seft_ros.test_run.compiled_loop import LoopSamples, obstacle, run_compiled

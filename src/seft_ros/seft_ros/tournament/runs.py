@@ -14,8 +14,8 @@ from seft_msgs_py.wire.topics import RIG_STATE
 from seft_plant_sim.whole_structure import ReferenceResponse, reference_response
 
 from seft_ros.analysis.summary import summarise_briefly
+from seft_ros.bags.record import Record
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
-from seft_ros.recording.record import Record
 from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import Workshop, simulate, thread_map
 from seft_ros.tournament.entries import Entry, Tournament

@@ -1,0 +1,1 @@
+"""Bags: the record of a test, written, read, recovered and replayed."""

@@ -1,0 +1,260 @@
+"""Collect what the topics of a test hold while the messages of its bag are read.
+
+Each collector counts the messages that it can't decode.
+"""
+
+from collections.abc import Mapping
+from functools import lru_cache
+from math import inf
+
+import numpy as np
+import numpy.typing as npt
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import WireError
+from seft_msgs_py.wire.messages import (
+    ERROR,
+    OK,
+    STALE,
+    WARN,
+    EstimatesCodec,
+    Status,
+    decode_diagnostics,
+    decode_status,
+)
+from seft_msgs_py.wire.outcome import ENDED, STOPPED, Outcome, State, Trip, read_outcome
+from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND, Timebase
+from seft_msgs_py.wire.topics import (
+    GROUND_MOTION,
+    REFERENCE_FORCE,
+    TARGET,
+    LoopTopic,
+    RigAxes,
+    bare,
+)
+from seft_msgs_py.wire.trajectory import TrajectoryCodec, decode_batch
+
+from seft_ros.bags.message_blocks import MessageBlock
+from seft_ros.bags.record import Estimates, Event, Series, require_names
+from seft_ros.force_controller.link_record import LinkRecord
+
+_MOST_EVENTS = 1000
+_LEVELS = {OK: "ok", WARN: "warn", ERROR: "error", STALE: "stale"}
+
+Floats = npt.NDArray[np.float64]
+Steps = npt.NDArray[np.int64]
+
+
+class SampleBuffer:
+    """Arrays of samples that grow in place; memory is that of the samples.
+
+    Parameters
+    ----------
+    quantities, axes : int
+        Sizes q and n of a sample.
+    capacity : int
+        Number of samples to expect; the part that is not filled takes no memory.
+    """
+
+    def __init__(self, quantities: int, axes: int, capacity: int) -> None:
+        size = max(1, capacity)
+        self._steps, self._received = np.empty(size, np.int64), np.empty(size, np.int64)
+        self._values = np.empty((size, quantities, axes))
+        self._timed = True
+        self._count = 0
+
+    def append(self, steps: Steps, values: Floats, received_ns: Steps | None = None) -> None:
+        """Add samples, of shapes (p,) and (p, q, n), and when each was received, shape (p,)."""
+        end = self._count + len(steps)
+        if end > len(self._steps):
+            self._resize(max(end, 2 * len(self._steps)))
+        new = slice(self._count, end)
+        self._steps[new], self._values[new] = steps, values
+        if received_ns is None:
+            self._timed = False
+        else:
+            self._received[new] = received_ns
+        self._count = end
+
+    def series(self) -> Series:
+        """Give them ordered by step, of duplicates the first; nothing may be added any more.
+
+        Samples that came in order, as they mostly do, are not copied.
+        """
+        self._resize(self._count)
+        steps, received = self._steps, self._received if self._timed else None
+        series = Series(steps, self._values, received_ns=received)
+        if (steps[1:] > steps[:-1]).all():
+            return series
+        return series.rows(np.unique(steps, return_index=True)[1])
+
+    def _resize(self, count: int) -> None:
+        # nobody else has seen the arrays; the check takes a debugger's frames for references
+        for array in (self._steps, self._received, self._values):
+            array.resize((count, *array.shape[1:]), refcheck=False)
+
+
+class SeriesGatherer(SampleBuffer):
+    """Samples of a topic of the loop, with all axes or those of one rig.
+
+    Over a link, a message holds the reference force of later steps, too. Of a target, which is
+    revised from step to step, the first point of each message counts.
+    """
+
+    def __init__(
+        self,
+        topic: LoopTopic,
+        experiment: Experiment,
+        expected: int,
+        rig: RigAxes | None = None,
+    ) -> None:
+        axes = rig.axes if rig else experiment.axes
+        super().__init__(len(topic.quantities), len(axes), expected)
+        self.undecodable = 0
+        self._codec = TrajectoryCodec(topic, axes, experiment.timebase)
+        self._times_count = topic is not GROUND_MOTION  # which is sent ahead
+        self._ahead = inf
+        if topic == REFERENCE_FORCE:
+            section = experiment.sections.get("reference_force", {})
+            self._ahead = max(section.get("loop_delay", 0), 0)
+        elif topic == TARGET:
+            self._ahead = 0
+
+    def take(self, block: MessageBlock) -> None:
+        """Take the next messages of the topic."""
+        for rows, received in block.alike():
+            batch = decode_batch(self._codec, rows).up_to(self._ahead)
+            times = received[batch.messages] if self._times_count else None
+            self.append(batch.steps, batch.values, times)
+            self.undecodable += batch.refused
+
+
+class EstimatesGatherer:
+    """Estimates of a compensation method, all with the names of the first."""
+
+    def __init__(self, experiment: Experiment) -> None:
+        self.undecodable = 0
+        self._codec = EstimatesCodec(experiment.axes, experiment.timebase)
+        self._names: tuple[str, ...] = ()
+        self._samples: dict[int, Floats] = {}
+
+    def take(self, raw: bytes, _received_ns: int = 0) -> None:
+        """Take the next message."""
+        try:
+            self.append(*self._codec.decode(raw))
+        except WireError:
+            self.undecodable += 1
+
+    def append(self, step: int, estimates: Mapping[str, Floats]) -> None:
+        """Add the estimates of a step, name -> shape (n,); an empty mapping adds nothing.
+
+        Raises
+        ------
+        WireError
+            If their names differ from those of the first step.
+        """
+        if estimates:
+            self._names = self._names or tuple(estimates)
+            require_names(step, estimates, self._names)
+            self._samples.setdefault(step, np.stack(list(estimates.values())))
+
+    def series(self) -> Estimates | None:
+        """Give them ordered by step, of duplicates the first; None if there are none."""
+        if not self._samples:
+            return None
+        steps = sorted(self._samples)
+        values = np.stack([self._samples[step] for step in steps])
+        return Estimates(np.array(steps, np.int64), values, self._names)
+
+
+class ReportGatherer:
+    """What the nodes report in diagnostics, and the supervisor of the test's state.
+
+    Attributes
+    ----------
+    ending : Status or None
+        The supervisor's last ``done`` or ``tripped``.
+    """
+
+    def __init__(self, timebase: Timebase) -> None:
+        self.undecodable = 0
+        self.ending: Status | None = None
+        self._outcomes: dict[str, Outcome] = {}  # of the rigs
+        self._links: dict[str, LinkRecord] = {}  # of the force controllers
+        self._last: dict[str, tuple[int, str]] = {}  # level and text, by node
+        self._events: list[tuple[int, str, int, str]] = []
+        self._timebase = timebase
+        self._decode = lru_cache(64)(decode_diagnostics)  # nodes repeat themselves
+
+    def take_diagnostics(self, raw: bytes, received_ns: int) -> None:
+        """Take the next message of diagnostics."""
+        try:
+            _, statuses = self._decode(raw[:4] + bytes(8) + raw[12:])  # without the stamp
+        except WireError:
+            self.undecodable += 1
+            return
+        for status in statuses:
+            if (outcome := read_outcome(status, self._timebase)) is not None:
+                self._outcomes[status.name] = outcome
+            if bare(status.name) == "force_controller" and "link" in status.values:
+                try:
+                    self._links[status.name] = LinkRecord.from_json(status.values["link"])
+                except ValueError:
+                    self.undecodable += 1
+            self._log(received_ns, status, status.message)
+
+    def take_state(self, raw: bytes, received_ns: int) -> None:
+        """Take the next message of the supervisor."""
+        try:
+            status = decode_status(raw)
+        except WireError:
+            self.undecodable += 1
+            return
+        if status.message in ENDED:
+            self.ending = status
+        detail, text = status.values.get("detail", ""), status.message
+        self._log(received_ns, status, text if detail in ("", text) else f"{text}: {detail}")
+
+    def _log(self, received_ns: int, status: Status, text: str) -> None:
+        """Log each report once until the node's next, differing one; not without bound."""
+        report = (status.level, text)
+        if self._last.get(status.name) != report and len(self._events) < _MOST_EVENTS:
+            self._events.append((received_ns, status.name, *report))
+        self._last[status.name] = report
+
+    def events(self, start_ns: int) -> list[Event]:
+        """Give the log, with times after a moment of the wall clock."""
+        return [
+            Event((at - start_ns) / NANOSECONDS_PER_SECOND, source, _LEVELS.get(level, "?"), text)
+            for at, source, level, text in self._events
+        ]
+
+    def outcome(self, rigs: int) -> Outcome | None:
+        """How the test ended, once all of so many rigs have reported it; else None."""
+        return (
+            Outcome.of_all(list(self._outcomes.values())) if len(self._outcomes) >= rigs else None
+        )
+
+    def link(self) -> LinkRecord | None:
+        """How messages arrived over links; None if no force controller reported it."""
+        return LinkRecord.of_all(self._links.values()) if self._links else None
+
+
+def trip_of(outcome: Outcome | None, ending: Status | None, timebase: Timebase) -> Trip | None:
+    """Give the cause of a trip: the rig knows its own limits, the supervisor all others.
+
+    ``outcome`` is the end as the rig saw it, ``ending`` the supervisor's last ``done`` or
+    ``tripped``. None if the test ran to the end of its record, or the cause is not recorded.
+    """
+    trip = outcome.trip if outcome else None
+    if ending is None:
+        return trip
+    if ending.message != State.TRIPPED and (trip is None or trip.reason != STOPPED):
+        return trip
+    text = ending.values.get("step", "")
+    if text.isdecimal():
+        step = int(text)
+    elif trip is not None:
+        step = trip.step
+    else:
+        step = max(0, outcome.steps - 1) if outcome else 0
+    return Trip(ending.values.get("detail", ""), step, timebase.stamp_ns(step) / 1e9)

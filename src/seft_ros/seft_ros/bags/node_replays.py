@@ -1,0 +1,295 @@
+"""The nodes to which a recorded test can be replayed."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from seft_msgs_py.config.parameter_table import nearest
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.topics import (
+    GROUND_MOTION,
+    REFERENCE_FORCE,
+    RIG_STATE,
+    TARGET,
+    VALVE_COMMAND,
+    LoopTopic,
+)
+from seft_msgs_py.wire.trajectory import Floats
+from seft_plant_sim.rig import Rig
+
+from seft_ros.bags.gathering import EstimatesGatherer
+from seft_ros.bags.record import Estimates, Series
+from seft_ros.bags.recorded_test import Input, Recorded, Replay
+from seft_ros.force_controller.interlock import Interlock
+from seft_ros.force_controller.methods import force_control
+from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
+from seft_ros.interlock.protected_force import ProtectedForce
+from seft_ros.reference_force.loop_inputs import MotionBuffer
+from seft_ros.reference_force.reference_force_block import EstimateSampler
+from seft_ros.reference_force.reference_force_parameters import reference_force_topic
+
+FAR = 20.0  # s that ground motion is sent ahead of its step
+PATIENCE = 60.0  # s that the rig waits for the replay on a slow machine
+BY_TIME = "force_controller: no "
+"""Start of the reason of a trip that was caused by a clock, not by a sample."""
+
+
+class ReferenceForceReplay(Replay):
+    """What rig, ground motion and supervisor sent to reference_force.
+
+    States that the node did not answer are not sent: they did not reach it, or came after its
+    test had ended.
+    """
+
+    node = "reference_force"
+    sends: tuple[LoopTopic, ...] = (GROUND_MOTION, RIG_STATE)
+
+    def __init__(self, recorded: Recorded) -> None:
+        super().__init__(recorded)
+        section = self.experiment["reference_force"]
+        self.answer = reference_force_topic(section)
+        self.expected = recorded.series(self.answer)
+        self.ramp_step = recorded.ramp_step
+        if not recorded.ramp_told:
+            self.notes.append(
+                f"the supervisor's ramp begins at step {self.ramp_step} by the times of "
+                "recording; reference_force does not report it exactly"
+            )
+        self._motion, moved = MotionBuffer(len(self.experiment.axes)), 0
+        self._pieces: list[tuple[int, Floats]] = []  # of the motion, without duplicates
+        for first, values in recorded.chunks:
+            if first <= moved < first + len(values):
+                self._pieces.append((moved, values[moved - first :]))
+                moved = first + len(values)
+        if self._pieces:
+            self._motion.add(0, np.concatenate([values for _, values in self._pieces]))
+        answered = np.array(list(recorded.points), np.int64)
+        if not section["loop_delay"]:  # each command follows a reference force, recorded or not
+            unrecorded = np.setdiff1d(recorded.series(VALVE_COMMAND).steps, answered)
+            if recorded.record.trip is None:
+                self.note_steps("the bag lacks the recorded answer", unrecorded)
+                answered = np.union1d(answered, unrecorded)
+        states = recorded.series(RIG_STATE)
+        self.note_unanswered(states.steps, answered)
+        self._states = states.of_steps(answered)
+        unmoved = answered[answered >= moved]
+        if len(unmoved) and not (self.ramp_step is not None and unmoved[0] >= self.ramp_step):
+            raise InputError(
+                f"the bag lacks ground_motion of step {unmoved[0]}, which reference_force has "
+                "answered; record that topic from the start on"
+            )
+
+    def inputs(self) -> Iterator[tuple[int, list[Input]]]:
+        """Give each state, with ground motion sent ahead."""
+        far, sent = round(FAR * self.experiment.timebase.rate), 0
+        for step, state in self._states.samples():
+            inputs: list[Input] = []
+            while sent < len(self._pieces) and self._pieces[sent][0] <= step + far:
+                inputs.append((GROUND_MOTION, *self._pieces[sent]))
+                sent += 1
+            yield step, [*inputs, (RIG_STATE, step, state[np.newaxis])]
+
+    def computed(self, section: dict[str, Any]) -> tuple[Series, Estimates | None]:
+        """Compute forces and estimates."""
+        axes, timebase = self.experiment.axes, self.experiment.timebase
+        block = ProtectedForce.from_parameters(section, axes, timebase)
+        delay = max(section["loop_delay"], 0)
+        settled = 1 if block.reference_force.tells_motion else 1 + delay
+        window, last = 1 + block.preview, -1
+        sampler, estimates = EstimateSampler(block, timebase), EstimatesGatherer(self.experiment)
+        forces: dict[int, Floats] = {}
+        for step, state in self._states.samples():
+            if step == self.ramp_step:
+                block.ramp_down()
+            motion = self._motion.window(step, window)
+            if motion is None and not block.ramping:
+                break  # the node would wait for it
+            if delay and step > last + 1:
+                lost = [self._motion.window(at, window) for at in range(last + 1, step)]
+                block.bridge(lost, state)
+            for ahead, point in enumerate(block.step(motion, state)[:settled]):
+                forces.setdefault(step + ahead, point)
+            last = step
+            if step >= sampler.due:
+                estimates.append(step, sampler.sample(step))
+        values = np.array(list(forces.values())).reshape(len(forces), -1, len(axes))
+        return Series(np.array(list(forces), np.int64), values), estimates.series()
+
+
+class ForceControllerReplay(Replay):
+    """What rig and reference_force sent to force_controller.
+
+    Not over a link: which messages arrived there is in no bag.
+    """
+
+    node = "force_controller"
+    answer: LoopTopic = VALVE_COMMAND
+
+    def __init__(self, recorded: Recorded) -> None:
+        super().__init__(recorded)
+        section, trip = self.experiment["force_controller"], recorded.record.trip
+        if section["loop_delay"]:
+            raise InputError(
+                "force_controller answered over a link (loop_delay): which force was the newest "
+                "when a state came is not in a bag; replay reference_force or rig"
+            )
+        self._asks = reference_force_topic(self.experiment["reference_force"])
+        self.sends = (RIG_STATE, self._asks)
+        self.expected = recorded.series(VALVE_COMMAND)
+        if trip is not None and trip.reason.startswith(BY_TIME):
+            self.expected = self.expected.until(trip.step)
+            self.notes.append(f"replayed until step {trip.step}, where a clock tripped it")
+        states, self._points = recorded.series(RIG_STATE), recorded.points
+        looks_ahead = section["method"] == VELOCITY_FEEDFORWARD
+        if looks_ahead and all(len(points) == 1 for points in self._points.values()):
+            raise InputError(
+                "force_controller needs the future motion of the target, which is not in a bag of "
+                "seft simulate; replay reference_force or rig"
+            )
+        commanded = self.expected.steps
+        sent = states.until(int(commanded[-1]) if len(commanded) else -1)
+        self.note_unanswered(sent.steps, commanded)
+        self._states = dict(states.samples())
+        forceless = np.setdiff1d(commanded, list(self._points))
+        if len(forceless) and trip is None:  # a tripped one waits for no force
+            raise InputError(
+                f"the bag lacks reference_force of step {forceless[0]}, which force_controller "
+                "has answered; record that topic from the start on"
+            )
+
+    def inputs(self) -> Iterator[tuple[int, list[Input]]]:
+        """Give each state with its reference force."""
+        for step in self.expected.steps.tolist():
+            inputs: list[Input] = [(RIG_STATE, step, self._states[step][np.newaxis])]
+            if step in self._points:
+                inputs.append((self._asks, step, self._points[step]))
+            yield step, inputs
+
+    def computed(self, section: dict[str, Any]) -> tuple[Series, Estimates | None]:
+        """Compute the commands."""
+        axes, timebase = self.experiment.axes, self.experiment.timebase
+        block = force_control(dict(section), axes, timebase)
+        interlock = Interlock.from_parameters(block, dict(section), axes, timebase)
+        steps, commands, none = [], [], np.zeros((1, 1, len(axes)))
+        for step in self.expected.steps.tolist():
+            if step not in self._points and not interlock.reason:
+                break  # the node would wait for it
+            steps.append(step)
+            points = self._points.get(step, none)
+            commands.append(interlock.step(step, points, self._states[step]).copy())
+        values = np.array(commands).reshape(len(steps), 1, len(axes))
+        return Series(np.array(steps, np.int64), values), None
+
+
+class RigReplay(Replay):
+    """What force_controller, or reference_force, sent to the rig.
+
+    The rig runs in lockstep, whatever its pace was; where it missed a command, it is sent the
+    one that it held.
+    """
+
+    node = "rig"
+    answer: LoopTopic = RIG_STATE
+
+    def __init__(self, recorded: Recorded) -> None:
+        super().__init__(recorded)
+        record, section = recorded.record, self.experiment["rig"]
+        self.expected = recorded.series(RIG_STATE)
+        self.fixed = {
+            "pace": "lockstep",
+            "lockstep_timeout": PATIENCE,
+            "watchdog.supervisor_timeout": PATIENCE,
+        }
+        rig = Rig.from_parameters(section, self.experiment.axes, self.experiment.timebase)
+        self.sends, self._drive = (VALVE_COMMAND,), VALVE_COMMAND
+        if rig.drive != VALVE_COMMAND.name:
+            self.sends, self._drive = (VALVE_COMMAND, REFERENCE_FORCE), REFERENCE_FORCE
+            sent = reference_force_topic(self.experiment.sections.get("reference_force", {}))
+            if section["loop_delay"] and sent == TARGET:
+                raise InputError(
+                    "the rig was driven by the future motion of a target over a link (loop_delay): "
+                    "which message was the newest is not in a bag; replay reference_force"
+                )
+        listed = record.missed_steps
+        if record.missed is None:
+            self.notes.append("the bag does not say which commands the rig missed")
+        elif record.missed and not listed:
+            raise InputError(
+                f"the rig missed {record.missed} commands, but the bag does not say which"
+            )
+        elif record.missed > len(listed):
+            self.expected = self.expected.until(listed[-1] + 1)
+            self.notes.append(
+                f"replayed until step {listed[-1] + 1}: the bag lists only the first "
+                f"{len(listed)} of the {record.missed} steps that the rig missed"
+            )
+        if len(record.held_steps) < len(listed):
+            self.notes.append(
+                "the bag does not say which commands the rig held: it is sent the last before"
+            )
+        last = int(self.expected.steps[-1])
+        self.steps = last + 1
+        self._applied = self._commands(recorded, last)
+
+    def _commands(self, recorded: Recorded, steps: int) -> list[Floats]:
+        """Give what was applied after each sample but the last, shape (n,), in the drive's unit."""
+        record = recorded.record
+        known = {step: values[-1] for step, values in recorded.series(self._drive).samples()}
+        known[-1] = np.zeros(len(self.experiment.axes))
+        held = dict(zip(record.missed_steps, record.held_steps, strict=False))
+        missed = set(record.missed_steps)
+        applied, newest = [], -1
+        for step in range(steps):
+            if step in missed or (record.missed is None and step not in known):
+                newest = held.get(step, newest)
+            else:
+                newest = step
+            if newest not in known:
+                raise InputError(
+                    f"the bag lacks {self._drive.name} of step {newest}, which the rig did "
+                    "not miss: what it applied is not known"
+                )
+            applied.append(known[newest])
+        return applied
+
+    def inputs(self) -> Iterator[tuple[int, list[Input]]]:
+        """Give what was applied; after it the rig answers with the next step."""
+        none = np.zeros((1, len(self.experiment.axes)))
+        yield 0, []
+        for step, applied in enumerate(self._applied):
+            drive = applied[np.newaxis]
+            yield (
+                step + 1,
+                [(topic, step, drive if topic is self._drive else none) for topic in self.sends],
+            )
+
+    def computed(self, section: dict[str, Any]) -> tuple[Series, Estimates | None]:
+        """Compute the states of the simulated rig."""
+        rig = Rig.from_parameters(dict(section), self.experiment.axes, self.experiment.timebase)
+        states = [np.array(rig.reset())]
+        for applied in self._applied:
+            if rig.violation is not None:
+                break
+            states.append(np.array(rig.step(applied)))
+        return Series(np.arange(len(states), dtype=np.int64), np.array(states)), None
+
+
+REPLAYS: dict[str, type[Replay]] = {
+    kind.node: kind for kind in (ReferenceForceReplay, ForceControllerReplay, RigReplay)
+}
+
+
+def replay_to(node: str, recorded: Recorded) -> Replay:
+    """Make the replay of a test to a node.
+
+    Raises
+    ------
+    InputError
+        If the bag lacks what the node was sent, or the node is none of `REPLAYS`.
+    """
+    if node not in REPLAYS:
+        known = ", ".join(REPLAYS)
+        raise InputError(f"--node {node}: must be one of {known}{nearest(node, REPLAYS)}")
+    if node not in recorded.record.experiment.sections:
+        raise InputError(f"the bag lacks the parameters of {node}")
+    return REPLAYS[node](recorded)

@@ -1,0 +1,270 @@
+"""Replay a recorded test to one node: what the node was sent, and what it is to answer."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from seft_msgs_py.config.experiment import EVERY_NODE, Experiment, Override
+from seft_msgs_py.config.parameter_table import COMMON
+from seft_msgs_py.errors import InputError, WireError
+from seft_msgs_py.node import realtime
+from seft_msgs_py.wire.messages import decode_diagnostics, decode_status
+from seft_msgs_py.wire.outcome import State
+from seft_msgs_py.wire.topics import (
+    DIAGNOSTICS,
+    EXPERIMENT_STATE,
+    GROUND_MOTION,
+    REFERENCE_FORCE,
+    RIG_STATE,
+    LoopTopic,
+    Topic,
+)
+from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
+
+from seft_ros.bags.bag_reader import read_bag, read_messages
+from seft_ros.bags.record import Estimates, Record, Series
+from seft_ros.reference_force.reference_force_parameters import reference_force_topic
+from seft_ros.test_run.parameter_tables import TABLES
+
+Steps = npt.NDArray[np.int64]
+Input = tuple[LoopTopic, int, Floats]
+"""Topic of a message, its first step, and its points, shape (p, q, n), or (p, n) where q is 1."""
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A recorded test.
+
+    Attributes
+    ----------
+    record : Record
+        Its samples and configuration.
+    chunks : list of (int, ndarray)
+        The messages of ground motion in their order: first step, and accelerations of shape
+        (p, n), m/s^2. They reach beyond the test's end, as far as the motion was sent ahead.
+    points : dict
+        Step -> points of the message of reference_force that answers its state, shape (p, q, n).
+    ramp_step : int or None
+        First step whose force was ramped down on the supervisor's command; None without one.
+    ramp_told : bool
+        False where reference_force did not report that step: it follows from the times of
+        recording.
+    """
+
+    record: Record
+    chunks: list[tuple[int, Floats]]
+    points: dict[int, Floats]
+    ramp_step: int | None = None
+    ramp_told: bool = True
+
+    def series(self, topic: LoopTopic) -> Series:
+        """Give the samples of a topic, by step."""
+        return self.record.series[topic.name]
+
+
+def read_recorded(path: str | Path) -> Recorded:
+    """Read a test to be replayed.
+
+    Raises
+    ------
+    InputError
+        If the bag can't be read, lacks the test's beginning, or has several tests.
+    """
+    record = read_bag(path)
+    experiment = record.experiment
+    if len(experiment.rigs) > 1:
+        raise InputError(f"{path}: a test of several rigs; only tests of one can be replayed")
+    states = record.series[RIG_STATE.name].steps
+    if not len(states):
+        raise InputError(f"{path}: the bag has no rig/state; record that topic, too")
+    if states[0] != 0:
+        raise InputError(
+            f"{path}: the bag begins at step {states[0]}: what the nodes remember of the steps "
+            "before is not in it; record from before the start on"
+        )
+    forces = reference_force_topic(experiment.sections.get("reference_force", {}))
+    motion_codec, force_codec = (
+        TrajectoryCodec(topic, experiment.axes, experiment.timebase)
+        for topic in (GROUND_MOTION, forces)
+    )
+    chunks: list[tuple[int, Floats]] = []
+    points: dict[int, Floats] = {}
+    tests, state = 0, ""
+    ramped_ns: int | None = None
+    ramp_step: int | None = None
+    topics = [EXPERIMENT_STATE, GROUND_MOTION, REFERENCE_FORCE, DIAGNOSTICS]
+    for topic, received_ns, raw in read_messages(path, topics):
+        with suppress(WireError, ValueError):  # the nodes skip such messages, too
+            if topic is GROUND_MOTION:
+                first, values = motion_codec.decode(raw)
+                chunks.append((first, values[:, 0]))
+            elif topic is REFERENCE_FORCE:
+                points.setdefault(*force_codec.decode(raw))
+            elif topic is EXPERIMENT_STATE:
+                last, state = state, decode_status(raw).message
+                tests += state == State.RUNNING and state != last
+                if state == State.RAMPING_DOWN and ramped_ns is None:
+                    ramped_ns = received_ns
+            else:
+                for status in decode_diagnostics(raw)[1]:
+                    if status.name == "reference_force":  # its last report counts
+                        text = status.values.get("ramp_step")
+                        ramp_step = None if text is None else int(text)
+    if tests > 1:
+        raise InputError(f"{path}: the bag holds {tests} tests; record one in a bag")
+    points = {step: points[step] for step in sorted(points) if step <= states[-1]}
+    if ramped_ns is None:
+        return Recorded(record, chunks, points)
+    if ramp_step is not None:
+        return Recorded(record, chunks, points, ramp_step)
+    series = record.series[REFERENCE_FORCE.name]
+    if series.received_ns is not None:  # the first force that came after the supervisor's command
+        after = series.steps[series.received_ns > ramped_ns]
+        ramp_step = int(after[0]) if len(after) else None
+    return Recorded(record, chunks, points, ramp_step, ramp_told=ramp_step is None)
+
+
+class ReplayStep(NamedTuple):
+    """What a node is sent before it answers a step."""
+
+    step: int
+    messages: list[tuple[Topic, bytes]]
+    ramps: bool  # whether the supervisor first commands to ramp the force down
+
+
+@dataclass(frozen=True)
+class Answers:
+    """What a node answered."""
+
+    series: Series  # on its topic
+    estimates: Estimates | None
+    wall_s: float
+    ended: str = ""  # why it stopped answering before the end
+
+
+class Replay(ABC):
+    """A recorded test as one node received it.
+
+    Parameters
+    ----------
+    recorded : Recorded
+        The test.
+
+    Attributes
+    ----------
+    node : str
+        Name of the node.
+    answer : LoopTopic
+        Topic of its answers.
+    sends : tuple of LoopTopic
+        Topics that it is sent.
+    expected : Series
+        The recorded answers.
+    steps : int or None
+        Steps of the test; None for a node that needs no number of steps.
+    fixed : dict
+        Parameters that a replay sets in place of the recorded ones.
+    ramp_step : int or None
+        Step before which the supervisor commands to ramp the force down.
+    notes : list of str
+        What the replay can't do as the test did.
+
+    Raises
+    ------
+    InputError
+        If the bag lacks what the node was sent.
+    """
+
+    node: ClassVar[str]
+    answer: LoopTopic
+    sends: tuple[LoopTopic, ...]
+    expected: Series
+
+    def __init__(self, recorded: Recorded) -> None:
+        self.experiment = recorded.record.experiment
+        self.steps: int | None = None
+        self.fixed: dict[str, object] = {}
+        self.ramp_step: int | None = None
+        self.notes: list[str] = []
+
+    @abstractmethod
+    def inputs(self) -> Iterator[tuple[int, list[Input]]]:
+        """Give the steps to be answered, and what the node is sent before each."""
+
+    @abstractmethod
+    def computed(self, section: dict[str, Any]) -> tuple[Series, Estimates | None]:
+        """Compute the answers of the node's block without ROS, with a node's parameters."""
+
+    def replay_steps(self) -> Iterator[ReplayStep]:
+        """Give the messages that the node is sent, step by step."""
+        codecs = {topic: self.codec(topic) for topic in self.sends}
+        for step, inputs in self.inputs():
+            messages: list[tuple[Topic, bytes]] = [
+                (topic, codecs[topic].encode_points(first, points))
+                for topic, first, points in inputs
+            ]
+            yield ReplayStep(step, messages, ramps=step == self.ramp_step)
+
+    def codec(self, topic: LoopTopic) -> TrajectoryCodec:
+        """Make the codec of a topic of this test."""
+        return TrajectoryCodec(topic, self.experiment.axes, self.experiment.timebase)
+
+    def note_steps(self, what: str, steps: npt.ArrayLike) -> None:
+        """Note for how many steps something holds, and name the first; nothing if for none."""
+        if len(listed := np.asarray(steps).tolist()):
+            more = f" and {len(listed) - 1} more" if len(listed) > 1 else ""
+            self.notes.append(f"{what}: step {listed[0]}{more}")
+
+    def note_unanswered(self, states: Steps, answered: Steps) -> None:
+        """Note which recorded states the node did not answer: these are not sent.
+
+        Raises
+        ------
+        InputError
+            If a state that was answered is not in the bag.
+        """
+        lost = np.setdiff1d(answered, states)
+        if len(lost):
+            raise InputError(
+                f"the bag lacks rig/state of step {lost[0]}, which {self.node} has answered: "
+                "what the node remembers of it can't be replayed"
+            )
+        unanswered = np.setdiff1d(states, answered)
+        self.note_steps("not answered when recorded, and not sent", unanswered)
+        self.note_steps(
+            "neither rig/state nor its answer is in the bag, and whether the node had them is not "
+            "known",
+            np.setdiff1d(np.arange(answered[-1] if len(answered) else 0), states),
+        )
+
+
+def experiment_of(replay: Replay, overrides: Sequence[Override], fixed: bool = True) -> Experiment:
+    """Give the experiment that a node is started with: the recorded one with overrides.
+
+    If ``fixed``, parameters are set that a replay needs to differ.
+
+    Raises
+    ------
+    InputError
+        If a parameter is none of the node's, or one on which the samples depend.
+    """
+    section = replay.experiment[replay.node]
+    common = {row.name for row in COMMON}
+    given = [(replay.node, name, value) for name, value in section.items() if name not in common]
+    given += [(EVERY_NODE, name, section[name]) for name in sorted(common)]
+    if fixed:
+        known = next(table for table in TABLES if table.node == replay.node).rows
+        untimed = {row.name: row.default for row in realtime.PARAMETERS}
+        values = {**untimed, **replay.fixed}
+        given += [(replay.node, name, value) for name, value in values.items() if name in known]
+    for node, name, _ in overrides:
+        if name in common:
+            raise InputError(f"-p {name}: the recorded samples have their own {name}")
+        if node not in (replay.node, EVERY_NODE):
+            raise InputError(f"-p {node}:{name}: the replay is to {replay.node} alone")
+    return Experiment.load(TABLES, [], [*given, *overrides], nodes=[replay.node])

@@ -1,1 +1,0 @@
-"""Bags: written while a test runs, read back as records, recovered when cut off."""

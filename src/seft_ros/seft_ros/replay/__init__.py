@@ -1,1 +1,0 @@
-"""Feeding a recorded test to one node, and holding its answers against the recorded ones."""

@@ -1,0 +1,222 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from rosbags.rosbag2 import Reader
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import InputError, WireError
+from seft_msgs_py.wire.outcome import Trip
+from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import LOOP_TOPICS
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
+from seft_msgs_py.wire.trajectory_layout import parse_trajectory
+from seft_ros.bags.bag_reader import read_bag
+from seft_ros.bags.gathering import EstimatesGatherer, SampleBuffer
+from seft_ros.bags.record import Estimates, Record, Series, consecutive_runs
+from seft_ros.bags.record_bag import write_record
+
+AXES = ("x", "y")
+NODE = {"rate": 1000.0, "axes": list(AXES)}
+EXPERIMENT = Experiment({"rig": {**NODE, "seed": 3, "gain": 0.1}, "recorder": {**NODE}})
+START = 1_767_258_000_250_001_000
+ENVIRONMENT = {"start": "2026-01-01T10:00:00.250001+01:00", "mode": "simulate"}
+ESTIMATES_NAME = "/reference_force/estimates"
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+
+
+def make_record(count=250, **changes):
+    rng = np.random.default_rng(1)
+    steps = np.arange(count)
+    series = {
+        topic.name: Series(steps, rng.normal(size=(count, len(topic.quantities), 2)))
+        for topic in LOOP_TOPICS
+    }
+    record = Record(EXPERIMENT, series, wall_s=0.123, environment=ENVIRONMENT)
+    return dataclasses.replace(record, **changes)
+
+
+def make_estimates(steps=range(0, 250, 100)):
+    steps = np.array(steps)
+    values = np.random.default_rng(4).normal(size=(len(steps), 2, 2))
+    return Estimates(steps, values, ("delay", "stiffness"))
+
+
+def assert_same(a, b):
+    for topic in LOOP_TOPICS:
+        assert np.array_equal(a.series[topic.name].steps, b.series[topic.name].steps)
+        values = [r.series[topic.name].values.view(np.uint64) for r in (a, b)]
+        assert np.array_equal(*values)
+    assert (a.estimates is None) == (b.estimates is None)
+    if a.estimates and b.estimates:
+        assert a.estimates.names == b.estimates.names
+        assert np.array_equal(a.estimates.steps, b.estimates.steps)
+        values = [record.estimates.values.view(np.uint64) for record in (a, b)]
+        assert np.array_equal(*values)
+    assert a.experiment.sections == b.experiment.sections
+    for name in ("trip", "missed", "missed_steps", "held_steps", "wall_s", "complete"):
+        assert getattr(a, name) == getattr(b, name)
+    assert b.environment == {**a.environment, "undecodable": 0}
+
+
+def log(path):
+    with Reader(path) as reader:
+        return [(c.topic, t, bytes(raw)) for c, t, raw in reader.messages()]
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_record_is_read_back_bit_for_bit(tmp_path, storage):
+    record = make_record()
+    write_record(record, tmp_path / "bag", storage)
+    assert_same(record, read_bag(tmp_path / "bag"))
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_estimates_are_read_back_bit_for_bit(tmp_path, storage):
+    record = make_record(estimates=make_estimates())
+    write_record(record, tmp_path / "bag", storage)
+    assert_same(record, read_bag(tmp_path / "bag"))
+    found = [(t - START, n) for n, t, _ in log(tmp_path / "bag") if t == START + 100_000_000]
+    assert found[-2:] == [(100_000_000, "/valve_command"), (100_000_000, ESTIMATES_NAME)]
+
+
+def test_a_bag_of_a_test_without_estimates_lacks_the_topic(tmp_path):
+    write_record(make_record(), tmp_path / "bag")
+    assert ESTIMATES_NAME not in {name for name, _, _ in log(tmp_path / "bag")}
+    assert read_bag(tmp_path / "bag").estimates is None
+
+
+@settings(max_examples=10, deadline=None)
+@given(
+    data=st.data(),
+    steps=st.sets(st.integers(0, 40), max_size=12),
+    missed=st.integers(0, 50),
+    trip=st.none() | st.just(Trip("limit", 3, 0.003)),
+)
+def test_gaps_any_finite_numbers_and_any_end_are_kept(tmp_path_factory, data, steps, missed, trip):
+    ordered = np.array(sorted(steps), dtype=np.int64)
+    series = {}
+    for topic in LOOP_TOPICS:
+        shape = (len(ordered), len(topic.quantities), 2)
+        values = data.draw(hnp.arrays(np.float64, shape, elements=FINITE))
+        series[topic.name] = Series(ordered, values)
+    record = make_record(series=series, missed=missed, missed_steps=[0] * missed, trip=trip)
+    path = tmp_path_factory.mktemp("bags") / "bag"
+    write_record(record, path)
+    assert_same(record, read_bag(path))
+
+
+def test_a_record_without_end_stays_without_end(tmp_path):
+    record = make_record(complete=False, missed=None, wall_s=None)
+    write_record(record, tmp_path / "bag")
+    assert_same(record, read_bag(tmp_path / "bag"))
+
+
+def test_messages_come_in_the_order_of_time_and_at_the_wall_clock_of_their_step(tmp_path):
+    write_record(make_record(), tmp_path / "bag")
+    messages = log(tmp_path / "bag")
+    times = [time_ns for _, time_ns, _ in messages]
+    assert times == sorted(times)
+    assert times[0] == START
+    assert times[-1] == START + 249_000_000
+    assert [topic for topic, _, _ in messages[:3]] == ["/experiment/description"] * 3
+    assert messages[-1][0] == "/diagnostics"
+    for topic in ("/rig/state", "/reference_force", "/valve_command"):
+        found = [(t, parse_trajectory(raw).stamp_ns) for name, t, raw in messages if name == topic]
+        assert found == [(START + k * 1_000_000, k * 1_000_000) for k in range(250)]
+    at_seven = [name for name, time_ns, _ in messages if time_ns == START + 7_000_000]
+    assert at_seven == ["/rig/state", "/reference_force", "/valve_command"]
+
+
+def test_ground_motion_is_sent_ahead_in_the_messages_that_were_given(tmp_path):
+    values = np.random.default_rng(2).normal(size=(300, 2))
+    record = make_record(250)
+    chunks = [(0, values[:64]), (64, values[64:128]), (128, values[128:256]), (256, values[256:])]
+    write_record(record, tmp_path / "bag", ground_motion=chunks)
+    codec = TrajectoryCodec(LOOP_TOPICS[0], AXES, Timebase.from_rate(1000.0))
+    sent = [(t, *codec.decode(raw)) for n, t, raw in log(tmp_path / "bag") if n == "/ground_motion"]
+    assert [first for _, first, _ in sent] == [0, 64, 128, 256]
+    assert [t - START for t, _, _ in sent] == [0, 0, 64_000_000, 128_000_000]
+    series = read_bag(tmp_path / "bag").series["ground_motion"]
+    assert np.array_equal(series.values[:, 0], values[:250])
+
+
+def test_samples_that_no_message_can_carry_are_left_out_and_counted(tmp_path):
+    record = make_record(estimates=make_estimates())
+    record.series["rig/state"].values[200:, 0, 0] = np.inf
+    record.series["valve_command"].values[249] = np.nan
+    record.estimates.values[1, 0, 1] = np.nan
+    write_record(record, tmp_path / "bag")
+    back = read_bag(tmp_path / "bag")
+    assert back.environment["not_finite"] == 52
+    assert back.estimates.steps.tolist() == [0, 200]
+    assert len(back.series["rig/state"].steps) == 200
+    assert len(back.series["valve_command"].steps) == 249
+
+
+def test_a_start_that_is_unknown_is_now(tmp_path):
+    write_record(make_record(3, environment={"start": "yesterday"}), tmp_path / "bag")
+    assert log(tmp_path / "bag")[0][1] > 1_767_000_000_000_000_000
+
+
+def test_an_existing_path_is_refused(tmp_path):
+    with pytest.raises(InputError, match="exists already"):
+        write_record(make_record(3), tmp_path)
+
+
+def test_a_second_generation_is_the_same_as_the_first(tmp_path):
+    write_record(make_record(), tmp_path / "a")
+    first = read_bag(tmp_path / "a")
+    write_record(first, tmp_path / "b")
+    second = read_bag(tmp_path / "b")
+    assert second.environment == first.environment
+    assert np.array_equal(second.series["rig/state"].values, first.series["rig/state"].values)
+
+
+@given(st.lists(st.tuples(st.integers(0, 30), st.integers(0, 5)), max_size=20))
+def test_a_buffer_keeps_the_first_sample_of_each_step(messages):
+    buffer = SampleBuffer(1, 1, 0)
+    expected = {}
+    for number, (step, count) in enumerate(messages):
+        buffer.append(step + np.arange(count), np.full((count, 1, 1), float(number)))
+        for k in range(count):
+            expected.setdefault(step + k, float(number))
+    series = buffer.series()
+    assert (
+        dict(zip(series.steps.tolist(), series.values[:, 0, 0].tolist(), strict=True)) == expected
+    )
+    assert series.steps.tolist() == sorted(expected)
+
+
+def test_estimates_are_ordered_by_step_and_all_have_the_names_of_the_first():
+    buffer = EstimatesGatherer(EXPERIMENT)
+    assert buffer.series() is None
+    buffer.append(7, {})
+    assert buffer.series() is None
+    for step in (100, 0, 50, 0):
+        buffer.append(step, {"delay": np.full(2, step), "gain": np.full(2, -step)})
+    with pytest.raises(WireError, match="estimates of step 150 are gain, but were delay, gain"):
+        buffer.append(150, {"gain": np.zeros(2)})
+    estimates = buffer.series()
+    assert estimates.names == ("delay", "gain")
+    assert estimates.steps.tolist() == [0, 50, 100]
+    assert estimates.values[:, :, 1].tolist() == [[0, 0], [50, -50], [100, -100]]
+
+
+@given(st.sets(st.integers(0, 60)), st.integers(1, 9))
+def test_runs_are_consecutive_bounded_and_complete(steps, longest):
+    ordered = np.array(sorted(steps), dtype=np.int64)
+    series = Series(ordered, ordered.astype(float)[:, np.newaxis, np.newaxis])
+    runs = consecutive_runs(series, longest)
+    assert all(1 <= len(values) <= longest for _, values in runs)
+    assert [first + k for first, values in runs for k in range(len(values))] == sorted(steps)
+    assert [v for _, values in runs for v in values[:, 0, 0].tolist()] == sorted(steps)
+
+
+def test_a_series_is_cut_after_a_step():
+    series = Series(np.array([0, 2, 5]), np.zeros((3, 1, 1)))
+    assert series.until(2).steps.tolist() == [0, 2]
+    assert series.until(4).steps.tolist() == [0, 2]
+    assert series.until(-1).values.shape == (0, 1, 1)

@@ -1,0 +1,306 @@
+"""A recorded test fed to the blocks once more, and what of a bag can't be."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.wire.messages import Status, encode_diagnostics, encode_status
+from seft_msgs_py.wire.topics import (
+    DIAGNOSTICS,
+    EXPERIMENT_STATE,
+    REFERENCE_FORCE,
+    RIG_STATE,
+    VALVE_COMMAND,
+)
+from seft_ros.bags.bag_writer import BagWriter
+from seft_ros.bags.node_replays import RigReplay
+from seft_ros.bags.record import Record, Series
+from seft_ros.bags.record_bag import write_record
+from seft_ros.bags.recorded_test import Recorded, read_recorded
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.compiled_loop import LoopSamples
+from seft_ros.test_run.offline import loop_series, simulate
+from seft_ros.test_run.parameter_tables import TABLES
+
+OVERRIDES = [
+    ("/**", "axes", ["x"]),
+    ("ground_motion", "synthetic.duration", 1.0),
+    ("ground_motion", "tail", 0.0),
+    ("ground_motion", "peak_force", 400.0),
+    ("reference_force", "mass_ratio", 0.5),
+    ("reference_force", "model.mass", 52.7),
+    ("reference_force", "model.damping", 800.3),
+    ("reference_force", "model.stiffness", 2.11e5),
+    ("reference_force", "ramp_down_time", 0.1),
+    ("force_controller", "numerator", [37.0]),
+    ("force_controller", "denominator", [1.0, 17.14, 4002.0]),
+    ("rig", "specimen.mass", 52.7),
+    ("rig", "specimen.damping", 800.3),
+    ("rig", "specimen.stiffness", 2.11e5),
+    ("rig", "actuator.kind", "servo_hydraulic_linear"),
+    ("rig", "sensors.force_noise", 3.0),
+]
+
+
+@pytest.fixture
+def experiment():
+    return Experiment.load(TABLES, [], OVERRIDES)
+
+
+@pytest.fixture
+def blocks(experiment):
+    return build_blocks(experiment)
+
+
+@pytest.fixture
+def record(experiment, blocks):
+    return simulate(experiment, blocks)
+
+
+def motion_of(blocks):
+    return [blocks.ground_motion.chunk(index) for index in range(blocks.ground_motion.chunks)]
+
+
+def write(path, record, blocks):
+    write_record(record, path, ground_motion=motion_of(blocks))
+    return path
+
+
+def held_test(experiment, blocks, held):
+    """A test in which the command of step ``held[k]`` was applied after step k."""
+    rig = blocks.rig
+    steps = blocks.ground_motion.steps
+    commands = np.random.default_rng(5).normal(scale=0.05, size=(steps, 1))
+    states = [rig.reset()]
+    for step in range(steps - 1):
+        at = held.get(step, step)
+        states.append(rig.step(commands[at] if at >= 0 else np.zeros(1)))
+    motion = blocks.ground_motion.samples
+    forces, unused = np.zeros_like(commands)[:, None], np.empty(0)
+    course = LoopSamples(np.array(states), forces, commands, unused, unused)
+    series = loop_series(motion, course, steps)
+    missed, applied = sorted(held), [held[step] for step in sorted(held)]
+    return Record(experiment, series, missed=len(held), missed_steps=missed, held_steps=applied)
+
+
+@pytest.mark.parametrize("node", ["reference_force", "force_controller", "rig"])
+def test_the_blocks_answer_a_simulated_test_bit_for_bit(seft, record, blocks, tmp_path, node):
+    bag = write(tmp_path / "bag", record, blocks)
+    status, out, _ = seft("replay", bag, "--node", node, "--offline", "--json")
+    result = json.loads(out)
+    assert status == 0
+    assert result["identical"] is True
+    assert result["first_difference"] is None
+    assert result["answered"] == result["steps"] == blocks.ground_motion.steps
+    assert (result["max_abs"], result["nrmse"], result["notes"]) == (0.0, 0.0, [])
+
+
+def test_a_changed_parameter_is_told_by_step_field_and_values(seft, record, blocks, tmp_path):
+    bag = write(tmp_path / "bag", record, blocks)
+    words = ("--node", "force_controller", "-p", "force_controller:numerator:=[38.0]")
+    status, out, _ = seft("replay", bag, *words, "--offline", "--json", "--out", "changed")
+    result = json.loads(out)
+    first = result["first_difference"]
+    commands = record.series[VALVE_COMMAND.name].values[:, 0, 0]
+    assert status == 1
+    assert (first["topic"], first["field"], first["axis"]) == ("valve_command", "effort", "x")
+    assert first["recorded"] == commands[first["step"]]
+    assert first["replayed"] == pytest.approx(first["recorded"] * 38 / 37)
+    assert result["nrmse"] == pytest.approx(1 / 37, rel=1e-6)
+    status, out, _ = seft("compare", bag, "changed", "--json")
+    compared = json.loads(out)["first_difference"]
+    assert (compared["topic"], compared["step"], compared["b"]) == (
+        "valve_command",
+        first["step"],
+        first["replayed"],
+    )
+    assert seft("report", "changed")[0] == 0
+
+
+def test_a_ramp_begins_at_the_step_that_reference_force_told(
+    seft, experiment, blocks, record, tmp_path
+):
+    force = blocks.reference_force
+    force.reset()
+    known, states = blocks.ground_motion.known, record.series[RIG_STATE.name]
+    ramped = []
+    for step, state in zip(states.steps, states.values, strict=True):
+        if step == 73:
+            force.ramp_down()
+        ramped.append(force.step(known[step : step + 1 + force.preview], state)[0])
+    forces = Series(states.steps, np.array(ramped))
+    stopped = replace(record, series={**record.series, REFERENCE_FORCE.name: forces})
+    bag = write(tmp_path / "stopped", stopped, blocks)
+    assert read_recorded(bag).ramp_step is None
+    told = Status("reference_force", 0, "ended", values={"ramp_step": "73"})
+    with Reader(bag) as reader, BagWriter(tmp_path / "words") as writer:
+        ramping = encode_status(Status("experiment", 0, "ramping_down"))
+        writer.write(EXPERIMENT_STATE, ramping, reader.start_time)
+        writer.write(DIAGNOSTICS, encode_diagnostics(0, [told]), reader.start_time + 1)
+    stock_recording(bag, tmp_path / "words", tmp_path / "both")
+    assert read_recorded(tmp_path / "both").ramp_step == 73
+    words = ("--node", "reference_force", "--offline", "--json")
+    status, out, _ = seft("replay", tmp_path / "both", *words)
+    result = json.loads(out)
+    assert (status, result["identical"], result["notes"]) == (0, True, [])
+
+
+@pytest.mark.parametrize(
+    "held",
+    [
+        {},
+        {20: 19, 40: 39},
+        {0: -1, 1: -1, 2: 0},
+        {30: 29, 31: 29, 32: 29},
+        {30: 29, 31: 30, 32: 31, 60: 59, 61: 59, 62: 61},
+    ],
+)
+def test_commands_that_a_rig_says_it_held_are_replayed(experiment, blocks, held):
+    record = held_test(experiment, blocks, held)
+    replay = RigReplay(Recorded(record, [], {}))
+    states, _ = replay.computed(experiment["rig"])
+    assert replay.notes == []
+    np.testing.assert_array_equal(states.values, record.series[RIG_STATE.name].values)
+
+
+def test_a_rig_that_does_not_say_what_it_held_is_taken_to_hold_the_last(experiment, blocks):
+    record = replace(held_test(experiment, blocks, {20: 19, 40: 39, 41: 39}), held_steps=[])
+    replay = RigReplay(Recorded(record, [], {}))
+    states, _ = replay.computed(experiment["rig"])
+    assert replay.notes == [
+        "the bag does not say which commands the rig held: it is sent the last before"
+    ]
+    np.testing.assert_array_equal(states.values, record.series[RIG_STATE.name].values)
+
+
+def test_a_realtime_test_with_missed_commands_is_replayed(seft, experiment, blocks, tmp_path):
+    record = held_test(experiment, blocks, {30: 29, 31: 29, 32: 31, 80: 79})
+    bag = write(tmp_path / "bag", record, blocks)
+    status, out, _ = seft("replay", bag, "--node", "rig", "--offline", "--json")
+    assert (status, json.loads(out)["identical"]) == (0, True)
+
+
+def test_of_more_missed_commands_than_are_listed_the_rest_is_left_out(
+    seft, experiment, blocks, tmp_path
+):
+    record = replace(held_test(experiment, blocks, {30: 29, 80: 79}), missed=3)
+    bag = write(tmp_path / "bag", record, blocks)
+    status, out, _ = seft("replay", bag, "--node", "rig", "--offline", "--json")
+    result = json.loads(out)
+    assert (status, result["steps"]) == (0, 82)
+    assert "lists only the first 2 of the 3" in result["notes"][0]
+
+
+def lacking(record, topic, step):
+    series = record.series[topic.name]
+    kept = series.steps != step
+    fewer = Series(series.steps[kept], series.values[kept])
+    return replace(record, series={**record.series, topic.name: fewer})
+
+
+@pytest.mark.parametrize(
+    ("node", "topic", "told"),
+    [
+        ("reference_force", RIG_STATE, "lacks rig/state of step 40, which reference_force has"),
+        ("force_controller", RIG_STATE, "lacks rig/state of step 40, which force_controller has"),
+        ("force_controller", REFERENCE_FORCE, "lacks reference_force of step 40"),
+        ("rig", VALVE_COMMAND, "lacks valve_command of step 40, which the rig did not miss"),
+    ],
+)
+def test_what_was_told_and_is_not_in_the_bag_is_named(
+    seft, record, blocks, tmp_path, node, topic, told
+):
+    bag = write(tmp_path / "bag", lacking(record, topic, 40), blocks)
+    status, _, errors = seft("replay", bag, "--node", node, "--offline")
+    line = errors.strip().splitlines()[-1]
+    assert status == 2
+    assert told in line
+
+
+def test_an_answer_that_was_lost_by_the_recorder_is_given_all_the_same(
+    seft, record, blocks, tmp_path
+):
+    bag = write(tmp_path / "bag", lacking(record, REFERENCE_FORCE, 40), blocks)
+    status, out, _ = seft("replay", bag, "--node", "reference_force", "--offline", "--json")
+    result = json.loads(out)
+    assert (status, result["steps"]) == (0, blocks.ground_motion.steps - 1)
+    assert result["notes"] == ["the bag lacks the recorded answer: step 40"]
+
+
+@pytest.mark.parametrize("node", ["reference_force", "force_controller"])
+def test_steps_that_the_recorder_lost_altogether_are_told(seft, record, blocks, tmp_path, node):
+    """As `ros2 bag record` does where its queues of ten messages overflow."""
+    for topic in (RIG_STATE, REFERENCE_FORCE, VALVE_COMMAND):
+        record = lacking(record, topic, 40)
+    bag = write(tmp_path / "bag", record, blocks)
+    _, out, _ = seft("replay", bag, "--node", node, "--offline", "--json")
+    note = "neither rig/state nor its answer is in the bag, and whether the node had them is not"
+    assert json.loads(out)["notes"] == [f"{note} known: step 40"]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--node", "recorder"], "--node recorder: must be one of reference_force"),
+        (["-p", "rig:seed:=3"], "-p changes one node; name it with --node"),
+        (["--node", "rig", "-p", "rate:=100.0"], "the recorded samples have their own rate"),
+        (["--node", "rig", "-p", "rig:sed:=3"], "there is no parameter sed; did you mean seed"),
+        (["--node", "rig", "-p", "supervisor:peers:=[rig]"], "the replay is to rig alone"),
+        (["--out", "x"], "--out takes the answers of one node"),
+    ],
+)
+def test_wrong_words_are_refused_in_one_line(seft, record, blocks, tmp_path, words, told):
+    bag = write(tmp_path / "bag", record, blocks)
+    status, _, errors = seft("replay", bag, "--offline", *words)
+    assert status == 2
+    assert told in errors.strip().splitlines()[-1]
+
+
+def test_a_bag_that_begins_in_the_middle_or_has_two_tests_is_refused(
+    seft, record, blocks, tmp_path
+):
+    states = record.series[RIG_STATE.name]
+    late = Series(states.steps[5:], states.values[5:])
+    middle = replace(record, series={**record.series, RIG_STATE.name: late})
+    bag = write(tmp_path / "middle", middle, blocks)
+    status, _, errors = seft("replay", bag, "--offline")
+    assert (status, "the bag begins at step 5" in errors) == (2, True)
+    write(tmp_path / "one", record, blocks)
+    with Reader(tmp_path / "one") as reader, BagWriter(tmp_path / "two") as writer:
+        for state in ("running", "done", "idle", "running"):
+            raw = encode_status(Status("experiment", 0, state))
+            writer.write(EXPERIMENT_STATE, raw, reader.start_time)
+    stock_recording(tmp_path / "one", tmp_path / "two", tmp_path / "both")
+    status, _, errors = seft("replay", tmp_path / "both", "--offline")
+    assert (status, "holds 2 tests; record one in a bag" in errors) == (2, True)
+
+
+def stock_recording(*bags):
+    """Write what bags hold into the last, a sqlite3 bag without our metadata."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    messages = []
+    for bag in bags[:-1]:
+        with Reader(bag) as reader:
+            messages += [(c.topic, c.msgtype, at, raw) for c, at, raw in reader.messages()]
+    with Writer(bags[-1], version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        kinds = dict.fromkeys(message[:2] for message in messages)
+        topics = {n: writer.add_connection(n, kind, typestore=store) for n, kind in kinds}
+        for name, _, at, raw in sorted(messages, key=lambda message: message[2]):
+            writer.write(topics[name], at, raw)
+
+
+def test_a_bag_of_the_stock_recorder_is_replayed(seft, record, blocks, tmp_path):
+    stock_recording(write(tmp_path / "bag", record, blocks), tmp_path / "stock")
+    status, out, _ = seft("replay", tmp_path / "stock", "--offline", "--json")
+    result = json.loads(out)
+    assert (status, result["identical"], len(result["replays"])) == (0, True, 3)
+
+
+def test_motion_beyond_the_end_of_the_test_is_read_for_previews(record, blocks, tmp_path):
+    recorded = read_recorded(write(tmp_path / "bag", record, blocks))
+    last = max(first + len(values) for first, values in recorded.chunks)
+    assert last > blocks.ground_motion.steps
