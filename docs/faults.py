@@ -12,7 +12,18 @@ from collections import Counter
 sys.path.append("src/seft_ros/test")
 
 from rig_faults import FAULTS
-from test_detectors import BILINEAR, GAP, LARGEST, PLAN, SPECIMEN, sound, with_fault
+from test_detectors import (
+    BILINEAR,
+    GAP,
+    HARD,
+    HARMLESS,
+    IN_TIME,
+    LATE,
+    PLAN,
+    SPECIMEN,
+    sound,
+    with_fault,
+)
 
 FRICTION = ("rig:specimen.kind:=friction", f"{SPECIMEN}friction.force:=60.0")
 TESTS = {"linear": (), "bilinear": BILINEAR, "gap": GAP, "friction": FRICTION}
@@ -27,24 +38,22 @@ def main() -> None:
         motions["Kobe"] = tuple(f"ground_motion:{word}" for word in (file, unit, dt))
     tests = [(motion, time) for motion in motions for time in TIMES]
     heads = "".join(f" {motion}, {time:g} s |" for motion, time in tests)
-    print(f"| faults in time, of {len(FAULTS)} |{heads}\n|---|{'---|' * len(tests)}")
-    late, hard = Counter(), Counter()
+    print(f"| of {len(FAULTS)} faults: in time + harmless |{heads}\n|---|{'---|' * len(tests)}")
+    found = {verdict: Counter() for verdict in (LATE, HARD, HARMLESS)}
     for specimen, words in TESTS.items():
         cells = []
         for motion, time in tests:
             given = (*PLAN, *words, *motions[motion])
-            dt, largest = sound(given)[0].timebase.dt, sound(given)[2]
-            missed = 0
-            for fault in FAULTS:
-                _, rig, is_right = with_fault(fault, given, round(time / dt))
-                missed += not is_right
-                is_hard = rig.peak_force > LARGEST * largest[3]
-                if not is_right:
-                    (hard if is_hard else late).update([fault])
-            cells.append(f" {len(FAULTS) - missed} |")
+            at = round(time / sound(given)[0].timebase.dt)
+            verdicts = {fault: with_fault(fault, given, at)[2] for fault in FAULTS}
+            count = Counter(verdicts.values())
+            cells.append(f" {count[IN_TIME]} + {count[HARMLESS]} |")
+            for verdict, faults in found.items():
+                faults.update(fault for fault, own in verdicts.items() if own == verdict)
         print(f"| {specimen} |{''.join(cells)}", flush=True)
-    for what, found in (("late or not seen", late), ("force above 1.5 peaks", hard)):
-        names = ", ".join(f"{fault} {count}" for fault, count in found.most_common())
+    words = "late or not seen", "force above 1.5 peaks", "nothing changes"
+    for what, faults in zip(words, found.values(), strict=True):
+        names = ", ".join(f"{fault} {count}" for fault, count in faults.most_common())
         print(f"\n{what}, in so many of {len(TESTS) * len(tests)} tests: {names}")
 
 

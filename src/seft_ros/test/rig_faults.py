@@ -55,8 +55,9 @@ class FaultyRig:
     peak_force, travel : float
         Largest true force (N) and displacement (m) so far.
     felt : int or None
-        Step from which on the fault can be seen: what is measured is off by more than noise, or the
-        valve by more than a twentieth of a volt.
+        Step from which on what is measured is off by more than noise.
+    sampled : list of ndarray
+        What a sound sensor would have measured, shape (4, n) each.
     """
 
     def __init__(self, rig, fault, step, noise, largest):
@@ -70,7 +71,7 @@ class FaultyRig:
     saturation = property(lambda self: self._rig.saturation)
 
     def reset(self):
-        self._past, self._sent, self._then, self._volt = [], [], None, None
+        self.sampled, self._sent, self._then, self._volt = [], [], None, None
         return self._measured(self._rig.reset())
 
     def step(self, command):
@@ -80,8 +81,6 @@ class FaultyRig:
             if self._volt is None:
                 self._volt = self._sent[-1]
             command = self._commanded(age, self._sent[-1])
-            if self.felt is None and np.abs(command - self._sent[-1]).max() > 0.05:
-                self.felt = self._rig.step_index
         return self._measured(self._rig.step(command))
 
     def stop(self):
@@ -99,14 +98,13 @@ class FaultyRig:
         if "supply" in self._fault and age == 0:
             pistons = self._rig.parameters.dynamics.pistons
             pistons[:, PER_CAPACITY] *= 100.0 if "lost" in name else 10.0
-            self.felt = self._at
         return command
 
     def _measured(self, state):
         self.peak_force = max(self.peak_force, float(np.abs(self._rig.sample[3]).max()))
         self.travel = max(self.travel, float(np.abs(self._rig.sample[0]).max()))
         age, state = self._rig.step_index - self._at, state.copy()
-        self._past.append(state.copy())
+        self.sampled.append(state.copy())
         if age < 0:
             return state
         if self._then is None:
@@ -124,10 +122,10 @@ class FaultyRig:
         elif self._fault == "cable of all sensors broken":
             state[:] = 0.0
         elif self._fault == "converter late by 10 ms":
-            state = self._past[max(len(self._past) - 6, 0)].copy()
+            state = self.sampled[max(len(self.sampled) - 6, 0)].copy()
         elif self._fault == "axes dead but for noise":
             state = self._noise[:, np.newaxis] * draw
-        off = np.abs(state - self._past[-1]) > 6.0 * self._noise[:, np.newaxis]
+        off = np.abs(state - self.sampled[-1]) > 6.0 * self._noise[:, np.newaxis]
         if self.felt is None and off.any():
             self.felt = self._rig.step_index
         return state

@@ -9,7 +9,7 @@ def warning_detectors(axes, dt=0.002):
     """Detectors that end no test, of axes whose hardware is not known."""
     names = [one.name for one in DETECTORS]
     nothing, none = np.zeros((axes, axes)), np.zeros((4, axes))
-    actuator, past = np.zeros((axes, 4)), np.zeros((axes, 1))
+    actuator, past = np.zeros((axes, 4)), np.zeros((2, axes, 1))
     limits = np.ones(4)
     return detector_arrays(
         none, limits, none, False, actuator, past, *[nothing] * 3, names, 0.0, dt

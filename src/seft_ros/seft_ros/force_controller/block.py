@@ -51,6 +51,8 @@ class ForceController:
     ----------
     limited : bool
         Whether the last drive was at its limit on any axis.
+    shape : tuple of int
+        See `ForceControl`.
     parameters, state : TransferParameters, TransferState
         What `transfer_step` takes, here and in a compiled loop.
 
@@ -60,6 +62,8 @@ class ForceController:
         If a C is improper, has no denominator, can't be discretised at this rate, or is of
         another order, or G is singular.
     """
+
+    shape = 1, 1
 
     def __init__(
         self,

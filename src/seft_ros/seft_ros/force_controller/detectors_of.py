@@ -76,6 +76,7 @@ def detectors_of(
         mass = mass_matrix(section[name], axes, WHERE + name)[np.ix_(own, own)]
     if section["detectors.test"] == "eft":  # the specimen carries all of the mass
         mass, ratio = (1.0 + ratio) * mass, 0.0
+    valves = valve_models(actuator, dt)
     noise = [f"noise.{channel}" for channel in CHANNELS]
     ranges = [f"detectors.{channel}_range" for channel in CHANNELS]
     return detector_arrays(
@@ -84,7 +85,7 @@ def detectors_of(
         np.array([per_axis(section[n], axes, WHERE + n)[own] for n in ranges]),
         section["noise.velocity_source"] == "derived",
         np.transpose([actuator[name] for name in ACTUATOR]),
-        np.array([valve.past() for valve in valve_models(actuator, dt)]),
+        np.array([[valve.past() for valve in valves], [valve.later() for valve in valves]]),
         np.ascontiguousarray(mass),
         np.ascontiguousarray(stiffness),
         np.ascontiguousarray(ratio * mass),

@@ -81,9 +81,12 @@ class ForceControl(Protocol):
     ----------
     limited : bool
         Whether the last drive was at its limit on any axis.
+    shape : tuple of int
+        How many points it needs, and quantities of each: 1, the force, or 3, of a target.
     """
 
     limited: bool
+    shape: tuple[int, int]
 
     def reset(self) -> None:
         """Forget the test so far."""

@@ -82,13 +82,15 @@ class Interlock:
             float(largest_force), saturated.window, close_time / dt, detectors[0]
         )
         self.state = InterlockState(
-            np.zeros(4, dtype=np.int64),
-            saturated.times(),
-            np.zeros(n),
-            np.zeros((4, n)),
-            np.zeros(n),
-            np.zeros(n),
-            detectors[1],
+            flags=np.zeros(4, dtype=np.int64),
+            saturated=saturated.times(),
+            force=np.zeros(n),
+            measured=np.zeros((4, n)),
+            odd=np.zeros(n),
+            drive=np.zeros(n),
+            plan=np.zeros((*controller.shape, n)),
+            sample=np.zeros((4, n)),
+            detectors=detectors[1],
         )
         both, drive = (self.parameters, self.state), self.state.drive
         points = np.zeros((1, 1, n))
@@ -171,7 +173,7 @@ class Interlock:
         points, state = (np.ascontiguousarray(values, np.float64) for values in (points, state))
         command = np.empty(len(self._axes))
         if self._begin(self.parameters, self.state, index, points, state, command):
-            command[:] = self.controller.step(points, state)
+            command[:] = self.controller.step(self.state.plan, self.state.sample)
             limited = self.controller.limited
             self._end(self.parameters, self.state, index, limited, command)
         return command

@@ -9,8 +9,9 @@ from seft_plant_sim.limits import is_exceeded
 from seft_plant_sim.rig import left_open
 
 from seft_ros.interlock.detector_arrays import DetectorParameters, DetectorState
-from seft_ros.interlock.detector_step import SOUND, begin_detectors, detect, take_command
+from seft_ros.interlock.detector_step import SOUND, SUSPECT, begin_detectors, detect, take_command
 from seft_ros.interlock.plausibility import is_finite
+from seft_ros.target.braking import go_on
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -57,6 +58,8 @@ class InterlockState(NamedTuple):
         and (n,).
     drive : ndarray
         The last sound command, shape (n,), V.
+    plan, sample : ndarray
+        Points and sample that the controller is to answer, shapes (p, q, n) and (4, n).
     detectors : DetectorState
         Of faults.
     """
@@ -67,6 +70,8 @@ class InterlockState(NamedTuple):
     measured: Floats
     odd: Floats
     drive: Floats
+    plan: Floats
+    sample: Floats
     detectors: DetectorState
 
 
@@ -87,10 +92,12 @@ def begin_control(
     measured: Floats,
     command: Floats,
 ) -> bool:
-    """Say whether a step may be answered by the controller; else its command is given.
+    """Say whether a step is to be answered by the controller; else its command is given.
 
-    While a sample is under suspicion, the last sound command holds. Once it has tripped, the valve
-    closes from there: a valve that closes at once on a moving mass makes the oil hammer.
+    The controller is to answer `InterlockState.plan` and `InterlockState.sample`. While a sample
+    is under suspicion, these are the motion that the last sound target has told for this step;
+    where there is no target, the last sound command holds. Once it has tripped, the valve closes
+    from there: a valve that closes at once on a moving mass makes the oil hammer.
 
     Parameters
     ----------
@@ -115,6 +122,10 @@ def begin_control(
         if fits and is_finite(measured, 0):  # without feedback, the motion need not be measured
             found = detect(parameters.detectors, state.detectors, step, points, measured)
         if fits and found == SOUND:
+            take_plan(state, points, measured)
+            return True
+        if fits and found == SUSPECT and last:
+            follow_plan(state, parameters.detectors.dt)
             return True
         if not fits or found >= 0:
             trip(state, FAULT if fits else NONSENSE, step)
@@ -129,6 +140,32 @@ def begin_control(
         command[i] = left * state.drive[i]
     take_command(parameters.detectors, state.detectors, command, False)
     return False
+
+
+@compiled
+def take_plan(state: InterlockState, points: Floats, measured: Floats) -> None:
+    """Let the controller answer a sample; remember what was asked for."""
+    plan, sample, count = state.plan, state.sample, min(points.shape[0], state.plan.shape[0])
+    alone = points.shape[1] < plan.shape[1]  # a force, as the nodes warm up
+    for point in range(plan.shape[0]):
+        told = point if point < count else count - 1
+        for row in range(plan.shape[1]):
+            for i in range(plan.shape[2]):
+                plan[point, row, i] = points[told, 0 if alone else row, i]
+    for row in range(4):
+        for i in range(sample.shape[1]):
+            sample[row, i] = measured[row, i]
+
+
+@compiled
+def follow_plan(state: InterlockState, dt: float) -> None:
+    """Let the controller answer the motion that was told before samples were suspect."""
+    plan, sample = state.plan, state.sample
+    go_on(plan, 1, dt, plan)
+    for i in range(sample.shape[1]):
+        sample[0, i], sample[1, i] = plan[0, 0, i], plan[0, 1, i]
+        sample[2, i] = (plan[min(1, len(plan) - 1), 1, i] - plan[0, 1, i]) / dt
+        sample[3, i] = plan[0, 2, i]
 
 
 @compiled

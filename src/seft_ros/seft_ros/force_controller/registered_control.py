@@ -28,7 +28,7 @@ class RegisteredControl:
 
     Attributes
     ----------
-    limited : bool
+    limited, shape
         See `ForceControl`.
 
     Raises
@@ -36,6 +36,8 @@ class RegisteredControl:
     InputError
         If its drive has another shape than one value for each axis.
     """
+
+    shape = 1, 1
 
     def __init__(self, own: Any, name: str, knowledge: ControlKnowledge) -> None:
         self._own, self._name, self._limit = own, name, knowledge.voltage_limit

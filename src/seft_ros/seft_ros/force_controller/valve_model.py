@@ -18,6 +18,7 @@ OUTSIDE_WEIGHT, GAIN_WEIGHT = 0.02, 1e-4
 """Weights of errors beyond that frequency, and of the inverse's own size, in least squares."""
 SPAN = 4.0
 """Length of the inverse over the mean delay from command to flow: beyond, it has died out."""
+DERIVATIVE_STEP = 1e-4  # s, by which the response is differentiated
 SETTLED = 1e-3
 """Part of a command's flow that may be neglected."""
 
@@ -100,6 +101,10 @@ class ValveModel:
     def past(self, late: float = 0.0) -> Floats:
         """Flow now of past commands, the newest first, of a valve that is late by so many s."""
         return self.flow(self._dt * np.arange(1, self.memory + 1) - late)
+
+    def later(self) -> Floats:
+        """Change of `past` per delay, 1/s."""
+        return (self.past(DERIVATIVE_STEP) - self.past()) / DERIVATIVE_STEP
 
 
 def valve_models(actuator: Mapping[str, Floats], dt: float) -> list[ValveModel]:

@@ -32,6 +32,7 @@ from seft_plant_sim.compiled import compiled, entry_point
 from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.valve_model import ValveModel, valve_models
 from seft_ros.interlock.detector_step import under_load
+from seft_ros.interlock.valve_following import begin_following, doubt, follow_valve
 from seft_ros.target.motion_observer import observe, observer_gains, sensor_noise
 
 Floats = npt.NDArray[np.float64]
@@ -39,17 +40,10 @@ Floats = npt.NDArray[np.float64]
 FEEDBACK = math.pi / 8
 """Gain of the feedback times the valve's mean delay: a quarter of what would oscillate without
 the prediction of Eq. (5)."""
-UNCERTAIN_GAIN, UNCERTAIN_DELAY = 0.15, 2e-3
-"""Standard deviation of the flow gain as told, relative, and of the valve's delay, s."""
-LARGEST_GAIN_ERROR, LARGEST_DELAY_ERROR = 0.3, 5e-3
-"""Bounds of what is followed."""
-ONE_SAMPLE = 0.1
-"""Time over which what Eq. (4) leaves out persists, s: so long, samples count as one."""
 BEGIN = 10
 """Samples before the valve is followed: its model must know the commands under way."""
 ACTUATOR = ("flow_gain", "oil_stiffness", "leakage", "force_capacity")
 """Columns of `FeedforwardParameters.actuator`."""
-DERIVATIVE_STEP = 1e-4  # s, by which the valve's response is differentiated
 
 
 class FeedforwardParameters(NamedTuple):
@@ -134,12 +128,8 @@ def begin_feedforward(parameters: FeedforwardParameters, state: FeedforwardState
     state.force[:] = 0.0
     state.sent[:] = 0.0
     state.flows[:] = 0.0
-    state.errors[:] = 0.0
     state.steps[0] = 0.0
-    for i in range(len(state.force)):
-        state.covariance[i, 0] = UNCERTAIN_GAIN**2
-        state.covariance[i, 1] = UNCERTAIN_DELAY**2
-        state.covariance[i, 2] = 0.0
+    begin_following(state.errors, state.covariance)
 
 
 @compiled
@@ -186,7 +176,7 @@ def feedforward_step(
             needed = points[j, 1, i] + (rise + leakage * points[j, 2, i]) / oil
             flow[j] = needed / under_load(needed, points[j, 2, i], capacity)
         if state.steps[0] >= BEGIN:
-            follow_valve(p, state, i, force)
+            follow(p, state, i, force)
         late = state.errors[i, 1]
         for j in range(taps):
             before = flow[0] if j == 0 else flow[j - 1]
@@ -220,7 +210,7 @@ def feedforward_step(
 
 
 @compiled
-def follow_valve(p: FeedforwardParameters, state: FeedforwardState, i: int, force: float) -> None:
+def follow(p: FeedforwardParameters, state: FeedforwardState, i: int, force: float) -> None:
     """Follow gain and delay of a valve by Eq. (4): the flow as measured against the model's."""
     gain, oil, leakage = p.actuator[i, 0], p.actuator[i, 1], p.actuator[i, 2]
     rise = (force - state.force[i]) / p.dt
@@ -229,18 +219,7 @@ def follow_valve(p: FeedforwardParameters, state: FeedforwardState, i: int, forc
     for j in range(state.sent.shape[1]):
         flow += p.past[i, j] * state.sent[i, j]
         later += p.later[i, j] * state.sent[i, j]
-    flow, later = gain * flow, gain * later
-    errors, c = state.errors[i], state.covariance[i]
-    by_flow, by_later = c[0] * flow + c[2] * later, c[2] * flow + c[1] * later
-    variance = p.doubt[i] + flow * by_flow + later * by_later
-    innovation = seen - flow - errors[0] * flow - errors[1] * later
-    found = errors[0] + by_flow / variance * innovation
-    errors[0] = min(max(found, -LARGEST_GAIN_ERROR), LARGEST_GAIN_ERROR)
-    found = errors[1] + by_later / variance * innovation
-    errors[1] = min(max(found, -LARGEST_DELAY_ERROR), LARGEST_DELAY_ERROR)
-    c[0] -= by_flow * by_flow / variance
-    c[1] -= by_later * by_later / variance
-    c[2] -= by_flow * by_later / variance
+    follow_valve(state.errors[i], state.covariance[i], gain * flow, gain * later, seen, p.doubt[i])
 
 
 class VelocityFeedforward:
@@ -255,8 +234,8 @@ class VelocityFeedforward:
 
     Attributes
     ----------
-    limited : bool
-        Whether the last drive was at its limit on any axis.
+    limited, shape
+        See `ForceControl`.
     parameters, state
         What `feedforward_step` takes, here and in a compiled loop.
     """
@@ -265,6 +244,7 @@ class VelocityFeedforward:
         self, parameters: FeedforwardParameters, state: FeedforwardState, horizon: int
     ) -> None:
         self.parameters, self.state, self.limited = parameters, state, False
+        self.shape = 1 + horizon, 3
         n = len(state.force)
         self._points, self._measured = np.zeros((1 + horizon, 3, n)), np.zeros((4, n))
         self._command = np.zeros(n)
@@ -391,13 +371,12 @@ def feedforward_arrays(
     inverse = np.array([valve.inverse(needed) for valve in valves])
     under_way = dt * np.array([valve.under_way() for valve in valves])
     past = np.array([valve.past() for valve in valves])
-    later = np.array([valve.past(DERIVATIVE_STEP) for valve in valves]) - past
+    later = np.array([valve.later() for valve in valves])
     # volume under way of commands that the inverse has made of the flows: their convolution
     coming = np.zeros((n, memory + needed))
     for row, own, h in zip(coming, under_way, inverse, strict=True):
         row[:-1] = np.convolve(own[::-1], h)
     gains, _ = observer_gains(noise, dt)
-    seen = noise[1] ** 2 + 2.0 * (noise[3] / (actuator[:, 1] * dt)) ** 2
     parameters = FeedforwardParameters(
         dt=dt,
         limit=limit,
@@ -409,8 +388,8 @@ def feedforward_arrays(
         before=memory,
         under_way=under_way,
         past=past,
-        later=later / DERIVATIVE_STEP,
-        doubt=seen * max(1.0, ONE_SAMPLE / dt),
+        later=later,
+        doubt=doubt(noise[1], noise[3], actuator[:, 1], dt),
     )
     state = FeedforwardState(
         measured=np.zeros((3, n)),

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from seft_ros.interlock.detectors import DETECTORS
+from seft_ros.interlock.valve_following import doubt
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -22,9 +23,12 @@ LARGEST = 0.3
 """Time constant with which the largest motion is forgotten, s: a quarter of a cycle at 1 Hz."""
 SIGMAS = 6.0
 """Threshold over the RMS of the noise alone."""
-TOLERANCES = (0.1, 0.15, 0.35)
+TOLERANCES = (0.1, 0.1, 0.35)
 """Part of the motion by which relations (1) to (3) may be off: calibration and channels 2 ms apart
-at 7 Hz; an acceleration that jumps between samples; a flow gain of which 0.3 is mended."""
+at 7 Hz; a flow gain of which 0.3 is mended."""
+FOLLOWED = 0.1
+"""Part of the flow by which it may be off from sample to sample once its gain has been followed:
+what gain and delay leave out of the valve, the piston's friction."""
 OFF_TARGET = 0.5
 """Part of the target's motion by which a test may be off it."""
 LIMITED = 0.1
@@ -45,7 +49,10 @@ class DetectorParameters(NamedTuple):
     actuator : ndarray
         Flow gain, oil stiffness, leakage and force capacity, see `FeedforwardParameters`; (n, 4).
     past : ndarray
-        Part of past commands in the flow now, the newest first, shape (n, m).
+        Part of past commands in the flow now, the newest first, and its change per delay (1/s);
+        shape (2, n, m).
+    doubt : ndarray
+        Variance of the flow as measured, shape (n,), (m/s)^2, see `follow_valve`.
     mass, stiffness : ndarray
         Of the specimen as told, shape (n, n), kg and N/m.
     computed_mass : ndarray
@@ -80,6 +87,7 @@ class DetectorParameters(NamedTuple):
     memory: float
     actuator: Floats
     past: Floats
+    doubt: Floats
     mass: Floats
     stiffness: Floats
     computed_mass: Floats
@@ -104,8 +112,11 @@ class DetectorState(NamedTuple):
     ----------
     last : ndarray
         The last sample, shape (4, n).
-    flow : ndarray
-        Flow of the valve at the last sample and at this one, shape (2, n), m/s.
+    flow, later : ndarray
+        Flow of the valve as told at the last sample and at this one, m/s, and its change per delay,
+        m/s^2; shapes (2, n).
+    errors, covariance : ndarray
+        Of gain and delay, as followed: see `follow_valve`; shapes (n, 2) and (n, 3).
     sent : ndarray
         Past commands as they act under load, the newest first, shape (n, m), V.
     sums : ndarray
@@ -119,6 +130,9 @@ class DetectorState(NamedTuple):
         Sums of dr dx, of dx K dx and of squares of its noise, shape (3,).
     response : ndarray
         Sums of squares of the changes of f and of M_c a, shape (2, n), N^2.
+    bends : ndarray
+        Second difference of r where it is beyond its threshold, N, and how often it has changed its
+        sign of late; shape (2, n).
     repeats : ndarray
         How often the last value of a channel has come, shape (4, n).
     resolution : ndarray
@@ -136,12 +150,16 @@ class DetectorState(NamedTuple):
 
     last: Floats
     flow: Floats
+    later: Floats
+    errors: Floats
+    covariance: Floats
     sent: Floats
     sums: Floats
     largest: Floats
     restoring: Floats
     work: Floats
     response: Floats
+    bends: Floats
     repeats: Ints
     resolution: Floats
     counts: Ints
@@ -211,6 +229,7 @@ def detector_arrays(
         memory=math.exp(-dt / LARGEST),
         actuator=actuator,
         past=past,
+        doubt=doubt(v, f, actuator[:, 1], dt),
         mass=mass,
         stiffness=stiffness,
         computed_mass=computed_mass,
@@ -230,12 +249,16 @@ def detector_arrays(
     state = DetectorState(
         last=np.zeros((4, n)),
         flow=np.zeros((2, n)),
-        sent=np.zeros_like(past),
+        later=np.zeros((2, n)),
+        errors=np.zeros((n, 2)),
+        covariance=np.zeros((n, 3)),
+        sent=np.zeros_like(past[0]),
         sums=np.zeros((3, 2, n)),
         largest=np.zeros((9, n)),
         restoring=np.zeros((3, n)),
         work=np.zeros(3),
         response=np.zeros((2, n)),
+        bends=np.zeros((2, n)),
         repeats=np.zeros((4, n), dtype=np.int64),
         resolution=np.zeros((4, n)),
         counts=np.zeros((len(DETECTORS), n), dtype=np.int64),

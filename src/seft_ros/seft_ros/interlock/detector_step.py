@@ -22,7 +22,13 @@ import numpy as np
 import numpy.typing as npt
 from seft_plant_sim.compiled import compiled
 
-from seft_ros.interlock.detector_arrays import DetectorParameters, DetectorState
+from seft_ros.interlock.detector_arrays import (
+    FOLLOWED,
+    SIGMAS,
+    DetectorParameters,
+    DetectorState,
+)
+from seft_ros.interlock.valve_following import begin_following, follow_valve
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -35,8 +41,11 @@ CHANNEL, OTHER = (0, 1, 3), (1, 2, 1)
 """Channel of each whose change is compared, and with which other."""
 ACCELERATION, FORCE = 2, 3
 """Rows of these channels."""
-CHANGE, NOISE, SECOND_ORDER_WORK, ROUGH, JUMP, NO_RESPONSE, TRACKING, FROZEN = 0, 3, *range(6, 12)
+CHANGE, NOISE, SECOND_ORDER_WORK, ROUGH, JUMP = 0, 3, *range(6, 9)
+NO_RESPONSE, TRACKING, FROZEN = range(9, 12)
 """Rows of the detectors: a relation's sums, its single steps, and so on; four frozen channels."""
+OF_SENSORS = (0, 1, 3, 4, SECOND_ORDER_WORK, JUMP)
+"""Those which put a sample under suspicion."""
 SOUND, SUSPECT = -1, -2
 """What `detect` gives where no detector ends the test: nothing is beyond its threshold, or the
 sample is not to be used."""
@@ -46,15 +55,18 @@ OPPOSED = 0.5
 """Part of the stiffness as told by which a specimen may soften: fracture, buckling."""
 MISSED = 2.0
 """Commands in a row that the rig may miss unseen."""
-SLIP, STIFFEST = 0.35, 6.0
-"""What a specimen may make of its force in a step: a part of its largest, and so many times its
-stiffness as told."""
+SLIP, BREAK, STIFFEST = 0.35, 0.25, 6.0
+"""What a specimen may make of its force in a step: parts of its largest, with and against the
+motion, and with it so many times its stiffness as told."""
 TURNED, TURN, MOVES = 3, 2.0, 0.2
 """Samples after a turn of the motion in which friction turns round, what that makes of the force,
 and the part of the fastest motion of late from which on a specimen does not stick."""
 SILENT = 25.0
 """Mean square of the change of the computed mass's force over that of the noise, from which on a
 force that is but noise does not answer."""
+ALTERNATE = 0.33
+"""Part of the samples of late at which r jumps back, as with noise: white noise that is far beyond
+its threshold does so in 2 of 3, a specimen that bangs or an oil column that rings in 1 of 3."""
 NEVER = -(2**40)
 SAME = 1e-9
 """Chance of as many equal samples of a channel that is not frozen."""
@@ -65,11 +77,14 @@ def begin_detectors(state: DetectorState) -> None:
     """Begin a test."""
     state.sent[:] = 0.0
     state.flow[:] = 0.0
+    state.later[:] = 0.0
+    begin_following(state.errors, state.covariance)
     state.sums[:] = 0.0
     state.largest[:] = 0.0
     state.restoring[:] = 0.0
     state.work[:] = 0.0
     state.response[:] = 0.0
+    state.bends[:] = 0.0
     state.repeats[:] = 0
     state.resolution[:] = np.inf
     state.counts[:] = 0
@@ -121,10 +136,12 @@ def find_flow(p: DetectorParameters, state: DetectorState, lost: int) -> None:
         for _ in range(min(lost, state.sent.shape[1])):
             for j in range(state.sent.shape[1] - 1, 0, -1):
                 state.sent[i, j] = state.sent[i, j - 1]
-        flow = 0.0
+        flow = later = 0.0
         for j in range(state.sent.shape[1]):
-            flow += p.past[i, j] * state.sent[i, j]
+            flow += p.past[0, i, j] * state.sent[i, j]
+            later += p.past[1, i, j] * state.sent[i, j]
         state.flow[0, i], state.flow[1, i] = state.flow[1, i], p.actuator[i, 0] * flow
+        state.later[0, i], state.later[1, i] = state.later[1, i], p.actuator[i, 0] * later
 
 
 @compiled
@@ -193,10 +210,9 @@ def detect(
         for row in range(4):
             last[row, i] = measured[row, i]
     if found < 0:
-        for row in range(JUMP + 1):
+        for row in OF_SENSORS:
             for i in range(n):
-                of_sensors = row not in (CHANGE + OIL, NOISE + OIL, ROUGH)
-                if state.counts[row, i] and p.acts[row] and of_sensors:
+                if state.counts[row, i] and p.acts[row]:
                     return SUSPECT
     return found
 
@@ -233,9 +249,14 @@ def _relations(
             one = measured[1, i] - last[1, i]
             other = 0.5 * dt * (measured[2, i] + last[2, i])
         else:
-            one = 0.5 * dt * (state.flow[0, i] + state.flow[1, i])
+            flow = 0.5 * (state.flow[0, i] + state.flow[1, i])
+            later = 0.5 * (state.later[0, i] + state.later[1, i])
             other = 0.5 * dt * leakage * (measured[3, i] + last[3, i])
             other = moved + (measured[3, i] - last[3, i] + other) / oil
+            errors, covariance = state.errors[i], state.covariance[i]
+            one = dt * (flow + errors[0] * flow + errors[1] * later)
+            if state.counts[NOISE + OIL, i] == 0 and state.counts[CHANGE + OIL, i] == 0:
+                follow_valve(errors, covariance, flow, later, other / dt, p.doubt[i])
         sums, largest = state.sums[relation], state.largest
         sums[0, i] = p.fade * sums[0, i] + one
         sums[1, i] = p.fade * sums[1, i] + other
@@ -255,6 +276,8 @@ def _relations(
         threshold += coarse
         if look(p, state, CHANGE + relation, i, off, threshold) and found < 0:
             found = (CHANGE + relation) * n + i
+        if relation == OIL:
+            tolerance = min(tolerance, FOLLOWED + SIGMAS * math.sqrt(covariance[0]))
         off, threshold = abs(one - other), p.steps[relation, i] + tolerance * single + coarse
         if look(p, state, NOISE + relation, i, off, threshold) and found < 0:
             found = (NOISE + relation) * n + i
@@ -292,22 +315,33 @@ def _restoring_force(
 ) -> int:
     """Whether the specimen's force jumps, once or from sample to sample as with noise."""
     n, found, last, r = measured.shape[1], -1, state.last, state.restoring
-    curvature = spring = 0.0
+    curvature = rise = fall = 0.0
     for k in range(n):
-        spring += p.stiffness[i, k] * (measured[0, k] - last[0, k])
+        spring = p.stiffness[i, k] * (measured[0, k] - last[0, k])
+        rise, fall = rise + max(spring, 0.0), fall + max(-spring, 0.0)
         curvature += p.stiffness[i, k] * p.dt * p.dt * (measured[2, k] + last[2, k])
     change, moved = r[2, i] - r[0, i], abs(measured[0, i] - last[0, i])
     moves = p.steps[DISPLACEMENT_VELOCITY, i] + MOVES * state.largest[3, i]
     slips = moved < moves or step - state.step[TURN_AT] <= TURNED
-    largest = max(abs(r[0, i]), p.memory * state.largest[7, i])
-    state.largest[7, i] = largest
-    threshold = p.rough[i] + abs(curvature) + (largest if slips else 0.0)
-    if look(p, state, ROUGH, i, abs(change - r[1, i]), threshold):
+    largest = state.largest[7, i]
+    if state.counts[JUMP, i] == 0:  # what is under suspicion is no measure
+        largest = max(abs(r[0, i]), p.memory * largest)
+        state.largest[7, i] = largest
+    # noise jumps to and fro, a blow rings
+    bend, limit = change - r[1, i], p.rough[i] + abs(curvature) + (largest if slips else 0.0)
+    bend = bend if abs(bend) > limit else 0.0
+    alternates = 1.0 if bend * state.bends[0, i] < 0.0 else 0.0
+    state.bends[0, i] = bend
+    if alternates or not slips:
+        state.bends[1, i] = p.short * state.bends[1, i] + alternates
+    if look(p, state, ROUGH, i, state.bends[1, i], ALTERNATE / (1.0 - p.short)):
         found = ROUGH * n + i
     # what has jumped must stay there
-    before = r[1, i] if state.counts[JUMP, i] else 0.0
-    threshold = (TURN if slips else SLIP) * largest + p.rough[i] + STIFFEST * abs(spring)
-    if look(p, state, JUMP, i, abs(change + before), threshold) and found < 0:
+    jump = change + (r[1, i] if state.counts[JUMP, i] else 0.0)
+    stiff = STIFFEST * (rise if jump > 0.0 else fall)
+    part = TURN if slips else (SLIP if stiff > 0.0 else BREAK)
+    threshold = part * largest + p.rough[i] + stiff
+    if look(p, state, JUMP, i, abs(jump), threshold) and found < 0:
         found = JUMP * n + i
     return found
 

@@ -61,9 +61,9 @@ DETECTORS = (
     Detector(
         "force_noise",
         "measured force and acceleration disagree on axis {axis} from sample to sample, as with "
-        "noise: the specimen's force jumps by {seen}",
-        "N",
-        LONG_LASTS,
+        "noise: the specimen's force jumps to and fro in {seen} of late",
+        "samples",
+        0.0,
     ),
     Detector(
         "force_jump",
