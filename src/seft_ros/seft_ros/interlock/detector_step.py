@@ -28,22 +28,36 @@ from seft_ros.interlock.detector_arrays import (
     DetectorParameters,
     DetectorState,
 )
+from seft_ros.interlock.detector_look import (
+    AT_RANGE,
+    CHANGE,
+    DISPLACEMENT_VELOCITY,
+    FROZEN,
+    JUMP,
+    LIMITED_AT,
+    NOISE,
+    OIL,
+    SAMPLE,
+    SECOND_ORDER_WORK,
+    TRACKING,
+    TURN_AT,
+    VELOCITY_ACCELERATION,
+    look,
+)
+from seft_ros.interlock.specimen_detectors import (
+    look_at_response,
+    look_at_restoring_force,
+    look_at_work,
+)
 from seft_ros.interlock.valve_following import begin_following, follow_valve
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
-SAMPLE, TURN_AT, LIMITED_AT, AT_RANGE = range(4)
-"""Places of `DetectorState.step`."""
-DISPLACEMENT_VELOCITY, VELOCITY_ACCELERATION, OIL = range(3)
-"""Relations (1) to (3)."""
 CHANNEL, OTHER = (0, 1, 3), (1, 2, 1)
 """Channel of each whose change is compared, and with which other."""
 ACCELERATION, FORCE = 2, 3
 """Rows of these channels."""
-CHANGE, NOISE, SECOND_ORDER_WORK, ROUGH, JUMP = 0, 3, *range(6, 9)
-NO_RESPONSE, TRACKING, FROZEN = range(9, 12)
-"""Rows of the detectors: a relation's sums, its single steps, and so on; four frozen channels."""
 OF_SENSORS = (0, 1, 3, 4, SECOND_ORDER_WORK, JUMP)
 """Those which put a sample under suspicion."""
 SOUND, SUSPECT = -1, -2
@@ -51,22 +65,8 @@ SOUND, SUSPECT = -1, -2
 sample is not to be used."""
 LEAST_PRESSURE = 0.2
 """Part of the supply pressure that is always reckoned to be left for the flow."""
-OPPOSED = 0.5
-"""Part of the stiffness as told by which a specimen may soften: fracture, buckling."""
 MISSED = 2.0
 """Commands in a row that the rig may miss unseen."""
-SLIP, BREAK, STIFFEST = 0.35, 0.25, 6.0
-"""What a specimen may make of its force in a step: parts of its largest, with and against the
-motion, and with it so many times its stiffness as told."""
-TURNED, TURN, MOVES = 3, 2.0, 0.2
-"""Samples after a turn of the motion in which friction turns round, what that makes of the force,
-and the part of the fastest motion of late from which on a specimen does not stick."""
-SILENT = 25.0
-"""Mean square of the change of the computed mass's force over that of the noise, from which on a
-force that is but noise does not answer."""
-ALTERNATE = 0.33
-"""Part of the samples of late at which r jumps back, as with noise: white noise that is far beyond
-its threshold does so in 2 of 3, a specimen that bangs or an oil column that rings in 1 of 3."""
 NEVER = -(2**40)
 SAME = 1e-9
 """Chance of as many equal samples of a channel that is not frozen."""
@@ -111,22 +111,6 @@ def take_command(
             state.sent[i, j] = state.sent[i, j - 1]
         load = under_load(command[i], state.last[3, i], p.actuator[i, 3])
         state.sent[i, 0] = command[i] * load
-
-
-@compiled
-def look(
-    p: DetectorParameters, state: DetectorState, row: int, i: int, seen: float, threshold: float
-) -> bool:
-    """Hold what a detector sees against its threshold; say whether it has persisted and acts."""
-    share = seen / threshold if threshold > 0.0 else 0.0
-    if share > state.shares[row, i]:
-        state.shares[row, i] = share
-    count = state.counts[row, i]
-    state.counts[row, i] = count = count + 1 if share > 1.0 else max(count - 1, 0)
-    if count >= p.persistence[row] and p.acts[row]:
-        state.found[0], state.found[1] = seen, threshold
-        return True
-    return False
 
 
 @compiled
@@ -195,13 +179,13 @@ def detect(
                 state.step[TURN_AT] = step
         knows_force = sees(state, step, ACCELERATION) and sees(state, step, FORCE)
         if knows_force:
-            found = worse(found, _work(p, state, measured))
+            found = worse(found, look_at_work(p, state, measured))
         for i in range(n):
             found = worse(found, _relations(p, state, step, measured, i))
             found = worse(found, _channels(p, state, step, measured, i))
             if knows_force:
-                found = worse(found, _restoring_force(p, state, step, measured, i))
-                found = worse(found, _response(p, state, measured, i))
+                found = worse(found, look_at_restoring_force(p, state, step, measured, i))
+                found = worse(found, look_at_response(p, state, measured, i))
             if points.shape[1] > 1:
                 found = worse(found, _tracking(p, state, step, points, measured, i))
     for i in range(n):
@@ -307,79 +291,6 @@ def _channels(
         if look(p, state, FROZEN + row, i, seen, threshold) and found < 0:
             found = (FROZEN + row) * n + i
     return found
-
-
-@compiled
-def _restoring_force(
-    p: DetectorParameters, state: DetectorState, step: int, measured: Floats, i: int
-) -> int:
-    """Whether the specimen's force jumps, once or from sample to sample as with noise."""
-    n, found, last, r = measured.shape[1], -1, state.last, state.restoring
-    curvature = rise = fall = 0.0
-    for k in range(n):
-        spring = p.stiffness[i, k] * (measured[0, k] - last[0, k])
-        rise, fall = rise + max(spring, 0.0), fall + max(-spring, 0.0)
-        curvature += p.stiffness[i, k] * p.dt * p.dt * (measured[2, k] + last[2, k])
-    change, moved = r[2, i] - r[0, i], abs(measured[0, i] - last[0, i])
-    moves = p.steps[DISPLACEMENT_VELOCITY, i] + MOVES * state.largest[3, i]
-    slips = moved < moves or step - state.step[TURN_AT] <= TURNED
-    largest = state.largest[7, i]
-    if state.counts[JUMP, i] == 0:  # what is under suspicion is no measure
-        largest = max(abs(r[0, i]), p.memory * largest)
-        state.largest[7, i] = largest
-    # noise jumps to and fro, a blow rings
-    bend, limit = change - r[1, i], p.rough[i] + abs(curvature) + (largest if slips else 0.0)
-    bend = bend if abs(bend) > limit else 0.0
-    alternates = 1.0 if bend * state.bends[0, i] < 0.0 else 0.0
-    state.bends[0, i] = bend
-    if alternates or not slips:
-        state.bends[1, i] = p.short * state.bends[1, i] + alternates
-    if look(p, state, ROUGH, i, state.bends[1, i], ALTERNATE / (1.0 - p.short)):
-        found = ROUGH * n + i
-    # what has jumped must stay there
-    jump = change + (r[1, i] if state.counts[JUMP, i] else 0.0)
-    stiff = STIFFEST * (rise if jump > 0.0 else fall)
-    part = TURN if slips else (SLIP if stiff > 0.0 else BREAK)
-    threshold = part * largest + p.rough[i] + stiff
-    if look(p, state, JUMP, i, abs(jump), threshold) and found < 0:
-        found = JUMP * n + i
-    return found
-
-
-@compiled
-def _response(p: DetectorParameters, state: DetectorState, measured: Floats, i: int) -> int:
-    """Whether a force is but noise, while the computed mass alone asks for far more."""
-    n, last, response = measured.shape[1], state.last, state.response
-    inertia = hiss = 0.0
-    for k in range(n):
-        inertia += p.computed_mass[i, k] * (measured[2, k] - last[2, k])
-        hiss += 2.0 * (p.computed_mass[i, k] * p.noise[2, k]) ** 2
-    response[0, i] = p.short * response[0, i] + (measured[3, i] - last[3, i]) ** 2
-    response[1, i] = p.short * response[1, i] + inertia * inertia
-    white, samples = 2.0 * p.noise[3, i] ** 2, 1.0 / (1.0 - p.short)
-    is_noise = response[0, i] < 2.0 * samples * white
-    threshold = SILENT * samples * (white + hiss) if is_noise else np.inf
-    return NO_RESPONSE * n + i if look(p, state, NO_RESPONSE, i, response[1, i], threshold) else -1
-
-
-@compiled
-def _work(p: DetectorParameters, state: DetectorState, measured: Floats) -> int:
-    """Relation (4), over all axes."""
-    n, last, r, work = measured.shape[1], state.last, state.restoring, state.work
-    for row in range(3):
-        work[row] *= p.short
-    for i in range(n):
-        moved, change = measured[0, i] - last[0, i], r[2, i] - r[0, i]
-        noise = p.noise[3, i] ** 2
-        for k in range(n):
-            noise += (p.mass[i, k] * p.noise[2, k]) ** 2
-            work[1] += moved * p.stiffness[i, k] * (measured[0, k] - last[0, k])
-        work[0] += change * moved
-        work[2] += 2.0 * (noise * moved * moved + (p.noise[0, i] * change) ** 2)
-    threshold = OPPOSED * work[1] + 6.0 * math.sqrt(work[2]) + p.unknown
-    return (
-        SECOND_ORDER_WORK * n if look(p, state, SECOND_ORDER_WORK, 0, -work[0], threshold) else -1
-    )
 
 
 @compiled

@@ -85,7 +85,7 @@ DETECTORS = (
     ),
     *(Detector(f"{name}_frozen", _SAME.format(name), "samples", 0.0) for name in CHANNELS),
 )
-"""In the order of the rows in `detector_step`."""
+"""In the order of the rows in `detector_look`."""
 
 MODEL_BASED = (
     *("oil_balance", "oil_noise", "second_order_work"),
