@@ -5,11 +5,10 @@ import sys
 from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import NodeShell
 from seft_msgs_py.wire.messages import decode_clock, decode_status
-from seft_msgs_py.wire.outcome import MOVING
+from seft_msgs_py.wire.outcome import ENDED, MOVING
 from seft_msgs_py.wire.topics import CLOCK_TOPIC, EXPERIMENT_STATE, GROUND_MOTION
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-from seft_ros.conformance.driver import ENDED
 from seft_ros.ground_motion.ground_motion_block import TABLE, GroundMotion
 from seft_ros.test_run.parameter_tables import TABLES
 

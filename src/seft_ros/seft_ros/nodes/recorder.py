@@ -27,6 +27,7 @@ from seft_msgs_py.wire.messages import (
     encode_string,
 )
 from seft_msgs_py.wire.outcome import (
+    ENDED,
     MOVING,
     RECORDED,
     RIG,
@@ -48,7 +49,6 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.bags.description import describe_environment
 from seft_ros.bags.lasting_bag import LastingBag, expected_size, obstacle
 from seft_ros.bags.stall_watch import StallWatch
-from seft_ros.conformance.driver import ENDED
 from seft_ros.test_run.parameter_tables import RECORDER, TABLES
 from seft_ros.test_run.peers import ALL_ANSWERED, RECORDING, SILENT, WAITS
 

@@ -13,11 +13,10 @@ from seft_msgs_py.errors import WireError
 from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell
 from seft_msgs_py.wire.messages import ERROR, OK, EstimatesCodec, decode_status
-from seft_msgs_py.wire.outcome import State, tripped_status
+from seft_msgs_py.wire.outcome import ENDED, State, tripped_status
 from seft_msgs_py.wire.topics import ESTIMATES, EXPERIMENT_STATE, GROUND_MOTION, RIG_STATE
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
-from seft_ros.conformance.driver import ENDED
 from seft_ros.interlock.protected_force import ProtectedForce
 from seft_ros.reference_force.loop_inputs import MotionBuffer, StateGathering
 from seft_ros.reference_force.reference_force_block import EstimateSampler

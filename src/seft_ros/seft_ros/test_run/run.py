@@ -12,11 +12,10 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.node.middleware import prepare_on_this_host
 from seft_msgs_py.node.shutdown import as_before, on_ending
-from seft_msgs_py.wire.outcome import State
+from seft_msgs_py.wire.outcome import ENDED, State
 from seft_msgs_py.wire.topics import EXPERIMENT_STATE, NODES, LoopTopic, bare, topics_of, with_rigs
 
 from seft_ros.bags.lasting_bag import obstacle
-from seft_ros.conformance.driver import ENDED
 from seft_ros.test_run.observer import Observer
 from seft_ros.test_run.parameter_tables import RECORDER
 from seft_ros.test_run.peers import CONFLICT, SILENT
