@@ -25,7 +25,7 @@ def test_every_node_answers_a_recorded_test_bit_for_bit(seft_json):
 def test_of_a_simulated_test_who_needs_the_coming_motion_is_left_out(seft, seft_json):
     seft_json("simulate", DEMO, *SHORT, "--out", "bag")
     done = seft("replay", "bag", "--offline", status=0)
-    assert "force_controller is left out: force_controller needs the coming motion" in done.stderr
+    assert "force_controller is left out: force_controller needs the future motion" in done.stderr
     assert "rig: 601 answers identical" in done.stdout.replace("rig/state", "")
 
 
