@@ -30,7 +30,7 @@ def test_a_look_is_taken_after_each_turn_and_chores_are_done_now_and_then():
 
 
 ENDED = """
-import os, pty, signal, sys
+import os, pty, signal, sys, threading
 from seft_msgs_py.node.node_process import NodeProcess
 if sys.argv[1] == "nohup":
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
@@ -40,7 +40,8 @@ os.dup2(terminal, 1)
 os.close(terminal)
 process = NodeProcess([], ["somebody"])
 os.close(keyboard)
-os.kill(os.getpid(), getattr(signal, sys.argv[2]))
+# to the thread that runs handlers: by os.kill another one may take it, and that is later
+signal.pthread_kill(threading.main_thread().ident, getattr(signal, sys.argv[2]))
 if sys.argv[2] == "SIGHUP" and sys.argv[1] != "nohup":
     print("the terminal is gone", flush=True)  # which is no fault
 os.write(report, str(process.stopping).encode())

@@ -122,6 +122,17 @@ def at_rest(dynamics: Dynamics) -> Motion:
 def multiply(transposed: Floats, vector: Floats, result: Floats) -> None:
     """Multiply a matrix, given transposed, by a vector."""
     columns, rows = transposed.shape
+    multiply_sized(columns, rows, transposed, vector, result)
+
+
+@compiled
+def multiply_sized(
+    columns: int, rows: int, transposed: Floats, vector: Floats, result: Floats
+) -> None:
+    """Do what `multiply` does, faster where the sizes are known when it is compiled.
+
+    The length of a tuple is such a size, that of an array is not.
+    """
     whole = rows - rows % 4
     for i in range(0, whole, 4):  # four at a time, which the processor has instructions for
         one = two = three = four = 0.0

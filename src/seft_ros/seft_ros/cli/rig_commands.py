@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Optional
 
 import typer
-from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.experiment import Experiment, write_parameter_file
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes
 
@@ -93,12 +93,9 @@ def link(
         "reasons": reasons,
     }
     if out is not None:
-        text = "# by seft link: steps at the rate of the experiment\nreference_force:\n"
-        text += f"  ros__parameters:\n    loop_delay: {trips.loop_delay}\n"
-        try:
-            out.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"{out}: can't be written: {error.strerror}") from None
+        steps = {"reference_force": {"loop_delay": trips.loop_delay}}
+        comment = "by seft link: steps at the rate of the experiment"
+        write_parameter_file(out, steps, [comment], replace=True)
         summary["file"] = str(out)
     show(summary, json, [link_table(summary)])
     for reason in reasons:

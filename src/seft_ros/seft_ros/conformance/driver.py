@@ -31,7 +31,7 @@ LOOK = 0.02  # s
 NOTED = 0.15  # s for the rig to take in a state
 SLOW = 10.0  # s more than planned that a test may take
 PHASES = 2.0  # s for it to say that it has ended, and that it is idle again
-ENDED = (FINISHED, TRIPPED)
+ENDED_PHASES = (FINISHED, TRIPPED)
 Answer = Callable[[int], list[bytes]]
 """Gives the messages that answer a step."""
 
@@ -200,7 +200,7 @@ class TestDriver(Player):
         steps: int,
         answer: Answer,
         patience: float | None = None,
-        until: tuple[str, ...] = ENDED,
+        until: tuple[str, ...] = ENDED_PHASES,
         *,
         ready: bool = True,
     ) -> Trial:
@@ -240,7 +240,7 @@ class TestDriver(Player):
     def end(self, state: State = State.DONE) -> None:
         """End a test, and bring the rig back to idle."""
         self.say(state)
-        self.wait(lambda: self.trial.phase in (*ENDED, "idle"), PHASES)
+        self.wait(lambda: self.trial.phase in (*ENDED_PHASES, "idle"), PHASES)
         self._answer = None
         self.say(State.IDLE)
         self.wait(lambda: self.trial.phase == "idle", PHASES)

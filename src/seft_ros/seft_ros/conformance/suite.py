@@ -16,7 +16,7 @@ from seft_plant_sim.whole_structure import tested_specimen
 
 from seft_ros.bags.stall_watch import StallWatch
 from seft_ros.conformance import message_checks, motion_checks, obedience_checks
-from seft_ros.conformance.driver import ENDED, SLOW, Answer, Guard, TestDriver, Trial
+from seft_ros.conformance.driver import ENDED_PHASES, SLOW, Answer, Guard, TestDriver, Trial
 from seft_ros.conformance.finding import LATER, Finding, found, not_run
 from seft_ros.conformance.motion_checks import Drive
 from seft_ros.conformance.obedience_checks import PATIENCE, RESTING, BadCommands, rested
@@ -281,7 +281,7 @@ class Suite:
             driver.listen_for(BRIEF)
             last = trial.last_state_after(state)
             text = f"the last state came {last:.3f} s after, phase {trial.phase or 'none'}"
-            rests = trial.phase in ENDED and last <= STOP
+            rests = trial.phase in ENDED_PHASES and last <= STOP
             yield found(f"rests when {state}", rests, text, last_state_s=last)
             driver.end(state)
         trial = driver.run(self._long, driver.command, BRIEF, (), ready=False)

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 from rich.table import Table
-from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.experiment import Experiment, write_parameter_file
+from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.limits import (
     NAMES,
@@ -236,12 +237,9 @@ def write_limits(file: Path, limits: dict[str, float]) -> None:
     """
     if not limits:
         raise InputError(f"{file}: no limits to write: a node that runs elsewhere has the motion")
-    lines = "".join(f"    limits.{name}: {value!r}\n" for name, value in limits.items())
-    text = (
-        "# by seft preflight: 1.5 times the expected peaks of displacement and force, 2 times\n"
-        f"# those of velocity and acceleration\nsupervisor:\n  ros__parameters:\n{lines}"
-    )
-    try:
-        file.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{file}: can't be written: {error.strerror}") from None
+    section: Section = {f"limits.{name}": value for name, value in limits.items()}
+    comments = [
+        "by seft preflight: 1.5 times the expected peaks of displacement and force, 2 times",
+        "those of velocity and acceleration",
+    ]
+    write_parameter_file(file, {"supervisor": section}, comments, replace=True)

@@ -9,9 +9,9 @@ import math
 from functools import partial
 
 import numpy as np
-from scipy.linalg import expm
 from seft_msgs_py.config.arrays import Floats
 from seft_msgs_py.errors import InputError
+from seft_plant_sim.lti import first_order_hold
 
 from seft_ros.reference_force.ats import Ats
 from seft_ros.reference_force.compensator import (
@@ -225,16 +225,11 @@ def _smith_model(knowledge: Knowledge) -> tuple[Floats, Floats, Floats]:
     InputError
         If the specimen does not come to rest by itself.
     """
-    n, dt = knowledge.axes, knowledge.dt
-    by_force = np.linalg.inv(knowledge.mass)
-    # z, the force and its slope times dt
-    system = np.zeros((4 * n, 4 * n))
-    system[:n, n : 2 * n] = np.eye(n)
-    system[n : 2 * n, : 3 * n] = by_force @ np.hstack(
-        [-knowledge.stiffness, -knowledge.damping, np.eye(n)]
-    )
-    system[2 * n : 3 * n, 3 * n :] = np.eye(n) / dt
-    free, held, slope = np.split(expm(system * dt)[: 2 * n], [2 * n, 3 * n], axis=1)
+    n, by_force = knowledge.axes, np.linalg.inv(knowledge.mass)
+    none, one = np.zeros((n, n)), np.eye(n)
+    specimen = by_force @ np.hstack([-knowledge.stiffness, -knowledge.damping])
+    system = np.vstack([np.hstack([none, one]), specimen])
+    free, held, slope = first_order_hold(system, np.vstack([none, by_force]), knowledge.dt)
     if np.abs(np.linalg.eigvals(free)).max() > _AT_REST:
         raise InputError(
             "reference_force: compensation.method smith needs a model that comes to rest by "

@@ -35,6 +35,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 from seft_plant_sim.compiled import compiled
+from seft_plant_sim.integration import multiply_sized
 
 Floats = npt.NDArray[np.float64]
 
@@ -245,26 +246,6 @@ def fours(count: int) -> int:
 
 
 @compiled
-def multiply(columns: int, rows: int, transposed: Floats, vector: Floats, result: Floats) -> None:
-    """Multiply a matrix, given transposed, by a vector; its sizes are known when compiled."""
-    whole = rows - rows % 4
-    for i in range(0, whole, 4):
-        one = two = three = four = 0.0
-        for j in range(columns):
-            factor = vector[j]
-            one += transposed[j, i] * factor
-            two += transposed[j, i + 1] * factor
-            three += transposed[j, i + 2] * factor
-            four += transposed[j, i + 3] * factor
-        result[i], result[i + 1], result[i + 2], result[i + 3] = one, two, three, four
-    for i in range(whole, rows):
-        one = 0.0
-        for j in range(columns):
-            one += transposed[j, i] * vector[j]
-        result[i] = one
-
-
-@compiled
 def stopped(z: float, y: float) -> float:
     """Keep z between -y and y."""
     z = y if z > y else z
@@ -347,7 +328,7 @@ def follow(
             innovation -= found[i] * phi[i]
             told -= parameters.start[j, i] * phi[i]
             p[i, i] += parameters.drift[j, i]
-        multiply(q, q, p, phi, gain)  # p is symmetric
+        multiply_sized(q, q, p, phi, gain)  # p is symmetric
         for i in range(q):
             variance += phi[i] * gain[i]
         moves = (e[j] / parameters.least[j, 0]) ** 2 + (rate[j] / parameters.least[j, 1]) ** 2 > 1.0

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 from seft_plant_sim.compiled import compiled
+from seft_plant_sim.integration import multiply_sized
 
 from seft_ros.interlock.plausibility import is_finite
 from seft_ros.target.motion_observer import observe
@@ -25,7 +26,6 @@ from seft_ros.target.restoring_model import (
     begin_model,
     follow,
     move_stops,
-    multiply,
     slider_forces,
 )
 
@@ -416,7 +416,7 @@ def predict(
         for i in range(n):
             points[point, 0, i] = z[i]
             points[point, 1, i] = z[half + i]
-        multiply(columns, n, state.force, z, points[point, 2])
+        multiply_sized(columns, n, state.force, z, points[point, 2])
         if point + 1 == len(points):
             break
         for step in range(p.substeps):
@@ -426,7 +426,7 @@ def predict(
                 ground[i] = pace * (known[point, i] + part * rise)
             move_stops(p.model, change, stops)
             slider_forces(p.model, state.model.values, stops, sliders)
-            multiply(columns, size + n, state.substep, z, new)
+            multiply_sized(columns, size + n, state.substep, z, new)
             for i in range(size):
                 z[i] = new[i]
 
