@@ -1,1 +1,1 @@
-"""Bags: the record of a test, written, read, recovered and replayed."""
+"""Bags: the record of a test, written, read and recovered."""

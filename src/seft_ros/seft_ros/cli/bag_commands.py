@@ -16,7 +16,7 @@ from seft_msgs_py.errors import InputError
 from seft_ros.cli.options import Bag, Json, Params, check_out, complain, option, show, step_progress
 
 if TYPE_CHECKING:
-    from seft_ros.bags.recorded_test import Recorded, Replay
+    from seft_ros.replay.recorded_test import Recorded, Replay
 
 
 _COLOURS = {"good": "green", "doubt": "yellow", "bad": "red", "none": "default"}
@@ -195,9 +195,9 @@ def replay(
 
         seft replay bags/lockstep --node rig --offline --json
     """
-    from seft_ros.bags.node_replays import REPLAYS
-    from seft_ros.bags.recorded_test import read_recorded
-    from seft_ros.bags.replay_verdict import replay_table
+    from seft_ros.replay.node_replays import REPLAYS
+    from seft_ros.replay.recorded_test import read_recorded
+    from seft_ros.replay.replay_verdict import replay_table
 
     nodes = list(dict.fromkeys(node or REPLAYS))
     if out is not None:
@@ -231,7 +231,7 @@ def _replays(nodes: list[str], recorded: "Recorded", *, asked: bool) -> list["Re
     InputError
         If the bag lacks the messages to a node that was named, or to all nodes.
     """
-    from seft_ros.bags.node_replays import replay_to
+    from seft_ros.replay.node_replays import replay_to
 
     replays: list[Replay] = []
     for name in nodes:
@@ -251,10 +251,10 @@ def _answers(
     offline: bool,
     out: Path | None,
 ) -> dict[str, Any]:
-    from seft_ros.bags.dds_replay import replay_over_dds
     from seft_ros.bags.record_bag import write_record
-    from seft_ros.bags.recorded_test import Answers, experiment_of
-    from seft_ros.bags.replay_verdict import (
+    from seft_ros.replay.dds_replay import replay_over_dds
+    from seft_ros.replay.recorded_test import Answers, experiment_of
+    from seft_ros.replay.replay_verdict import (
         replay_verdict,
         replayed_record,
     )

@@ -11,8 +11,8 @@ from seft_ros.analysis.comparison import compare
 from seft_ros.analysis.result_text import FIELD_UNITS
 from seft_ros.bags.description import describe_environment
 from seft_ros.bags.record import Estimates, Record
-from seft_ros.bags.recorded_test import Answers, Recorded, Replay
 from seft_ros.drawing.tables import make_table, number, small_percent
+from seft_ros.replay.recorded_test import Answers, Recorded, Replay
 
 
 def replayed_record(

@@ -19,7 +19,6 @@ from seft_plant_sim.rig import Rig
 
 from seft_ros.bags.gathering import EstimatesGatherer
 from seft_ros.bags.record import Estimates, Series
-from seft_ros.bags.recorded_test import Input, Recorded, Replay
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.methods import force_control
 from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
@@ -27,6 +26,7 @@ from seft_ros.interlock.protected_force import ProtectedForce
 from seft_ros.reference_force.loop_inputs import MotionBuffer
 from seft_ros.reference_force.reference_force_block import EstimateSampler
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
+from seft_ros.replay.recorded_test import Input, Recorded, Replay
 
 FAR = 20.0  # s that ground motion is sent ahead of its step
 PATIENCE = 60.0  # s that the rig waits for the replay on a slow machine
