@@ -167,11 +167,13 @@ class RunMonitor:
                 return
 
     def wait_until_saved(self) -> None:
-        """Wait for the recorder; one that is stopped before that closes its bag."""
+        """Wait for rigs and recorder; one that is stopped before that closes its bag."""
         deadline = time.monotonic() + SAVE_TIMEOUT
-        while self._observer.recorder_phase != "saved" and time.monotonic() < deadline:
+        while time.monotonic() < deadline:
             gone = {*self._observer.values.get(SILENT, "").split(), *self._processes.ended()}
             if self._observer.state not in ENDED or "recorder" in gone:
+                return
+            if self._observer.recorder_phase == "saved" and not self._observer.running - gone:
                 return
             self._observer.spin(POLL_PERIOD)
 
@@ -283,6 +285,7 @@ def run_experiment(
                 fault = monitor.to_the_end()
             except KeyboardInterrupt:
                 monitor.bring_down()
+                monitor.wait_until_saved()  # a rig that is ended first gives that as the cause
                 raise
             monitor.wait_until_saved()
             saved = observer.recorder_bag
