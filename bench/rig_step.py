@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from seft_msgs_py.config.experiment import Experiment
-from seft_plant_sim.compiled import compiled
-from seft_plant_sim.integration import multiply
+from seft_plant_sim.compiled import compiled, multiply
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import TABLE
 from seft_plant_sim.rig_step import rig_step

@@ -1,6 +1,7 @@
-"""Machine code of the steps, cached on disk."""
+"""Machine code of the steps, cached on disk, and what all steps do with arrays."""
 
 import hashlib
+import math
 import os
 from collections.abc import Callable, Hashable
 from functools import lru_cache
@@ -9,6 +10,7 @@ from typing import Any
 
 import numba as typed_numba
 import numpy as np
+from seft_msgs_py.config.arrays import Floats
 
 numba: Any = typed_numba  # older ones have no types
 # most loops run over few axes, where loop vectorisation costs more than it saves; statements in a
@@ -78,3 +80,45 @@ def code_folder(folder: Path) -> Path:
             texts.update(file.read_bytes())
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     return home / "seft" / texts.hexdigest()[:16]
+
+
+@compiled
+def multiply(transposed: Floats, vector: Floats, result: Floats) -> None:
+    """Multiply a matrix, given transposed, by a vector."""
+    columns, rows = transposed.shape
+    multiply_sized(columns, rows, transposed, vector, result)
+
+
+@compiled
+def multiply_sized(
+    columns: int, rows: int, transposed: Floats, vector: Floats, result: Floats
+) -> None:
+    """Do what `multiply` does, faster where the sizes are known when it is compiled.
+
+    The length of a tuple is such a size, that of an array is not.
+    """
+    whole = rows - rows % 4
+    for i in range(0, whole, 4):  # four at a time, which the processor has instructions for
+        one = two = three = four = 0.0
+        for j in range(columns):
+            factor = vector[j]
+            one += transposed[j, i] * factor
+            two += transposed[j, i + 1] * factor
+            three += transposed[j, i + 2] * factor
+            four += transposed[j, i + 3] * factor
+        result[i], result[i + 1], result[i + 2], result[i + 3] = one, two, three, four
+    for i in range(whole, rows):
+        one = 0.0
+        for j in range(columns):
+            one += transposed[j, i] * vector[j]
+        result[i] = one
+
+
+@compiled
+def is_finite(values: Floats, first: int) -> bool:
+    """Say whether all values of an array of two dimensions are finite, from its first row on."""
+    for row in range(first, values.shape[0]):
+        for i in range(values.shape[1]):
+            if not math.isfinite(values[row, i]):
+                return False
+    return True

@@ -8,7 +8,7 @@ from seft_msgs_py.config.arrays import Floats, Ints
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.actuator import FASTEST, holding_force, lost_opening
-from seft_plant_sim.compiled import compiled
+from seft_plant_sim.compiled import compiled, multiply
 from seft_plant_sim.continuous_model import ContinuousModel
 from seft_plant_sim.lti import first_order_hold
 from seft_plant_sim.spring_laws import (
@@ -116,38 +116,6 @@ def at_rest(dynamics: Dynamics) -> Motion:
     p, (_, r, s) = len(dynamics.laws), dynamics.correct.shape
     work = np.zeros(len(dynamics.output))
     return Motion(work, np.zeros((p, MEMORY)), np.zeros(s), np.zeros(r), np.zeros((p, MEMORY)))
-
-
-@compiled
-def multiply(transposed: Floats, vector: Floats, result: Floats) -> None:
-    """Multiply a matrix, given transposed, by a vector."""
-    columns, rows = transposed.shape
-    multiply_sized(columns, rows, transposed, vector, result)
-
-
-@compiled
-def multiply_sized(
-    columns: int, rows: int, transposed: Floats, vector: Floats, result: Floats
-) -> None:
-    """Do what `multiply` does, faster where the sizes are known when it is compiled.
-
-    The length of a tuple is such a size, that of an array is not.
-    """
-    whole = rows - rows % 4
-    for i in range(0, whole, 4):  # four at a time, which the processor has instructions for
-        one = two = three = four = 0.0
-        for j in range(columns):
-            factor = vector[j]
-            one += transposed[j, i] * factor
-            two += transposed[j, i + 1] * factor
-            three += transposed[j, i + 2] * factor
-            four += transposed[j, i + 3] * factor
-        result[i], result[i + 1], result[i + 2], result[i + 3] = one, two, three, four
-    for i in range(whole, rows):
-        one = 0.0
-        for j in range(columns):
-            one += transposed[j, i] * vector[j]
-        result[i] = one
 
 
 @compiled

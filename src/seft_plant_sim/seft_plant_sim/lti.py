@@ -3,16 +3,23 @@
 In state space s' = a s + b u, y = c s + d u, or as a transfer function.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import expm
+from seft_msgs_py.errors import InputError
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 Polynomial = Floats | Sequence[float]
+
+LEAST_SAMPLES = 4.0
+"""Samples in a cycle of the highest frequency that is inverted."""
+OUTSIDE_WEIGHT, GAIN_WEIGHT = 0.02, 1e-4
+"""Weights of errors beyond that frequency, and of the inverse's own size, in least squares."""
 
 
 @dataclass(frozen=True)
@@ -110,3 +117,86 @@ def split_dead_time(delay: float, dt: float) -> tuple[int, float]:
     whole = int(delay / dt + 1e-9)
     rest = delay - whole * dt
     return whole, rest if rest > 1e-9 * dt else 0.0
+
+
+def bilinear(
+    numerator: Sequence[float], denominator: Sequence[float], dt: float
+) -> tuple[Floats, Floats]:
+    """Discretise a transfer function with the bilinear (Tustin) transform, no prewarping.
+
+    Substitutes s = (2/dt) (z - 1)/(z + 1). Written out because importing scipy.signal costs
+    a node 50 MB; the tests compare it with scipy.
+
+    Parameters
+    ----------
+    numerator, denominator : sequence of float
+        In s, highest power first.
+    dt : float
+        Sampling period, s.
+
+    Returns
+    -------
+    b, a : ndarray
+        In z, highest power first, shape (order + 1,) each, a[0] = 1.
+
+    Raises
+    ------
+    InputError
+        If the function is improper, has no denominator, or has a pole at s = 2/dt.
+    """
+    num = np.trim_zeros(np.asarray(numerator, dtype=np.float64), "f")
+    den = np.trim_zeros(np.asarray(denominator, dtype=np.float64), "f")
+    if not den.size:
+        raise InputError("denominator is zero")
+    if num.size > den.size:
+        raise InputError(
+            f"the controller is improper: numerator of degree {num.size - 1} "
+            f"over denominator of degree {den.size - 1}; add poles to the denominator"
+        )
+    order = den.size - 1
+
+    def substitute(polynomial: Floats) -> Floats:
+        result = np.zeros(order + 1)
+        for power, coefficient in enumerate(polynomial[::-1]):
+            term = np.array([coefficient * (2.0 / dt) ** power])
+            for root in (1.0,) * power + (-1.0,) * (order - power):
+                term = np.convolve(term, [1.0, -root])
+            result += term
+        return result
+
+    b, a = substitute(num), substitute(den)
+    if abs(a[0]) <= 1e-12 * np.abs(a).max():
+        raise InputError(
+            f"the controller has a pole at {2 / dt:g} rad/s, where the "
+            "bilinear transform does not exist; use another rate"
+        )
+    return b / a[0], a / a[0]
+
+
+def noncausal_inverse(
+    response: Callable[[Complexes], Complexes], highest: float, taps: int, dt: float
+) -> Floats:
+    """Weights h of coming samples, so that sum_j h_j y[k + j], through the response, gives y[k].
+
+    By least squares over frequency, regularised: what is late has no causal inverse, but y is
+    known ahead.
+
+    Parameters
+    ----------
+    response : callable
+        Frequency response at values of s, 1/s, from samples to what they make.
+    highest : float
+        Frequency up to which it is inverted, Hz.
+    taps : int
+        Number of weights.
+    dt : float
+        Sampling period, s.
+    """
+    f = np.linspace(0.0, 0.5 / dt, 400)
+    s = (2j * math.pi * f).astype(np.complex128)
+    weight = np.where(f <= highest, 1.0, OUTSIDE_WEIGHT)
+    a = (weight * response(s))[:, np.newaxis] * np.exp(np.outer(s, np.arange(taps) * dt))
+    size = math.sqrt(GAIN_WEIGHT * len(f))
+    a = np.vstack([a.real, a.imag, size * np.eye(taps)])
+    wanted = np.concatenate([weight, np.zeros(len(f) + taps)])
+    return np.linalg.lstsq(a, wanted, rcond=None)[0]

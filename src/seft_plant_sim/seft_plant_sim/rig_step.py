@@ -8,9 +8,9 @@ from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.actuator import OPENING, PER_CAPACITY
 from seft_plant_sim.actuator import STROKE as STROKE_COLUMN
-from seft_plant_sim.compiled import compiled
+from seft_plant_sim.compiled import compiled, multiply
 from seft_plant_sim.continuous_model import ContinuousModel
-from seft_plant_sim.integration import Dynamics, Motion, at_rest, dynamics_of, integrate, multiply
+from seft_plant_sim.integration import Dynamics, Motion, at_rest, dynamics_of, integrate
 from seft_plant_sim.limits import Limits, SaturatedTime, exceeds, is_exceeded
 from seft_plant_sim.lti import split_dead_time
 from seft_plant_sim.sensors import CHANNELS, Channels, measure

@@ -13,10 +13,10 @@ from seft_msgs_py.config.arrays import Floats, as_matrix
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import group
 
-from seft_plant_sim.compiled import compiled
+from seft_plant_sim.compiled import compiled, multiply
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_plant_sim.continuous_model import ContinuousModel, with_springs
-from seft_plant_sim.integration import Dynamics, Motion, at_rest, dynamics_of, integrate, multiply
+from seft_plant_sim.integration import Dynamics, Motion, at_rest, dynamics_of, integrate
 from seft_plant_sim.specimen import Specimen
 
 TOLERANCE = 1e-5

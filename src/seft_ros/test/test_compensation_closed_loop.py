@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
+from seft_plant_sim.lti import bilinear
 from seft_ros.analysis.summary import summarise
 from seft_ros.design.plant import SampledPlant, choose_plant
-from seft_ros.force_controller.block import bilinear
 from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_ros.interlock.plausibility import PlausibleForce, is_finite, not_finite
+from seft_plant_sim.compiled import is_finite
+from seft_ros.interlock.plausibility import PlausibleForce, not_finite
 
 DT = 0.002
 

@@ -8,8 +8,8 @@ from seft_ros.interlock.instability import InstabilityWatch
 from seft_ros.interlock.plausibility import PlausibleForce
 from seft_ros.interlock.protected_force import ProtectedForce
 from seft_ros.interlock.ramp_down import RampDown
+from seft_ros.reference_force.braking import continued
 from seft_ros.reference_force.compensator import Knowledge
-from seft_ros.target.braking import continued
 
 DT = 0.002
 MOTION, STATE = np.zeros((1, 1)), np.zeros((4, 1))

@@ -7,16 +7,16 @@ import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.metrics import nrmse
+from seft_ros.reference_force.motion_observer import observe, observer_gains
 from seft_ros.reference_force.reference_force_block import knowledge
-from seft_ros.target.motion_observer import observe, observer_gains
-from seft_ros.target.restoring_model import (
+from seft_ros.reference_force.restoring_model import (
     THRESHOLDS,
     begin_model,
     follow,
     model_arrays,
     move_stops,
 )
-from seft_ros.target.target_motion import TargetMotion
+from seft_ros.reference_force.target_motion import TargetMotion
 from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES

@@ -21,8 +21,8 @@ from seft_ros.force_controller.velocity_feedforward import (
 )
 from seft_ros.interlock.valve_following import LARGEST_DELAY_ERROR, LARGEST_GAIN_ERROR
 from seft_ros.reference_force.linear_filter import LinearFilter
-from seft_ros.target.target_motion import TargetMotion
-from seft_ros.target.target_step import begin_target, target_step
+from seft_ros.reference_force.target_motion import TargetMotion
+from seft_ros.reference_force.target_step import begin_target, target_step
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]

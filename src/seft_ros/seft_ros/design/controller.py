@@ -9,9 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.config.experiment import write_parameter_file
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.lti import TransferFunction, ratio
+from seft_plant_sim.lti import TransferFunction, bilinear, ratio
 
-from seft_ros.force_controller.block import bilinear
 from seft_ros.force_controller.kinds import is_one_controller, one_controller
 from seft_ros.force_controller.names import TRANSFER_FUNCTION
 

@@ -31,15 +31,15 @@ from seft_ros.force_controller.methods import force_control
 from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 from seft_ros.reference_force.compensator import Compensator
+from seft_ros.reference_force.force_command import FORCE_DRIVEN
 from seft_ros.reference_force.linear_filter import LinearFilter
 from seft_ros.reference_force.reference_force_block import (
     compensator,
     knowledge,
 )
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
-from seft_ros.target.force_command import FORCE_DRIVEN
-from seft_ros.target.target_motion import TargetMotion
-from seft_ros.target.target_step import FORCE
+from seft_ros.reference_force.target_motion import TargetMotion
+from seft_ros.reference_force.target_step import FORCE
 
 Floats = npt.NDArray[np.float64]
 

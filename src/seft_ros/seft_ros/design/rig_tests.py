@@ -22,8 +22,8 @@ from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
 from seft_ros.ground_motion.ground_motion_block import check_size
 from seft_ros.ground_motion.synthetic_motion import excitation, shortest_duration
 from seft_ros.interlock.detectors import MODEL_BASED
+from seft_ros.reference_force.force_command import FORCE_DRIVEN
 from seft_ros.reference_force.reference_force_block import ReferenceForce
-from seft_ros.target.force_command import FORCE_DRIVEN
 
 Floats = npt.NDArray[np.float64]
 

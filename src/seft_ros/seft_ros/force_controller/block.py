@@ -10,6 +10,7 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import RigAxes
 from seft_plant_sim.compiled import entry_point
+from seft_plant_sim.lti import bilinear
 
 from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.transfer_step import (
@@ -74,7 +75,10 @@ class ForceController:
         gain: Floats | None = None,
     ) -> None:
         axes = len(controllers)
-        sampled = [bilinear(*each, dt) for each in controllers]
+        try:
+            sampled = [bilinear(*each, dt) for each in controllers]
+        except InputError as error:
+            raise InputError(f"force_controller: {error}") from None
         orders = {len(a) - 1 for _, a in sampled}
         if len(orders) > 1:
             raise InputError(
@@ -171,57 +175,3 @@ def _inverse(gain: Floats) -> Floats:
             f"force_controller: gain {gain.tolist()} is singular: a valve or a combination of "
             "valves would never be driven"
         ) from None
-
-
-def bilinear(
-    numerator: Sequence[float], denominator: Sequence[float], dt: float
-) -> tuple[Floats, Floats]:
-    """Discretise a transfer function with the bilinear (Tustin) transform, no prewarping.
-
-    Substitutes s = (2/dt) (z - 1)/(z + 1). Written out because importing scipy.signal costs
-    a node 50 MB; the tests hold it against scipy.
-
-    Parameters
-    ----------
-    numerator, denominator : sequence of float
-        In s, highest power first.
-    dt : float
-        Sampling period, s.
-
-    Returns
-    -------
-    b, a : ndarray
-        In z, highest power first, shape (order + 1,) each, a[0] = 1.
-
-    Raises
-    ------
-    InputError
-        If the function is improper, has no denominator, or has a pole at s = 2/dt.
-    """
-    num = np.trim_zeros(np.asarray(numerator, dtype=np.float64), "f")
-    den = np.trim_zeros(np.asarray(denominator, dtype=np.float64), "f")
-    if not den.size:
-        raise InputError("force_controller: denominator is zero")
-    if num.size > den.size:
-        raise InputError(
-            f"force_controller: the controller is improper: numerator of degree {num.size - 1} "
-            f"over denominator of degree {den.size - 1}; add poles to the denominator"
-        )
-    order = den.size - 1
-
-    def substitute(polynomial: Floats) -> Floats:
-        result = np.zeros(order + 1)
-        for power, coefficient in enumerate(polynomial[::-1]):
-            term = np.array([coefficient * (2.0 / dt) ** power])
-            for root in (1.0,) * power + (-1.0,) * (order - power):
-                term = np.convolve(term, [1.0, -root])
-            result += term
-        return result
-
-    b, a = substitute(num), substitute(den)
-    if abs(a[0]) <= 1e-12 * np.abs(a).max():
-        raise InputError(
-            f"force_controller: the controller has a pole at {2 / dt:g} rad/s, where the "
-            "bilinear transform does not exist; use another rate"
-        )
-    return b / a[0], a / a[0]

@@ -20,7 +20,7 @@ from seft_ros.interlock.detector_arrays import (
 )
 from seft_ros.interlock.detector_step import begin_detectors, detect_all
 from seft_ros.interlock.detectors import ALL, DETECTORS
-from seft_ros.target.force_command import FORCE_DRIVEN
+from seft_ros.reference_force.force_command import FORCE_DRIVEN
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

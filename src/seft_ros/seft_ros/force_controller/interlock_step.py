@@ -4,14 +4,13 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from seft_plant_sim.compiled import compiled
+from seft_plant_sim.compiled import compiled, is_finite
 from seft_plant_sim.limits import is_exceeded
 from seft_plant_sim.rig import left_open
 
 from seft_ros.interlock.detector_arrays import DetectorParameters, DetectorState
 from seft_ros.interlock.detector_step import SOUND, SUSPECT, begin_detectors, detect, take_command
-from seft_ros.interlock.plausibility import is_finite
-from seft_ros.target.braking import go_on
+from seft_ros.reference_force.braking import go_on
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

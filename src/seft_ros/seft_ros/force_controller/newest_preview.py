@@ -11,7 +11,7 @@ from seft_plant_sim.command import MessagesAhead
 
 from seft_ros.force_controller.link_record import LinkRecord
 from seft_ros.interlock.ramp_down import RampDown
-from seft_ros.target.braking import continued
+from seft_ros.reference_force.braking import continued
 
 Floats = npt.NDArray[np.float64]
 

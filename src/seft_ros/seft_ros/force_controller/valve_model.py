@@ -2,20 +2,16 @@
 
 import cmath
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 import numpy.typing as npt
+from seft_plant_sim.lti import LEAST_SAMPLES, Complexes, noncausal_inverse
 
 Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complexfloating]
 
 INVERTED_TO = 0.85
 """Highest frequency that is inverted, over the valve's own: what is above costs too much drive."""
-LEAST_SAMPLES = 4.0
-"""Samples in a cycle of the highest frequency that is inverted."""
-OUTSIDE_WEIGHT, GAIN_WEIGHT = 0.02, 1e-4
-"""Weights of errors beyond that frequency, and of the inverse's own size, in least squares."""
 SPAN = 4.0
 """Length of the inverse over the mean delay from command to flow: beyond, it has died out."""
 DERIVATIVE_STEP = 1e-4  # s, by which the response is differentiated
@@ -124,32 +120,3 @@ def valve_models(actuator: Mapping[str, Floats], dt: float) -> list[ValveModel]:
     for valve in valves:
         valve.memory = memory
     return valves
-
-
-def noncausal_inverse(
-    response: Callable[[Complexes], Complexes], highest: float, taps: int, dt: float
-) -> Floats:
-    """Weights h of coming samples, so that sum_j h_j y[k + j], through the response, gives y[k].
-
-    By least squares over frequency, regularised: what is late has no causal inverse, but y is
-    known ahead.
-
-    Parameters
-    ----------
-    response : callable
-        Frequency response at values of s, 1/s, from samples to what they make.
-    highest : float
-        Frequency up to which it is inverted, Hz.
-    taps : int
-        Number of weights.
-    dt : float
-        Sampling period, s.
-    """
-    f = np.linspace(0.0, 0.5 / dt, 400)
-    s = 2j * math.pi * f
-    weight = np.where(f <= highest, 1.0, OUTSIDE_WEIGHT)
-    a = (weight * response(s))[:, np.newaxis] * np.exp(np.outer(s, np.arange(taps) * dt))
-    size = math.sqrt(GAIN_WEIGHT * len(f))
-    a = np.vstack([a.real, a.imag, size * np.eye(taps)])
-    wanted = np.concatenate([weight, np.zeros(len(f) + taps)])
-    return np.linalg.lstsq(a, wanted, rcond=None)[0]

@@ -23,8 +23,8 @@ import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.timebase import Timebase
 from seft_plant_sim.compiled import entry_point
+from seft_plant_sim.lti import bilinear
 
-from seft_ros.force_controller.block import bilinear
 from seft_ros.interlock.watch_step import (
     EXPECTED,
     EXPLAINED,

@@ -13,16 +13,6 @@ _QUANTITIES = ("displacement", "velocity", "acceleration", "force")
 
 
 @compiled
-def is_finite(values: Floats, first: int) -> bool:
-    """Say whether all values of an array of two dimensions are finite, from its first row on."""
-    for row in range(first, values.shape[0]):
-        for i in range(values.shape[1]):
-            if not math.isfinite(values[row, i]):
-                return False
-    return True
-
-
-@compiled
 def is_plausible(limits: Floats, last: Floats, force: Floats) -> bool:
     """Say whether a force is finite, not too large, and not changing too fast.
 

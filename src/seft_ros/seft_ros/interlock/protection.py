@@ -4,12 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from seft_plant_sim.compiled import compiled
+from seft_plant_sim.compiled import compiled, is_finite
 
-from seft_ros.interlock.plausibility import is_finite, is_plausible
+from seft_ros.interlock.plausibility import is_plausible
 from seft_ros.interlock.ramp_down import BEGUN, next_factor
 from seft_ros.interlock.watch_step import WatchParameters, WatchState, watch_step
-from seft_ros.target.braking import go_on
+from seft_ros.reference_force.braking import go_on
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

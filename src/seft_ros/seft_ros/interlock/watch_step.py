@@ -4,8 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from seft_plant_sim.compiled import compiled
-from seft_plant_sim.integration import multiply
+from seft_plant_sim.compiled import compiled, multiply
 
 Floats = npt.NDArray[np.float64]
 

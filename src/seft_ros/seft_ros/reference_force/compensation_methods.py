@@ -25,7 +25,7 @@ from seft_ros.reference_force.delay_compensation import DelayFilter, delay_metho
 from seft_ros.reference_force.delay_estimator import whole_steps
 from seft_ros.reference_force.linear_filter import LinearCompensator, LinearFilter, Memory
 from seft_ros.reference_force.reference_force_parameters import OWN, REGISTERED
-from seft_ros.target.target_motion import TargetMotion
+from seft_ros.reference_force.target_motion import TargetMotion
 
 _FINE = 0.2  # rad: phase of the fastest mode in a step; its frequency errs by a 24th of the square
 _AT_REST = 1 - 1e-7  # least decay of the model's slowest mode in a step

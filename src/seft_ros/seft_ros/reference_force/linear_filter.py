@@ -5,8 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from seft_msgs_py.config.arrays import Floats
-from seft_plant_sim.compiled import compiled, entry_point
-from seft_plant_sim.integration import multiply
+from seft_plant_sim.compiled import compiled, entry_point, multiply
 
 
 @dataclass(frozen=True)

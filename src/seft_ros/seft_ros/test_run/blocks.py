@@ -14,8 +14,8 @@ from seft_ros.force_controller.interlocks import Interlocks, interlock_of
 from seft_ros.force_controller.names import TRANSFER_FUNCTION, VELOCITY_FEEDFORWARD
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
 from seft_ros.interlock.protected_force import ProtectedForce
+from seft_ros.reference_force.force_command import FORCE_DRIVEN
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
-from seft_ros.target.force_command import FORCE_DRIVEN
 
 
 @dataclass(frozen=True)

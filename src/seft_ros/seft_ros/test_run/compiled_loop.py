@@ -50,8 +50,8 @@ from seft_ros.reference_force.linear_filter import (
     LinearParameters,
     linear_step,
 )
-from seft_ros.target.target_motion import TargetMotion
-from seft_ros.target.target_step import TargetParameters, target_estimates, target_step
+from seft_ros.reference_force.target_motion import TargetMotion
+from seft_ros.reference_force.target_step import TargetParameters, target_estimates, target_step
 from seft_ros.test_run.blocks import Blocks
 
 Floats = npt.NDArray[np.float64]

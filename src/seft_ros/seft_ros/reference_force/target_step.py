@@ -14,12 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from seft_plant_sim.compiled import compiled
-from seft_plant_sim.integration import multiply_sized
+from seft_plant_sim.compiled import compiled, is_finite, multiply_sized
 
-from seft_ros.interlock.plausibility import is_finite
-from seft_ros.target.motion_observer import observe
-from seft_ros.target.restoring_model import (
+from seft_ros.reference_force.motion_observer import observe
+from seft_ros.reference_force.restoring_model import (
     THRESHOLDS,
     ModelParameters,
     ModelState,

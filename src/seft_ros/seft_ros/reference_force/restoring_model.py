@@ -34,8 +34,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from seft_plant_sim.compiled import compiled
-from seft_plant_sim.integration import multiply_sized
+from seft_plant_sim.compiled import compiled, multiply_sized
 
 Floats = npt.NDArray[np.float64]
 

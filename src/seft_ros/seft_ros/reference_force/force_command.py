@@ -17,11 +17,11 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.compiled import compiled
+from seft_plant_sim.lti import LEAST_SAMPLES, Complexes, noncausal_inverse
 
-from seft_ros.force_controller.valve_model import LEAST_SAMPLES, Complexes, noncausal_inverse
 from seft_ros.reference_force.compensator import Knowledge
-from seft_ros.target.restoring_model import THRESHOLDS
-from seft_ros.target.target_step import TargetParameters, TargetState, move_by_force
+from seft_ros.reference_force.restoring_model import THRESHOLDS
+from seft_ros.reference_force.target_step import TargetParameters, TargetState, move_by_force
 
 Floats = npt.NDArray[np.float64]
 

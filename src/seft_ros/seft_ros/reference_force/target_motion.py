@@ -10,8 +10,7 @@ from seft_plant_sim.compiled import entry_point
 from seft_plant_sim.lti import first_order_hold
 
 from seft_ros.reference_force.compensator import Knowledge
-from seft_ros.reference_force.linear_filter import LinearFilter
-from seft_ros.target.force_command import (
+from seft_ros.reference_force.force_command import (
     FORCE_DRIVEN,
     CommandParameters,
     CommandState,
@@ -19,9 +18,10 @@ from seft_ros.target.force_command import (
     command_arrays,
     command_step,
 )
-from seft_ros.target.motion_observer import observer_gains, sensor_noise
-from seft_ros.target.restoring_model import model_arrays
-from seft_ros.target.target_step import (
+from seft_ros.reference_force.linear_filter import LinearFilter
+from seft_ros.reference_force.motion_observer import observer_gains, sensor_noise
+from seft_ros.reference_force.restoring_model import model_arrays
+from seft_ros.reference_force.target_step import (
     ESTIMATES,
     TargetParameters,
     TargetState,

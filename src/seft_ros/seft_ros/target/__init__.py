@@ -1,1 +1,0 @@
-"""The motion that the whole structure is going to have, from what is measured of the specimen."""
