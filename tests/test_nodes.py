@@ -111,6 +111,43 @@ def end(nodes):
         assert (node.returncode, "Traceback" in errors) == (0, False), (name, errors)
 
 
+def test_commands_operate_nodes_that_were_started_by_hand_and_logs_say_what_happens(
+    start_node, seft, seft_json
+):
+    assert "no supervisor is in ROS domain" in seft("start", status=1).stderr
+    nodes = {"supervisor": start_node("supervisor", "rig:pace:=lockstep")}
+    assert seft("status", status=0).stdout.startswith("idle: waiting for node ground_motion, ")
+    assert "can't start: the test is idle (waiting for" in seft("start", status=1).stderr
+    overrides = (*SHORT, "rig:pace:=lockstep")
+    nodes |= {node: start_node(node, *overrides) for node in MODULES if node != "supervisor"}
+    wait_for(lambda: seft_json("status")["state"] == "ready", "ready")
+    assert seft("start", status=0).stdout == "the test is running\n"
+    wait_for(lambda: seft_json("status")["state"] == "done", "done")
+    found = seft_json("status")
+    assert (found["detail"], found["steps"]) == ("851 steps done", 851)
+    assert seft("reset", status=0).stdout == "idle\n"
+    assert seft("stop", "--at-once", status=0).stdout.startswith("aborted by the operator")
+    assert seft("status", status=1).stdout == "tripped: aborted by the operator\n"
+    for node in nodes.values():
+        node.send_signal(signal.SIGINT)
+    logs = {name: node.communicate(timeout=PATIENCE)[1] for name, node in nodes.items()}
+    wanted = ("idle: waiting for node ", "ready: start with ", "running", "done: 851 steps done")
+    wanted += ("tripped: aborted by the operator",)
+    places = [logs["supervisor"].find(text) for text in wanted]
+    assert -1 not in places and places == sorted(places), logs["supervisor"]
+    assert "finished: 851 steps, 0 missed" in logs["rig"]
+    assert "saved bags/seft_" in logs["recorder"] or "saved /" in logs["recorder"]
+    assert all("[INFO]" in log and "started; " in log for log in logs.values()), logs
+
+
+@pytest.mark.parametrize("node", sorted(MODULES))
+def test_a_node_explains_itself_within_80_columns(start, node):
+    words, _ = start(MODULES[node], "--help").communicate(timeout=PATIENCE)
+    assert f"{node} --ros-args --params-file config/demo.yaml" in words
+    assert "ros2 run seft_" in words and "\n  rate: 500.0 Hz\n" in words
+    assert max(map(len, words.splitlines())) <= 100
+
+
 def test_the_supervisor_names_what_is_missing_and_refuses_to_start(start_node, observer):
     for node in ("supervisor", "ground_motion", "reference_force", "rig"):
         start_node(node)

@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from textwrap import fill, indent
 from typing import Any
 
 from seft_msgs_py.config.parameter_table import Table
@@ -76,8 +77,27 @@ class NodeKind:
     make: Callable[[NodeShell], NodeBody]
 
     def main(self) -> int:
-        """Run this node in this process; return the exit status."""
+        """Run this node in this process, or print its help; return the exit status."""
+        if {"-h", "--help"} & {*sys.argv[1:]}:
+            print(self.help())
+            return 0
         return run_nodes(self)
+
+    def help(self) -> str:
+        """Say what the node does, how it is started, and what parameters it has; 80 columns."""
+        node, module = self.table.node, sys.modules[self.make.__module__]
+        package = (module.__spec__.name if module.__spec__ else module.__name__).split(".")[0]
+        usage = "[--ros-args [--params-file FILE] [-p NAME:=VALUE] [-r __ns:=/RIG]]"
+        lines = [
+            (module.__doc__ or "").strip().replace("``", ""),
+            f"usage: {node} {usage}",
+            f"example: ros2 run {package} {node} --ros-args --params-file config/demo.yaml",
+            "parameters, with their defaults and units:",
+        ]
+        for row in self.table.rows.values():
+            default = "required" if row.default is None else f"{row.default!r} {row.unit}".strip()
+            lines.append(f"  {row.name}: {default}\n{indent(fill(row.description, 74), 6 * " ")}")
+        return "\n\n".join(lines[:4]) + "\n\n" + "\n".join(lines[4:])
 
 
 def run_nodes(*kinds: NodeKind) -> int:

@@ -92,6 +92,7 @@ class NodeShell:
         self._polled_at = self._polled_senders_at = 0.0
         self._status = Status(self.name, 0, "starting", values={})
         self._status_sent: tuple[float, Status | None] = (0.0, None)
+        self._logged = ""  # the phase that the log has
         self._status_message = bytearray()
         self._diagnostics = self.publisher(DIAGNOSTICS)
         self._description = self.publisher(DESCRIPTION)
@@ -162,6 +163,7 @@ class NodeShell:
                 self.node.get_logger().warning(denied)
             self._facts["realtime"] = realtime.granted()
         self._describe()
+        self.node.get_logger().info("started; the supervisor starts and ends tests")
         self._process.now_and_then(self._renew_status)
 
     def spin_once(self, timeout: float = IDLE_WAIT) -> bool:
@@ -277,8 +279,17 @@ class NodeShell:
         elif now - self._polled_at >= STATUS_PERIOD:
             self._polled_at = now
             self._update({**self.matched(), **self._own_values()})
+            self._log_phase()
             if self._status != sent or is_due:
                 self._publish_status()
+
+    def _log_phase(self) -> None:
+        """Log the phase of an idle node if it is a new one: a line takes a millisecond."""
+        phase, text = self._status.values.get("phase", ""), self._status.message
+        if phase != self._logged:
+            self._logged = phase
+            bag = f" {self._status.values['bag']}" if "bag" in self._status.values else ""
+            self.node.get_logger().info((text if phase in text else f"{phase}: {text}") + bag)
 
     def _describe(self) -> None:
         """Publish the node's parameters, at its start and when one was set."""

@@ -11,6 +11,7 @@ from seft_msgs_py.node.shutdown import as_before, on_ending
 from seft_ros.cli.bag_commands import compare, recover, replay, report
 from seft_ros.cli.design_commands import design, preflight
 from seft_ros.cli.identify import identify
+from seft_ros.cli.operate import reset, start, status, stop
 from seft_ros.cli.options import complain
 from seft_ros.cli.perform import run, simulate
 from seft_ros.cli.rig_commands import conform, link
@@ -28,7 +29,22 @@ APP = typer.Typer(
     rich_markup_mode=None,
 )
 for command in (
-    *(run, simulate, report, compare, replay, motion, recover, identify, design, tournament),
+    *(
+        run,
+        simulate,
+        start,
+        stop,
+        reset,
+        status,
+        report,
+        compare,
+        replay,
+        motion,
+        recover,
+        identify,
+        design,
+        tournament,
+    ),
     *(preflight, link, conform, monitor, paper, parameters),
 ):
     APP.command()(command)

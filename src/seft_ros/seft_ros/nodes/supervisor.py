@@ -87,6 +87,7 @@ class SupervisorNode(NodeBody):
         self._silent: list[str] | None = None  # nodes silent before a trip, once known
         self._lost: set[str] = set()  # nodes that have fallen silent in this test
         self._published: Status | None = None
+        self._logged = ""  # the last line of the log
         self._message = b""
         self._published_at = self._polled_graph_at = self._reported_at = self._now - AGES_PERIOD
         shell.subscribe(DIAGNOSTICS, self._on_diagnostics)
@@ -251,6 +252,20 @@ class SupervisorNode(NodeBody):
             return
         self._published_at = self._now
         self._publish(self._message)
+        self._log(level)
+
+    def _log(self, level: int) -> None:
+        """Log the state if it is a new one; a line of the program may have one level only."""
+        line, log = self._machine.log_line, self._shell.node.get_logger()
+        if line == self._logged:
+            return
+        self._logged = line
+        if level == OK:
+            log.info(line)
+        elif level == WARN:
+            log.warning(line)
+        else:
+            log.error(line)
 
     def _on_diagnostics(self, raw: bytes, _: int) -> None:
         for status in decode_diagnostics(raw)[1]:

@@ -83,7 +83,7 @@ class NodeProcesses:
             raise
 
     def ended(self) -> dict[str, str]:
-        """Nodes whose process has ended: how it ended, with the last line it wrote."""
+        """Nodes whose process has ended: how it ended, with the last line it wrote about it."""
         found = {}
         for node, process in self._processes.items():
             code = process.poll()
@@ -164,8 +164,9 @@ class NodeProcesses:
         return process
 
     def _last_line(self, node: str) -> str:
-        text = self._logs_of[node].read_text(errors="replace").strip()
-        return text.splitlines()[-1] if text else "it wrote nothing"
+        lines = self._logs_of[node].read_text(errors="replace").strip().splitlines()
+        problems = [line for line in lines if not line.startswith("[INFO]")]
+        return problems[-1] if problems else "it wrote nothing about it"
 
 
 def _end_with_parent() -> None:

@@ -56,6 +56,14 @@ class StateMachine:
         self.step: int | None = None
         self._then = State.DONE  # what the ramp leads to
 
+    @property
+    def log_line(self) -> str:
+        """The state and its reason, for people who read a log."""
+        name, at = self.state.replace("_", " "), "" if self.step is None else f" (step {self.step})"
+        if self.state is State.READY:
+            return "ready: start with seft start, or ros2 service call /start std_srvs/srv/Trigger"
+        return name if self.detail == name else f"{name}: {self.detail}{at}"
+
     def peers(self, waiting_for: str) -> None:
         """Set what the graph still lacks; empty if it is complete."""
         if self.state in (State.IDLE, State.READY):
