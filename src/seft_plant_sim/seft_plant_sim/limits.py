@@ -1,54 +1,13 @@
 """Limits of a test, checked on every sample, and how near it came to them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from seft_msgs_py.config.arrays import Floats, Ints
-from seft_msgs_py.config.parameter_table import Parameter, parameter_rows
 
 from seft_plant_sim.compiled import compiled
-
-# Rates are of one sample to the next. Tests of config/jhu.yaml and config/demo.yaml that go well
-# reach 0.48, 26, 3e3 and 1.4e5; with valve and accelerometer driven into saturation 0.48, 51, 1.5e4
-# and 6.5e5. An accelerometer's full range of 4 g at the oil column's 90 Hz is 2.2e4.
-_OF_THE_PAPER = {
-    "displacement": (0.076, "m"),
-    "velocity": (0.5, "m/s"),
-    "acceleration": (98.1, "m/s^2"),
-    "force": (22200.0, "N"),
-    "displacement_rate": (3.0, "m/s"),
-    "velocity_rate": (300.0, "m/s^2"),
-    "acceleration_rate": (3e4, "m/s^3"),
-    "force_rate": (3e6, "N/s"),
-}
-ROWS = tuple(_OF_THE_PAPER)
-NAMES = ROWS[:4]
-UNITS = tuple(unit for _, unit in _OF_THE_PAPER.values())
-
-
-def limit_rows(default_from: str = "") -> list[Parameter]:
-    """Rows ``limits.*`` of a parameter table; defaults are a node's, or suit the paper's rig."""
-    largest = "largest {} on any axis; beyond it the test trips"
-    change = (
-        "largest change of the measured {} from one sample to the next, per second; beyond it, as "
-        "when a sensor or its cable breaks, the test trips"
-    )
-    rows = []
-    for name, (default, unit) in _OF_THE_PAPER.items():
-        text = (largest if name in NAMES else change).format(name.removesuffix("_rate"))
-        rows.append(Parameter(f"limits.{name}", "float", default, text, unit, positive=True))
-    rows += parameter_rows(
-        """
-        saturated_time | float | 0.05 | s | 0 .. | longest time within one second that sensors may
-            be at the end of their range; a test that is blind for longer trips
-        """,
-        "limits",
-    )
-    if not default_from:
-        return rows
-    return [replace(row, default_from=f"{default_from}:{row.name}") for row in rows]
+from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_ROWS, LIMIT_UNITS
 
 
 @compiled
@@ -88,8 +47,8 @@ class Limits:
     def __init__(self, limits: Mapping[str, Any], axes: Sequence[str], dt: float) -> None:
         self._axes = tuple(axes)
         self._dt = dt
-        values = [limits[name] for name in NAMES]
-        values += [limits.get(f"{name}_rate", np.inf) * dt for name in NAMES]
+        values = [limits[name] for name in LIMIT_NAMES]
+        values += [limits.get(f"{name}_rate", np.inf) * dt for name in LIMIT_NAMES]
         self.values = np.array(values, dtype=np.float64)
         self.largest = np.zeros(8)
         self._last: Floats | None = None
@@ -112,8 +71,8 @@ class Limits:
         """Say in one line which limit a sample or its change breaks; both have shape (4, n)."""
         found = np.vstack([measured, change])
         row, column = np.argwhere(~(np.abs(found) <= self.values[:, np.newaxis]))[0]
-        per = self._dt if row >= len(NAMES) else 1.0
-        name, unit = ROWS[row].replace("_", " "), UNITS[row]
+        per = self._dt if row >= len(LIMIT_NAMES) else 1.0
+        name, unit = LIMIT_ROWS[row].replace("_", " "), LIMIT_UNITS[row]
         return (
             f"{name} {found[row, column] / per:.5g} {unit} on axis {self._axes[column]} "
             f"is beyond the limit of {self.values[row] / per:g} {unit}"
@@ -121,7 +80,7 @@ class Limits:
 
     def margins(self) -> dict[str, float]:
         """Smallest distance to each limit since the reset, over the limit; 0 and below: broken."""
-        return dict(zip(ROWS, (1.0 - self.largest / self.values).tolist(), strict=True))
+        return dict(zip(LIMIT_ROWS, (1.0 - self.largest / self.values).tolist(), strict=True))
 
 
 @compiled

@@ -1,10 +1,59 @@
 """Parameter table of the rig."""
 
+from dataclasses import replace
+
 from seft_msgs_py.config.parameter_table import Parameter, Table, parameter_rows
+from seft_msgs_py.config.registered import Registered
 from seft_msgs_py.node import realtime
 
-from seft_plant_sim.limits import limit_rows
-from seft_plant_sim.springs import KINDS
+OWN = ("linear", "bilinear", "bouc_wen", "pinching", "flag", "friction", "gap", "duffing")
+KINDS = Registered("seft.restoring_force", OWN)
+"""Of other packages: a kind -> what makes a `seft_plant_sim.springs.HystereticSpring`.
+
+It is given elastic stiffness in N/m, yield displacement in m, and hardening ratio, and may take
+settings.
+"""
+
+# Rates are of one sample to the next. Tests of config/jhu.yaml and config/demo.yaml that go well
+# reach 0.48, 26, 3e3 and 1.4e5; with valve and accelerometer driven into saturation 0.48, 51, 1.5e4
+# and 6.5e5. An accelerometer's full range of 4 g at the oil column's 90 Hz is 2.2e4.
+_OF_THE_PAPER = {
+    "displacement": (0.076, "m"),
+    "velocity": (0.5, "m/s"),
+    "acceleration": (98.1, "m/s^2"),
+    "force": (22200.0, "N"),
+    "displacement_rate": (3.0, "m/s"),
+    "velocity_rate": (300.0, "m/s^2"),
+    "acceleration_rate": (3e4, "m/s^3"),
+    "force_rate": (3e6, "N/s"),
+}
+LIMIT_ROWS = tuple(_OF_THE_PAPER)
+LIMIT_NAMES = LIMIT_ROWS[:4]
+LIMIT_UNITS = tuple(unit for _, unit in _OF_THE_PAPER.values())
+
+
+def limit_rows(default_from: str = "") -> list[Parameter]:
+    """Rows ``limits.*`` of a parameter table; defaults are a node's, or suit the paper's rig."""
+    largest = "largest {} on any axis; beyond it the test trips"
+    change = (
+        "largest change of the measured {} from one sample to the next, per second; beyond it, as "
+        "when a sensor or its cable breaks, the test trips"
+    )
+    rows = []
+    for name, (default, unit) in _OF_THE_PAPER.items():
+        text = (largest if name in LIMIT_NAMES else change).format(name.removesuffix("_rate"))
+        rows.append(Parameter(f"limits.{name}", "float", default, text, unit, positive=True))
+    rows += parameter_rows(
+        """
+        saturated_time | float | 0.05 | s | 0 .. | longest time within one second that sensors may
+            be at the end of their range; a test that is blind for longer trips
+        """,
+        "limits",
+    )
+    if not default_from:
+        return rows
+    return [replace(row, default_from=f"{default_from}:{row.name}") for row in rows]
+
 
 PACE = parameter_rows(
     """

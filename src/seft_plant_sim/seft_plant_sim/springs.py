@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.config.arrays import Floats
 from seft_msgs_py.config.parameter_table import group
-from seft_msgs_py.config.registered import Registered
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim import spring_laws
+from seft_plant_sim.rig_parameters import KINDS
 from seft_plant_sim.spring_laws import (
     BOUC_WEN,
     DUFFING,
@@ -187,13 +187,6 @@ class _Called:
             return math.nan
 
 
-OWN = ("linear", "bilinear", "bouc_wen", "pinching", "flag", "friction", "gap", "duffing")
-KINDS = Registered("seft.restoring_force", OWN)
-"""Of other packages: a kind -> what makes a `HystereticSpring`.
-
-It is given elastic stiffness in N/m, yield displacement in m, and hardening ratio, and may take
-settings.
-"""
 _BOUC_WEN = ("exponent", "beta", "gamma", "amplitude_loss", "strength_loss", "stiffness_loss")
 
 

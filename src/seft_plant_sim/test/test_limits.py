@@ -6,15 +6,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.config.parameter_table import Table
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.limits import (
-    NAMES,
-    ROWS,
-    Limits,
-    SaturatedTime,
-    exceeds,
-    is_exceeded,
-    limit_rows,
-)
+from seft_plant_sim.limits import Limits, SaturatedTime, exceeds, is_exceeded
+from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_ROWS, limit_rows
 
 PAPER = {"displacement": 0.076, "velocity": 0.5, "acceleration": 98.1, "force": 22200.0}
 RATES = {
@@ -57,11 +50,11 @@ def state_with(row, column, value):
 @pytest.mark.parametrize("column", range(2))
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_each_quantity_on_each_axis_has_its_limit(row, column, sign):
-    limits, limit = Judge(PAPER, AXES, DT), PAPER[NAMES[row]]
+    limits, limit = Judge(PAPER, AXES, DT), PAPER[LIMIT_NAMES[row]]
     assert limits.violation(state_with(row, column, sign * limit)) is None
     beyond = sign * math.nextafter(limit, math.inf)
     assert limits.violation(state_with(row, column, beyond)) == (
-        f"{NAMES[row]} {beyond:.5g} {UNITS[row]} on axis {AXES[column]} "
+        f"{LIMIT_NAMES[row]} {beyond:.5g} {UNITS[row]} on axis {AXES[column]} "
         f"is beyond the limit of {limit:g} {UNITS[row]}"
     )
 
@@ -70,7 +63,7 @@ def test_each_quantity_on_each_axis_has_its_limit(row, column, sign):
 @pytest.mark.parametrize("row", range(4))
 def test_what_is_no_number_breaks_every_limit(row, value):
     for column in range(2):
-        assert f"{NAMES[row]} {value}" in Judge(PAPER, AXES, DT).violation(
+        assert f"{LIMIT_NAMES[row]} {value}" in Judge(PAPER, AXES, DT).violation(
             state_with(row, column, value)
         )
 
@@ -88,7 +81,7 @@ def test_the_first_that_is_broken_is_told():
 @settings(suppress_health_check=[HealthCheck.too_slow])  # of a busy machine
 @given(st.data(), st.integers(1, 4))
 def test_there_is_a_violation_if_and_only_if_a_value_is_beyond_its_limit(data, axes):
-    limits = [data.draw(st.floats(1e-9, 1e9)) for _ in NAMES]
+    limits = [data.draw(st.floats(1e-9, 1e9)) for _ in LIMIT_NAMES]
     rows = []
     for limit in limits:
         near = [limit, math.nextafter(limit, 0), math.nextafter(limit, math.inf), 0.0, -0.0]
@@ -99,14 +92,14 @@ def test_there_is_a_violation_if_and_only_if_a_value_is_beyond_its_limit(data, a
     within = all(abs(v) <= limit for row, limit in zip(rows, limits, strict=True) for v in row)
     names = [f"axis {index}" for index in range(axes)]
     with np.errstate(over="ignore"):
-        judge = Judge(dict(zip(NAMES, limits, strict=True)), names, DT)
+        judge = Judge(dict(zip(LIMIT_NAMES, limits, strict=True)), names, DT)
         verdict = judge.violation(np.array(rows))
     assert (verdict is None) == within
 
 
 @given(st.floats(1e-9, 1e9), st.sampled_from(range(4)))
 def test_the_least_excess_alone_is_a_violation(limit, row):
-    limits = Judge(dict.fromkeys(NAMES, limit), AXES, DT)
+    limits = Judge(dict.fromkeys(LIMIT_NAMES, limit), AXES, DT)
     assert limits.violation(state_with(row, 1, limit)) is None
     assert limits.violation(state_with(row, 1, -math.nextafter(limit, math.inf))) is not None
 
@@ -114,13 +107,13 @@ def test_the_least_excess_alone_is_a_violation(limit, row):
 @pytest.mark.parametrize("row", range(4))
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_each_quantity_has_a_largest_change_from_sample_to_sample(row, sign):
-    far = dict.fromkeys(NAMES, 1e9)
-    limits, rate = Judge(far | RATES, AXES, DT), RATES[f"{NAMES[row]}_rate"]
+    far = dict.fromkeys(LIMIT_NAMES, 1e9)
+    limits, rate = Judge(far | RATES, AXES, DT), RATES[f"{LIMIT_NAMES[row]}_rate"]
     assert limits.violation(state_with(row, 1, 1e8)) is None  # of a first sample there is none
     assert limits.violation(state_with(row, 1, 1e8 + 0.999 * sign * rate * DT)) is None
     beyond = state_with(row, 1, 1e8 + 2.1 * sign * rate * DT)
     told = limits.violation(beyond)
-    assert told.startswith(f"{NAMES[row]} rate {sign * 1.101 * rate:.5g}")
+    assert told.startswith(f"{LIMIT_NAMES[row]} rate {sign * 1.101 * rate:.5g}")
     assert told.endswith(
         f"{RATE_UNITS[row]} on axis north is beyond the limit of {rate:g} {RATE_UNITS[row]}"
     )
@@ -144,14 +137,14 @@ def test_margins_are_the_smallest_since_the_reset():
     assert margins["force"] == pytest.approx(0.8)
     assert margins["force_rate"] == pytest.approx(1 - 0.3 * 22200 / (3e6 * DT))
     assert margins["displacement"] == margins["velocity_rate"] == 1.0
-    assert list(margins) == list(ROWS)
+    assert list(margins) == list(LIMIT_ROWS)
     limits.reset()
     assert set(limits.margins().values()) == {1.0}
 
 
 def test_limits_of_another_node_stand_in():
     rows = limit_rows("supervisor")
-    names = [*ROWS, "saturated_time"]
+    names = [*LIMIT_ROWS, "saturated_time"]
     assert [row.default_from for row in rows] == [f"supervisor:limits.{name}" for name in names]
     assert [row.default_from for row in limit_rows()] == [""] * 9
     assert [row.default for row in rows] == [*PAPER.values(), *RATES.values(), 0.05]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
-from seft_plant_sim.limits import ROWS
+from seft_plant_sim.rig_parameters import LIMIT_ROWS
 from seft_ros.analysis.summary import balance_of, energy_numbers, summarise
 from seft_ros.bags.bag_reader import read_bag
 from seft_ros.bags.record import Series
@@ -91,7 +91,7 @@ def test_a_record_of_a_specimen_that_is_not_known_has_no_energy():
 def test_a_test_that_went_unstable_is_json_still():
     record = run(
         "reference_force:mass_ratio:=3.0",
-        *(f"supervisor:limits.{name}:=1e300" for name in ROWS),
+        *(f"supervisor:limits.{name}:=1e300" for name in LIMIT_ROWS),
         "supervisor:limits.saturated_time:=1e6",
         "rig:actuator.kind:=ideal",
     )

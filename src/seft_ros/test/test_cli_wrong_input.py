@@ -1,6 +1,7 @@
 """Wrong input is told in one line on stderr, with exit status 2; results are the only stdout."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -209,3 +210,12 @@ def test_help_is_a_result(seft, words):
     status, out, err = seft(*words)
     assert (status, err) == (0, "")
     assert "seft" in out
+
+
+def test_help_and_wrong_input_load_no_large_library():
+    large = {"numba", "scipy", "matplotlib", "bokeh", "rclpy"}
+    code = f"import sys, seft_ros.cli.main; print(*{large} & set(sys.modules))"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []

@@ -10,11 +10,11 @@ from scipy.optimize import brentq
 from scipy.signal import ss2tf
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.limits import ROWS
 from seft_plant_sim.rig import (
     Rig,
     continuous_model,
 )
+from seft_plant_sim.rig_parameters import LIMIT_ROWS
 from seft_ros.design.closed_loop import ClosedLoop
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import critical_mass_ratio
@@ -39,7 +39,7 @@ COUPLED = {
     "specimen.stiffness": [2.0e5, -3.0e4, -3.0e4, 2.4e5],
 }
 LINEAR = [name for name in METHODS if name != "target_motion"]  # test_design_frozen_methods.py
-WIDE = {f"limits.{name}": 1e9 for name in ROWS}
+WIDE = {f"limits.{name}": 1e9 for name in LIMIT_ROWS}
 
 
 def delayed(delay):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.limits import ROWS
 from seft_plant_sim.rig import Rig
+from seft_plant_sim.rig_parameters import LIMIT_ROWS
 from seft_ros.design.closed_loop import frozen_target
 from seft_ros.design.plan import Plan
 from seft_ros.design.preflight_tables import summarise
@@ -26,7 +26,7 @@ DEMO = Path(__file__).parents[3] / "config" / "demo.yaml"
 K, OIL = 2.11e5, 1.664e7
 QUIET = {f"sensors.{name}_noise": 0.0 for name in ("position", "velocity", "acceleration", "force")}
 BASE = {
-    "rig": {f"limits.{name}": 1e12 for name in ROWS}
+    "rig": {f"limits.{name}": 1e12 for name in LIMIT_ROWS}
     | {
         "actuator.kind": "servo_hydraulic_linear",
         "actuator.oil_column_frequency": 0.0,

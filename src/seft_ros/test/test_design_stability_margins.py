@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment
-from seft_plant_sim.limits import ROWS
+from seft_plant_sim.rig_parameters import LIMIT_ROWS
 from seft_ros.design.plan import Plan
 from seft_ros.design.preflight_tables import summarise
 from seft_ros.design.stability_margins import (
@@ -20,7 +20,7 @@ from seft_ros.test_run.parameter_tables import TABLES
 
 M, C, K = 52.7, 800.3, 2.11e5
 OF_FORCES = [name for name in METHODS if name != "target_motion"]  # test_design_frozen_methods.py
-WIDE = {f"limits.{name}": 1e12 for name in ROWS}
+WIDE = {f"limits.{name}": 1e12 for name in LIMIT_ROWS}
 BASE = {
     "/**": {"rate": 500.0, "axes": ["x"]},
     "ground_motion": {"synthetic.duration": 0.5, "synthetic.rise": 0.1, "tail": 7.5},

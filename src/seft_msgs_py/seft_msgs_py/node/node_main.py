@@ -96,7 +96,7 @@ class NodeKind:
         ]
         for row in self.table.rows.values():
             default = "required" if row.default is None else f"{row.default!r} {row.unit}".strip()
-            lines.append(f"  {row.name}: {default}\n{indent(fill(row.description, 74), 6 * " ")}")
+            lines.append(f"  {row.name}: {default}\n{indent(fill(row.description, 74), 6 * ' ')}")
         return "\n\n".join(lines[:4]) + "\n\n" + "\n".join(lines[4:])
 
 

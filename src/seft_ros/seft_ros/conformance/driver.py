@@ -20,7 +20,7 @@ from seft_msgs_py.wire.topics import (
     LoopTopic,
 )
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
-from seft_plant_sim.limits import NAMES, UNITS
+from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_UNITS
 
 from seft_ros.test_run.player import Player
 from seft_ros.test_run.processes import NodeProcesses
@@ -102,7 +102,7 @@ class Guard:
 
     def __init__(self, experiment: Experiment, travel: float, force: float) -> None:
         supervisor = experiment["supervisor"]
-        self._limits: list[float] = [supervisor[f"limits.{name}"] for name in NAMES]
+        self._limits: list[float] = [supervisor[f"limits.{name}"] for name in LIMIT_NAMES]
         self._dt, self._travel, self._force = experiment.timebase.dt, travel, force
         self.reset()
 
@@ -115,7 +115,9 @@ class Guard:
         """Take a sample, shape (4, n); say why the test must be aborted; empty if it need not."""
         way = float(np.abs(self._moved).max())
         worst = np.abs(sample).max(axis=1).tolist()
-        for name, unit, value, limit in zip(NAMES, UNITS, worst, self._limits, strict=False):
+        for name, unit, value, limit in zip(
+            LIMIT_NAMES, LIMIT_UNITS, worst, self._limits, strict=False
+        ):
             if not value <= limit:
                 return (
                     f"{name} reads {value:.4g} {unit}, beyond the limit of {limit:g} {unit}; "

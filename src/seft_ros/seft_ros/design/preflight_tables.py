@@ -10,10 +10,7 @@ from rich.table import Table
 from seft_msgs_py.config.experiment import Experiment, write_parameter_file
 from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.limits import (
-    NAMES,
-    UNITS,
-)
+from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_UNITS
 from seft_plant_sim.whole_structure import reference_response
 
 from seft_ros.design.closed_loop import growth_rate
@@ -67,7 +64,7 @@ def limits_table(experiment: Experiment, peaks: dict[str, float]) -> Table:
     """Tabulate expected peaks, the limits of the test, and limits that fit."""
     rows = [
         [name, unit, f"{peaks[name]:.3g}", f"{_limit(experiment, name):g}", f"{limit:g}"]
-        for (name, limit), unit in zip(proposed_limits(peaks).items(), UNITS, strict=False)
+        for (name, limit), unit in zip(proposed_limits(peaks).items(), LIMIT_UNITS, strict=False)
     ]
     headings = ("", "", "expected peak", "limit", "proposed limit")
     return make_table(headings, rows, title="limits", **_LEFT)
@@ -196,7 +193,7 @@ def expected_peaks(experiment: Experiment) -> dict[str, float]:
     section, timebase = experiment["ground_motion"], experiment.timebase
     motion = GroundMotion.from_parameters(section, experiment.axes, timebase).samples
     exact = reference_response(experiment, motion)
-    return {name: float(np.abs(getattr(exact, name)).max()) for name in NAMES}
+    return {name: float(np.abs(getattr(exact, name)).max()) for name in LIMIT_NAMES}
 
 
 def proposed_limits(peaks: dict[str, float]) -> dict[str, float]:
@@ -212,7 +209,7 @@ def limit_warning(experiment: Experiment, peaks: dict[str, float]) -> str:
     """Name the limits that are far beyond the expected peaks; empty if none is."""
     far = [
         f"{name} {_limit(experiment, name):g} {unit} (expected: {peak:.3g})"
-        for (name, peak), unit in zip(peaks.items(), UNITS, strict=False)
+        for (name, peak), unit in zip(peaks.items(), LIMIT_UNITS, strict=False)
         if _limit(experiment, name) > FAR * peak > 0.0
     ]
     if not far:

@@ -12,8 +12,8 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RIG_STATE
-from seft_plant_sim.limits import NAMES
 from seft_plant_sim.rig import Rig
+from seft_plant_sim.rig_parameters import LIMIT_NAMES
 
 from seft_ros.bags.record import Record
 from seft_ros.force_controller.kinds import one_controller
@@ -72,7 +72,7 @@ def voltage_after(pilot: Record, voltage: float) -> float:
     """
     states = pilot.series[RIG_STATE.name].values
     limits = group(pilot.experiment["supervisor"], "limits")
-    largest = np.abs(states).max(axis=(0, 2)) / [limits[name] for name in NAMES]
+    largest = np.abs(states).max(axis=(0, 2)) / [limits[name] for name in LIMIT_NAMES]
     most = _LARGEST_SHARE * pilot.experiment["force_controller"]["voltage_limit"]
     return float(min(voltage * _TARGET / max(largest), most))
 

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from seft_msgs_py.config.arrays import mass_matrix, per_axis, symmetric_matrix
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.limits import NAMES
+from seft_plant_sim.rig_parameters import LIMIT_NAMES
 from seft_plant_sim.sensors import CHANNELS
 
 from seft_ros.force_controller.valve_model import valve_models
@@ -81,7 +81,7 @@ def detectors_of(
     ranges = [f"detectors.{channel}_range" for channel in CHANNELS]
     return detector_arrays(
         np.array([per_axis(section[n], axes, WHERE + n)[own] for n in noise]),
-        np.array([section[f"limits.{name}"] for name in NAMES]),
+        np.array([section[f"limits.{name}"] for name in LIMIT_NAMES]),
         np.array([per_axis(section[n], axes, WHERE + n)[own] for n in ranges]),
         section["noise.velocity_source"] == "derived",
         np.transpose([actuator[name] for name in ACTUATOR]),

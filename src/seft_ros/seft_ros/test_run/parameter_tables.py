@@ -4,8 +4,8 @@ from dataclasses import replace
 
 from seft_msgs_py.config.parameter_table import Parameter, Table, parameter_rows
 from seft_msgs_py.wire.topics import NODES
-from seft_plant_sim.limits import limit_rows
 from seft_plant_sim.rig_parameters import TABLE as RIG
+from seft_plant_sim.rig_parameters import limit_rows
 
 from seft_ros.force_controller.parameters import TABLE as FORCE_CONTROLLER
 from seft_ros.ground_motion.ground_motion_block import TABLE as GROUND_MOTION
