@@ -15,7 +15,7 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "numpydoc", "sphinxcontrib.me
 # The source is the repository's folder, so that links lead where they lead on GitHub.
 root_doc = "docs/index"
 include_patterns = ["README.md", "CHANGELOG.md", "docs/*.md"]
-exclude_patterns = [".*", "bags", "build", "src", "templates", "tests"]
+exclude_patterns = [".*", "bags", "build", "src", "tests"]
 nitpicky = True
 
 myst_enable_extensions = ["amsmath", "dollarmath"]

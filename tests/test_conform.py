@@ -6,9 +6,10 @@ import os
 import pytest
 from graph_tools import JHU, ROOT, thorough, wait_for
 from seft_msgs_py.node.middleware import is_running
+from seft_ros.cli.new import TEMPLATES
 
 pytestmark = pytest.mark.alone
-TEMPLATE = ROOT / "templates" / "rig_driver"
+TEMPLATE = TEMPLATES / "rig_driver"
 PATIENT = (
     *("-p", "rate:=250.0"),
     *("-p", "supervisor:watchdog.command_timeout:=1.0"),

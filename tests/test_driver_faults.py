@@ -6,11 +6,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from graph_tools import ROOT
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import RigAxes
+from seft_ros.cli.new import TEMPLATES
 
-TEMPLATE = ROOT / "templates" / "rig_driver"
+TEMPLATE = TEMPLATES / "rig_driver"
 
 
 class Hardware:

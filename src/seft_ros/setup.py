@@ -32,7 +32,15 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.12",
     packages=find_packages(exclude=["test"]),
-    package_data={NAME: ["py.typed", "drawing/templates/*", "monitor/assets/*", "paper/*.yaml"]},
+    package_data={
+        NAME: [
+            "py.typed",
+            "drawing/templates/*",
+            "cli/templates/**/*",
+            "monitor/assets/*",
+            "paper/*.yaml",
+        ]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

@@ -11,6 +11,7 @@ from seft_msgs_py.node.shutdown import as_before, on_ending
 from seft_ros.cli.bag_commands import compare, recover, replay, report
 from seft_ros.cli.design_commands import design, preflight
 from seft_ros.cli.identify import identify
+from seft_ros.cli.new import new
 from seft_ros.cli.operate import reset, start, status, stop
 from seft_ros.cli.options import complain
 from seft_ros.cli.perform import run, simulate
@@ -45,7 +46,7 @@ for command in (
         design,
         tournament,
     ),
-    *(preflight, link, conform, monitor, paper, parameters),
+    *(preflight, link, conform, new, monitor, paper, parameters),
 ):
     APP.command()(command)
 

@@ -2,7 +2,7 @@
 
 from seft_msgs_py.config.parameter_table import Parameter, Table
 from seft_msgs_py.node import realtime
-from seft_plant_sim.limits import limit_rows
+from seft_plant_sim.rig_parameters import limit_rows
 
 from rig_driver.calibration import PARAMETERS as CALIBRATION
 
