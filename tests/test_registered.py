@@ -23,6 +23,36 @@ def half(knowledge, share=0.25):
     return LinearCompensator(LinearFilter.of_gains(measured, -knowledge.total_mass))
 
 
+class Bare:
+    """The paper's equation, and a count that a new test must begin anew."""
+
+    def __init__(self, knowledge):
+        self._known, self._steps = knowledge, 0
+
+    def step(self, ground_motion, state):
+        self._steps += 1
+        known = self._known
+        inertia = known.total_mass @ ground_motion[0] + known.computed_mass @ state[2]
+        return -inertia * min(self._steps / 500, 1.0)
+
+
+class Stepless:
+    """Knows the test, and does nothing."""
+
+    def __init__(self, knowledge):
+        self.knowledge = knowledge
+
+
+class Shapeless:
+    """One value more than there are axes."""
+
+    def __init__(self, knowledge):
+        self._axes = knowledge.axes
+
+    def step(self, ground_motion, state):
+        return [0.0] * (self._axes + 1)
+
+
 class Damped:
     """Force error through a low pass, and the piston's velocity, which the flow must make up."""
 
@@ -63,7 +93,10 @@ class Pinching(HystereticSpring):
 '''
 REGISTERED = """\
 [seft.compensation]
+bare = theirs:Bare
 half = theirs:half
+shapeless = theirs:Shapeless
+stepless = theirs:Stepless
 lost = theirs:nothing
 [seft.force_control]
 damped = theirs:Damped
@@ -118,6 +151,38 @@ def test_settings_of_what_is_registered_change_the_test(seft_json):
     quarter = seft_json("preflight", *words)["critical_mass_ratio"]
     eighth = ("-p", "reference_force:compensation.settings:=share=0.125")
     assert seft_json("preflight", *words, *eighth)["critical_mass_ratio"] > 1.5 * quarter
+
+
+@pytest.mark.usefixtures("package")
+def test_a_method_of_step_alone_is_simulated_by_preflight_and_runs(seft, seft_json):
+    def bare(ratio):
+        method = ("-p", "reference_force:compensation.method:=bare")
+        return (JHU, *SHORT[:2], *method, "-p", f"reference_force:mass_ratio:={ratio}")
+
+    stable = seft("preflight", *bare(0.4), status=0)
+    assert "bare has no linear(), so the margins of its stability are not known" in stable.stderr
+    assert "done: displacement error" in stable.stdout
+    assert seft_json("preflight", *bare(3.0), status=1)["stable"] is False
+    lockstep = ("-p", "rig:pace:=lockstep", *STALLS_ALLOWED)
+    refused = seft("run", *bare(3.0), *lockstep, "--out", "refused", status=2).stderr
+    assert "the test is unstable in simulation" in refused
+    seft_json("simulate", *bare(0.4), "--out", "simulated")
+    seft("run", *bare(0.4), *lockstep, "--out", "lockstep", status=0)
+    assert seft_json("compare", "simulated", "lockstep")["identical"] is True
+
+
+@pytest.mark.usefixtures("package")
+@pytest.mark.parametrize(
+    ("method", "why"),
+    [
+        ("shapeless", "the force of shapeless has the shape (2,), but must have (1,)"),
+        ("stepless", "stepless has no step(ground_motion, state)"),
+    ],
+)
+def test_what_a_method_lacks_is_told_in_one_line(seft, method, why):
+    words = ("-p", f"reference_force:compensation.method:={method}")
+    (line,) = seft("simulate", JHU, *words, status=2).stderr.strip().splitlines()
+    assert why in line
 
 
 def test_a_method_that_nobody_registered_is_refused(seft):

@@ -18,6 +18,7 @@ from seft_ros.cli.options import (
     Params,
     Plant,
     complain,
+    is_stable_in_simulation,
     late_progress,
     load_experiment,
     option,
@@ -153,6 +154,9 @@ def preflight(
     false damping that the test will show; and sweeps the specimen's local stiffness from 0 to 3
     times the assumed one. Exact where the loop is linear; the table says what that excludes.
 
+    Of a method or controller of your own that has no linear(), the planned test is simulated
+    instead.
+
     The exact response of the planned test gives the peaks to expect, and limits that fit them.
 
     Exit status 1: the plan is unstable.
@@ -182,12 +186,21 @@ def preflight(
     )
     from seft_ros.design.stability_verdict import preflight as fly
     from seft_ros.drawing.style import check_figure, save_figure
+    from seft_ros.reference_force.compensator import NotLinearError
 
     path = check_figure(figure) if figure is not None else None
     experiment = load_experiment(config, param, params_file, external)
-    plan = Plan(experiment, plant)
+    try:
+        plan = Plan(experiment, plant)
+        with late_progress() as tell:
+            found = fly(plan, tell)
+    except NotLinearError as error:
+        if figure is not None:
+            raise InputError(f"{error}; --figure can't draw them") from None
+        if write is not None:
+            write_limits(write, proposed_limits(expected_peaks(experiment)))
+        return 0 if is_stable_in_simulation(experiment, error, as_json=json) else 1
     with late_progress() as tell:
-        found = fly(plan, tell)
         summary = summarise(plan, found)
         peaks = expected_peaks(experiment)
         limits = proposed_limits(peaks)

@@ -179,6 +179,20 @@ def offline_test(experiment: Experiment, bag: Path | None, label: str = "") -> R
     return record
 
 
+def is_stable_in_simulation(
+    experiment: Experiment, why: InputError, *, as_json: bool = False
+) -> bool:
+    """Simulate a test whose stability can't be computed, and show how it went.
+
+    True, with a warning, where no simulated rig belongs to it.
+    """
+    if "rig" not in experiment.sections:
+        complain(f"{why}, and without a simulated rig not its stability either")
+        return True
+    complain(f"{why}; the test is simulated instead")
+    return show_test(offline_test(experiment, None), None, as_json=as_json, figure=False)
+
+
 def dds_test(
     experiment: Experiment,
     bag: Path,

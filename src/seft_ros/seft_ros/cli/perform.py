@@ -17,6 +17,7 @@ from seft_ros.cli.options import (
     check_out,
     complain,
     dds_test,
+    is_stable_in_simulation,
     load_experiment,
     offline_test,
     option,
@@ -176,11 +177,19 @@ def _check_stable(experiment: Experiment, accept_unstable: bool) -> None:
     from seft_ros.design.plan import Plan
     from seft_ros.design.stability_margins import critical_mass_ratio
     from seft_ros.design.stability_verdict import instability
+    from seft_ros.reference_force.compensator import NotLinearError
 
     try:
         plan = Plan(experiment)
         if plan.is_stable():
             return
+    except NotLinearError as error:
+        if not is_stable_in_simulation(experiment, error) and not accept_unstable:
+            raise InputError(
+                "the test is unstable in simulation; see seft simulate, lower reference_force: "
+                "mass_ratio, or run it all the same with --accept-unstable"
+            ) from None
+        return
     except InputError as error:  # what the nodes themselves can't use has been refused before
         complain(f"preflight could not be done: {error}")
         return

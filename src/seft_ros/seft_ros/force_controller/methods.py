@@ -1,5 +1,6 @@
 """Force controllers by the name that a parameter file gives: ours, and those of others."""
 
+from functools import partial
 from typing import Any
 
 from seft_msgs_py.wire.timebase import Timebase
@@ -43,5 +44,7 @@ def force_control(
     if name == VELOCITY_FEEDFORWARD:
         return VelocityFeedforward.from_parameters(section, axes, timebase, own)
     knowledge = ControlKnowledge(len(own.axes), timebase.dt, section["voltage_limit"])
-    made = REGISTERED.make(name, section["settings"], "force_controller: method", knowledge)
-    return RegisteredControl(made, name, knowledge)
+    make = partial(
+        REGISTERED.make, name, section["settings"], "force_controller: method", knowledge
+    )
+    return RegisteredControl(make, name, knowledge)

@@ -1,5 +1,6 @@
 """A force controller of another package, kept within the valve's range."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -7,6 +8,7 @@ import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 
 from seft_ros.force_controller.force_control import ControlKnowledge, LinearControl
+from seft_ros.reference_force.compensator import NotLinearError
 
 Floats = npt.NDArray[np.float64]
 
@@ -16,11 +18,12 @@ class RegisteredControl:
 
     Parameters
     ----------
-    own : object
-        With ``step(reference_force, state)``, the force of shape (n,), in N, and ``reset()`` as of
-        a `ForceControl`; its drive may be beyond the limit. Where it has ``linear()``, preflight
-        knows its stability. Where it has ``limited(drive)``, it is told each drive that was cut
-        off, so that it does not wind up.
+    make : callable
+        Makes the controller: an object with ``step(reference_force, state)``, the force of shape
+        (n,), in N; its drive may be beyond the limit. One without ``reset()`` is made anew for
+        each test. Where it has ``linear()``, preflight knows its margins. Where it has
+        ``limited(drive)``, it is called with each drive that was cut off, so that it does not wind
+        up.
     name : str
         As registered.
     knowledge : ControlKnowledge
@@ -39,22 +42,29 @@ class RegisteredControl:
 
     shape = 1, 1
 
-    def __init__(self, own: Any, name: str, knowledge: ControlKnowledge) -> None:
-        self._own, self._name, self._limit = own, name, knowledge.voltage_limit
+    def __init__(self, make: Callable[[], Any], name: str, knowledge: ControlKnowledge) -> None:
+        self._make, self._name, self._limit = make, name, knowledge.voltage_limit
+        self._own = own = make()
         n = knowledge.axes
+        if not callable(getattr(own, "step", None)):
+            raise InputError(
+                f"force_controller: method: {name} has no step(reference_force, state); "
+                "docs/tutorial.md shows a controller"
+            )
         shape = np.shape(own.step(np.zeros(n), np.zeros((4, n))))
         if shape != (n,):
             raise InputError(
                 f"force_controller: the drive of {name} has the shape {shape}, but must have "
                 f"{(n,)}: one value in V for each axis"
             )
-        own.reset()
-        self._tell = getattr(own, "limited", None)
-        self.limited = False
+        self.reset()
 
     def reset(self) -> None:
         """See `ForceControl.reset`."""
-        self._own.reset()
+        if hasattr(self._own, "reset"):
+            self._own.reset()
+        else:
+            self._own = self._make()
         self.limited = False
 
     def step(self, points: Floats, state: Floats) -> Floats:
@@ -62,16 +72,13 @@ class RegisteredControl:
         wanted: Floats = self._own.step(points[0, -1], state)
         drive = np.clip(wanted, -self._limit, self._limit)
         self.limited = bool((np.abs(drive) >= self._limit).any())
-        if self.limited and self._tell is not None:
-            self._tell(drive)
+        if self.limited and hasattr(self._own, "limited"):
+            self._own.limited(drive)
         return drive
 
     def linear(self) -> LinearControl:
         """See `ForceControl.linear`."""
         if not hasattr(self._own, "linear"):
-            raise InputError(
-                f"force_controller: {self._name} has no linear(), so its stability is not known "
-                "before the test; docs/tutorial.md shows one that has"
-            )
+            raise NotLinearError("force_controller: method", self._name)
         found: LinearControl = self._own.linear()
         return found

@@ -18,6 +18,7 @@ from seft_ros.reference_force.compensator import (
     Compensator,
     Knowledge,
     Method,
+    RegisteredCompensator,
     Signals,
     between_samples,
 )
@@ -240,9 +241,11 @@ def _smith_model(knowledge: Knowledge) -> tuple[Floats, Floats, Floats]:
 
 def _registered(name: str, knowledge: Knowledge) -> Compensator:
     settings = knowledge.options.get("compensation.settings", "")
-    where = "reference_force: compensation.method"
-    made: Compensator = REGISTERED.make(name, settings, where, knowledge)
-    return made
+    make = partial(REGISTERED.make, name, settings, "reference_force: compensation.method")
+    made: Compensator = make(knowledge)
+    if all(hasattr(made, part) for part in ("preview", "reset", "step", "estimates", "linear")):
+        return made
+    return RegisteredCompensator(name, partial(make, knowledge), knowledge.axes)
 
 
 _OWN: tuple[Method, ...] = (

@@ -6,6 +6,7 @@ from typing import Any, Protocol
 
 import numpy as np
 from seft_msgs_py.config.arrays import Floats
+from seft_msgs_py.errors import InputError
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 
 from seft_ros.reference_force.linear_filter import LinearFilter
@@ -114,6 +115,72 @@ def tells_motion(compensator: Compensator) -> bool:
 
 
 Method = Callable[[Knowledge], Compensator]
+
+
+class NotLinearError(InputError):
+    """What another package has registered has no ``linear()``: only a simulation judges it."""
+
+    def __init__(self, where: str, name: str) -> None:
+        super().__init__(
+            f"{where}: {name} has no linear(), so the margins of its stability are not known"
+        )
+
+
+class RegisteredCompensator:
+    """Completes another package's method, of which only ``step`` is required.
+
+    Parameters
+    ----------
+    name : str
+        As registered.
+    make : callable
+        Makes the method. One without ``reset()`` is made anew for each test.
+    axes : int
+        Number of axes n.
+
+    Raises
+    ------
+    InputError
+        If it has no ``step``, or its force has another shape than one value for each axis.
+    """
+
+    def __init__(self, name: str, make: Callable[[], Any], axes: int) -> None:
+        self._name, self._make, self._own = name, make, make()
+        self._where = "reference_force: compensation.method"
+        if not callable(getattr(self._own, "step", None)):
+            raise InputError(
+                f"{self._where}: {name} has no step(ground_motion, state); docs/tutorial.md shows "
+                "a method"
+            )
+        self.preview = int(getattr(self._own, "preview", 0))
+        shape = np.shape(self.step(np.zeros((1 + self.preview, axes)), np.zeros((4, axes))))
+        if shape != (axes,):
+            raise InputError(
+                f"{self._where}: the force of {name} has the shape {shape}, but must have "
+                f"{(axes,)}: one value in N for each axis"
+            )
+        self.reset()
+
+    def reset(self) -> None:
+        """See `Compensator.reset`."""
+        if hasattr(self._own, "reset"):
+            self._own.reset()
+        else:
+            self._own = self._make()
+
+    def step(self, ground_motion: Floats, state: Floats) -> Floats:
+        """See `Compensator.step`."""
+        return np.asarray(self._own.step(ground_motion, state), dtype=np.float64)
+
+    def estimates(self) -> dict[str, Floats]:
+        """See `Compensator.estimates`."""
+        return self._own.estimates() if hasattr(self._own, "estimates") else {}
+
+    def linear(self) -> LinearFilter:
+        """See `Compensator.linear`."""
+        if not hasattr(self._own, "linear"):
+            raise NotLinearError(self._where, self._name)
+        return self._own.linear()
 
 
 def between_samples(steps: float, count: int) -> Floats:
