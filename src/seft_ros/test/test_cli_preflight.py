@@ -22,7 +22,7 @@ KEYS = {
     *("critical_added_delay_s", "delay_crossing_hz", "gain", "sure_delay_s", "sure_gain"),
     *("local_stiffness", "local_stiffness_followed", "told_delay_error_s"),
     *("false_damping_ratio", "frequency_error", "modes", "spectral_radius", "growth_rate"),
-    *("dominant_hz", "states", "expected_peaks", "proposed_limits"),
+    *("dominant_hz", "states", "expected_peaks", "proposed_limits", "next"),
 }
 
 
@@ -71,6 +71,13 @@ def test_for_people_there_is_a_table_and_every_reason_in_a_line(seft):
         assert words in out
     assert err.startswith("seft: marginal: the critical mass ratio 0.933 is less than")
     assert all(line.startswith("seft: marginal: ") for line in err.splitlines())
+
+
+def test_an_unstable_plan_has_no_damping_in_the_test(seft, told):
+    words = (JHU, *DELAY, "-p", f"{RATIO}1.0")
+    status, found = told(*words)
+    assert (status, found["modes"], found["false_damping_ratio"]) == (1, [], None)
+    assert "in the test" not in seft("preflight", *words)[1]
 
 
 def test_the_figure_is_drawn_of_both_maps(seft, tmp_path, monkeypatch):

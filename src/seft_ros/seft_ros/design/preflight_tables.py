@@ -42,7 +42,7 @@ _MODE = (  # of the exact mode, of that in the test, and their difference
 
 
 def preflight_tables(plan: Plan, found: Preflight, title: str) -> list[Table]:
-    """Tabulate a preflight: its margins and verdict, and the modes in the test."""
+    """Tabulate a preflight: margins and verdict, and the modes in the test if it is stable."""
     margins = make_table(
         ("", "planned", "critical", "oscillates at"),
         _margin_rows(plan, found),
@@ -55,6 +55,8 @@ def preflight_tables(plan: Plan, found: Preflight, title: str) -> list[Table]:
         for mode in summarise(plan, found)["modes"]
         for row in _MODE
     ]
+    if found.verdict == "unstable":
+        return [margins]
     none = [["no oscillating mode", "", "", ""]]
     headings, title = ("", "exact", "in the test", "error"), "modes of the whole structure"
     return [margins, make_table(headings, modes or none, title=title, **_LEFT)]
