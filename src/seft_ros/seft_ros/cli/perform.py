@@ -143,7 +143,7 @@ def simulate(
     record = offline_test(experiment, out)
     if show_test(record, out, as_json=json, figure=figure):
         return 0
-    complain(_fault(record))
+    complain(f"{_fault(record)}; seft preflight {config} says what to change")
     return 1
 
 

@@ -10,7 +10,6 @@ import numpy.typing as npt
 from scipy.linalg import eigh
 from scipy.optimize import linear_sum_assignment
 from seft_msgs_py.config.arrays import mass_matrix
-from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_plant_sim.rig_parameters import LIMIT_UNITS
 from seft_plant_sim.whole_structure import WholeStructure
@@ -239,7 +238,7 @@ def next_steps(plan: Plan, found: Preflight, peaks: dict[str, float], again: str
     """
     steps = [*_wrong_mass(plan, again), *_unstable(plan, found, again)]
     if not steps:
-        steps += _too_large(plan.experiment, peaks, again)
+        steps += _too_large(plan, peaks, again)
     return steps or [Step("nothing is amiss", [f"seft simulate {again}", f"seft run {again}"])]
 
 
@@ -289,13 +288,14 @@ def _unstable(plan: Plan, found: Preflight, again: str) -> Iterator[Step]:
             )
 
 
-def _too_large(experiment: Experiment, peaks: dict[str, float], again: str) -> Iterator[Step]:
+def _too_large(plan: Plan, peaks: dict[str, float], again: str) -> Iterator[Step]:
     """Name what the expected motion exceeds: the valve's flow, or limits."""
     if not peaks:
         return
-    controller, asked = experiment["force_controller"], experiment["ground_motion"]["peak_force"]
+    experiment, controller = plan.experiment, plan.experiment["force_controller"]
+    asked = experiment["ground_motion"]["peak_force"]
     flow = np.min(controller["actuator.flow_gain"]) * np.min(controller["voltage_limit"])
-    if 0.0 < flow < peaks["velocity"]:
+    if plan.rig.drive == VALVE_COMMAND.name and 0.0 < flow < peaks["velocity"]:
         less = float(f"{VALVE_RESERVE * asked * flow / peaks['velocity']:.2g}")
         how = [f"seft preflight {again} -p ground_motion:peak_force:={less}"] if asked else []
         yield Step(
