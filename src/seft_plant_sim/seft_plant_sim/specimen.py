@@ -135,8 +135,8 @@ def deformations(value: float | Sequence[float], axes: Sequence[str], where: str
         return np.eye(n)
     if numbers.size % n:
         raise InputError(
-            f"{where}.springs: {numbers.size} values for {n} axes {list(axes)}; give {n} for "
-            "each spring (its deformation per displacement of each axis), spring by spring"
+            f"{where}.springs: {numbers.size} values for {n} axes [{', '.join(axes)}]; give {n} "
+            "for each spring (its deformation per displacement of each axis), spring by spring"
         )
     return numbers.reshape(-1, n)
 

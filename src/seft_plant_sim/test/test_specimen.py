@@ -107,7 +107,7 @@ def test_springs_may_be_more_than_axes():
         ),
         (
             {"yield_displacement": 0.01, "springs": [1.0, 0.0, 1.0]},
-            r"specimen\.springs: 3 values for 2 axes \['x', 'y'\]; give 2 for each spring",
+            r"specimen\.springs: 3 values for 2 axes \[x, y\]; give 2 for each spring",
         ),
         (
             {"yield_displacement": 0.01, "stiffness": [3.0, -1.0, -1.0, 2.0]},

@@ -9,6 +9,7 @@ from seft_ros.drawing.tables import Mark
 
 GOOD = {
     "steps": 1000,
+    "judged_steps": 1000,
     "first_step": 0,
     "rate_hz": 500.0,
     "duration_s": 2.0,
@@ -86,7 +87,14 @@ def test_each_fault_is_found_and_decides(changes, mark, name):
     worst = judgement.findings[0]
     assert (judgement.verdict, worst.verdict, worst.name) == (mark, mark, name)
     assert "trusted" in judgement.text
-    assert worst.text.split(" (")[0] in judgement.text
+    assert worst.text in judgement.text
+
+
+def test_the_headline_has_the_whole_reason_of_a_trip_and_its_finding_what_the_numbers_leave_out():
+    trip = {"reason": "force (load cell) 900 N (limit 800 N)", "step": 599, "time_s": 1.198}
+    judgement = judge(changed(trip=trip, judged_steps=600))
+    assert "tripped at 1.198 s (step 599): force (load cell) 900 N (limit 800 N)." in judgement.text
+    assert "first 600 steps and leave out the ramp-down" in judgement.findings[0].whole
 
 
 @pytest.mark.parametrize(

@@ -163,6 +163,30 @@ def test_a_tripped_test_is_not_stable_and_tells_why():
     assert summary["trip"] == {"reason": "force beyond limit", "step": 1999, "time_s": 3.998}
 
 
+def test_the_numbers_of_a_tripped_test_leave_out_its_ramp_down():
+    record = make_record(trip=Trip("force beyond limit", 999, 1.998), missed=0)
+    record.series["rig/state"].values[1000:] = 0.0  # the force came down
+    summary = summarise(record)
+    assert (summary["steps"], summary["judged_steps"]) == (COUNT, 1000)
+    for name in THREE:
+        assert summary[name]["nrmse"] == 0.0
+    stream = io.StringIO()
+    Console(file=stream, width=100).print(summary_table(record, summary))
+    assert "numbers are of its first 1000 steps" in " ".join(stream.getvalue().split())
+    whole = summarise(make_record())
+    assert whole["judged_steps"] == whole["steps"]
+
+
+def test_a_figure_shows_the_strong_part_of_the_ground_motion():
+    record = make_record()  # a packet of 6 Hz about 1 s
+    panel = figures.test_figure(record, reference_of(record)).axes[0]
+    start, end = panel.get_xlim()
+    assert start == 0.0
+    assert 3.0 < end < 3.6
+    tripped = make_record(trip=Trip("limit", 1999, 3.998))
+    assert figures.test_figure(tripped, None).axes[0].get_xlim()[1] == pytest.approx(3.998)
+
+
 def test_lost_steps_are_counted_and_the_others_compared():
     record = without(make_record(gain=1.05), "rig/state", [300, 301, 700])
     summary = summarise(without(record, "valve_command", range(10)))

@@ -93,6 +93,12 @@ def test_description_is_read_back():
     assert description.experiment().axes == ("x",)
 
 
+def test_what_a_node_says_beside_its_parameters_is_read_back():
+    facts = {"ground_motion": {"motion": {"unit": "g"}, "steps": 3}}
+    texts = write_description({"ground_motion": NODE, "rig": NODE}, {}, facts)
+    assert read_description(texts)[0].facts == facts
+
+
 def test_of_a_node_that_describes_itself_twice_the_last_counts():
     texts = [
         *write_description({"rig": NODE}, {}),

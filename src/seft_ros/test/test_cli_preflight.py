@@ -1,6 +1,7 @@
 """`seft preflight`, and `seft run`, which does it first."""
 
 import json
+import shlex
 from pathlib import Path
 
 import pytest
@@ -22,7 +23,7 @@ KEYS = {
     *("critical_added_delay_s", "delay_crossing_hz", "gain", "sure_delay_s", "sure_gain"),
     *("local_stiffness", "local_stiffness_followed", "told_delay_error_s"),
     *("false_damping_ratio", "frequency_error", "modes", "spectral_radius", "growth_rate"),
-    *("dominant_hz", "states", "expected_peaks", "proposed_limits"),
+    *("dominant_hz", "states", "expected_peaks", "proposed_limits", "next"),
 }
 
 
@@ -37,7 +38,7 @@ def told(seft):
     return run
 
 
-FAR = "warning: limits are more than 4 times"
+FAR = "warning: limits are "
 
 
 def test_ten_milliseconds_end_at_the_known_mass_ratio(told):
@@ -71,6 +72,41 @@ def test_for_people_there_is_a_table_and_every_reason_in_a_line(seft):
         assert words in out
     assert err.startswith("seft: marginal: the critical mass ratio 0.933 is less than")
     assert all(line.startswith("seft: marginal: ") for line in err.splitlines())
+
+
+def test_what_is_amiss_is_told_with_the_command_that_mends_it(seft, told):
+    """A heavier specimen that the method does not know: two commands, typed as they are."""
+    words = (JHU, "-p", "rig:specimen.mass:=80", "-p", f"{RATIO}1.5")
+    for expected in ("takes the specimen's mass for 52.7 kg", "recommended method"):
+        _, found = told(*words)
+        step = found["next"][0]
+        assert expected in step["found"]
+        command = shlex.split(step["commands"][0])
+        assert command[:2] == ["seft", "preflight"]
+        words = command[2:]
+    status, found = told(*words)
+    assert (status, found["verdict"]) == (0, "stable")
+    assert "valve, fully open" in found["next"][0]["found"]
+    status, found = told(*shlex.split(found["next"][0]["commands"][0])[2:])
+    assert (status, found["next"][0]["found"]) == (0, "nothing is amiss")
+
+
+def test_limits_that_would_end_the_test_are_told_with_a_command_that_writes_others(seft, told):
+    words = (JHU, *DELAY, "-p", f"{RATIO}0.5", "-p", "supervisor:limits.displacement:=0.001")
+    (step,) = told(*words)[1]["next"]
+    assert "expected to trip, by displacement" in step["found"]
+    assert seft(*shlex.split(step["commands"][0])[1:])[0] == 0
+    (step,) = told(*words, "--params-file", "limits.yaml")[1]["next"]
+    assert "displacement" in step["found"]  # -p wins over a file
+    (step,) = told(*words[:-2], "--params-file", "limits.yaml")[1]["next"]
+    assert step["found"] == "nothing is amiss"
+
+
+def test_an_unstable_plan_has_no_damping_in_the_test(seft, told):
+    words = (JHU, *DELAY, "-p", f"{RATIO}1.0")
+    status, found = told(*words)
+    assert (status, found["modes"], found["false_damping_ratio"]) == (1, [], None)
+    assert "in the test" not in seft("preflight", *words)[1]
 
 
 def test_the_figure_is_drawn_of_both_maps(seft, tmp_path, monkeypatch):

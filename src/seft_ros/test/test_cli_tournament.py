@@ -66,9 +66,15 @@ def test_two_processes_find_what_one_finds(tournament, tmp_path):
     assert (tmp_path / "f.png").stat().st_size > 10_000
 
 
-def test_every_method_there_is_takes_part(tournament):
-    found = tournament(*HERE, "--rigs", "1")
-    assert {row["method"] for row in found["standings"]} == set(METHODS)
+@pytest.mark.parametrize("name", ["jhu", "demo"])  # demo's controller follows a target alone
+def test_every_method_there_is_takes_part_with_any_controller(seft, name):
+    config = Path(JHU).with_name(f"{name}.yaml")
+    status, out, _ = seft("tournament", config, *SHORT, *HERE, "--rigs", "1", "--json")
+    assert status == 0
+    rows = {row["method"]: row for row in json.loads(out)["standings"]}
+    assert set(rows) == set(METHODS)
+    for method in ("none", "restoring", "target_motion"):  # they need nothing identified
+        assert rows[method]["not_possible"] is None
 
 
 def test_for_people_there_is_a_table_and_why_methods_are_missing(seft, monkeypatch):

@@ -2,11 +2,13 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from seft_ros.cli.main import APP
 
 CONFIG = Path(__file__).parents[3] / "config"
 JHU = str(CONFIG / "jhu.yaml")
@@ -47,7 +49,7 @@ def record(tmp_path):
     ("parameter", "told"),
     [
         ("reference_force:mass_ratio:=x", ['mass_ratio is "x"', "must be a number"]),
-        ("reference_force:mass_ratio:=true", ["mass_ratio is True"]),
+        ("reference_force:mass_ratio:=true", ["mass_ratio is true"]),
         ("reference_force:mass_ratio:=.nan", ["mass_ratio is nan", "finite"]),
         ("reference_force:mass_ratio:=-1", ["mass_ratio is -1.0", "at least 0"]),
         ("reference_force:mass_ration:=1", ["no parameter mass_ration", "mass_ratio?"]),
@@ -89,9 +91,10 @@ def test_a_wrong_parameter_is_refused(refused, parameter, told):
         ("inf.txt", "1.0\ninf\n2.0\n", {"dt": 0.01}, "inf.txt"),
         ("words.txt", "1.0\ntwo\n3.0\n", {"dt": 0.01}, "words.txt"),
         ("empty.txt", "", {"dt": 0.01}, "empty.txt"),
-        ("no_dt.txt", "1.0\n2.0\n3.0\n", {}, "dt"),
+        ("no_dt.txt", "1.0\n2.0\n3.0\n", {"unit": "g"}, "holds no sampling period"),
         ("narrow.txt", "1.0\n2.0\n3.0\n", {"dt": 0.01, "column": 3}, "column"),
-        ("still.txt", "0.0\n0.0\n0.0\n", {"dt": 0.01}, "zeros"),
+        ("no_unit.txt", "1.0\n2.0\n3.0\n", {"dt": 0.01}, "set ground_motion unit"),
+        ("still.txt", "0.0\n0.0\n0.0\n", {"dt": 0.01, "unit": "g"}, "zeros"),
     ],
 )
 def test_a_faulty_record_is_refused(refused, record, name, text, parameters, told):
@@ -135,6 +138,8 @@ def test_a_faulty_experiment_is_refused(refused, tmp_path, text, told):
         (["recover", "none"], "none"),
         (["motion", "none.AT2"], "none.AT2"),
         (["motion", JHU, "--unit", "ft"], "unit"),
+        (["motion"], "name a record, or an experiment by --config"),
+        (["motion", "none.AT2", "-p", "rate:=100"], "name it by --config"),
         (["parameters", "rigg"], "did you mean rig?"),
     ],
 )
@@ -179,6 +184,7 @@ def test_a_test_that_trips_ends_with_status_1_and_says_so(seft):
     assert summary["trip"]["step"] == summary["steps"] - 1
     assert "acceleration" in err.splitlines()[-1]
     assert "beyond the limit of 30" in err.splitlines()[-1]
+    assert "unstable" not in err  # a limit is no instability
 
 
 def test_out_names_the_folder_of_the_bag_which_reports_the_same(seft, tmp_path):
@@ -191,18 +197,67 @@ def test_out_names_the_folder_of_the_bag_which_reports_the_same(seft, tmp_path):
     reported = json.loads(out)
     for key in KEYS | {"displacement", "acceleration", "force"}:
         assert reported[key] == simulated[key]
+    assert seft("report", "bag", "--pdf")[0] == 0
+    assert (tmp_path / "bag" / "report.pdf").read_bytes().startswith(b"%PDF")
     status, out, err = seft("simulate", JHU, *SHORT, "--out", "bag")
     assert (status, out) == (2, "")
     assert "bag: exists already" in err
 
 
-def test_motion_prints_one_json_object_and_draws(seft, record, tmp_path):
+def test_motion_prints_one_json_object_and_draws_where_asked(seft, record, tmp_path):
     record("tent.txt", "0\n2\n0\n-4\n0\n")
     words = ("--unit", "m/s2", "--dt", "0.01", "--rate", "100", "--json")
     status, out, _ = seft("motion", "tent.txt", *words)
     assert status == 0
     assert json.loads(out)["peak_acceleration"] == [4.0]
+    assert [path.name for path in tmp_path.iterdir()] == ["tent.txt"]
+    assert seft("motion", "tent.txt", *words, "--figure", "tent")[0] == 0
     assert (tmp_path / "tent.png").stat().st_size > 1000
+
+
+def test_simulate_report_and_motion_tell_the_same_of_a_ground_motion(seft, record, tmp_path):
+    text = "".join(f"{0.01 * k:.2f},{100 * (-1) ** k}\n" for k in range(101))
+    words = record("own.csv", text, unit="cm/s2", peak_force=105.4, time_scale=0.5, tail=0.5)
+    status, out, _ = seft("simulate", JHU, *words, "--out", "bag", "--json")
+    assert status == 0
+    simulated = json.loads(out)["ground_motion"]
+    assert simulated == {
+        "source": "own.csv",
+        "unit": "cm/s2",
+        "dt_s": 0.01,
+        "scale_factor": pytest.approx(2.0),
+        "peak_force_n": 105.4,
+        "time_scale": 0.5,
+        "peak_acceleration": [pytest.approx(2.0)],
+        "duration_s": pytest.approx(0.5),
+        "tail_s": 0.5,
+    }
+    assert json.loads(seft("report", "bag", "--json")[1])["ground_motion"] == simulated
+    shown = json.loads(seft("motion", "--config", JHU, *words, "--json")[1])
+    assert {name: shown[name] for name in simulated} == simulated
+    told = " ".join(seft("simulate", JHU, *words)[1].split())
+    for part in ("own.csv in cm/s2, dt 0.01 s", "its scale: factor 2 ", "scale 0.5", "PGA 2 m/s²"):
+        assert part in told
+
+
+def test_the_version_is_a_result(seft):
+    status, out, err = seft("--version")
+    assert (status, err) == (0, "")
+    assert re.fullmatch(r"seft \d+\.\d+\.\d+\n", out)
+
+
+@pytest.mark.parametrize("command", APP.registered_commands, ids=lambda c: c.callback.__name__)
+def test_examples_can_be_copied_from_a_terminal_of_80_columns(seft, monkeypatch, command):
+    monkeypatch.setenv("COLUMNS", "80")
+    status, out, _ = seft(command.callback.__name__, "--help")
+    assert status == 0
+    whole = [line.strip() for line in out.splitlines() if len(line) <= 80]
+    text = command.callback.__doc__.partition("Example")[2]
+    examples = [line.strip() for line in text.splitlines() if line.startswith("        ")]
+    assert examples
+    for example in examples:
+        assert example.startswith(("seft ", "ROS_DOMAIN_ID=", "ros2 "))
+        assert example in whole
 
 
 @pytest.mark.parametrize("words", [["--help"], ["simulate", "--help"], ["run", "--help"]])

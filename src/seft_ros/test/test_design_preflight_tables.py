@@ -55,6 +55,13 @@ def test_limits_far_beyond_are_told():
     assert limit_warning(load(), peaks) == ""
 
 
+def test_limits_that_would_end_the_test_are_told():
+    experiment = load("supervisor:limits.displacement:=0.005")
+    told = limit_warning(experiment, expected_peaks(experiment))
+    assert told.startswith("limits are below what this test is expected to reach, and may end it")
+    assert "displacement 0.005 m (expected: 0.01" in told
+
+
 def test_a_motion_that_runs_elsewhere_has_no_peaks(tmp_path):
     elsewhere = load(nodes=["reference_force", "force_controller", "rig", "supervisor"])
     assert expected_peaks(elsewhere) == {}

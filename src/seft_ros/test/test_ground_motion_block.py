@@ -143,7 +143,7 @@ def test_without_a_file_the_motion_is_synthetic_and_the_same_on_every_axis():
     np.testing.assert_array_equal(motion.samples[:, 0], motion.samples[:, 1])
     assert np.abs(motion.samples).max() == pytest.approx(2.0)
     assert not motion.samples[4001:].any()
-    assert motion.source == "synthetic, seed 7"
+    assert motion.facts["source"] == "synthetic, seed 7"
 
 
 @pytest.mark.parametrize(

@@ -95,14 +95,20 @@ def test_a_column_out_of_range_is_told_how_many_there_are(tmp_path):
     path = write(tmp_path, "1 2\n3 4\n")
     assert "column is [2], but" in refusal(path, [2])
     assert "2 columns, 0 to 1" in refusal(path, [0, 2])
-    assert "2 columns, 0 to 1" in refusal(path, [-1])
+    assert "2 columns, 0 to 1" in refusal(path, [-2])
     path = write(tmp_path, "NPTS= 2, DT= .01 SEC\n 1. 2.\n")
     assert "one column, 0" in refusal(path, [1])
 
 
 def test_a_file_without_sampling_period_asks_for_dt(tmp_path):
     path = write(tmp_path, "1\n2\n")
-    assert refusal(path, dt=0.0).endswith("set ground_motion dt")
+    assert "set ground_motion dt" in refusal(path, dt=0.0)
+
+
+def test_a_file_that_does_not_say_its_unit_asks_for_it(tmp_path):
+    path = write(tmp_path, "1\n-2.5\n")
+    told = refusal(path, unit="")
+    assert "largest is 2.5; set ground_motion unit (--unit) to g, m/s2, cm/s2" in told
 
 
 def test_a_dt_other_than_that_of_the_header_is_refused(tmp_path):
@@ -128,8 +134,19 @@ def test_a_time_that_is_no_number_is_told_with_its_line(tmp_path):
 
 def test_a_nameless_column_of_times_is_not_taken_for_accelerations(tmp_path):
     path = write(tmp_path, "".join(f"{k * 0.01:.2f} {np.sin(k):.6f}\n" for k in range(50)))
-    assert "rises evenly in steps of 0.01 as time does" in refusal(path, [0])
+    assert "is the time" in refusal(path, [0])
     assert read_record(path, [1], "g", 0.01).accelerations.shape == (50, 1)
+    assert "dt is 0.02 s, but" in refusal(path, [1], dt=0.02)
+    uneven = path.read_text().replace("0.30 ", "0.305 ")
+    assert "line 31: time goes from" in refusal(write(tmp_path, uneven), [1])
+
+
+def test_a_column_that_counts_the_lines_is_not_taken_for_accelerations(tmp_path):
+    path = write(tmp_path, "".join(f"{k} {np.sin(k):.6f}\n" for k in range(50)))
+    assert "rises from line to line in steps of 1" in refusal(path, [0])
+    assert read_record(path, [-1], "m/s2", 0.01).accelerations[3, 0] == pytest.approx(
+        np.sin(3), 1e-5
+    )
 
 
 @settings(deadline=None)

@@ -162,6 +162,105 @@ def test_a_column_whose_name_says_time_gives_the_sampling_period(
         read_record(path, [0], "g")
 
 
+@pytest.mark.parametrize("header", ["", "% Kobe 1995\n", "Kobe 1995, JMA\n\n"])
+@pytest.mark.parametrize("separator", [" ", ",", "\t"])
+def test_a_column_of_times_without_a_name_gives_the_sampling_period(tmp_path, header, separator):
+    values = np.sin(np.arange(40.0))
+    rows = [f"{0.02 * k:.2f}{separator}{value:.9f}" for k, value in enumerate(values)]
+    record = read_record(write(tmp_path, header + "\n".join(rows)), [-1, -1], "m/s2")
+    assert record.dt == 0.02
+    np.testing.assert_allclose(record.accelerations, np.stack([values, values], axis=1), atol=1e-9)
+
+
+def test_a_header_in_words_gives_unit_and_sampling_period(tmp_path):
+    path = write(tmp_path, "%Kobe, column 1 N-S.\n%Acc. in cm/sec^2 and dt=0.005 sec.\n1 2\n3 4\n")
+    record = read_record(path, [1])
+    assert (record.dt, record.unit) == (0.005, "cm/s2")
+    np.testing.assert_allclose(record.accelerations[:, 0], [0.02, 0.04])
+    with pytest.raises(InputError, match=r"dt is 0\.01 s, but .* says 0\.005 s"):
+        read_record(path, [1], dt=0.01)
+    with pytest.raises(InputError, match="unit is g, but the header"):
+        read_record(path, [1], "g")
+
+
+REALS = [-999.0] * 100
+REALS[33], REALS[61] = 0.02, 5.0  # s of the instrument, ms of these values
+
+
+def cosmos(quantity="acceleration", values=(1.0, -2.5, 3.25), count=3, unit="cm/sec2(04)"):
+    """Make a channel of a COSMOS file."""
+    rows = [REALS[at : at + 6] for at in range(0, 100, 6)]
+    return "\n".join([
+        f"Corrected {quantity}    (Format v01.20 with 1 text lines)",
+        "  10 Integer-header values follow on  1 lines, Format= (10I8)",
+        "".join(f"{k:8d}" for k in range(10)),
+        " 100 Real-header values follow on  17 lines, Format= (6F13.6)",
+        *("".join(f"{value:13.6f}" for value in row) for row in rows),
+        '   1 Comment line(s) follow, each starting with a "|":',
+        "| Sensor: an accelerometer",
+        f"  {count} {quantity} pts, approx   1 secs, units={unit},Format=(8F10.5)",
+        "".join(f"{value:10.5f}" for value in values),
+        f"End-of-data for Chan  1 {quantity}",
+    ]) + "\n"  # fmt: skip
+
+
+def test_cosmos_reads_with_each_channel_of_acceleration_as_a_column(tmp_path):
+    second = cosmos(values=(123.45678, -999.12345, 1e3))  # these run together
+    text = cosmos() + cosmos("velocity") + second + cosmos("displacement", unit="cm(06)")
+    record = read_record(write(tmp_path, text, "CE47380.V2c"), [0, 1])
+    assert (record.dt, record.unit) == (0.005, "cm/s2")
+    expected = [[0.01, 1.2345678], [-0.025, -9.9912345], [0.0325, 10.0]]
+    np.testing.assert_allclose(record.accelerations, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (cosmos(count=4), "says 4 values, but 3 values follow: the file is truncated"),
+        (cosmos("velocity", unit="cm/sec(05)"), "holds a velocity"),
+        (cosmos(unit="counts (50)"), "counts is no acceleration unit"),
+        (cosmos() + cosmos(values=(1.0, 2.0), count=2), "its channels differ in length"),
+    ],
+)
+def test_a_cosmos_file_that_holds_no_record_is_refused(tmp_path, text, told):
+    with pytest.raises(InputError, match=told):
+        read_record(write(tmp_path, text, "a.V2"), [0])
+
+
+def smc(count=3, rate=200.0):
+    """Make an SMC file."""
+    integers, reals = [-32768] * 48, [1.7e38] * 50
+    integers[15], integers[16], reals[1] = 2, count, rate
+    return "\n".join([
+        "2 CORRECTED ACCELEROGRAM",
+        *["*"] * 10,
+        *("".join(f"{value:10d}" for value in integers[at : at + 8]) for at in range(0, 48, 8)),
+        *("".join(f"{value:15.7E}" for value in reals[at : at + 5]) for at in range(0, 50, 5)),
+        "|",
+        "| a comment",
+        " 1.5057E+0-2.2223E+0-1.9234E+1",
+    ]) + "\n"  # fmt: skip
+
+
+def test_smc_reads_in_cm_per_second_squared_at_the_rate_of_its_header(tmp_path):
+    record = read_record(write(tmp_path, smc(), "0111a.smc"), [-1])
+    assert (record.dt, record.unit) == (0.005, "cm/s2")
+    np.testing.assert_allclose(record.accelerations[:, 0], [0.015057, -0.022223, -0.19234])
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (smc(count=4), "line 13 says 4 values, but 3 values follow"),
+        (smc(rate=0.0), "gives no count of values and no rate"),
+        (smc()[:300], "gives no count of values and no rate"),
+    ],
+)
+def test_an_smc_file_that_is_not_whole_is_refused(tmp_path, text, told):
+    with pytest.raises(InputError, match=told):
+        read_record(write(tmp_path, text), [0])
+
+
 def test_a_given_dt_may_be_finer_than_the_rounded_one_of_the_file(tmp_path):
     path = write(tmp_path, "NPTS= 2, DT= .0039 SEC\n 1.0 2.0\n")
     assert read_record(path, [0], "g", 0.003903).dt == 0.003903

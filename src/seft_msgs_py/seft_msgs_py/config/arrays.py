@@ -24,7 +24,7 @@ def per_axis(value: float | Sequence[float], axes: Sequence[str], where: str) ->
         return np.full(len(axes), array[0])
     if array.size != len(axes):
         raise InputError(
-            f"{where}: {array.size} values for {len(axes)} axes {list(axes)}; "
+            f"{where}: {array.size} values for {len(axes)} axes [{', '.join(axes)}]; "
             "give one, or one for each axis"
         )
     return array
@@ -49,7 +49,7 @@ def as_matrix(value: float | Sequence[float], axes: Sequence[str], where: str) -
     if array.size == count * count:
         return array.reshape(count, count)
     raise InputError(
-        f"{where}: {array.size} values for {count} axes {list(axes)}; give 1, {count} "
+        f"{where}: {array.size} values for {count} axes [{', '.join(axes)}]; give 1, {count} "
         f"(a diagonal) or {count * count} (a matrix, row by row)"
     )
 

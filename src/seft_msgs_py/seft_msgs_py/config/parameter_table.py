@@ -125,8 +125,7 @@ class Parameter:
             raise self._error(where, value, f"must be at most {self.maximum:g}{unit}")
 
     def _error(self, where: str, value: Value, rule: str) -> InputError:
-        shown = _shown(value) if isinstance(value, str) else value
-        return InputError(f"{where}: {self.name} is {shown}, but {rule}")
+        return InputError(f"{where}: {self.name} is {_shown(value)}, but {rule}")
 
 
 def _refusal(text: str, file_name: bool) -> str:
@@ -144,9 +143,16 @@ def _refusal(text: str, file_name: bool) -> str:
     return ""
 
 
-def _shown(text: str) -> str:
-    """Text in one line, and not too long."""
-    text = text if text.isprintable() else repr(text)[1:-1]
+def _shown(value: Value) -> str:
+    """Write a value as in a parameter file, in one line; a text is cut where it is long."""
+    if isinstance(value, list | tuple):
+        items = ("[...]" if isinstance(item, list | tuple) else _shown(item) for item in value)
+        return f"[{', '.join(items)}]"
+    if value is None or isinstance(value, bool):
+        return {None: "empty", True: "true", False: "false"}[value]
+    if not isinstance(value, str):
+        return str(value)
+    text = value if value.isprintable() else repr(value)[1:-1]
     return f'"{text[:100]}..."' if len(text) > 103 else f'"{text}"'
 
 
@@ -156,8 +162,8 @@ def parameter_rows(text: str, group: str = "") -> tuple[Parameter, ...]:
     An indented line goes on with the row above. The default is empty where the parameter
     must be given, and may be ``NODE:PARAMETER or DEFAULT``, see `Parameter.default_from`.
     Allowed is empty, ``> 0``, ``> 0 .. MAXIMUM``, ``MINIMUM ..``, ``MINIMUM .. MAXIMUM``,
-    ``a file's name``, or a list of texts. Names are put into a group: ``specimen`` makes
-    ``specimen.mass`` of ``mass``.
+    ``a file's name``, or a list of texts, ``""`` for the empty one. Names are put into a group:
+    ``specimen`` makes ``specimen.mass`` of ``mass``.
     """
     prefix = f"{group}." if group else ""
     lines: list[str] = []
@@ -185,7 +191,8 @@ def _row(
     if allowed == "a file's name":
         return replace(row, file_name=True)
     if ".." not in allowed:
-        return replace(row, choices=tuple(allowed.replace(",", " ").split()))
+        listed = allowed.replace(",", " ").split()
+        return replace(row, choices=tuple("" if word == '""' else word for word in listed))
     minimum, maximum = (float(end) if end.strip() else None for end in allowed.split(".."))
     return replace(row, minimum=minimum, maximum=maximum)
 

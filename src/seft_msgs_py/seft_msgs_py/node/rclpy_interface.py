@@ -74,7 +74,8 @@ def parameter_descriptor(row: Parameter) -> ParameterDescriptor:
     unit = f" [{row.unit}]" if row.unit else ""
     descriptor = ParameterDescriptor(description=row.description + unit, read_only=not row.live)
     if row.choices:
-        descriptor.additional_constraints = "one of: " + ", ".join(row.choices)
+        choices = (choice or '""' for choice in row.choices)
+        descriptor.additional_constraints = f"one of: {', '.join(choices)}"
     if row.kind == "float" and (row.minimum is not None or row.maximum is not None):
         low = float("-inf") if row.minimum is None else float(row.minimum)
         high = float("inf") if row.maximum is None else float(row.maximum)

@@ -15,7 +15,7 @@ from seft_plant_sim.whole_structure import ReferenceResponse
 from seft_ros.analysis.alignment import Alignment, common_steps
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.analysis.result_text import title_of
-from seft_ros.analysis.summary import COMPARED
+from seft_ros.analysis.summary import AFTER, COMPARED, strong_part
 from seft_ros.bags.record import Record
 from seft_ros.drawing.style import (
     FIRST,
@@ -41,6 +41,7 @@ _MOST_BRIDGED = 5  # steps
 def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
     """Draw displacement, force and acceleration of a test over time, against the reference.
 
+    The time is that of the ground motion's `strong_part`.
     One column for each axis, of more than `MOST_AXES` the first. Below are the parameters that
     the compensation identified on line, if any.
     """
@@ -72,12 +73,16 @@ def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
             panel.margins(x=0.01)
             tidy(panel)
         panels[row, 0].set_ylabel(axis_label(name), color=TEXT, parse_math=False)
+    start, end = strong_part(record)
+    panels[0, 0].set_xlim(start, end)  # all panels share their time
     for column, axis in enumerate(axes):
         if len(record.experiment.axes) > 1:
             text = f"axis {axis}"
             panels[0, column].set_title(text, loc="left", fontsize=11, color=TEXT, parse_math=False)
         panels[-1, column].set_xlabel("time / s", color=TEXT)
     title = title_of(record)
+    if (duration := len(states.steps) * dt) > end - start + AFTER:
+        title += f"\nstrong part, of {duration:.3g} s"
     if record.trip is not None:
         title += f"\ntripped at {record.trip.time_s:.3f} s: {record.trip.reason}"
     finish(figure, panels[:1, 0], title)

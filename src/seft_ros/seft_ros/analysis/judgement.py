@@ -29,11 +29,17 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class Finding:
-    """One fact for or against a test: what, how much, how much would be good."""
+    """One fact for or against a test: what and how much; in detail, how much would be good."""
 
     name: str
     verdict: Mark
     text: str
+    detail: str = ""
+
+    @property
+    def whole(self) -> str:
+        """Text and detail in one line."""
+        return f"{self.text} ({self.detail})" if self.detail else self.text
 
 
 @dataclass(frozen=True)
@@ -53,7 +59,7 @@ def judge(summary: dict[str, Any]) -> Judgement:
     worst = findings[0].verdict
     text = _WORDS[worst]
     if worst is not Mark.GOOD:
-        reasons = [f.text.split(" (")[0] for f in findings if f.verdict is worst]
+        reasons = [f.text for f in findings if f.verdict is worst]
         text += f": {'; '.join(reasons)}."
     return Judgement(worst, text, findings)
 
@@ -69,7 +75,7 @@ def verdict(summary: dict[str, Any]) -> str:
         text = f"done: response to the equivalent ground motion off by {percent(worst)} at most"
     else:
         text = "done, without a reference to compare it with"
-    bad = (f.text for f in losses(summary) if f.verdict is not Mark.GOOD and summary[f.name])
+    bad = (f.whole for f in losses(summary) if f.verdict is not Mark.GOOD and summary[f.name])
     return "; ".join((text, *bad))
 
 
@@ -77,6 +83,14 @@ def worst_response(summary: dict[str, Any]) -> float | None:
     """Give the largest response error to the test's own ground motion; None if unknown."""
     found = summary["equivalent_motion"]
     return found and found["worst_response_nrmse"]
+
+
+def ramp_note(summary: dict[str, Any]) -> str:
+    """Say where a test's numbers leave out its ramp-down; empty if there is none."""
+    judged, steps = summary["judged_steps"], summary["steps"]
+    if judged == steps:
+        return ""
+    return f"numbers are of its first {judged} steps and leave out the ramp-down"
 
 
 def _early_ending(summary: dict[str, Any]) -> tuple[str, str] | None:
@@ -102,7 +116,7 @@ def _beginning(summary: dict[str, Any]) -> Iterator[Finding]:
         )
         yield Finding("beginning", Mark.BAD, text)
     if (ending := _early_ending(summary)) is not None:
-        yield Finding("ending", Mark.BAD, "".join(ending))
+        yield Finding("ending", Mark.BAD, "".join(ending), ramp_note(summary))
     else:
         text = f"it ran to its end, {summary['steps']} steps, {summary['duration_s']:g} s"
         yield Finding("ending", Mark.GOOD, text)
@@ -117,13 +131,13 @@ def _errors(summary: dict[str, Any]) -> Iterator[Finding]:
     elif simulated:
         text = (
             f"displacement error {percent(part['nrmse'])} against the reference response of the "
-            f"whole structure ({good})"
+            "whole structure"
         )
-        yield Finding("displacement_error", _grade(part["nrmse"]), text)
+        yield Finding("displacement_error", _grade(part["nrmse"]), text, good)
         ratio = part["peak"] / part["reference_peak"] if part["reference_peak"] else float("nan")
         word, off = "larger" if ratio > 1 else "smaller", abs(ratio - 1)
-        text = f"peak displacement {percent(off)} {word} than the reference's ({good})"
-        yield Finding("displacement_peak", _grade(off), text)
+        text = f"peak displacement {percent(off)} {word} than the reference's"
+        yield Finding("displacement_peak", _grade(off), text, good)
 
     found, error = summary["equivalent_motion"], worst_response(summary)
     if error is None:
@@ -133,21 +147,23 @@ def _errors(summary: dict[str, Any]) -> Iterator[Finding]:
         low, high = found["structure"]["band_hz"]
         text = (
             f"the response of linear structures to the equivalent ground motion differs by up to "
-            f"{percent(error)} from that to the one asked for (worst at "
-            f"{found['worst_frequency_hz']:.3g} Hz of {low:.3g} to {high:.3g} Hz; "
-            f"{percent(found['response_nrmse'])} with the stiffness of the model; {good})"
+            f"{percent(error)} from that to the one asked for"
         )
-        yield Finding("equivalent_motion", Mark.NONE if simulated else _grade(error), text)
+        detail = (
+            f"worst at {found['worst_frequency_hz']:.3g} Hz of {low:.3g} to {high:.3g} Hz; "
+            f"{percent(found['response_nrmse'])} with the stiffness of the model; {good}"
+        )
+        mark = Mark.NONE if simulated else _grade(error)
+        yield Finding("equivalent_motion", mark, text, detail)
 
     target = summary["tracking_error"]
     if target is not None and target["nrmse"] is None:
         yield Finding("tracking_error", Mark.DOUBT, "its distance from its target is not known")
     elif target is not None:
-        text = (
-            f"displacement off its target by {percent(target['nrmse'])} "
-            f"(RMS {target['rms'] * 1e3:.3g} mm, at most {target['peak'] * 1e3:.3g} mm; {good})"
-        )
-        yield Finding("tracking_error", Mark.NONE if simulated else _grade(target["nrmse"]), text)
+        text = f"displacement off its target by {percent(target['nrmse'])}"
+        detail = f"RMS {target['rms'] * 1e3:.3g} mm, at most {target['peak'] * 1e3:.3g} mm; {good}"
+        mark = Mark.NONE if simulated else _grade(target["nrmse"])
+        yield Finding("tracking_error", mark, text, detail)
 
 
 def _loop(summary: dict[str, Any]) -> Iterator[Finding]:
@@ -157,22 +173,19 @@ def _loop(summary: dict[str, Any]) -> Iterator[Finding]:
         low, high = summary["instability_band_hz"]
         text = (
             f"vibration of {percent(ratio)} of the reference acceleration where instability would "
-            f"start, {low:.3g} to {high:.3g} Hz (good: up to {GOOD_VIBRATION:.0%})"
+            f"start, {low:.3g} to {high:.3g} Hz"
         )
-        yield Finding("vibration", _grade(ratio, GOOD_VIBRATION, BAD_VIBRATION), text)
+        detail = f"good: up to {GOOD_VIBRATION:.0%}"
+        yield Finding("vibration", _grade(ratio, GOOD_VIBRATION, BAD_VIBRATION), text, detail)
     if delay is not None:
         good = GOOD_DELAY * (1.0 / summary["rate_hz"])
-        text = (
-            f"force lags by {delay * 1e3:.3g} ms and nothing compensates for it "
-            f"(good: up to {good * 1e3:.3g} ms)"
-        )
-        yield Finding("delay", _grade(delay, good, float("inf")), text)
+        text = f"force lags by {delay * 1e3:.3g} ms and nothing compensates for it"
+        detail = f"good: up to {good * 1e3:.3g} ms"
+        yield Finding("delay", _grade(delay, good, float("inf")), text, detail)
     if summary["energy"] and (closure := summary["energy"]["closure"]) is not None:
-        text = (
-            f"energy balance of the specimen closes to {percent(closure)} "
-            f"(good: {GOOD_CLOSURE:.0%}; otherwise samples and specimen do not fit)"
-        )
-        yield Finding("energy_balance", _grade(closure, GOOD_CLOSURE, float("inf")), text)
+        text = f"energy balance of the specimen closes to {percent(closure)}"
+        detail = f"good: {GOOD_CLOSURE:.0%}; otherwise samples and specimen do not fit"
+        yield Finding("energy_balance", _grade(closure, GOOD_CLOSURE, float("inf")), text, detail)
 
 
 def losses(summary: dict[str, Any]) -> Iterator[Finding]:

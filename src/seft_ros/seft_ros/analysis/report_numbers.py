@@ -14,7 +14,14 @@ from seft_plant_sim.whole_structure import ReferenceResponse
 from seft_ros.analysis.alignment import every_step
 from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
 from seft_ros.analysis.judgement import Judgement, judge
-from seft_ros.analysis.summary import COMPARED, ENERGIES, balance_of, reference_of, summarise
+from seft_ros.analysis.summary import (
+    COMPARED,
+    ENERGIES,
+    balance_of,
+    judged_part,
+    reference_of,
+    summarise,
+)
 from seft_ros.bags.record import Record
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import instability_band
@@ -128,12 +135,13 @@ class Report:
 
 def report_numbers(record: Record) -> Report:
     """Analyse a test; an InputError is that of `reference_of`."""
-    reference, balance = reference_of(record), balance_of(record)
-    difference = motion_difference(record)
+    reference = reference_of(record)
+    judged, exact = judged_part(record, reference)
+    balance, difference = balance_of(judged), motion_difference(judged)
     summary = summarise(record, reference, balance, difference)
     energies = _thinned(balance)
     del balance  # as long as the record, and drawn from a few points
-    spectra = {name: _spectra(record, reference, name) for name in ("force", "acceleration")}
+    spectra = {name: _spectra(judged, exact, name) for name in ("force", "acceleration")}
     band, note = None, ""
     try:
         band = instability_band(Plan(record.experiment))
@@ -141,8 +149,8 @@ def report_numbers(record: Record) -> Report:
     except (InputError, KeyError) as error:
         note = f"not known: {error}"
     ratios = [
-        vibration(test, exact, band) if band and exact else math.nan
-        for test, exact in spectra["acceleration"]
+        vibration(test, of_exact, band) if band and of_exact else math.nan
+        for test, of_exact in spectra["acceleration"]
     ]
     summary |= {
         "instability_band_hz": band and list(band),

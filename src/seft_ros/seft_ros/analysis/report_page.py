@@ -1,12 +1,14 @@
-"""The report of a test as a page; also its sections on the experiment and on how it ran."""
+"""The report of a test as a page and as PDF; its sections on the experiment and how it ran."""
 
 from collections.abc import Iterator
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.wire.topics import GROUND_MOTION
+from seft_msgs_py.errors import InputError
 
+from seft_ros.analysis.judgement import ramp_note
 from seft_ros.analysis.report_numbers import Report
 from seft_ros.analysis.report_sections import (
     energy_section,
@@ -16,7 +18,7 @@ from seft_ros.analysis.report_sections import (
     spectra_section,
     tracking_section,
 )
-from seft_ros.analysis.result_text import AGREEMENT, agreement_rows, title_of
+from seft_ros.analysis.result_text import AGREEMENT, agreement_rows, motion_lines, title_of
 from seft_ros.analysis.timing import GAP, timing_of
 from seft_ros.analysis.tracking import tracked_of
 from seft_ros.bags.record import Record
@@ -34,10 +36,11 @@ from seft_ros.drawing.page import (
     plot,
     write_page,
 )
-from seft_ros.drawing.style import OTHERS, SECOND
+from seft_ros.drawing.style import OTHERS, SECOND, TEXT, new_figure
 from seft_ros.drawing.tables import DISPLAY_UNITS, Mark, Number, axis_label, percent, rows_of
 
 _BINS = 80
+_WIDE, _LONG = 106, 74  # characters and lines of a printed page
 _MARKS = {"ok": Mark.NONE, "warn": Mark.DOUBT, "error": Mark.BAD, "stale": Mark.BAD}
 _SOFTWARE = ("python", "platform", "cpus")
 _MODEL = (
@@ -70,14 +73,47 @@ def write_report(report: Report, name: str, path: Path) -> None:
     write_page(path, f"Test {name}", title_of(report.record), list(_sections(report)))
 
 
+def write_pdf(report: Report, name: str, path: Path) -> None:
+    """Write verdict, numbers and time histories as pages to be printed (A4).
+
+    An InputError says that the file can't be written.
+    """
+    from matplotlib.backends.backend_pdf import PdfPages
+
+    from seft_ros.analysis.figures import test_figure
+
+    lines = [f"Test {name}", title_of(report.record), ""]
+    lines += [*wrap(report.judgement.text, _WIDE), ""]
+    for finding in report.judgement.findings:
+        lines += wrap(f"{finding.verdict}: {finding.whole}", _WIDE, subsequent_indent="    ")
+    for rows in (_test_rows(report), _software_rows(report.record.environment)):
+        lines += ["", *(f"{label:24}{text}" for label, text in rows)]
+    headings = ["", *(column.label.replace("\n", " ") for column in AGREEMENT)]
+    lines += ["", *("".join(f"{cell:>17}" for cell in row) for row in (headings, *_rows(report)))]
+    figures = []
+    for start in range(0, len(lines), _LONG):
+        page = new_figure(8.27, 11.69)
+        text = "\n".join(lines[start : start + _LONG])
+        look: dict[str, Any] = {"family": "monospace", "fontsize": 7.5, "linespacing": 1.4}
+        page.text(0.06, 0.96, text, va="top", color=TEXT, parse_math=False, **look)
+        figures.append(page)
+    figures.append(test_figure(report.record, report.reference))
+    try:
+        with PdfPages(path) as pages:
+            for page in figures:
+                pages.savefig(page)
+    except OSError as error:
+        raise InputError(f"{path}: the pages can't be written ({error.strerror})") from None
+
+
 def _sections(report: Report) -> Iterator[Section]:
     judgement, record = report.judgement, report.record
     axes, signals = record.experiment.axes, tracked_of(record)
-    cells = [Cell(finding.text, finding.verdict) for finding in judgement.findings]
+    cells = [Cell(finding.whole, finding.verdict) for finding in judgement.findings]
     yield Section("Verdict", [Verdict(judgement.verdict, judgement.text, cells)])
     tested = [_test_rows(report), _software_rows(record.environment)]
     yield Section("What was tested", [Table((), rows, numbers=False) for rows in tested])
-    yield _agreement(report.summary)
+    yield _agreement(report)
     yield ground_motion_section(report)
     for column, axis in enumerate(axes):
         title = f" of {axis}" if len(axes) > 1 else ""
@@ -92,31 +128,37 @@ def _sections(report: Report) -> Iterator[Section]:
     yield Section("Parameters", _parameters(record))
 
 
-def _agreement(summary: dict[str, Any]) -> Section:
-    """Table of peaks, errors and delays."""
-    several = len(summary["axes"]) > 1
-    rows = [
+def _rows(report: Report) -> list[list[str]]:
+    """Peaks, errors and delays of each quantity, on each axis."""
+    by_axis = report.summary["axes"]
+    return [
         row
-        for axis, part in summary["axes"].items()
-        for row in agreement_rows(part, f"{axis} " if several else "")
+        for axis, part in by_axis.items()
+        for row in agreement_rows(part, f"{axis} " if len(by_axis) > 1 else "")
     ]
+
+
+def _agreement(report: Report) -> Section:
+    """Table of peaks, errors and delays."""
+    summary = report.summary
     note = [Text(_MODEL)] if summary["reference_specimen"] == "model" else []
+    if left_out := ramp_note(summary):
+        note.append(Text(f"{left_out[0].upper()}{left_out[1:]}."))
     headings = ["", *(column.label for column in AGREEMENT)]
-    return Section("Agreement with the reference response", [*note, Table(headings, rows)])
+    return Section("Agreement with the reference response", [*note, Table(headings, _rows(report))])
 
 
 def _test_rows(report: Report) -> list[tuple[str, str]]:
     record, summary = report.record, report.summary
     sections = record.experiment.sections
     force, rig = sections.get("reference_force", {}), sections.get("rig")
-    ground, pace = record.series[GROUND_MOTION.name].values, summary["realtime_factor"]
-    largest = f"{np.abs(ground).max():.4g} m/s²" if ground.size else "unknown"
+    motion, pace = summary["ground_motion"], summary["realtime_factor"]
+    ground = motion_lines(motion) if motion else ["ground motion: unknown"]
     fast = "" if pace is None else f", {pace:.3g} times real time"
     rows = [
         ("method", f"{_of(force, 'method')}, mass ratio {_of(force, 'mass_ratio')}"),
         ("compensation", _of(force, "compensation.method")),
-        ("ground motion", _motion(sections.get("ground_motion", {}))),
-        ("largest ground acceleration", largest),
+        *((name, text) for name, _, text in (line.partition(": ") for line in ground)),
         ("axes", ", ".join(record.experiment.axes)),
         ("rate and steps", f"{summary['rate_hz']:g} Hz, {summary['steps']} steps"),
         ("duration", f"{summary['duration_s']:g} s{fast}"),
@@ -139,18 +181,6 @@ def _software_rows(environment: dict[str, Any]) -> list[tuple[str, str]]:
         *((key, str(environment[key])) for key in _SOFTWARE if key in environment),
         *((name, str(version or "not installed")) for name, version in versions.items()),
     ]
-
-
-def _motion(section: dict[str, Any]) -> str:
-    if not section:
-        return "unknown"
-    name = Path(section.get("file", "")).name
-    name = name or f"synthetic, seed {_of(section, 'synthetic.seed')}"
-    if section.get("peak_force"):
-        name += f", scaled to {section['peak_force']:g} N"
-    if section.get("time_scale", 1.0) != 1.0:
-        name += f", time scale {section['time_scale']:g}"
-    return name
 
 
 def _of(section: Any, name: str) -> str:

@@ -12,7 +12,7 @@ from seft_plant_sim.whole_structure import tested_specimen
 
 from seft_ros.analysis.equivalent_motion import MARGIN
 from seft_ros.analysis.report_numbers import Report
-from seft_ros.analysis.summary import COMPARED
+from seft_ros.analysis.summary import COMPARED, strong_part
 from seft_ros.analysis.tracking import Tracked
 from seft_ros.analysis.tracking_metrics import delay_by_frequency, energy_error
 from seft_ros.drawing.page import (
@@ -51,6 +51,10 @@ _TESTED = (
     "and acceleration, satisfies the whole structure's equation of motion. This needs no model of "
     "the specimen and no reference response. A test is as right as that motion is the one asked "
     "for. Errors of the sensors themselves are not seen."
+)
+_STRONG = (
+    "The strong part of the ground motion, 5 to 95 % of its Arias intensity; zoom out with the "
+    "wheel for the whole test. The three quantities zoom together."
 )
 _TRACKING = (
     Number("delay (J1)", "J.J1", "ms"),
@@ -124,19 +128,20 @@ def history_sections(report: Report, column: int, title: str) -> Iterator[Sectio
         return
     time = states.steps * dt
     shared = time_range([0.0, time[-1]])
+    shared.start, shared.end = strong_part(record)
     for name in RESPONSES:
         _, scale = DISPLAY_UNITS[name]
         y, exact = states.values[:, COMPARED[name], column] * scale, None
         if report.reference is not None:
             exact = getattr(report.reference, name)[:, column] * scale
-        windows = [(shared, "Whole test; the three quantities zoom together.")]
+        windows = [(shared, _STRONG)]
         for step, caption in _places(y, exact, states.steps, dt):
             middle = step * dt
             windows.append((Range1d(middle - WINDOW / 2, middle + WINDOW / 2), caption))
         blocks = []
         for x_range, caption in windows:
             panel = plot("time / s", axis_label(name), x_range=x_range)
-            begin, end = x_range.start, x_range.end
+            begin, end = x_range.bounds or (x_range.start, x_range.end)
             inside = slice(np.searchsorted(time, begin), np.searchsorted(time, end, side="right"))
             reference = None
             if exact is not None:

@@ -8,7 +8,7 @@ from rich.table import Table
 from rich.text import Text
 from seft_msgs_py.wire.topics import LOOP_TOPICS, TARGET
 
-from seft_ros.analysis.judgement import verdict, worst_response
+from seft_ros.analysis.judgement import ramp_note, verdict, worst_response
 from seft_ros.bags.record import Record
 from seft_ros.drawing.tables import (
     DISPLAY_UNITS,
@@ -20,6 +20,7 @@ from seft_ros.drawing.tables import (
     percent,
     small_percent,
 )
+from seft_ros.ground_motion.column_file import STANDARD_GRAVITY
 
 AGREEMENT = (
     Number("peak", "peak"),
@@ -75,6 +76,25 @@ def title_of(record: Record) -> str:
     return ", ".join(parts)
 
 
+def motion_lines(facts: dict[str, Any]) -> list[str]:
+    """Say where a ground motion is from, how it was scaled, and what it is in the test.
+
+    ``facts`` are those of `seft_ros.ground_motion.ground_motion_block.motion_facts`.
+    """
+    unit = f" in {facts['unit']}" if facts["unit"] else ""
+    peak_force = facts["peak_force_n"]
+    why = f" (peak_force {peak_force:g} N)" if peak_force else ""
+    largest = [f"{peak:.4g}" for peak in facts["peak_acceleration"]]
+    shown = largest if len(set(largest)) > 1 else largest[:1]
+    in_g = max(facts["peak_acceleration"]) / STANDARD_GRAVITY
+    return [
+        f"ground motion: {facts['source']}{unit}, dt {facts['dt_s']:g} s",
+        f"its scale: factor {facts['scale_factor']:.4g}{why}, time scale {facts['time_scale']:g}",
+        f"in the test: PGA {', '.join(shown)} m/s² ({in_g:.3g} g), "
+        f"{facts['duration_s']:g} s and {facts['tail_s']:g} s of tail",
+    ]
+
+
 def _colour(summary: dict[str, Any]) -> str:
     """Red: the test did not run to its end; yellow: it did, and is wrong or missed deadlines."""
     if not (summary["stable"] and summary["complete"]):
@@ -90,7 +110,11 @@ def _notes(summary: dict[str, Any]) -> list[str]:
     pace = f"{summary['steps']} steps, {summary['duration_s']:g} s"
     if summary["realtime_factor"] is not None:
         pace += f", in {summary['wall_s']:.3g} s ({summary['realtime_factor']:.3g} x real time)"
-    lines, found, tracking = [pace], summary["equivalent_motion"], summary["tracking_error"]
+    motion = summary["ground_motion"]
+    lines = [*(motion_lines(motion) if motion else []), pace]
+    if left_out := ramp_note(summary):
+        lines.append(left_out)
+    found, tracking = summary["equivalent_motion"], summary["tracking_error"]
     if found is not None:
         lines.append(
             "equivalent ground motion against the one asked for: response differs by "

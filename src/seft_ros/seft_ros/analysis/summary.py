@@ -1,6 +1,6 @@
 """The numbers of a test as a dict of JSON values: the ``--json`` of run, simulate, report."""
 
-from dataclasses import asdict
+from dataclasses import asdict, fields, replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from seft_plant_sim.whole_structure import (
     tested_specimen,
 )
 
-from seft_ros.analysis.alignment import common_steps
+from seft_ros.analysis.alignment import common_steps, every_step
 from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
 from seft_ros.analysis.metrics import Agreement, agreement, peak
 from seft_ros.analysis.timing import link_numbers, timing_of
@@ -33,6 +33,8 @@ from seft_ros.bags.record import (
 )
 from seft_ros.drawing.tables import json_safe
 from seft_ros.force_controller.detectors_of import detector_shares
+from seft_ros.ground_motion.ground_motion_block import MOTION
+from seft_ros.ground_motion.response_spectrum import significant_parts
 
 Floats = npt.NDArray[np.float64]
 
@@ -42,6 +44,7 @@ COMPARED = {
     "force": RIG_STATE.quantities.index("effort"),
 }
 """Quantity, by its name in a summary and in `ReferenceResponse` -> its row in rig/state."""
+BEFORE, AFTER = 1.0, 2.0  # s that are drawn beside the strong part
 ENERGIES = ("input", "kinetic", "strain", "damped", "hysteretic")
 """Parts of an energy balance."""
 
@@ -54,18 +57,21 @@ def summarise(
 ) -> dict[str, Any]:
     """Summarise a test.
 
-    What `reference_of`, `balance_of` and `motion_difference` give is computed if not given.
+    What `reference_of` gives of the record, and `balance_of` and `motion_difference` of its
+    `judged_part`, is computed if not given.
 
     Returns
     -------
     dict
-        ``steps`` (from 0 to the last recorded), ``first_step`` (the first recorded),
+        ``steps`` (from 0 to the last recorded), ``judged_steps`` (of which errors and energies
+        are, see `judged_part`), ``first_step`` (the first recorded),
         ``rate_hz``, ``duration_s``, ``wall_s``, ``realtime_factor``, ``complete``, ``stable`` (no
         trip, and all samples finite), ``trip`` (reason, step, time_s), ``missed`` (steps that
         missed the command deadline), ``overruns`` (of the rig's sampling), ``timing`` (see
         `timing_of`), ``saturated`` (stroke, force_capacity, valve, a sensor's range -> samples and
         first_step), ``link`` (see `link_numbers`), ``lost`` (samples missing from the record, by
-        topic), ``energy`` (see `energy_numbers`), ``estimates`` (identified on line by the
+        topic), ``ground_motion`` (see `seft_ros.ground_motion.ground_motion_block.motion_facts`),
+        ``energy`` (see `energy_numbers`), ``estimates`` (identified on line by the
         compensation: name -> axis -> first, last, least and largest, SI units),
         ``equivalent_motion`` (see `MotionDifference.numbers`), ``tracking_error`` (see
         `tracking_error`), ``detectors`` (of faults, see `shares_of`), ``reference_specimen`` (of
@@ -77,17 +83,19 @@ def summarise(
     if reference is None:
         reference = reference_of(record)
     steps, recorded = _steps(record), record.series[RIG_STATE.name].steps
+    judged, reference = judged_part(record, reference)
     duration = steps * record.experiment.timebase.dt
     timing = timing_of(record)
     axes = record.experiment.axes
     by_axis = {
-        axis: _responses(record, reference, slice(column, column + 1))
+        axis: _responses(judged, reference, slice(column, column + 1))
         for column, axis in enumerate(axes)
     }
-    difference = difference or motion_difference(record)
+    difference = difference or motion_difference(judged)
     simulated = "specimen.mass" in record.experiment.sections.get("rig", {})
     found: dict[str, Any] = {
         **_outcome(record),
+        "judged_steps": _steps(judged),
         "first_step": int(recorded[0]) if len(recorded) else None,
         "rate_hz": record.experiment.timebase.rate,
         "duration_s": duration,
@@ -102,14 +110,15 @@ def summarise(
             topic.name: steps - int(np.searchsorted(record.series[topic.name].steps, steps))
             for topic in LOOP_TOPICS
         },
-        "energy": energy_numbers(balance or balance_of(record)),
-        "estimates": _estimates(record.estimates, axes),
+        "ground_motion": record.facts.get(GROUND_MOTION.name, {}).get(MOTION),
+        "energy": energy_numbers(balance or balance_of(judged)),
+        "estimates": _estimates(judged.estimates, axes),
         "equivalent_motion": difference and difference.numbers(),
-        "tracking_error": tracking_error_of(record),
-        "detectors": shares_of(record),
+        "tracking_error": tracking_error_of(judged),
+        "detectors": shares_of(judged),
         "reference_specimen": ("simulated" if simulated else "model") if reference else None,
-        "tracking": tracking_of(record, reference),
-        **(by_axis[axes[0]] if len(axes) == 1 else _responses(record, reference, slice(None))),
+        "tracking": tracking_of(judged, reference),
+        **(by_axis[axes[0]] if len(axes) == 1 else _responses(judged, reference, slice(None))),
         "axes": by_axis,
     }
     summary: dict[str, Any] = json_safe(found)
@@ -121,10 +130,31 @@ def summarise_briefly(record: Record, reference: ReferenceResponse) -> dict[str,
 
     For many tests of which no more is wanted: the rest takes most of the time.
     """
+    judged, known = judged_part(record, reference)
     summary: dict[str, Any] = json_safe(
-        {**_outcome(record), **_responses(record, reference, slice(None))}
+        {**_outcome(record), **_responses(judged, known, slice(None))}
     )
     return summary
+
+
+def judged_part(
+    record: Record, reference: ReferenceResponse | None = None
+) -> tuple[Record, ReferenceResponse | None]:
+    """Cut a tripped test, and its reference response, where the force began to come down.
+
+    The ramp-down is no part of the planned test: no reference response holds for it.
+    """
+    if record.trip is None or record.trip.step + 1 >= _steps(record):
+        return record, reference
+    last = record.trip.step
+    series = {name: one.until(last) for name, one in record.series.items()}
+    estimates = record.estimates and record.estimates.until(last)
+    if estimates is not None and not len(estimates.steps):
+        estimates = None
+    if reference is not None:
+        parts = {part.name: getattr(reference, part.name)[: last + 1] for part in fields(reference)}
+        reference = ReferenceResponse(**parts)
+    return replace(record, series=series, estimates=estimates), reference
 
 
 def reference_of(record: Record) -> ReferenceResponse | None:
@@ -262,6 +292,24 @@ def shares_of(record: Record) -> dict[str, float] | None:
     measured, forces_there = states.values[at_states], forces.values[at_forces]
     with np.errstate(over="ignore", invalid="ignore"):
         return detector_shares(record.experiment, steps, forces_there, measured, commands)
+
+
+def strong_part(record: Record) -> tuple[float, float]:
+    """Choose the times between which a test is drawn at first, s.
+
+    From a second before 5 % of the ground motion's Arias intensity to two after 95 %, on any axis,
+    and up to a trip at least. All of the test where the ground motion is not known.
+    """
+    dt, motion = record.experiment.timebase.dt, record.series[GROUND_MOTION.name]
+    end = max(_steps(record) - 1, 1) * dt
+    if len(motion.steps) < 2 or motion.steps[0] != 0 or not np.any(motion.values):
+        return 0.0, end
+    every = np.arange(motion.steps[-1] + 1)
+    starts, ends = zip(*significant_parts(every_step(motion, every)[:, 0], dt), strict=True)
+    last = max(ends) + AFTER
+    if record.trip is not None:
+        last = max(last, record.trip.time_s + AFTER)
+    return max(min(starts) - BEFORE, 0.0), min(last, end)
 
 
 def _steps(record: Record) -> int:

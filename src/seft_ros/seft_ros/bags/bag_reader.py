@@ -130,6 +130,7 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         link=reports.link(),
         events=reports.events(start_ns),
         described=known,
+        facts=description.facts,
         environment={**description.environment, UNDECODABLE: undecodable},
         **end,
     )

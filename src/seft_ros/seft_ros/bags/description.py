@@ -32,10 +32,21 @@ GIT_TIMEOUT = 5.0  # s
 
 @dataclass
 class Description:
-    """What a test was: node -> its resolved parameters, and `describe_environment`, if recorded."""
+    """What a test was, as far as it was recorded.
+
+    Attributes
+    ----------
+    sections : dict
+        Node -> its resolved parameters.
+    environment : dict
+        See `describe_environment`.
+    facts : dict
+        Node -> what else it says of itself.
+    """
 
     sections: dict[str, Section] = field(default_factory=dict)
     environment: dict[str, Any] = field(default_factory=dict)
+    facts: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def experiment(self) -> Experiment:
         """Make the experiment of the nodes' parameters; of several rigs the first's count.
@@ -52,13 +63,22 @@ class Description:
             sections.setdefault(bare(node), section)
         try:
             return Experiment(sections)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise InputError(f"the nodes' parameters make no experiment: {error!r}") from None
+        except (KeyError, TypeError, ValueError, AttributeError):
+            raise InputError(
+                "the nodes' parameters make no experiment: rate or axes are missing, or are none"
+            ) from None
 
 
-def write_description(sections: Mapping[str, Section], environment: Mapping[str, Any]) -> list[str]:
-    """Texts that describe a test: one for each node, and one for the environment."""
-    nodes = [{"node": node, "parameters": dict(section)} for node, section in sections.items()]
+def write_description(
+    sections: Mapping[str, Section],
+    environment: Mapping[str, Any],
+    facts: Mapping[str, dict[str, Any]] | None = None,
+) -> list[str]:
+    """Texts that describe a test: one for each node with its facts, one for the environment."""
+    nodes = [
+        {"node": node, "parameters": dict(section), **(facts or {}).get(node, {})}
+        for node, section in sections.items()
+    ]
     return [
         json.dumps(part, allow_nan=False) for part in (*nodes, {"environment": dict(environment)})
     ]
@@ -77,8 +97,10 @@ def read_description(texts: Iterable[str]) -> tuple[Description, int]:
         except (ValueError, RecursionError):
             part = None
         match part:
-            case {"node": str(node), "parameters": dict(parameters)}:
+            case {"node": str(node), "parameters": dict(parameters), **facts}:
                 description.sections[node] = parameters
+                if facts:
+                    description.facts[node] = {str(name): fact for name, fact in facts.items()}
             case {"environment": dict(environment)}:
                 description.environment = environment
             case _:

@@ -137,6 +137,8 @@ class Record:
         Whether the configuration is known; if not, ``experiment`` has axes and rate alone.
     environment : dict
         Wall-clock start, git revision, package versions, mode, as recorded.
+    facts : dict
+        Node -> what it says of itself beside its parameters.
     """
 
     experiment: Experiment
@@ -155,6 +157,7 @@ class Record:
     complete: bool = True
     described: bool = True
     environment: dict[str, Any] = field(default_factory=dict)
+    facts: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         missing = {topic.name for topic in LOOP_TOPICS} - set(self.series)

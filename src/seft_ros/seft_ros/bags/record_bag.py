@@ -94,7 +94,7 @@ def write_record(
     if not_finite:
         environment[NOT_FINITE] = not_finite
     with BagWriter(path, storage) as bag:
-        for text in write_description(record.experiment.sections, environment):
+        for text in write_description(record.experiment.sections, environment, record.facts):
             bag.write(DESCRIPTION, encode_string(text), start_ns)
         sent, time_ns = 0, start_ns
         for step, which, index in events.tolist():

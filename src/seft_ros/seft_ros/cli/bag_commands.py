@@ -25,6 +25,9 @@ _COLOURS = {"good": "green", "doubt": "yellow", "bad": "red", "none": "default"}
 def report(
     bag: Bag,
     out: Optional[Path] = option(None, "The page; default report.html in BAG.", "FILE"),
+    pdf: bool = option(
+        False, "Write verdict, numbers and histories to print as PDF, beside the page.", "--pdf"
+    ),
     json: Json = False,
 ) -> int:
     """Show whether a recorded test can be trusted, and where it can not.
@@ -43,12 +46,12 @@ def report(
 
         seft report bags/half --json
 
-        seft report bags/half --out half.html
+        seft report bags/half --out half.html --pdf
     """
     from rich.text import Text
 
     from seft_ros.analysis.report_numbers import report_numbers
-    from seft_ros.analysis.report_page import write_report
+    from seft_ros.analysis.report_page import write_pdf, write_report
     from seft_ros.analysis.result_text import summary_table
     from seft_ros.bags.bag_reader import read_bag
     from seft_ros.drawing.page import check_page
@@ -58,12 +61,15 @@ def report(
     findings = report_numbers(read_bag(bag))
     write_report(findings, bag.resolve().name, page)
     summary = findings.summary | {"bag": str(bag), "page": str(page)}
+    if pdf:
+        summary["pdf"] = str(page.with_suffix(".pdf"))
+        write_pdf(findings, bag.resolve().name, page.with_suffix(".pdf"))
     verdict = summary["verdict"]
     lines = [
         Text(verdict["text"], style=f"bold {_COLOURS[verdict['verdict']]}"),
-        *(Text(f"  {one['text']}", style=_COLOURS[one["verdict"]]) for one in verdict["findings"]),
+        *(Text(f"  {f.whole}", style=_COLOURS[f.verdict]) for f in findings.judgement.findings),
     ]
-    show(summary, json, [summary_table(findings.record, summary), *lines], "page")
+    show(summary, json, [summary_table(findings.record, summary), *lines], "page", "pdf")
     return 0 if summary["stable"] and summary["complete"] else 1
 
 
@@ -115,7 +121,7 @@ def compare(
 
     Realtime and hardware against the simulation, as a picture:
 
-        seft compare bags/simulated bags/realtime bags/hardware --figure tests.png
+        seft compare bags/simulated bags/realtime bags/lab --figure all.png
 
     What the stock recorder wrote, for a script; first_difference names topic, step and field:
 
@@ -188,10 +194,9 @@ def replay(
 
         seft replay bags/lockstep --node reference_force
 
-        seft replay bags/lockstep --node reference_force
-        -p reference_force:compensation.method:=none --out bags/none
+        seft replay bags/lockstep --node rig -p rig:seed:=2 --out bags/other
 
-        seft compare bags/lockstep bags/none
+        seft compare bags/lockstep bags/other
 
         seft replay bags/lockstep --node rig --offline --json
     """

@@ -4,6 +4,8 @@
 """
 
 import cmath
+import shlex
+from dataclasses import asdict
 from pathlib import Path
 from typing import Optional
 
@@ -69,7 +71,7 @@ def design(
 
         seft design config/jhu.yaml --gain 37 --pole 10.07,0.1355
 
-        seft design config/jhu.yaml --numerator 37 --denominator "1 17.14 4002" --json
+        seft design config/jhu.yaml --numerator 37 --denominator "1 17.14 4002"
     """
     from seft_ros.design.closed_loop import force_loop
     from seft_ros.design.controller import (
@@ -158,6 +160,7 @@ def preflight(
     instead.
 
     The exact response of the planned test gives the peaks to expect, and limits that fit them.
+    Below the tables stands what is amiss, with the commands that mend it.
 
     Exit status 1: the plan is unstable.
 
@@ -169,7 +172,7 @@ def preflight(
 
         seft preflight config/jhu.yaml --write limits.yaml
 
-        seft preflight config/jhu.yaml --params-file identified/model.yaml --plant identified
+        seft preflight config/jhu.yaml --params-file identified/model.yaml
     """
     from seft_ros.design.plan import Plan
     from seft_ros.design.preflight_tables import (
@@ -184,6 +187,7 @@ def preflight(
         preflight_figure,
         stability_maps,
     )
+    from seft_ros.design.stability_verdict import next_steps
     from seft_ros.design.stability_verdict import preflight as fly
     from seft_ros.drawing.style import check_figure, save_figure
     from seft_ros.reference_force.compensator import NotLinearError
@@ -205,6 +209,8 @@ def preflight(
         peaks = expected_peaks(experiment)
         limits = proposed_limits(peaks)
         summary |= {"expected_peaks": peaks, "proposed_limits": limits}
+        steps = next_steps(plan, found, peaks, _again(config, param, params_file, external))
+        summary["next"] = [asdict(step) for step in steps]
         if write is not None:
             write_limits(write, limits)
         if path is not None:
@@ -212,7 +218,25 @@ def preflight(
             save_figure(preflight_figure(plan, found, maps), path)
             summary["figure"] = str(path)
     tables = preflight_tables(plan, found, f"preflight of {config}")
-    show(summary, json, [*tables, limits_table(experiment, peaks)], "figure")
+    lines = [line for step in steps for line in (f"{step.found}:", *_indented(step.commands))]
+    show(summary, json, [*tables, limits_table(experiment, peaks), "", *lines], "figure")
     for reason in found.reasons:
         complain(f"{found.verdict}: {reason}")
     return 1 if found.verdict == "unstable" else 0
+
+
+def _again(
+    config: Path,
+    param: list[str] | None,
+    params_file: list[Path] | None,
+    external: list[str] | None,
+) -> str:
+    """Write the words that name an experiment once more."""
+    words = [str(config)]
+    for name, values in (("--params-file", params_file), ("-p", param), ("--external", external)):
+        words += [word for value in values or () for word in (name, str(value))]
+    return shlex.join(words)
+
+
+def _indented(commands: list[str]) -> list[str]:
+    return [f"    {command}" for command in commands]

@@ -91,7 +91,7 @@ def identify(
 
         seft identify config/jhu.yaml --over-dds -p rig:pace:=lockstep --json
 
-        seft identify config/lab.yaml --external rig --amplitude 0.1 --duration 300
+        seft identify config/lab.yaml --external rig --duration 300
     """
     from seft_ros.design.controller import Controller
     from seft_ros.design.identified import identify as identify_rig

@@ -3,6 +3,7 @@
 import signal
 import sys
 from contextlib import redirect_stdout
+from importlib.metadata import version as installed_version
 
 import typer
 from seft_msgs_py.errors import SeftError
@@ -13,7 +14,7 @@ from seft_ros.cli.design_commands import design, preflight
 from seft_ros.cli.identify import identify
 from seft_ros.cli.new import new
 from seft_ros.cli.operate import reset, start, status, stop
-from seft_ros.cli.options import complain
+from seft_ros.cli.options import complain, option
 from seft_ros.cli.perform import run, simulate
 from seft_ros.cli.rig_commands import conform, link
 from seft_ros.cli.show_commands import monitor, motion, parameters
@@ -52,8 +53,14 @@ for command in (
 
 
 @APP.callback(invoke_without_command=True)
-def seft(context: typer.Context) -> None:
+def seft(
+    context: typer.Context,
+    version: bool = option(False, "Print the version and end.", "--version"),
+) -> None:
     """Print the help to stderr, where no command is given."""
+    if version:
+        print(f"seft {installed_version('seft_ros')}")
+        raise typer.Exit(0)
     if context.invoked_subcommand is None:
         with redirect_stdout(sys.stderr):  # typer before 0.10 prints the help itself
             print(context.get_help())

@@ -5,6 +5,7 @@ import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
@@ -14,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import ExperimentError, InputError
-from seft_msgs_py.wire.topics import NODES, with_rigs
+from seft_msgs_py.wire.topics import GROUND_MOTION, NODES, with_rigs
 
 from seft_ros.bags.record import Record
 from seft_ros.design import Source
@@ -165,6 +166,7 @@ def offline_test(experiment: Experiment, bag: Path | None, label: str = "") -> R
     Raises `InputError` if parameters contradict each other.
     """
     from seft_ros.bags.record_bag import write_record
+    from seft_ros.ground_motion.ground_motion_block import MOTION
     from seft_ros.test_run.blocks import build_blocks
     from seft_ros.test_run.offline import simulate
 
@@ -172,6 +174,7 @@ def offline_test(experiment: Experiment, bag: Path | None, label: str = "") -> R
     motion = blocks.ground_motion
     with step_progress(motion.steps) as tell:
         record = simulate(experiment, blocks, lambda done: tell(f"{label}simulating", done))
+        record = replace(record, facts={GROUND_MOTION.name: {MOTION: motion.facts}})
         tell(f"{label}writing the bag" if label else "done", len(record.series["rig/state"].steps))
         if bag is not None:
             chunks = [motion.chunk(index) for index in range(motion.chunks)]

@@ -8,6 +8,7 @@ import typer
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 
+from seft_ros.bags.record import Record
 from seft_ros.cli.options import (
     Config,
     External,
@@ -90,7 +91,7 @@ def run(
 
         seft run config/jhu.yaml --external rig --check-signs
 
-        seft run config/jhu.yaml -p reference_force:mass_ratio:=2.0 --accept-unstable
+        seft run config/jhu.yaml --params-file plan.yaml --accept-unstable
     """
     from seft_ros.design.preflight_tables import expected_peaks, limit_warning
     from seft_ros.test_run.process_layout import ProcessLayout
@@ -109,7 +110,7 @@ def run(
     record, bag = dds_test(experiment, bag, steps, external or (), layout=layout)
     if show_test(record, bag, as_json=json, figure=figure):
         return 0
-    complain(f"the test tripped: {record.trip.reason}" if record.trip else "unstable")
+    complain(_fault(record))
     return 1
 
 
@@ -131,10 +132,11 @@ def simulate(
 
         seft simulate config/jhu.yaml
 
-        seft simulate config/jhu.yaml -p reference_force:mass_ratio:=0.5 --out bags/half
+        seft simulate config/jhu.yaml -p reference_force:mass_ratio:=0.5
 
-        seft simulate config/jhu.yaml -p ground_motion:file:=kobe.txt
-        -p ground_motion:unit:=cm/s2 -p ground_motion:dt:=0.005 --json
+        seft simulate config/demo.yaml --out bags/demo
+
+        seft simulate config/demo.yaml -p ground_motion:file:=kobe.AT2
     """
     experiment = load_experiment(config, param, params_file)
     if out is not None:
@@ -142,8 +144,15 @@ def simulate(
     record = offline_test(experiment, out)
     if show_test(record, out, as_json=json, figure=figure):
         return 0
-    complain(f"unstable: {record.trip.reason if record.trip else 'values are not finite'}")
+    complain(f"{_fault(record)}; seft preflight {config} says what to change")
     return 1
+
+
+def _fault(record: Record) -> str:
+    """Say in a few words why a test is not stable: a limit that trips it is no instability."""
+    if record.trip is not None:
+        return f"the test tripped: {record.trip.reason}"
+    return "unstable: values are not finite"
 
 
 def _with_measured_delay(experiment: Experiment) -> Experiment:

@@ -64,8 +64,8 @@ def link(
 
         seft link config/two_pier_bridge.yaml --rig east
 
-        seft run config/demo.yaml --params-file link.yaml --external rig
-        --external force_controller
+    The test over the link then takes link.yaml as --params-file, and the nodes of the other side
+    as --external (docs/hosts.md).
     """
     from seft_ros.test_run.link_judgement import allowed, judge, link_table, message_size
     from seft_ros.test_run.link_measurement import measure

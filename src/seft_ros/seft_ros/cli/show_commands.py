@@ -4,14 +4,14 @@ import re
 import secrets
 import webbrowser
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Optional
 
 import typer
 from seft_msgs_py.config.parameter_table import COMMON, Parameter, nearest
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.timebase import Timebase
 
-from seft_ros.cli.options import Json, option, show
+from seft_ros.cli.options import Files, Json, Params, load_experiment, option, show
 from seft_ros.test_run.parameter_tables import TABLES
 
 
@@ -99,49 +99,82 @@ _ROWS = {
 
 
 def motion(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="PEER AT2, columns or csv.")],
-    column: Optional[list[int]] = option(None, "Column, from 0; once for each axis to be shown."),
-    unit: str = option("g", "g, m/s2 or cm/s2."),
-    dt: float = option(0.0, "Sampling period in s, where the file has none."),
-    time_scale: float = option(1.0, "0.5: twice as fast."),
-    rate: float = option(500.0, "Rate of the loop in Hz."),
-    figure: Optional[Path] = option(None, "Where to draw; default FILE's name + .png.", "PNG"),
+    file: Optional[Path] = typer.Argument(
+        None,
+        metavar="[FILE]",
+        help="Record: PEER AT2, COSMOS V2, SMC, columns or csv; default CONFIG's motion.",
+        show_default=False,
+    ),
+    config: Optional[Path] = option(
+        None, "Show the motion as the test of this experiment uses it.", "CONFIG"
+    ),
+    param: Params = None,
+    params_file: Files = None,
+    column: Optional[list[int]] = option(
+        None,
+        "Column, from 0; once for each axis to be shown. Default the first that is not the time.",
+    ),
+    unit: Optional[str] = option(None, "g, m/s2 or cm/s2, where the file does not say."),
+    dt: Optional[float] = option(None, "Sampling period in s, where the file has none."),
+    time_scale: Optional[float] = option(None, "0.5: twice as fast."),
+    rate: Optional[float] = option(None, "Rate of the loop in Hz; default CONFIG's, or 500."),
+    figure: Optional[Path] = option(None, "Draw time history and response spectrum.", "FILE"),
     json: Json = False,
 ) -> int:
-    """Show a record as a test at this rate would use it: numbers, and a figure with spectrum.
+    """Show a ground motion as a test uses it: source, unit, scale, peak, duration.
+
+    A record alone is shown as it is, resampled to the rate of a loop. With --config all that
+    the experiment does to it is done: peak_force, time_scale, influence, tail.
 
     Examples:
 
-        seft motion kobe_nishi_akashi_090.AT2
+        seft motion kobe.AT2 --figure kobe.png
 
-        seft motion kobe_jma_1995.txt --unit cm/s2 --dt 0.005 --column 0 --column 1
+        seft motion kobe.txt --unit cm/s2 --dt 0.005 --column 0 --column 1
 
-        seft motion record.csv --unit m/s2 --time-scale 0.5 --json
+        seft motion --config config/demo.yaml
+
+        seft motion kobe.AT2 --config config/demo.yaml --json
     """
-    from rich.table import Table
-
-    from seft_ros.drawing.style import save_figure
+    from seft_ros.analysis.result_text import motion_lines
+    from seft_ros.drawing.style import check_figure, save_figure
+    from seft_ros.drawing.tables import make_table
     from seft_ros.ground_motion.ground_motion_block import TABLE, GroundMotion
     from seft_ros.ground_motion.response_spectrum import motion_figure, motion_summary
 
-    columns = column or [0]
-    axes = [f"column {index}" for index in columns]
-    words = {"column": columns, "unit": unit, "dt": dt, "time_scale": time_scale, "tail": 0.0}
-    given = TABLE.check({"file": str(file), **words}, "seft motion")
-    defaults = {row.name: row.default for row in TABLE.rows.values()}
-    block = GroundMotion.from_parameters({**defaults, **given}, axes, Timebase.from_rate(rate))
-    path = figure or Path(f"{file.stem}.png")
-    drawn = motion_figure(block.samples, block.timebase.dt, axes, f"{file.name}, {rate:g} Hz")
-    save_figure(drawn, path)
-    numbers = motion_summary(block.samples, block.timebase.dt)
-    table = Table(title=f"{block.source}: {numbers['steps']} steps at {rate} Hz")
-    table.add_column("")
-    for axis in axes:
-        table.add_column(axis, justify="right")
-    for name, label in _ROWS.items():
-        table.add_row(label, *(f"{value:.4g}" for value in numbers[name]))
-    summary = {"source": block.source, "rate_hz": rate, **numbers, "figure": str(path)}
-    show(summary, json, [table], "figure")
+    path = check_figure(figure) if figure is not None else None
+    columns = column[0] if column and not column[1:] else column
+    words = {"column": columns, "unit": unit, "dt": dt, "time_scale": time_scale}
+    given = {name: value for name, value in words.items() if value is not None}
+    own = {row.name: row.default for row in TABLE.rows.values()}
+    if config is not None:
+        experiment = load_experiment(config, param, params_file)
+        axes, timebase = experiment.axes, experiment.timebase
+        section = experiment["ground_motion"]
+        if file is not None:  # another record: what is said of the experiment's own does not hold
+            section |= {name: own[name] for name in ("column", "unit", "dt")}
+    elif file is None:
+        raise InputError("seft motion: name a record, or an experiment by --config")
+    elif param or params_file:
+        raise InputError("-p and --params-file change an experiment; name it by --config")
+    else:
+        axes = tuple(f"column {index}" for index in column or ()) or ("motion",)
+        timebase, section = Timebase.from_rate(500.0), own | {"tail": 0.0}
+    if file is not None:
+        given["file"] = str(file)
+    section |= TABLE.check(given, "seft motion")
+    timebase = timebase if rate is None else Timebase.from_rate(rate)
+    block = GroundMotion.from_parameters(section, axes, timebase)
+    if path is not None:
+        title = f"{block.facts['source']}, {timebase.rate:g} Hz"
+        save_figure(motion_figure(block.samples, timebase.dt, axes, title), path)
+    numbers = motion_summary(block.samples, timebase.dt)
+    title = f"{numbers['steps']} steps at {timebase.rate:g} Hz"
+    rows = [[label, *(f"{value:.4g}" for value in numbers[name])] for name, label in _ROWS.items()]
+    summary = {**block.facts, "rate_hz": timebase.rate, **numbers}
+    summary["figure"] = None if path is None else str(path)
+    table = make_table(["", *axes], rows, title=title)
+    show(summary, json, [*motion_lines(block.facts), table], "figure")
     return 0
 
 
@@ -190,7 +223,7 @@ def _table(rows: tuple[Parameter, ...]) -> str:
 
 def _type(row: Parameter) -> str:
     if row.choices:
-        return " \\| ".join(f"`{choice}`" for choice in row.choices)
+        return " \\| ".join(f"`{choice}`" if choice else '`""`' for choice in row.choices)
     if row.file_name:
         return "name of a file"
     limits = ((">", 0 if row.positive else None), (">=", row.minimum), ("<=", row.maximum))

@@ -36,9 +36,11 @@ def paper(
         "CONFIG's motion, which is synthetic.",
         "MOTION",
     ),
-    unit: Optional[str] = option(None, "g, m/s2 or cm/s2; default g."),
+    unit: Optional[str] = option(None, "g, m/s2 or cm/s2, where the file does not say."),
     dt: Optional[float] = option(None, "Sampling period in s, where the file has none."),
-    column: Optional[int] = option(None, "Column of the file, from 0; default the first."),
+    column: Optional[int] = option(
+        None, "Column of the file, from 0; default the first that is not the time."
+    ),
     out: Path = option(Path("paper.html"), "The page.", "HTML"),
     workers: Optional[int] = option(
         None, "Processes that calculate; default one for each core.", min=1
@@ -60,7 +62,7 @@ def paper(
 
         seft paper
 
-        seft paper --file kobe_jma_1995.txt --unit cm/s2 --dt 0.005 --column 0 --out kobe.html
+        seft paper --file kobe.txt --unit cm/s2 --dt 0.005 --out kobe.html
 
         seft paper --json -p rig:actuator.valve_frequency:=50.0
     """
@@ -108,7 +110,8 @@ def _with_motion(experiment: Experiment, file: Path | None, given: dict[str, Any
             )
         section = words
     else:
-        section = {"file": str(file), "unit": "g", "dt": 0.0, "column": 0, **words}
+        own = {name: TABLE.rows[name].default for name in given}
+        section = {"file": str(file), **own, **words}
     return changed(experiment, {"ground_motion": TABLE.check(section, "seft paper")})
 
 

@@ -42,7 +42,7 @@ _MODE = (  # of the exact mode, of that in the test, and their difference
 
 
 def preflight_tables(plan: Plan, found: Preflight, title: str) -> list[Table]:
-    """Tabulate a preflight: its margins and verdict, and the modes in the test."""
+    """Tabulate a preflight: margins and verdict, and the modes in the test if it is stable."""
     margins = make_table(
         ("", "planned", "critical", "oscillates at"),
         _margin_rows(plan, found),
@@ -55,6 +55,8 @@ def preflight_tables(plan: Plan, found: Preflight, title: str) -> list[Table]:
         for mode in summarise(plan, found)["modes"]
         for row in _MODE
     ]
+    if found.verdict == "unstable":
+        return [margins]
     none = [["no oscillating mode", "", "", ""]]
     headings, title = ("", "exact", "in the test", "error"), "modes of the whole structure"
     return [margins, make_table(headings, modes or none, title=title, **_LEFT)]
@@ -206,18 +208,20 @@ def proposed_limits(peaks: dict[str, float]) -> dict[str, float]:
 
 
 def limit_warning(experiment: Experiment, peaks: dict[str, float]) -> str:
-    """Name the limits that are far beyond the expected peaks; empty if none is."""
-    far = [
-        f"{name} {_limit(experiment, name):g} {unit} (expected: {peak:.3g})"
-        for (name, peak), unit in zip(peaks.items(), LIMIT_UNITS, strict=False)
-        if _limit(experiment, name) > FAR * peak > 0.0
-    ]
-    if not far:
-        return ""
-    return (
-        f"limits are more than {FAR:g} times what this test is expected to reach: "
-        f"{', '.join(far)}; seft preflight CONFIG --write limits.yaml proposes others"
+    """Name the limits that the expected peaks exceed or stay far below; empty if there are none."""
+    told = []
+    for name, peak, unit in zip(peaks, peaks.values(), LIMIT_UNITS, strict=False):
+        told.append((_limit(experiment, name), peak, f"{name} {_limit(experiment, name):g} {unit}"))
+    low = [f"{text} (expected: {peak:.3g})" for limit, peak, text in told if peak > limit]
+    far = [f"{text} (expected: {peak:.3g})" for limit, peak, text in told if limit > FAR * peak > 0]
+    kinds = (
+        (low, "limits are below what this test is expected to reach, and may end it"),
+        (far, f"limits are more than {FAR:g} times what this test is expected to reach"),
     )
+    parts = [f"{what}: {', '.join(which)}" for which, what in kinds if which]
+    if not parts:
+        return ""
+    return f"{'; '.join(parts)}; seft preflight CONFIG --write limits.yaml proposes others"
 
 
 def _limit(experiment: Experiment, name: str) -> float:

@@ -23,12 +23,16 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+")
 _LONE_DECIMAL_COMMA = re.compile(r"[+-]?\d+,0\d+")  # 0,005 would read as two columns
 _LIKE_A_NUMBER = re.compile(r"[+-]?\.?\d")
 _IN_BRACKETS = re.compile(r"[\[(]([^\[\]()]+)[\])]")
+_IN_UNIT = re.compile(r"\bin\s+(?:units?\s+of\s+)?([^\s,;()\[\]]+)", re.IGNORECASE)
+_DT = re.compile(rf"\bdt\s*[=:]\s*({NUMBER.pattern})\s*(ms\b)?", re.IGNORECASE | re.ASCII)
 _TIME = re.compile(r"(?:time|t)[\s_,/]*[\[(]?\s*([a-z]*)\s*[\])]?", re.IGNORECASE)
 _SECONDS = {
     **dict.fromkeys(("", "s", "sec", "secs", "second", "seconds"), 1.0),
     **dict.fromkeys(("ms", "msec", "milliseconds"), 1e-3),
 }
 _UNEVEN = 0.01  # of a step
+_FEWEST_TIMES = 10
+_LONGEST_STEP = 0.1  # s; records are sampled faster
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,8 @@ class Columns:
         Number of that line; 0: there is none, or it is an AT2 file.
     own_dt : float or None
         Sampling period in the header, s; None: a column of time may give it.
+    own_unit : str or None
+        Acceleration unit in the header; None: the name of a column may give it.
     """
 
     path: Path
@@ -57,19 +63,42 @@ class Columns:
     names: tuple[str, ...] = ()
     header_line: int = 0
     own_dt: float | None = None
+    own_unit: str | None = None
 
     def unit(self, column: int) -> str | None:
-        """Acceleration unit in the brackets of a column's name, ``acc (g)``, or None."""
+        """Acceleration unit in the brackets of a column's name, ``acc (g)``, or of the header."""
         found = _IN_BRACKETS.search(self.names[column]) if self.names else None
-        return read_unit(found.group(1)) if found else None
+        return (read_unit(found.group(1)) if found else None) or self.own_unit
 
     def time(self) -> tuple[int, float] | None:
-        """Index of the column whose name says time, and its unit in s; None if there is none."""
-        for index, name in enumerate(self.names):
-            found = _TIME.fullmatch(name)
+        """Index of the column of time, and its unit in s; None if there is none.
+
+        It is the one whose name says time. Where none does, it is the first of several columns
+        that rises from line to line, in steps of up to 0.1 s.
+        """
+        named = [_TIME.fullmatch(name) for name in self.names]
+        for index, found in enumerate(named):
             if found and found.group(1).lower() in _SECONDS:
                 return index, _SECONDS[found.group(1).lower()]
+        if self.values.shape[1] > 1 and not any(named):
+            for index in range(self.values.shape[1]):
+                if (step := self.rise(index)) and step <= _LONGEST_STEP:
+                    return index, 1.0
         return None
+
+    def rise(self, column: int) -> float | None:
+        """Usual step of a column that rises from line to line, as time does; None: it does not."""
+        steps = np.diff(self.values[:, column])
+        rises = len(steps) >= _FEWEST_TIMES - 1 and bool((steps > 0).all())
+        return float(np.median(steps)) if rises else None
+
+    def first_motion(self) -> int:
+        """Index of the first column that is no time and does not rise as time does."""
+        time, several = self.time(), self.values.shape[1] > 1
+        for index in range(self.values.shape[1]):
+            if (time is None or index != time[0]) and not (several and self.rise(index)):
+                return index
+        return 0
 
     def dt(self) -> float | None:
         """Find the sampling period in the header or the column of time, s; None: in neither.
@@ -217,7 +246,21 @@ def read_columns(path: Path, lines: list[str]) -> Columns:
                 to_float(field, path, number)
         if line.strip():
             header, names = number, _names(line, separator, count)
-    return Columns(path, np.array(rows), [number for number, _ in data], names, header)
+    units = [read_unit(word) for line in lines[:start] for word in _IN_UNIT.findall(line)]
+    periods = [
+        to_float(number, path, 1) * (1e-3 if milli else 1.0)
+        for line in lines[:start]
+        for number, milli in _DT.findall(line)
+    ]
+    return Columns(
+        path,
+        np.array(rows),
+        [number for number, _ in data],
+        names,
+        header,
+        next((period for period in periods if period > 0), None),
+        next((unit for unit in units if unit), None),
+    )
 
 
 def _find_data(path: Path, lines: list[str]) -> tuple[int, str | None]:

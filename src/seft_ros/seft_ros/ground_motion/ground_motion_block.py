@@ -5,6 +5,8 @@ that looks ahead need not know where the end is.
 """
 
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +23,9 @@ Floats = npt.NDArray[np.float64]
 MOST_STEPS = 50_000_000
 """Longest motion that is accepted, in steps: beyond is a mistyped duration or rate."""
 
+MOTION = "motion"
+"""Name of `motion_facts` in the description of the node."""
+
 _SNAP = 1e-9  # of a record's step: rounding in k * dt must not move a sample off its knot
 _CHUNKS_PER_LEAD = 4
 
@@ -30,12 +35,13 @@ TABLE = Table(
         """
     file                       | string |       |       |             |
         record to read; empty: make a synthetic motion
-    column                     | ints   | 0     |       | 0 ..        |
-        column of the file, counted from 0; one for all axes, or one per axis
-    unit                       | string | g     |       | g, m/s2, cm/s2 |
-        unit of the accelerations in the file
+    column                     | ints   | -1    |       | -1 ..       |
+        column of the file, counted from 0; one for all axes, or one per axis; -1: the first that
+        is not the time
+    unit                       | string |       |       | "", g, m/s2, cm/s2 |
+        unit of the accelerations in the file; empty: the one that its header says
     dt                         | float  | 0.0   | s     | 0 ..        |
-        sampling period of the file; 0: its own (AT2 header, time column)
+        sampling period of the file; 0: its own (header, column of time)
     peak_force                 | float  | 0.0   | N     | 0 ..        |
         scale the motion so that the largest |mass * acceleration| is this; 0: as recorded
     mass                       | floats | reference_force:model.mass or 0.0 | kg    |             |
@@ -82,8 +88,8 @@ class GroundMotion:
         Steps to a chunk.
     lead_steps : int
         Steps of rest that are known beyond the end.
-    source : str
-        Of the motion, for display.
+    facts : dict, optional
+        Where the motion is from and what was made of it, see `motion_facts`.
 
     Attributes
     ----------
@@ -105,7 +111,7 @@ class GroundMotion:
         timebase: Timebase,
         chunk_steps: int,
         lead_steps: int = 0,
-        source: str = "",
+        facts: dict[str, Any] | None = None,
     ) -> None:
         given = np.asarray(samples, dtype=np.float64)
         self.steps = len(given)
@@ -115,7 +121,7 @@ class GroundMotion:
         self.timebase = timebase
         self.chunk_steps = chunk_steps
         self.chunks = -(-len(self.known) // chunk_steps)
-        self.source = source
+        self.facts = facts or {}
 
     @classmethod
     def from_parameters(
@@ -148,7 +154,7 @@ class GroundMotion:
         samples = resample(
             record.accelerations, record.dt, timebase, section["time_scale"], section["tail"]
         )
-        peak = section["peak_force"]
+        scale, peak = 1.0, section["peak_force"]
         with np.errstate(over="ignore", invalid="ignore"):
             samples *= influence
             if peak:
@@ -159,7 +165,8 @@ class GroundMotion:
                         f"ground_motion: a motion of zeros can't be scaled to peak_force {peak:g} "
                         "N; check column and influence, or set peak_force to 0"
                     )
-                samples *= peak / largest
+                scale = peak / largest
+                samples *= scale
         if not np.isfinite(samples).all():
             raise InputError(
                 f"ground_motion: {record.source}: accelerations beyond all numbers; check its "
@@ -167,7 +174,8 @@ class GroundMotion:
             )
         lead_steps = max(1, round(section["lead"] * timebase.rate))
         chunk_steps = max(1, round(lead_steps / _CHUNKS_PER_LEAD))
-        return cls(samples, timebase, min(chunk_steps, len(samples)), lead_steps, record.source)
+        facts = motion_facts(section, record, samples, scale)
+        return cls(samples, timebase, min(chunk_steps, len(samples)), lead_steps, facts)
 
     def chunk(self, index: int) -> tuple[int, Floats]:
         """One of the pieces in which the motion is published, from 0 to ``chunks - 1``.
@@ -185,11 +193,37 @@ class GroundMotion:
         return first, self.known[first : first + self.chunk_steps]
 
 
+def motion_facts(
+    section: Section, record: RecordedMotion, samples: Floats, scale: float
+) -> dict[str, Any]:
+    """Say where a motion is from, and what a test makes of it; all are JSON values.
+
+    Returns
+    -------
+    dict
+        ``source`` (the file's name, without its folder), ``unit`` (of the file; None: synthetic),
+        ``dt_s`` (of the record), ``scale_factor`` (that `peak_force` asks for), ``peak_force_n``
+        (0: as recorded), ``time_scale``, ``peak_acceleration`` (of each axis in the test, m/s^2),
+        ``duration_s`` (in the test, without the tail) and ``tail_s``.
+    """
+    return {
+        "source": Path(record.source).name,
+        "unit": record.unit or None,
+        "dt_s": record.dt,
+        "scale_factor": scale,
+        "peak_force_n": section["peak_force"],
+        "time_scale": section["time_scale"],
+        "peak_acceleration": np.abs(samples).max(axis=0).tolist(),
+        "duration_s": (len(record.accelerations) - 1) * record.dt * section["time_scale"],
+        "tail_s": section["tail"],
+    }
+
+
 def _synthetic(values: Section, n: int) -> RecordedMotion:
     """One synthetic motion, the same on all n axes."""
     check_size(values["duration"], 1 / values["dt"], "synthetic.duration, synthetic.dt")
     motion = np.repeat(synthetic_motion(**values)[:, np.newaxis], n, axis=1)
-    return RecordedMotion(motion, values["dt"], f"synthetic, seed {values['seed']}")
+    return RecordedMotion(motion, values["dt"], f"synthetic, seed {values['seed']}", "")
 
 
 def resample(

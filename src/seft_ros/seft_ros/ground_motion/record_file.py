@@ -1,10 +1,5 @@
-"""Recorded ground motions, from PEER AT2 files and files in columns.
+"""Recorded ground motions, from agencies' files and files in columns."""
 
-AT2 has two header dialects, ``4096    0.0100    NPTS, DT`` and ``NPTS=  4096, DT= .01000 SEC``.
-The values follow row by row, as many to a line as fit; the last line may be shorter.
-"""
-
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,36 +8,13 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 
-from seft_ros.ground_motion.column_file import (
-    NUMBER,
-    UNITS,
-    Columns,
-    is_comment,
-    read_columns,
-    read_lines,
-    read_unit,
-    to_float,
-)
-
-_HEADER_LINES = 50
-_NPTS = re.compile(r"\bNPTS\b", re.IGNORECASE)
-_NAME_FIRST = re.compile(
-    rf"\bNPTS\s*[=:]?\s*(\d+)[\s,;]*DT\s*[=:]?\s*({NUMBER.pattern})", re.IGNORECASE | re.ASCII
-)
-_NUMBER_FIRST = re.compile(
-    rf"^\s*(\d+)[\s,;]+({NUMBER.pattern})[\s,;]*NPTS[\s,;]*DT\b", re.IGNORECASE | re.ASCII
-)
-_UNIT = re.compile(
-    r"\bUNITS?\s*(?:OF\b|IN\b|:|=|[\[(])\s*[\[(]?\s*([A-Z][^\s,;()\[\]]*)", re.IGNORECASE
-)
-_OTHER_QUANTITY = re.compile(r"\b(VELOCITY|DISPLACEMENT)\s+TIME\b", re.IGNORECASE)
-_RUN_TOGETHER = re.compile(r"(?<=[0-9.])(?=[+-])")
-
+from seft_ros.ground_motion.agency_file import read_agency_file
+from seft_ros.ground_motion.column_file import UNITS, Columns, read_columns, read_lines
 
 _SAME_DT = 1e-3
-_RAMP_ROWS = 10
-_RAMP_STEP = 0.1  # s; records are sampled faster
-_UNEVEN = 0.01  # of a step
+
+FIRST_MOTION = -1
+"""Column that stands for the first that is not the time."""
 
 
 @dataclass(frozen=True)
@@ -57,33 +29,38 @@ class RecordedMotion:
         Sampling period of the record in s.
     source : str
         File it was read from.
+    unit : str
+        Unit of the accelerations in the file, of the first chosen column.
     """
 
     accelerations: npt.NDArray[np.float64]
     dt: float
     source: str
+    unit: str
 
 
 def read_record(
-    path: str | Path, columns: Sequence[int], unit: str, dt: float = 0.0
+    path: str | Path, columns: Sequence[int], unit: str = "", dt: float = 0.0
 ) -> RecordedMotion:
     """Read a recorded ground motion.
 
-    AT2 files are known by the NPTS line of their header, or by their name; any other file is
-    read as columns of numbers (white space, commas or semicolons), with comment lines (%, #,
-    //, !, ;) and lines of text above the data.
+    Files of agencies are known by their headers, see `read_agency_file`; any other file is read
+    as columns of numbers (white space, commas or semicolons), with comment lines (%, #, //, !, ;)
+    and lines of text above the data.
 
     Parameters
     ----------
     path : str or Path
         The file.
     columns : sequence of int
-        Columns to take, counted from 0; one may be taken several times.
+        Columns to take, counted from 0; one may be taken several times; `FIRST_MOTION` is the
+        first that is not the time.
     unit : str
-        Unit of the values: ``g``, ``m/s2`` or ``cm/s2``.
+        Unit of the values, ``g``, ``m/s2`` or ``cm/s2``; empty: the one that the file's header
+        says. Where the file says one, the two must agree.
     dt : float
-        Sampling period in s; 0 takes the file's own (AT2 header, or a column whose header
-        says time). Where the file has one, the two must agree within 0.1 %.
+        Sampling period in s; 0: the file's own, of its header (AT2, or text such as ``dt=0.005``)
+        or of a column of time. Where the file has one, the two must agree within 0.1 %.
 
     Raises
     ------
@@ -93,21 +70,29 @@ def read_record(
     """
     path = Path(path)
     lines = read_lines(path)
-    header = _header_end(lines)
-    is_at2 = header is not None or path.suffix.lower() == ".at2"
-    file = _read_at2(path, lines, header) if is_at2 else read_columns(path, lines)
+    file = read_agency_file(path, lines) or read_columns(path, lines)
+    columns = [file.first_motion() if column == FIRST_MOTION else column for column in columns]
     _check_columns(file, columns, unit)
+    units = [unit or file.unit(column) for column in columns]
+    for column, found in zip(columns, units, strict=True):
+        if found is None:
+            largest = float(np.abs(file.values[:, column]).max())
+            raise InputError(
+                f"{path}: does not say the unit of its accelerations, of which the largest is "
+                f"{largest:.4g}; set ground_motion unit (--unit) to {', '.join(UNITS)}"
+            )
     own_dt = file.dt()
     if own_dt is None and not dt:
-        raise InputError(f"{path}: holds no sampling period; set ground_motion dt")
+        raise InputError(f"{path}: holds no sampling period; set ground_motion dt (--dt), in s")
     if own_dt and dt and abs(dt - own_dt) > _SAME_DT * own_dt:
         raise InputError(
             f"ground_motion: dt is {dt:g} s, but {path} says {own_dt:g} s; "
             "leave dt out to take the file's"
         )
     with np.errstate(over="ignore"):
-        accelerations = np.ascontiguousarray(file.values[:, list(columns)]) * UNITS[unit]
-    return RecordedMotion(accelerations, float(dt or own_dt or 0), str(path))
+        sizes = [UNITS[found] for found in units if found]
+        accelerations = np.ascontiguousarray(file.values[:, columns]) * np.array(sizes)
+    return RecordedMotion(accelerations, float(dt or own_dt or 0), str(path), units[0] or "")
 
 
 def _check_columns(file: Columns, columns: Sequence[int], unit: str) -> None:
@@ -123,98 +108,18 @@ def _check_columns(file: Columns, columns: Sequence[int], unit: str) -> None:
     for column in columns:
         file.check_finite(column)
         found = file.unit(column)
-        if found not in (None, unit):
+        if unit and found not in (None, unit):
             raise InputError(
                 f"ground_motion: unit is {unit}, but the header{line} of {file.path} says {found}; "
                 f"set unit to {found}"
             )
         if time and column == time[0]:
             why = f"is the time{line}"
-        elif not time and count > 1 and (step := _ramp(file.values[:, column])):
-            why = f"rises evenly in steps of {step:g} as time does"
+        elif count > 1 and (step := file.rise(column)):
+            why = f"rises from line to line in steps of {step:g}, as time or a count does"
         else:
             continue
         raise InputError(
             f"ground_motion: column is {column}, but that column of {file.path} {why}; "
             f"choose another, 0 to {count - 1}"
         )
-
-
-def _ramp(values: npt.NDArray[np.float64]) -> float | None:
-    """Step of values that rise evenly from zero as time does; None: they are no times."""
-    if len(values) < _RAMP_ROWS:
-        return None
-    steps = np.diff(values)
-    step = float(values[-1] - values[0]) / len(steps)
-    if not 0 < step <= _RAMP_STEP or np.abs(steps - step).max() > _UNEVEN * step:
-        return None
-    return step if abs(values[0]) <= (1 + _UNEVEN) * step else None
-
-
-def _read_at2(path: Path, lines: list[str], end: int | None) -> Columns:
-    """Read an AT2 file: one column, in the header's unit and with its DT.
-
-    Raises
-    ------
-    InputError
-        If the header can't be understood or is not that of an acceleration, or if there are not
-        as many values as NPTS says.
-    """
-    if end is None:
-        raise InputError(
-            f"{path}: no header line gives NPTS and DT; an AT2 record needs one, "
-            "a file of plain columns must not be named .at2"
-        )
-    found = _NAME_FIRST.search(lines[end]) or _NUMBER_FIRST.search(lines[end])
-    if found is None:
-        raise InputError(
-            f"{path}: line {end + 1}: NPTS without a count and a DT; "
-            'expected "NPTS= 4096, DT= .0100 SEC" or "4096 0.0100 NPTS, DT"'
-        )
-    count, dt = int(found.group(1)), to_float(found.group(2), path, end + 1)
-    if count < 1 or not 0 < dt < np.inf:
-        raise InputError(
-            f"{path}: line {end + 1}: NPTS is {count} and DT is {dt:g} s; both must be positive"
-        )
-    unit = _header_unit(path, lines[: end + 1])
-    values = [
-        (to_float(piece, path, number), number)
-        for number, line in enumerate(lines[end + 1 :], start=end + 2)
-        for token in line.split()
-        for piece in _RUN_TOGETHER.split(token)
-    ]
-    if len(values) != count:
-        what = "the file is truncated" if len(values) < count else "that is too many"
-        raise InputError(
-            f"{path}: line {end + 1} says NPTS {count}, but {len(values)} values follow: {what}; "
-            "fetch the record again, or correct NPTS"
-        )
-    numbers, places = zip(*values, strict=True)
-    names = () if unit is None else (f"acceleration ({unit})",)
-    return Columns(path, np.array([numbers]).T, list(places), names, own_dt=dt)
-
-
-def _header_end(lines: list[str]) -> int | None:
-    """Index of the line with NPTS, which is the header's last."""
-    for index, line in enumerate(lines[:_HEADER_LINES]):
-        if _NPTS.search(line) and not is_comment(line):
-            return index
-    return None
-
-
-def _header_unit(path: Path, header: list[str]) -> str | None:
-    for number, line in enumerate(header, start=1):
-        if other := _OTHER_QUANTITY.search(line):
-            raise InputError(
-                f"{path}: line {number}: holds a {other.group(1).lower()}; "
-                "give the acceleration record (.AT2)"
-            )
-        if found := _UNIT.search(line):
-            unit = read_unit(found.group(1))
-            if unit is None:
-                raise InputError(
-                    f"{path}: line {number}: {found.group(1)} is no acceleration unit known "
-                    "here; convert the record to g, m/s2 or cm/s2"
-                )
-            return unit
-    return None

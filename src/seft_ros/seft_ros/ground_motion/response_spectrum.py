@@ -136,20 +136,32 @@ def motion_summary(samples: Floats, dt: float) -> dict[str, Any]:
         ``pi / (2 g)`` times the integral of a^2 (Arias, 1970), and ``significant_duration``
         in s, from 5 to 95 % of it. The integral is exact for a piecewise-linear motion.
     """
-    before, after = samples[:-1], samples[1:]
-    energy = np.zeros_like(samples)
-    np.cumsum(dt / 3 * (before**2 + before * after + after**2), axis=0, out=energy[1:])
-    times = dt * np.arange(len(samples))
-    significant = [
-        float(np.diff(np.interp((0.05 * e[-1], 0.95 * e[-1]), e, times))[0]) for e in energy.T
-    ]
+    energy = _squared_integral(samples, dt)
+    significant = [end - start for start, end in significant_parts(samples, dt)]
     return {
         "steps": len(samples),
-        "duration": float(times[-1]),
+        "duration": (len(samples) - 1) * dt,
         "peak_acceleration": np.abs(samples).max(axis=0).tolist(),
         "arias_intensity": (np.pi / (2 * STANDARD_GRAVITY) * energy[-1]).tolist(),
         "significant_duration": significant,
     }
+
+
+def significant_parts(samples: Floats, dt: float) -> list[tuple[float, float]]:
+    """Find the times, s, at which 5 and 95 % of the Arias intensity are reached, by axis."""
+    times = dt * np.arange(len(samples))
+    return [
+        (float(np.interp(0.05 * e[-1], e, times)), float(np.interp(0.95 * e[-1], e, times)))
+        for e in _squared_integral(samples, dt).T
+    ]
+
+
+def _squared_integral(samples: Floats, dt: float) -> Floats:
+    """Integral of a^2 up to each sample, exact for a piecewise-linear motion."""
+    before, after = samples[:-1], samples[1:]
+    energy = np.zeros_like(samples)
+    np.cumsum(dt / 3 * (before**2 + before * after + after**2), axis=0, out=energy[1:])
+    return energy
 
 
 def motion_figure(samples: Floats, dt: float, axes: Sequence[str], title: str) -> "Figure":

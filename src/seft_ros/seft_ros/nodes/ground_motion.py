@@ -9,7 +9,7 @@ from seft_msgs_py.wire.outcome import ENDED, MOVING
 from seft_msgs_py.wire.topics import CLOCK_TOPIC, EXPERIMENT_STATE, GROUND_MOTION
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-from seft_ros.ground_motion.ground_motion_block import TABLE, GroundMotion
+from seft_ros.ground_motion.ground_motion_block import MOTION, TABLE, GroundMotion
 from seft_ros.test_run.parameter_tables import TABLES
 
 TIMER_PERIOD = 0.02  # s
@@ -27,7 +27,7 @@ class GroundMotionNode(NodeBody):
         experiment = shell.experiment
         section = experiment["ground_motion"]
         self.motion = GroundMotion.from_parameters(section, experiment.axes, experiment.timebase)
-        self.facts = {"steps": self.motion.steps}
+        self.facts = {"steps": self.motion.steps, MOTION: self.motion.facts}
         self._lead_steps = max(1, round(section["lead"] * experiment.timebase.rate))
         self._codec = TrajectoryCodec(GROUND_MOTION, experiment.axes, experiment.timebase)
         self._period_ns = experiment.timebase.period_ns

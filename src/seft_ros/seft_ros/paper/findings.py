@@ -181,7 +181,7 @@ def find(experiment: Experiment, workers: int, progress: Progress) -> Findings:
         key: _growth(plan) for key, plan in planned.items() if key[0] in ("rig", "delay", "banded")
     }
     plain = uncompensated(experiment, 0.0)
-    return Findings(plain, motion.source, peak_force, identified, tests, growths)
+    return Findings(plain, motion.facts["source"], peak_force, identified, tests, growths)
 
 
 def _planned(experiment: Experiment, peak_force: float) -> dict[Key, Experiment]:

@@ -79,7 +79,9 @@ def check_rig(experiment: Experiment) -> None:
         axes, no valve, a low rate, or another reference force than the paper's.
     """
     if len(experiment.axes) != 1:
-        raise InputError(f"/**: axes are {list(experiment.axes)}, but the paper's rig has one axis")
+        raise InputError(
+            f"/**: axes are [{', '.join(experiment.axes)}], but the paper's rig has one axis"
+        )
     if not has_valve(experiment):
         kind = experiment["rig"]["actuator.kind"]
         raise InputError(
