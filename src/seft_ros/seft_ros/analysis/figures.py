@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from itertools import cycle
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from seft_plant_sim.whole_structure import ReferenceResponse
 from seft_ros.analysis.alignment import Alignment, common_steps
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.analysis.result_text import title_of
-from seft_ros.analysis.summary import AFTER, COMPARED, strong_part
+from seft_ros.analysis.summary import AFTER, COMPARED, judged_part, strong_part
 from seft_ros.bags.record import Record
 from seft_ros.drawing.style import (
     FIRST,
@@ -35,6 +36,7 @@ Floats = npt.NDArray[np.floating[Any]]
 Steps = npt.NDArray[np.int64]
 
 MOST_AXES = 3
+_PER_INCH = 11  # characters of a title
 _MOST_BRIDGED = 5  # steps
 
 
@@ -47,6 +49,7 @@ def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
     """
     axes, estimates = record.experiment.axes[:MOST_AXES], record.estimates
     states, dt = record.series[RIG_STATE.name], record.experiment.timebase.dt
+    judged = len(judged_part(record)[0].series[RIG_STATE.name].steps)
     estimated = estimates.names if estimates else ()
     heights = [2.4] * len(RESPONSES) + [1.3] * len(estimated)  # inches
     width = 9.5 if len(axes) == 1 else 5.5 * len(axes)
@@ -63,7 +66,7 @@ def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
                     exact = getattr(reference, name)[:, column]
                     at, look = thinned(exact), {"color": REFERENCE, "lw": 2.2}
                     panel.plot(at * dt, exact[at] * scale, label="reference response", **look)
-                    error = nrmse(y, exact[states.steps])
+                    error = nrmse(y[:judged], exact[states.steps[:judged]])
                     text = f"NRMSE {percent(error)}" if np.isfinite(error) else "NRMSE undefined"
                     panel.set_title(text, loc="right", fontsize=9, color=TEXT)
                 at = thinned(y)
@@ -84,7 +87,8 @@ def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
     if (duration := len(states.steps) * dt) > end - start + AFTER:
         title += f"\nstrong part, of {duration:.3g} s"
     if record.trip is not None:
-        title += f"\ntripped at {record.trip.time_s:.3f} s: {record.trip.reason}"
+        trip = f"tripped at {record.trip.time_s:.3f} s: {record.trip.reason}"
+        title = "\n".join([title, *wrap(trip, round(_PER_INCH * width))])
     finish(figure, panels[:1, 0], title)
     return figure
 

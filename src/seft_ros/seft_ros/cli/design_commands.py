@@ -4,7 +4,6 @@
 """
 
 import cmath
-import shlex
 from dataclasses import asdict
 from pathlib import Path
 from typing import Optional
@@ -23,6 +22,7 @@ from seft_ros.cli.options import (
     is_stable_in_simulation,
     late_progress,
     load_experiment,
+    once_more,
     option,
     show,
 )
@@ -209,7 +209,7 @@ def preflight(
         peaks = expected_peaks(experiment)
         limits = proposed_limits(peaks)
         summary |= {"expected_peaks": peaks, "proposed_limits": limits}
-        steps = next_steps(plan, found, peaks, _again(config, param, params_file, external))
+        steps = next_steps(plan, found, peaks, once_more(config, param, params_file, external))
         summary["next"] = [asdict(step) for step in steps]
         if write is not None:
             write_limits(write, limits)
@@ -223,19 +223,6 @@ def preflight(
     for reason in found.reasons:
         complain(f"{found.verdict}: {reason}")
     return 1 if found.verdict == "unstable" else 0
-
-
-def _again(
-    config: Path,
-    param: list[str] | None,
-    params_file: list[Path] | None,
-    external: list[str] | None,
-) -> str:
-    """Write the words that name an experiment once more."""
-    words = [str(config)]
-    for name, values in (("--params-file", params_file), ("-p", param), ("--external", external)):
-        words += [word for value in values or () for word in (name, str(value))]
-    return shlex.join(words)
 
 
 def _indented(commands: list[str]) -> list[str]:

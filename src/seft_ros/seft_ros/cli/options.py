@@ -1,6 +1,7 @@
 """What the commands share: options, the experiment that they name, its test, and how to print."""
 
 import json
+import shlex
 import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -75,6 +76,23 @@ def load_experiment(
                 f"--external {node}: must be one of {', '.join(possible)}{nearest(node, possible)}"
             )
     return experiment
+
+
+def once_more(
+    config: Path,
+    overrides: list[str] | None,
+    params_files: Sequence[Path] | None,
+    external: Sequence[str] | None = None,
+) -> str:
+    """Write the words by which a command line names an experiment, for another command."""
+    words = [str(config)]
+    for name, values in (
+        ("--params-file", params_files),
+        ("-p", overrides),
+        ("--external", external),
+    ):
+        words += [word for value in values or () for word in (name, str(value))]
+    return shlex.join(words)
 
 
 FIGURE = "figure.png"

@@ -21,6 +21,7 @@ from seft_ros.cli.options import (
     is_stable_in_simulation,
     load_experiment,
     offline_test,
+    once_more,
     option,
     show_test,
     step_progress,
@@ -144,7 +145,7 @@ def simulate(
     record = offline_test(experiment, out)
     if show_test(record, out, as_json=json, figure=figure):
         return 0
-    complain(f"{_fault(record)}; seft preflight {config} says what to change")
+    complain(f"{_fault(record)}; see seft preflight {once_more(config, param, params_file)}")
     return 1
 
 
