@@ -79,7 +79,7 @@ def test_the_help_says_that_a_claim_may_fail(seft):
     status, out, _ = seft("paper", "--help")
     assert status == 0
     assert "a finding, not a failure" in " ".join(out.split())
-    assert "seft paper --file kobe_jma_1995.txt" in out
+    assert "seft paper --file kobe.txt" in out
 
 
 def test_the_papers_rig_is_found_in_the_source_tree():
