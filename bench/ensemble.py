@@ -1,8 +1,9 @@
-"""Steps per second of an ensemble (tournament, Monte Carlo), beside a bare loop of plain floats.
+"""Steps per second of an ensemble (tournament, Monte Carlo), beside two loops on one core.
 
 Whole tests: 96 perturbed rigs with their noise and trips, on all cores; what is made of each is
-its peak displacement. OpenSees is the peer: where openseespy can be imported (it is no dependency),
-its loop of one axis, a step and its response at a time, runs in the same rounds.
+its peak displacement. One loop is bare plain floats. The other is OpenSees, the peer, where
+openseespy can be imported (it is no dependency): the elastic whole structure of one axis, without
+rig or control, a step and its response at a time. All run in the same rounds.
 """
 
 import os
@@ -30,11 +31,11 @@ PIECE = 4  # tests on one thread at a time: short enough to be left alone by oth
 COMMON = [("reference_force", "mass_ratio", 0.5)]
 LINEAR = [("rig", "actuator.kind", "servo_hydraulic_linear")]
 YIELDS = [("rig", "specimen.kind", "bouc_wen"), ("rig", "specimen.yield_displacement", 0.003)]
-CASES = {  # configuration, overrides, steps/s on all cores wanted over those of the bare loop
-    "linear servo-hydraulic rig": ("jhu.yaml", [*COMMON, *LINEAR], 2.0),
-    "nonlinear servo-hydraulic rig": ("jhu.yaml", COMMON, 1.5),
-    "the same, Bouc-Wen specimen": ("jhu.yaml", [*COMMON, *YIELDS], 1.0),
-    "the same, target_motion": ("demo.yaml", YIELDS, 0.6),
+CASES = {  # configuration, overrides, steps/s wanted over those of the bare loop and of OpenSees
+    "linear servo-hydraulic rig": ("jhu.yaml", [*COMMON, *LINEAR], (2.0, 12.0)),
+    "nonlinear servo-hydraulic rig": ("jhu.yaml", COMMON, (1.5, 0.0)),
+    "the same, Bouc-Wen specimen": ("jhu.yaml", [*COMMON, *YIELDS], (1.0, 0.0)),
+    "the same, target_motion": ("demo.yaml", YIELDS, (0.6, 8.0)),
 }
 
 
@@ -90,7 +91,10 @@ def main() -> int:
 
     for experiments in ensembles.values():
         list(run_ensemble(experiments[:2], reduced))  # compiled, or read from the disk
-    bare, peer = [], []
+    loops = {"bare linear loop, plain floats": plain_steps_per_second}
+    if ops is not None:
+        loops["OpenSees, per-step loop"] = opensees_steps_per_second
+    rounds: dict[str, list[float]] = {name: [] for name in loops}
     for _ in range(ROUNDS):  # interleaved: the machine's speed drifts
         for case, experiments in ensembles.items():
             start = time.perf_counter()
@@ -100,23 +104,22 @@ def main() -> int:
                 start = time.perf_counter()
                 found = list(run_ensemble(experiments[first : first + PIECE], reduced))
                 single[case].append(sum(n for n, _ in found) / (time.perf_counter() - start))
-        bare.append(plain_steps_per_second(motion * 4))
-        if ops is not None:
-            peer.append(opensees_steps_per_second(motion * 4))
-    floor, met = max(bare), True  # of all rounds the least disturbed one
-    print(f"{RIGS} tests, steps/s in all")
-    print(f"{'':32s} {f'{workers} threads':>12s} {'one thread':>12s}   over the bare loop (wanted)")
+        for name, loop in loops.items():
+            rounds[name].append(loop(motion * 4))
+    floors = {name: max(found) for name, found in rounds.items()}  # the least disturbed rounds
+    met = True
+    print(f"{RIGS} tests, steps/s in all, and how many times those of each loop below (wanted)")
+    print(f"{'':32s} {f'{workers} threads':>12s} {'one thread':>12s}")
     for case, found in speeds.items():
-        speed, wanted = max(found), CASES[case][2]
-        met &= speed >= wanted * floor
-        ratio = f"{speed / floor:5.2f} ({wanted:g})"
-        over = f", OpenSees {speed / max(peer):.1f} times" if peer else ""
-        print(f"{case:32s} {speed:12,.0f} {max(single[case]):12,.0f}   {ratio}{over}")
-    print(f"{'bare linear loop, plain floats':32s} {'':12s} {floor:12,.0f}")
+        line = f"{case:32s} {max(found):12,.0f} {max(single[case]):12,.0f}"
+        for floor, wanted in zip(floors.values(), CASES[case][2], strict=False):
+            met &= max(found) >= wanted * floor
+            line += f" {max(found) / floor:7.2f}" + (f" ({wanted:g})" if wanted else "")
+        print(line)
+    for name, floor in floors.items():
+        print(f"{name:32s} {'':12s} {floor:12,.0f}")
     if ops is None:
         print("OpenSees is not installed (openseespy): not compared")
-    else:
-        print(f"{'OpenSees, per-step loop':32s} {'':12s} {max(peer):12,.0f}")
     return 0 if met else 1
 
 

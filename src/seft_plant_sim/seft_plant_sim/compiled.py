@@ -46,13 +46,14 @@ def compiled[F: Callable[..., Any]](function: F, *, nogil: bool = False) -> F:
         numba.config.CACHE_DIR = known
 
 
-def entry_point(function: Any, *arguments: Any) -> Callable[..., Any]:
+def entry_point(function: Any, *arguments: Any, kind: Hashable = None) -> Callable[..., Any]:
     """Give the machine code of a compiled function for arguments of these types.
 
     Called directly, it does without numba's look at each argument's type, which takes longer than
-    a step does. It trusts its arguments to be of the same types, arrays to be contiguous.
+    a step does. It trusts its arguments to be of the same types, arrays to be contiguous. Where
+    `kind_of` what differs in these is known, it need not be found.
     """
-    key = function, kind_of(arguments)
+    key = function, kind or kind_of(arguments)
     if key not in _entry_points:  # numba's look takes as long as thousands of steps
         signature = tuple(numba.typeof(argument) for argument in arguments)
         function.compile(signature)

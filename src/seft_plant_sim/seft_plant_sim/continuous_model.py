@@ -160,33 +160,30 @@ def servo_hydraulic(
     viscous = np.diag(hydraulics.viscous_friction)
     a_specimen[n:, n:] -= by_force @ viscous
     wv = 2 * np.pi * hydraulics.valve_frequency
-    zero, one = np.zeros((n, n)), np.eye(n)
+    one = np.eye(n)
     oil = hydraulics.oil_stiffness
     flow = np.diag(oil * hydraulics.flow_gain)
-    a = np.block(
-        [
-            [a_specimen, b_specimen, np.zeros((2 * n, 2 * n))],
-            [zero, -np.diag(oil), -np.diag(hydraulics.leakage), flow, zero],
-            [zero, zero, zero, zero, one],
-            [zero, zero, zero, -np.diag(wv**2), -np.diag(2 * hydraulics.valve_damping * wv)],
-        ]
-    )
-    b = np.vstack([np.zeros((4 * n, n)), np.diag(wv**2)])
-    c = np.zeros((4 * n, 5 * n))
+    _, v, p, w, rate = (slice(first, first + n) for first in range(0, 5 * n, n))
+    a, b = np.zeros((5 * n, 5 * n)), np.zeros((5 * n, n))
+    a[: 2 * n, : 2 * n], a[: 2 * n, p] = a_specimen, b_specimen
+    a[p, v], a[p, p], a[p, w] = -np.diag(oil), -np.diag(hydraulics.leakage), flow
+    a[w, rate] = one
+    a[rate, w], a[rate, rate] = -np.diag(wv**2), -np.diag(2 * hydraulics.valve_damping * wv)
+    b[rate] = np.diag(wv**2)
+    c, d = np.zeros((4 * n, 5 * n)), np.zeros((4 * n, n))
     c[: 2 * n, : 2 * n] = np.eye(2 * n)
-    c[2 * n : 3 * n] = a[n : 2 * n]
-    c[3 * n :, n : 2 * n] = -viscous
-    c[3 * n :, 2 * n : 3 * n] = one
-    d = np.zeros((4 * n, n))
+    c[2 * n : 3 * n] = a[v]
+    c[3 * n :, v], c[3 * n :, p] = -viscous, one
     model = ContinuousModel.linear(a, b, c, d, hydraulics.dead_time, "valve_command")
     if not linear:
+        inputs, outputs = np.zeros((5 * n, 2 * n)), np.zeros((4 * n, 2 * n))
+        inputs[v, n:], inputs[p, :n] = -by_force, flow
+        outputs[2 * n : 3 * n, n:], outputs[3 * n :, n:] = -by_force, -one
         model = replace(
             model,
             drive_limit=hydraulics.opening_limit,
             pistons=piston_rows(hydraulics, np.diag(specimen.mass)),
-            inputs=np.block(
-                [[zero, zero], [zero, -by_force], [flow, zero], [zero, zero], [zero, zero]]
-            ),
-            outputs=np.block([[zero, zero], [zero, zero], [zero, -by_force], [zero, -one]]),
+            inputs=inputs,
+            outputs=outputs,
         )
     return with_springs(model, specimen)

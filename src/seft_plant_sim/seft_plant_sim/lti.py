@@ -104,8 +104,8 @@ def first_order_hold(a: Floats, b: Floats, dt: float) -> tuple[Floats, Floats, F
     augmented = np.zeros((size + 2 * inputs,) * 2)
     augmented[:size, :size], augmented[:size, size : size + inputs] = a * dt, b * dt
     augmented[size : size + inputs, size + inputs :] = np.eye(inputs)
-    free, start, change = np.split(expm(augmented)[:size], [size, size + inputs], axis=1)
-    return np.ascontiguousarray(free), start, change
+    sampled, end = expm(augmented)[:size], size + inputs
+    return np.ascontiguousarray(sampled[:, :size]), sampled[:, size:end], sampled[:, end:]
 
 
 def split_dead_time(delay: float, dt: float) -> tuple[int, float]:

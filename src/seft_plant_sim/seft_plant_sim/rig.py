@@ -13,7 +13,7 @@ from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import VALVE_COMMAND, RigAxes
 
 from seft_plant_sim.actuator import Hydraulics
-from seft_plant_sim.compiled import compiled, entry_point
+from seft_plant_sim.compiled import compiled, entry_point, kind_of
 from seft_plant_sim.continuous_model import (
     ContinuousModel,
     Drive,
@@ -74,6 +74,8 @@ class Rig:
         Topic that drives the actuator: ``valve_command`` or ``reference_force``.
     parameters, state : RigParameters, RigState
         What `rig_step` takes, here and in a compiled loop.
+    kind : tuple
+        `kind_of` both.
     step_index : int
         Step of the last sample.
     violation : str or None
@@ -103,9 +105,11 @@ class Rig:
         self._model, self._saturated_time, self._safe = model, saturated_time, safe
         self._command = np.zeros(model.b.shape[1])
         noise, measured = np.zeros((2, *self.state.measured.shape))
-        arguments = (self.parameters, self.state, 0, self._command, noise, measured)
-        self._step = entry_point(rig_step, *arguments)
-        self._move = entry_point(move, self.parameters, self.state, self._command)
+        both = self.parameters, self.state
+        self.kind = kind_of(both)
+        arguments = 0, self._command, noise, measured
+        self._step = entry_point(rig_step, *both, *arguments, kind=self.kind)
+        self._move = entry_point(move, *both, self._command, kind=self.kind)
 
     @classmethod
     def from_parameters(

@@ -48,14 +48,16 @@ def measure(
 ) -> int:
     """Measure a state: noise, bias, range and resolution of every sensor, in this order.
 
-    The true state has shape (4n,); noise, the last sample and this one, which is the result, have
-    shape (4, n). Bit i of what is returned is set if a sensor of channel i is at its range.
+    The true state has shape (4n,); noise, of an RMS of 1, the last sample and this one, which is
+    the result, have shape (4, n). Bit i of what is returned is set if a sensor of channel i is at
+    its range.
     """
-    n = channels.bias.shape[1]
+    n = measured.shape[1]
     at_end = 0
     for row in range(4):
         for i in range(n):
-            value = true[row * n + i] + noise[row, i] + channels.bias[row, i]
+            value = true[row * n + i] + channels.noise[row, i] * noise[row, i]
+            value += channels.bias[row, i]
             limit, resolution = channels.range[row, i], channels.resolution[row, i]
             if abs(value) >= limit:
                 at_end |= 1 << row
@@ -132,7 +134,7 @@ class Sensors:
         return cls(Channels(noise, bias, ranges, resolution, cutoff, dt), seed, own)
 
     def noise_of(self, step: int) -> Floats:
-        """Noise of a step, shape (4, n)."""
+        """Noise of a step, of an RMS of 1, shape (4, n)."""
         index, row = divmod(step, BLOCK)
         if index != self._block_index:
             self._block_index = index
@@ -140,10 +142,11 @@ class Sensors:
         return self._block[row]
 
     def noise_block(self, index: int, steps: int = BLOCK) -> Floats:
-        """Noise of the first steps of a block, shape (steps, 4, n); `BLOCK` steps are all of it."""
-        noise = np.empty((steps, *self.channels.noise.shape))
-        for place, axis in enumerate(self._places):
-            random = np.random.default_rng([self._seed, index, axis])
-            noise[:, :, place] = random.standard_normal((steps, 4))
-        noise *= self.channels.noise
-        return noise
+        """Noise of the first steps of a block, of an RMS of 1, shape (steps, 4, n).
+
+        `BLOCK` steps are all of it.
+        """
+        noise = np.empty((len(self._places), steps, 4))
+        for axis, rows in zip(self._places, noise, strict=True):
+            np.random.default_rng([self._seed, index, axis]).standard_normal(out=rows)
+        return np.ascontiguousarray(noise.transpose(1, 2, 0))

@@ -82,6 +82,8 @@ class Specimen:
             If a matrix or a spring couples axes of different rigs.
         """
         own = list(rig.places)
+        if len(own) == self.axes:
+            return self
         others = [place for place in range(self.axes) if place not in own]
         for name in ("mass", "damping", "stiffness"):
             if getattr(self, name)[np.ix_(own, others)].any():

@@ -178,6 +178,14 @@ def test_members_of_an_ensemble_are_tests_of_their_own():
         alike(found[number], simulate(experiment, build_blocks(experiment)))
 
 
+def test_tests_of_one_workshop_are_those_of_workshops_of_their_own():
+    names = "force", "nonlinear", "target, limited", "target", "blind", "interlock", "two axes"
+    shop = Workshop()
+    for name in (*names, *reversed(names)):  # what ends in a trip comes before what must not
+        experiment = load(*CASES[name])
+        alike(shop.run(experiment), Workshop().run(experiment))
+
+
 def test_results_do_not_depend_on_the_number_of_threads():
     experiments = [load(RATIO(ratio)) for ratio in (0.1, 0.2, 0.3)]
 

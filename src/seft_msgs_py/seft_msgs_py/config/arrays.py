@@ -19,15 +19,15 @@ def per_axis(value: float | Sequence[float], axes: Sequence[str], where: str) ->
     InputError
         If there are neither 1 nor n values; ``where`` names the parameter.
     """
-    array = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    array = np.array(value, dtype=np.float64, ndmin=1)
+    if array.size == len(axes):
+        return array
     if array.size == 1:
         return np.full(len(axes), array[0])
-    if array.size != len(axes):
-        raise InputError(
-            f"{where}: {array.size} values for {len(axes)} axes [{', '.join(axes)}]; "
-            "give one, or one for each axis"
-        )
-    return array
+    raise InputError(
+        f"{where}: {array.size} values for {len(axes)} axes [{', '.join(axes)}]; "
+        "give one, or one for each axis"
+    )
 
 
 def as_matrix(value: float | Sequence[float], axes: Sequence[str], where: str) -> Floats:
@@ -41,13 +41,11 @@ def as_matrix(value: float | Sequence[float], axes: Sequence[str], where: str) -
         If there are neither 1, n nor n * n values.
     """
     count = len(axes)
-    array = np.atleast_1d(np.asarray(value, dtype=np.float64))
-    if array.size == 1:
-        return np.diag(np.full(count, array[0]))
-    if array.size == count:
-        return np.diag(array)
+    array = np.array(value, dtype=np.float64, ndmin=1)
     if array.size == count * count:
         return array.reshape(count, count)
+    if array.size in (1, count):
+        return np.diag(np.broadcast_to(array, count))
     raise InputError(
         f"{where}: {array.size} values for {count} axes [{', '.join(axes)}]; give 1, {count} "
         f"(a diagonal) or {count * count} (a matrix, row by row)"

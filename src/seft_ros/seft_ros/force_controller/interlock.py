@@ -1,14 +1,15 @@
 """Interlock of the force control: what it must not compute with, and when it gives up."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import RigAxes
-from seft_plant_sim.compiled import entry_point
+from seft_plant_sim.compiled import entry_point, kind_of
 from seft_plant_sim.limits import SaturatedTime
 
 from seft_ros.force_controller.detectors_of import detectors_of
@@ -129,6 +130,12 @@ class Interlock:
         detectors = detectors_of(section, axes, timebase.dt, own.places)
         force, saturation, closing = (section[name] for name in names)
         return cls(controller, own.axes, force, saturation, closing, detectors)
+
+    @cached_property
+    def kind(self) -> Hashable:
+        """`kind_of` what a compiled loop takes of it and of its controller."""
+        of: Any = self.controller
+        return kind_of((self.parameters, self.state, of.parameters, of.state))
 
     @property
     def reason(self) -> str:

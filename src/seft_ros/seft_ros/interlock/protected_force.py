@@ -1,13 +1,14 @@
 """The reference force with its own layer of the interlock: guards, plausibility, ramp."""
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.wire.timebase import Timebase
-from seft_plant_sim.compiled import entry_point
+from seft_plant_sim.compiled import entry_point, kind_of
 
 from seft_ros.interlock.instability import InstabilityWatch
 from seft_ros.interlock.plausibility import PlausibleForce, not_finite
@@ -123,6 +124,12 @@ class ProtectedForce:
             RampDown.lasting(section["ramp_down_time"], timebase.dt, section["loop_delay"]),
             section["loop_delay"],
         )
+
+    @cached_property
+    def kind(self) -> Hashable:
+        """`kind_of` what a compiled loop takes of it and of its compensation method."""
+        of: Any = self.reference_force.compensator
+        return kind_of((self.parameters, self.state, of.parameters, of.state))
 
     @property
     def cause(self) -> str | None:

@@ -45,13 +45,14 @@ def build_blocks(experiment: Experiment, known: dict[str, Any] | None = None) ->
         If a parameter makes no sense together with the others, or the record can't be read.
     """
     axes, timebase, known = experiment.axes, experiment.timebase, {} if known is None else known
-    common = repr((axes, timebase, experiment.rigs))
 
     def shared(node: str, make: Callable[..., Any], *arguments: Any) -> Any:
-        key = repr((node, common, sorted(experiment[node].items())))
-        if key not in known:
-            known[key] = make(*arguments)
-        return known[key]
+        section, made = experiment[node], known.setdefault(node, [])
+        for parameters, block in made:  # few: to write a key out takes as long as hundreds of them
+            if parameters == section:
+                return block
+        made.append((dict(section), make(*arguments)))
+        return made[-1][1]
 
     motion, force = experiment["ground_motion"], experiment["reference_force"]
     blocks = Blocks(
