@@ -38,7 +38,7 @@ class Knowing(Gain):
 
 def test_its_drive_is_cut_off_at_the_limit_and_it_is_told():
     own = Knowing()
-    control = RegisteredControl(own, "theirs", KNOWN)
+    control = RegisteredControl(lambda: own, "theirs", KNOWN)
     assert control.step(np.array([[[50.0, -20.0]]]), ZERO).tolist() == [5.0, -2.0]
     assert not control.limited
     assert control.step(np.array([[[500.0, -20.0]]]), ZERO).tolist() == [10.0, -2.0]
@@ -50,7 +50,7 @@ def test_its_drive_is_cut_off_at_the_limit_and_it_is_told():
 
 
 def test_one_that_does_not_want_to_know_of_limits_is_limited_all_the_same():
-    assert RegisteredControl(Gain(), "theirs", KNOWN).step(
+    assert RegisteredControl(Gain, "theirs", KNOWN).step(
         np.full((1, 1, 2), -1e4), ZERO
     ).tolist() == [
         -10.0,
@@ -64,15 +64,15 @@ def test_a_drive_of_the_wrong_shape_is_refused_before_a_test():
             return np.zeros((2, 1))
 
     with pytest.raises(InputError, match=r"drive of theirs has the shape \(2, 1\).*\(2,\)"):
-        RegisteredControl(Wrong(), "theirs", KNOWN)
+        RegisteredControl(Wrong, "theirs", KNOWN)
 
 
 def test_linear_is_its_own_or_told_to_be_missing():
-    found = RegisteredControl(Knowing(), "theirs", KNOWN).linear()
+    found = RegisteredControl(Knowing, "theirs", KNOWN).linear()
     signals = np.arange(10.0)  # reference force, x, v, a, force
     np.testing.assert_allclose(found.d @ signals, 0.1 * (signals[:2] - signals[8:]))
     with pytest.raises(InputError, match=r"theirs has no linear\(\)"):
-        RegisteredControl(Gain(), "theirs", KNOWN).linear()
+        RegisteredControl(Gain, "theirs", KNOWN).linear()
 
 
 def test_a_drive_that_is_no_number_trips_and_never_gets_out():
@@ -80,7 +80,7 @@ def test_a_drive_that_is_no_number_trips_and_never_gets_out():
         def step(self, reference_force, state):
             return np.array([0.0, np.nan]) if reference_force.any() else np.zeros(2)
 
-    control = RegisteredControl(Broken(), "theirs", KNOWN)
+    control = RegisteredControl(Broken, "theirs", KNOWN)
     interlock = Interlock(control, ("x", "y"), 1e4, 0.5, 0.0, warning_detectors(2))
     assert interlock.step(7, np.ones((1, 1, 2)), ZERO).tolist() == [0.0, 0.0]
     assert interlock.reason == "valve command on axis y is nan"

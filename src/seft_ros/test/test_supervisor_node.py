@@ -1,5 +1,6 @@
 """What the supervisor makes of what nodes tell, without a network."""
 
+import logging
 from types import SimpleNamespace
 
 import pytest
@@ -22,7 +23,8 @@ class Shell:
         self.experiment = experiment
         self.handlers, self.services, self.sent, self.faults = {}, {}, [], []
         self.node = SimpleNamespace(
-            create_service=lambda _, name, serve: self.services.update({name: serve})
+            create_service=lambda _, name, serve: self.services.update({name: serve}),
+            get_logger=lambda: logging.getLogger("supervisor"),
         )
 
     def publisher(self, topic):
