@@ -231,7 +231,7 @@ def test_a_controller_of_another_package_is_not_compiled(monkeypatch):
 
     def interlock_of(experiment):
         axes, timebase = experiment.axes, experiment.timebase
-        own = RegisteredControl(Own(), "own", ControlKnowledge(len(axes), timebase.dt, 10.0))
+        own = RegisteredControl(Own, "own", ControlKnowledge(len(axes), timebase.dt, 10.0))
         return Interlock.from_parameters(own, experiment["force_controller"], axes, timebase)
 
     monkeypatch.setattr(blocks_module, "interlock_of", interlock_of)
