@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 import pytest
 from graph_tools import ROOT
 from packaging.requirements import Requirement
+from seft_ros.cli.new import TEMPLATES
 
 OURS = ("seft_msgs_py", "seft_plant_sim", "seft_ros")
 NAMES = {  # module: name for pip, rosdep key
@@ -42,7 +43,7 @@ ROS = {  # what ROS 2 brings: no name for pip
 def imports(folder: Path) -> set[str]:
     """Modules that the files of a folder import, without Python's and the tests' own."""
     found, own = set(), {file.stem for file in ROOT.glob("src/*/test/*.py")}
-    for file in folder.rglob("*.py"):
+    for file in {*folder.rglob("*.py")} - {*TEMPLATES.rglob("*.py")}:
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.Import):
                 found |= {alias.name.split(".")[0] for alias in node.names}
