@@ -143,7 +143,7 @@ def motion(
     from seft_ros.ground_motion.response_spectrum import motion_figure, motion_summary
 
     path = check_figure(figure) if figure is not None else None
-    columns = column[0] if column and not column[1:] else column
+    columns = column[0] if column and not column[1:] else column or None  # typer 0.9: empty
     words = {"column": columns, "unit": unit, "dt": dt, "time_scale": time_scale}
     given = {name: value for name, value in words.items() if value is not None}
     own = {row.name: row.default for row in TABLE.rows.values()}
