@@ -5,15 +5,14 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.errors import InputError
 
-from seft_ros.force_controller.force_control import ControlKnowledge, LinearControl
-from seft_ros.reference_force.compensator import NotLinearError
+from seft_ros.force_controller.force_control import ControlKnowledge
+from seft_ros.reference_force.compensator import RegisteredPart
 
 Floats = npt.NDArray[np.float64]
 
 
-class RegisteredControl:
+class RegisteredControl(RegisteredPart):
     """Cuts off what another package's controller asks for beyond the limit.
 
     Parameters
@@ -43,28 +42,14 @@ class RegisteredControl:
     shape = 1, 1
 
     def __init__(self, make: Callable[[], Any], name: str, knowledge: ControlKnowledge) -> None:
-        self._make, self._name, self._limit = make, name, knowledge.voltage_limit
-        self._own = own = make()
-        n = knowledge.axes
-        if not callable(getattr(own, "step", None)):
-            raise InputError(
-                f"force_controller: method: {name} has no step(reference_force, state); "
-                "docs/tutorial.md shows a controller"
-            )
-        shape = np.shape(own.step(np.zeros(n), np.zeros((4, n))))
-        if shape != (n,):
-            raise InputError(
-                f"force_controller: the drive of {name} has the shape {shape}, but must have "
-                f"{(n,)}: one value in V for each axis"
-            )
+        super().__init__("force_controller: method", name, make, "reference_force, state")
+        self._limit, n = knowledge.voltage_limit, knowledge.axes
+        self._check_shape("drive", "V", self._own.step(np.zeros(n), np.zeros((4, n))), n)
         self.reset()
 
     def reset(self) -> None:
         """See `ForceControl.reset`."""
-        if hasattr(self._own, "reset"):
-            self._own.reset()
-        else:
-            self._own = self._make()
+        super().reset()
         self.limited = False
 
     def step(self, points: Floats, state: Floats) -> Floats:
@@ -75,10 +60,3 @@ class RegisteredControl:
         if self.limited and hasattr(self._own, "limited"):
             self._own.limited(drive)
         return drive
-
-    def linear(self) -> LinearControl:
-        """See `ForceControl.linear`."""
-        if not hasattr(self._own, "linear"):
-            raise NotLinearError("force_controller: method", self._name)
-        found: LinearControl = self._own.linear()
-        return found

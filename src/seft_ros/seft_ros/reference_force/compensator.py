@@ -126,47 +126,61 @@ class NotLinearError(InputError):
         )
 
 
-class RegisteredCompensator:
-    """Completes another package's method, of which only ``step`` is required.
+class RegisteredPart:
+    """Another package's method or controller, of which only ``step`` is required.
 
     Parameters
     ----------
-    name : str
-        As registered.
+    where, name : str
+        Parameter that names it, and its name as registered.
     make : callable
-        Makes the method. One without ``reset()`` is made anew for each test.
-    axes : int
-        Number of axes n.
+        Makes it. One without ``reset()`` is made anew for each test.
+    takes : str
+        Arguments of ``step``.
 
     Raises
     ------
     InputError
-        If it has no ``step``, or its force has another shape than one value for each axis.
+        If it has no ``step``.
     """
 
-    def __init__(self, name: str, make: Callable[[], Any], axes: int) -> None:
-        self._name, self._make, self._own = name, make, make()
-        self._where = "reference_force: compensation.method"
+    def __init__(self, where: str, name: str, make: Callable[[], Any], takes: str) -> None:
+        self._where, self._name, self._make, self._own = where, name, make, make()
         if not callable(getattr(self._own, "step", None)):
-            raise InputError(
-                f"{self._where}: {name} has no step(ground_motion, state); docs/tutorial.md shows "
-                "a method"
-            )
-        self.preview = int(getattr(self._own, "preview", 0))
-        shape = np.shape(self.step(np.zeros((1 + self.preview, axes)), np.zeros((4, axes))))
-        if shape != (axes,):
-            raise InputError(
-                f"{self._where}: the force of {name} has the shape {shape}, but must have "
-                f"{(axes,)}: one value in N for each axis"
-            )
-        self.reset()
+            raise InputError(f"{where}: {name} has no step({takes}); docs/tutorial.md shows one")
 
     def reset(self) -> None:
-        """See `Compensator.reset`."""
+        """Begin a new test."""
         if hasattr(self._own, "reset"):
             self._own.reset()
         else:
             self._own = self._make()
+
+    def linear(self) -> Any:
+        """Give what its own ``linear()`` gives; a `NotLinearError` says that it has none."""
+        if not hasattr(self._own, "linear"):
+            raise NotLinearError(self._where, self._name)
+        return self._own.linear()
+
+    def _check_shape(self, what: str, unit: str, found: Any, axes: int) -> None:
+        """Check the first result of ``step``; InputError if it is not one value for each axis."""
+        if np.shape(found) != (axes,):
+            raise InputError(
+                f"{self._where}: the {what} of {self._name} has the shape {np.shape(found)}, but "
+                f"must have {(axes,)}: one value in {unit} for each axis"
+            )
+
+
+class RegisteredCompensator(RegisteredPart):
+    """Completes another package's method over n axes, see `RegisteredPart`."""
+
+    def __init__(self, name: str, make: Callable[[], Any], axes: int) -> None:
+        where = "reference_force: compensation.method"
+        super().__init__(where, name, make, "ground_motion, state")
+        self.preview = int(getattr(self._own, "preview", 0))
+        first = self.step(np.zeros((1 + self.preview, axes)), np.zeros((4, axes)))
+        self._check_shape("force", "N", first, axes)
+        self.reset()
 
     def step(self, ground_motion: Floats, state: Floats) -> Floats:
         """See `Compensator.step`."""
@@ -175,12 +189,6 @@ class RegisteredCompensator:
     def estimates(self) -> dict[str, Floats]:
         """See `Compensator.estimates`."""
         return self._own.estimates() if hasattr(self._own, "estimates") else {}
-
-    def linear(self) -> LinearFilter:
-        """See `Compensator.linear`."""
-        if not hasattr(self._own, "linear"):
-            raise NotLinearError(self._where, self._name)
-        return self._own.linear()
 
 
 def between_samples(steps: float, count: int) -> Floats:
