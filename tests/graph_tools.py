@@ -69,6 +69,19 @@ def children(pid: int) -> dict[str, int]:
     return found
 
 
+def hold(pid: int) -> None:
+    """Stop a process, and wait until each of its threads stands still.
+
+    On a busy host the other threads run on until the one that takes the signal has its turn.
+    """
+    os.kill(pid, signal.SIGSTOP)
+    threads = [path / "stat" for path in Path(f"/proc/{pid}/task").iterdir()]
+    wait_for(
+        lambda: all(path.read_text().rsplit(")", 1)[1].split()[0] == "T" for path in threads),
+        "its threads to stand still",
+    )
+
+
 def kill(pid: int) -> None:
     """End a process as the power would."""
     os.kill(pid, signal.SIGKILL)

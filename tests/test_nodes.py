@@ -7,7 +7,7 @@ import signal
 
 import numpy as np
 import pytest
-from graph_tools import JHU, MISSES_ALLOWED, PATIENCE, STALLS_ALLOWED, wait_for
+from graph_tools import JHU, MISSES_ALLOWED, PATIENCE, STALLS_ALLOWED, hold, wait_for
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from seft_msgs_py.wire.topics import NODES
@@ -178,7 +178,7 @@ def test_a_start_that_waited_while_the_supervisor_stood_still_is_refused(start_n
     wait_for(is_in_state(observer, "ready"), "ready")
     client = observer._node.create_client(Trigger, "start")
     wait_for(client.service_is_ready, "the service")
-    os.kill(nodes["supervisor"].pid, signal.SIGSTOP)
+    hold(nodes["supervisor"].pid)
     asked = client.call_async(Trigger.Request())
     observer.spin(1.5)
     assert not asked.done()
