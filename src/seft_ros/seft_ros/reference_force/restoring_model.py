@@ -24,8 +24,19 @@ What is told of the specimen is a model without unknowns, and predicts better th
 learns wherever it is right. The two are weighed by their likelihoods (Magill 1965), whose ratio is
 bounded so that each can overtake the other.
 
-What was taken for noise until the specimen turned out to be another was an impulse on the
-structure, and is made good.
+The structure remembers the restoring force as an impulse, and every sample also tells of the force
+that has acted before it: with the parameters' covariance c with that impulse, the Kalman filter
+estimates it, too (a fixed-lag smoother: Anderson & Moore, Optimal Filtering, 1979, ch. 7). What the
+estimate changes by, acts now::
+
+    change of the impulse = c . phi / variance * innovation                                (6)
+    c <- c - P phi (c . phi) / variance, then c <- fade c + P phi after the update         (7)
+
+Without it the noise of an impulse would be that of running means: for an offset twice, for a line
+four times the variance of the measured force's own impulse.
+
+What was taken for noise until the specimen turned out to be another was an impulse, too, and is
+made good.
 """
 
 import math
@@ -46,8 +57,9 @@ ONCE_IN = 2.0
 """Time in which chance makes one sum of innovations that is taken for a change, s."""
 RECENT = 0.008
 """Time constant of that sum, s: what persists for longer than a valve takes to answer matters."""
-UNEXPLAINED = 0.04
-"""Time constant with which an impulse that was never explained is taken for noise, s."""
+REMEMBERED = 0.04
+"""Time constant with which the structure forgets an impulse, s: a quarter of a cycle at 6 Hz. One
+that was not explained by then was noise."""
 UNCERTAIN_STIFFNESS, UNCERTAIN_DAMPING = 0.3, 0.3
 """Standard deviation of what is told, relative to it."""
 CHANGING_STIFFNESS, CHANGING_DAMPING, CHANGING_SLIDER = 1.0, 0.5, 1.5
@@ -92,8 +104,8 @@ class ModelParameters(NamedTuple):
         So many samples of these count as one, as the observer filters them.
     least : ndarray
         Deformation (m) and its rate (m/s) that stand out of the noise, shape (n, 2).
-    recent, unexplained : float
-        Factors per step with which sums of innovations fade.
+    recent, remembered : float
+        Factors per step with which sums of innovations and impulses fade.
     surprise : float
         Square of the normalised sum that is no chance.
     confirming : float
@@ -111,7 +123,7 @@ class ModelParameters(NamedTuple):
     alike: float
     least: Floats
     recent: float
-    unexplained: float
+    remembered: float
     surprise: float
     confirming: float
 
@@ -127,13 +139,16 @@ class ModelState(NamedTuple):
         As the filter has them, shape (n, q).
     covariance : ndarray
         Shape (n, q, q).
+    past : ndarray
+        Their covariance with the impulse that has acted, over a period; shape (n, q).
     regressors, last : ndarray
         What they multiply now, and at the last sample, shape (n, q).
     stops : ndarray
         z of the specimen, shape (n, m), m.
     sums : ndarray
         Of each spring: recent innovations, their variance, the impulse over a period that was not
-        explained, what of it acts now (N), and the evidence for what is told; shape (n, 5).
+        explained, the force that makes good for impulses (N), and the evidence for what is told;
+        shape (n, 5).
     work : ndarray
         Shape (3, q).
     """
@@ -142,6 +157,7 @@ class ModelState(NamedTuple):
     before: Floats
     found: Floats
     covariance: Floats
+    past: Floats
     regressors: Floats
     last: Floats
     stops: Floats
@@ -203,7 +219,7 @@ def model_arrays(
         alike=alike,
         least=STANDS_OUT * observed,
         recent=math.exp(-dt / RECENT),
-        unexplained=math.exp(-dt / UNEXPLAINED),
+        remembered=math.exp(-dt / REMEMBERED),
         surprise=NormalDist().inv_cdf(1.0 - 0.5 * min(dt / ONCE_IN, 0.5)) ** 2,
         confirming=MOST_EVIDENCE * dt / CONFIRMED_IN,
     )
@@ -213,6 +229,7 @@ def model_arrays(
         before=np.zeros((n, q)),
         found=np.zeros((n, q)),
         covariance=np.zeros((n, q, q)),
+        past=np.zeros((n, q)),
         regressors=np.zeros((n, q)),
         last=np.zeros((n, q)),
         stops=np.zeros((n, THRESHOLDS)),
@@ -227,6 +244,7 @@ def begin_model(parameters: ModelParameters, state: ModelState) -> None:
     """Begin a test with what is told."""
     n, q = parameters.start.shape
     state.covariance[:] = 0.0
+    state.past[:] = 0.0
     state.stops[:] = 0.0
     state.sums[:] = 0.0
     for j in range(n):
@@ -312,6 +330,7 @@ def follow(
     for j in range(n):
         phi, last, p = state.regressors[j], state.last[j], state.covariance[j]
         gain, taken, left = state.work[0], state.work[1], state.work[2]
+        past, of_past = state.past[j], 0.0
         found, change, sums = state.found[j], parameters.change[j], state.sums[j]
         phi[0] = 1.0
         for i in range(n):
@@ -330,6 +349,7 @@ def follow(
         multiply_sized(q, q, p, phi, gain)  # p is symmetric
         for i in range(q):
             variance += phi[i] * gain[i]
+            of_past += past[i] * phi[i]
         moves = (e[j] / parameters.least[j, 0]) ** 2 + (rate[j] / parameters.least[j, 1]) ** 2 > 1.0
         was_right = sums[4] > 0.0
         # logarithm of the likelihoods' ratio, of what is told over what is found
@@ -361,6 +381,7 @@ def follow(
                     gain[i] += added * (phi[i] - last[i])
                     gain[0] -= added * last[i] * (phi[i] - last[i])
         weight, per_variance = 1.0 / (1.0 + math.exp(-sums[4])), 1.0 / variance
+        by_taken = by_left = 0.0
         for i in range(q):
             # what does not move tells of the offset alone (Schmidt-Kalman)
             taken[i] = gain[i] * per_variance if moves or i == 0 else 0.0
@@ -369,6 +390,8 @@ def follow(
             start = parameters.start[j, i]
             state.values[j, i] = found[i] + weight * (start - found[i])
             used -= state.values[j, i] * phi[i]
+            by_taken += taken[i] * phi[i]
+            by_left += left[i] * phi[i]
             last[i] = phi[i]
         for i in range(q):
             one, all_of_it = taken[i], gain[i]
@@ -377,7 +400,12 @@ def follow(
                 p[i, k + 1] += one * left[k + 1] - all_of_it * taken[k + 1]
                 p[i, k + 2] += one * left[k + 2] - all_of_it * taken[k + 2]
                 p[i, k + 3] += one * left[k + 3] - all_of_it * taken[k + 3]
-        impulse, is_wrong = parameters.unexplained * sums[2] + used, was_right and sums[4] <= 0.0
-        acts = is_wrong or (is_change and sums[4] <= 0.0)
+        of_past *= per_variance
+        for i in range(q):
+            after = gain[i] + taken[i] * by_left - gain[i] * by_taken
+            past[i] = parameters.remembered * (past[i] - of_past * gain[i]) + after
+        late = (1.0 - weight) * of_past * innovation
+        impulse = parameters.remembered * sums[2] + used - late
+        acts = sums[4] <= 0.0 and (is_change or was_right)
         sums[2] = 0.0 if acts else impulse
-        sums[3] = impulse if acts else 0.0
+        sums[3] = late + (impulse if acts else 0.0)
