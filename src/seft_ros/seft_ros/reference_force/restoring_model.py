@@ -57,9 +57,6 @@ ONCE_IN = 2.0
 """Time in which chance makes one sum of innovations that is taken for a change, s."""
 RECENT = 0.008
 """Time constant of that sum, s: what persists for longer than a valve takes to answer matters."""
-REMEMBERED = 0.04
-"""Time constant with which the structure forgets an impulse, s: a quarter of a cycle at 6 Hz. One
-that was not explained by then was noise."""
 UNCERTAIN_STIFFNESS, UNCERTAIN_DAMPING = 0.3, 0.3
 """Standard deviation of what is told, relative to it."""
 CHANGING_STIFFNESS, CHANGING_DAMPING, CHANGING_SLIDER = 1.0, 0.5, 1.5
@@ -104,8 +101,10 @@ class ModelParameters(NamedTuple):
         So many samples of these count as one, as the observer filters them.
     least : ndarray
         Deformation (m) and its rate (m/s) that stand out of the noise, shape (n, 2).
-    recent, remembered : float
-        Factors per step with which sums of innovations and impulses fade.
+    recent : float
+        Factor per step with which sums of innovations fade.
+    remembered : ndarray
+        Factor per step with which the structure forgets an impulse on each spring, shape (n,).
     surprise : float
         Square of the normalised sum that is no chance.
     confirming : float
@@ -123,7 +122,7 @@ class ModelParameters(NamedTuple):
     alike: float
     least: Floats
     recent: float
-    remembered: float
+    remembered: Floats
     surprise: float
     confirming: float
 
@@ -172,6 +171,7 @@ def model_arrays(
     noise: Floats,
     observed: Floats,
     alike: float,
+    quarter: Floats,
     dt: float,
 ) -> tuple[ModelParameters, ModelState]:
     """Make models of what is told of a specimen, all in coordinates of its springs.
@@ -186,6 +186,9 @@ def model_arrays(
         RMS noise of deformations (m) and their rates (m/s), shape (n, 2).
     alike : float
         So many samples of these count as one.
+    quarter : ndarray
+        Quarter of the whole structure's period at each spring, shape (n,), s: it turns an impulse
+        into a displacement, and forgets it.
     dt : float
         Sampling period, s.
     """
@@ -219,7 +222,7 @@ def model_arrays(
         alike=alike,
         least=STANDS_OUT * observed,
         recent=math.exp(-dt / RECENT),
-        remembered=math.exp(-dt / REMEMBERED),
+        remembered=np.exp(-dt / quarter),
         surprise=NormalDist().inv_cdf(1.0 - 0.5 * min(dt / ONCE_IN, 0.5)) ** 2,
         confirming=MOST_EVIDENCE * dt / CONFIRMED_IN,
     )
@@ -330,7 +333,7 @@ def follow(
     for j in range(n):
         phi, last, p = state.regressors[j], state.last[j], state.covariance[j]
         gain, taken, left = state.work[0], state.work[1], state.work[2]
-        past, of_past = state.past[j], 0.0
+        past, of_past, remembered = state.past[j], 0.0, parameters.remembered[j]
         found, change, sums = state.found[j], parameters.change[j], state.sums[j]
         phi[0] = 1.0
         for i in range(n):
@@ -403,9 +406,9 @@ def follow(
         of_past *= per_variance
         for i in range(q):
             after = gain[i] + taken[i] * by_left - gain[i] * by_taken
-            past[i] = parameters.remembered * (past[i] - of_past * gain[i]) + after
+            past[i] = remembered * (past[i] - of_past * gain[i]) + after
         late = (1.0 - weight) * of_past * innovation
-        impulse = parameters.remembered * sums[2] + used - late
+        impulse = remembered * sums[2] + used - late
         acts = sums[4] <= 0.0 and (is_change or was_right)
         sums[2] = 0.0 if acts else impulse
         sums[3] = late + (impulse if acts else 0.0)

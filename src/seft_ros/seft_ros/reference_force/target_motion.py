@@ -132,10 +132,6 @@ def target_arrays(known: Knowledge) -> tuple[TargetParameters, TargetState]:
     white = through(to_springs, noise[3]) + through(to_springs @ known.mass, noise[2])
     deformed = np.sqrt(np.transpose([through(deformation, left[0]), through(deformation, left[1])]))
     alike = 2.0 / gains[:, 0, 0].min() - 1.0  # what the observer leaves of the noise persists
-    model, model_state = model_arrays(
-        own_mass, own_damping, own_stiffness, np.sqrt(white), deformed, alike, dt
-    )
-
     specimen = [(0, computed.internal)] * 2
     mass, damping, stiffness = (
         np.pad(own, specimen) + part
@@ -153,6 +149,12 @@ def target_arrays(known: Knowledge) -> tuple[TargetParameters, TargetState]:
     free, start, change = first_order_hold(a, b, dt / substeps)
     influence = np.vstack([np.eye(n), computed.influence])
     by_spring = np.ascontiguousarray(inverse[:, :n] @ deformation.T)
+    squares = np.diag(deformation @ by_spring[:n]) * np.diag(own_stiffness)
+    model, model_state = model_arrays(
+        *(own_mass, own_damping, own_stiffness, np.sqrt(white), deformed, alike),
+        0.5 * math.pi / np.sqrt(np.abs(squares)),
+        dt,
+    )
     # the coming motion, see `predict`
     hold = np.ascontiguousarray(np.hstack([free, start]))
     deforming = deformation @ (hold[:n] - np.eye(n, 3 * size))
