@@ -171,7 +171,7 @@ def model_arrays(
     noise: Floats,
     observed: Floats,
     alike: float,
-    quarter: Floats,
+    frequency: Floats,
     dt: float,
 ) -> tuple[ModelParameters, ModelState]:
     """Make models of what is told of a specimen, all in coordinates of its springs.
@@ -186,9 +186,9 @@ def model_arrays(
         RMS noise of deformations (m) and their rates (m/s), shape (n, 2).
     alike : float
         So many samples of these count as one.
-    quarter : ndarray
-        Quarter of the whole structure's period at each spring, shape (n,), s: it turns an impulse
-        into a displacement, and forgets it.
+    frequency : ndarray
+        The whole structure's at each spring, shape (n,), rad/s: in a quarter of its period it turns
+        an impulse into a displacement, and forgets it.
     dt : float
         Sampling period, s.
     """
@@ -222,7 +222,7 @@ def model_arrays(
         alike=alike,
         least=STANDS_OUT * observed,
         recent=math.exp(-dt / RECENT),
-        remembered=np.exp(-dt / quarter),
+        remembered=np.exp(-2.0 / math.pi * frequency * dt),
         surprise=NormalDist().inv_cdf(1.0 - 0.5 * min(dt / ONCE_IN, 0.5)) ** 2,
         confirming=MOST_EVIDENCE * dt / CONFIRMED_IN,
     )

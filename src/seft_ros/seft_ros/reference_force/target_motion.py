@@ -134,8 +134,8 @@ def target_arrays(known: Knowledge) -> tuple[TargetParameters, TargetState]:
     alike = 2.0 / gains[:, 0, 0].min() - 1.0  # what the observer leaves of the noise persists
     specimen = [(0, computed.internal)] * 2
     mass, damping, stiffness = (
-        np.pad(own, specimen) + part
-        for own, part in (
+        np.pad(measured, specimen) + part
+        for measured, part in (
             (known.mass, computed.mass),
             (known.damping, computed.damping),
             (known.stiffness, computed.stiffness),
@@ -149,12 +149,9 @@ def target_arrays(known: Knowledge) -> tuple[TargetParameters, TargetState]:
     free, start, change = first_order_hold(a, b, dt / substeps)
     influence = np.vstack([np.eye(n), computed.influence])
     by_spring = np.ascontiguousarray(inverse[:, :n] @ deformation.T)
-    squares = np.diag(deformation @ by_spring[:n]) * np.diag(own_stiffness)
-    model, model_state = model_arrays(
-        *(own_mass, own_damping, own_stiffness, np.sqrt(white), deformed, alike),
-        0.5 * math.pi / np.sqrt(np.abs(squares)),
-        dt,
-    )
+    frequency = np.sqrt(np.abs(np.diag(deformation @ by_spring[:n]) * np.diag(own_stiffness)))
+    own = own_mass, own_damping, own_stiffness
+    model, model_state = model_arrays(*own, np.sqrt(white), deformed, alike, frequency, dt)
     # the coming motion, see `predict`
     hold = np.ascontiguousarray(np.hstack([free, start]))
     deforming = deformation @ (hold[:n] - np.eye(n, 3 * size))
