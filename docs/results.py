@@ -22,6 +22,10 @@ MODEL, METHOD = "reference_force:model.", "reference_force:compensation.method"
 WATCH = "reference_force:instability.ratio:=100.0"  # each test goes on to its end
 YIELD = f"{SPECIMEN}yield_displacement:="
 STOREYS = f"{SPECIMEN}springs:=[1.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, -1.0, 1.0]"
+NOISELESS = tuple(
+    f"rig:sensors.{channel}_noise:=0.0"
+    for channel in ("position", "velocity", "acceleration", "force")
+)
 LINK = "reference_force:loop_delay:=5"
 EXAMPLES = "three_storey_frame", "six_storey_frame", "two_pier_bridge", "water_tower", "demo"
 Row = tuple[str, ...]
@@ -89,6 +93,15 @@ TESTS: dict[str, list[Row]] = {
     "heavier and yielding": [
         (*PLAN, *loaded(3.0, 250.0), *specimen(kind, "yield_displacement:=0.0025"))
         for kind in ("bouc_wen", "bilinear")
+    ],
+    "other noise": [
+        (*PLAN, *ONE, *specimen(kind, "yield_displacement:=0.003"), f"rig:seed:={seed}")
+        for kind in ("bouc_wen", "bilinear", "flag")
+        for seed in (1, 2, 3)
+    ]
+    + [
+        (*PLAN, *ONE, *specimen(kind, "yield_displacement:=0.003"), *NOISELESS)
+        for kind in ("bouc_wen", "bilinear", "flag")
     ],
     "several axes": [
         *((f"config:{name}",) for name in EXAMPLES),
@@ -206,8 +219,9 @@ def main() -> None:
     for title, rows in TESTS.items():
         print(f"\n{title}\n\n| overrides | {' | '.join(motions)} |\n|{'---|' * (1 + len(motions))}")
         for row in rows:
-            hidden = {*PLAN, *DELAY, *ONE, WATCH, STOREYS, LINK}
+            hidden = {*PLAN, *DELAY, *ONE, *NOISELESS, WATCH, STOREYS, LINK}
             words = [named(word) for word in row if word not in hidden]
+            words += ["no sensor noise"] if set(NOISELESS) <= set(row) else []
             errors = [tested(row, motion) for motion in motions.values()]
             print(f"| {', '.join(words) or 'as it is'} | {' | '.join(errors)} |", flush=True)
 

@@ -29,8 +29,8 @@ that has acted before it: with the parameters' covariance c with that impulse, t
 estimates it, too (a fixed-lag smoother: Anderson & Moore, Optimal Filtering, 1979, ch. 7). What the
 estimate changes by, acts now::
 
-    change of the impulse = c . phi / variance * innovation                                (6)
-    c <- c - P phi (c . phi) / variance, then c <- fade c + P phi after the update         (7)
+    change of the impulse = c . phi / variance * innovation
+    c <- c - P phi (c . phi) / variance, then c <- fade c + P phi with the P of after the update
 
 Without it the noise of an impulse would be that of running means: for an offset twice, for a line
 four times the variance of the measured force's own impulse.
