@@ -32,8 +32,8 @@ estimate changes by, acts now::
     change of the impulse = c . phi / variance * innovation
     c <- c - P phi (c . phi) / variance, then c <- fade c + P phi with the P of after the update
 
-Without it the noise of an impulse would be that of running means: for an offset twice, for a line
-four times the variance of the measured force's own impulse.
+Without it the impulse would be the sum of running estimates, of twice the variance that the sum of
+the measured force has.
 
 What was taken for noise until the specimen turned out to be another was an impulse, too, and is
 made good.
