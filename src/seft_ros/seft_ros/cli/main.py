@@ -18,7 +18,7 @@ from seft_ros.cli.options import complain, option
 from seft_ros.cli.perform import run, simulate
 from seft_ros.cli.rig_commands import conform, link
 from seft_ros.cli.show_commands import monitor, motion, parameters
-from seft_ros.cli.study_commands import paper, tournament
+from seft_ros.cli.study_commands import paper, tournament, uncertainty
 
 APP = typer.Typer(
     name="seft",
@@ -46,6 +46,7 @@ for command in (
         identify,
         design,
         tournament,
+        uncertainty,
     ),
     *(preflight, link, conform, new, monitor, paper, parameters),
 ):

@@ -53,6 +53,13 @@ Files = Annotated[Optional[list[Path]], typer.Option(metavar="FILE", help=_FILES
 Plant = Annotated[Source, typer.Option(help=_PLANT)]
 External = Annotated[Optional[list[str]], typer.Option(metavar="NODE", help=_EXTERNAL)]
 Json = Annotated[bool, typer.Option("--json", help=_JSON)]
+_WORKERS = "Processes that calculate; default one for each core."
+Workers = Annotated[Optional[int], typer.Option(help=_WORKERS, min=1)]
+_SCHEDULER = (
+    "Calculate on the Dask cluster with this scheduler instead, such as tcp://host:8786; its "
+    "workers need the same seft."
+)
+Scheduler = Annotated[str, typer.Option(metavar="ADDRESS", help=_SCHEDULER, show_default=False)]
 
 
 def load_experiment(

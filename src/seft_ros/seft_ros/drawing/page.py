@@ -249,6 +249,19 @@ def against(
     line(panel, *test, labels[1], width=0.9 if loop else 1.3, loop=loop)
 
 
+def dots(panel: figure, x: Floats, y: Floats, label: str = "", *, color: str = FIRST) -> None:
+    """Draw points; the label is in the legend, empty: it is not."""
+    legend = {"legend_label": label} if label else {}
+    renderer = panel.scatter(x, y, size=5, color=color, alpha=0.6, **legend)
+    tips = [
+        (str(panel.xaxis.axis_label), "@x{0.0000a}"),
+        (str(panel.yaxis.axis_label), "@y{0.000}"),
+    ]
+    panel.add_tools(HoverTool(renderers=[renderer], tooltips=tips, visible=False))
+    if label:
+        _place_legend(panel)
+
+
 def bars(panel: figure, edges: Floats, counts: Floats) -> None:
     """Draw a histogram: counts, shape (B,), between edges, shape (B + 1,)."""
     low = 0.5 if "Log" in type(panel.y_scale).__name__ else 0.0

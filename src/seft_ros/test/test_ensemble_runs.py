@@ -7,12 +7,12 @@ import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_ros.analysis.summary import summarise
+from seft_ros.ensemble.entries import Entry, make_tournament
+from seft_ros.ensemble.runs import count_calculations, run_all, step_cost
 from seft_ros.reference_force.compensation_methods import METHODS
 from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES
-from seft_ros.tournament.entries import Entry, make_tournament
-from seft_ros.tournament.runs import count_calculations, run_all, step_cost
 
 JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
 SHORT = ("ground_motion:synthetic.duration:=4", "ground_motion:tail:=0.5")

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 from seft_msgs_py.errors import ExperimentError
-from seft_ros.tournament.workers import free_cores, parallel_map
+from seft_ros.ensemble.workers import free_cores, parallel_map
 
 KILLED = """
 import os, signal
-from seft_ros.tournament.workers import parallel_map
+from seft_ros.ensemble.workers import parallel_map
 with parallel_map(2) as map_:
     print(*map_(eval, ["__import__('os').getpid()"]), flush=True)
     os.kill(os.getpid(), signal.SIGKILL)
