@@ -1,5 +1,6 @@
 """The `seft` command."""
 
+import gc
 import signal
 import sys
 from contextlib import redirect_stdout
@@ -73,6 +74,7 @@ def main() -> int:
 
     SIGTERM and a closed terminal are as Ctrl-C: whatever a command has set in motion rests first.
     """
+    gc.set_threshold(100_000)  # most of what a command imports and makes stays to its end
     before = on_ending(signal.default_int_handler)
     try:
         return int(APP(standalone_mode=False) or 0)

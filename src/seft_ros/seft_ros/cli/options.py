@@ -190,7 +190,6 @@ def offline_test(experiment: Experiment, bag: Path | None, label: str = "") -> R
 
     Raises `InputError` if parameters contradict each other.
     """
-    from seft_ros.bags.record_bag import write_record
     from seft_ros.ground_motion.ground_motion_block import MOTION
     from seft_ros.test_run.blocks import build_blocks
     from seft_ros.test_run.offline import simulate
@@ -202,6 +201,8 @@ def offline_test(experiment: Experiment, bag: Path | None, label: str = "") -> R
         record = replace(record, facts={GROUND_MOTION.name: {MOTION: motion.facts}})
         tell(f"{label}writing the bag" if label else "done", len(record.series["rig/state"].steps))
         if bag is not None:
+            from seft_ros.bags.record_bag import write_record
+
             chunks = [motion.chunk(index) for index in range(motion.chunks)]
             write_record(record, bag, record.experiment["recorder"]["storage"], chunks)
     return record

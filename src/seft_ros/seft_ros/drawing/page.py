@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from bokeh.document import Document
 from bokeh.embed import components
 from bokeh.model import Model
 from bokeh.models import BoxAnnotation, HoverTool, NumeralTickFormatter, Range1d, Span
@@ -126,6 +127,10 @@ def write_page(path: Path, title: str, subtitle: str, sections: Sequence[Section
             elif isinstance(block, Grid):
                 own = {f"{place}-{index}-{n}": p.figure for n, p in enumerate(block.plots)}
                 figures.update(own)
+    document = Document()
+    with document.models.freeze():  # one look at all models, not one for each figure
+        for one in figures.values():
+            document.add_root(one)
     script, places = components(figures) if figures else ("", {})
     library = Resources(mode="inline", components=["bokeh"]).render_js() if figures else ""
     environment = Environment(

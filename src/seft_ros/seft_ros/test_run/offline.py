@@ -171,7 +171,7 @@ class Workshop:
     """Prepares and runs the tests of an ensemble; each thread has its own blocks."""
 
     def __init__(self) -> None:
-        self._of_thread, self._exact = threading.local(), threading.local()
+        self._of_thread, self._last = threading.local(), threading.local()
 
     @cached_property
     def _environment(self) -> dict[str, Any]:
@@ -185,7 +185,9 @@ class Workshop:
         InputError
             As `build_blocks`.
         """
-        return simulate(experiment, self.blocks(experiment), environment=self._environment)
+        blocks = self.blocks(experiment)
+        vars(self._last).pop("made", None)  # a rig runs once
+        return simulate(experiment, blocks, environment=self._environment)
 
     def obstacle(self, experiment: Experiment) -> str:
         """Say why a test can't run in the compiled loop, see `obstacle`; empty if it can."""
@@ -195,14 +197,18 @@ class Workshop:
         """Calculate the exact response of a test; that of the test before if it is the same."""
         force = experiment["reference_force"].items()
         structure = {name: value for name, value in force if not name.startswith("compensation.")}
-        key = [structure, *(experiment[node] for node in ("rig", "ground_motion"))]
-        last: dict[str, Any] = vars(self._exact)
-        if last.get("key") != key:
+        key = [structure, experiment["rig"], experiment["ground_motion"]]
+        last = vars(self._last)
+        if last.get("structure") != key:
             motion = self.blocks(experiment).ground_motion.samples
-            last.update(key=key, response=reference_response(experiment, motion))
+            last.update(structure=key, response=reference_response(experiment, motion))
         response: ReferenceResponse = last["response"]
         return response
 
     def blocks(self, experiment: Experiment) -> Blocks:
         """Make the blocks of a test, or find them among those of this thread's earlier tests."""
-        return build_blocks(experiment, vars(self._of_thread))
+        last = vars(self._last)
+        if last.get("made", (None,))[0] is not experiment:
+            last["made"] = experiment, build_blocks(experiment, vars(self._of_thread))
+        blocks: Blocks = last["made"][1]
+        return blocks
