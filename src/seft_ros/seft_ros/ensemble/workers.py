@@ -29,7 +29,7 @@ It gives the place and the result of each call as soon as there is one.
 
 _STOP = signal.SIGUSR1
 _MOST_DEATHS = 3
-_CONNECT_TIME = 10.0  # s
+_CONNECT_TIME = 5.0  # s
 
 
 class _StoppedError(BaseException):
@@ -189,7 +189,7 @@ def _cluster_map(address: str) -> Iterator[Map]:
             "--scheduler: Dask is not installed; install it with: pip install 'seft_ros[dask]'"
         ) from None
     try:
-        client = Client(address, timeout=_CONNECT_TIME, set_as_default=False)
+        client = Client(address, timeout=_CONNECT_TIME)
     except (OSError, ValueError, TypeError) as error:
         raise InputError(
             f"--scheduler {address}: no Dask scheduler answers there ({error}); start one with: "
