@@ -174,7 +174,7 @@ def tournament(
 
         seft tournament config/jhu.yaml --method none -p rig:seed:=7
 
-        seft tournament config/jhu.yaml --rigs 1000 --scheduler tcp://cluster:8786
+        seft tournament config/jhu.yaml --rigs 99 --scheduler tcp://host:8786
     """
     from seft_ros.drawing.style import check_figure, save_figure
     from seft_ros.ensemble.entries import make_tournament
@@ -260,11 +260,11 @@ def uncertainty(
 
         seft uncertainty config/demo.yaml
 
-        seft uncertainty config/demo.yaml --tests 1000 --spread 0.2 --out wide.html
+        seft uncertainty config/demo.yaml --spread 0.2 --out wide.html
 
-        seft uncertainty config/demo.yaml --motion kobe.AT2 --motion northridge.AT2
+        seft uncertainty config/demo.yaml --motion kobe.AT2 --motion NIS090.AT2
 
-        seft uncertainty config/jhu.yaml --tests 10000 --scheduler tcp://cluster:8786
+        seft uncertainty config/jhu.yaml --scheduler tcp://host:8786
     """
     from seft_ros.drawing.page import check_page
     from seft_ros.ensemble.runs import run_tests
