@@ -68,7 +68,7 @@ setup(
         "zstandard>=0.25",
     ],
     extras_require={
-        "dask": ["distributed>=2022.12"],
+        "dask": ["distributed>=2026.8"],
         "test": ["hypothesis>=6.98", "pytest>=7.4", "pyyaml>=6.0"],
     },
     entry_points={
