@@ -9,15 +9,16 @@ rig or control, a step and its response at a time. All run in the same rounds.
 import os
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 from _plain_loop import steps_per_second as plain_steps_per_second
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import RIG_STATE
-from seft_ros.test_run.offline import Workshop, thread_map
+from seft_ros.ensemble.entries import make_tournament
+from seft_ros.test_run.offline import Workshop
 from seft_ros.test_run.parameter_tables import TABLES
-from seft_ros.tournament.entries import make_tournament
 
 try:
     import openseespy.opensees as ops
@@ -46,7 +47,8 @@ def run_ensemble(experiments, reduce, workers=1):
     def one(number, experiment):
         return reduce(number, shop.run(experiment))
 
-    return thread_map(workers, one, range(len(experiments)), experiments)
+    with ThreadPoolExecutor(workers) as pool:
+        return list(pool.map(one, range(len(experiments)), experiments))
 
 
 def opensees_steps_per_second(motion: list[float], dt: float = 0.002) -> float:
@@ -90,7 +92,7 @@ def main() -> int:
         return len(values), float(np.abs(values[:, 0]).max())
 
     for experiments in ensembles.values():
-        list(run_ensemble(experiments[:2], reduced))  # compiled, or read from the disk
+        run_ensemble(experiments[:2], reduced)  # compiled, or read from the disk
     loops = {"bare linear loop, plain floats": plain_steps_per_second}
     if ops is not None:
         loops["OpenSees, per-step loop"] = opensees_steps_per_second
@@ -98,11 +100,11 @@ def main() -> int:
     for _ in range(ROUNDS):  # interleaved: the machine's speed drifts
         for case, experiments in ensembles.items():
             start = time.perf_counter()
-            found = list(run_ensemble(experiments, reduced, workers))
+            found = run_ensemble(experiments, reduced, workers)
             speeds[case].append(sum(n for n, _ in found) / (time.perf_counter() - start))
             for first in range(0, RIGS // 4, PIECE):
                 start = time.perf_counter()
-                found = list(run_ensemble(experiments[first : first + PIECE], reduced))
+                found = run_ensemble(experiments[first : first + PIECE], reduced)
                 single[case].append(sum(n for n, _ in found) / (time.perf_counter() - start))
         for name, loop in loops.items():
             rounds[name].append(loop(motion * 4))

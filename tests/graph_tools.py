@@ -21,6 +21,7 @@ STALLS_ALLOWED = (
     *("-p", "supervisor:watchdog.peer_timeout:=60.0"),
     *("-p", "force_controller:watchdog.reference_timeout:=60.0"),
     *("-p", "rig:watchdog.supervisor_timeout:=60.0"),
+    *("-p", "supervisor:rehearsal.duration:=0.0"),
 )
 """Lets a test in realtime outlive a machine that stands still for a while."""
 

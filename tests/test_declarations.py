@@ -34,6 +34,7 @@ NAMES = {  # module: name for pip, rosdep key
     "yaml": ("pyyaml", "python3-yaml"),
     "zstandard": ("zstandard", None),
 }
+OPTIONAL = {"distributed": "dask"}  # module, which is its name for pip: extra that brings it
 ROS = {  # what ROS 2 brings: no name for pip
     *("diagnostic_msgs", "launch", "launch_ros", "rcl_interfaces", "rclpy", "rosgraph_msgs"),
     *("std_msgs", "std_srvs", "trajectory_msgs"),
@@ -49,7 +50,7 @@ def imports(folder: Path) -> set[str]:
                 found |= {alias.name.split(".")[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 found.add(node.module.split(".")[0])
-    return found - own - set(sys.stdlib_module_names)
+    return found - own - set(sys.stdlib_module_names) - set(OPTIONAL)
 
 
 def required(package: str) -> tuple[set[str], set[str]]:
@@ -94,6 +95,13 @@ def test_package_xml_names_what_is_imported(package):
     more = imports(folder / "test") - {package}
     keys = {NAMES.get(module, (None, module))[1] for module in more} - {None}
     assert keys <= named | depends(package, "test_depend")
+
+
+def test_what_is_optional_has_an_extra_that_brings_it():
+    wanted = [Requirement(text) for text in requires("seft_ros")]
+    for name, extra in OPTIONAL.items():
+        (one,) = (each for each in wanted if each.name == name)
+        assert one.marker.evaluate({"extra": extra}) and not one.marker.evaluate({"extra": ""})
 
 
 def test_one_line_of_pip_has_what_no_rosdep_key_brings():

@@ -133,3 +133,10 @@ def test_a_finger_scrolls_and_does_not_zoom(browser, demo):
         browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
     assert released
     assert all(released)
+
+
+def test_a_page_of_uncertainty_is_drawn(browser, tmp_path):
+    command = ("uncertainty", JHU, *SHORT, "--tests", "30", "--spread", "0.2")
+    subprocess.run([sys.executable, "-m", "seft_ros.cli.main", *map(str, command)], cwd=tmp_path)
+    check_page(browser, tmp_path / "uncertainty.html", least_figures=7)
+    assert "95 % of the tests" in browser.find_element("css selector", ".verdict").text

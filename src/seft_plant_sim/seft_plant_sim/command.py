@@ -50,6 +50,8 @@ class Command:
 
     Attributes
     ----------
+    limit, loop_delay : float, int
+        As given.
     step : int
         Last step whose command is settled; -1 where none is.
     current : int
@@ -64,16 +66,16 @@ class Command:
         self.codec = codec
         self._rig = rig or RigAxes.whole(codec.axes)
         self._places = None if self._rig.axes == codec.axes else list(self._rig.places)
-        self._limit = limit
-        self._loop_delay = loop_delay
+        self.limit = limit
+        self.loop_delay = loop_delay
         self.reset()
 
     def reset(self) -> None:
         """Back to no drive, before the first sample of a test."""
         self.answered = self.current = -1
-        self.step = self._loop_delay - 1
-        nothing = np.zeros((1 + self._loop_delay, len(self._rig.axes)))
-        self._messages = MessagesAhead(self._loop_delay, nothing)
+        self.step = self.loop_delay - 1
+        nothing = np.zeros((1 + self.loop_delay, len(self._rig.axes)))
+        self._messages = MessagesAhead(self.loop_delay, nothing)
 
     @property
     def value(self) -> Floats:
@@ -103,16 +105,16 @@ class Command:
                 f"{name} of step {step} after that of step {self.answered}: stale, duplicated or "
                 "out of order"
             )
-        settled = values[: 1 + self._loop_delay, 0]  # later points of a target are forecasts
+        settled = values[: 1 + self.loop_delay, 0]  # later points of a target are forecasts
         points = settled if self._places is None else settled[:, self._places]
         worst = points[0] if len(points) == 1 else points[np.abs(points).max(axis=1).argmax()]
         for axis, number in zip(self._rig.axes, worst.tolist(), strict=True):
-            if not abs(number) <= self._limit:
+            if not abs(number) <= self.limit:
                 unit = self.codec.topic.units[0]
                 raise WireError(
                     f"{name} of step {step} is {number:g} {unit} on axis {axis}, beyond the "
-                    f"limit of {self._limit:g} {unit}"
+                    f"limit of {self.limit:g} {unit}"
                 )
         self.answered = step
         self._messages.add(step, points)
-        self.step = step + self._loop_delay
+        self.step = step + self.loop_delay

@@ -140,6 +140,13 @@ class Rig:
         """The true state at the last step, shape (4, n)."""
         return self.state.true.reshape(4, -1).copy()
 
+    @property
+    def safe_command(self) -> Floats:
+        """Command at which the actuator rests, shape (n,)."""
+        if self._safe is None or self.drive != VALVE_COMMAND.name:
+            return np.zeros_like(self._command)
+        return self._safe.command
+
     def reset(self) -> Floats:
         """Bring the rig to rest and take the sample of step 0, shape (4, n)."""
         self.saturation = Saturation()
@@ -161,8 +168,7 @@ class Rig:
         """
         if self._safe is None:
             return Stopped(0, 0.0)
-        valve_driven = self.drive == VALVE_COMMAND.name
-        safe = self._safe.command if valve_driven else np.zeros_like(self._command)
+        safe = self.safe_command
         last = self.state.line[(self.state.counts[0] - 1) % len(self.state.line)].copy()
         steps, resting, peak = 0, 0, 0.0
         while steps < self._safe.longest and resting < RESTS:

@@ -8,12 +8,21 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import WARM_UP_STEPS, NodeShell
 from seft_msgs_py.wire.messages import Status, encode_clock, restamp
-from seft_msgs_py.wire.outcome import FINISHED, LISTED_STEPS, TRIPPED, Trip, rig_status
+from seft_msgs_py.wire.outcome import (
+    FINISHED,
+    LISTED_STEPS,
+    REHEARSED,
+    REHEARSES,
+    TRIPPED,
+    Trip,
+    rig_status,
+)
 from seft_msgs_py.wire.topics import (
     CLOCK_TOPIC,
     DIAGNOSTICS,
@@ -27,6 +36,7 @@ from seft_msgs_py.wire.topics import (
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
 from seft_plant_sim.command import Command
+from seft_plant_sim.rehearsal import Rehearsal
 from seft_plant_sim.rig import Rig, Stopped
 from seft_plant_sim.rig_parameters import TABLE
 from seft_plant_sim.rig_watch import (
@@ -76,7 +86,12 @@ class RigNode(NodeBody):
             delay = max(self._section["loop_delay"], 0)
             axes = experiment.axes
             self._drive = self._command(REFERENCE_FORCE, axes, "limits.force", delay)
-        self.facts = {"drive": self._drive.codec.topic.name}
+        self.facts: dict[str, Any] = {"drive": self._drive.codec.topic.name}
+        self._rehearsal: Rehearsal | None = None
+        if self._is_alone and self._section["pace"] == "realtime" and not self._drive.loop_delay:
+            topic, limit = self._drive.codec.topic, self._drive.limit
+            self._rehearsal = Rehearsal(shell, self._timebase, topic, limit)
+            self.facts[REHEARSES] = True
         self._supervision = Supervision(self._section["watchdog.supervisor_timeout"])
         shell.subscribe(EXPERIMENT_STATE, self._supervision.hear, depth=16)
         self._recorder_lag = RecorderLag(self._section["lockstep_timeout"])
@@ -90,6 +105,7 @@ class RigNode(NodeBody):
         self._reported_at = self._answered_at = 0.0
         self._published_at = [0.0] * LATEST  # the last states, by step
         self._refused_before = 0  # messages, until the newest command came
+        self._rehearsed = False
         state = self._rig.reset()
         for step in range(WARM_UP_STEPS):
             self._state_codec.decode(self._state_codec.encode(step, state))
@@ -107,9 +123,26 @@ class RigNode(NodeBody):
                 ended = True
                 if supervision.is_moving:
                     supervision.wanted = None  # a test runs once
+            elif self._rehearsal is not None and supervision.rehearsal and not self._rehearsed:
+                self._rehearse(self._rehearsal, supervision.rehearsal)
             elif ended and wanted is not None and wanted.message == "idle":
                 ended = False  # others know by now how the test ended
                 self.report("idle")
+
+    def _rehearse(self, rehearsal: Rehearsal, seconds: float) -> None:
+        """Run the loop with the valve at its safe value, and tell how that went."""
+        rig, supervision = self._rig, self._supervision
+
+        def sample(step: int) -> Floats:
+            return rig.reset() if step == 0 else rig.step(rig.safe_command)
+
+        found = rehearsal.run(
+            seconds, sample, lambda: self._shell.stopping or not supervision.rehearsal
+        )
+        rig.reset()
+        if supervision.rehearsal:  # it was not broken off
+            self._rehearsed = True
+            self._shell.tell({REHEARSED: found})
 
     def fault(self, reason: str) -> None:
         """End the test that runs, or the next one, as long as the operator has not reset it."""

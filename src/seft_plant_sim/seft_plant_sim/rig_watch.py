@@ -10,7 +10,7 @@ from seft_msgs_py.errors import WireError
 from seft_msgs_py.node.realtime import AwakeClock
 from seft_msgs_py.wire.messages import WARN, Status, decode_diagnostics, decode_status
 from seft_msgs_py.wire.outcome import MOVING, RECORDED, RECORDER, STOPPED
-from seft_msgs_py.wire.topics import LoopTopic
+from seft_msgs_py.wire.topics import REHEARSE, LoopTopic
 
 
 def elapsed() -> float:
@@ -164,6 +164,8 @@ class Supervision:
         Fault of the program, which ends every test until the supervisor has said idle.
     latched : bool
         Whether a test tripped: there is no new one before the supervisor has said idle.
+    rehearsal : float
+        For how many s the loop is to be rehearsed; 0: not.
     """
 
     def __init__(self, patience: float) -> None:
@@ -172,6 +174,7 @@ class Supervision:
         self.wanted: Status | None = None
         self.state = self.fault = ""
         self.latched = self._armed = False
+        self.rehearsal = 0.0
 
     @property
     def is_moving(self) -> bool:
@@ -182,6 +185,7 @@ class Supervision:
         """Follow the supervisor; a rig that starts in the middle of a test stays at rest."""
         status = decode_status(raw)
         self._heard_at = self._awake.time()
+        self.rehearsal = status.number(REHEARSE) or 0.0
         if status.message == self.state:
             return  # a sign of life
         self.state = status.message

@@ -6,6 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.signal import find_peaks
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_plant_sim.whole_structure import reference_response, whole_structure
@@ -13,6 +16,7 @@ from seft_ros.analysis.equivalent_motion import (
     EquivalentMotion,
     assumed_structure,
     motion_difference,
+    peaks,
     secant_stiffness,
 )
 from seft_ros.analysis.judgement import verdict
@@ -300,3 +304,12 @@ def test_a_rig_of_which_nothing_is_known_is_judged_all_the_same(seft, tmp_path):
     assert "equivalent ground motion" in verdict(findings.summary)
     write_report(findings, "bare", tmp_path / "bare.html")
     assert "The equivalent ground motion" in (tmp_path / "bare.html").read_text()
+
+
+@given(
+    st.lists(st.integers(-4, 4) | st.floats(-4.0, 4.0), max_size=60),
+    st.integers(0, 8) | st.floats(0.0, 8.0),
+)
+def test_peaks_are_those_of_scipy(heights, prominence):
+    y = np.array(heights, dtype=float)
+    assert np.array_equal(peaks(y, prominence), find_peaks(y, prominence=prominence)[0])

@@ -1,11 +1,13 @@
 """The compiled loop gives the bits of the plain one, alone and in an ensemble."""
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
+from seft_ros.ensemble.entries import perturbed_rig
 from seft_ros.force_controller.force_control import ControlKnowledge
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.registered_control import RegisteredControl
@@ -14,9 +16,8 @@ from seft_ros.test_run import blocks as blocks_module
 from seft_ros.test_run import offline
 from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.compiled_loop import obstacle
-from seft_ros.test_run.offline import Workshop, simulate, thread_map
+from seft_ros.test_run.offline import Workshop, simulate
 from seft_ros.test_run.parameter_tables import TABLES
-from seft_ros.tournament.entries import perturbed_rig
 
 JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
 SHORT = ("ground_motion:synthetic.duration:=12", "ground_motion:tail:=0.5")
@@ -124,7 +125,8 @@ def run_ensemble(experiments, reduce, workers=1):
     def one(number, experiment):
         return reduce(number, shop.run(experiment))
 
-    return thread_map(workers, one, range(len(experiments)), experiments)
+    with ThreadPoolExecutor(workers) as pool:
+        return list(pool.map(one, range(len(experiments)), experiments))
 
 
 def load(*words):

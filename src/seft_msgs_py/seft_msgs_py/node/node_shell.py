@@ -166,6 +166,11 @@ class NodeShell:
         self.node.get_logger().info("started; the supervisor starts and ends tests")
         self._process.now_and_then(self._renew_status)
 
+    def tell(self, facts: dict[str, Any]) -> None:
+        """Add facts about the node (JSON values) to its description."""
+        self._facts = {**(self._facts or {}), **facts}
+        self._describe()
+
     def spin_once(self, timeout: float = IDLE_WAIT) -> bool:
         """Wait for messages and handle them, see `NodeProcess.spin_once`."""
         return self._process.spin_once(timeout)

@@ -19,6 +19,10 @@ FINISHED = "finished"
 TRIPPED = "tripped"
 STOPPED = "stopped"
 """Reason of a rig that obeyed the supervisor, which knows the cause."""
+REHEARSES = "rehearses"
+"""Key of the rig's facts: whether it can rehearse the loop."""
+REHEARSED = "rehearsal"
+"""Key of the rig's facts: how a rehearsal of the loop went."""
 LISTED_STEPS = 100
 """Most missed steps that a status lists; all are counted."""
 ROUND_TRIPS = {

@@ -227,6 +227,15 @@ VALVE_COMMAND = LoopTopic(
 )
 LOOP_TOPICS = (GROUND_MOTION, RIG_STATE, REFERENCE_FORCE, VALVE_COMMAND)
 
+REHEARSE = "rehearse"
+"""Key of the state's values: for how many s the rig shall rehearse the loop."""
+
+
+def rehearsed(topic: LoopTopic) -> LoopTopic:
+    """Give the topic of the loop's rehearsal before a test, which no bag holds."""
+    return replace(topic, name=f"rehearsal/{topic.name}", recorded=False)
+
+
 ESTIMATES = Topic(
     "reference_force/estimates", DIAGNOSTIC_ARRAY, publisher="reference_force", depth=256
 )

@@ -23,6 +23,7 @@ from seft_ros.bags.record import Record
 from seft_ros.ground_motion.response_spectrum import response_spectrum
 
 Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
 
 DAMPING = 0.05
 """Of the oscillators of a spectrum."""
@@ -280,13 +281,11 @@ def secant_stiffness(states: Floats, mass: Floats, stiffness: Floats) -> Floats:
     mass, stiffness : ndarray
         M_e and K of the specimen's model, shape (n, n).
     """
-    from scipy.signal import find_peaks  # 20 MB that no node needs
-
     x, _, a, f = np.moveaxis(states, 1, 0)
     pairs = []
     for column in x.T:
         least = _SMALLEST * (column.max() - column.min())
-        turning = [find_peaks(sign * column, prominence=least)[0] for sign in (1.0, -1.0)]
+        turning = [peaks(sign * column, least) for sign in (1.0, -1.0)]
         at = np.sort(np.concatenate(turning))
         pairs += list(pairwise(at))
     if not pairs:
@@ -298,3 +297,49 @@ def secant_stiffness(states: Floats, mass: Floats, stiffness: Floats) -> Floats:
     counts = elastic > _SMALLEST**2 * elastic.max()
     secant = np.einsum("ki,ki->k", dx, dr)[counts] / elastic[counts]
     return secant[secant > 0]
+
+
+def peaks(y: Floats, prominence: float) -> Ints:
+    """Find peaks that stand out from both sides by so much, as `scipy.signal.find_peaks` does.
+
+    (To import that takes longer than a test does.) Of a flat top it is the middle; ends are none.
+
+    Parameters
+    ----------
+    y : ndarray
+        Shape (N,).
+    prominence : float
+        Height over the higher of the lowest points before and after it that lie between it and a
+        point that is higher, or the end.
+
+    Returns
+    -------
+    ndarray
+        Indices, ascending.
+    """
+    slopes = np.sign(np.diff(y))
+    moves = np.flatnonzero(slopes)
+    tops = np.flatnonzero((slopes[moves[:-1]] > 0) & (slopes[moves[1:]] < 0))
+    at = (moves[tops] + 1 + moves[tops + 1]) // 2
+    if not len(at):
+        return at
+    valleys = np.minimum.reduceat(y, np.concatenate([[0], at]))  # before, between and after them
+    before, after = (
+        _lowest(y[at][way], valleys[way][:-1])[way] for way in (slice(None), slice(None, None, -1))
+    )
+    return at[y[at] - np.maximum(before, after) >= prominence]
+
+
+def _lowest(heights: Floats, valleys: Floats) -> Floats:
+    """Give the lowest point between each peak and the last one before it that is higher.
+
+    ``valleys`` are the lowest points before each peak and after the one before it.
+    """
+    higher: list[tuple[float, float]] = []  # heights and lowest points of peaks that may be
+    found = np.empty(len(heights))
+    for index, (height, low) in enumerate(zip(heights.tolist(), valleys.tolist(), strict=True)):
+        while higher and higher[-1][0] <= height:
+            low = min(low, higher.pop()[1])
+        higher.append((height, low))
+        found[index] = low
+    return found

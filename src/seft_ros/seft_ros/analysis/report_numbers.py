@@ -14,6 +14,7 @@ from seft_plant_sim.whole_structure import ReferenceResponse
 from seft_ros.analysis.alignment import every_step
 from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
 from seft_ros.analysis.judgement import Judgement, judge
+from seft_ros.analysis.metrics import cross_spectrum
 from seft_ros.analysis.summary import (
     COMPARED,
     ENERGIES,
@@ -71,13 +72,13 @@ def spectrum_of(y: Floats, dt: float, segment_s: float = 4.0) -> Spectrum:
     dt, segment_s : float
         Sampling period and length of a segment, s; the inverse of that is the resolution.
     """
-    from scipy.signal import welch  # 20 MB that no node needs
-
     size = min(len(y), max(2, round(segment_s / dt)))
     if size < 2:
         return Spectrum(np.empty(0), np.empty(0))
     with np.errstate(all="ignore"):
-        return Spectrum(*welch(y, fs=1 / dt, nperseg=size, detrend="constant"))
+        column = y[:, np.newaxis]
+        frequency, power = cross_spectrum(column, column, dt, size)
+    return Spectrum(frequency, power[:, 0].real)
 
 
 def vibration(measured: Spectrum, exact: Spectrum, band: tuple[float, float]) -> float:

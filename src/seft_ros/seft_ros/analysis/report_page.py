@@ -60,6 +60,11 @@ _LINK = (
     ),
     Number("of these, forces that no prediction reached", "held", form=str),
 )
+_REHEARSAL = (
+    Number("rehearsal before the test, steps", "steps", form=str),
+    Number("of these missed", "missed", form=str),
+    Number("its round trip, p99", "round_trip_s.p99", "ms", 1e3, ".3f"),
+)
 _GAPS = (
     Number("median", "median_s", "ms", 1e3, ".3f"),
     Number("largest", "largest_s", "ms", 1e3, ".3f"),
@@ -226,6 +231,8 @@ def _timing(report: Report) -> Iterator[Block]:
         keys = [key for key in found if key not in ("over_a_period", "steps")]
         rows += rows_of((Number(f"{label}, {k}", k, "ms", 1e3, ".3f") for k in keys), found)
     rows.append(["of these longer than a period", str(recorded["over_a_period"])])
+    if numbers["rehearsal"] is not None:
+        rows += rows_of(_REHEARSAL, numbers["rehearsal"])
     yield Table((), rows, numbers=False)
     if len(trips):
         panel = plot("round trip / ms", "steps", log_y=True)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.wire.outcome import REHEARSED, RIG
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 
 from seft_ros.analysis.alignment import common_steps
@@ -36,9 +37,10 @@ class Timing:
         JSON values: ``paced`` (whether the rig kept a pace: in lockstep gaps mean nothing),
         ``period_s`` of the loop, ``round_trip_s`` (percentiles, largest, how many of the steps
         over_a_period), ``round_trip_at_the_rig_s`` (the same as measured by the rig, by the
-        keys of `ROUND_TRIPS`; empty without), ``gaps`` (topic -> median_s and largest_s of the
-        intervals between its messages, largest_step after which the largest was, count of those
-        longer than `GAP` periods), ``stalls`` (see `stalls_of`).
+        keys of `ROUND_TRIPS`; empty without), ``rehearsal`` (as of
+        `seft_plant_sim.rehearsal.Rehearsal`; None without), ``gaps`` (topic -> median_s and
+        largest_s of the intervals between its messages, largest_step after which the largest was,
+        count of those longer than `GAP` periods), ``stalls`` (see `stalls_of`).
     """
 
     round_trip_s: Floats
@@ -68,6 +70,7 @@ def timing_of(record: Record) -> Timing | None:
             "steps": len(trips),
         },
         "round_trip_at_the_rig_s": record.round_trips,
+        "rehearsal": record.facts.get(RIG, {}).get(REHEARSED),
         "gaps": _gaps(record, dt),
         "stalls": stalls_of(record),
     }

@@ -11,7 +11,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy.fft import next_fast_len, rfft
 
-from seft_ros.analysis.metrics import best_fit_delay, columns, delayed, nrmse, paired, peak
+from seft_ros.analysis.metrics import (
+    best_fit_delay,
+    columns,
+    cross_spectrum,
+    delayed,
+    nrmse,
+    paired,
+    peak,
+)
 
 Floats = npt.NDArray[np.float64]
 Steps = npt.NDArray[np.int64]
@@ -182,8 +190,6 @@ def delay_by_frequency(
     dt, segment_s : float
         Sampling period and length of a segment, s.
     """
-    from scipy.signal import csd, welch
-
     c, m = map(columns, paired(commanded, measured))
     size = min(len(c), max(2, round(segment_s / dt)))
     shape = np.shape(commanded)[1:]
@@ -192,11 +198,9 @@ def delay_by_frequency(
     delays = [best_fit_delay(*pair, dt) for pair in zip(m.T, c.T, strict=True)]
     common = np.where(np.isfinite(delays), delays, 0.0)
     aligned = np.stack([delayed(y, -tau, dt) for y, tau in zip(m.T, common, strict=True)], axis=1)
-    options = {"fs": 1 / dt, "nperseg": size, "axis": 0, "detrend": "constant"}
     with np.errstate(all="ignore"):
-        frequency, power = welch(c, **options)
-        _, answer = welch(aligned, **options)
-        _, cross = csd(c, aligned, **options)
+        frequency, cross = cross_spectrum(c, aligned, dt, size)
+        power, answer = (cross_spectrum(y, y, dt, size)[1].real for y in (c, aligned))
         response = (cross / np.where(power > 0, power, np.nan))[1:]
         coherence = np.abs(cross) ** 2 / np.where(answer > 0, power * answer, np.nan)
     frequency = frequency[1:]

@@ -5,6 +5,7 @@
 
 import cmath
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Optional
 
@@ -18,6 +19,8 @@ from seft_ros.cli.options import (
     Json,
     Params,
     Plant,
+    Scheduler,
+    Workers,
     complain,
     is_stable_in_simulation,
     late_progress,
@@ -144,6 +147,8 @@ def preflight(
         "the specimen's local stiffness.",
         "FILE",
     ),
+    workers: Workers = None,
+    scheduler: Scheduler = "",
     write: Optional[Path] = option(
         None, "Write limits that fit the test into a parameter file, for --params-file.", "FILE"
     ),
@@ -190,6 +195,7 @@ def preflight(
     from seft_ros.design.stability_verdict import next_steps
     from seft_ros.design.stability_verdict import preflight as fly
     from seft_ros.drawing.style import check_figure, save_figure
+    from seft_ros.ensemble.workers import free_cores, parallel_map
     from seft_ros.reference_force.compensator import NotLinearError
 
     path = check_figure(figure) if figure is not None else None
@@ -214,7 +220,8 @@ def preflight(
         if write is not None:
             write_limits(write, limits)
         if path is not None:
-            maps = stability_maps(plan, found.margins, tell)
+            spread = partial(parallel_map, workers or free_cores(), scheduler)
+            maps = stability_maps(plan, found.margins, tell, spread)
             save_figure(preflight_figure(plan, found, maps), path)
             summary["figure"] = str(path)
     tables = preflight_tables(plan, found, f"preflight of {config}")

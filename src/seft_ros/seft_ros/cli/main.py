@@ -1,5 +1,6 @@
 """The `seft` command."""
 
+import gc
 import signal
 import sys
 from contextlib import redirect_stdout
@@ -18,7 +19,7 @@ from seft_ros.cli.options import complain, option
 from seft_ros.cli.perform import run, simulate
 from seft_ros.cli.rig_commands import conform, link
 from seft_ros.cli.show_commands import monitor, motion, parameters
-from seft_ros.cli.study_commands import paper, tournament
+from seft_ros.cli.study_commands import paper, tournament, uncertainty
 
 APP = typer.Typer(
     name="seft",
@@ -46,6 +47,7 @@ for command in (
         identify,
         design,
         tournament,
+        uncertainty,
     ),
     *(preflight, link, conform, new, monitor, paper, parameters),
 ):
@@ -72,6 +74,7 @@ def main() -> int:
 
     SIGTERM and a closed terminal are as Ctrl-C: whatever a command has set in motion rests first.
     """
+    gc.set_threshold(100_000)  # most of what a command imports and makes stays to its end
     before = on_ending(signal.default_int_handler)
     try:
         return int(APP(standalone_mode=False) or 0)

@@ -53,6 +53,13 @@ Files = Annotated[Optional[list[Path]], typer.Option(metavar="FILE", help=_FILES
 Plant = Annotated[Source, typer.Option(help=_PLANT)]
 External = Annotated[Optional[list[str]], typer.Option(metavar="NODE", help=_EXTERNAL)]
 Json = Annotated[bool, typer.Option("--json", help=_JSON)]
+_WORKERS = "Processes that calculate; default one for each core."
+Workers = Annotated[Optional[int], typer.Option(help=_WORKERS, min=1)]
+_SCHEDULER = (
+    "Calculate on the Dask cluster with this scheduler instead, such as tcp://host:8786; its "
+    "workers need the same seft."
+)
+Scheduler = Annotated[str, typer.Option(metavar="ADDRESS", help=_SCHEDULER, show_default=False)]
 
 
 def load_experiment(
@@ -183,7 +190,6 @@ def offline_test(experiment: Experiment, bag: Path | None, label: str = "") -> R
 
     Raises `InputError` if parameters contradict each other.
     """
-    from seft_ros.bags.record_bag import write_record
     from seft_ros.ground_motion.ground_motion_block import MOTION
     from seft_ros.test_run.blocks import build_blocks
     from seft_ros.test_run.offline import simulate
@@ -195,6 +201,8 @@ def offline_test(experiment: Experiment, bag: Path | None, label: str = "") -> R
         record = replace(record, facts={GROUND_MOTION.name: {MOTION: motion.facts}})
         tell(f"{label}writing the bag" if label else "done", len(record.series["rig/state"].steps))
         if bag is not None:
+            from seft_ros.bags.record_bag import write_record
+
             chunks = [motion.chunk(index) for index in range(motion.chunks)]
             write_record(record, bag, record.experiment["recorder"]["storage"], chunks)
     return record

@@ -1,10 +1,12 @@
 """``seft paper``: the paper's figures and claims, reproduced.
 
 ``seft tournament``: all compensation methods on the same motion and rigs.
+
+``seft uncertainty``: one test on drawn rigs and motions.
 """
 
 from pathlib import Path
-from typing import Any, Optional
+from typing import TYPE_CHECKING, Any, Optional
 
 import typer
 from seft_msgs_py.config.experiment import Experiment
@@ -15,11 +17,18 @@ from seft_ros.cli.options import (
     Files,
     Json,
     Params,
+    Scheduler,
+    Workers,
     load_experiment,
     option,
     show,
     step_progress,
 )
+
+if TYPE_CHECKING:
+    from seft_ros.ensemble.runs import Place
+
+_LOST = "there is no result; the same command, in this folder, goes on with what is finished"
 
 
 def paper(
@@ -42,9 +51,7 @@ def paper(
         None, "Column of the file, from 0; default the first that is not the time."
     ),
     out: Path = option(Path("paper.html"), "The page.", "HTML"),
-    workers: Optional[int] = option(
-        None, "Processes that calculate; default one for each core.", min=1
-    ),
+    workers: Workers = None,
     param: Params = None,
     params_file: Files = None,
     json: Json = False,
@@ -67,6 +74,7 @@ def paper(
         seft paper --json -p rig:actuator.valve_frequency:=50.0
     """
     from seft_ros.drawing.page import check_page
+    from seft_ros.ensemble.workers import free_cores
     from seft_ros.paper.claims import (
         claims_table,
         judge_claims,
@@ -78,7 +86,6 @@ def paper(
         check_rig,
         default_config,
     )
-    from seft_ros.tournament.workers import free_cores
 
     path = check_page(out)
     given = {"unit": unit, "dt": dt, "column": column}
@@ -132,9 +139,8 @@ def tournament(
         max=1.0,
     ),
     seed: int = option(1, "Seed of the random rigs.", min=0),
-    workers: Optional[int] = option(
-        None, "Threads, and processes, that calculate; default one for each core.", min=1
-    ),
+    workers: Workers = None,
+    scheduler: Scheduler = "",
     figure: Optional[Path] = option(None, "Draw the errors of all tests.", "FILE"),
     param: Params = None,
     params_file: Files = None,
@@ -146,7 +152,8 @@ def tournament(
     does not know exactly: specimen, oil column, valve, dead time, friction, and the noise of the
     sensors. The methods see the same rigs and go on believing CONFIG's model, tracking and delay.
     Errors are those of the displacement against the exact response of each rig's own structure,
-    without any shift, as in seft simulate. Results do not depend on the number of workers.
+    without any shift, as in seft simulate. Results do not depend on who calculates them. After an
+    interruption the same command, in the same folder, goes on with the tests that are finished.
 
     Tests run in the compiled loop of seft simulate; those of methods that adapt in Python run in
     its plain loop, many times slower. --json has the engine of each, and a note under the tables
@@ -166,27 +173,28 @@ def tournament(
         seft tournament config/jhu.yaml --params-file identified/model.yaml
 
         seft tournament config/jhu.yaml --method none -p rig:seed:=7
+
+        seft tournament config/jhu.yaml --rigs 99 --scheduler tcp://host:8786
     """
     from seft_ros.drawing.style import check_figure, save_figure
-    from seft_ros.tournament.entries import make_tournament
-    from seft_ros.tournament.runs import count_calculations, run_all, step_cost
-    from seft_ros.tournament.standings import (
+    from seft_ros.ensemble.entries import make_tournament
+    from seft_ros.ensemble.runs import run_all, step_cost
+    from seft_ros.ensemble.standings import (
         notes,
         standings,
         standings_table,
         summarise_tournament,
         tournament_figure,
     )
-    from seft_ros.tournament.workers import free_cores
 
     path = check_figure(figure) if figure is not None else None
     experiment = load_experiment(config, param, params_file)
     plan = make_tournament(
         experiment, method or (), mass_ratio or (), rigs=rigs, seed=seed, spread=spread
     )
-    total = count_calculations(plan)
-    with step_progress(total, "there is no result") as tell:
-        runs = run_all(plan, workers or free_cores(), tell)
+    total = len(plan.entries())
+    with step_progress(total, _LOST) as tell:
+        runs = run_all(plan, _place(workers, scheduler), tell)
         tell("cost of a step", total)
         costs = {key: step_cost(plan, *key) for key in plan.pairs()}
     ranked = standings(plan, runs, costs)
@@ -208,3 +216,83 @@ def tournament(
     ]
     show(summary, json, [*tables, *notes(ranked, runs)], "figure")
     return 0
+
+
+def uncertainty(
+    config: Config,
+    tests: int = option(200, "Number of drawn tests.", min=2),
+    spread: float = option(
+        0.1,
+        "How far they are from CONFIG's: 0.2 is up to 20 % in stiffness and amplitude, and up to "
+        "twice or half the damping.",
+        min=0.0,
+        max=1.0,
+    ),
+    motion: Optional[list[Path]] = option(
+        None,
+        "Ground motion; may be given many times: each test takes one at random. Default CONFIG's; "
+        "a synthetic one is another in each test.",
+        "FILE",
+    ),
+    seed: int = option(1, "Seed of the draws.", min=0),
+    out: Path = option(Path("uncertainty.html"), "The page.", "HTML"),
+    workers: Workers = None,
+    scheduler: Scheduler = "",
+    param: Params = None,
+    params_file: Files = None,
+    json: Json = False,
+) -> int:
+    """Tell how wrong a planned test may be, and what its error depends on.
+
+    Simulates the test on rigs, specimens and ground motions that differ at random from CONFIG's, as
+    the rigs of seft tournament do, while methods and controller go on believing CONFIG. Errors are
+    against the exact response of each rig's own structure, without any shift.
+
+    The page shows the distribution of the error, the share of tests that trip, and the rank
+    correlation of each drawn quantity with the error. --json has every test.
+
+    Results do not depend on who calculates them. After an interruption the same command, in the
+    same folder, goes on with the tests that are finished.
+
+    Exit status 0: the page was made, whatever it says. 1: interrupted. 2: wrong input.
+
+    Examples:
+
+        seft uncertainty config/demo.yaml
+
+        seft uncertainty config/demo.yaml --spread 0.2 --out wide.html
+
+        seft uncertainty config/demo.yaml --motion kobe.AT2 --motion NIS090.AT2
+
+        seft uncertainty config/jhu.yaml --scheduler tcp://host:8786
+    """
+    from seft_ros.drawing.page import check_page
+    from seft_ros.ensemble.runs import run_tests
+    from seft_ros.ensemble.uncertainty import draw_tests, summarise_uncertainty
+    from seft_ros.ensemble.uncertainty_page import (
+        headline,
+        uncertainty_tables,
+        write_uncertainty,
+    )
+
+    path = check_page(out)
+    experiment = load_experiment(config, param, params_file)
+    files = [str(file.resolve()) for file in motion or ()]
+    plan = draw_tests(experiment, tests, seed=seed, spread=spread, motions=files)
+    with step_progress(1 + tests, _LOST) as tell:
+        runs = run_tests(plan.tests(), _place(workers, scheduler), tell, "uncertainty")
+    summary = summarise_uncertainty(plan, runs)
+    title = f"{tests} tests, spread {100 * spread:g} %, seed {seed}"
+    write_uncertainty(summary, plan, runs, config.name, title, path)
+    summary |= {"seed": seed, "spread": spread, "page": str(path)}
+    tables = uncertainty_tables(summary, f"{config}: {title}")
+    show(summary, json, [*tables, f"{headline(summary)}.", ""], "page")
+    return 0
+
+
+def _place(workers: int | None, scheduler: str) -> "Place":
+    """Where tests are run; those that are finished are kept in the current folder."""
+    from seft_ros.ensemble.runs import Place
+    from seft_ros.ensemble.workers import free_cores
+
+    return Place(workers or free_cores(), scheduler, Path())

@@ -1,7 +1,10 @@
 """Maps of stability over mass ratio and dead time, and mass ratio and stiffness."""
 
 import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from itertools import islice, repeat
 from typing import Any
 
 import numpy as np
@@ -11,7 +14,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
+from seft_msgs_py.config.experiment import Experiment
 
+from seft_ros.design import Source
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import (
     STIFFEST,
@@ -24,10 +29,15 @@ from seft_ros.design.stability_verdict import Preflight
 from seft_ros.drawing.style import TEXT
 
 Floats = npt.NDArray[np.float64]
+Spread = Callable[[], AbstractContextManager[Callable[..., Iterator[tuple[int, Any]]]]]
+"""Gives a `seft_ros.ensemble.workers.Map`."""
 
 PATIENCE = 6.0
 """Time that the maps may take, s; they are coarser if a loop is large."""
 FINEST, COARSEST = 40, 10
+SHORT = 2.0
+"""Time in s up to which one process makes the maps: others take as long to start."""
+_PIECE = 4  # rows, for each of which a process makes the plan anew
 
 LEVELS = (-30.0, -10.0, -3.0, -1.0, 0.0, 3.0, 10.0, 30.0, 100.0)
 _COLOURS = (
@@ -62,12 +72,13 @@ class StabilityMap:
 
 
 def stability_maps(
-    plan: Plan, margins: Margins, progress: Progress | None = None
+    plan: Plan, margins: Margins, progress: Progress | None = None, spread: Spread | None = None
 ) -> list[StabilityMap]:
     """Map a plan's growth rate as far as its margins reach; progress is in rows.
 
     Over the dead time of the actuator's path in s, and, unless the plant was identified as a
     whole, over the ratio of the specimen's local stiffness to the one that the method assumes.
+    ``spread`` is taken where the maps take longer than `SHORT`.
     """
     ends = (margins.dead_time, margins.mass_ratio)
     end, critical = (part.value if part else 0.0 for part in ends)
@@ -78,27 +89,53 @@ def stability_maps(
         own = local_stiffness(plan)
         swept["stiffness"] = (max(STIFFEST, 1.2 * own), own, own)
     shown = 2.0 * max(plan.mass_ratio, 0.5)
-    size = _size(plan, longest, len(swept))
+    each = _time_of_one(plan, longest)
+    size = int(np.clip(np.sqrt(PATIENCE / len(swept) / each), COARSEST, FINEST))
     highest = max(shown, 1.5 * critical) if critical < 4 * shown else shown
     mass_ratios, maps = np.linspace(0.0, highest, size), []
-    for done, (name, (high, unit, planned)) in enumerate(swept.items()):
-        others, growth = np.linspace(0.0, high, size), np.empty((size, size))
-        for row, column in np.ndindex(size, size):
-            changes = {"mass_ratio": float(mass_ratios[column]), name: float(others[row] / unit)}
-            growth[row, column] = plan.growth_rate(**changes)
-            if progress is not None and column == size - 1:
-                progress("map", done * size + row + 1, len(swept) * size)
-        maps.append(StabilityMap(mass_ratios, others, growth, (plan.mass_ratio, planned)))
+    rows = []
+    for name, (high, unit, planned) in swept.items():
+        others = np.linspace(0.0, high, size)
+        area = StabilityMap(mass_ratios, others, np.empty((size, size)), (plan.mass_ratio, planned))
+        maps.append(area)
+        rows += [(area, index, name, others[index] / unit) for index in range(size)]
+    if spread is None or each * size * len(rows) <= SHORT:
+        for done, (area, index, name, other) in enumerate(rows):
+            area.growth[index] = _row(plan, mass_ratios, name, other)
+            if progress is not None:
+                progress("map", done + 1, len(rows))
+        return maps
+    pieces = [rows[first : first + _PIECE] for first in range(0, len(rows), _PIECE)]
+    done, places = 0, [[(name, other) for _, _, name, other in piece] for piece in pieces]
+    with spread() as map_:
+        shared = repeat(plan.experiment), repeat(plan.source), repeat(mass_ratios)
+        for number, found in map_(_rows, *(islice(one, len(pieces)) for one in shared), places):
+            for (area, index, _, _), growth in zip(pieces[number], found, strict=True):
+                area.growth[index] = growth
+            done += len(found)
+            if progress is not None:
+                progress("map", done, len(rows))
     return maps
 
 
-def _size(plan: Plan, longest: float, maps: int) -> int:
-    """Points along a side of each map: fewer where the loop is large."""
+def _rows(
+    experiment: Experiment, source: Source, mass_ratios: Floats, places: list[tuple[str, float]]
+) -> list[Floats]:
+    plan = Plan(experiment, source)
+    return [_row(plan, mass_ratios, name, other) for name, other in places]
+
+
+def _row(plan: Plan, mass_ratios: Floats, name: str, other: float) -> Floats:
+    changes = {name: float(other)}
+    return np.array([plan.growth_rate(mass_ratio=float(ratio), **changes) for ratio in mass_ratios])
+
+
+def _time_of_one(plan: Plan, longest: float) -> float:
+    """Time of a point of the maps, s, by which they are coarser if a loop is large."""
     plan.growth_rate(dead_time=longest)  # fills the caches
     start = time.perf_counter()
     plan.growth_rate(dead_time=longest)
-    each = time.perf_counter() - start
-    return int(np.clip(np.sqrt(PATIENCE / maps / each), COARSEST, FINEST))
+    return time.perf_counter() - start
 
 
 def preflight_figure(plan: Plan, found: Preflight, maps: list[StabilityMap]) -> Figure:

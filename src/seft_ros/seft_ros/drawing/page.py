@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from bokeh.document import Document
 from bokeh.embed import components
 from bokeh.model import Model
 from bokeh.models import BoxAnnotation, HoverTool, NumeralTickFormatter, Range1d, Span
@@ -126,6 +127,10 @@ def write_page(path: Path, title: str, subtitle: str, sections: Sequence[Section
             elif isinstance(block, Grid):
                 own = {f"{place}-{index}-{n}": p.figure for n, p in enumerate(block.plots)}
                 figures.update(own)
+    document = Document()
+    with document.models.freeze():  # one look at all models, not one for each figure
+        for one in figures.values():
+            document.add_root(one)
     script, places = components(figures) if figures else ("", {})
     library = Resources(mode="inline", components=["bokeh"]).render_js() if figures else ""
     environment = Environment(
@@ -247,6 +252,19 @@ def against(
     if exact is not None:
         line(panel, *exact, labels[0], color=REFERENCE, width=3.0, loop=loop)
     line(panel, *test, labels[1], width=0.9 if loop else 1.3, loop=loop)
+
+
+def dots(panel: figure, x: Floats, y: Floats, label: str = "", *, color: str = FIRST) -> None:
+    """Draw points; the label is in the legend, empty: it is not."""
+    legend = {"legend_label": label} if label else {}
+    renderer = panel.scatter(x, y, size=5, color=color, alpha=0.6, **legend)
+    tips = [
+        (str(panel.xaxis.axis_label), "@x{0.0000a}"),
+        (str(panel.yaxis.axis_label), "@y{0.000}"),
+    ]
+    panel.add_tools(HoverTool(renderers=[renderer], tooltips=tips, visible=False))
+    if label:
+        _place_legend(panel)
 
 
 def bars(panel: figure, edges: Floats, counts: Floats) -> None:

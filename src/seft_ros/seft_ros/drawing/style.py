@@ -1,17 +1,20 @@
-"""The one style of matplotlib's figures, and their way into a file."""
+"""The one style of matplotlib's figures, and their way into a file.
+
+Pages take their colours from here, too: matplotlib is imported where it draws.
+"""
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.artist import Artist
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from seft_msgs_py.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Floats = npt.NDArray[np.floating[Any]]
 
@@ -27,14 +30,17 @@ GRID = "#e6e9ec"
 TEXT = "#33383d"
 
 
-def new_figure(width: float, height: float) -> Figure:
+def new_figure(width: float, height: float) -> "Figure":
     """Make an empty figure, sizes in inches, that does not touch the user's pyplot."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
-def tidy(panel: Axes) -> None:
+def tidy(panel: "Axes") -> None:
     """Give a panel the grid, the ticks and the frame that all panels have."""
     panel.grid(color=GRID, lw=0.8)
     panel.set_axisbelow(True)
@@ -42,7 +48,7 @@ def tidy(panel: Axes) -> None:
     panel.spines[["top", "right"]].set_visible(False)
 
 
-def finish(figure: Figure, labelled: Iterable[Axes], title: str) -> None:
+def finish(figure: "Figure", labelled: "Iterable[Axes]", title: str) -> None:
     """Give a figure its title, and below a legend of the lines with a label in these panels."""
     figure.align_ylabels()
     entries = {
@@ -54,12 +60,14 @@ def finish(figure: Figure, labelled: Iterable[Axes], title: str) -> None:
     figure.suptitle(title, fontsize=11, color=TEXT, parse_math=False)
 
 
-def legend_below(figure: Figure, entries: dict[str, Artist], columns: int) -> None:
+def legend_below(figure: "Figure", entries: "dict[str, Artist]", columns: int) -> None:
     """Put a legend below all panels of a constrained layout, which makes room for it.
 
     (matplotlib before 3.7 has no place "outside lower center".) ``entries`` maps labels to
     what is drawn.
     """
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
     legend = figure.legend(
         list(entries.values()),
         list(entries),
@@ -79,6 +87,8 @@ def check_figure(path: Path) -> Path:
 
     An InputError says that there is no such folder, or that figures have no such format.
     """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     path = path if path.suffix else path.with_suffix(".png")
     known = FigureCanvasAgg.filetypes
     if path.suffix[1:].lower() not in known:
@@ -94,7 +104,7 @@ def check_folder(path: Path) -> Path:
     return path
 
 
-def save_figure(figure: Figure, path: str | Path) -> None:
+def save_figure(figure: "Figure", path: str | Path) -> None:
     """Save a figure in the format of the suffix, png without one; an InputError says why not."""
     path = Path(path)
     path = path if path.suffix else path.with_suffix(".png")

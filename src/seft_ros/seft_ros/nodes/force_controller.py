@@ -19,6 +19,7 @@ from seft_msgs_py.wire.topics import (
     RIG_STATE,
     TARGET,
     VALVE_COMMAND,
+    rehearsed,
 )
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
@@ -86,6 +87,20 @@ class ForceControllerNode(NodeBody):
         # without a link the state of a step is nearly always there before the force that answers
         # it: only the force wakes the node
         shell.subscribe(topic, self._on_force, reliable=False)
+        if len(experiment.rigs) == 1 and self._previews is None:
+            # a controller of its own: nothing of a rehearsal is left in a test
+            self._rehearsing = Interlock.from_parameters(
+                force_control(section, experiment.axes, timebase, rig),
+                section,
+                experiment.axes,
+                timebase,
+                rig,
+            )
+            self._rehearsed_force: tuple[int, Floats] = -1, np.empty(0)
+            self._rehearsed_state: tuple[int, Floats] = -1, np.empty(0)
+            self._publish_rehearsed = shell.publisher(rehearsed(VALVE_COMMAND))
+            shell.subscribe(rehearsed(topic), self._on_rehearsed_force, reliable=False)
+            shell.subscribe(rehearsed(RIG_STATE), self._on_rehearsed_state, reliable=False)
         wake = self._previews is not None
         states = self._state_codec.topic
         self._read_state = shell.subscribe(states, self._on_state, wake=wake, reliable=False)
@@ -178,6 +193,25 @@ class ForceControllerNode(NodeBody):
         for _ in range(MOST_AT_ONCE):
             if step <= self._order.last or step in self._states or self._read_state() is None:
                 return
+
+    def _on_rehearsed_force(self, raw: bytes, _: int) -> None:
+        self._rehearsed_force = self._force_codec.decode(raw)
+        self._answer_rehearsed()
+
+    def _on_rehearsed_state(self, raw: bytes, _: int) -> None:
+        step, values = self._state_codec.decode(raw)
+        self._rehearsed_state = step, values[0]
+        self._answer_rehearsed()
+
+    def _answer_rehearsed(self) -> None:
+        """Answer a step of a rehearsal: the rig does not obey, which detectors may see; no trip."""
+        (step, points), (other, state) = self._rehearsed_force, self._rehearsed_state
+        if step != other:
+            return
+        if step == 0 or self._rehearsing.reason:
+            self._rehearsing.reset()
+        command = self._rehearsing.step(step, points, state)
+        self._publish_rehearsed(self._command_codec.encode(step, command))
 
     def _begin_with(self, step: int) -> None:
         """Begin a test, if a sample of this step is its first."""

@@ -14,7 +14,13 @@ from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell
 from seft_msgs_py.wire.messages import ERROR, OK, EstimatesCodec, decode_status
 from seft_msgs_py.wire.outcome import ENDED, State, tripped_status
-from seft_msgs_py.wire.topics import ESTIMATES, EXPERIMENT_STATE, GROUND_MOTION, RIG_STATE
+from seft_msgs_py.wire.topics import (
+    ESTIMATES,
+    EXPERIMENT_STATE,
+    GROUND_MOTION,
+    RIG_STATE,
+    rehearsed,
+)
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
 from seft_ros.interlock.protected_force import ProtectedForce
@@ -68,6 +74,13 @@ class ReferenceForceNode(NodeBody):
         self._phase = ""
         self._cause_step = self._ramp_step = -1
         self._warm_up()
+        if self._gathering is None and not self._delay:
+            # a block of its own: nothing of a rehearsal is left in a test
+            self._rehearsing = ProtectedForce.from_parameters(
+                section, experiment.axes, experiment.timebase
+            )
+            self._publish_rehearsed = shell.publisher(rehearsed(topic))
+            shell.subscribe(rehearsed(RIG_STATE), self._on_rehearsed_state, reliable=False)
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
         shell.subscribe(GROUND_MOTION, self._on_ground_motion)
         # behind a link, a late node bridges old states instead of answering them
@@ -149,6 +162,15 @@ class ReferenceForceNode(NodeBody):
             state = self._gathering.take(rig, step, values[0], time.monotonic())
         if state is not None and not self._conflict:
             self._answer(step, state)
+
+    def _on_rehearsed_state(self, raw: bytes, _: int) -> None:
+        """Answer a state of a rehearsal, in which the ground is at rest; no trip follows."""
+        step, values = self._state_codecs[0].decode(raw)
+        if step == 0:
+            self._rehearsing.reset()
+        ground = np.zeros((self._window, values.shape[-1]))
+        points = self._rehearsing.step(ground, values[0])
+        self._publish_rehearsed(self._force_codec.encode_points(step, points))
 
     def _on_experiment_state(self, raw: bytes, _: int) -> None:
         status = decode_status(raw)

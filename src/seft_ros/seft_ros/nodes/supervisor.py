@@ -37,6 +37,7 @@ from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
     EXPERIMENT_STATE,
+    REHEARSE,
     START,
     with_rigs,
 )
@@ -44,6 +45,7 @@ from std_srvs.srv import Trigger
 
 from seft_ros.test_run.parameter_tables import SUPERVISOR, TABLES
 from seft_ros.test_run.peers import AT_REST, RAMPING_DOWN, SILENT, Heard, missing, silence, silent
+from seft_ros.test_run.rehearsal import RUNS, UNFIT, judge
 from seft_ros.test_run.state_machine import (
     PACE,
     Answer,
@@ -87,7 +89,8 @@ class SupervisorNode(NodeBody):
         self._silent: list[str] | None = None  # nodes silent before a trip, once known
         self._lost: set[str] = set()  # nodes that have fallen silent in this test
         self._published: Status | None = None
-        self._logged = ""  # the last line of the log
+        self._logged = self._warned = ""  # the last line of the log, and of a rehearsal
+        self._asked = 0.0  # s for which the rig shall rehearse
         self._message = b""
         self._published_at = self._polled_graph_at = self._reported_at = self._now - AGES_PERIOD
         shell.subscribe(DIAGNOSTICS, self._on_diagnostics)
@@ -163,9 +166,20 @@ class SupervisorNode(NodeBody):
         own = Status("supervisor", OK, "watching", values=self._shell.matched())
         self._heard["supervisor"] = Heard(own, self._now)
         heard, described = self._heard, self._descriptions
-        self._machine.peers(
-            missing(self._peers, heard, described, self._now, self._timeout, self._rigs)
-        )
+        lack = missing(self._peers, heard, described, self._now, self._timeout, self._rigs)
+        self._machine.peers(lack or self._rehearsal())
+
+    def _rehearsal(self) -> str:
+        """Have the loop rehearsed, and say what a test still lacks; empty if nothing."""
+        duration, rig = self._section["rehearsal.duration"], self._rig_nodes[0]
+        found = judge(duration, self._descriptions.get(rig, {}), self._rigs)
+        self._asked = found.asked
+        if found.warning and found.warning != self._warned:
+            self._warned = found.warning
+            self._shell.node.get_logger().warning(found.warning)
+        if found.asked:
+            return RUNS
+        return f"{UNFIT}{found.refusal}" if found.refusal else ""
 
     def _watch_peers(self) -> None:
         """Trip if a peer falls silent: softly, if the loop can go on without it."""
@@ -232,6 +246,8 @@ class SupervisorNode(NodeBody):
         self._follow_state()
         machine = self._machine
         values = {"detail": machine.detail}
+        if self._asked and machine.state is State.IDLE:
+            values[REHEARSE] = f"{self._asked:g}"
         if machine.step is not None:
             time_s = self._shell.experiment.timebase.stamp_ns(machine.step) / 1e9
             values |= {"step": str(machine.step), "time_s": f"{time_s:.9g}"}

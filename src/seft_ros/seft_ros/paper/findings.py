@@ -24,6 +24,7 @@ from seft_ros.design.rig_tests import (
     pilot_voltage,
     voltage_after,
 )
+from seft_ros.ensemble.workers import parallel_map
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
 from seft_ros.paper.paper_tests import (
     BEYOND_SHARE,
@@ -40,7 +41,6 @@ from seft_ros.paper.paper_tests import (
 )
 from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate
-from seft_ros.tournament.workers import parallel_map
 
 Progress = Callable[[str, int], None]
 
@@ -166,14 +166,16 @@ def find(experiment: Experiment, workers: int, progress: Progress) -> Findings:
     with parallel_map(workers) as map_:
 
         def run(plans: Mapping[Key, Experiment], before: int) -> None:
-            for key, test in zip(plans, map_(run_test, plans.values()), strict=True):
+            keys = list(plans)
+            for place, test in map_(run_test, plans.values()):
+                key = keys[place]
                 tests[key] = test
                 progress(f"{key[0]} test, mass ratio {key[1]:g}", before + len(tests))
 
         progress("identification, and tests", 0)
         identifying = map_(identify_rig, [experiment])  # first: it takes longest
         run(planned, 0)
-        (identified,) = identifying
+        ((_, identified),) = identifying
         progress("identification", len(tests) + 1)
         planned |= (banded := _banded(experiment, identified.closed_loops[0]))
         run(banded, 1)

@@ -17,6 +17,9 @@ from seft_ros.interlock.protected_force import ProtectedForce
 from seft_ros.reference_force.force_command import FORCE_DRIVEN
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 
+_REMEMBERED = 64
+"""Blocks of each kind that are kept for later experiments: more than a tournament has methods."""
+
 
 @dataclass(frozen=True)
 class Blocks:
@@ -36,8 +39,8 @@ def build_blocks(experiment: Experiment, known: dict[str, Any] | None = None) ->
     experiment : Experiment
         Its resolved configuration.
     known : dict, optional
-        Blocks of earlier experiments, except rigs: those with the same parameters are used again,
-        new ones are added.
+        The last blocks of earlier experiments, except rigs: those with the same parameters are used
+        again, new ones are added.
 
     Raises
     ------
@@ -52,6 +55,7 @@ def build_blocks(experiment: Experiment, known: dict[str, Any] | None = None) ->
             if parameters == section:
                 return block
         made.append((dict(section), make(*arguments)))
+        del made[:-_REMEMBERED]
         return made[-1][1]
 
     motion, force = experiment["ground_motion"], experiment["reference_force"]

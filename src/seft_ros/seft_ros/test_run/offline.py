@@ -1,14 +1,13 @@
 """The experiment in one process, without ROS: the same blocks, called in turn.
 
-If all of them are compiled, so is the loop over the steps. An ensemble is many such tests on
-several threads; tests with equal ground motion, reference force or force controller share these.
+If all of them are compiled, so is the loop over the steps. Tests of an ensemble with equal ground
+motion, reference force or force controller share these.
 """
 
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from typing import Any
 
@@ -18,6 +17,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.outcome import Trip
 from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
+from seft_plant_sim.whole_structure import ReferenceResponse, reference_response
 
 from seft_ros.bags.description import describe_environment
 from seft_ros.bags.record import (
@@ -171,7 +171,7 @@ class Workshop:
     """Prepares and runs the tests of an ensemble; each thread has its own blocks."""
 
     def __init__(self) -> None:
-        self._of_thread = threading.local()
+        self._of_thread, self._last = threading.local(), threading.local()
 
     @cached_property
     def _environment(self) -> dict[str, Any]:
@@ -185,24 +185,30 @@ class Workshop:
         InputError
             As `build_blocks`.
         """
-        return simulate(experiment, self.blocks(experiment), environment=self._environment)
+        blocks = self.blocks(experiment)
+        vars(self._last).pop("made", None)  # a rig runs once
+        return simulate(experiment, blocks, environment=self._environment)
 
     def obstacle(self, experiment: Experiment) -> str:
         """Say why a test can't run in the compiled loop, see `obstacle`; empty if it can."""
         return obstacle(self.blocks(experiment))
 
+    def reference(self, experiment: Experiment) -> ReferenceResponse:
+        """Calculate the exact response of a test; that of the test before if it is the same."""
+        force = experiment["reference_force"].items()
+        structure = {name: value for name, value in force if not name.startswith("compensation.")}
+        key = [structure, experiment["rig"], experiment["ground_motion"]]
+        last = vars(self._last)
+        if last.get("structure") != key:
+            motion = self.blocks(experiment).ground_motion.samples
+            last.update(structure=key, response=reference_response(experiment, motion))
+        response: ReferenceResponse = last["response"]
+        return response
+
     def blocks(self, experiment: Experiment) -> Blocks:
         """Make the blocks of a test, or find them among those of this thread's earlier tests."""
-        return build_blocks(experiment, vars(self._of_thread))
-
-
-def thread_map(workers: int, function: Callable[..., Any], *arguments: Any) -> Iterator[Any]:
-    """Give results in order, as `map` does, from several threads; 1: from the calling one."""
-    if workers == 1:
-        yield from map(function, *arguments)
-        return
-    pool = ThreadPoolExecutor(workers)
-    try:
-        yield from pool.map(function, *arguments)
-    finally:
-        pool.shutdown(cancel_futures=True)
+        last = vars(self._last)
+        if last.get("made", (None,))[0] is not experiment:
+            last["made"] = experiment, build_blocks(experiment, vars(self._of_thread))
+        blocks: Blocks = last["made"][1]
+        return blocks

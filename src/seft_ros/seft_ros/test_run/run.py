@@ -21,6 +21,7 @@ from seft_ros.test_run.parameter_tables import RECORDER
 from seft_ros.test_run.peers import CONFLICT, SILENT
 from seft_ros.test_run.process_layout import LOOP_NODES, ProcessLayout
 from seft_ros.test_run.processes import MODULES, NodeProcesses, node_processes
+from seft_ros.test_run.rehearsal import RUNS, UNFIT
 from seft_ros.test_run.state_machine import PACE
 
 POLL_PERIOD = 0.05  # s
@@ -89,7 +90,7 @@ class RunMonitor:
             for topic in topics_of(test.rigs)
             if isinstance(topic, LoopTopic) or topic == EXPERIMENT_STATE
         ]
-        self._broken = ""
+        self._broken, self._settled = "", False
 
     def start(self) -> None:
         """Start the test when all nodes are ready and nobody else publishes on its topics."""
@@ -97,7 +98,7 @@ class RunMonitor:
         deadline = time.monotonic() + READY_TIMEOUT
         self._wait_until_ready(deadline)
         observer.refuse_twins(self._topics)
-        self._processes.settle(lockstep=observer.values.get(PACE) == "lockstep")
+        self._settle()
         while True:
             self._wait_until_ready(deadline)
             accepted, answer = observer.call("start")
@@ -106,6 +107,10 @@ class RunMonitor:
             if observer.state == State.TRIPPED:
                 raise ExperimentError(f"the supervisor refused to start: {answer}")
             observer.spin(POLL_PERIOD)  # a node was away for a moment: wait for it
+
+    def _settle(self) -> None:
+        self._processes.settle(lockstep=self._observer.values.get(PACE) == "lockstep")
+        self._settled = True
 
     def _wait_until_ready(self, deadline: float) -> None:
         observer = self._observer
@@ -124,6 +129,10 @@ class RunMonitor:
                 raise ExperimentError(f"the test tripped before its start: {detail}")
             if detail.startswith(f"waiting for {CONFLICT}"):  # waiting does not mend it
                 raise InputError(f"the nodes must have {detail.removeprefix('waiting for ')}")
+            if detail.startswith(f"waiting for {UNFIT}"):
+                raise ExperimentError(detail.removeprefix(f"waiting for {UNFIT}"))
+            if detail == f"waiting for {RUNS}" and not self._settled:
+                self._settle()
             if time.monotonic() > deadline:
                 raise InputError(f"not ready after {READY_TIMEOUT:g} s: {detail}")
 

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from seft_msgs_py.config.arrays import per_axis
@@ -21,6 +22,8 @@ from seft_msgs_py.wire.outcome import (
     FINISHED,
     LISTED_STEPS,
     MOVING,
+    REHEARSED,
+    REHEARSES,
     STOPPED,
     TRIPPED,
     Trip,
@@ -29,6 +32,7 @@ from seft_msgs_py.wire.outcome import (
 from seft_msgs_py.wire.topics import (
     CLOCK_TOPIC,
     EXPERIMENT_STATE,
+    REHEARSE,
     RIG_STATE,
     VALVE_COMMAND,
     until_start,
@@ -36,6 +40,7 @@ from seft_msgs_py.wire.topics import (
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 from seft_plant_sim.command import Command
 from seft_plant_sim.limits import Limits
+from seft_plant_sim.rehearsal import Rehearsal
 from seft_plant_sim.rig_watch import CommandWatch, elapsed
 
 from rig_driver.calibration import Calibration
@@ -81,7 +86,14 @@ class DriverNode(NodeBody):
         self._command = Command(commands, section["limits.command"])
         timeout = section["watchdog.command_timeout"]
         self._watch = CommandWatch(commands.topic, self._timebase.dt, timeout)
-        self.facts = {"drive": commands.topic.name}
+        self.facts: dict[str, Any] = {"drive": commands.topic.name}
+        self._rehearsal: Rehearsal | None = None
+        self._rehearses_for = 0.0  # s, as the supervisor says; 0: it does not ask
+        self._rehearsed = False
+        if not rig.name:
+            limit = section["limits.command"]
+            self._rehearsal = Rehearsal(shell, self._timebase, commands.topic, limit)
+            self.facts[REHEARSES] = True
         self._publish_state = shell.publisher(self._states.topic)
         self._tells_time = axes[0] == experiment.axes[0]  # one rig does
         if self._tells_time:
@@ -115,6 +127,9 @@ class DriverNode(NodeBody):
                     self._overruns += self._phase == "running"
                 deadline += (1 + late) * period
                 self._shell.attempt("a sample", self._tick)
+                if self._rehearsal is not None and self._rehearses_for and not self._rehearsed:
+                    self._rehearse(self._rehearsal)
+                    deadline = time.monotonic() + period
             if self._phase == "running":
                 self._end("the rig node was told to end")
                 self._stop.finish()
@@ -140,6 +155,22 @@ class DriverNode(NodeBody):
         else:
             self._stop.follow(sample[0])
             self._follow_to_rest(sample)
+
+    def _rehearse(self, rehearsal: Rehearsal) -> None:
+        """Run the loop at its rate with the valve at its safe value, which obeys no command."""
+
+        def sample(_: int) -> Floats:
+            found = self._calibration.to_si(self._hardware.read_sample())
+            self._stop.follow(found[0])
+            return found
+
+        def stopped() -> bool:
+            return self._shell.stopping or not self._rehearses_for
+
+        found = rehearsal.run(self._rehearses_for, sample, stopped)
+        if self._rehearses_for:
+            self._rehearsed = True
+            self._shell.tell({REHEARSED: found})
 
     def _begin(self, sample: Floats) -> None:
         self._total, self._steps = self._steps, 0
@@ -238,6 +269,7 @@ class DriverNode(NodeBody):
         """Follow the supervisor; a test that was not ready before does not move this rig."""
         status = decode_status(raw)
         self._heard_at = self._awake.time()
+        self._rehearses_for = status.number(REHEARSE) or 0.0
         if status.message == self._told:
             return  # a sign of life
         self._told = status.message

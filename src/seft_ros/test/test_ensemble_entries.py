@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig_parameters import TABLE
+from seft_ros.ensemble.entries import UNCERTAINTY, check_rig, perturbed_rig
 from seft_ros.test_run.parameter_tables import TABLES
-from seft_ros.tournament.entries import UNCERTAINTY, check_rig, perturbed_rig
 
 JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
 TWO_AXES = ("axes:=[x, y]", "rig:specimen.stiffness:=[2.11e5, -3e4, -3e4, 2.2e5]")

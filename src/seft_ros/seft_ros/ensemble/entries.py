@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from seft_msgs_py.config.arrays import per_axis
+from seft_msgs_py.config.arrays import Floats, per_axis
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Section, nearest
 from seft_msgs_py.errors import InputError
@@ -187,13 +187,19 @@ def perturbed_rig(
     random = np.random.default_rng([seed, number])
     drawn: Section = {"seed": int(random.integers(2**31))}
     for name, uncertainty in UNCERTAINTY.items():
-        factors = (1.0 + uncertainty * spread) ** random.uniform(-1.0, 1.0, len(axes))
+        factors = draw_factors(random, uncertainty, spread, len(axes))
         value, kind = section[name], rig_parameters.TABLE.rows[name].kind
         if len(axes) > 1 and kind == "floats" and name.startswith("actuator."):
             drawn[name] = (per_axis(value, axes, f"rig: {name}") * factors).tolist()
         else:
             drawn[name] = np.multiply(value, float(factors[0])).tolist()
     return section | drawn
+
+
+def draw_factors(random: np.random.Generator, uncertainty: float, spread: float, n: int) -> Floats:
+    """Draw n factors between 1 / most and most = 1 + uncertainty * spread, as likely up as down."""
+    factors: Floats = (1.0 + uncertainty * spread) ** random.uniform(-1.0, 1.0, n)
+    return factors
 
 
 def check_rig(section: Section, axes: tuple[str, ...], timebase: Timebase, number: int) -> None:

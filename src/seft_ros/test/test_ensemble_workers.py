@@ -9,32 +9,34 @@ from pathlib import Path
 
 import pytest
 from seft_msgs_py.errors import ExperimentError
-from seft_ros.tournament.workers import free_cores, parallel_map
+from seft_ros.ensemble.workers import free_cores, parallel_map
 
 KILLED = """
 import os, signal
-from seft_ros.tournament.workers import parallel_map
+from seft_ros.ensemble.workers import parallel_map
 with parallel_map(2) as map_:
-    print(*map_(eval, ["__import__('os').getpid()"]), flush=True)
+    print(dict(map_(eval, ["__import__('os').getpid()"]))[0], flush=True)
     os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
-def test_results_keep_their_order():
-    with parallel_map(1) as map_:
-        assert list(map_(pow, [2, 3, 4], [3, 2, 1])) == [8, 9, 4]
-    with parallel_map(2) as map_:
-        assert list(map_(pow, [2, 3, 4], [3, 2, 1])) == [8, 9, 4]
+DIE_ONCE = """({number} if {number} > 0 or __import__('os').path.exists({mark!r}) else
+    (open({mark!r}, 'w').close(), __import__('os').kill(__import__('os').getpid(), 9)))"""
+
+
+def test_results_come_with_their_places():
+    for workers in (1, 2):
+        with parallel_map(workers) as map_:
+            assert dict(map_(pow, [2, 3, 4], [3, 2, 1])) == {0: 8, 1: 9, 2: 4}
     assert multiprocessing.active_children() == []
     assert free_cores() >= 1
 
 
 def test_workers_have_one_thread_for_linear_algebra_and_are_deaf_to_ctrl_c():
     with parallel_map(2) as map_:
-        assert list(map_(os.getenv, ["OPENBLAS_NUM_THREADS"])) == [
-            os.environ["OPENBLAS_NUM_THREADS"]
-        ]
-        (mask,) = map_(signal.pthread_sigmask, [signal.SIG_BLOCK], [()])
+        ((_, threads),) = map_(os.getenv, ["OPENBLAS_NUM_THREADS"])
+        ((_, mask),) = map_(signal.pthread_sigmask, [signal.SIG_BLOCK], [()])
+    assert threads == os.environ["OPENBLAS_NUM_THREADS"]
     assert signal.SIGINT in mask
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
@@ -45,15 +47,23 @@ def test_an_error_in_a_worker_comes_through_and_ends_them_all():
     assert multiprocessing.active_children() == []
 
 
-def test_a_worker_that_dies_is_told():
-    with pytest.raises(ExperimentError, match="worker died"), parallel_map(2) as map_:
+def test_what_a_worker_had_begun_that_was_killed_is_calculated_by_another(tmp_path):
+    numbers = range(-1, 20)  # two of them kill
+    texts = [DIE_ONCE.format(number=n, mark=str(tmp_path / str(n))) for n in numbers]
+    with parallel_map(2) as map_:
+        found = dict(map_(eval, texts))
+    assert found == dict(enumerate(numbers))
+
+
+def test_workers_that_die_again_and_again_are_told():
+    with pytest.raises(ExperimentError, match="died 3 times"), parallel_map(2) as map_:
         list(map_(os._exit, [3]))
     assert multiprocessing.active_children() == []
 
 
 def test_an_interruption_stops_calculations_that_are_under_way():
     with pytest.raises(KeyboardInterrupt), parallel_map(2) as map_:
-        assert next(map_(pow, [2], [3])) == 8  # one is up
+        assert next(map_(pow, [2], [3])) == (0, 8)  # one is up
         map_(time.sleep, [1000.0] * 6)
         raise KeyboardInterrupt
     assert multiprocessing.active_children() == []
@@ -78,3 +88,19 @@ def is_running(pid):
             return False
         time.sleep(0.05)
     return True
+
+
+def test_the_machine_code_is_in_the_same_place_in_every_process():
+    # a process hashes texts, and so orders sets, in its own way
+    text = "from seft_ros.ensemble.workers import software; print(software())"
+    found = {
+        subprocess.run(
+            [sys.executable, "-c", text],
+            env=os.environ | {"PYTHONHASHSEED": str(seed)},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for seed in range(4)
+    }
+    assert len(found) == 1

@@ -7,12 +7,13 @@ import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_ros.analysis.summary import summarise
+from seft_ros.ensemble import runs as runs_module
+from seft_ros.ensemble.entries import Entry, make_tournament
+from seft_ros.ensemble.runs import Place, run_all, step_cost
 from seft_ros.reference_force.compensation_methods import METHODS
 from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES
-from seft_ros.tournament.entries import Entry, make_tournament
-from seft_ros.tournament.runs import count_calculations, run_all, step_cost
 
 JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
 SHORT = ("ground_motion:synthetic.duration:=4", "ground_motion:tail:=0.5")
@@ -91,7 +92,7 @@ def test_a_method_that_adapts_is_tested_on_the_plain_blocks_and_named_so():
     told = []
     first, second = run_all(tournament, progress=lambda what, _: told.append(what))
     assert (first.engine, second.engine) == ("compiled", "plain")
-    assert told[1:] == [
+    assert told == [
         "mass ratio 0.5, rig 0, none",
         "mass ratio 0.5, rig 0, ats (plain blocks)",
     ]
@@ -138,10 +139,66 @@ def test_all_methods_meet_the_same_rigs_on_the_same_motion():
 def test_results_do_not_depend_on_the_number_of_workers():
     tournament = make_tournament(load(), ["none", "restoring"], [0.5, 1.5], rigs=2)
     told = []
-    runs = run_all(tournament, 2, lambda what, done: told.append((what, done)))
-    assert runs == run_all(tournament, 1)
-    assert [done for _, done in told] == list(range(1, 1 + count_calculations(tournament)))
-    assert told[-1][0] == "mass ratio 1.5, rig 1, restoring"
+    runs = run_all(tournament, Place(2), lambda what, done: told.append((what, done)))
+    assert runs == run_all(tournament)
+    assert [done for _, done in told] == list(range(1, 9))
+    assert {what for what, _ in told} == {str(entry) for entry in tournament.entries()}
+
+
+class Stop:
+    """Interrupts after some tests."""
+
+    def __init__(self, tests):
+        self.told, self._tests = [], tests
+
+    def __call__(self, what, done):
+        self.told.append((what, done))
+        if len(self.told) == self._tests:
+            raise KeyboardInterrupt
+
+
+def test_what_was_finished_before_an_interruption_is_not_run_again(tmp_path, monkeypatch):
+    tournament = make_tournament(load(), ["none", "restoring"], [0.5, 1.5], rigs=2)
+    with pytest.raises(KeyboardInterrupt):
+        run_all(tournament, Place(keep=tmp_path), Stop(3))
+    (file,) = tmp_path.iterdir()
+    assert len(file.read_text().splitlines()) == 3
+    with file.open("a") as lines:  # as of a process that was killed
+        lines.write('[3, {"steps"')
+    ran, run = [], runs_module._run
+    monkeypatch.setattr(runs_module, "_run", lambda *words: ran.append(words[0]) or run(*words))
+    told = Stop(0)
+    assert run_all(tournament, Place(keep=tmp_path), told) == run_all(tournament)
+    assert ran[:5] == [str(entry) for entry in tournament.entries()[3:]]
+    assert told.told[0] == ("3 tests were finished before", 3)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_other_inputs_begin_anew(tmp_path):
+    record = tmp_path / "motion.csv"
+    for number, peak in enumerate((1.0, 1.0, 1.1)):
+        record.write_text("".join(f"{peak * (-1) ** (k // 20)}\n" for k in range(200)))
+        words = (f"ground_motion:file:={record}", "ground_motion:dt:=0.005")
+        tournament = make_tournament(load(*words, "ground_motion:unit:=m/s2"), ["none"], rigs=2)
+        with pytest.raises(KeyboardInterrupt):
+            run_all(tournament, Place(keep=tmp_path), Stop(1))
+        assert len(list(tmp_path.glob("*.jsonl"))) == (1, 1, 2)[number]
+
+
+def test_a_file_of_finished_tests_that_holds_something_else_is_told(tmp_path):
+    tournament = make_tournament(load(), ["none"], rigs=2)
+    with pytest.raises(KeyboardInterrupt):
+        run_all(tournament, Place(keep=tmp_path), Stop(1))
+    (file,) = tmp_path.iterdir()
+    file.write_text("some text\n")
+    with pytest.raises(InputError, match="holds no finished tests; remove it"):
+        run_all(tournament, Place(keep=tmp_path))
+
+
+def test_finished_tests_that_can_not_be_kept_are_told(tmp_path):
+    tournament = make_tournament(load(), ["none"], rigs=2)
+    with pytest.raises(InputError, match=r"can't be kept there .*start in a folder"):
+        run_all(tournament, Place(keep=tmp_path / "none"))
 
 
 def test_a_rig_is_the_same_however_many_there_are():

@@ -17,8 +17,8 @@ from rich.text import Text
 
 from seft_ros.drawing.style import FIRST, MARK, REFERENCE, TEXT, finish, new_figure, tidy
 from seft_ros.drawing.tables import GOOD_ERROR, Number, json_safe, make_table, percent
-from seft_ros.tournament.entries import UNCERTAINTY, Tournament
-from seft_ros.tournament.runs import Run
+from seft_ros.ensemble.entries import UNCERTAINTY, Tournament
+from seft_ros.ensemble.runs import Run
 
 RANKING = "ranked by share unstable, then worst NRMSE of the displacement"
 

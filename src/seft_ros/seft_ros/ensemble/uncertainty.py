@@ -1,0 +1,290 @@
+"""How wrong a test may be if rig, specimen and ground motion are not exactly those configured."""
+
+import math
+import pickle
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import rankdata
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import Section
+from seft_msgs_py.wire.timebase import Timebase
+from seft_plant_sim.rig import Rig
+
+from seft_ros.drawing.tables import RESPONSES, json_safe
+from seft_ros.ensemble.entries import UNCERTAINTY, check_rig, draw_factors, perturbed_rig
+from seft_ros.ensemble.runs import Run, Test
+from seft_ros.ground_motion.ground_motion_block import GroundMotion
+from seft_ros.test_run.blocks import build_blocks
+
+Floats = npt.NDArray[np.float64]
+
+MOTION_UNCERTAINTY = {
+    "peak_force": 1.0,
+    "influence": 1.0,  # in place of peak_force where the motion is as recorded
+    "synthetic.ground_frequency": 3.0,
+    "synthetic.ground_damping": 3.0,
+}
+"""How uncertain each parameter of a ground motion is, in units of the spread."""
+
+SHARES = {"median": 0.5, "p90": 0.9, "p95": 0.95, "worst": 1.0}
+"""Of the tests, with errors up to a number of this name."""
+
+CORRELATIONS = ("value", "deviation")
+
+_Z95 = 1.959964  # of the normal distribution: 95 % are within
+
+
+class Draw(NamedTuple):
+    """A test, by its number; 0: as configured."""
+
+    number: int
+
+    def __str__(self) -> str:
+        return f"test {self.number}"
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Tests that differ at random.
+
+    Attributes
+    ----------
+    experiments : tuple of Experiment
+        The configured one, then N drawn ones.
+    factors : dict
+        Drawn quantity -> its values over the configured one, shape (N,).
+    """
+
+    experiments: tuple[Experiment, ...]
+    factors: dict[str, Floats]
+
+    def tests(self) -> list[Test]:
+        """List the tests for `seft_ros.ensemble.runs.run_tests`."""
+        return [(Draw(number), one) for number, one in enumerate(self.experiments)]
+
+
+def draw_tests(
+    experiment: Experiment,
+    number: int,
+    *,
+    seed: int = 1,
+    spread: float = 0.1,
+    motions: Sequence[str] = (),
+) -> Uncertainty:
+    """Draw rigs, as `perturbed_rig` does, and ground motions.
+
+    Each test depends on the seed and its own number alone. What the methods assume stays as
+    configured.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        As configured.
+    number : int
+        How many are drawn, N.
+    seed, spread : int, float
+        See `perturbed_rig` and `drawn_motion`.
+    motions : sequence of str
+        Files, of which each test takes one at random; none: the configured motion.
+
+    Raises
+    ------
+    InputError
+        If a drawn rig or a motion is impossible.
+    """
+    axes, timebase = experiment.axes, experiment.timebase
+    build_blocks(experiment)
+    own = experiment["ground_motion"]
+    for file in dict.fromkeys(motions):
+        GroundMotion.from_parameters(own | {"file": file}, axes, timebase)
+    drawn = []
+    for index in range(1 + number):
+        rig = perturbed_rig(experiment["rig"], axes, seed, index, spread)
+        check_rig(rig, axes, timebase, index)
+        motion = drawn_motion(own, seed, index, spread, motions)
+        drawn.append(Experiment(experiment.sections | {"rig": rig, "ground_motion": motion}))
+    factors: dict[str, Floats] = {}
+    # without spread: the configured values, for each axis where the drawn ones are
+    base = perturbed_rig(experiment["rig"], axes, seed, 1, 0.0)
+    for name in UNCERTAINTY:
+        for label, place in _effective(base, name, axes, timebase):
+            values = [np.ravel(one["rig"][name])[place] for one in drawn[1:]]
+            factors[label] = np.array(values) / np.ravel(base[name])[place]
+    for name in MOTION_UNCERTAINTY:
+        values = [np.ravel(one["ground_motion"][name])[0] for one in drawn[1:]]
+        nominal = np.ravel(own[name])[0]
+        if any(value != nominal for value in values):
+            label = "amplitude" if name in ("peak_force", "influence") else name
+            factors[f"ground motion: {label}"] = np.array(values) / nominal
+    return Uncertainty(tuple(drawn), factors)
+
+
+def drawn_motion(
+    section: Section, seed: int, number: int, spread: float, files: Sequence[str]
+) -> Section:
+    """Draw a ground motion; number 0 is the configured one.
+
+    Amplitude and, of a synthetic motion, the ground layer (`MOTION_UNCERTAINTY`) and the seed;
+    otherwise one of the files.
+    """
+    if number == 0:
+        return dict(section)
+    # a child of the sequence from which the rig of this number is drawn
+    (child,) = np.random.SeedSequence([seed, number]).spawn(1)
+    random = np.random.default_rng(child)
+    drawn: Section = {}
+    if files:
+        drawn["file"] = files[int(random.integers(len(files)))]
+    drawn["synthetic.seed"] = int(random.integers(2**31))
+    amplitude = "peak_force" if section["peak_force"] else "influence"
+    synthetic = not (files or section["file"])
+    for name, uncertainty in MOTION_UNCERTAINTY.items():
+        by = float(draw_factors(random, uncertainty, spread, 1)[0])
+        if name == amplitude or (synthetic and name.startswith("synthetic.")):
+            drawn[name] = np.multiply(section[name], by).tolist()
+    return section | drawn
+
+
+def _effective(
+    base: Section, name: str, axes: tuple[str, ...], timebase: Timebase
+) -> list[tuple[str, int]]:
+    """Labels and places of the values of a parameter on which the simulated rig depends."""
+
+    def simulated(section: Section) -> bytes:
+        return pickle.dumps(Rig.from_parameters(section, axes, timebase).parameters)
+
+    values = np.atleast_1d(np.asarray(base[name], dtype=float))
+    separate = len(axes) > 1 and name.startswith("actuator.") and len(values) == len(axes)
+    found = []
+    for place in range(len(axes)) if separate else [int(np.abs(values).argmax())]:
+        changed = values.copy()
+        changed[place if separate else slice(None)] *= 1.01
+        other = changed.tolist() if isinstance(base[name], list) else float(changed[0])
+        if values[place] and simulated(base | {name: other}) != simulated(base):
+            found.append((f"{name}, axis {axes[place]}" if separate else name, place))
+    return found
+
+
+def summarise_uncertainty(plan: Uncertainty, runs: Sequence[Run]) -> dict[str, Any]:
+    """Summarise the tests: ``seft uncertainty --json``.
+
+    Parameters
+    ----------
+    plan : Uncertainty
+        N drawn tests.
+    runs : sequence of Run
+        Of all its tests.
+
+    Returns
+    -------
+    dict
+        ``tests`` (N), ``unstable`` (count, share and its 95 % interval), ``configured`` (of the
+        configured test, as of ``runs``), ``nrmse`` and ``peak_error`` of displacement,
+        acceleration and force (`SHARES`; an unstable test counts as infinitely wrong, and what is
+        not finite is None), ``sensitivity`` (see there), ``chance`` (rank correlations up to this
+        come about by chance alone, 95 %), and ``runs`` (number, factors, engine, the test's
+        summary).
+    """
+    drawn = runs[1:]
+    lost = sum(not run.stable for run in drawn)
+    errors = errors_of(drawn)
+    factors = [
+        {name: float(values[index]) for name, values in plan.factors.items()}
+        for index in range(len(drawn))
+    ]
+    found: dict[str, Any] = json_safe(
+        {
+            "tests": len(drawn),
+            "unstable": {
+                "count": lost,
+                "share": lost / len(drawn),
+                "interval_95": share_interval(lost, len(drawn)),
+            },
+            "configured": {"engine": runs[0].engine} | runs[0].summary,
+            "nrmse": {name: quantiles(errors_of(drawn, name)) for name in RESPONSES},
+            "peak_error": {name: quantiles(_peak_errors(drawn, name)) for name in RESPONSES},
+            "sensitivity": sensitivity(plan, errors),
+            "chance": _Z95 / math.sqrt(max(len(drawn) - 1, 1)),
+            "runs": [
+                {"number": run.entry.number, "factors": own, "engine": run.engine} | run.summary
+                for run, own in zip(drawn, factors, strict=True)
+            ],
+        }
+    )
+    return found
+
+
+def errors_of(runs: Sequence[Run], quantity: str = "displacement") -> Floats:
+    """NRMSE of each test; infinite where it was unstable, NaN where it is undefined."""
+    values = [run.summary[quantity]["nrmse"] if run.stable else math.inf for run in runs]
+    return np.array(values, dtype=float)
+
+
+def _peak_errors(runs: Sequence[Run], quantity: str) -> Floats:
+    """Magnitude of (peak - exact peak) / exact peak of each test, likewise."""
+    found = []
+    for run in runs:
+        peak, exact = (run.summary[quantity][key] for key in ("peak", "reference_peak"))
+        found.append(abs(peak / exact - 1.0) if exact and run.stable else math.inf)
+    return np.array(found)
+
+
+def quantiles(errors: Floats) -> dict[str, float]:
+    """Smallest errors that so many of the tests do not exceed, see `SHARES`."""
+    known = np.sort(errors[~np.isnan(errors)])
+    if not len(known):
+        return dict.fromkeys(SHARES, math.nan)
+    places = {name: math.ceil(share * len(known)) - 1 for name, share in SHARES.items()}
+    return {name: float(known[max(place, 0)]) for name, place in places.items()}
+
+
+def share_interval(count: int, total: int) -> tuple[float, float]:
+    """95 % interval of a share (Wilson 1927)."""
+    share, z = count / total, _Z95
+    middle = share + z**2 / (2 * total)
+    half = z * math.sqrt(share * (1 - share) / total + z**2 / (4 * total**2))
+    scale = 1 + z**2 / total
+    return max((middle - half) / scale, 0.0), min((middle + half) / scale, 1.0)
+
+
+def sensitivity(plan: Uncertainty, errors: Floats) -> list[dict[str, Any]]:
+    """Rank correlations (Spearman) of the error with each drawn quantity, largest first.
+
+    With its value, and with how far that is from the configured one either way (`CORRELATIONS`).
+    Unstable tests are the most wrong. NaN where all errors are equal.
+    """
+    known = ~np.isnan(errors)
+    found = []
+    for name, values in plan.factors.items():
+        both = values[known], np.abs(np.log(values[known]))
+        pairs = zip(CORRELATIONS, both, strict=True)
+        found.append({"quantity": name, **{key: _spearman(x, errors[known]) for key, x in pairs}})
+    return sorted(found, key=strength, reverse=True)
+
+
+def strength(row: dict[str, Any]) -> float:
+    """Magnitude of the larger of both correlations; 0 where there is none."""
+    values = [row[key] for key in CORRELATIONS if row[key] is not None]
+    return max((abs(value) for value in values if math.isfinite(value)), default=0.0)
+
+
+def _spearman(x: Floats, y: Floats) -> float:
+    """Correlation of the ranks; that of scipy cannot rank what is infinite."""
+    ranks = rankdata(x), rankdata(y)
+    if not len(x) or any(np.ptp(rank) == 0 for rank in ranks):
+        return math.nan
+    return float(np.corrcoef(*ranks)[0, 1])
+
+
+def of_files(runs: Sequence[Run], plan: Uncertainty) -> list[tuple[str, list[Run]]]:
+    """Group drawn tests by the file of their ground motion; none where there is one alone."""
+    groups: dict[str, list[Run]] = {}
+    for run in runs[1:]:
+        file = plan.experiments[run.entry.number]["ground_motion"]["file"]
+        groups.setdefault(Path(file).name, []).append(run)
+    return sorted(groups.items()) if len(groups) > 1 else []

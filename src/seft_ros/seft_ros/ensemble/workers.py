@@ -1,0 +1,233 @@
+"""Several processes, here or on a Dask cluster, for independent calculations.
+
+Here it is Python's own pool: it starts in two thirds of the time of Dask's local cluster, in half
+the processes, and needs no Dask.
+"""
+
+import asyncio
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError, Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from seft_msgs_py.errors import ExperimentError, InputError
+from seft_plant_sim.compiled import code_folder
+
+Map = Callable[..., Iterator[tuple[int, Any]]]
+"""A `map` over functions of modules, whose arguments and results can be pickled.
+
+It gives the place and the result of each call as soon as there is one.
+"""
+
+_STOP = signal.SIGUSR1
+_MOST_DEATHS = 3
+_CONNECT_TIME = 5.0  # s
+
+
+class _StoppedError(BaseException):
+    """The result is not wanted any more."""
+
+
+def free_cores() -> int:
+    """Count the processor cores that this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+@contextmanager
+def parallel_map(workers: int, scheduler: str = "") -> Iterator[Map]:
+    """Give a `map` that calculates on several processes.
+
+    A worker is a fresh interpreter (spawn) with one thread for linear algebra, which
+    `seft_msgs_py` sets. What a worker had begun that died is calculated by another. When the block
+    is left early, the workers stop their calculations.
+
+    Parameters
+    ----------
+    workers : int
+        Number of processes on this machine; 1: this one alone.
+    scheduler : str
+        Address of a Dask scheduler, whose workers are taken instead.
+
+    Raises
+    ------
+    ExperimentError
+        If workers die again and again.
+    InputError
+        If there is no scheduler, or its workers have other software than this process.
+    """
+    if scheduler:
+        with _cluster_map(scheduler) as spread:
+            yield spread
+        return
+    if workers == 1:
+        yield lambda function, *arguments: enumerate(map(function, *arguments))
+        return
+    others, pool = set(multiprocessing.active_children()), _Pool(workers)
+    try:
+        yield pool.spread
+    except BaseException:
+        for worker in set(multiprocessing.active_children()) - others:
+            # not terminated: one that dies while it sends a result leaves the pool waiting for it
+            if worker.pid is not None and worker.is_alive():
+                os.kill(worker.pid, _STOP)
+        raise
+    finally:
+        pool.processes.shutdown(cancel_futures=True)
+
+
+class _Pool:
+    """Processes on this machine, replaced when one of them dies."""
+
+    def __init__(self, workers: int) -> None:
+        self._workers, self._deaths = workers, 0
+        self.processes = self._start()
+
+    def _start(self) -> ProcessPoolExecutor:
+        context = multiprocessing.get_context("spawn")
+        return ProcessPoolExecutor(self._workers, context, _become_worker)
+
+    def spread(self, function: Callable[..., Any], *arguments: Any) -> Iterator[tuple[int, Any]]:
+        """Begin to calculate, see `Map`."""
+        left = dict(enumerate(zip(*arguments, strict=False)))
+        processes = self.processes
+        return self._results(function, left, processes, self._submit(function, left))
+
+    def _submit(
+        self, function: Callable[..., Any], left: dict[int, tuple[Any, ...]]
+    ) -> dict[Future[Any], int]:
+        # what is started here inherits the mask: Ctrl-C is for the parent alone to deal with
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, _STOP})
+        try:
+            submit = partial(self.processes.submit, _calculate, function)
+            return {submit(*arguments): place for place, arguments in left.items()}
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+    def _results(
+        self,
+        function: Callable[..., Any],
+        left: dict[int, tuple[Any, ...]],
+        processes: ProcessPoolExecutor,
+        futures: dict[Future[Any], int],
+    ) -> Iterator[tuple[int, Any]]:
+        while left:
+            try:
+                for future in as_completed(futures):
+                    result = future.result()
+                    del left[futures[future]]
+                    yield futures[future], result
+            except BrokenProcessPool:
+                if processes is self.processes:  # nobody else has replaced them
+                    self._deaths += 1
+                    if self._deaths >= _MOST_DEATHS:
+                        raise ExperimentError(
+                            f"workers died {self._deaths} times, maybe for want of memory; take "
+                            "fewer workers"
+                        ) from None
+                    processes.shutdown(cancel_futures=True)
+                    self.processes = self._start()
+                processes, futures = self.processes, self._submit(function, left)
+
+
+class _Worker:
+    """What this process does, where it is a worker."""
+
+    calculating = False
+    stopping = False
+
+
+def _become_worker() -> None:
+    """Stop calculating on request, and end when the parent has ended for whatever reason."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    def stop(*_: object) -> None:
+        _Worker.stopping = True
+        if _Worker.calculating:
+            raise _StoppedError
+
+    threading.Thread(target=watch, daemon=True).start()
+    signal.signal(_STOP, stop)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {_STOP})
+
+
+def _calculate(function: Callable[..., Any], *arguments: Any) -> Any:
+    _Worker.calculating = True
+    try:
+        if _Worker.stopping:
+            raise _StoppedError
+        return function(*arguments)
+    finally:
+        _Worker.calculating = False
+
+
+def software() -> str:
+    """Name what results depend on beside their inputs: the text of the packages, and libraries."""
+    text = code_folder(Path(__file__).parents[1]).name  # numba's version is in it
+    return f"{text}, numpy {version('numpy')}, scipy {version('scipy')}"
+
+
+@contextmanager
+def _cluster_map(address: str) -> Iterator[Map]:
+    try:
+        from distributed import Client, KilledWorker
+        from distributed import as_completed as completed
+    except ImportError:
+        raise InputError(
+            "--scheduler: Dask is not installed; install it with: pip install 'seft_ros[dask]'"
+        ) from None
+    try:
+        client = Client(address, timeout=_CONNECT_TIME)
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(
+            f"--scheduler {address}: no Dask scheduler answers there ({error}); start one with: "
+            "dask scheduler"
+        ) from None
+
+    def spread(function: Callable[..., Any], *arguments: Any) -> Iterator[tuple[int, Any]]:
+        checked = partial(_calculate_alike, software(), function)
+        futures = client.map(checked, *map(list, arguments), pure=False)
+        return results({future: place for place, future in enumerate(futures)})
+
+    def results(places: dict[Any, int]) -> Iterator[tuple[int, Any]]:
+        for future in completed(list(places)):
+            try:
+                result = future.result()
+            except KilledWorker:
+                raise ExperimentError(
+                    f"--scheduler {address}: a calculation killed worker after worker, maybe for "
+                    "want of memory; start workers with more of it"
+                ) from None
+            except (CancelledError, asyncio.CancelledError):
+                raise ExperimentError(f"--scheduler {address}: the scheduler has ended") from None
+            except ModuleNotFoundError as error:
+                raise InputError(
+                    f"--scheduler {address}: a worker lacks {error.name}; install seft there"
+                ) from None
+            yield places.pop(future), result
+            future.release()
+
+    with client:
+        yield spread
+
+
+def _calculate_alike(wanted: str, function: Callable[..., Any], *arguments: Any) -> Any:
+    """Calculate where the software is that of the process that asks, so that bits are the same."""
+    if (own := software()) != wanted:
+        raise InputError(
+            f"a worker of the cluster has other software ({own}) than this machine ({wanted}); "
+            "install the same there"
+        )
+    return function(*arguments)
