@@ -67,7 +67,10 @@ setup(
         "typer>=0.9",
         "zstandard>=0.25",
     ],
-    extras_require={"test": ["hypothesis>=6.98", "pytest>=7.4", "pyyaml>=6.0"]},
+    extras_require={
+        "opensees": ["seft_plant_sim[opensees]"],
+        "test": ["hypothesis>=6.98", "pytest>=7.4", "pyyaml>=6.0"],
+    },
     entry_points={
         "console_scripts": [
             "seft = seft_ros.cli.main:main",

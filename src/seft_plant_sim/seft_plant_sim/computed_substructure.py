@@ -1,12 +1,14 @@
 """What is computed of a structure, beside the specimen: masses, dampers and springs."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from seft_msgs_py.config.arrays import Floats, mass_matrix, symmetric_matrix
 from seft_msgs_py.errors import InputError
+
+from seft_plant_sim.computed_model import ModelSource
 
 _NAMES = ("mass", "damping", "stiffness", "internal", "influence")
 
@@ -19,7 +21,8 @@ class ComputedSubstructure:
 
         M (x'' + a_g, z'' + L a_g) + C (x', z') + K (x, z) = (-g, 0)
 
-    The lumped mass of the paper is one of M alone without internal degrees of freedom.
+    The lumped mass of the paper is one of M alone without internal degrees of freedom. A computed
+    model adds its force, of which C and K hold the tangents at rest.
 
     Attributes
     ----------
@@ -28,12 +31,15 @@ class ComputedSubstructure:
     influence : ndarray
         L, shape (q, n): ground acceleration of each internal degree of freedom per that of each
         axis.
+    model : ModelSource or None
+        What else is computed: its force less that of its tangents acts beside the matrices.
     """
 
     mass: Floats
     damping: Floats
     stiffness: Floats
     influence: Floats
+    model: ModelSource | None = None
 
     @classmethod
     def from_parameters(
@@ -41,12 +47,15 @@ class ComputedSubstructure:
     ) -> "ComputedSubstructure":
         """Make it of a reference force's section: ``computed.*``, ``mass_ratio`` times as large.
 
+        The model alone is taken as it is.
+
         Without ``computed.mass`` it is the mass of the specimen's model.
 
         Raises
         ------
         InputError
-            If a matrix does not fit, is not symmetric, or an internal mass is not positive.
+            If a matrix does not fit, is not symmetric, an internal mass is not positive, or the
+            model can't be used.
         """
         where, n = "reference_force: computed", len(axes)
         # records of older versions lack them
@@ -72,7 +81,15 @@ class ComputedSubstructure:
             for name in ("damping", "stiffness")
         )
         influence = _influence(given["influence"], n, q, f"{where}.influence")
-        return cls(ratio * mass, ratio * damping, ratio * stiffness, influence)
+        whole = cls(ratio * mass, ratio * damping, ratio * stiffness, influence)
+        name = section.get("computed.model", "")
+        if not name:
+            return whole
+        by_axis = np.vstack([np.eye(n), influence])
+        settings, every = section["computed.settings"], section["computed.every"]
+        model = ModelSource(name, settings, names, by_axis, every, np.eye(n + q))
+        k, c = model.tangents
+        return replace(whole, stiffness=whole.stiffness + k, damping=whole.damping + c, model=model)
 
     @classmethod
     def lumped(cls, mass: Floats) -> "ComputedSubstructure":
@@ -98,7 +115,8 @@ class ComputedSubstructure:
     @property
     def is_lumped(self) -> bool:
         """Whether it is masses on the axes and nothing else."""
-        return not (self.internal or self.damping.any() or self.stiffness.any())
+        linear = self.internal or self.damping.any() or self.stiffness.any()
+        return not (linear or self.model is not None)
 
     def without_inertial_coupling(self) -> "ComputedSubstructure":
         """Count the internal displacements from where a slow interface would take the masses.
@@ -115,7 +133,8 @@ class ComputedSubstructure:
             change.T @ matrix @ change for matrix in (self.mass, self.damping, self.stiffness)
         )
         mass[:n, n:] = mass[n:, :n] = 0.0
-        return ComputedSubstructure(mass, damping, stiffness, self.influence - shift)
+        model = None if self.model is None else self.model.changed(change)
+        return ComputedSubstructure(mass, damping, stiffness, self.influence - shift, model)
 
 
 def _influence(value: float | Sequence[float], axes: int, internal: int, where: str) -> Floats:

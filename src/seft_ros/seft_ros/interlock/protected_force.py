@@ -137,6 +137,8 @@ class ProtectedForce:
         code = self.state.flags[CAUSE]
         if code == NOTHING:
             return None
+        if failure := getattr(self.reference_force.compensator, "failure", ""):
+            return str(failure)
         if code == ODD_FORCE:
             return self._plausible.describe(self.state.odd_force)
         if code == ODD_STATE:
@@ -191,6 +193,12 @@ class ProtectedForce:
             return points
         self._settled.append(points)
         return np.concatenate(self._settled)
+
+    def ask_model(self) -> None:
+        """Step a computed model, which is part of no answer but the next."""
+        ask = getattr(self.reference_force.compensator, "ask_model", None)
+        if ask is not None:
+            ask()
 
     def bridge(self, ground_motion: Sequence[Floats | None], state: Floats) -> None:
         """Make good for the states of steps that were lost before this one, in a straight line.

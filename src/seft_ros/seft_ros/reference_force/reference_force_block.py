@@ -11,6 +11,7 @@ from seft_plant_sim.specimen import deformations
 
 from seft_ros.reference_force.compensation_methods import METHODS
 from seft_ros.reference_force.compensator import Compensator, Knowledge, tells_motion
+from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 from seft_ros.reference_force.substructure import with_substructure
 
 
@@ -97,6 +98,11 @@ class ReferenceForce:
 
 def compensator(method: str, known: Knowledge) -> Compensator:
     """Make a compensation method of what is known of a test; InputError if it lacks something."""
+    if known.computed.model is not None and method != TARGET_MOTION:
+        raise InputError(
+            f"reference_force: computed.model acts on the motion of a target, which "
+            f"compensation.method {method} does not compute; make that {TARGET_MOTION}"
+        )
     made = METHODS[method](known)
     return made if tells_motion(made) else with_substructure(made, known)
 
@@ -116,6 +122,11 @@ def knowledge(section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
         symmetric_matrix(section[f"model.{name}"], axes, f"{where}.{name}")
         for name in ("damping", "stiffness")
     )
+    if section["method"] == "eft" and section["computed.model"]:
+        raise InputError(
+            "reference_force: computed.model is given, but with method eft nothing is computed; "
+            "make that seft"
+        )
     if section["method"] == "eft":  # the specimen carries all of the mass (Eq. 2.2)
         mass = mass + section["mass_ratio"] * mass
         computed = ComputedSubstructure.none(n)

@@ -43,6 +43,14 @@ _TEST = parameter_rows(
     computed.influence | floats | 0.0  |       |           |
         ground acceleration of each of these per that of each axis, one after the other; 0:
         that of the first axis
+    computed.model     | string |      |       |           |
+        what else is computed, for target_motion: FILE.py:CLASS, MODULE:CLASS or a name
+        that a package has registered, as opensees (docs/computed_models.md); empty:
+        nothing
+    computed.settings  | string |      |       |           |
+        its settings, as script=frame.py substeps=2
+    computed.every     | int    | 1    |       | 1 .. 50   |
+        samples from one step of the model to the next, where it is slow
     loop_delay         | int    | 0    |       | -1 .. 100 |
         steps from a state to the first use of the force that is computed from it, where a
         link lies between this node and the force controller (docs/hosts.md); 0: none does,
