@@ -18,6 +18,7 @@ MODELS = Registered("seft.computed_model", ())
 SMALL_DISPLACEMENT, SMALL_VELOCITY = 1e-4, 1e-2
 """m and m/s, at which the tangent of a model is found that does not tell its own."""
 PROBE_PERIOD = 1e-3  # s
+SAME_FORCE = 1e-9  # relative
 
 
 class Model(Protocol):
@@ -101,8 +102,18 @@ class ModelSource:
         return stiffness, damping
 
     @property
+    def own_tangents(self) -> tuple[Floats, Floats]:
+        """Stiffness and damping at rest of the model's own axes, each of shape (m, m)."""
+        return self._probed.stiffness, self._probed.damping
+
+    @property
+    def is_apart(self) -> bool:
+        """Whether the model computes while the loop goes on."""
+        return self._probed.is_apart
+
+    @property
     def is_static(self) -> bool:
-        """Whether the force depends on the path alone, not on velocity and time."""
+        """Whether the force depends on the path alone, but for linear dampers."""
         return self._probed.is_static
 
     @property
@@ -118,6 +129,15 @@ class ComputedModel:
     """A model under way, in the coordinates of its source; all that it gives is checked.
 
     Each method raises a `ModelError` that names the model's file and line where it fails.
+
+    Attributes
+    ----------
+    places : tuple of int
+        The degrees of freedom that it acts on.
+    rows : ndarray
+        Their displacements per coordinate, shape (m, N).
+    is_apart : bool
+        Whether it has ``ask`` and ``answer``.
     """
 
     def __init__(self, source: ModelSource) -> None:
@@ -132,7 +152,7 @@ class ComputedModel:
             if not callable(getattr(own, name, None)):
                 raise ModelError(f"{WHERE}: {source.name} has no {name}({takes})")
         self.places = self._places(getattr(own, "axes", None))
-        self._rows = source.change[list(self.places)]
+        self.rows = source.change[list(self.places)]
         self._names = tuple(source.dofs[place] for place in self.places)
 
     def _places(self, axes: Any) -> tuple[int, ...]:
@@ -184,7 +204,7 @@ class ComputedModel:
         """Give stiffness and damping now, shape (N, N), where the model tells them."""
         own = [self._own_tangent(name) for name in ("stiffness", "damping")]
         stiffness, damping = (
-            None if found is None else self._rows.T @ found @ self._rows for found in own
+            None if found is None else self.rows.T @ found @ self.rows for found in own
         )
         return stiffness, damping
 
@@ -219,28 +239,30 @@ class ComputedModel:
 
         still = forces(rest, rest)
         columns = np.zeros((2, size, size))
-        is_static = bool((still == still[0]).all())
+        is_static = _equal(still, still[:1])
         for j, unit in enumerate(np.eye(size)):
             moved = forces(SMALL_DISPLACEMENT * unit, rest)
             fast = forces(rest, SMALL_VELOCITY * unit)
             columns[0, :, j] = (moved[1] - still[1]) / SMALL_DISPLACEMENT
             columns[1, :, j] = (fast[1] - still[1]) / SMALL_VELOCITY
-            is_static &= bool((moved[2] == moved[1]).all() and (fast == still).all())
+            faster = forces(rest, 2.0 * SMALL_VELOCITY * unit) - still
+            is_static &= _equal(moved[2], moved[1]) and _equal(fast[2], fast[1])
+            is_static &= _equal(faster, 2.0 * (fast - still))
         self.start(PROBE_PERIOD)
         for matrix, name in zip(columns, ("stiffness", "damping"), strict=True):
             told = self._own_tangent(name)
             matrix[:] = 0.5 * (matrix + matrix.T) if told is None else told
-        return Probed(self.places, columns[0], columns[1], is_static)
+        return Probed(self.places, columns[0], columns[1], is_static, self.is_apart)
 
     def _motion(
         self, displacement: Floats, velocity: Floats, ground: Floats
     ) -> tuple[Floats, Floats, Floats]:
-        return self._rows @ displacement, self._rows @ velocity, ground[list(self.places)]
+        return self.rows @ displacement, self.rows @ velocity, ground[list(self.places)]
 
     def _taken(self, what: str, force: Any) -> Floats:
         if hasattr(self._own, "commit"):
             self._call("commit", self._own.commit)
-        return self._rows.T @ self._checked(what, force)
+        return self.rows.T @ self._checked(what, force)
 
     def _checked(self, what: str, force: Any) -> Floats:
         size = len(self.places)
@@ -304,13 +326,21 @@ class Probed:
     stiffness, damping : ndarray
         Shape (m, m), N/m and N s/m.
     is_static : bool
-        Whether its force depends on displacements alone.
+        Whether its force depends on displacements alone, but for linear dampers.
+    is_apart : bool
+        Whether it has ``ask`` and ``answer``.
     """
 
     places: tuple[int, ...]
     stiffness: Floats
     damping: Floats
     is_static: bool
+    is_apart: bool
+
+
+def _equal(one: Floats, other: Floats) -> bool:
+    """Say whether forces are equal, but for rounding."""
+    return bool(np.abs(one - other).max() <= SAME_FORCE * max(np.abs(other).max(), 1e-300))
 
 
 @lru_cache(maxsize=64)

@@ -31,6 +31,9 @@ class ComputedSubstructure:
     influence : ndarray
         L, shape (q, n): ground acceleration of each internal degree of freedom per that of each
         axis.
+    on_axes : ndarray or None
+        That of each axis, shape (n, n); None: its own. It is zero of an axis that measures a
+        deformation above another degree of freedom, with which the ground moves it.
     model : ModelSource or None
         What else is computed: its force less that of its tangents acts beside the matrices.
     """
@@ -39,6 +42,7 @@ class ComputedSubstructure:
     damping: Floats
     stiffness: Floats
     influence: Floats
+    on_axes: Floats | None = None
     model: ModelSource | None = None
 
     @classmethod
@@ -80,14 +84,13 @@ class ComputedSubstructure:
             symmetric_matrix(given[name], names, f"{where}.{name}")
             for name in ("damping", "stiffness")
         )
-        influence = _influence(given["influence"], n, q, f"{where}.influence")
-        whole = cls(ratio * mass, ratio * damping, ratio * stiffness, influence)
+        on_axes, influence = _influence(given["influence"], n, q, f"{where}.influence")
+        whole = cls(ratio * mass, ratio * damping, ratio * stiffness, influence, on_axes)
         name = section.get("computed.model", "")
         if not name:
             return whole
-        by_axis = np.vstack([np.eye(n), influence])
         settings, every = section["computed.settings"], section["computed.every"]
-        model = ModelSource(name, settings, names, by_axis, every, np.eye(n + q))
+        model = ModelSource(name, settings, names, whole.by_axis, every, np.eye(n + q))
         k, c = model.tangents
         return replace(whole, stiffness=whole.stiffness + k, damping=whole.damping + c, model=model)
 
@@ -113,6 +116,12 @@ class ComputedSubstructure:
         return len(self.mass) - self.internal
 
     @property
+    def by_axis(self) -> Floats:
+        """Ground acceleration of all degrees of freedom per that of each axis, (n + q, n)."""
+        on_axes = np.eye(self.axes) if self.on_axes is None else self.on_axes
+        return np.vstack([on_axes, self.influence])
+
+    @property
     def is_lumped(self) -> bool:
         """Whether it is masses on the axes and nothing else."""
         linear = self.internal or self.damping.any() or self.stiffness.any()
@@ -134,17 +143,24 @@ class ComputedSubstructure:
         )
         mass[:n, n:] = mass[n:, :n] = 0.0
         model = None if self.model is None else self.model.changed(change)
-        return ComputedSubstructure(mass, damping, stiffness, self.influence - shift, model)
+        influence = self.influence - (shift if self.on_axes is None else shift @ self.on_axes)
+        return ComputedSubstructure(mass, damping, stiffness, influence, self.on_axes, model)
 
 
-def _influence(value: float | Sequence[float], axes: int, internal: int, where: str) -> Floats:
+def _influence(
+    value: float | Sequence[float], axes: int, internal: int, where: str
+) -> tuple[Floats | None, Floats]:
+    """Ground acceleration of the axes, if given, and of the internal degrees of freedom."""
     numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
     if not numbers.any():
-        return np.eye(1, axes).repeat(internal, axis=0)
+        return None, np.eye(1, axes).repeat(internal, axis=0)
+    if internal and numbers.size == (axes + internal) * axes:
+        on_axes, inside = np.split(numbers.reshape(-1, axes), [axes])
+        return on_axes, inside
     if numbers.size != internal * axes:
         raise InputError(
             f"{where}: {numbers.size} values for {internal} internal degrees of freedom and "
             f"{axes} axes; give {internal * axes}, those of each internal degree of freedom "
-            "together"
+            f"together, or {(axes + internal) * axes}, with those of the axes before"
         )
-    return numbers.reshape(internal, axes)
+    return None, numbers.reshape(internal, axes)

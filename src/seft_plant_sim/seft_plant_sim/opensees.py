@@ -148,15 +148,15 @@ class OpenSees:
         try:
             self._own.send_bytes(request)
         except OSError:
-            self._fail("the process of OpenSees has ended")
+            self._fail(": the process of OpenSees has ended")
 
     def _receive(self, patience: float) -> bytes:
         try:
             if not self._own.poll(patience):
-                self._fail(f"OpenSees did not answer within {patience:g} s")
+                self._fail(f": OpenSees did not answer within {patience:g} s")
             reply = self._own.recv_bytes()
         except EOFError:
-            self._fail("the process of OpenSees has ended")
+            self._fail(": the process of OpenSees has ended")
         if reply[:1] == _FAILED:
             self._fail(reply[1:].decode())
         return reply[1:]
@@ -239,6 +239,10 @@ class _Worker:
                 )
             if direction in ops.getFixedDOFs(node):
                 ops.remove("sp", node, direction)
+        if not any(map(self._free, ops.getNodeTags())):  # nothing to solve for: add what floats
+            size = len(ops.nodeDisp(self._axes[0][0][0]))
+            ops.node(_MANY, *[0.0] * len(ops.nodeCoord(self._axes[0][0][0])))
+            ops.mass(_MANY, *[1.0] * size)
         ops.loadConst("-time", 0.0)
         ops.wipeAnalysis()
         ops.constraints("Transformation")
@@ -256,6 +260,12 @@ class _Worker:
         self._standing = np.zeros(len(self._axes))
         self._standing = self._reactions()
         return json.dumps({"axes": list(names) if names else len(self._axes)}).encode()
+
+    def _free(self, node: int) -> set[int]:
+        """Give the directions in which the analysis moves a node."""
+        held = {direction for axis in self._axes for at, direction in axis if at == node}
+        directions = range(1, len(self._ops.nodeDisp(node)) + 1)
+        return set(directions) - held - set(self._ops.getFixedDOFs(node))
 
     def _step(self, t: float, x: list[float], v: list[float], ground: list[float]) -> bytes:
         now = [*x, *v, *ground]

@@ -3,6 +3,7 @@
 Where the structure is not linear, the response is as near as the integration's tolerance.
 """
 
+import time
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -133,6 +134,7 @@ class ModelledStructure:
         self._last: Floats | None = None
         self._acts, self._rises = np.zeros((2, structure.axes))  # m/s^2, and m/s^2 in a step
         self._count = 0
+        self.times: list[float] = []  # s, that the steps of the model have taken
 
     def advance(self, ground_motion: Floats) -> Floats:
         """Go on over the next N steps, see `ShakenStructure.advance`."""
@@ -153,7 +155,9 @@ class ModelledStructure:
         sample = self._shaken.advance((ground + expected)[np.newaxis])[:, 0]
         x, v, a, _ = sample
         stiffness, damping = self._tangents
+        begun = time.perf_counter()
         force = self._model.step(self._step * self._count, x, v, ground)
+        self.times.append(time.perf_counter() - begun)
         acts = self._inverse @ (force - stiffness @ x - damping @ v)
         missed = acts - expected
         impulse = np.zeros_like(missed) if self._count == 0 else -0.5 * self._step * missed
@@ -254,6 +258,18 @@ def reference_response(experiment: Experiment, ground_motion: Floats) -> Referen
     return ReferenceResponse(x[:, :n], v[:, :n], a[:, :n], force)
 
 
+def model_times(whole: "WholeStructure", ground_motion: Floats, dt: float) -> list[float]:
+    """Measure the steps of ``dt`` s of a computed model along the motion of its structure, s.
+
+    The ground acceleration of the axes has shape (N, n), m/s^2.
+    """
+    assert whole.computed.model is not None
+    modelled = ModelledStructure(whole.structure, dt, 1, whole.computed.model)
+    with closing(modelled):
+        modelled.advance(whole.motion(ground_motion))
+    return modelled.times
+
+
 @dataclass(frozen=True)
 class WholeStructure:
     """Specimen and computed substructure together.
@@ -303,6 +319,8 @@ class WholeStructure:
         """Ground acceleration of every degree of freedom, of that of the axes; (N, n + q)."""
         if not self.computed.internal:
             return ground_motion
+        if self.computed.on_axes is not None:
+            return ground_motion @ self.computed.by_axis.T
         return np.hstack([ground_motion, ground_motion @ self.computed.influence.T])
 
 

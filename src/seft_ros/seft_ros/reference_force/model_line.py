@@ -67,6 +67,8 @@ class ModelLine:
         self._asked: deque[Floats] = deque()
         self._line = np.zeros_like(self.values)  # that of the last answer, from there on
         self._at: Floats | None = None  # which was this motion
+        self._tangent = self._source.own_tangents[0]  # of the model's own axes, followed
+        self._own = np.zeros(0), np.zeros(0)  # their displacement and force
 
     def step(self, motion: Floats, ground: Floats) -> None:
         """Take in a sample of the target.
@@ -109,11 +111,11 @@ class ModelLine:
             if tangent is not None:
                 line[:, part] = -self._inverse @ (tangent - self._rest[:, part])
                 follows = False
+        if follows:
+            line[:, :size] = -self._follow(at, force)
         if self._at is not None:
             change = acts - before[:, : 2 * size] @ at - before[:, -2]
-            if follows:
-                line[:, :size] = self._followed(at[:size] - self._at[:size], change)
-            else:
+            if not follows:
                 line[:, -1] = change / span
             missed = change - span * before[:, -1]
             # it grew in proportion to the time, from when the line came into use until now
@@ -127,14 +129,24 @@ class ModelLine:
         self.values[:, -2] += late * self._dt * line[:, -1]
         self.force[:] = force
 
-    def _followed(self, moved: Floats, change: Floats) -> Floats:
-        """Accelerations per displacement that would have explained a change; shape (N, N)."""
-        tangent, size = self._line[:, : len(moved)], float(moved @ moved)
-        if size <= LEAST_MOTION**2:
-            return tangent
-        tangent = tangent + np.outer(change, moved) / size
+    def _follow(self, at: Floats, force: Floats) -> Floats:
+        """Follow the force of a static model; give accelerations per displacement, (N, N)."""
+        size, rows = len(force), self._model.rows
+        own, own_force = rows @ at[:size], np.linalg.lstsq(rows.T, force, rcond=None)[0]
+        own_force = own_force - self._source.own_tangents[1] @ (rows @ at[size:])
+        if self._at is not None:
+            before, force_before = self._own
+            moved = own - before
+            span = float(moved @ moved)
+            if span > LEAST_MOTION**2:
+                missed = own_force - force_before - self._tangent @ moved
+                self._tangent = self._tangent + np.outer(missed, moved) / span
+        self._own = own, own_force
+        stiffness = rows.T @ self._tangent @ rows
+        beside = self._inverse @ (stiffness - self._rest[:, :size])
         largest = STIFFEST / self._dt**2
-        return tangent * min(1.0, largest / max(float(np.linalg.norm(tangent)), largest))
+        beside *= min(1.0, largest / max(float(np.linalg.norm(beside)), largest))
+        return beside
 
     def failure_of(self, error: ModelError) -> str:
         """Say what has failed, and when."""

@@ -98,11 +98,13 @@ class ReferenceForce:
 
 def compensator(method: str, known: Knowledge) -> Compensator:
     """Make a compensation method of what is known of a test; InputError if it lacks something."""
-    if known.computed.model is not None and method != TARGET_MOTION:
-        raise InputError(
-            f"reference_force: computed.model acts on the motion of a target, which "
-            f"compensation.method {method} does not compute; make that {TARGET_MOTION}"
-        )
+    computed = known.computed
+    for name, given in (("model", computed.model), ("influence of axes", computed.on_axes)):
+        if given is not None and method != TARGET_MOTION:
+            raise InputError(
+                f"reference_force: computed.{name} acts on the motion of a target, which "
+                f"compensation.method {method} does not compute; make that {TARGET_MOTION}"
+            )
     made = METHODS[method](known)
     return made if tells_motion(made) else with_substructure(made, known)
 

@@ -42,7 +42,8 @@ _TEST = parameter_rows(
         degrees of freedom of the computed substructure beside the axes
     computed.influence | floats | 0.0  |       |           |
         ground acceleration of each of these per that of each axis, one after the other; 0:
-        that of the first axis
+        that of the first axis; with target_motion, those of the axes may stand before: 0
+        where an axis is a deformation on top of an internal degree of freedom
     computed.model     | string |      |       |           |
         what else is computed, for target_motion: FILE.py:CLASS, MODULE:CLASS or a name
         that a package has registered, as opensees (docs/computed_models.md); empty:

@@ -193,7 +193,7 @@ def target_arrays(
     a[size:, :size], a[size:, size:] = -inverse @ stiffness, -inverse @ damping
     substeps = max(1, math.ceil(dt / LONGEST_SUBSTEP - 1e-9))
     free, start, change = first_order_hold(a, b, dt / substeps)
-    influence = np.vstack([np.eye(n), computed.influence])
+    influence = computed.by_axis
     by_spring = np.ascontiguousarray(inverse[:, :n] @ deformation.T)
     # the coming motion, see `predict`
     hold = np.ascontiguousarray(np.hstack([free, start]))
