@@ -61,6 +61,14 @@ class Breaking(Hardening):
         return super().step(t, displacement, velocity, ground_acceleration)
 
 
+class Sleepy(Hardening):
+    def step(self, t, displacement, velocity, ground_acceleration):
+        import time
+
+        time.sleep(0.004)
+        return 1e5 * displacement
+
+
 class Odd(Hardening):
     def step(self, t, displacement, velocity, ground_acceleration):
         return [float("nan")] if t > 1.5 else 1e5 * displacement
@@ -100,25 +108,41 @@ def test_a_model_gives_the_same_bits_over_dds(seft_json, model):
     assert seft_json("compare", "simulated", "composed")["identical"] is True
 
 
-@pytest.mark.parametrize(
-    ("name", "why"),
-    [
-        ("Breaking", "models.py:Breaking line 51, step: it broke"),
-        ("Odd", "models.py:Odd line 56: step gives a force that is not finite: [nan] N"),
-    ],
-)
-def test_a_model_that_fails_brings_the_test_down_softly_and_says_where(
-    seft, seft_json, model, name, why
-):
+FAILURES = {
+    "Breaking": "models.py:Breaking line 51, step: it broke",
+    "Odd": "models.py:Odd line 64: step gives a force that is not finite: [nan] N",
+}
+
+
+@pytest.mark.parametrize("name", FAILURES)
+def test_a_model_that_fails_brings_the_test_down_softly_and_says_where(seft, model, name):
     words = (DEMO, *SHORT, *model(name))
-    offline = seft_json("simulate", *words, "--out", "simulated", status=1)
-    assert why in offline["trip"]["reason"]
-    assert offline["steps"] > 750 + 250  # it ramped down
-    seft_json("run", *words, *LOCKSTEP, "--accept-unstable", "--out", "lockstep", status=1)
-    assert seft_json("compare", "simulated", "lockstep")["identical"] is True
-    *_, line = seft("simulate", *words, status=1).stderr.strip().splitlines()
-    assert "seft: the test tripped: reference_force: computed.model: " in line
-    assert why in line
+    offline = seft("simulate", *words, "--json", status=1)
+    found = json.loads(offline.stdout)
+    assert FAILURES[name] in found["trip"]["reason"]
+    assert found["steps"] > 750 + 250  # it ramped down
+    assert FAILURES[name] in offline.stderr.strip().splitlines()[-1]
+    (line,) = seft("run", *words, status=2).stderr.strip().splitlines()[-1:]  # nothing moves
+    assert FAILURES[name] in line
+
+
+def test_a_model_that_fails_in_its_node_alone_trips_the_test(seft_json, model, tmp_path):
+    words = (DEMO, *SHORT, *model("Breaking"))
+    in_node = 'if t > 1.5 and "reference_force" in sys.argv[0]:'
+    text = MODELS.replace("if t > 1.5:", in_node)
+    (tmp_path / "models.py").write_text(f"import sys\n{text}")
+    summary = seft_json("run", *words, *LOCKSTEP, "--out", "lockstep", status=1)
+    assert "models.py:Breaking line 52, step: it broke (step 75" in summary["trip"]["reason"]
+    assert summary["steps"] > 750 + 250
+
+
+def test_a_model_that_is_too_slow_is_refused_with_the_rate_that_fits(seft, seft_json, model):
+    words = (DEMO, *SHORT, *model("Sleepy"))
+    found = seft_json("preflight", *words, status=1)["model"]
+    assert found["median_s"] > 0.004 and not found["fits"]
+    assert found["fitting_rate_hz"] in (125, 100, 50, 25) and found["fitting_every"] is None
+    (line,) = seft("run", *words, status=2).stderr.strip().splitlines()[-1:]
+    assert "ms for a step" in line and "at 500 Hz: a rate of " in line
 
 
 def test_only_a_target_takes_a_model(seft, model):

@@ -227,8 +227,9 @@ def preflight(
     lines = [line for step in steps for line in (f"{step.found}:", *_indented(step.commands))]
     if timed is not None:
         lines = [
-            f"computed model: {1e3 * timed.median:.2g} ms for a step, {1e3 * timed.p999:.2g} ms for "
-            f"one of 1000, of {1e3 * timed.budget:.2g} ms; its tangent at rest is in all of this",
+            f"computed model: {1e3 * timed.median:.2g} ms for a step, {1e3 * timed.p999:.2g} ms "
+            f"for one of 1000, of {1e3 * timed.budget:.2g} ms",
+            "the loop above has its tangent at rest",
             *lines,
         ]
     show(summary, json, [*tables, limits_table(experiment, peaks), "", *lines], "figure")

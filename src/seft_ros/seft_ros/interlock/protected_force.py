@@ -147,6 +147,11 @@ class ProtectedForce:
         return self._watch.describe()
 
     @property
+    def is_modelled(self) -> bool:
+        """Whether a computed model is part of it."""
+        return self.reference_force.is_modelled
+
+    @property
     def ramping(self) -> bool:
         """Whether the ramp has begun."""
         return self._ramp.begun

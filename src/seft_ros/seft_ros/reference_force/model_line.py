@@ -19,6 +19,8 @@ from seft_msgs_py.config.arrays import Floats
 from seft_plant_sim.computed_model import ModelError
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 
+from seft_ros.reference_force.reference_force_parameters import OF_MODEL
+
 LEAST_MOTION = 1e-9  # m: rounding makes the tangent of less
 STIFFEST = 0.25
 """Of a followed tangent over the mass, times dt squared: the prediction is stable up to there."""
@@ -152,6 +154,21 @@ class ModelLine:
         """Say what has failed, and when."""
         return f"{error} (step {self._count - 1})"
 
-    def responses(self) -> dict[str, float]:
-        """Give what the model tells beside its force."""
-        return self._model.responses()
+    def recorded(self, axes: int) -> dict[str, Floats]:
+        """Give the model's motion and force, and what else it tells; shape (n,) each.
+
+        What belongs to no axis stands at each of them.
+        """
+        size, source = len(self.force), self._source
+        at = np.zeros(size) if self._at is None else self._at[:size]
+        force = np.linalg.lstsq(self._model.rows.T, self.force, rcond=None)[0]
+        found: dict[str, Floats] = {}
+        for kind, values in (("displacement", self._model.rows @ at), ("force", force)):
+            for place, value in zip(self._model.places, values.tolist(), strict=True):
+                name = f"{OF_MODEL}{kind}"
+                if place < axes:
+                    found.setdefault(name, np.zeros(axes))[place] = value
+                else:
+                    found[f"{name}, {source.dofs[place]}"] = np.full(axes, value)
+        told = self._model.responses()
+        return found | {f"{OF_MODEL}{name}": np.full(axes, value) for name, value in told.items()}

@@ -63,6 +63,11 @@ class ReferenceForce:
         known = knowledge(section, axes, timebase)
         return cls(compensator(section["compensation.method"], known))
 
+    @property
+    def is_modelled(self) -> bool:
+        """Whether a computed model is part of it."""
+        return getattr(self.compensator, "model", None) is not None
+
     def reset(self) -> None:
         """Forget the test so far."""
         self.compensator.reset()
@@ -159,23 +164,28 @@ def knowledge(section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
 
 
 PERIOD_NS = NANOSECONDS_PER_SECOND // 10
-"""Experiment time between two samples."""
+MODEL_PERIOD_NS = NANOSECONDS_PER_SECOND // 100
+"""Experiment time between two samples, and with a computed model, whose hysteresis they draw."""
 
 
 class Estimating(Protocol):
     """A reference force, protected or not."""
 
+    @property
+    def is_modelled(self) -> bool:
+        """Whether it has a computed model."""
+
     def estimates(self) -> dict[str, Floats]:
         """Estimate of each quantity, shape (n,) each."""
 
 
-def sampling_period(timebase: Timebase) -> int:
+def sampling_period(timebase: Timebase, is_modelled: bool) -> int:
     """Count the steps from one sample to the next."""
-    return max(1, round(PERIOD_NS / timebase.period_ns))
+    return max(1, round((MODEL_PERIOD_NS if is_modelled else PERIOD_NS) / timebase.period_ns))
 
 
 class EstimateSampler:
-    """Samples the estimates of a reference force at step 0 and every `PERIOD_NS` from there.
+    """Samples the estimates of a reference force at step 0 and every `sampling_period` from there.
 
     Where the step that is due was lost, the next one counts. Sampling is left to the caller,
     for whom it must cost nothing to ask at every step: ``if step >= sampler.due``.
@@ -196,7 +206,7 @@ class EstimateSampler:
     def __init__(self, reference_force: Estimating, timebase: Timebase) -> None:
         self.due = 0
         self._estimates = reference_force.estimates
-        self._every = sampling_period(timebase)
+        self._every = sampling_period(timebase, reference_force.is_modelled)
 
     def reset(self) -> None:
         """Begin a new test."""

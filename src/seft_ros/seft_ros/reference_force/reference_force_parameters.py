@@ -23,6 +23,8 @@ OWN = (
     "restoring",
     TARGET_MOTION,
 )
+OF_MODEL = "computed "
+"""Begins the names of what is recorded of a computed model."""
 REGISTERED = Registered("seft.compensation", OWN)
 """Of other packages: name of a method -> `compensator.Method`, which may take settings."""
 

@@ -89,6 +89,7 @@ class TargetMotion:
         """Begin a new test."""
         self.pace, self.failure = 1.0, ""
         self._is_asked = True
+        self._recorded: dict[str, Floats] = {}
         if self.model is not None:
             self.model.reset()
         self._begin(self.parameters, self.state)
@@ -142,10 +143,21 @@ class TargetMotion:
         )
 
     def estimates(self) -> dict[str, Floats]:
-        """Stiffness, damping and sliders' force of each spring, as found on line."""
+        """Stiffness, damping and sliders' force of each spring, as found on line.
+
+        And the motion, force and responses of a computed model.
+        """
         found = np.empty((len(ESTIMATES), len(self.parameters.mass)))
         self._estimate(self.parameters, self.state, found)
-        return dict(zip(ESTIMATES, found, strict=True))
+        estimates: dict[str, Floats] = dict(zip(ESTIMATES, found, strict=True))
+        if self.model is None:
+            return estimates
+        self.ask_model()
+        try:
+            self._recorded = self.model.recorded(found.shape[1])
+        except ModelError as error:
+            self.failure = self.failure or self.model.failure_of(error)
+        return estimates | self._recorded
 
 
 def target_arrays(
