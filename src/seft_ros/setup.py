@@ -69,6 +69,7 @@ setup(
     ],
     extras_require={
         "dask": ["distributed>=2026.8"],
+        "opensees": ["seft_plant_sim[opensees]"],
         "test": ["hypothesis>=6.98", "pytest>=7.4", "pyyaml>=6.0"],
     },
     entry_points={

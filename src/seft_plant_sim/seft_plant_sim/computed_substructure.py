@@ -1,12 +1,14 @@
 """What is computed of a structure, beside the specimen: masses, dampers and springs."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from seft_msgs_py.config.arrays import Floats, mass_matrix, symmetric_matrix
 from seft_msgs_py.errors import InputError
+
+from seft_plant_sim.computed_model import ModelSource
 
 _NAMES = ("mass", "damping", "stiffness", "internal", "influence")
 
@@ -19,7 +21,8 @@ class ComputedSubstructure:
 
         M (x'' + a_g, z'' + L a_g) + C (x', z') + K (x, z) = (-g, 0)
 
-    The lumped mass of the paper is one of M alone without internal degrees of freedom.
+    The lumped mass of the paper is one of M alone without internal degrees of freedom. A computed
+    model adds its force, of which C and K hold the tangents at rest.
 
     Attributes
     ----------
@@ -28,12 +31,19 @@ class ComputedSubstructure:
     influence : ndarray
         L, shape (q, n): ground acceleration of each internal degree of freedom per that of each
         axis.
+    on_axes : ndarray or None
+        That of each axis, shape (n, n); None: its own. It is zero of an axis that measures a
+        deformation above another degree of freedom, with which the ground moves it.
+    model : ModelSource or None
+        What else is computed: its force less that of its tangents acts beside the matrices.
     """
 
     mass: Floats
     damping: Floats
     stiffness: Floats
     influence: Floats
+    on_axes: Floats | None = None
+    model: ModelSource | None = None
 
     @classmethod
     def from_parameters(
@@ -41,12 +51,15 @@ class ComputedSubstructure:
     ) -> "ComputedSubstructure":
         """Make it of a reference force's section: ``computed.*``, ``mass_ratio`` times as large.
 
+        The model alone is taken as it is.
+
         Without ``computed.mass`` it is the mass of the specimen's model.
 
         Raises
         ------
         InputError
-            If a matrix does not fit, is not symmetric, or an internal mass is not positive.
+            If a matrix does not fit, is not symmetric, an internal mass is not positive, or the
+            model can't be used.
         """
         where, n = "reference_force: computed", len(axes)
         # records of older versions lack them
@@ -71,8 +84,15 @@ class ComputedSubstructure:
             symmetric_matrix(given[name], names, f"{where}.{name}")
             for name in ("damping", "stiffness")
         )
-        influence = _influence(given["influence"], n, q, f"{where}.influence")
-        return cls(ratio * mass, ratio * damping, ratio * stiffness, influence)
+        on_axes, influence = _influence(given["influence"], n, q, f"{where}.influence")
+        whole = cls(ratio * mass, ratio * damping, ratio * stiffness, influence, on_axes)
+        name = section.get("computed.model", "")
+        if not name:
+            return whole
+        settings, every = section["computed.settings"], section["computed.every"]
+        model = ModelSource(name, settings, names, whole.by_axis, every, np.eye(n + q))
+        k, c = model.tangents
+        return replace(whole, stiffness=whole.stiffness + k, damping=whole.damping + c, model=model)
 
     @classmethod
     def lumped(cls, mass: Floats) -> "ComputedSubstructure":
@@ -96,9 +116,16 @@ class ComputedSubstructure:
         return len(self.mass) - self.internal
 
     @property
+    def by_axis(self) -> Floats:
+        """Ground acceleration of all degrees of freedom per that of each axis, (n + q, n)."""
+        on_axes = np.eye(self.axes) if self.on_axes is None else self.on_axes
+        return np.vstack([on_axes, self.influence])
+
+    @property
     def is_lumped(self) -> bool:
         """Whether it is masses on the axes and nothing else."""
-        return not (self.internal or self.damping.any() or self.stiffness.any())
+        linear = self.internal or self.damping.any() or self.stiffness.any()
+        return not (linear or self.model is not None)
 
     def without_inertial_coupling(self) -> "ComputedSubstructure":
         """Count the internal displacements from where a slow interface would take the masses.
@@ -115,17 +142,25 @@ class ComputedSubstructure:
             change.T @ matrix @ change for matrix in (self.mass, self.damping, self.stiffness)
         )
         mass[:n, n:] = mass[n:, :n] = 0.0
-        return ComputedSubstructure(mass, damping, stiffness, self.influence - shift)
+        model = None if self.model is None else self.model.changed(change)
+        influence = self.influence - (shift if self.on_axes is None else shift @ self.on_axes)
+        return ComputedSubstructure(mass, damping, stiffness, influence, self.on_axes, model)
 
 
-def _influence(value: float | Sequence[float], axes: int, internal: int, where: str) -> Floats:
+def _influence(
+    value: float | Sequence[float], axes: int, internal: int, where: str
+) -> tuple[Floats | None, Floats]:
+    """Ground acceleration of the axes, if given, and of the internal degrees of freedom."""
     numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
     if not numbers.any():
-        return np.eye(1, axes).repeat(internal, axis=0)
+        return None, np.eye(1, axes).repeat(internal, axis=0)
+    if internal and numbers.size == (axes + internal) * axes:
+        on_axes, inside = np.split(numbers.reshape(-1, axes), [axes])
+        return on_axes, inside
     if numbers.size != internal * axes:
         raise InputError(
             f"{where}: {numbers.size} values for {internal} internal degrees of freedom and "
             f"{axes} axes; give {internal * axes}, those of each internal degree of freedom "
-            "together"
+            f"together, or {(axes + internal) * axes}, with those of the axes before"
         )
-    return numbers.reshape(internal, axes)
+    return None, numbers.reshape(internal, axes)

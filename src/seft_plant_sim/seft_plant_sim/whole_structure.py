@@ -3,7 +3,9 @@
 Where the structure is not linear, the response is as near as the integration's tolerance.
 """
 
+import time
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -14,6 +16,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import group
 
 from seft_plant_sim.compiled import compiled, multiply
+from seft_plant_sim.computed_model import ModelSource
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_plant_sim.continuous_model import ContinuousModel, with_springs
 from seft_plant_sim.integration import Dynamics, Motion, at_rest, dynamics_of, integrate
@@ -24,13 +27,21 @@ TOLERANCE = 1e-5
 COARSEST = 4
 FINEST = 1 << 14
 """Steps of the integration within one of the response."""
+MODEL_TOLERANCE = 5e-3
+"""The same of a structure with a computed model, each step of which may take long: the error is of
+second order in the step, so that two responses are extrapolated to what is twenty times as near."""
+COARSEST_MODEL, FINEST_MODEL = 1, 64
+"""Its steps."""
 
 
-def response(structure: Specimen, ground_motion: Floats, dt: float) -> Floats:
+def response(
+    structure: Specimen, ground_motion: Floats, dt: float, model: ModelSource | None = None
+) -> Floats:
     """Response to a ground motion that is linear between its samples.
 
     Exact where the structure is linear. Else the steps of the integration are halved until the
-    response changes by less than `TOLERANCE`; it then is some four times as near.
+    response changes by less than `TOLERANCE`, or `MODEL_TOLERANCE`; it then is some four times as
+    near.
 
     Parameters
     ----------
@@ -40,6 +51,8 @@ def response(structure: Specimen, ground_motion: Floats, dt: float) -> Floats:
         Ground acceleration of each, shape (N, n), m/s^2.
     dt : float
         Period of a step, s.
+    model : ModelSource, optional
+        Acts beside it, see `ComputedSubstructure`.
 
     Returns
     -------
@@ -47,18 +60,27 @@ def response(structure: Specimen, ground_motion: Floats, dt: float) -> Floats:
         Relative displacement (m), velocity (m/s), acceleration (m/s^2) and force of the springs
         (N, without damping), shape (4, N, n).
     """
-    if not structure.springs:
+    if not structure.springs and model is None:
         return ShakenStructure(structure, dt, 1).advance(ground_motion)
-    steps = COARSEST
-    coarse = ShakenStructure(structure, dt, steps).advance(ground_motion)
-    while steps < FINEST:
+
+    def integrated(steps: int) -> Floats:
+        if model is None:
+            return ShakenStructure(structure, dt, steps).advance(ground_motion)
+        with closing(ModelledStructure(structure, dt, steps, model)) as modelled:
+            return modelled.advance(ground_motion)
+
+    steps, finest, tolerance = COARSEST, FINEST, TOLERANCE
+    if model is not None:
+        steps, finest, tolerance = COARSEST_MODEL, FINEST_MODEL, MODEL_TOLERANCE
+    coarse = integrated(steps)
+    while True:
         steps *= 2
-        fine = ShakenStructure(structure, dt, steps).advance(ground_motion)
+        fine = integrated(steps)
         change, peak = (np.abs(y[:2]).max(axis=(1, 2)) for y in (fine - coarse, fine))
-        if (change <= TOLERANCE * peak).all():
+        if (change <= tolerance * peak).all() or steps == finest:
             break
         coarse = fine
-    return fine
+    return fine if model is None else fine + (fine - coarse) / 3.0
 
 
 class ShakenStructure:
@@ -86,6 +108,65 @@ class ShakenStructure:
             spring.check()
         self._last = motion[-1]
         return np.moveaxis(samples.reshape(len(motion), 4, -1), 1, 0)
+
+    def mend(self, acceleration: Floats, velocity: Floats) -> None:
+        """Change the ground acceleration and the velocity where it is, by these; shape (n,)."""
+        n = self._structure.axes
+        self._motion.work[n : 2 * n] += velocity
+        if self._last is not None:
+            self._last = self._last + acceleration
+
+
+class ModelledStructure:
+    """A `ShakenStructure` on which a computed model acts, which is stepped as often as it is.
+
+    The model's force beside its tangents acts like ground acceleration. Over a step it is expected
+    to go on as it did, and then mended: so the impulse is that of the trapezoidal rule.
+    """
+
+    def __init__(self, structure: Specimen, dt: float, steps: int, model: ModelSource) -> None:
+        inner = COARSEST if structure.springs else 1
+        self._step, self._steps = dt / steps, steps
+        self._shaken = ShakenStructure(structure, self._step, inner)
+        self._inverse = np.linalg.inv(structure.mass)
+        self._tangents, self._model = model.tangents, model.make()
+        self._model.start(self._step)
+        self._last: Floats | None = None
+        self._acts, self._rises = np.zeros((2, structure.axes))  # m/s^2, and m/s^2 in a step
+        self._count = 0
+        self.times: list[float] = []  # s, that the steps of the model have taken
+
+    def advance(self, ground_motion: Floats) -> Floats:
+        """Go on over the next N steps, see `ShakenStructure.advance`."""
+        samples = np.empty((4, *ground_motion.shape))
+        for k, ground in enumerate(ground_motion):
+            last, steps = (ground, 1) if self._last is None else (self._last, self._steps)
+            for step in range(1, steps + 1):
+                samples[:, k] = self._advance(last + step / steps * (ground - last))
+            self._last = ground
+        return samples
+
+    def close(self) -> None:
+        """End the model."""
+        self._model.close()
+
+    def _advance(self, ground: Floats) -> Floats:
+        expected = self._acts + self._rises
+        sample = self._shaken.advance((ground + expected)[np.newaxis])[:, 0]
+        x, v, a, _ = sample
+        stiffness, damping = self._tangents
+        begun = time.perf_counter()
+        force = self._model.step(self._step * self._count, x, v, ground)
+        self.times.append(time.perf_counter() - begun)
+        acts = self._inverse @ (force - stiffness @ x - damping @ v)
+        missed = acts - expected
+        impulse = np.zeros_like(missed) if self._count == 0 else -0.5 * self._step * missed
+        self._shaken.mend(missed, impulse)
+        v += impulse
+        a -= missed
+        self._rises = acts - self._acts if self._count else np.zeros_like(acts)
+        self._acts, self._count = acts, self._count + 1
+        return sample
 
 
 @partial(compiled, nogil=True)
@@ -167,7 +248,7 @@ def reference_response(experiment: Experiment, ground_motion: Floats) -> Referen
     n, whole = specimen.axes, WholeStructure.of_test(specimen, section, experiment.axes)
     structure, computed = whole.structure, whole.computed
     motion = whole.motion(ground_motion)
-    x, v, a, r = response(structure, motion, experiment.timebase.dt)
+    x, v, a, r = response(structure, motion, experiment.timebase.dt, computed.model)
     if section["method"] == "eft":
         force = -motion @ structure.mass.T
     else:
@@ -175,6 +256,18 @@ def reference_response(experiment: Experiment, ground_motion: Floats) -> Referen
         own = r - x @ computed.stiffness.T + v @ (structure.damping - computed.damping).T
         force = a[:, :n] @ specimen.mass.T + own[:, :n]
     return ReferenceResponse(x[:, :n], v[:, :n], a[:, :n], force)
+
+
+def model_times(whole: "WholeStructure", ground_motion: Floats, dt: float) -> list[float]:
+    """Measure the steps of ``dt`` s of a computed model along the motion of its structure, s.
+
+    The ground acceleration of the axes has shape (N, n), m/s^2.
+    """
+    assert whole.computed.model is not None
+    modelled = ModelledStructure(whole.structure, dt, 1, whole.computed.model)
+    with closing(modelled):
+        modelled.advance(whole.motion(ground_motion))
+    return modelled.times
 
 
 @dataclass(frozen=True)
@@ -226,6 +319,8 @@ class WholeStructure:
         """Ground acceleration of every degree of freedom, of that of the axes; (N, n + q)."""
         if not self.computed.internal:
             return ground_motion
+        if self.computed.on_axes is not None:
+            return ground_motion @ self.computed.by_axis.T
         return np.hstack([ground_motion, ground_motion @ self.computed.influence.T])
 
 
@@ -263,10 +358,14 @@ class RunningResponse:
 
     def __init__(self, experiment: Experiment) -> None:
         self._whole = whole_structure(experiment)
-        structure = self._whole.structure
-        self.exact = not structure.springs
+        structure, model = self._whole.structure, self._whole.computed.model
+        self.exact = not structure.springs and model is None
         dt = experiment.timebase.dt
-        self._shaken = ShakenStructure(structure, dt, 1 if self.exact else STEPS)
+        self._shaken: ShakenStructure | ModelledStructure
+        if model is None:
+            self._shaken = ShakenStructure(structure, dt, 1 if self.exact else STEPS)
+        else:
+            self._shaken = ModelledStructure(structure, dt, COARSEST_MODEL, model)
 
     def advance(self, ground_motion: Floats) -> tuple[Floats, Floats]:
         """Go on over the next N steps of the ground motion, shape (N, n), m/s^2, N at least 1.

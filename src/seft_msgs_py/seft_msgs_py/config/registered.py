@@ -9,9 +9,13 @@ import inspect
 import json
 import shlex
 import sys
+import traceback
 from collections.abc import Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, EntryPoints, entry_points
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from seft_msgs_py.config.parameter_table import Parameter
@@ -42,6 +46,7 @@ class Registered:
     def make(self, name: str, settings: str, where: str, *known: Any) -> Any:
         """Make a part from known arguments and its own settings.
 
+        A name with a colon is that of a file or module and of what is in it, as ``frame.py:Frame``.
         Settings are ``name=value`` pairs separated by blanks; a value is JSON, or else a text.
         ``where`` is the parameter that names the part, as ``node: parameter``.
 
@@ -50,8 +55,14 @@ class Registered:
         InputError
             If it can't be loaded, or does not take the settings.
         """
-        entry = self._entries[name]
-        factory = _load(entry, where)
+        if ":" not in name and name not in self:
+            registered = ", ".join(self.names) or "none"
+            raise InputError(
+                f"{where} is {name!r}, but must be FILE.py:CLASS, MODULE:CLASS, or what a package "
+                f"has registered: {registered}"
+            )
+        entry = self._entries.get(name) or EntryPoint(name, name, "")
+        factory = _of_file(name, where) if ".py:" in name else _load(entry, where)
         options = _settings(settings, where)
         try:
             inspect.signature(factory).bind(*known, **options)
@@ -78,11 +89,53 @@ def _installed(path: tuple[str, ...]) -> EntryPoints:
     return entry_points()
 
 
+def _of_file(name: str, where: str) -> Any:
+    """Give what a file defines, as ``FILE.py:NAME``; the file is run once in a process."""
+    text, _, part = name.rpartition(":")
+    file = Path(text).resolve()
+    if not file.is_file():
+        raise InputError(f"{where} is {name}, but there is no file {text}")
+    module = _run(file, file.stat().st_mtime_ns, where)
+    if not hasattr(module, part):
+        raise InputError(f"{where} is {name}, but {text} has no {part}")
+    return getattr(module, part)
+
+
+@cache
+def _run(file: Path, version: int, where: str) -> ModuleType:
+    """Import a file by its path."""
+    name = f"seft_file_{file.stem}_{abs(hash((file, version)))}"
+    spec = spec_from_file_location(name, file)
+    assert spec is not None and spec.loader is not None
+    module = module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise InputError(
+            f"{where}: {file.name}{line_in(error, str(file))}: {told(error)}"
+        ) from None
+    return module
+
+
+def told(error: BaseException) -> str:
+    """Say what an exception says; its kind where that is nothing."""
+    return str(error) or type(error).__name__
+
+
+def line_in(error: BaseException, file: str | None) -> str:
+    """Name the last line of a file that an exception has passed, as `` line 7``; empty if none."""
+    passed = [f for f in traceback.extract_tb(error.__traceback__) if f.filename == file]
+    if isinstance(error, SyntaxError) and error.filename == file:
+        return f" line {error.lineno}"
+    return f" line {passed[-1].lineno}" if passed else ""
+
+
 def _load(entry: EntryPoint, where: str) -> Any:
     try:
         return entry.load()
     except Exception as error:
-        package = entry.dist.name if entry.dist is not None else entry.module
+        package = entry.dist.name if entry.dist is not None else entry.value.partition(":")[0]
         raise InputError(
             f"{where} is {entry.name}, but package {package} has no {entry.value} that can be "
             f"loaded: {error}"

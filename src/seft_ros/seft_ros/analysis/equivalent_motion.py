@@ -42,13 +42,15 @@ def assumed_structure(experiment: Experiment, stiffness_factor: float = 1.0) -> 
     -------
     Experiment or None
         One without a rig: its whole structure is linear, with the model's stiffness times the
-        factor. None if the experiment does not describe one.
+        factor. None if the experiment does not describe one, or it has a computed model.
     """
     section = experiment.sections.get("reference_force", {})
     try:
         stiffness = np.multiply(section["model.stiffness"], stiffness_factor).tolist()
         assumed = Experiment({"reference_force": section | {"model.stiffness": stiffness}})
-        whole_structure(assumed)
+        computed = whole_structure(assumed).computed
+        if computed.model is not None or computed.on_axes is not None:
+            return None
     except (InputError, KeyError):
         return None
     return assumed

@@ -31,6 +31,7 @@ from seft_ros.drawing.style import (
     tidy,
 )
 from seft_ros.drawing.tables import DISPLAY_UNITS, RESPONSES, axis_label, percent
+from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
 Floats = npt.NDArray[np.floating[Any]]
 Steps = npt.NDArray[np.int64]
@@ -50,7 +51,8 @@ def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
     axes, estimates = record.experiment.axes[:MOST_AXES], record.estimates
     states, dt = record.series[RIG_STATE.name], record.experiment.timebase.dt
     judged = len(judged_part(record)[0].series[RIG_STATE.name].steps)
-    estimated = estimates.names if estimates else ()
+    names = estimates.names if estimates else ()
+    estimated = [name for name in names if not name.startswith(OF_MODEL)]
     heights = [2.4] * len(RESPONSES) + [1.3] * len(estimated)  # inches
     width = 9.5 if len(axes) == 1 else 5.5 * len(axes)
     figure, panels = _panels(width, heights, len(axes))
@@ -58,7 +60,7 @@ def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
         _, scale = DISPLAY_UNITS.get(name, ("", 1.0))
         for column, panel in enumerate(panels[row]):
             if estimates is not None and row >= len(RESPONSES):
-                values = estimates.values[:, row - len(RESPONSES), column]
+                values = estimates.values[:, names.index(name), column]
                 panel.plot(estimates.steps * dt, values * scale, color=SECOND, lw=1.2)
             else:
                 y = states.values[:, COMPARED[name], column]

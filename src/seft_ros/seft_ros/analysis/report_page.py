@@ -15,6 +15,7 @@ from seft_ros.analysis.report_sections import (
     ground_motion_section,
     history_sections,
     hysteresis_section,
+    model_sections,
     spectra_section,
     tracking_section,
 )
@@ -38,6 +39,7 @@ from seft_ros.drawing.page import (
 )
 from seft_ros.drawing.style import OTHERS, SECOND, TEXT, new_figure
 from seft_ros.drawing.tables import DISPLAY_UNITS, Mark, Number, axis_label, percent, rows_of
+from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
 _BINS = 80
 _WIDE, _LONG = 106, 74  # characters and lines of a printed page
@@ -128,6 +130,7 @@ def _sections(report: Report) -> Iterator[Section]:
         yield spectra_section(report, column, title)
     yield energy_section(report, signals)
     yield Section("Timing", list(_timing(report)))
+    yield from model_sections(record)
     yield Section("Estimates", list(_estimates(record)))
     yield Section("Interlock and events", list(_events(record)))
     yield Section("Parameters", _parameters(record))
@@ -290,6 +293,8 @@ def _estimates(record: Record) -> Iterator[Block]:
     time = estimates.steps * record.experiment.timebase.dt
     looks = list(zip(axes, OTHERS, strict=False)) if len(axes) > 1 else [("", SECOND)]
     for row, name in enumerate(estimates.names):
+        if name.startswith(OF_MODEL):
+            continue
         _, scale = DISPLAY_UNITS.get(name, ("", 1.0))
         panel = plot("time / s", axis_label(name), height=200)
         for column, (axis, color) in enumerate(looks):

@@ -15,6 +15,7 @@ from seft_ros.analysis.report_numbers import Report
 from seft_ros.analysis.summary import COMPARED, strong_part
 from seft_ros.analysis.tracking import Tracked
 from seft_ros.analysis.tracking_metrics import delay_by_frequency, energy_error
+from seft_ros.bags.record import Record
 from seft_ros.drawing.page import (
     Block,
     Plot,
@@ -31,6 +32,7 @@ from seft_ros.drawing.page import (
 )
 from seft_ros.drawing.style import OTHERS, REFERENCE
 from seft_ros.drawing.tables import DISPLAY_UNITS, RESPONSES, Number, axis_label, percent, rows_of
+from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
 Floats = npt.NDArray[np.float64]
 
@@ -237,6 +239,34 @@ def hysteresis_section(report: Report, column: int, title: str) -> Section:
     against(panel, reference, (x[:, column] * 1e3, (f - a @ mass.T)[:, column]), loop=True)
     caption = "Restoring force f - m a: its width is what damping and yielding dissipate."
     return Section(heading, [Plot(panel, caption, wide=True)])
+
+
+def model_sections(record: Record) -> Iterator[Section]:
+    """Give what was recorded of a computed model: its hysteresis, and all that it tells over time.
+
+    None where there was no model.
+    """
+    found, axes = record.estimates, record.experiment.axes
+    names = [name for name in (found.names if found else ()) if name.startswith(OF_MODEL)]
+    if found is None or not names:
+        return
+    time, blocks = found.steps * record.experiment.timebase.dt, []
+    for name in names:
+        values = found.values[:, found.names.index(name)]
+        shared = bool((values == values[:, :1]).all())  # of no axis, or the only one
+        for column, axis in enumerate(axes[:1] if shared else axes):
+            label = name if shared else f"{name}, {axis}"
+            force = name.replace(f"{OF_MODEL}displacement", f"{OF_MODEL}force")
+            if force != name:
+                panel = plot(f"{label} / mm", f"{force} / N", height=380)
+                y = found.values[:, found.names.index(force), column]
+                against(panel, None, (values[:, column] * 1e3, y), loop=True)
+                blocks.append(Plot(panel, "Force of the model over its displacement.", wide=True))
+            elif not name.startswith(f"{OF_MODEL}force"):
+                panel = plot("time / s", label, height=200)
+                against(panel, None, (time, values[:, column]))
+                blocks.append(Plot(panel))
+    yield Section("Computed model", blocks)
 
 
 def spectra_section(report: Report, column: int, title: str) -> Section:

@@ -21,6 +21,7 @@ from seft_ros.drawing.tables import (
     small_percent,
 )
 from seft_ros.ground_motion.column_file import STANDARD_GRAVITY
+from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
 AGREEMENT = (
     Number("peak", "peak"),
@@ -131,8 +132,11 @@ def _notes(summary: dict[str, Any]) -> list[str]:
         for axis, part in by_axis.items():
             first, last, least, largest = (number(part[key], scale) for key in part)
             text = f"{first} to {last} {unit}".rstrip() + f" (between {least} and {largest})"
+            if name.startswith(OF_MODEL):
+                text = f"{least} to {largest}"
             texts.append(f"{axis} {text}" if len(by_axis) > 1 else text)
-        lines.append(f"{name} as identified: {', '.join(texts)}")
+        how = "" if name.startswith(OF_MODEL) else " as identified"
+        lines.append(f"{name}{how}: {', '.join(texts)}")
     return lines
 
 

@@ -167,7 +167,10 @@ def preflight(
     The exact response of the planned test gives the peaks to expect, and limits that fit them.
     Below the tables stands what is amiss, with the commands that mend it.
 
-    Exit status 1: the plan is unstable.
+    Of a computed model, the tangent at rest is part of the loop; its steps are timed along
+    the motion of the planned test.
+
+    Exit status 1: the plan is unstable, or the computed model too slow.
 
     Examples:
 
@@ -179,6 +182,7 @@ def preflight(
 
         seft preflight config/jhu.yaml --params-file identified/model.yaml
     """
+    from seft_ros.design.model_time import model_time
     from seft_ros.design.plan import Plan
     from seft_ros.design.preflight_tables import (
         expected_peaks,
@@ -215,6 +219,8 @@ def preflight(
         peaks = expected_peaks(experiment)
         limits = proposed_limits(peaks)
         summary |= {"expected_peaks": peaks, "proposed_limits": limits}
+        timed = model_time(experiment)
+        summary["model"] = timed and timed.numbers()
         steps = next_steps(plan, found, peaks, once_more(config, param, params_file, external))
         summary["next"] = [asdict(step) for step in steps]
         if write is not None:
@@ -226,10 +232,19 @@ def preflight(
             summary["figure"] = str(path)
     tables = preflight_tables(plan, found, f"preflight of {config}")
     lines = [line for step in steps for line in (f"{step.found}:", *_indented(step.commands))]
+    if timed is not None:
+        lines = [
+            f"computed model: {1e3 * timed.median:.2g} ms for a step, {1e3 * timed.p999:.2g} ms "
+            f"for one of 1000, of {1e3 * timed.budget:.2g} ms",
+            "the loop above has its tangent at rest",
+            *lines,
+        ]
     show(summary, json, [*tables, limits_table(experiment, peaks), "", *lines], "figure")
     for reason in found.reasons:
         complain(f"{found.verdict}: {reason}")
-    return 1 if found.verdict == "unstable" else 0
+    if too_slow := timed.refusal() if timed is not None else "":
+        complain(too_slow)
+    return 1 if found.verdict == "unstable" or too_slow else 0
 
 
 def _indented(commands: list[str]) -> list[str]:

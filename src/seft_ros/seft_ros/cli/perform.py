@@ -103,6 +103,7 @@ def run(
     experiment = _with_measured_delay(experiment)
     steps = _steps(experiment)
     _check_stable(experiment, accept_unstable)
+    _check_model(experiment)
     if warning := limit_warning(experiment, expected_peaks(experiment)):
         warn(warning)
     if check_signs:
@@ -213,6 +214,17 @@ def _check_stable(experiment: Experiment, accept_unstable: bool) -> None:
         f"{reason}{where}; see seft preflight, lower reference_force: mass_ratio, choose another "
         "compensation.method, or run it all the same with --accept-unstable"
     )
+
+
+def _check_model(experiment: Experiment) -> None:
+    """Raise `InputError` for a computed model that is too slow for a test in real time."""
+    from seft_ros.design.model_time import model_time
+
+    if experiment.sections.get("rig", {}).get("pace") == "lockstep":
+        return
+    found = model_time(experiment)
+    if found is not None and (refusal := found.refusal()):
+        raise InputError(refusal)
 
 
 def _check_signs(experiment: Experiment, external: Sequence[str]) -> None:

@@ -137,12 +137,19 @@ class ProtectedForce:
         code = self.state.flags[CAUSE]
         if code == NOTHING:
             return None
+        if failure := getattr(self.reference_force.compensator, "failure", ""):
+            return str(failure)
         if code == ODD_FORCE:
             return self._plausible.describe(self.state.odd_force)
         if code == ODD_STATE:
             return not_finite(self.state.odd_state, self._plausible.axes)
         assert code == INSTABILITY
         return self._watch.describe()
+
+    @property
+    def is_modelled(self) -> bool:
+        """Whether a computed model is part of it."""
+        return self.reference_force.is_modelled
 
     @property
     def ramping(self) -> bool:
@@ -191,6 +198,12 @@ class ProtectedForce:
             return points
         self._settled.append(points)
         return np.concatenate(self._settled)
+
+    def ask_model(self) -> None:
+        """Step a computed model, which is part of no answer but the next."""
+        ask = getattr(self.reference_force.compensator, "ask_model", None)
+        if ask is not None:
+            ask()
 
     def bridge(self, ground_motion: Sequence[Floats | None], state: Floats) -> None:
         """Make good for the states of steps that were lost before this one, in a straight line.

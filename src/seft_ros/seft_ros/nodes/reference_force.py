@@ -211,6 +211,7 @@ class ReferenceForceNode(NodeBody):
             return
         self._waiting.pop(step, None)
         self._publish(self._message(step, motion, state))
+        self._block.ask_model()
         self._order.last = step
         if self._block.ramping:
             if self._ramp_step < 0 and self._block.cause is None:

@@ -11,6 +11,7 @@ from seft_plant_sim.specimen import deformations
 
 from seft_ros.reference_force.compensation_methods import METHODS
 from seft_ros.reference_force.compensator import Compensator, Knowledge, tells_motion
+from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 from seft_ros.reference_force.substructure import with_substructure
 
 
@@ -62,6 +63,11 @@ class ReferenceForce:
         known = knowledge(section, axes, timebase)
         return cls(compensator(section["compensation.method"], known))
 
+    @property
+    def is_modelled(self) -> bool:
+        """Whether a computed model is part of it."""
+        return getattr(self.compensator, "model", None) is not None
+
     def reset(self) -> None:
         """Forget the test so far."""
         self.compensator.reset()
@@ -97,6 +103,13 @@ class ReferenceForce:
 
 def compensator(method: str, known: Knowledge) -> Compensator:
     """Make a compensation method of what is known of a test; InputError if it lacks something."""
+    computed = known.computed
+    for name, given in (("model", computed.model), ("influence of axes", computed.on_axes)):
+        if given is not None and method != TARGET_MOTION:
+            raise InputError(
+                f"reference_force: computed.{name} acts on the motion of a target, which "
+                f"compensation.method {method} does not compute; make that {TARGET_MOTION}"
+            )
     made = METHODS[method](known)
     return made if tells_motion(made) else with_substructure(made, known)
 
@@ -116,6 +129,11 @@ def knowledge(section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
         symmetric_matrix(section[f"model.{name}"], axes, f"{where}.{name}")
         for name in ("damping", "stiffness")
     )
+    if section["method"] == "eft" and section["computed.model"]:
+        raise InputError(
+            "reference_force: computed.model is given, but with method eft nothing is computed; "
+            "make that seft"
+        )
     if section["method"] == "eft":  # the specimen carries all of the mass (Eq. 2.2)
         mass = mass + section["mass_ratio"] * mass
         computed = ComputedSubstructure.none(n)
@@ -146,23 +164,28 @@ def knowledge(section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
 
 
 PERIOD_NS = NANOSECONDS_PER_SECOND // 10
-"""Experiment time between two samples."""
+MODEL_PERIOD_NS = NANOSECONDS_PER_SECOND // 100
+"""Experiment time between two samples, and with a computed model, whose hysteresis they draw."""
 
 
 class Estimating(Protocol):
     """A reference force, protected or not."""
 
+    @property
+    def is_modelled(self) -> bool:
+        """Whether it has a computed model."""
+
     def estimates(self) -> dict[str, Floats]:
         """Estimate of each quantity, shape (n,) each."""
 
 
-def sampling_period(timebase: Timebase) -> int:
+def sampling_period(timebase: Timebase, is_modelled: bool) -> int:
     """Count the steps from one sample to the next."""
-    return max(1, round(PERIOD_NS / timebase.period_ns))
+    return max(1, round((MODEL_PERIOD_NS if is_modelled else PERIOD_NS) / timebase.period_ns))
 
 
 class EstimateSampler:
-    """Samples the estimates of a reference force at step 0 and every `PERIOD_NS` from there.
+    """Samples the estimates of a reference force at step 0 and every `sampling_period` from there.
 
     Where the step that is due was lost, the next one counts. Sampling is left to the caller,
     for whom it must cost nothing to ask at every step: ``if step >= sampler.due``.
@@ -183,7 +206,7 @@ class EstimateSampler:
     def __init__(self, reference_force: Estimating, timebase: Timebase) -> None:
         self.due = 0
         self._estimates = reference_force.estimates
-        self._every = sampling_period(timebase)
+        self._every = sampling_period(timebase, reference_force.is_modelled)
 
     def reset(self) -> None:
         """Begin a new test."""

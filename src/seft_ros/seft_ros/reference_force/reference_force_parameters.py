@@ -23,6 +23,8 @@ OWN = (
     "restoring",
     TARGET_MOTION,
 )
+OF_MODEL = "computed "
+"""Begins the names of what is recorded of a computed model."""
 REGISTERED = Registered("seft.compensation", OWN)
 """Of other packages: name of a method -> `compensator.Method`, which may take settings."""
 
@@ -42,7 +44,16 @@ _TEST = parameter_rows(
         degrees of freedom of the computed substructure beside the axes
     computed.influence | floats | 0.0  |       |           |
         ground acceleration of each of these per that of each axis, one after the other; 0:
-        that of the first axis
+        that of the first axis; with target_motion, those of the axes may stand before: 0
+        where an axis is a deformation on top of an internal degree of freedom
+    computed.model     | string |      |       |           |
+        what else is computed, for target_motion: FILE.py:CLASS, MODULE:CLASS or a name
+        that a package has registered, as opensees (docs/computed_models.md); empty:
+        nothing
+    computed.settings  | string |      |       |           |
+        its settings, as script=frame.py substeps=2
+    computed.every     | int    | 1    |       | 1 .. 50   |
+        samples from one step of the model to the next, where it is slow
     loop_delay         | int    | 0    |       | -1 .. 100 |
         steps from a state to the first use of the force that is computed from it, where a
         link lies between this node and the force controller (docs/hosts.md); 0: none does,

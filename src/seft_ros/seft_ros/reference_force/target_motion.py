@@ -7,6 +7,7 @@ import numpy.typing as npt
 from scipy.linalg import eigh
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.compiled import entry_point
+from seft_plant_sim.computed_model import ModelError
 from seft_plant_sim.lti import first_order_hold
 
 from seft_ros.reference_force.compensator import Knowledge
@@ -19,6 +20,7 @@ from seft_ros.reference_force.force_command import (
     command_step,
 )
 from seft_ros.reference_force.linear_filter import LinearFilter
+from seft_ros.reference_force.model_line import ModelLine
 from seft_ros.reference_force.motion_observer import observer_gains, sensor_noise
 from seft_ros.reference_force.restoring_model import model_arrays
 from seft_ros.reference_force.target_step import (
@@ -54,13 +56,17 @@ class TargetMotion:
         Of a rig that is driven by forces, see `command_step`.
     pace : float
         See `target_step`.
+    model : ModelLine or None
+        Of the computed model.
+    failure : str
+        Why that can't go on; empty while it can.
     """
 
     def __init__(self, known: Knowledge) -> None:
         self.preview = known.loop_delay + math.ceil(
             known.options["compensation.horizon"] / known.dt - 1e-9
         )
-        self.parameters, self.state = target_arrays(known)
+        self.parameters, self.state, self.model = target_arrays(known)
         n = known.axes
         self._points = np.zeros((1 + self.preview, 3, n))
         self.command: tuple[CommandParameters, CommandState] | None = None
@@ -81,13 +87,21 @@ class TargetMotion:
 
     def reset(self) -> None:
         """Begin a new test."""
-        self.pace = 1.0
+        self.pace, self.failure = 1.0, ""
+        self._is_asked = True
+        self._recorded: dict[str, Floats] = {}
+        if self.model is not None:
+            self.model.reset()
         self._begin(self.parameters, self.state)
         if self.command is not None:
             self._begin_command(self.command[1])
 
     def step(self, ground_motion: Floats, state: Floats) -> Floats:
-        """Bring the target up to a sample, see `target_step`; (1 + preview, 3, n)."""
+        """Bring the target up to a sample, see `target_step`; (1 + preview, 3, n).
+
+        All points are NaN once a computed model has failed.
+        """
+        self.ask_model()
         self._ground[:] = ground_motion
         self._measured[:] = state
         self._step(
@@ -95,7 +109,31 @@ class TargetMotion:
         )
         if self.command is not None:
             self._command_step(*self.command, self.parameters, self.state, self._points)
+        self._is_asked = False
+        if self.failure:
+            self._points[:] = np.nan
         return self._points.copy()
+
+    def ask_model(self) -> None:
+        """Step the computed model at the last sample, if there is one and it was not stepped yet.
+
+        It is done before the next sample at the latest; earlier where there is time.
+        """
+        model, state = self.model, self.state
+        if model is None or self._is_asked or self.failure:
+            return
+        self._is_asked = True
+        if not np.isfinite(self._points).all():
+            return
+        size = len(self.parameters.dofs)
+        before = model.values.copy()
+        try:
+            model.step(state.target[: 2 * size], self._ground[0])
+        except ModelError as error:
+            self.failure = model.failure_of(error)
+            return
+        state.constant[1] += model.values[:, -2] - before[:, -2]
+        state.by_state[1] += model.values[:, :-2] - before[:, :-2]
 
     def linear(self) -> LinearFilter:
         """Say that there is none."""
@@ -105,14 +143,27 @@ class TargetMotion:
         )
 
     def estimates(self) -> dict[str, Floats]:
-        """Stiffness, damping and sliders' force of each spring, as found on line."""
+        """Stiffness, damping and sliders' force of each spring, as found on line.
+
+        And the motion, force and responses of a computed model.
+        """
         found = np.empty((len(ESTIMATES), len(self.parameters.mass)))
         self._estimate(self.parameters, self.state, found)
-        return dict(zip(ESTIMATES, found, strict=True))
+        estimates: dict[str, Floats] = dict(zip(ESTIMATES, found, strict=True))
+        if self.model is None:
+            return estimates
+        self.ask_model()
+        try:
+            self._recorded = self.model.recorded(found.shape[1])
+        except ModelError as error:
+            self.failure = self.failure or self.model.failure_of(error)
+        return estimates | self._recorded
 
 
-def target_arrays(known: Knowledge) -> tuple[TargetParameters, TargetState]:
-    """Put a target into arrays, at what is known of a test."""
+def target_arrays(
+    known: Knowledge,
+) -> tuple[TargetParameters, TargetState, ModelLine | None]:
+    """Put a target into arrays, at what is known of a test; and follow a computed model."""
     n, computed, dt = known.axes, known.computed, known.dt
     size = n + computed.internal
     names = tuple(f"axis {index + 1}" for index in range(n))
@@ -142,12 +193,15 @@ def target_arrays(known: Knowledge) -> tuple[TargetParameters, TargetState]:
         )
     )
     inverse = np.linalg.inv(mass)
+    line = None
+    if computed.model is not None:
+        line = ModelLine(computed, inverse, dt)
     a, b = np.zeros((2 * size, 2 * size)), np.zeros((2 * size, size))
     a[:size, size:], b[size:] = np.eye(size), np.eye(size)
     a[size:, :size], a[size:, size:] = -inverse @ stiffness, -inverse @ damping
     substeps = max(1, math.ceil(dt / LONGEST_SUBSTEP - 1e-9))
     free, start, change = first_order_hold(a, b, dt / substeps)
-    influence = np.vstack([np.eye(n), computed.influence])
+    influence = computed.by_axis
     by_spring = np.ascontiguousarray(inverse[:, :n] @ deformation.T)
     frequency = np.sqrt(np.abs(np.diag(deformation @ by_spring[:n]) * np.diag(own_stiffness)))
     own = own_mass, own_damping, own_stiffness
@@ -196,6 +250,7 @@ def target_arrays(known: Knowledge) -> tuple[TargetParameters, TargetState]:
         by_motion=np.zeros((n, 2 * n)),
         by_state=np.zeros((2, size, 2 * size)),
         constant=np.zeros((2, size)),
+        line=np.zeros((0, 2 * size + 2)) if line is None else line.values,
         rise=rise,
         mending=mending,
         substep=np.zeros_like(steady),
@@ -207,7 +262,7 @@ def target_arrays(known: Knowledge) -> tuple[TargetParameters, TargetState]:
         dofs=np.zeros((3, 2 * size)),
         springs=np.zeros((7, n)),
     )
-    return parameters, state
+    return parameters, state, line
 
 
 def spring_deformations(known: Knowledge) -> Floats:

@@ -110,6 +110,9 @@ class TargetState(NamedTuple):
     by_state, constant : ndarray
         The push of the model at the last sample and at this one: accelerations by the states, and
         without them; shapes (2, N, 2N) and (2, N).
+    line : ndarray
+        The push of a computed model from the last sample on, see `ModelLine.values`; shape
+        (N, 2N + 2), or (0, 2N + 2) without one.
     rise, mending : ndarray
         Change of the push in a substep by z of `predict`, and what it adds to the result,
         transposed; shapes (N, s) and (N, 3N + n).
@@ -132,6 +135,7 @@ class TargetState(NamedTuple):
     by_motion: Floats
     by_state: Floats
     constant: Floats
+    line: Floats
     rise: Floats
     mending: Floats
     substep: Floats
@@ -263,6 +267,10 @@ def take_model(p: TargetParameters, state: TargetState, pace: float) -> None:
             for k in range(n):
                 by_state[i, k] -= factor * by_motion[j, k]
                 by_state[i, half + k] -= factor * by_motion[j, n + k]
+    for i in range(len(state.line)):
+        constant[i] += state.line[i, 2 * half]
+        for k in range(2 * half):
+            by_state[i, k] += state.line[i, k]
 
 
 @compiled
@@ -327,6 +335,8 @@ def advance(
                 new[i] = old[i] + part * (new[i] - old[i])
                 for j in range(n):  # what was not seen in time of the restoring force
                     new[i] -= p.by_spring[i, j] * model.sums[j, 3]
+            for i in range(len(state.line)):
+                new[i] += part * p.dt * state.line[i, 2 * half + 1]
             if side:  # mends the state by how much the push has changed
                 for i in range(2 * half):
                     for k in range(half):
@@ -409,6 +419,8 @@ def predict(
             stops[j, i] = state.stops[j, i]
     slider_forces(p.model, state.model.values, stops, sliders)
     push(p, state, 1, z, sliders, ground, z[2 * half :])
+    for i in range(len(state.line)):
+        z[2 * half + i] += p.dt * state.line[i, 2 * half + 1]
     times(n, size, p.deforming, z, change)
     for point in range(len(points)):
         for i in range(n):
@@ -425,6 +437,10 @@ def predict(
             move_stops(p.model, change, stops)
             slider_forces(p.model, state.model.values, stops, sliders)
             multiply_sized(columns, size + n, state.substep, z, new)
+            for i in range(len(state.line)):
+                rise = (1.0 + point + part) * p.dt * state.line[i, 2 * half + 1]
+                for k in range(size + n):
+                    new[k] += rise * state.mending[i, k]
             for i in range(size):
                 z[i] = new[i]
 

@@ -73,6 +73,8 @@ def obstacle(blocks: Blocks) -> str:
         return "the compensation changes while the test runs"
     if isinstance(method, TargetMotion) and method.command is not None:
         return "the target's force is sent ahead"
+    if isinstance(method, TargetMotion) and method.model is not None:
+        return "a computed model"
     if "step" in vars(method):
         return "the compensation has a step of its own"
     controller = type(blocks.force_controller.controller)

@@ -64,7 +64,7 @@ def simulate(
     (total, axes), quantities = motion.shape, force.reference_force.shape[1]
     force.reset()
     blocks.force_controller.reset()
-    estimated, period = force.estimates(), sampling_period(experiment.timebase)
+    estimated, period = force.estimates(), sampling_period(experiment.timebase, force.is_modelled)
     samples = LoopSamples(
         np.empty((total, 4, axes)),
         np.empty((total, quantities, axes)),

@@ -1,0 +1,354 @@
+"""A computed substructure's part that is any program: a user's class, stepped once per sample."""
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from seft_msgs_py.config.arrays import Floats
+from seft_msgs_py.config.registered import Registered, line_in, told
+from seft_msgs_py.errors import InputError
+
+WHERE = "reference_force: computed.model"
+MODELS = Registered("seft.computed_model", ())
+"""Of other packages: name of a model -> its class, which may take settings."""
+SMALL_DISPLACEMENT, SMALL_VELOCITY = 1e-4, 1e-2
+"""m and m/s, at which the tangent of a model is found that does not tell its own."""
+PROBE_PERIOD = 1e-3  # s
+SAME_FORCE = 1e-9  # relative
+
+
+class Model(Protocol):
+    """What is asked of a computed model; see docs/computed_models.md.
+
+    Beside ``start`` and ``step`` it may have
+
+    - ``stiffness``, ``damping``: its tangents now, N/m and N s/m, shape (m, m) or one number;
+      without them those for a small motion from rest are used,
+    - ``commit()``, called after each step,
+    - ``responses()``, more of what it is recorded with: name -> number,
+    - ``ask(t, displacement, velocity, ground_acceleration)`` and ``answer()``, which take the place
+      of ``step`` where the model computes elsewhere meanwhile (`computed.every` above 1),
+    - ``close()``.
+
+    Attributes
+    ----------
+    axes : int or sequence of str
+        m, the number of the degrees of freedom it acts on: those of the test's axes, then the
+        internal ones; or their names, as the axes' and ``internal 1``.
+    """
+
+    axes: int | Sequence[str]
+
+    def start(self, dt: float, axes: Sequence[str]) -> None:
+        """Begin a test from rest, forgetting any before it.
+
+        ``dt`` is the time between two steps, s, ``axes`` are the names, m of them.
+        """
+
+    def step(
+        self, t: float, displacement: Floats, velocity: Floats, ground_acceleration: Floats
+    ) -> Floats:
+        """Go to the time t, s; give the force that holds it there, shape (m,), N.
+
+        The motion, m and m/s, is relative to the ground, whose acceleration is in m/s^2. The force
+        of a spring is its stiffness times the displacement. Masses on the axes belong to
+        ``computed.mass``.
+        """
+
+
+class ModelError(InputError):
+    """A computed model can't be used, or has failed."""
+
+
+@dataclass(frozen=True)
+class ModelSource:
+    """Makes a model of its parameters.
+
+    Attributes
+    ----------
+    name, settings : str
+        ``computed.model`` and ``computed.settings``.
+    dofs : tuple of str
+        Names of all N degrees of freedom: the axes, then the internal ones.
+    influence : ndarray
+        Ground acceleration of each per that of each axis, shape (N, n).
+    every : int
+        Samples from one of its steps to the next.
+    change : ndarray
+        Their displacements per coordinate of the substructure, shape (N, N).
+    """
+
+    name: str
+    settings: str
+    dofs: tuple[str, ...]
+    influence: Floats
+    every: int
+    change: Floats
+
+    def make(self) -> "ComputedModel":
+        """Make a model of its own, which must be started; ModelError if that is not possible."""
+        return ComputedModel(self)
+
+    @cached_property
+    def tangents(self) -> tuple[Floats, Floats]:
+        """Stiffness and damping at rest in these coordinates, each of shape (N, N)."""
+        found = self._probed
+        rows = self.change[list(found.places)]
+        stiffness, damping = (rows.T @ matrix @ rows for matrix in (found.stiffness, found.damping))
+        return stiffness, damping
+
+    @property
+    def own_tangents(self) -> tuple[Floats, Floats]:
+        """Stiffness and damping at rest of the model's own axes, each of shape (m, m)."""
+        return self._probed.stiffness, self._probed.damping
+
+    @property
+    def is_apart(self) -> bool:
+        """Whether the model computes while the loop goes on."""
+        return self._probed.is_apart
+
+    @property
+    def is_static(self) -> bool:
+        """Whether the force depends on the path alone, but for linear dampers."""
+        return self._probed.is_static
+
+    @property
+    def _probed(self) -> "Probed":
+        return _probe(self.name, self.settings, self.dofs, self.influence.shape[1])
+
+    def changed(self, change: Floats) -> "ModelSource":
+        """Give the source for other coordinates, shape (N, N)."""
+        return replace(self, change=self.change @ change)
+
+
+class ComputedModel:
+    """A model under way, in the coordinates of its source; all that it gives is checked.
+
+    Each method raises a `ModelError` that names the model's file and line where it fails.
+
+    Attributes
+    ----------
+    places : tuple of int
+        The degrees of freedom that it acts on.
+    rows : ndarray
+        Their displacements per coordinate, shape (m, N).
+    is_apart : bool
+        Whether it has ``ask`` and ``answer``.
+    """
+
+    def __init__(self, source: ModelSource) -> None:
+        self._source = source
+        self._own: Any = None
+        own = self._own = self._call("made", MODELS.make, source.name, source.settings, WHERE)
+        self.is_apart = hasattr(own, "ask") and hasattr(own, "answer")
+        for name, takes in (
+            ("start", "dt, axes"),
+            ("step", "t, displacement, velocity, ground_acceleration"),
+        ):
+            if not callable(getattr(own, name, None)):
+                raise ModelError(f"{WHERE}: {source.name} has no {name}({takes})")
+        self.places = self._places(getattr(own, "axes", None))
+        self.rows = source.change[list(self.places)]
+        self._names = tuple(source.dofs[place] for place in self.places)
+
+    def _places(self, axes: Any) -> tuple[int, ...]:
+        """Find the degrees of freedom that a model acts on."""
+        name, dofs = self._source.name, self._source.dofs
+        if isinstance(axes, int):
+            if axes not in (len(self._source.influence.T), len(dofs)):
+                raise ModelError(
+                    f"{WHERE}: {name} has {axes} axes, but the test has "
+                    f"{len(self._source.influence.T)}: {', '.join(dofs)}"
+                )
+            return tuple(range(axes))
+        if isinstance(axes, str) or not isinstance(axes, Sequence) or not axes:
+            raise ModelError(
+                f"{WHERE}: {name} has no axes: give their number, or their names among "
+                f"{', '.join(dofs)}"
+            )
+        for axis in axes:
+            if axis not in dofs or list(axes).count(axis) > 1:
+                raise ModelError(
+                    f"{WHERE}: axes of {name} are {list(axes)}, but must be different ones of "
+                    f"{', '.join(dofs)}"
+                )
+        return tuple(dofs.index(axis) for axis in axes)
+
+    def start(self, dt: float) -> None:
+        """Begin a test, with steps of ``dt`` s."""
+        self._call("start", self._own.start, dt, self._names)
+
+    def step(self, t: float, displacement: Floats, velocity: Floats, ground: Floats) -> Floats:
+        """Go to the time t; give the force in the coordinates, shape (N,).
+
+        ``displacement`` and ``velocity`` are those of the coordinates, ``ground`` is the ground
+        acceleration of the degrees of freedom; shape (N,) each.
+        """
+        motion = self._motion(displacement, velocity, ground)
+        return self._taken("step", self._call("step", self._own.step, t, *motion))
+
+    def ask(self, t: float, displacement: Floats, velocity: Floats, ground: Floats) -> None:
+        """Begin a step of a model that `is_apart`."""
+        motion = self._motion(displacement, velocity, ground)
+        self._call("ask", self._own.ask, t, *motion)
+
+    def answer(self) -> Floats:
+        """Wait for its end; the result is as of `step`."""
+        return self._taken("answer", self._call("answer", self._own.answer))
+
+    def tangents(self) -> tuple[Floats | None, Floats | None]:
+        """Give stiffness and damping now, shape (N, N), where the model tells them."""
+        own = [self._own_tangent(name) for name in ("stiffness", "damping")]
+        stiffness, damping = (
+            None if found is None else self.rows.T @ found @ self.rows for found in own
+        )
+        return stiffness, damping
+
+    def responses(self) -> dict[str, float]:
+        """Give what the model is recorded with beside its force."""
+        if not hasattr(self._own, "responses"):
+            return {}
+        found = self._call("responses", self._own.responses)
+        return {str(name): float(value) for name, value in found.items()}
+
+    def close(self) -> None:
+        """End what the model has begun elsewhere."""
+        if hasattr(self._own, "close"):
+            self._own.close()
+
+    def probe(self) -> "Probed":
+        """Look at small motions from rest; the model must be started again."""
+        size = len(self.places)
+        rest = np.zeros(size)
+
+        def forces(displacement: Floats, velocity: Floats) -> Floats:
+            """Give those at rest, and then in two steps there, shape (3, m)."""
+            self.start(PROBE_PERIOD)
+            motions = ((rest, rest), (displacement, velocity), (displacement, velocity))
+            steps = [
+                self._call(
+                    "step", self._own.step, k * PROBE_PERIOD, x.copy(), v.copy(), rest.copy()
+                )
+                for k, (x, v) in enumerate(motions)
+            ]
+            return np.array([self._checked("step", force) for force in steps])
+
+        still = forces(rest, rest)
+        columns = np.zeros((2, size, size))
+        is_static = _equal(still, still[:1])
+        for j, unit in enumerate(np.eye(size)):
+            moved = forces(SMALL_DISPLACEMENT * unit, rest)
+            fast = forces(rest, SMALL_VELOCITY * unit)
+            columns[0, :, j] = (moved[1] - still[1]) / SMALL_DISPLACEMENT
+            columns[1, :, j] = (fast[1] - still[1]) / SMALL_VELOCITY
+            faster = forces(rest, 2.0 * SMALL_VELOCITY * unit) - still
+            is_static &= _equal(moved[2], moved[1]) and _equal(fast[2], fast[1])
+            is_static &= _equal(faster, 2.0 * (fast - still))
+        self.start(PROBE_PERIOD)
+        for matrix, name in zip(columns, ("stiffness", "damping"), strict=True):
+            told = self._own_tangent(name)
+            matrix[:] = 0.5 * (matrix + matrix.T) if told is None else told
+        return Probed(self.places, columns[0], columns[1], is_static, self.is_apart)
+
+    def _motion(
+        self, displacement: Floats, velocity: Floats, ground: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        return self.rows @ displacement, self.rows @ velocity, ground[list(self.places)]
+
+    def _taken(self, what: str, force: Any) -> Floats:
+        if hasattr(self._own, "commit"):
+            self._call("commit", self._own.commit)
+        return self.rows.T @ self._checked(what, force)
+
+    def _checked(self, what: str, force: Any) -> Floats:
+        size = len(self.places)
+        try:
+            found = np.array(force, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise self._error(what, "gives no numbers, but must give the force in N") from None
+        if found.shape != (size,):
+            raise self._error(
+                what,
+                f"gives a force of the shape {found.shape}, but must give {(size,)}: one value in "
+                "N for each axis",
+            )
+        if not np.isfinite(found).all():
+            raise self._error(what, f"gives a force that is not finite: {found.tolist()} N")
+        return found
+
+    def _own_tangent(self, name: str) -> Floats | None:
+        """Stiffness or damping as the model tells it, shape (m, m)."""
+        if not hasattr(type(self._own), name) and name not in getattr(self._own, "__dict__", {}):
+            return None
+        size, value = len(self.places), self._call(name, getattr, self._own, name)
+        if value is None:
+            return None
+        matrix = np.asarray(value, dtype=np.float64)
+        if matrix.shape in ((), (1,)):
+            matrix = matrix * np.eye(size)
+        if matrix.shape != (size, size) or not np.isfinite(matrix).all():
+            raise self._error(
+                name, f"is {np.asarray(value).tolist()}, but must be finite, of shape {size, size}"
+            )
+        return matrix
+
+    def _call(self, what: str, function: Callable[..., Any], *arguments: Any) -> Any:
+        try:
+            return function(*arguments)
+        except InputError as error:  # says all itself
+            raise ModelError(str(error)) from error
+        except Exception as error:
+            name = self._source.name
+            file = name.rpartition(":")[0]
+            module = sys.modules.get(file if self._own is None else type(self._own).__module__)
+            line = line_in(error, module.__file__ if module else str(Path(file).resolve()))
+            raise ModelError(f"{WHERE}: {name}{line}, {what}: {told(error)}") from error
+
+    def _error(self, what: str, text: str) -> ModelError:
+        method = getattr(type(self._own), what, None)
+        code = getattr(method, "__code__", None)
+        line = f" line {code.co_firstlineno}" if code is not None else ""
+        return ModelError(f"{WHERE}: {self._source.name}{line}: {what} {text}")
+
+
+@dataclass(frozen=True)
+class Probed:
+    """What small motions from rest tell of a model that acts on m degrees of freedom.
+
+    Attributes
+    ----------
+    places : tuple of int
+        Which these are.
+    stiffness, damping : ndarray
+        Shape (m, m), N/m and N s/m.
+    is_static : bool
+        Whether its force depends on displacements alone, but for linear dampers.
+    is_apart : bool
+        Whether it has ``ask`` and ``answer``.
+    """
+
+    places: tuple[int, ...]
+    stiffness: Floats
+    damping: Floats
+    is_static: bool
+    is_apart: bool
+
+
+def _equal(one: Floats, other: Floats) -> bool:
+    """Say whether forces are equal, but for rounding."""
+    return bool(np.abs(one - other).max() <= SAME_FORCE * max(np.abs(other).max(), 1e-300))
+
+
+@lru_cache(maxsize=64)
+def _probe(name: str, settings: str, dofs: tuple[str, ...], axes: int) -> Probed:
+    """Probe a model of its own."""
+    unit = np.eye(len(dofs))
+    model = ModelSource(name, settings, dofs, unit[:, :axes], 1, unit).make()
+    try:
+        return model.probe()
+    finally:
+        model.close()

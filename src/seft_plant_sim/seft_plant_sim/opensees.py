@@ -1,0 +1,328 @@
+"""An OpenSeesPy script as a computed model, in a process of its own: OpenSees's state is global.
+
+The script makes nodes, materials and elements as ever, and says with `interface` where the test's
+axes take hold of it. Their displacements are imposed there, the other masses are shaken by the
+ground motion, and the reactions are the model's force. docs/computed_models.md shows how.
+"""
+
+import itertools
+import json
+import os
+import struct
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from multiprocessing.connection import Connection, Pipe
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+from seft_msgs_py.config.arrays import Floats
+from seft_msgs_py.config.registered import line_in, told
+from seft_msgs_py.errors import InputError
+
+START_TIME = 60.0  # s, for the worker to import OpenSees and run the script
+STEP_TIME = 5.0  # s, after which a step hangs
+_MANY = 900_000  # tags of what is added to the script's model
+_OK, _FAILED = b"+", b"-"
+Place = tuple[int, int]
+_runs_script = False
+
+
+class _InterfaceReached(BaseException):
+    """Ends a script at its line `interface`."""
+
+
+def interface(
+    *axes: Place | Sequence[Place],
+    names: Sequence[str] | None = None,
+    responses: Mapping[str, Callable[[], float]] | None = None,
+) -> None:
+    """Say in a script where the axes of the test take hold of the model.
+
+    In a test the script ends here, and what stands below is not run: earthquake and analysis are
+    the test's. Anywhere else it does nothing.
+
+    Parameters
+    ----------
+    *axes : (int, int) or sequence of (int, int)
+        Node and direction of each axis, or several that move together. If fixed, it is released. It
+        has no mass: what is there belongs to ``reference_force: computed.mass``.
+    names : sequence of str, optional
+        The degrees of freedom that these are, see `seft_plant_sim.computed_model.Model`; default:
+        those of the test in order.
+    responses : mapping, optional
+        What else to record: name -> function that gives a number.
+    """
+    if not _runs_script:
+        return
+    places = [[axis] if isinstance(axis[0], int) else list(axis) for axis in axes]
+    raise _InterfaceReached(places, names, dict(responses or {}))
+
+
+class OpenSees:
+    """The computed model ``opensees``, see `seft_plant_sim.computed_model.Model`.
+
+    Parameters
+    ----------
+    script : str
+        Path of the script.
+    substeps : int
+        Steps of the analysis from one sample to the next.
+    tolerance : float
+        Of the norm of the last displacements' increment, m.
+    """
+
+    def __init__(self, script: str, substeps: int = 1, tolerance: float = 1e-9) -> None:
+        if not Path(script).is_file():
+            raise InputError(
+                f"reference_force: computed.settings: there is no script {script}; give its path"
+            )
+        self._script, self._substeps = script, substeps
+        own, other = Pipe()
+        self._own: Connection = own
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115  # as long as the worker
+        words = (
+            "from seft_plant_sim.opensees import serve; "
+            f"serve({other.fileno()}, {script!r}, {int(substeps)}, {float(tolerance)!r})"
+        )
+        self._worker = subprocess.Popen(
+            [sys.executable, "-c", words],
+            stdin=subprocess.DEVNULL,
+            stdout=self._errors,
+            stderr=self._errors,
+            pass_fds=(other.fileno(),),
+            env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+        )
+        other.close()
+        self._is_new = False
+        found = json.loads(self._ask(b"s" + struct.pack("d", 1e-3), START_TIME))
+        self.axes: int | list[str] = found["axes"]
+        self._is_new = True
+
+    def start(self, dt: float, axes: Sequence[str]) -> None:
+        """Build the model anew."""
+        del axes
+        self._ask(b"s" + struct.pack("d", dt), START_TIME)
+
+    def step(
+        self, t: float, displacement: Floats, velocity: Floats, ground_acceleration: Floats
+    ) -> Floats:
+        """Go to the time t; see `seft_plant_sim.computed_model.Model`."""
+        self.ask(t, displacement, velocity, ground_acceleration)
+        return self.answer()
+
+    def ask(
+        self, t: float, displacement: Floats, velocity: Floats, ground_acceleration: Floats
+    ) -> None:
+        """Begin a step."""
+        numbers = np.concatenate([[t], displacement, velocity, ground_acceleration])
+        self._send(b"t" + numbers.tobytes())
+
+    def answer(self) -> Floats:
+        """Wait for its end; give the reactions, N."""
+        return np.frombuffer(self._receive(STEP_TIME))
+
+    def responses(self) -> dict[str, float]:
+        """Give what the script wants to be recorded."""
+        found: dict[str, float] = json.loads(self._ask(b"r", STEP_TIME))
+        return found
+
+    def close(self) -> None:
+        """End the worker."""
+        self._own.close()
+        self._worker.wait()
+        self._errors.close()
+
+    def __del__(self) -> None:
+        """End the worker, which the last test has left."""
+        if hasattr(self, "_worker") and not self._own.closed:
+            self.close()
+
+    def _ask(self, request: bytes, patience: float) -> bytes:
+        self._send(request)
+        return self._receive(patience)
+
+    def _send(self, request: bytes) -> None:
+        try:
+            self._own.send_bytes(request)
+        except OSError:
+            self._fail(": the process of OpenSees has ended")
+
+    def _receive(self, patience: float) -> bytes:
+        try:
+            if not self._own.poll(patience):
+                self._fail(f": OpenSees did not answer within {patience:g} s")
+            reply = self._own.recv_bytes()
+        except EOFError:
+            self._fail(": the process of OpenSees has ended")
+        if reply[:1] == _FAILED:
+            self._fail(reply[1:].decode())
+        return reply[1:]
+
+    def _fail(self, why: str) -> NoReturn:
+        """Raise an error with the last that OpenSees has written."""
+        self._errors.seek(0)
+        lines = self._errors.read().decode(errors="replace").splitlines()
+        last = [line.strip() for line in lines if line.strip()][-1:]
+        said = f" (OpenSees: {last[0]})" if last else ""
+        raise InputError(f"reference_force: computed.model: {self._script}{why}{said}")
+
+
+def serve(descriptor: int, script: str, substeps: int, tolerance: float) -> None:
+    """Serve an `OpenSees` until it is gone: what runs in the worker."""
+    global _runs_script
+    _runs_script = True
+    connection = Connection(descriptor)
+    try:
+        import openseespy.opensees as ops
+    except Exception as error:
+        connection.send_bytes(
+            _FAILED
+            + f": OpenSeesPy can't be imported ({told(error)}): pip install 'seft_plant_sim"
+            "[opensees]'".encode()
+        )
+        return
+    worker = _Worker(ops, script, substeps, tolerance)
+    while True:
+        try:
+            request = connection.recv_bytes()
+        except (EOFError, OSError):
+            os._exit(0)  # OpenSees prints when it ends in order
+        try:
+            reply = _OK + worker.answer(request)
+        except Exception as error:
+            sys.stderr.flush()
+            reply = _FAILED + f"{line_in(error, script)}: {told(error)}".encode()
+        connection.send_bytes(reply)
+
+
+class _Worker:
+    """Runs the script and the analysis."""
+
+    def __init__(self, ops: Any, script: str, substeps: int, tolerance: float) -> None:
+        self._ops, self._script = ops, script
+        self._substeps, self._tolerance = substeps, tolerance
+        sys.path.insert(0, str(Path(script).parent))
+
+    def answer(self, request: bytes) -> bytes:
+        """Do what is asked for."""
+        if request[:1] == b"s":
+            (self._dt,) = struct.unpack("d", request[1:])
+            return self._start()
+        if request[:1] == b"r":
+            return json.dumps(
+                {name: float(get()) for name, get in self._responses.items()}
+            ).encode()
+        t, *motion = np.frombuffer(request[1:]).tolist()
+        count = len(motion) // 3
+        return self._step(t, motion[:count], motion[count : 2 * count], motion[2 * count :])
+
+    def _start(self) -> bytes:
+        ops = self._ops
+        ops.wipe()
+        code = compile(Path(self._script).read_text(encoding="utf-8"), self._script, "exec")
+        try:
+            exec(code, {"__name__": "__main__", "__file__": self._script})
+        except _InterfaceReached as reached:
+            self._axes, names, self._responses = reached.args
+        else:
+            raise ValueError(
+                "the script has no line interface(...), which says where the axes take hold"
+            )
+        for node, direction in itertools.chain.from_iterable(self._axes):
+            if mass := ops.nodeMass(node, direction):
+                raise ValueError(
+                    f"node {node} has a mass of {mass:g} kg in direction {direction}, where the "
+                    "interface is: leave it out, and add it to reference_force: computed.mass"
+                )
+            if direction in ops.getFixedDOFs(node):
+                ops.remove("sp", node, direction)
+        if not any(map(self._free, ops.getNodeTags())):  # nothing to solve for: add what floats
+            size = len(ops.nodeDisp(self._axes[0][0][0]))
+            ops.node(_MANY, *[0.0] * len(ops.nodeCoord(self._axes[0][0][0])))
+            ops.mass(_MANY, *[1.0] * size)
+        ops.loadConst("-time", 0.0)
+        ops.wipeAnalysis()
+        ops.constraints("Transformation")
+        ops.numberer("RCM")
+        ops.system("BandGeneral")
+        ops.test("NormDispIncr", self._tolerance, 25)
+        ops.algorithm("Newton")
+        ops.integrator("Newmark", 0.5, 0.25)
+        ops.analysis("Transient")
+        ops.timeSeries("Constant", _MANY)
+        self._directions = sorted({axis[0][1] for axis in self._axes})
+        self._shaken = False
+        self._origin = [[ops.nodeDisp(*place) for place in axis] for axis in self._axes]
+        self._last = [0.0] * (3 * len(self._axes))
+        self._standing = np.zeros(len(self._axes))
+        self._standing = self._reactions()
+        return json.dumps({"axes": list(names) if names else len(self._axes)}).encode()
+
+    def _free(self, node: int) -> set[int]:
+        """Give the directions in which the analysis moves a node."""
+        held = {direction for axis in self._axes for at, direction in axis if at == node}
+        directions = range(1, len(self._ops.nodeDisp(node)) + 1)
+        return set(directions) - held - set(self._ops.getFixedDOFs(node))
+
+    def _step(self, t: float, x: list[float], v: list[float], ground: list[float]) -> bytes:
+        now = [*x, *v, *ground]
+        if t > 0.0:
+            for step in range(1, self._substeps + 1):
+                part = step / self._substeps
+                between = [a + part * (b - a) for a, b in zip(self._last, now, strict=True)]
+                self._impose(between)
+                self._analyse(t)
+        self._last = now
+        return self._reactions().tobytes()
+
+    def _impose(self, motion: list[float]) -> None:
+        """Make the loads of the end of a step."""
+        ops, m = self._ops, len(self._axes)
+        if self._shaken:
+            ops.remove("loadPattern", _MANY)
+            for direction in self._directions:
+                ops.remove("loadPattern", _MANY + direction)
+                ops.remove("timeSeries", _MANY + direction)
+        self._shaken = True
+        for direction in self._directions:
+            found = {motion[2 * m + i] for i in range(m) if self._axes[i][0][1] == direction}
+            if len(found) > 1:
+                raise ValueError(
+                    f"axes in direction {direction} have different ground motions; the ground of "
+                    "a script moves as one"
+                )
+            ops.timeSeries("Constant", _MANY + direction, "-factor", found.pop())
+            series = "-accel", _MANY + direction
+            ops.pattern("UniformExcitation", _MANY + direction, direction, *series)
+        ops.pattern("Plain", _MANY, _MANY)
+        for i, (axis, origins) in enumerate(zip(self._axes, self._origin, strict=True)):
+            for place, origin in zip(axis, origins, strict=True):
+                ops.setNodeVel(*place, motion[m + i], "-commit")
+                ops.sp(*place, origin + motion[i])
+
+    def _analyse(self, t: float) -> None:
+        """Take a step; where Newton's method does not converge, in another way."""
+        ops, dt = self._ops, self._dt / self._substeps
+        if ops.analyze(1, dt) == 0:
+            return
+        for algorithm in (("KrylovNewton",), ("NewtonLineSearch",), ("ModifiedNewton", "-initial")):
+            ops.algorithm(*algorithm)
+            found = ops.analyze(1, dt)
+            ops.algorithm("Newton")
+            if found == 0:
+                return
+        raise ValueError(
+            f"the analysis does not converge at {t:g} s: give more substeps, or a larger "
+            "tolerance, as computed.settings: substeps=4"
+        )
+
+    def _reactions(self) -> Floats:
+        """Find the forces that hold the interface: of elements and damping, without inertia."""
+        ops, total = self._ops, -self._standing
+        for kind in ((), ("-rayleigh",)):
+            ops.reactions(*kind)
+            total = total + [sum(ops.nodeReaction(*at) for at in axis) for axis in self._axes]
+        return total

@@ -1,0 +1,239 @@
+"""A computed model: what it must be, what it is told when it is not, and the whole structure."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import InputError
+from seft_plant_sim.computed_substructure import ComputedSubstructure
+from seft_plant_sim.whole_structure import reference_response
+
+M, C, K = 50.0, 600.0, 2.0e5
+MODELS = '''
+import numpy as np
+
+
+class Spring:
+    """Hardening spring and damper on each axis."""
+
+    def __init__(self, axes=1, k=1e5, k3=0.0, c=0.0):
+        self.axes, self._k, self._k3, self._c = axes, k, k3, c
+
+    def start(self, dt, axes):
+        self.asked = []
+
+    def step(self, t, displacement, velocity, ground_acceleration):
+        spring = self._k * displacement + self._k3 * displacement**3
+        return spring + self._c * velocity
+
+
+class Bilinear:
+    axes = 1
+
+    def start(self, dt, axes):
+        self.slip = 0.0
+
+    def step(self, t, displacement, velocity, ground_acceleration):
+        x = displacement[0]
+        elastic = 9e4 * (x - self.slip)
+        held = min(max(elastic, -270.0), 270.0)
+        self.slip = x - held / 9e4
+        return [held + 1e4 * x]
+
+
+class Named(Spring):
+    """A spring below the first internal degree of freedom."""
+
+    def __init__(self):
+        super().__init__(["internal 1"])
+
+
+class Told(Spring):
+    stiffness = 7.0
+
+    @property
+    def damping(self):
+        return [[3.0]]
+
+
+class Late:
+    axes = 1
+
+    def start(self, dt, axes):
+        self.count = 0
+
+    def step(self, t, displacement, velocity, ground_acceleration):
+        self.count += 1
+        if self.count > 20:
+            return WRONG
+        return [0.0]
+
+
+class Stepless:
+    axes = 1
+
+    def start(self, dt, axes):
+        pass
+
+
+class Nameless(Spring):
+    def __init__(self):
+        super().__init__(["roof"])
+
+
+class Unmade(Spring):
+    def __init__(self):
+        raise ValueError("no such thing")
+'''
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "models.py"
+    path.write_text(MODELS)
+    return path
+
+
+def section(file, name, settings="", **more):
+    return {
+        "method": "seft",
+        "mass_ratio": 1.0,
+        "model.mass": M,
+        "computed.model": f"{file}:{name}",
+        "computed.settings": settings,
+        "computed.every": 1,
+        **{name.replace("__", "."): value for name, value in more.items()},
+    }
+
+
+def experiment(file, name, settings="", **more):
+    axes, specimen = ["x"], {"mass": M, "damping": C, "stiffness": K}
+    common = {"rate": 500.0, "axes": axes}
+    force = section(file, name, settings, **more)
+    force |= {f"model.{name}": value for name, value in specimen.items()}
+    return Experiment({"reference_force": common | force})
+
+
+def model_of(file, name, settings="", axes=("x",), **more):
+    return ComputedSubstructure.from_parameters(section(file, name, settings, **more), axes).model
+
+
+def solved(force, motion, dt, mass, states=2):
+    """Displacement of mass x'' + C x' + K x + force(z) = -mass a_g, z' by force too."""
+    slope = np.diff(motion) / dt
+    z, found = np.zeros(states), [0.0]
+
+    def rate(t, z, k):
+        a_g = motion[k] + slope[k] * (t - k * dt)
+        g, *inside = force(z, a_g)
+        return [z[1], -a_g - (C * z[1] + K * z[0] + g) / mass, *inside]
+
+    for k in range(len(motion) - 1):
+        span = (k * dt, (k + 1) * dt)
+        z = solve_ivp(rate, span, z, args=(k,), rtol=1e-9, atol=1e-12).y[:, -1]
+        found.append(z[0])
+    return np.array(found)
+
+
+MOTION = 3.0 * np.sin(18.0 * 0.002 * np.arange(400))
+
+
+def error(found, exact):
+    return np.sqrt(np.mean((found - exact) ** 2) / np.mean(exact**2))
+
+
+def test_a_spring_that_is_a_model_acts_as_computed_stiffness_does(file):
+    given = experiment(file, "Spring")["reference_force"]
+    linear = Experiment(
+        {"reference_force": given | {"computed.model": "", "computed.stiffness": 1e5}}
+    )
+    asked = MOTION[:, np.newaxis]
+    exact = reference_response(linear, asked)
+    found = reference_response(experiment(file, "Spring"), asked)
+    assert error(found.displacement, exact.displacement) < 1e-9
+    assert error(found.force, exact.force) < 1e-9
+
+
+def test_the_whole_structure_with_a_hardening_damped_spring_is_that_of_an_ode_solver(file):
+    exact = solved(lambda z, _: [1e5 * z[0] + 1e9 * z[0] ** 3 + 400.0 * z[1]], MOTION, 0.002, 2 * M)
+    asked = experiment(file, "Spring", "k3=1e9 c=400.0")
+    found = reference_response(asked, MOTION[:, np.newaxis]).displacement[:, 0]
+    assert error(found, exact) < 5e-4
+
+
+def test_the_tangents_are_found_by_small_motions_or_told(file):
+    assert np.allclose(model_of(file, "Spring", "c=50").tangents, [[[1e5]], [[50.0]]])
+    assert np.allclose(model_of(file, "Told").tangents, [[[7.0]], [[3.0]]])
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "is_static"),
+    [("Spring", "k3=1e9", True), ("Bilinear", "", True), ("Spring", "c=1.0", False)],
+)
+def test_a_force_that_depends_on_displacement_alone_is_known_as_such(
+    file, name, settings, is_static
+):
+    assert model_of(file, name, settings).is_static is is_static
+
+
+def test_a_model_acts_on_the_internal_degree_of_freedom_that_it_names(file):
+    more = {"computed__internal": 1, "computed__mass": [0.0, M, M, 3 * M]}  # a base that moves
+    whole = ComputedSubstructure.from_parameters(section(file, "Named", **more), ("x",))
+    assert np.allclose(whole.stiffness, [[0.0, 0.0], [0.0, 1e5]])
+    own = whole.without_inertial_coupling()
+    # the base goes by -M / 3M of the axis's displacement, where the centre of mass rests
+    assert np.allclose(own.stiffness, 1e5 * np.array([[1 / 9, -1 / 3], [-1 / 3, 1.0]]))
+    model = own.model.make()
+    model.start(0.002)
+    assert np.allclose(
+        model.step(0.0, np.array([0.03, 0.02]), np.zeros(2), np.zeros(2)), [-1000 / 3, 1000]
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "why"),
+    [
+        ("Spring", "axes=2", "has 2 axes, but the test has 1: x"),
+        ("Spring", "axes=null", "has no axes: give their number, or their names among x"),
+        ("Nameless", "", "axes of .*Nameless are .'roof'., but must be different ones of x"),
+        ("Stepless", "", "has no step.t, displacement, velocity, ground_acceleration."),
+        ("Unmade", "", "models.py:Unmade line [0-9]+, made: no such thing"),
+        ("Spring", "k=null", "models.py:Spring line 15, step: "),
+        ("Nothing", "", "models.py has no Nothing"),
+        ("Spring", "mass=1.0", "its settings do not fit .*'mass'"),
+    ],
+)
+def test_what_is_wrong_with_a_model_is_told_in_one_line(file, name, settings, why):
+    with pytest.raises(InputError, match=why) as caught:
+        _ = model_of(file, name, settings).tangents
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "why"),
+    [
+        ("[1 / 0]", "Late line 57, step: division by zero"),
+        ("[float('nan')]", "Late line [0-9]+: step gives a force that is not finite"),
+        ("[0.0, 0.0]", r"step gives a force of the shape \(2,\), but must give \(1,\)"),
+        ("'none'", "step gives no numbers, but must give the force in N"),
+    ],
+)
+def test_a_step_that_fails_is_told_with_its_line(file, wrong, why):
+    file.write_text(MODELS.replace("WRONG", wrong))
+    model = model_of(file, "Late").make()
+    model.start(0.002)
+    zero = np.zeros(1)
+    with pytest.raises(InputError, match=why):
+        for step in itertools.count():
+            model.step(0.002 * step, zero, zero, zero)
+
+
+def test_a_file_that_does_not_run_is_told_with_its_line(file):
+    file.write_text("import os\n\nx = 1 / 0\n")
+    with pytest.raises(InputError, match=r"models.py line 3: division by zero"):
+        _ = model_of(file, "Spring").tangents
+    file.write_text("import os\ndef\n")
+    with pytest.raises(InputError, match=r"models.py line 2: "):
+        _ = model_of(file, "Spring").tangents

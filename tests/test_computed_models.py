@@ -1,0 +1,307 @@
+"""A computed model takes part in tests: the same bits over DDS, near the whole structure, safe."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from graph_tools import DEMO, ROOT, STALLS_ALLOWED
+
+MODELS = '''
+class Hardening:
+    """A spring that becomes stiffer: ten lines are enough."""
+
+    axes = 1
+
+    def start(self, dt, axes):
+        pass
+
+    def step(self, t, displacement, velocity, ground_acceleration):
+        return 1e5 * displacement + 1e9 * displacement**3
+
+
+class Slipping:
+    """Friction beside a spring, and what it tells of it."""
+
+    axes = 1
+
+    def start(self, dt, axes):
+        self.slip = 0.0
+
+    def step(self, t, displacement, velocity, ground_acceleration):
+        x = displacement[0]
+        held = min(max(8e4 * (x - self.slip), -200.0), 200.0)
+        self.slip = x - held / 8e4
+        return [held]
+
+
+class Damper:
+    """A mass on a spring and a dashpot (implicit Euler would damp more: Newmark's method)."""
+
+    axes = 1
+
+    def start(self, dt, axes):
+        self.dt, self.z, self.v, self.a = dt, 0.0, 0.0, 0.0
+
+    def step(self, t, displacement, velocity, ground_acceleration):
+        m, c, k, h = 8.0, 80.0, 11000.0, self.dt
+        x, v = displacement[0], velocity[0]
+        if t > 0.0:
+            z, w = self.z + h * self.v + h * h / 4 * self.a, self.v + h / 2 * self.a
+            pull = -m * ground_acceleration[0] - c * (w - v) - k * (z - x)
+            self.a = pull / (m + h / 2 * c + h * h / 4 * k)
+            self.z, self.v = z + h * h / 4 * self.a, w + h / 2 * self.a
+        return [c * (v - self.v) + k * (x - self.z)]
+
+
+class Breaking(Hardening):
+    def step(self, t, displacement, velocity, ground_acceleration):
+        if t > 1.5:
+            raise ValueError("it broke")
+        return super().step(t, displacement, velocity, ground_acceleration)
+
+
+class Sleepy(Hardening):
+    def step(self, t, displacement, velocity, ground_acceleration):
+        import time
+
+        time.sleep(0.004)
+        return 1e5 * displacement
+
+
+class Odd(Hardening):
+    def step(self, t, displacement, velocity, ground_acceleration):
+        return [float("nan")] if t > 1.5 else 1e5 * displacement
+'''
+SHORT = ("-p", "ground_motion:synthetic.duration:=5.0", "-p", "ground_motion:tail:=0.5")
+LOCKSTEP = ("-p", "rig:pace:=lockstep", *STALLS_ALLOWED)
+BILINEAR = (*("-p", "rig:specimen.kind:=bilinear", "-p", "rig:specimen.yield_displacement:=0.004"),)
+
+
+@pytest.fixture
+def model(tmp_path):
+    """Give the options for a class of the file."""
+    (tmp_path / "models.py").write_text(MODELS)
+    return lambda name: ("-p", f"reference_force:computed.model:={tmp_path}/models.py:{name}")
+
+
+def example(name, *settings):
+    """Give a shipped example, whose script is found wherever this runs."""
+    script = ROOT / "config" / "models" / f"{name}.py"
+    words = " ".join([f"script={script}", *settings])
+    config = ROOT / "config" / f"computed_{name}.yaml"
+    return config, "-p", f"reference_force:computed.settings:={words}"
+
+
+@pytest.mark.parametrize("name", ["Hardening", "Slipping", "Damper"])
+def test_a_test_with_a_model_is_near_the_whole_structure(seft_json, model, name):
+    summary = seft_json("simulate", DEMO, *model(name))
+    assert summary["displacement"]["nrmse"] < 0.01
+
+
+def test_a_model_gives_the_same_bits_over_dds(seft_json, model):
+    words = (DEMO, *SHORT, *model("Damper"))
+    seft_json("simulate", *words, "--out", "simulated")
+    seft_json("run", *words, *LOCKSTEP, "--out", "lockstep")
+    assert seft_json("compare", "simulated", "lockstep")["identical"] is True
+    seft_json("run", *words, *LOCKSTEP, "--composed", "--out", "composed")
+    assert seft_json("compare", "simulated", "composed")["identical"] is True
+
+
+FAILURES = {
+    "Breaking": "models.py:Breaking line 51, step: it broke",
+    "Odd": "models.py:Odd line 64: step gives a force that is not finite: [nan] N",
+}
+
+
+@pytest.mark.parametrize("name", FAILURES)
+def test_a_model_that_fails_brings_the_test_down_softly_and_says_where(seft, model, name):
+    words = (DEMO, *SHORT, *model(name))
+    offline = seft("simulate", *words, "--json", status=1)
+    found = json.loads(offline.stdout)
+    assert FAILURES[name] in found["trip"]["reason"]
+    assert found["steps"] > 750 + 250  # it ramped down
+    assert FAILURES[name] in offline.stderr.strip().splitlines()[-1]
+    (line,) = seft("run", *words, status=2).stderr.strip().splitlines()[-1:]  # nothing moves
+    assert FAILURES[name] in line
+
+
+def test_a_model_that_fails_in_its_node_alone_trips_the_test(seft_json, model, tmp_path):
+    words = (DEMO, *SHORT, *model("Breaking"))
+    in_node = 'if t > 1.5 and "reference_force" in sys.argv[0]:'
+    text = MODELS.replace("if t > 1.5:", in_node)
+    (tmp_path / "models.py").write_text(f"import sys\n{text}")
+    summary = seft_json("run", *words, *LOCKSTEP, "--out", "lockstep", status=1)
+    assert "models.py:Breaking line 52, step: it broke (step 75" in summary["trip"]["reason"]
+    assert summary["steps"] > 750 + 250
+
+
+def test_a_model_that_is_too_slow_is_refused_with_the_rate_that_fits(seft, seft_json, model):
+    words = (DEMO, *SHORT, *model("Sleepy"))
+    found = seft_json("preflight", *words, status=1)["model"]
+    assert found["median_s"] > 0.004 and not found["fits"]
+    assert found["fitting_rate_hz"] in (125, 100, 50, 25) and found["fitting_every"] is None
+    (line,) = seft("run", *words, status=2).stderr.strip().splitlines()[-1:]
+    assert "ms for a step" in line and "at 500 Hz: a rate of " in line
+
+
+def test_only_a_target_takes_a_model(seft, model):
+    words = ("-p", "reference_force:compensation.method:=restoring", *model("Hardening"))
+    control = ("-p", "force_controller:method:=transfer_function")
+    (line,) = seft("simulate", DEMO, *words, *control, status=2).stderr.strip().splitlines()
+    assert "restoring does not compute; make that target_motion" in line
+    eft = ("-p", "reference_force:method:=eft", *model("Hardening"))
+    (line,) = seft("simulate", DEMO, *eft, status=2).stderr.strip().splitlines()
+    assert "with method eft nothing is computed" in line
+
+
+def test_preflight_takes_the_tangent(seft_json, model):
+    bare, with_spring = (seft_json("preflight", DEMO, *words) for words in ((), model("Hardening")))
+    lowest = [found["modes"][0]["exact_hz"] for found in (bare, with_spring)]
+    assert lowest[1] / lowest[0] == pytest.approx((1 + 1e5 / 2.11e5) ** 0.5, rel=1e-3)
+
+
+# ---- OpenSees
+
+
+@pytest.fixture
+def opensees():
+    """Skip where it is not installed."""
+    pytest.importorskip("openseespy", reason="OpenSeesPy is not installed")
+
+
+WHOLE = """
+import json, sys
+import numpy as np
+import openseespy.opensees as ops
+from seft_plant_sim import opensees
+
+script, kind, total, foundation, file = sys.argv[1:]
+total, foundation, (motion, dt) = float(total), float(foundation), json.load(open(file))
+opensees._runs_script = True
+try:
+    exec(compile(open(script).read(), script, "exec"), {"__name__": "__main__"})
+except opensees._InterfaceReached as reached:
+    nodes = [place[0] for place in reached.args[0][0]]
+first, size = nodes[0], len(ops.nodeDisp(nodes[0]))
+rest = [0.0] * (size - 1)
+for node in nodes[1:]:
+    ops.equalDOF(first, node, 1)
+ops.node(990, *ops.nodeCoord(first))
+if kind == "linear":
+    ops.uniaxialMaterial("Elastic", 990, 2.11e5)
+else:
+    ops.uniaxialMaterial("Steel01", 990, 0.004 * 2.11e5, 2.11e5, 0.05)
+ops.uniaxialMaterial("Viscous", 991, 800.3, 1.0)
+bottom, top = 990, first
+if foundation:  # the specimen stands on the interface
+    bottom, top = first, 990
+    ops.mass(first, foundation, *rest)
+else:
+    ops.fix(990, *[1] * size)
+ops.mass(top, total, *rest)
+ops.element("zeroLength", 990, bottom, top, "-mat", 990, "-dir", 1)
+ops.element("zeroLength", 991, bottom, top, "-mat", 991, "-dir", 1)
+fine = np.interp(np.arange(4 * len(motion)) / 4, np.arange(len(motion)), motion)
+ops.timeSeries("Path", 990, "-dt", dt / 4, "-values", *fine.tolist())
+ops.pattern("UniformExcitation", 990, 1, "-accel", 990)
+ops.constraints("Transformation")
+ops.numberer("RCM")
+ops.system("BandGeneral")
+ops.test("NormDispIncr", 1e-10, 50)
+ops.algorithm("Newton")
+ops.integrator("Newmark", 0.5, 0.25)
+ops.analysis("Transient")
+found = [0.0]
+for _ in motion[1:]:
+    assert ops.analyze(4, dt / 4) == 0
+    found.append(ops.nodeDisp(top, 1) - ops.nodeDisp(bottom, 1))
+json.dump(found, open(file, "w"))
+"""
+"""OpenSees's own solution of a whole structure, whose specimen is a material of its own."""
+
+
+def own_solution(script, kind, foundation, motion, dt, folder):
+    file = folder / "motion.json"
+    file.write_text(json.dumps([motion, dt]))
+    words = [sys.executable, "-c", WHOLE, script, kind, "131.75", str(foundation), file]
+    subprocess.run(words, check=True, capture_output=True)
+    return json.loads(file.read_text())
+
+
+@pytest.mark.usefixtures("opensees")
+@pytest.mark.parametrize("kind", ["linear", "bilinear"])
+@pytest.mark.parametrize(("name", "foundation"), [("frame", 0.0), ("damper", 0.0), ("soil", 150.0)])
+def test_an_example_is_near_the_solution_of_opensees_itself(tmp_path, name, foundation, kind):
+    import numpy as np
+    from seft_msgs_py.config.experiment import Experiment, parse_override
+    from seft_ros.analysis.metrics import nrmse
+    from seft_ros.test_run.blocks import build_blocks
+    from seft_ros.test_run.offline import simulate
+    from seft_ros.test_run.parameter_tables import TABLES
+
+    config, _, script = example(name)
+    words = [script, *([word for word in BILINEAR if word != "-p"] if kind != "linear" else [])]
+    errors = []
+    for seed in (1, 2, 3):
+        overrides = [*words, f"ground_motion:synthetic.seed:={seed}"]
+        experiment = Experiment.load(TABLES, [config], [parse_override(word) for word in overrides])
+        blocks = build_blocks(experiment)
+        record = simulate(experiment, blocks)
+        assert record.trip is None
+        motion, dt = blocks.ground_motion.samples[:, 0].tolist(), experiment.timebase.dt
+        path = ROOT / "config" / "models" / f"{name}.py"
+        exact = np.array(own_solution(path, kind, foundation, motion, dt, tmp_path))
+        errors.append(nrmse(record.series["rig/state"].values[:, 0, 0], exact))
+    assert max(errors) < (0.015 if kind == "linear" else 0.03), errors
+
+
+@pytest.mark.usefixtures("opensees")
+def test_a_model_in_opensees_gives_the_same_bits_over_dds(seft_json):
+    words = (*example("frame"), *SHORT)
+    seft_json("simulate", *words, "--out", "simulated")
+    seft_json("run", *words, *LOCKSTEP, "--out", "lockstep")
+    assert seft_json("compare", "simulated", "lockstep")["identical"] is True
+
+
+PORTAL = """
+# after "Cantilever" of the OpenSees examples manual: one column, a mass on top, an earthquake
+from openseespy.opensees import *
+
+wipe()
+model("basic", "-ndm", 2, "-ndf", 3)
+node(1, 0.0, 0.0)
+node(2, 0.0, 1.0)
+fix(1, 1, 1, 1)
+mass(2, 20.0, 0.0, 0.0)
+geomTransf("Linear", 1)
+element("elasticBeamColumn", 1, 1, 2, 1.0e-3, 2.0e11, 8.0e-8, 1)
+{interface}
+# gravity, earthquake and analysis of its own: not run in a test
+timeSeries("Path", 2, "-dt", 0.01, "-filePath", "no_such_record.g3", "-factor", 9.81)
+pattern("UniformExcitation", 2, 1, "-accel", 2)
+constraints("Transformation")
+analysis("Transient")
+analyze(1000, 0.02)
+raise RuntimeError("this must not be reached")
+"""
+
+
+@pytest.mark.usefixtures("opensees")
+def test_a_script_needs_no_more_than_the_interface_s_lines(seft, seft_json, tmp_path):
+    lines = "from seft_plant_sim.opensees import interface\ninterface((1, 1))"
+    (tmp_path / "cantilever.py").write_text(PORTAL.format(interface=lines))
+    words = ("-p", "reference_force:computed.model:=opensees")
+    words = (*words, "-p", "reference_force:computed.settings:=script=cantilever.py")
+    summary = seft_json("simulate", DEMO, *words)
+    assert summary["displacement"]["nrmse"] < 0.01
+
+    def told(text):
+        (tmp_path / "cantilever.py").write_text(text)
+        (line,) = seft("simulate", DEMO, *words, status=2).stderr.strip().splitlines()
+        return line
+
+    massive = PORTAL.replace("fix(1", "mass(1, 5.0, 5.0, 0.0)\nfix(1").format(interface=lines)
+    assert "node 1 has a mass of 5 kg in direction 1" in told(massive)
+    assert "cantilever.py line 5: " in told("\n\n\n\nwrong = 1 / 0\n")
+    assert "the script has no line interface(...)" in told("import openseespy.opensees\n")
