@@ -10,6 +10,8 @@ import sys
 import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from urllib.error import URLError
+from urllib.request import urlopen
 
 from PIL import Image
 from selenium import webdriver
@@ -17,12 +19,23 @@ from selenium import webdriver
 DOCS = Path(__file__).parent
 SEFT = [sys.executable, "-m", "seft_ros.cli.main"]
 DEMO = str(DOCS.parent / "config" / "demo.yaml")
+MONITOR = "http://127.0.0.1:8765/"
 WIDTH, HEIGHT, COLOURS = 1300, 1250, 64
 HIDE = """
 for (const name of arguments[0].split(",").filter(Boolean))
   document.getElementById(name).style.display = "none";
 """
 DRAWN = "return window.Bokeh && Bokeh.documents.length && Bokeh.documents.every((d) => d.is_idle)"
+
+
+def wait_for_page(address: str) -> None:
+    """Wait until a server answers."""
+    while True:
+        try:
+            urlopen(address).close()
+            return
+        except URLError:
+            time.sleep(0.1)
 
 
 def take_picture(
@@ -59,15 +72,15 @@ def main() -> None:
             "what-was-tested,agreement-with-the-reference-response,the-equivalent-ground-motion",
         )
         monitor = subprocess.Popen([*SEFT, "monitor"])
-        test = subprocess.Popen([*SEFT, "run", DEMO, "--out", str(Path(folder) / "run")])
         try:
-            time.sleep(8.0)
-            take_picture(browser, "http://127.0.0.1:8765/", "monitor.png", wait=12.0)
-            test.wait()
+            wait_for_page(MONITOR)
+            lockstep = "-p", "rig:pace:=lockstep"  # a browser beside it takes its time
+            run = [*SEFT, "run", DEMO, *lockstep, "--out", str(Path(folder) / "run")]
+            subprocess.run(run, check=True)
+            take_picture(browser, MONITOR, "monitor.png", wait=5.0)
         finally:
-            for process in (test, monitor):
-                process.terminate()
-                process.wait()
+            monitor.terminate()
+            monitor.wait()
 
 
 if __name__ == "__main__":

@@ -98,4 +98,4 @@ def test_a_test_with_a_reversed_valve_is_refused_before_it_begins(seft, start_dr
     words = (JHU, "--external", "rig", "--check-signs", "--json")
     done = seft("run", *words, *PATIENT)
     assert done.returncode == 2
-    assert "the rig: moves as told" in done.stderr
+    assert "the rig: follows the command" in done.stderr

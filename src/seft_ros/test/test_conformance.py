@@ -209,17 +209,17 @@ def test_stamps_are_whole_periods_from_zero(experiment):
     trial = states(experiment)
     del trial.states[7]
     gap = message_checks.check_stamps(trial, period_ns)
-    assert "message 7 is stamped" in gap.told
+    assert "message 7 is stamped" in gap.result
 
 
 def test_axes_and_values_are_looked_at(experiment):
     good = states(experiment)
     assert message_checks.check_form(good, experiment.axes).verdict == "passed"
     other = message_checks.check_form(good, ("north",))
-    assert "axes are ['x'], not ['north']" in other.told
+    assert "axes are ['x'], not ['north']" in other.result
     (_, raw) = good.states[3]
     good.states[3] = (0.03, raw.replace(np.float64(0.5).tobytes(), np.float64("nan").tobytes()))
-    assert "message 3: positions are [nan]" in message_checks.check_form(good, ("x",)).told
+    assert "message 3: positions are [nan]" in message_checks.check_form(good, ("x",)).result
 
 
 def test_a_description_of_another_rate_or_pace_is_refused(experiment):
@@ -227,8 +227,8 @@ def test_a_description_of_another_rate_or_pace_is_refused(experiment):
     check = message_checks.check_description
     assert check({"parameters": told}, experiment).verdict == "passed"
     assert check(None, experiment).verdict == "failed"
-    assert "rate is 100" in check({"parameters": told | {"rate": 100.0}}, experiment).told
-    assert "lockstep" in check({"parameters": told | {"pace": "lockstep"}}, experiment).told
+    assert "rate is 100" in check({"parameters": told | {"rate": 100.0}}, experiment).result
+    assert "lockstep" in check({"parameters": told | {"pace": "lockstep"}}, experiment).result
 
 
 def test_every_bad_command_is_refused_by_the_simulated_rig(experiment):

@@ -26,7 +26,7 @@ _MOTION = {
     "period": "sample at absolute deadlines, start + k periods; a sleep of a period adds up",
     "late states": "",
     "at rest": "the valve is not at its centre, or something moves the rig: trim the valve's null",
-    "moves as told": "is the pressure on? Then raise --amplitude",
+    "follows the command": "is the pressure on? Then raise --amplitude",
     "velocity of displacement": "",
     "acceleration of velocity": "",
     "force of specimen": "",
@@ -68,7 +68,7 @@ class Finding:
         Its name.
     verdict : str
         ``passed``, ``failed`` or ``not run``.
-    told : str
+    result : str
         The result, with the measured number; or why it was not run.
     mend : str
         What to do about a failure.
@@ -78,15 +78,15 @@ class Finding:
 
     check: str
     verdict: Verdict
-    told: str
+    result: str
     mend: str = ""
     measured: dict[str, float] = field(default_factory=dict)
 
 
-def found(check: str, passed: bool, told: str, mend: str = "", **measured: float) -> Finding:
+def found(check: str, passed: bool, result: str, mend: str = "", **measured: float) -> Finding:
     """Make the finding of a check that was run; only of a failed one it says how to mend it."""
     mend = "" if passed else mend or CHECKS.get(check, "")
-    return Finding(check, "passed" if passed else "failed", told, mend, measured)
+    return Finding(check, "passed" if passed else "failed", result, mend, measured)
 
 
 def not_run(check: str, why: str) -> Finding:
@@ -104,7 +104,7 @@ _MARKS = {
 def finding_line(finding: Finding) -> Text:
     """Describe a finding in one line; below, how to mend it."""
     mark, colour = _MARKS[finding.verdict]
-    text = Text.assemble((mark, f"bold {colour}"), f"  {finding.check}: {finding.told}")
+    text = Text.assemble((mark, f"bold {colour}"), f"  {finding.check}: {finding.result}")
     if finding.mend:
         text.append(f"\n           -> {finding.mend}")
     return text
@@ -117,7 +117,7 @@ def verdict(findings: Sequence[Finding]) -> dict[str, Any]:
     -------
     dict
         ``conforms``, how many checks ``passed``, ``failed`` and were ``not_run``, and ``checks``:
-        of each ``check``, ``verdict``, ``told``, ``mend``, ``measured``.
+        of each ``check``, ``verdict``, ``result``, ``mend``, ``measured``.
     """
     counts = {
         word.replace(" ", "_"): sum(finding.verdict == word for finding in findings)

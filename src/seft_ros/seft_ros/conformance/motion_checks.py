@@ -95,7 +95,11 @@ def check_rest(samples: Samples, drive: Drive) -> Finding:
 
 def check_moves(samples: Samples, drive: Drive) -> Finding:
     """Check that the rig moves at a command, beyond its noise, and in its direction."""
-    name, rest, moved = "moves as told", samples.values[drive.rest], samples.values[drive.bell]
+    name, rest, moved = (
+        "follows the command",
+        samples.values[drive.rest],
+        samples.values[drive.bell],
+    )
     noise = rest.std(axis=0)
     size = (moved - rest.mean(axis=0)).std(axis=0)
     seen = float((size[1:] / np.maximum(noise[1:], 1e-300)).min(axis=1).max())

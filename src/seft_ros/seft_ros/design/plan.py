@@ -127,7 +127,7 @@ def choose_rig(experiment: Experiment, source: Source, stiffness: float = 1.0) -
         cutoff = section["sensors.velocity_cutoff"] if derived else None
         return LoopRig(plant, model.drive, specimen, cutoff, small_signal=not model.is_linear)
     if by_motion:
-        actuator = VelocityFeedforward.told(controller, experiment.axes)
+        actuator = VelocityFeedforward.actuator(controller, experiment.axes)
         dead_time = {"dead_time": float(actuator["dead_time"].max())}
         swept = replace(specimen, stiffness=stiffness * specimen.stiffness)
         model = small_signal(swept, **{**actuator, **dead_time})

@@ -209,11 +209,11 @@ def proposed_limits(peaks: dict[str, float]) -> dict[str, float]:
 
 def limit_warning(experiment: Experiment, peaks: dict[str, float]) -> str:
     """Name the limits that the expected peaks exceed or stay far below; empty if there are none."""
-    told = []
+    rows = []
     for name, peak, unit in zip(peaks, peaks.values(), LIMIT_UNITS, strict=False):
-        told.append((_limit(experiment, name), peak, f"{name} {_limit(experiment, name):g} {unit}"))
-    low = [f"{text} (expected: {peak:.3g})" for limit, peak, text in told if peak > limit]
-    far = [f"{text} (expected: {peak:.3g})" for limit, peak, text in told if limit > FAR * peak > 0]
+        rows.append((_limit(experiment, name), peak, f"{name} {_limit(experiment, name):g} {unit}"))
+    low = [f"{text} (expected: {peak:.3g})" for limit, peak, text in rows if peak > limit]
+    far = [f"{text} (expected: {peak:.3g})" for limit, peak, text in rows if limit > FAR * peak > 0]
     kinds = (
         (low, "limits are below what this test is expected to reach, and may end it"),
         (far, f"limits are more than {FAR:g} times what this test is expected to reach"),

@@ -244,14 +244,14 @@ def next_steps(plan: Plan, found: Preflight, peaks: dict[str, float], again: str
 
 def _wrong_mass(plan: Plan, again: str) -> Iterator[Step]:
     """Compare the mass that the method assumes with the simulated specimen's."""
-    rig, told = plan.experiment.sections.get("rig"), plan.section["model.mass"]
+    rig, known = plan.experiment.sections.get("rig"), plan.section["model.mass"]
     if rig is None:
         return
-    assumed, true = (mass_matrix(value, plan.axes, "mass") for value in (told, rig[_MASS]))
+    assumed, true = (mass_matrix(value, plan.axes, "mass") for value in (known, rig[_MASS]))
     if np.abs(assumed - true).max() > SAME_MASS * np.abs(true).max():
         yield Step(
-            f"the method takes the specimen's mass for {told} kg, but it is {rig[_MASS]} kg on the "
-            "simulated rig",
+            f"the method takes the specimen's mass for {known} kg, but it is {rig[_MASS]} kg on "
+            "the simulated rig",
             [f"seft preflight {again} -p {quote(f'reference_force:model.mass:={rig[_MASS]}')}"],
         )
 

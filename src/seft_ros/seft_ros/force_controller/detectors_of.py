@@ -1,4 +1,4 @@
-"""Detectors of faults, made of what a force controller is told; and of a test that was recorded."""
+"""Detectors of faults, made of what a force controller knows; and of a test that was recorded."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -47,7 +47,7 @@ def detectors_of(
     Raises
     ------
     InputError
-        If what is told does not fit the axes, or a detector has another name.
+        If what is assumed does not fit the axes, or a detector has another name.
     """
     own = list(places)
     warn_only = section["detectors.warn_only"].replace(",", " ").split()

@@ -11,7 +11,7 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ControlKnowledge:
-    """What a controller is told of the test.
+    """What a controller knows of the test.
 
     Attributes
     ----------

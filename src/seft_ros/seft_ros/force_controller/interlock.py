@@ -123,7 +123,7 @@ class Interlock:
         Raises
         ------
         InputError
-            If what is told of actuator or specimen does not fit the axes.
+            If the assumed actuator or specimen does not fit the axes.
         """
         own = rig or RigAxes.whole(axes)
         names = ("limits.force", "watchdog.saturation_time", "watchdog.close_time")

@@ -94,7 +94,7 @@ def begin_control(
     """Say whether a step is to be answered by the controller; else its command is given.
 
     The controller is to answer `InterlockState.plan` and `InterlockState.sample`. While a sample
-    is under suspicion, these are the motion that the last sound target has told for this step;
+    is under suspicion, these are the motion that the last sound target has predicted for this step;
     where there is no target, the last sound command holds. Once it has tripped, the valve closes
     from there: a valve that closes at once on a moving mass makes the oil hammer.
 
@@ -147,10 +147,10 @@ def take_plan(state: InterlockState, points: Floats, measured: Floats) -> None:
     plan, sample, count = state.plan, state.sample, min(points.shape[0], state.plan.shape[0])
     alone = points.shape[1] < plan.shape[1]  # a force, as the nodes warm up
     for point in range(plan.shape[0]):
-        told = point if point < count else count - 1
+        sent = point if point < count else count - 1
         for row in range(plan.shape[1]):
             for i in range(plan.shape[2]):
-                plan[point, row, i] = points[told, 0 if alone else row, i]
+                plan[point, row, i] = points[sent, 0 if alone else row, i]
     for row in range(4):
         for i in range(sample.shape[1]):
             sample[row, i] = measured[row, i]
@@ -158,7 +158,7 @@ def take_plan(state: InterlockState, points: Floats, measured: Floats) -> None:
 
 @compiled
 def follow_plan(state: InterlockState, dt: float) -> None:
-    """Let the controller answer the motion that was told before samples were suspect."""
+    """Let the controller answer the motion that was predicted before samples were suspect."""
     plan, sample = state.plan, state.sample
     go_on(plan, 1, dt, plan)
     for i in range(sample.shape[1]):

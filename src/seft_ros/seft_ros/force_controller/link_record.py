@@ -15,7 +15,7 @@ class LinkRecord:
     ages : mapping of int to int
         Steps between the step of a force and that of its message -> number of forces.
     held : int
-        Forces that no message told of: the one before was held.
+        Forces that no message brought: the one before was held.
     """
 
     ages: Mapping[int, int]
@@ -51,8 +51,8 @@ class LinkRecord:
             If it is something else.
         """
         try:
-            told = json.loads(text)
-            ages = {int(age): int(count) for age, count in told["ages"].items()}
-            return cls(ages, int(told["held"]))
+            values = json.loads(text)
+            ages = {int(age): int(count) for age, count in values["ages"].items()}
+            return cls(ages, int(values["held"]))
         except (AttributeError, KeyError, TypeError, OverflowError, RecursionError) as error:
             raise ValueError(f"link: {error}") from None

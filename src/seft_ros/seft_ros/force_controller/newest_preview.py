@@ -71,7 +71,7 @@ class NewestPreview:
         return cls(len(axes), loop_delay, patience, ramp, timebase.dt)
 
     def reset(self, in_lockstep: bool = False) -> None:
-        """Begin a new test: no force before the first that is told.
+        """Begin a new test: no force before the first that is sent.
 
         Parameters
         ----------
@@ -119,10 +119,10 @@ class NewestPreview:
         self._ages[newest] = self._ages.get(newest, 0) + 1
         if newest > self._patience:
             self._ramp.begin()
-        age, told = self._messages.of(step)
-        self._held += age >= len(told)
-        points = told[age:]
+        age, sent = self._messages.of(step)
+        self._held += age >= len(sent)
+        points = sent[age:]
         if age > self._loop_delay:
-            count = max(len(told) - self._loop_delay, 1)
-            points = continued(told, age, count, self._dt)
+            count = max(len(sent) - self._loop_delay, 1)
+            points = continued(sent, age, count, self._dt)
         return points * self._ramp.next() if self._ramp.begun else points

@@ -26,7 +26,7 @@ class RegisteredControl(RegisteredPart):
     name : str
         As registered.
     knowledge : ControlKnowledge
-        What it was told.
+        What it knows of the test.
 
     Attributes
     ----------

@@ -123,7 +123,7 @@ class FeedforwardState(NamedTuple):
 
 @compiled
 def begin_feedforward(parameters: FeedforwardParameters, state: FeedforwardState) -> None:
-    """Begin a test, with what is known of the valves as told."""
+    """Begin a test, with the valves as assumed."""
     state.measured[:] = 0.0
     state.force[:] = 0.0
     state.sent[:] = 0.0
@@ -254,7 +254,7 @@ class VelocityFeedforward:
         self.reset()
 
     @staticmethod
-    def told(
+    def actuator(
         section: dict[str, Any], axes: tuple[str, ...], rig: RigAxes | None = None
     ) -> dict[str, Floats]:
         """Give what a section says of each actuator, by name, see `from_parameters`; (n,) each.
@@ -295,7 +295,7 @@ class VelocityFeedforward:
             If the actuators are not known, or the horizon is too short for the valves.
         """
         own, dt = list((rig or RigAxes.whole(axes)).places), timebase.dt
-        known = cls.told(section, axes, rig)
+        known = cls.actuator(section, axes, rig)
         valves = valve_models(known, dt)
         noise = sensor_noise(section, axes, "noise", "force_controller")[:, own]
         horizon = section["horizon"]
@@ -354,7 +354,7 @@ def feedforward_arrays(
     limit, dt : float
         Largest command, V, and sampling period, s.
     horizon : int
-        Coming steps of the target that are told.
+        Predicted steps of the target.
 
     Raises
     ------

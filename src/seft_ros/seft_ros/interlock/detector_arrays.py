@@ -54,7 +54,7 @@ class DetectorParameters(NamedTuple):
     doubt : ndarray
         Variance of the flow as measured, shape (n,), (m/s)^2, see `follow_valve`.
     mass, stiffness : ndarray
-        Of the specimen as told, shape (n, n), kg and N/m.
+        Of the specimen as assumed, shape (n, n), kg and N/m.
     computed_mass : ndarray
         M_c on the axes, shape (n, n), kg.
     noise, dither : ndarray
@@ -113,8 +113,8 @@ class DetectorState(NamedTuple):
     last : ndarray
         The last sample, shape (4, n).
     flow, later : ndarray
-        Flow of the valve as told at the last sample and at this one, m/s, and its change per delay,
-        m/s^2; shapes (2, n).
+        Flow of the valve by the commands at the last sample and at this one, m/s, and its change
+        per delay, m/s^2; shapes (2, n).
     errors, covariance : ndarray
         Of gain and delay, as followed: see `follow_valve`; shapes (n, 2) and (n, 3).
     sent : ndarray

@@ -1,6 +1,6 @@
 """What no sound specimen makes of its force r = f - M a, step by step, compiled.
 
-Each is told the samples by `detect`.
+`detect` gives each the samples.
 """
 
 import math
@@ -23,10 +23,10 @@ from seft_ros.interlock.detector_look import (
 Floats = npt.NDArray[np.float64]
 
 OPPOSED = 0.5
-"""Part of the stiffness as told by which a specimen may soften: fracture, buckling."""
+"""Part of the assumed stiffness by which a specimen may soften: fracture, buckling."""
 SLIP, BREAK, STIFFEST = 0.35, 0.25, 6.0
 """What a specimen may make of its force in a step: parts of its largest, with and against the
-motion, and with it so many times its stiffness as told."""
+motion, and with it so many times its assumed stiffness."""
 TURNED, TURN, MOVES = 3, 2.0, 0.2
 """Samples after a turn of the motion in which friction turns round, what that makes of the force,
 and the part of the fastest motion of late from which on a specimen does not stick."""

@@ -7,7 +7,7 @@ from seft_plant_sim.compiled import compiled
 Floats = npt.NDArray[np.float64]
 
 UNCERTAIN_GAIN, UNCERTAIN_DELAY = 0.15, 2e-3
-"""Standard deviation of the flow gain as told, relative, and of the valve's delay, s."""
+"""Standard deviation of the assumed flow gain, relative, and of the valve's delay, s."""
 LARGEST_GAIN_ERROR, LARGEST_DELAY_ERROR = 0.3, 5e-3
 """Bounds of what is followed."""
 ONE_SAMPLE = 0.1
@@ -22,7 +22,7 @@ def doubt(velocity: Floats, force: Floats, oil_stiffness: Floats, dt: float) -> 
 
 @compiled
 def begin_following(errors: Floats, covariance: Floats) -> None:
-    """Begin a test, with what is known of the valves as told; shapes (n, 2) and (n, 3)."""
+    """Begin a test, with the valves as assumed; shapes (n, 2) and (n, 3)."""
     errors[:] = 0.0
     for i in range(len(covariance)):
         covariance[i, 0] = UNCERTAIN_GAIN**2
@@ -43,7 +43,7 @@ def follow_valve(
     c : ndarray
         Their variances, then their covariance, shape (3,): brought up to date.
     flow, later : float
-        Flow by the valve as told, m/s, and its change per delay, m/s^2.
+        Flow by the valve as assumed, m/s, and its change per delay, m/s^2.
     seen : float
         Flow as measured: v + (f' + lambda f) / k_oil, m/s.
     doubt : float

@@ -1,4 +1,4 @@
-"""Points that nobody has told: a force stays, and a target loses its velocity."""
+"""Points beyond those sent: a force stays, and a target loses its velocity."""
 
 import math
 
@@ -14,12 +14,12 @@ BRAKING = 0.03
 
 @compiled
 def go_on(points: Floats, age: int, dt: float, result: Floats) -> None:
-    """Give points from a step on, whether they have been told or not.
+    """Give points from a step on, whether they have been sent or not.
 
     Parameters
     ----------
     points : ndarray
-        Those that have been told, shape (p, q, n).
+        Those that have been sent, shape (p, q, n).
     age : int
         Steps after the first of them.
     dt : float
@@ -29,13 +29,13 @@ def go_on(points: Floats, age: int, dt: float, result: Floats) -> None:
     """
     last, (_, quantities, n) = len(points) - 1, points.shape
     for index in range(len(result)):
-        told, beyond = min(age + index, last), max(age + index - last, 0)
+        sent, beyond = min(age + index, last), max(age + index - last, 0)
         left = math.exp(-beyond * dt / BRAKING)
         for i in range(n):
             for row in range(quantities):
-                result[index, row, i] = points[told, row, i]
+                result[index, row, i] = points[sent, row, i]
             if quantities > 1:
-                result[index, 0, i] += BRAKING * (1.0 - left) * points[told, 1, i]
+                result[index, 0, i] += BRAKING * (1.0 - left) * points[sent, 1, i]
                 result[index, 1, i] *= left
 
 

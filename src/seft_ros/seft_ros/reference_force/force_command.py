@@ -87,7 +87,7 @@ def command_arrays(known: Knowledge, horizon: int) -> tuple[CommandParameters, C
         for name in ("numerator", "denominator")
     )
     dt, late = known.dt, float(known.options["tracking.dead_time"])
-    if not numerator.any():  # a pure delay, which is told with the half step of the hold
+    if not numerator.any():  # a pure delay, which includes the half step of the hold
         numerator = denominator = np.ones(1)
         late = known.options["compensation.delay"] - dt / 2
         if late < dt / 2:

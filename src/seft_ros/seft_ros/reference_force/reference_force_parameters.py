@@ -95,7 +95,7 @@ _COMPENSATION = parameter_rows(
         actuators; ideal and delay are driven by reference_force, which is then sent ahead
         by their response (tracking.*)
     compensation.horizon               | float  | 0.05  | s     | > 0 .. 1  |
-        `target_motion`: time ahead for which the coming motion is told; four times the
+        `target_motion`: time ahead for which the motion is predicted; four times the
         delay of the valves, or three times that of the force loop
     compensation.noise.position | floats | rig:sensors.position_noise or 0.0 | m | 0 .. |
         RMS noise of the measured displacement, by which it is weighed against the others

@@ -20,7 +20,7 @@ make once in `ONCE_IN` s, the specimen has changed: the covariance grows by the 
 scaled to explain what was seen (Zhou & Frank 1996), in directions that leave the force of the last
 sample as it was, as a force does not jump when a stiffness does.
 
-What is told of the specimen is a model without unknowns, and predicts better than one that still
+The specimen as assumed is a model without unknowns, and predicts better than one that still
 learns wherever it is right. The two are weighed by their likelihoods (Magill 1965), whose ratio is
 bounded so that each can overtake the other.
 
@@ -58,7 +58,7 @@ ONCE_IN = 2.0
 RECENT = 0.008
 """Time constant of that sum, s: what persists for longer than a valve takes to answer matters."""
 UNCERTAIN_STIFFNESS, UNCERTAIN_DAMPING = 0.3, 0.3
-"""Standard deviation of what is told, relative to it."""
+"""Standard deviation of what is assumed, relative to it."""
 CHANGING_STIFFNESS, CHANGING_DAMPING, CHANGING_SLIDER = 1.0, 0.5, 1.5
 """Standard deviation of a change: of K and C relative to them, of w to its prior."""
 SLIDER_TO_NOISE, OFFSET_TO_NOISE = 0.5, 7.0
@@ -66,15 +66,15 @@ SLIDER_TO_NOISE, OFFSET_TO_NOISE = 0.5, 7.0
 MOST_EVIDENCE = math.log(1e4)
 """Largest logarithm of the likelihoods' ratio, either way."""
 CONFIRMED_IN = 0.05
-"""Time in which what is told must be right until it is believed again, s: a restoring force that
-swings meets the line that is told now and then, whatever the specimen is."""
+"""Time in which the assumed model must be right until it is believed again, s: a restoring force
+that swings crosses the assumed line now and then, whatever the specimen is."""
 STANDS_OUT = 20.0
 """Motion over its noise from which on it tells of stiffness and damping: what is regressed on a
 noisy motion comes out too small, by the square of the noise over the motion."""
 DRIFT = 0.003
-"""Change in a second that goes unnoticed, relative to the prior's or what is told."""
+"""Change in a second that goes unnoticed, relative to the prior's or what is assumed."""
 LEAST_DAMPING = 0.02
-"""Damping ratio that a spring may have even where no damping is told."""
+"""Damping ratio that a spring may have even where none is assumed."""
 
 
 class ModelParameters(NamedTuple):
@@ -94,7 +94,7 @@ class ModelParameters(NamedTuple):
         Their variance at the beginning, per step, and of a change; shape (n, q).
     noise : ndarray
         Variance of the restoring force by the sensors of force and acceleration, and with what the
-        noise of the motion makes of it where the specimen is as told; shape (n, 2), N^2.
+        noise of the motion makes of it where the specimen is as assumed; shape (n, 2), N^2.
     observed : ndarray
         Variance of the deformations (m^2) and their rates (m^2/s^2), shape (n, 2).
     alike : float
@@ -108,7 +108,7 @@ class ModelParameters(NamedTuple):
     surprise : float
         Square of the normalised sum that is no chance.
     confirming : float
-        Largest growth of the evidence for what is told while it is not believed, per step.
+        Largest growth of the evidence for the assumed model while it is not believed, per step.
     """
 
     springs: tuple[int, ...]
@@ -146,8 +146,8 @@ class ModelState(NamedTuple):
         z of the specimen, shape (n, m), m.
     sums : ndarray
         Of each spring: recent innovations, their variance, the impulse over a period that was not
-        explained, the force that makes good for impulses (N), and the evidence for what is told;
-        shape (n, 5).
+        explained, the force that makes good for impulses (N), and the evidence for the assumed
+        model; shape (n, 5).
     work : ndarray
         Shape (3, q).
     """
@@ -174,7 +174,7 @@ def model_arrays(
     frequency: Floats,
     dt: float,
 ) -> tuple[ModelParameters, ModelState]:
-    """Make models of what is told of a specimen, all in coordinates of its springs.
+    """Make models of a specimen as assumed, all in coordinates of its springs.
 
     Parameters
     ----------
@@ -195,8 +195,8 @@ def model_arrays(
     n = len(mass)
     thresholds = SMALLEST_SLIDER * observed[:, :1] * 2.0 ** np.arange(THRESHOLDS)
     white = noise**2
-    as_told = white + np.hstack([stiffness, damping]) ** 2 @ observed.T.ravel() ** 2
-    least_seen = np.sqrt(as_told)[:, np.newaxis]
+    assumed = white + np.hstack([stiffness, damping]) ** 2 @ observed.T.ravel() ** 2
+    least_seen = np.sqrt(assumed)[:, np.newaxis]
     force = SLIDER_TO_NOISE * least_seen / thresholds
     least = 2.0 * LEAST_DAMPING * np.sqrt(np.abs(np.diag(mass) * np.diag(stiffness)))
     damps = np.abs(damping) + np.diag(least / UNCERTAIN_DAMPING)
@@ -217,7 +217,7 @@ def model_arrays(
         prior=variance(1.0, UNCERTAIN_STIFFNESS, UNCERTAIN_DAMPING, 1.0),
         drift=variance(0.0, DRIFT, DRIFT, DRIFT) * dt,
         change=variance(1.0, CHANGING_STIFFNESS, CHANGING_DAMPING, CHANGING_SLIDER),
-        noise=np.transpose([white, as_told]),
+        noise=np.transpose([white, assumed]),
         observed=observed**2,
         alike=alike,
         least=STANDS_OUT * observed,
@@ -244,7 +244,7 @@ def model_arrays(
 
 @compiled
 def begin_model(parameters: ModelParameters, state: ModelState) -> None:
-    """Begin a test with what is told."""
+    """Begin a test with the assumed model."""
     n, q = parameters.start.shape
     state.covariance[:] = 0.0
     state.past[:] = 0.0
@@ -343,11 +343,11 @@ def follow(
             phi[1 + 2 * n + i] = state.stops[j, i]
         innovation, seen = measured[j], motion_noise(parameters, state, j)
         variance = parameters.noise[j, 0] + seen
-        told = used = measured[j]
+        surplus = used = measured[j]
         for i in range(q):
             state.before[j, i] = state.values[j, i]
             innovation -= found[i] * phi[i]
-            told -= parameters.start[j, i] * phi[i]
+            surplus -= parameters.start[j, i] * phi[i]
             p[i, i] += parameters.drift[j, i]
         multiply_sized(q, q, p, phi, gain)  # p is symmetric
         for i in range(q):
@@ -355,9 +355,9 @@ def follow(
             of_past += past[i] * phi[i]
         moves = (e[j] / parameters.least[j, 0]) ** 2 + (rate[j] / parameters.least[j, 1]) ** 2 > 1.0
         was_right = sums[4] > 0.0
-        # logarithm of the likelihoods' ratio, of what is told over what is found
+        # logarithm of the likelihoods' ratio, of what is assumed over what is found
         gained = innovation**2 / variance + math.log(variance / parameters.noise[j, 1])
-        gained -= told**2 / parameters.noise[j, 1]
+        gained -= surplus**2 / parameters.noise[j, 1]
         gained = min(0.5 * gained, MOST_EVIDENCE if sums[4] > 0.0 else parameters.confirming)
         sums[4] = min(max(sums[4] + gained, -MOST_EVIDENCE), MOST_EVIDENCE)
         sums[0] = parameters.recent * sums[0] + innovation

@@ -80,8 +80,8 @@ class Player:
         ExperimentError
             If it is not acknowledged.
         """
-        told = {**values, **({} if steps is None else {"steps": str(steps)})}
-        self._state = encode_status(Status("experiment", 0, state, values=told))
+        shown = {**values, **({} if steps is None else {"steps": str(steps)})}
+        self._state = encode_status(Status("experiment", 0, state, values=shown))
         self._repeat()
         if not is_acknowledged(self._publishers[EXPERIMENT_STATE], HEARD):
             raise ExperimentError(f"the state {state} of the test was not heard within {HEARD:g} s")
