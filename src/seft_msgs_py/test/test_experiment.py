@@ -267,7 +267,7 @@ NAMES = st.lists(
 NUMBERS = st.floats(1e-300, 1e300)
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(NAMES, NUMBERS, st.lists(NUMBERS, min_size=1, max_size=4), st.integers(0, 2**63 - 1))
 def test_what_is_written_is_read_back_with_values_and_types(load, axes, ratio, mass, seed):
     given_values = {
@@ -400,9 +400,7 @@ YAML_PIECES = st.sampled_from([*YAML_WORDS.split(), *YAML_MARKS.split("|"), *YAM
 
 
 @pytest.mark.filterwarnings("ignore::ruamel.yaml.error.YAMLWarning")
-@settings(
-    suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=400
-)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=400)
 @given(st.lists(YAML_PIECES, max_size=15).map("".join) | st.text(max_size=60))
 @example("? - a\n: b")
 @example("!!float _")

@@ -50,7 +50,7 @@ DECODERS = {
 }
 assert CODECS[0].topic is GROUND_MOTION
 
-few = settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+few = settings(max_examples=60, suppress_health_check=list(HealthCheck))
 
 
 def damaged(data, good):

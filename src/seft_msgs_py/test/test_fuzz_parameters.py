@@ -33,7 +33,7 @@ rig:
     count: 3
     "on": true
 """
-few = settings(max_examples=80, deadline=None, suppress_health_check=list(HealthCheck))
+few = settings(max_examples=80, suppress_health_check=list(HealthCheck))
 PIECES = st.sampled_from(
     [
         *GOOD.split(),

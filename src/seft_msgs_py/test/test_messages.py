@@ -3,7 +3,7 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import (
@@ -30,7 +30,6 @@ from std_msgs.msg import String  # noqa: E402
 serialise = rclpy_serialization.serialize_message
 deserialise = rclpy_serialization.deserialize_message
 
-UNTIMED = settings(deadline=None)  # the first use builds the typestore
 TEXT = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00"))
 STATUS = st.builds(
     Status,
@@ -61,14 +60,12 @@ def ros_status(status):
     )
 
 
-@UNTIMED
 @given(TEXT)
 def test_text_has_the_bytes_that_rclpy_writes(text):
     assert encode_string(text) == serialise(String(data=text))
     assert decode_string(encode_string(text)) == text
 
 
-@UNTIMED
 @given(STAMP)
 def test_clock_has_the_bytes_that_rclpy_writes(stamp):
     clock = Clock()
@@ -77,7 +74,6 @@ def test_clock_has_the_bytes_that_rclpy_writes(stamp):
     assert decode_clock(encode_clock(stamp)) == stamp
 
 
-@UNTIMED
 @given(STATUS)
 def test_status_is_read_alike_by_rclpy_and_here(status):
     assert deserialise(encode_status(status), DiagnosticStatus) == ros_status(status)
@@ -85,7 +81,6 @@ def test_status_is_read_alike_by_rclpy_and_here(status):
     assert len(encode_status(status)) == len(serialise(ros_status(status)))
 
 
-@UNTIMED
 @given(STAMP, st.lists(STATUS, max_size=3))
 def test_diagnostics_are_read_alike_by_rclpy_and_here(stamp, statuses):
     ours = encode_diagnostics(stamp, statuses)
@@ -118,7 +113,6 @@ def test_of_keys_that_come_twice_the_last_counts():
     assert decode_status(serialise(twice)).values == {"a": "2"}
 
 
-@UNTIMED
 @given(st.binary(max_size=200) | st.binary(max_size=200).map(lambda b: b"\x00\x01\x00\x00" + b))
 def test_garbage_is_refused_with_a_wire_error(raw):
     for decode in DECODERS:
@@ -135,7 +129,6 @@ def test_every_truncation_is_refused():
                 decode(raw[:end])
 
 
-@UNTIMED
 @given(st.sampled_from(range(4)), st.data())
 def test_flipped_bytes_are_read_or_refused(which, data):
     raw = bytearray(ENCODED[which])

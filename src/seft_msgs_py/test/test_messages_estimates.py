@@ -2,7 +2,7 @@ import contextlib
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from seft_msgs_py.errors import WireError
@@ -17,7 +17,6 @@ from seft_msgs_py.wire.timebase import Timebase
 rclpy_serialization = pytest.importorskip("rclpy.serialization")
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 
-UNTIMED = settings(deadline=None)  # the first use builds the typestore
 AXES = ("north", "east")
 TIMEBASE = Timebase.from_rate(500.0)
 CODEC = EstimatesCodec(AXES, TIMEBASE)
@@ -31,7 +30,6 @@ def bits(estimates):
     return {name: values.view(np.uint64).tolist() for name, values in estimates.items()}
 
 
-@UNTIMED
 @given(st.integers(0, 10**9), ESTIMATES)
 def test_estimates_are_read_back_bit_for_bit_and_in_their_order(step, estimates):
     back_step, back = CODEC.decode(CODEC.encode(step, estimates))
@@ -94,7 +92,6 @@ def test_a_message_that_is_not_of_this_test_is_refused_with_the_reason(stamp_ns,
         CODEC.decode(encode_diagnostics(stamp_ns, sent))
 
 
-@UNTIMED
 @given(st.data())
 def test_flipped_bytes_are_read_or_refused(data):
     raw = bytearray(CODEC.encode(50, GOOD))

@@ -132,7 +132,6 @@ def assert_decodes(codec, raw, step, values):
     assert got.tobytes() == values.tobytes()
 
 
-@settings(deadline=None)
 @given(messages())
 def test_samples_come_back_bit_for_bit(message):
     codec, step, values = message
@@ -148,7 +147,6 @@ def test_signed_zero_denormals_and_the_largest_number_survive(value):
     assert struct.pack("<d", values[0, 0, 0]) == struct.pack("<d", value)
 
 
-@settings(deadline=None)
 @given(messages())
 def test_rclpy_and_rosbags_read_the_samples_bit_for_bit(message):
     codec, step, values = message
@@ -157,14 +155,12 @@ def test_rclpy_and_rosbags_read_the_samples_bit_for_bit(message):
     assert_holds(typestore().deserialize_cdr(raw, JOINT_TRAJECTORY), codec, step, values)
 
 
-@settings(deadline=None)
 @given(messages())
 def test_the_bytes_follow_the_rules_of_cdr(message):
     codec, step, values = message
     assert codec.encode_points(step, values) == cdr(codec, step, values)
 
 
-@settings(deadline=None)
 @given(messages(), st.binary(max_size=9))
 def test_what_rclpy_and_rosbags_write_is_read(message, end):
     codec, step, values = message
@@ -174,7 +170,6 @@ def test_what_rclpy_and_rosbags_write_is_read(message, end):
     assert_decodes(codec, bytes(bag) + end, step, values)
 
 
-@settings(deadline=None)
 @given(messages(), st.binary(min_size=1, max_size=1), st.binary(max_size=40))
 def test_garbage_in_padding_and_past_the_end_is_ignored(message, pad, end):
     codec, step, values = message
@@ -251,7 +246,6 @@ def test_a_state_needs_all_four_quantities():
             codec.encode(0, np.zeros(shape))
 
 
-@settings(deadline=None)
 @given(messages(), NOT_FINITE, st.data())
 def test_nan_and_inf_are_refused_both_ways_by_axis_and_quantity(message, value, data):
     codec, step, values = message
@@ -379,7 +373,7 @@ def decode_or_refuse(codec, raw):
     assert values.shape[1:] == (len(codec.topic.quantities), len(codec.axes))
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(st.binary(max_size=300), st.booleans(), st.sampled_from(LOOP_TOPICS))
 def test_arbitrary_bytes_are_read_or_refused(raw, headed, topic):
     codec = TrajectoryCodec(topic, ("x",), TIMEBASE)
@@ -388,7 +382,7 @@ def test_arbitrary_bytes_are_read_or_refused(raw, headed, topic):
         parse_trajectory(raw)
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(messages(), st.data())
 def test_mutated_messages_are_read_or_refused(message, data):
     codec, step, values = message

@@ -94,7 +94,7 @@ def assert_as_each(codec, raws):
     assert decode_all(codec, raws) == decode_each(codec, raws)
 
 
-@settings(deadline=None, max_examples=400)
+@settings(max_examples=400)
 @given(batches())
 def test_a_batch_gives_what_its_messages_give_one_by_one(batch):
     assert_as_each(*batch)

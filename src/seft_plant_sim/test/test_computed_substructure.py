@@ -112,7 +112,7 @@ def test_what_makes_no_structure_is_refused(values, words):
         computed_of(**values)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 2**31), axes=st.integers(1, 4), internal=st.integers(0, 4))
 @example(seed=0, axes=3, internal=0)
 def test_the_response_is_that_of_the_assembled_structure(seed, axes, internal):
@@ -160,7 +160,7 @@ def test_the_response_is_that_of_the_assembled_structure(seed, axes, internal):
         np.testing.assert_allclose(piece, exact, rtol=0, atol=1e-9 * np.abs(exact).max())
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**31), axes=st.integers(1, 4), internal=st.integers(1, 4))
 def test_without_inertial_coupling_it_is_the_same_structure(seed, axes, internal):
     values = structure(np.random.default_rng(seed), axes, internal)

@@ -58,7 +58,7 @@ def noise(steps, rms=RMS, seed=1):
     return np.array([one.measure(step, np.zeros(rms.shape)) for step in steps])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.lists(st.integers(0, 20_000), max_size=10))
 def test_the_noise_of_a_step_does_not_depend_on_the_steps_before(steps):
     for step, value in zip(steps, noise(steps), strict=True):

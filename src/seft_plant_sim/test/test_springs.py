@@ -170,7 +170,7 @@ def test_a_path_in_small_steps_and_in_large_ones_is_the_same_loop(name):
 PATHS = st.lists(st.floats(-5, 5), min_size=1, max_size=12)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(turns=PATHS)
 @springs
 def test_work_is_strain_energy_and_what_is_dissipated_which_never_shrinks(name, turns):
@@ -188,7 +188,7 @@ def test_work_is_strain_energy_and_what_is_dissipated_which_never_shrinks(name, 
         assert not dissipated.any()
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(turns=PATHS)
 @springs
 def test_a_spring_pushed_the_other_way_is_its_mirror_image(name, turns):

@@ -65,7 +65,7 @@ def test_a_pulse_is_followed_by_free_vibration_of_the_whole_mass(alpha):
     )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     alpha=st.floats(0, 10),
     zeta=st.floats(0, 0.9),

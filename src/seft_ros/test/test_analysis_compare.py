@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 from seft_msgs_py.config.experiment import Experiment
@@ -56,7 +56,6 @@ def test_the_same_samples_are_identical():
         assert (row["max_abs"], row["nrmse"]) == (0.0, 0.0)
 
 
-@settings(deadline=None)
 @given(place=st.sampled_from(PLACES), step=st.integers(0, COUNT - 1))
 def test_one_bit_anywhere_is_a_difference_and_is_named(place, step):
     topic, row, column = place
@@ -77,7 +76,6 @@ def test_one_bit_anywhere_is_a_difference_and_is_named(place, step):
     assert (swapped["a"], swapped["b"]) == (np.nextafter(value, np.inf), value)
 
 
-@settings(deadline=None)
 @given(st.lists(st.tuples(st.sampled_from(PLACES), st.integers(0, COUNT - 1)), min_size=1))
 def test_the_smallest_step_comes_first_then_the_order_of_the_topics(changes):
     a, b = make_record(), make_record()

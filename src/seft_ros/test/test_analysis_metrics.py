@@ -19,7 +19,7 @@ from seft_ros.analysis.metrics import (
 
 DT = 0.002
 TIME = np.arange(4000) * DT
-QUICK = settings(deadline=None, max_examples=60)
+QUICK = settings(max_examples=60)
 DELAYS = st.floats(-0.05, 0.05)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 import zstandard
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType
@@ -67,7 +67,6 @@ def test_every_whole_message_is_found_wherever_the_file_ends(tmp_path, whole):
         assert found == [TEXT, *SAMPLES][: sum(end <= size for end in ends)]
 
 
-@settings(deadline=None)
 @given(size=st.integers(0, 5000), garbage=st.binary(max_size=60))
 def test_garbage_after_the_cut_never_stops_the_recovery(tmp_path_factory, whole, size, garbage):
     data, ends = whole

@@ -68,7 +68,7 @@ def without_index(path):
     return path
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(
     MESSAGES,
     st.sets(st.sampled_from(TOPICS), min_size=1),
@@ -126,7 +126,7 @@ def chunks(draw):
     return bytes(data), starts
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(chunks(), st.booleans())
 def test_messages_are_found_between_other_records(chunk, wanted):
     raw, starts = chunk

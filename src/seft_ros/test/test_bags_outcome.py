@@ -1,7 +1,7 @@
 import dataclasses
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import ERROR, OK, WARN, Status, decode_status, encode_status
@@ -13,7 +13,6 @@ COUNT = st.integers(0, 10**9)
 TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\x00"))
 
 
-@settings(deadline=None)  # the first use builds the typestore
 @given(
     steps=COUNT,
     missed_steps=st.lists(COUNT, max_size=LISTED_STEPS),

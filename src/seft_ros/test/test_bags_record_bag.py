@@ -88,7 +88,7 @@ def test_a_bag_of_a_test_without_estimates_lacks_the_topic(tmp_path):
     assert read_bag(tmp_path / "bag").estimates is None
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(
     data=st.data(),
     steps=st.sets(st.integers(0, 40), max_size=12),

@@ -59,7 +59,7 @@ def test_the_band_pass_is_that_of_butterworth():
 
 
 @given(st.floats(0.004, 0.038), st.floats(0.5, 2.0), st.integers(0, 999))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_any_delay_is_found_whatever_the_amplitude(delay, amplitude, seed):
     force = broad_band(2500, seed)
     found = follow(estimator(), force, amplitude * delayed(force, delay))

@@ -201,7 +201,7 @@ def whole_structure(mass, damping, stiffness, start, motion, delay):
 
 
 @given(DELAYS, st.integers(0, 99))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_the_model_predicts_as_the_exact_solution_of_the_whole_structure(delay, seed):
     rng = np.random.default_rng(seed)
     mass = np.array([[60.0, 10.0], [10.0, 40.0]])

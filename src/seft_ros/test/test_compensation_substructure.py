@@ -60,7 +60,7 @@ def exact_test(section, seed, steps=800):
     return ground, np.stack(parts, axis=1)[:steps]
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 2**31), axes=st.integers(1, 3), internal=st.integers(0, 3))
 @pytest.mark.parametrize("method", ["none", "restoring"])
 def test_in_a_perfect_test_the_reference_force_is_the_exact_one(method, seed, axes, internal):
@@ -73,7 +73,7 @@ def test_in_a_perfect_test_the_reference_force_is_the_exact_one(method, seed, ax
     assert error < 2e-4 * np.abs(states[:, 3]).max()
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 2**31), axes=st.integers(1, 3), internal=st.integers(0, 3))
 def test_what_stands_for_the_ground_motion_is_known_ahead(seed, axes, internal):
     section, preview = section_of(seed, axes, internal), 60

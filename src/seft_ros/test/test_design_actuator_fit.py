@@ -108,7 +108,7 @@ def test_of_several_axes_each_has_its_own(axis):
     assert_found(fit, flow_gain=gains[axis], oil_stiffness=1.685e7, valve_frequency=valve)
 
 
-@settings(max_examples=8, deadline=None, phases=(Phase.explicit, Phase.generate))
+@settings(max_examples=8, phases=(Phase.explicit, Phase.generate))
 @given(
     valve=st.floats(30.0, 120.0),
     damping=st.floats(0.4, 1.0),

@@ -146,7 +146,7 @@ def test_so_they_are_of_other_rigs_and_sensors(parts, axes, method):
     assert_same(test)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     delay=st.floats(0.0, 0.03),
     mass_ratio=st.floats(0.0, 1.2),
@@ -202,7 +202,7 @@ def test_a_plant_identified_exactly_gives_the_rigs_own_loop(method):
         assert ends[0].hz == pytest.approx(ends[1].hz, rel=1e-3)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(size=st.integers(60, 90), density=st.floats(0.002, 0.05), seed=st.integers(0, 1000))
 def test_a_loop_taken_apart_has_the_eigenvalues_of_the_whole(size, density, seed):
     rng = np.random.default_rng(seed)

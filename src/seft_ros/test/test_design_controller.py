@@ -27,7 +27,7 @@ def test_the_papers_controller_is_a_pole_pair_on_the_specimens_frequency():
     assert again.denominator == pytest.approx(controller.denominator)
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=50, derandomize=True)
 @given(HZ, st.floats(0.0, 0.95), HZ, st.floats(-1e3, 1e3).filter(lambda g: abs(g) > 1e-3))
 def test_factors_and_coefficients_say_the_same(pair_hz, damping, real_hz, gain):
     controller = Controller.from_roots(gain, [Root(real_hz)], [Root(pair_hz, damping), Root(0.0)])

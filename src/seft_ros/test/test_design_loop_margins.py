@@ -12,7 +12,7 @@ def delayed_integrator(crossover_hz, delay):
     return 2 * np.pi * crossover_hz / S * np.exp(-S * delay)
 
 
-@settings(max_examples=12, deadline=None, derandomize=True)
+@settings(max_examples=12, derandomize=True)
 @given(st.floats(1.0, 20.0), st.floats(0.003, 0.02))
 def test_margins_of_an_integrator_with_delay_are_the_textbook_ones(crossover, delay):
     found = loop_margins(F, delayed_integrator(crossover, delay))
@@ -70,7 +70,7 @@ def test_what_is_not_finite_is_left_out():
     assert nothing.sensitivity_peak is None
 
 
-@settings(max_examples=12, deadline=None, derandomize=True)
+@settings(max_examples=12, derandomize=True)
 @given(st.floats(0.0, 0.04), st.booleans())
 def test_a_pure_delay_is_found_however_the_frequencies_lie(delay, evenly):
     f = np.linspace(0.5, 100.0, 200) if evenly else F

@@ -73,7 +73,7 @@ def expanded():
     return numerator.tolist(), denominator.tolist()
 
 
-@settings(max_examples=15, deadline=None, derandomize=True)
+@settings(max_examples=15, derandomize=True)
 @given(st.floats(10.0, 500.0), st.floats(1.0, 30.0), st.floats(0.002, 0.4))
 def test_the_zeros_of_the_plant_are_the_specimens_poles(mass, hz, damping):
     w = 2 * np.pi * hz
@@ -200,7 +200,7 @@ def test_the_dominant_pole_is_how_the_blocks_grow_or_die_out(axes, gain):
     assert (abs(pole) < 1) is (gain == 1.0)
 
 
-@settings(max_examples=8, deadline=None, derandomize=True)
+@settings(max_examples=8, derandomize=True)
 @given(st.floats(0.2, 4.0), st.floats(0.0, 0.008), st.sampled_from([200.0, 500.0, 1000.0]))
 def test_nyquists_criterion_agrees_with_the_eigenvalues(gain, dead_time, rate):
     test = experiment(rate, actuator__dead_time=dead_time)

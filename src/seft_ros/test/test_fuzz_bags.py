@@ -21,7 +21,7 @@ from seft_ros.test_run.parameter_tables import TABLES
 
 EXPERIMENT = Experiment.load(TABLES, ["config/jhu.yaml"], [])
 EXAMPLES = 15
-few = settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck))
+few = settings(max_examples=EXAMPLES, suppress_health_check=list(HealthCheck))
 
 
 # rosbags leaves files open where what it opens is no bag

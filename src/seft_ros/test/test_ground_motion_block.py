@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.config.parameter_table import Table, resolve
 from seft_msgs_py.errors import InputError
@@ -52,7 +52,6 @@ def test_the_tail_is_zeros_after_the_record(tent):
     assert motion.steps == 8
 
 
-@settings(deadline=None)
 @given(
     st.sampled_from([0.01, 0.005, 0.02, 1 / 3 * 0.01]),
     st.sampled_from([0.5, 1.0, 2.0, 0.3]),
@@ -116,7 +115,6 @@ def test_samples_are_float64_contiguous_and_read_only(tent):
         samples[0, 0] = 1.0
 
 
-@settings(deadline=None)
 @given(st.integers(1, 300), st.integers(1, 50))
 def test_chunks_cover_every_step_once_and_in_order(steps, chunk_steps):
     values = np.arange(2.0 * steps).reshape(steps, 2)

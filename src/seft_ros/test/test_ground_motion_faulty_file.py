@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError
 from seft_ros.ground_motion.record_file import read_record
@@ -149,7 +149,6 @@ def test_a_column_that_counts_the_lines_is_not_taken_for_accelerations(tmp_path)
     )
 
 
-@settings(deadline=None)
 @given(st.binary(max_size=200))
 @example(b"1,2\n3,4;5")
 @example(b"NPTS= 99999999999999999999, DT= 1e-999\n1")
@@ -167,7 +166,6 @@ def test_any_bytes_are_a_record_or_one_line_of_refusal(tmp_path_factory, content
 LINES = st.lists(st.text(alphabet="01.-+eE,; \t%nafNPTS=DT", max_size=12), min_size=1, max_size=6)
 
 
-@settings(deadline=None)
 @given(LINES)
 def test_almost_records_are_read_or_refused_in_one_line(tmp_path_factory, lines):
     path = write(tmp_path_factory.mktemp("lines"), "\n".join(lines))

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError
 from seft_ros.ground_motion.record_file import read_record
@@ -56,7 +56,6 @@ def test_fortran_numbers_that_run_together_are_taken_apart(tmp_path):
     np.testing.assert_allclose(values, [-1.23e-3, -4.56e-4, 0.5, 1.5, -0.25, 3.0, -4.0], rtol=1e-14)
 
 
-@settings(deadline=None)
 @given(st.lists(st.floats(-1, 1).filter(lambda x: x == 0 or abs(x) > 1e-9), min_size=2))
 def test_fixed_width_columns_read_as_what_was_written_run_together_or_not(tmp_path_factory, values):
     rows = [values[i : i + 5] for i in range(0, len(values), 5)]

@@ -4,7 +4,7 @@ from io import BytesIO
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError
 from seft_ros.ground_motion.response_spectrum import (
@@ -77,7 +77,6 @@ def test_every_sample_counts_across_the_blocks_of_the_computation():
     np.testing.assert_allclose(response_spectrum(a, dt, [period], 0.0), expected, rtol=1e-5)
 
 
-@settings(deadline=None)
 @given(st.lists(st.floats(-10, 10), min_size=2, max_size=40), st.floats(0.1, 10))
 def test_the_spectrum_scales_with_the_motion_and_with_time(motion, factor):
     periods = np.array([0.05, 0.3, 2.0])

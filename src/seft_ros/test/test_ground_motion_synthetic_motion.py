@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.timebase import Timebase
@@ -77,7 +77,6 @@ def test_a_seed_is_a_motion():
     assert np.abs(first - synthetic_motion(**{**MOTION, "seed": 4})).max() > 1
 
 
-@settings(deadline=None)
 @given(st.integers(0, 2**63), st.floats(0.1, 50), st.sampled_from([1.0, 3.3, 20.0]))
 def test_the_largest_acceleration_is_the_peak_and_the_length_the_duration(seed, peak, duration):
     motion = synthetic_motion(**{**MOTION, "seed": seed, "peak": peak, "duration": duration})

@@ -75,7 +75,7 @@ def vibration(steps, dt, hz, growth, start=1e-3):
     return (start * np.exp(growth * time) * np.sin(math.tau * hz * time))[:, np.newaxis]
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     seed=st.integers(0, 1000),
     axes=st.integers(1, 3),

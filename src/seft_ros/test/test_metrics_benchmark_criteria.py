@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from seft_ros.analysis.tracking_metrics import benchmark_criteria
 
-QUICK = settings(deadline=None, max_examples=30)
+QUICK = settings(max_examples=30)
 DT = 1 / 512
 TIME = np.arange(4000) * DT
 

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from seft_ros.analysis.tracking_metrics import energy_error, relative_energy_error
 
-QUICK = settings(deadline=None, max_examples=40)
+QUICK = settings(max_examples=40)
 DT = 0.002
 TIME = np.arange(1001) * DT  # 2 s
 OMEGA = 2 * np.pi * 5.0  # whole cycles

@@ -9,7 +9,7 @@ from seft_ros.analysis.tracking_metrics import frequency_evaluation_index
 DT = 0.002
 COUNT = 5000
 TIME = np.arange(COUNT) * DT
-QUICK = settings(deadline=None, max_examples=40)
+QUICK = settings(max_examples=40)
 
 
 def sine(frequency, delay=0.0, amplitude=1.0):

@@ -7,7 +7,7 @@ from seft_ros.analysis.tracking_metrics import (
     tracking_indicator,
 )
 
-QUICK = settings(deadline=None, max_examples=40)
+QUICK = settings(max_examples=40)
 CYCLE = 2 * np.pi * np.arange(2001) / 2000
 
 
