@@ -15,7 +15,9 @@ def test_a_rig_that_can_is_asked_until_it_has_told():
 def test_nobody_is_asked_where_there_is_no_rehearsal():
     assert judge(0.0, {"rehearses": True}) == Rehearsed()
     assert judge(2.0, {"drive": "valve_command"}) == Rehearsed()  # a driver that can't
-    assert judge(2.0, {"rehearses": True}, ("west", "east")) == Rehearsed()
+    rigs = ("west/rig", "east/rig", "reference_force", "west/force_controller")
+    for peers in (rigs, ("rig", "ground_motion"), ("rig", "reference_force")):
+        assert judge(2.0, {"rehearses": True}, peers) == Rehearsed()
 
 
 def test_a_loop_that_does_not_keep_its_rate_is_refused_with_one_that_fits():

@@ -1,6 +1,6 @@
 """Whether a loop keeps its rate, by its rehearsal before anything moves."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +19,7 @@ UNFIT = "a loop that keeps its rate: "
 RUNS = "the rehearsal of the loop"
 """What is missing while it goes on."""
 
+LOOP = ("rig", "reference_force", "force_controller")
 REFUSED = 0.1  # of the steps missed: a test of such a loop is another
 WARNED = 0.001
 ROOM = 0.8  # of a period, that the slowest hundredth may take at a rate that is proposed
@@ -37,7 +38,7 @@ class Rehearsed:
     asked: float = 0.0
 
 
-def judge(duration: float, rig: Mapping[str, Any], rigs: Sequence[Any] = (None,)) -> Rehearsed:
+def judge(duration: float, rig: Mapping[str, Any], peers: Collection[str] = LOOP) -> Rehearsed:
     """Judge the rehearsal of a rig.
 
     Parameters
@@ -46,10 +47,10 @@ def judge(duration: float, rig: Mapping[str, Any], rigs: Sequence[Any] = (None,)
         That a rehearsal shall take, s; 0: none is wanted.
     rig : mapping
         The rig's description; a rig that can rehearse says so in it.
-    rigs : sequence
-        Rigs of the test: several do not rehearse.
+    peers : collection of str
+        Nodes of the test. Without the whole loop, and with several rigs, there is no rehearsal.
     """
-    if not duration or len(rigs) > 1 or not rig.get(REHEARSES):
+    if not duration or not {*LOOP} <= {*peers} or not rig.get(REHEARSES):
         return Rehearsed()
     found = rig.get(REHEARSED)
     if found is None:
