@@ -34,6 +34,8 @@ NAMES = {  # module: name for pip, rosdep key
     "yaml": ("pyyaml", "python3-yaml"),
     "zstandard": ("zstandard", None),
 }
+OPTIONAL = {"openseespy"}
+"""An extra of the package names it for pip; ROS 2 does not have it."""
 ROS = {  # what ROS 2 brings: no name for pip
     *("diagnostic_msgs", "launch", "launch_ros", "rcl_interfaces", "rclpy", "rosgraph_msgs"),
     *("std_msgs", "std_srvs", "trajectory_msgs"),
@@ -49,7 +51,7 @@ def imports(folder: Path) -> set[str]:
                 found |= {alias.name.split(".")[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 found.add(node.module.split(".")[0])
-    return found - own - set(sys.stdlib_module_names)
+    return found - own - OPTIONAL - set(sys.stdlib_module_names)
 
 
 def required(package: str) -> tuple[set[str], set[str]]:
@@ -57,7 +59,7 @@ def required(package: str) -> tuple[set[str], set[str]]:
     wanted = [Requirement(text) for text in requires(package)]
     return (
         {one.name for one in wanted if not one.marker},
-        {one.name for one in wanted if one.marker},
+        {one.name for one in wanted if one.marker and "test" in str(one.marker)},
     )
 
 
