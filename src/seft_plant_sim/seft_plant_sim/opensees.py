@@ -24,6 +24,7 @@ from seft_msgs_py.errors import InputError
 
 START_TIME = 60.0  # s, for the worker to import OpenSees and run the script
 STEP_TIME = 5.0  # s, after which a step hangs
+ENDING_TIME = 2.0  # s
 _MANY = 900_000  # tags of what is added to the script's model
 _OK, _FAILED = b"+", b"-"
 Place = tuple[int, int]
@@ -93,6 +94,7 @@ class OpenSees:
             stdout=self._errors,
             stderr=self._errors,
             pass_fds=(other.fileno(),),
+            start_new_session=True,  # Ctrl-C is for those who ramp the test down
             env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
         )
         other.close()
@@ -132,7 +134,11 @@ class OpenSees:
     def close(self) -> None:
         """End the worker."""
         self._own.close()
-        self._worker.wait()
+        try:
+            self._worker.wait(ENDING_TIME)
+        except subprocess.TimeoutExpired:  # it hangs in a step
+            self._worker.kill()
+            self._worker.wait()
         self._errors.close()
 
     def __del__(self) -> None:

@@ -43,6 +43,20 @@ class Bilinear:
         return [held + 1e4 * x]
 
 
+class Dashpot(Spring):
+    def step(self, t, displacement, velocity, ground_acceleration):
+        return 300.0 * velocity * abs(velocity)
+
+
+class Maxwell(Spring):
+    """A spring that a dashpot relaxes."""
+
+    def step(self, t, displacement, velocity, ground_acceleration):
+        self.asked.append(displacement)
+        relaxed = sum(self.asked[:-1], 0.0 * displacement)
+        return 1e4 * (displacement - 0.1 * relaxed)
+
+
 class Named(Spring):
     """A spring below the first internal degree of freedom."""
 
@@ -170,7 +184,13 @@ def test_the_tangents_are_found_by_small_motions_or_told(file):
 
 @pytest.mark.parametrize(
     ("name", "settings", "is_static"),
-    [("Spring", "k3=1e9", True), ("Bilinear", "", True), ("Spring", "c=1.0", False)],
+    [
+        ("Spring", "k3=1e9", True),
+        ("Bilinear", "", True),
+        ("Spring", "c=1.0", True),  # a linear damper is told apart
+        ("Dashpot", "", False),
+        ("Maxwell", "", False),
+    ],
 )
 def test_a_force_that_depends_on_displacement_alone_is_known_as_such(
     file, name, settings, is_static
@@ -214,7 +234,7 @@ def test_what_is_wrong_with_a_model_is_told_in_one_line(file, name, settings, wh
 @pytest.mark.parametrize(
     ("wrong", "why"),
     [
-        ("[1 / 0]", "Late line 57, step: division by zero"),
+        ("[1 / 0]", "Late line LINE, step: division by zero"),
         ("[float('nan')]", "Late line [0-9]+: step gives a force that is not finite"),
         ("[0.0, 0.0]", r"step gives a force of the shape \(2,\), but must give \(1,\)"),
         ("'none'", "step gives no numbers, but must give the force in N"),
@@ -225,7 +245,8 @@ def test_a_step_that_fails_is_told_with_its_line(file, wrong, why):
     model = model_of(file, "Late").make()
     model.start(0.002)
     zero = np.zeros(1)
-    with pytest.raises(InputError, match=why):
+    line = MODELS[: MODELS.index("return WRONG")].count("\n") + 1
+    with pytest.raises(InputError, match=why.replace("LINE", str(line))):
         for step in itertools.count():
             model.step(0.002 * step, zero, zero, zero)
 

@@ -220,7 +220,8 @@ def preflight(
         limits = proposed_limits(peaks)
         summary |= {"expected_peaks": peaks, "proposed_limits": limits}
         timed = model_time(experiment)
-        summary["model"] = timed and timed.numbers()
+        if timed is not None:
+            summary["model"] = timed.numbers()
         steps = next_steps(plan, found, peaks, once_more(config, param, params_file, external))
         summary["next"] = [asdict(step) for step in steps]
         if write is not None:

@@ -12,8 +12,9 @@ from seft_ros.ground_motion.ground_motion_block import GroundMotion
 
 SHARE = 0.6
 """Of a period, for the model: the loop's nodes need the rest."""
-LOOKS = 3
-"""At a model that seems too slow: the host may have stood still."""
+LOOKS = 4
+"""At a model that seems too slow. Of each step the shortest time counts: what takes long in all of
+them is the model, the rest is the host."""
 STEPS = 5000
 """Of the test, at most, from its beginning on."""
 RATES = (2000, 1000, 500, 400, 250, 200, 125, 100, 50, 25, 20, 10, 5, 2, 1)  # Hz
@@ -97,12 +98,11 @@ def model_time(experiment: Experiment) -> ModelTime | None:
         experiment["ground_motion"], experiment.axes, experiment.timebase
     ).samples[: STEPS * model.every : model.every]
     share = SHARE * dt * (model.every if model.is_apart else 1)
-    found: ModelTime | None = None
+    times = np.full(len(motion), np.inf)
     for _ in range(LOOKS):
-        times = model_times(whole, motion, model.every * dt)
+        times = np.minimum(times, model_times(whole, motion, model.every * dt))
         median, p999 = np.percentile(times, [50.0, 99.9]).tolist()
-        if found is None or p999 < found.p999:
-            found = ModelTime(median, p999, share, dt, model.every, model.is_apart)
+        found = ModelTime(median, p999, share, dt, model.every, model.is_apart)
         if found.fits:
             break
     return found

@@ -11,12 +11,11 @@ instead, by Broyden's update (1965). What the line before had missed is made goo
 that the impulse of g is that of the trapezoidal rule.
 """
 
-import time
 from collections import deque
 
 import numpy as np
 from seft_msgs_py.config.arrays import Floats
-from seft_plant_sim.computed_model import ModelError
+from seft_plant_sim.computed_model import ComputedModel, ModelError
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
@@ -32,7 +31,8 @@ class ModelLine:
     Parameters
     ----------
     computed : ComputedSubstructure
-        With a model, which is made here.
+        With a model, which is made when it is first needed: the linear loops that preflight looks
+        at do without.
     inverse : ndarray
         Of the whole mass, shape (N, N), 1/kg.
     dt : float
@@ -45,8 +45,6 @@ class ModelLine:
         the force differs from that of the tangents at rest. Time begins at the last sample.
     force : ndarray
         Of the model at the last sample, shape (N,), N.
-    slowest : float
-        Longest time that a step of it has taken in this test, s.
     """
 
     def __init__(self, computed: ComputedSubstructure, inverse: Floats, dt: float) -> None:
@@ -55,7 +53,7 @@ class ModelLine:
         self._source, self._inverse, self._dt = computed.model, inverse, dt
         self._every = computed.model.every
         self._by_axis = computed.model.influence
-        self._model = computed.model.make()
+        self._made: ComputedModel | None = None
         self._rest = np.hstack(computed.model.tangents)
         self.values = np.zeros((size, 2 * size + 2))
         self.force = np.zeros(size)
@@ -63,9 +61,9 @@ class ModelLine:
 
     def reset(self) -> None:
         """Begin a new test."""
-        self._model.start(self._every * self._dt)
+        self._is_started = False
         self.values[:], self.force[:] = 0.0, 0.0
-        self._count, self.slowest = 0, 0.0
+        self._count = 0
         self._asked: deque[Floats] = deque()
         self._line = np.zeros_like(self.values)  # that of the last answer, from there on
         self._at: Floats | None = None  # which was this motion
@@ -87,7 +85,7 @@ class ModelLine:
         ModelError
             If the model fails.
         """
-        begun, count, size = time.perf_counter(), self._count, len(self.force)
+        model, count, size = self._model(), self._count, len(self.force)
         self._count += 1
         self.values[:, -2] += self._dt * self.values[:, -1]  # the time begins here
         turn = count % self._every
@@ -95,20 +93,28 @@ class ModelLine:
             x, v = motion[:size].copy(), motion[size:].copy()
             now = count * self._dt, x, v, self._by_axis @ ground
             self._asked.append(motion.copy())
-            if self._every > 1 and self._model.is_apart:
-                self._model.ask(*now)
+            if self._every > 1 and model.is_apart:
+                model.ask(*now)
             else:
-                self._take(self._model.step(*now), motion, 0)
+                self._take(model.step(*now), motion, 0)
         if turn == self._every - 1 and self._asked:
-            self._take(self._model.answer(), motion, turn)
-        self.slowest = max(self.slowest, time.perf_counter() - begun)
+            self._take(model.answer(), motion, turn)
+
+    def _model(self) -> ComputedModel:
+        """Give the model, in the test that has begun."""
+        if self._made is None:
+            self._made = self._source.make()
+        if not self._is_started:
+            self._made.start(self._every * self._dt)
+            self._is_started = True
+        return self._made
 
     def _take(self, force: Floats, motion: Floats, late: int) -> None:
         """Draw the new line, and mend the motion; the force is that ``late`` samples ago."""
         at, size, span = self._asked.popleft(), len(force), self._every * self._dt
         acts = -self._inverse @ (force - self._rest @ at)
         line, before = np.zeros_like(self._line), self._line
-        follows, told = self._source.is_static, self._model.tangents()
+        follows, told = self._source.is_static, self._model().tangents()
         for part, tangent in zip((slice(size), slice(size, 2 * size)), told, strict=True):
             if tangent is not None:
                 line[:, part] = -self._inverse @ (tangent - self._rest[:, part])
@@ -133,7 +139,7 @@ class ModelLine:
 
     def _follow(self, at: Floats, force: Floats) -> Floats:
         """Follow the force of a static model; give accelerations per displacement, (N, N)."""
-        size, rows = len(force), self._model.rows
+        size, rows = len(force), self._model().rows
         own, own_force = rows @ at[:size], np.linalg.lstsq(rows.T, force, rcond=None)[0]
         own_force = own_force - self._source.own_tangents[1] @ (rows @ at[size:])
         if self._at is not None:
@@ -159,16 +165,16 @@ class ModelLine:
 
         What belongs to no axis stands at each of them.
         """
-        size, source = len(self.force), self._source
+        size, source, model = len(self.force), self._source, self._model()
         at = np.zeros(size) if self._at is None else self._at[:size]
-        force = np.linalg.lstsq(self._model.rows.T, self.force, rcond=None)[0]
+        force = np.linalg.lstsq(model.rows.T, self.force, rcond=None)[0]
         found: dict[str, Floats] = {}
-        for kind, values in (("displacement", self._model.rows @ at), ("force", force)):
-            for place, value in zip(self._model.places, values.tolist(), strict=True):
+        for kind, values in (("displacement", model.rows @ at), ("force", force)):
+            for place, value in zip(model.places, values.tolist(), strict=True):
                 name = f"{OF_MODEL}{kind}"
                 if place < axes:
                     found.setdefault(name, np.zeros(axes))[place] = value
                 else:
                     found[f"{name}, {source.dofs[place]}"] = np.full(axes, value)
-        told = self._model.responses()
+        told = model.responses()
         return found | {f"{OF_MODEL}{name}": np.full(axes, value) for name, value in told.items()}
