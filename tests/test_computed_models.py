@@ -136,6 +136,15 @@ def test_a_model_that_fails_in_its_node_alone_trips_the_test(seft_json, model, t
     assert summary["steps"] > 750 + 250
 
 
+def test_a_model_that_becomes_slow_in_a_test_trips_it(seft_json, model, tmp_path):
+    text = MODELS.replace("if t > 1.5:", 'if t > 1.5 and "reference_force" in sys.argv[0]:')
+    text = text.replace('raise ValueError("it broke")', "time.sleep(0.08)")
+    (tmp_path / "models.py").write_text(f"import sys\nimport time\n{text}")
+    words = (*SHORT, *model("Breaking"), *STALLS_ALLOWED)
+    summary = seft_json("run", DEMO, *words, "--out", "slow", status=1)
+    assert "models.py:Breaking took 0.0" in summary["trip"]["reason"]
+
+
 def test_a_model_that_is_too_slow_is_refused_with_the_rate_that_fits(seft, seft_json, model):
     words = (DEMO, *SHORT, *model("Sleepy"))
     found = seft_json("preflight", *words, status=1)["model"]

@@ -1,5 +1,6 @@
 """A computed substructure's part that is any program: a user's class, stepped once per sample."""
 
+import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -118,7 +119,10 @@ class ModelSource:
 
     @property
     def _probed(self) -> "Probed":
-        return _probe(self.name, self.settings, self.dofs, self.influence.shape[1])
+        words = (self.name.rpartition(":")[0], *re.split(r"[\s=]+", self.settings))
+        files = [Path(word) for word in words if word]
+        versions = tuple(file.stat().st_mtime_ns for file in files if file.is_file())
+        return _probe(self.name, self.settings, self.dofs, self.influence.shape[1], versions)
 
     def changed(self, change: Floats) -> "ModelSource":
         """Give the source for other coordinates, shape (N, N)."""
@@ -344,8 +348,11 @@ def _equal(one: Floats, other: Floats) -> bool:
 
 
 @lru_cache(maxsize=64)
-def _probe(name: str, settings: str, dofs: tuple[str, ...], axes: int) -> Probed:
-    """Probe a model of its own."""
+def _probe(
+    name: str, settings: str, dofs: tuple[str, ...], axes: int, versions: tuple[int, ...]
+) -> Probed:
+    """Probe a model of its own; once, as long as its files stay as they are."""
+    del versions
     unit = np.eye(len(dofs))
     model = ModelSource(name, settings, dofs, unit[:, :axes], 1, unit).make()
     try:

@@ -35,6 +35,7 @@ from seft_ros.test_run.state_machine import (
 )
 
 RIG_POLL = 0.002  # s between polls for the state of a late rig
+LONGEST_MODEL_STEP = 0.05  # s, of a computed model: by then a rig has held its command for long
 
 
 class ReferenceForceNode(NodeBody):
@@ -211,7 +212,7 @@ class ReferenceForceNode(NodeBody):
             return
         self._waiting.pop(step, None)
         self._publish(self._message(step, motion, state))
-        self._block.ask_model()
+        self._ask_model(step)
         self._order.last = step
         if self._block.ramping:
             if self._ramp_step < 0 and self._block.cause is None:
@@ -219,6 +220,18 @@ class ReferenceForceNode(NodeBody):
             self._report_ramp(step)
         if step >= self._sampler.due:
             self._send_estimates(step)
+
+    def _ask_model(self, step: int) -> None:
+        """Step a computed model, now that the sample is answered; trip if it takes far too long."""
+        begun = time.monotonic()
+        self._block.ask_model()
+        took = time.monotonic() - begun
+        if took > LONGEST_MODEL_STEP and not self._order.in_lockstep:
+            name = self._shell.experiment["reference_force"]["computed.model"]
+            self._trip_for(
+                f"computed.model {name} took {took:.3g} s for a step; seft preflight measures it",
+                step,
+            )
 
     def _message(self, step: int, motion: Floats | None, state: Floats) -> bytes:
         """Message that answers a state; lost states before it are bridged."""
