@@ -35,6 +35,7 @@ def protected(forces, ramp=10, largest=1e4, fastest=1e9, loop_delay=0):
     given = iter(forces)
     block = SimpleNamespace(
         preview=0,
+        compensator=None,
         tells_motion=False,
         shape=(1, 1),
         estimates=dict,
@@ -165,7 +166,7 @@ def test_states_that_were_lost_are_bridged_in_a_straight_line():
 class Target:
     """A target that goes on at 1 m/s times the pace, with a force of 100 N times that."""
 
-    preview, tells_motion, shape = 4, True, (5, 3)
+    preview, tells_motion, shape, compensator = 4, True, (5, 3), None
 
     def __init__(self):
         self.paces, self.motions, self.odd = [], [], None
