@@ -235,7 +235,7 @@ def target_arrays(
         force=force,
         influence=influence,
         by_spring=by_spring,
-        by_told=inverse[:, :n] @ np.hstack([known.stiffness, known.damping]),
+        by_assumed=inverse[:, :n] @ np.hstack([known.stiffness, known.damping]),
         damper=2.0 * math.sqrt(max(float(squares.min()), 0.0)),  # critical for the slowest mode
         model=model,
     )
@@ -268,7 +268,7 @@ def target_arrays(
 def spring_deformations(known: Knowledge) -> Floats:
     """Deformations in which the specimen's springs do not feel each other, shape (n, n).
 
-    They are those of the springs as told, where these tell the displacements; else the modal
+    They are those of the springs as assumed, where these give the displacements; else the modal
     displacements of the elastic specimen, each in m of the axis that moves most.
     """
     springs = known.springs

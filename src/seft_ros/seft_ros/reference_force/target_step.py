@@ -5,7 +5,7 @@ dampers in A, and L the ground acceleration of each degree of freedom::
 
     (M_e + M_c) (a* + L a_g) + C_c v* + K_c x* + r(x*, v*) = 0                             (1)
 
-The elastic specimen as told is in A, too, so that this part is integrated exactly (`whole_system`);
+The elastic specimen as assumed is in A, too, so that this part is integrated exactly (`whole_system`);
 what r differs from it by acts like the ground motion does, linear in between (ETD2RK, Cox &
 Matthews 2002, Eq. 22).
 """
@@ -62,8 +62,8 @@ class TargetParameters(NamedTuple):
         the springs; transposed, shapes (s, 3N + n) and (s, n), s = 3N + 2n + 1.
     influence, by_spring : ndarray
         Accelerations per ground acceleration, and per force of each spring: shape (N, n).
-    by_told : ndarray
-        Accelerations by the specimen as told, of displacement and velocity, shape (N, 2n).
+    by_assumed : ndarray
+        Accelerations by the specimen as assumed, of displacement and velocity, shape (N, 2n).
     damper : float
         Rate at which the target's motion dies out where a test is brought down, 1/s.
     model : ModelParameters
@@ -85,7 +85,7 @@ class TargetParameters(NamedTuple):
     force: Floats
     influence: Floats
     by_spring: Floats
-    by_told: Floats
+    by_assumed: Floats
     damper: float
     model: ModelParameters
 
@@ -259,8 +259,8 @@ def take_model(p: TargetParameters, state: TargetState, pace: float) -> None:
             state.by_state[0, i, k], by_state[i, k] = by_state[i, k], 0.0
         by_state[i, half + i] = -(1.0 - pace) * p.damper
         for k in range(n):
-            by_state[i, k] += p.by_told[i, k]
-            by_state[i, half + k] += p.by_told[i, n + k]
+            by_state[i, k] += p.by_assumed[i, k]
+            by_state[i, half + k] += p.by_assumed[i, n + k]
         for j in range(n):
             factor = p.by_spring[i, j]
             constant[i] -= factor * values[j, 0]
@@ -286,7 +286,7 @@ def push(
     """Find what acts on the elastic whole structure, as an acceleration: N of the result.
 
     It is the ground motion (times the pace), and the force by which the specimen is not the elastic
-    one told: by the model of the last sample (0) or this one (1), with these forces of sliders.
+    one assumed: by the model of the last sample (0) or this one (1), with these forces of sliders.
     """
     by_state, constant = state.by_state[model], state.constant[model]
     for i in range(len(p.dofs)):
