@@ -6,8 +6,8 @@ dampers in A, and L the ground acceleration of each degree of freedom::
     (M_e + M_c) (a* + L a_g) + C_c v* + K_c x* + r(x*, v*) = 0                             (1)
 
 The elastic specimen as assumed is in A, too, so that this part is integrated exactly
-(`whole_system`); what r differs from it by acts like the ground motion does, linear in between (ETD2RK, Cox &
-Matthews 2002, Eq. 22).
+(`whole_system`); what r differs from it by acts like the ground motion does, linear in between
+(ETD2RK, Cox & Matthews 2002, Eq. 22).
 """
 
 from typing import NamedTuple
