@@ -88,7 +88,8 @@ class RigNode(NodeBody):
             self._drive = self._command(REFERENCE_FORCE, axes, "limits.force", delay)
         self.facts: dict[str, Any] = {"drive": self._drive.codec.topic.name}
         self._rehearsal: Rehearsal | None = None
-        if self._is_alone and self._section["pace"] == "realtime" and not self._drive.loop_delay:
+        is_realtime = self._section["pace"] == "realtime"
+        if self._is_alone and is_realtime and not self._section["loop_delay"]:
             topic, limit = self._drive.codec.topic, self._drive.limit
             self._rehearsal = Rehearsal(shell, self._timebase, topic, limit)
             self.facts[REHEARSES] = True

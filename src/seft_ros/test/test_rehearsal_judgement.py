@@ -1,23 +1,31 @@
 import pytest
 from seft_ros.test_run.rehearsal import Rehearsed, judge
 
+ABLE = {"rehearses": True}
+
+
+def loop(rig=ABLE):
+    return {"rig": rig, "reference_force": ABLE, "force_controller": ABLE, "ground_motion": {}}
+
 
 def rig(missed=0, p99=0.0005, rate=1000.0, steps=1500):
     found = {"rate_hz": rate, "steps": steps, "missed": missed, "overruns": 0}
-    return {"rehearses": True, "rehearsal": {**found, "round_trip_s": {"p99": p99} if p99 else {}}}
+    return loop(ABLE | {"rehearsal": {**found, "round_trip_s": {"p99": p99} if p99 else {}}})
 
 
 def test_a_rig_that_can_is_asked_until_it_has_told():
-    assert judge(2.0, {"rehearses": True}) == Rehearsed(asked=2.0)
+    assert judge(2.0, loop()) == Rehearsed(asked=2.0)
     assert judge(2.0, rig()) == Rehearsed()
 
 
 def test_nobody_is_asked_where_there_is_no_rehearsal():
-    assert judge(0.0, {"rehearses": True}) == Rehearsed()
-    assert judge(2.0, {"drive": "valve_command"}) == Rehearsed()  # a driver that can't
-    rigs = ("west/rig", "east/rig", "reference_force", "west/force_controller")
-    for peers in (rigs, ("rig", "ground_motion"), ("rig", "reference_force")):
-        assert judge(2.0, {"rehearses": True}, peers) == Rehearsed()
+    assert judge(0.0, loop()) == Rehearsed()
+    assert judge(2.0, {"west/rig": ABLE, "east/rig": ABLE, "reference_force": ABLE}) == Rehearsed()
+    for node in ("rig", "reference_force", "force_controller"):
+        assert judge(2.0, loop() | {node: {"drive": "valve_command"}}) == Rehearsed()
+        assert (
+            judge(2.0, {name: own for name, own in loop().items() if name != node}) == Rehearsed()
+        )
 
 
 def test_a_loop_that_does_not_keep_its_rate_is_refused_with_one_that_fits():
@@ -47,4 +55,4 @@ def test_a_few_missed_steps_are_warned_of(missed):
 
 @pytest.mark.parametrize("told", [{}, 3, {"steps": "x"}, {"steps": 1, "missed": 0, "rate_hz": 1.0}])
 def test_a_rehearsal_that_makes_no_sense_is_refused(told):
-    assert "can't be read" in judge(2.0, {"rehearses": True, "rehearsal": told}).refusal
+    assert "can't be read" in judge(2.0, loop(ABLE | {"rehearsal": told})).refusal

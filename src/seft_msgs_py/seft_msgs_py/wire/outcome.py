@@ -20,7 +20,7 @@ TRIPPED = "tripped"
 STOPPED = "stopped"
 """Reason of a rig that obeyed the supervisor, which knows the cause."""
 REHEARSES = "rehearses"
-"""Key of the rig's facts: whether it can rehearse the loop."""
+"""Key of the facts of a node of the loop: whether it can rehearse."""
 REHEARSED = "rehearsal"
 """Key of the rig's facts: how a rehearsal of the loop went."""
 LISTED_STEPS = 100

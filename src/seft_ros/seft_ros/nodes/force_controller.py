@@ -10,7 +10,7 @@ from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_process import MOST_AT_ONCE
 from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell
 from seft_msgs_py.wire.messages import OK, WARN, Status, decode_status
-from seft_msgs_py.wire.outcome import MOVING, tripped_status
+from seft_msgs_py.wire.outcome import MOVING, REHEARSES, tripped_status
 from seft_msgs_py.wire.topics import (
     EXPERIMENT_STATE,
     LINK_PING,
@@ -98,6 +98,7 @@ class ForceControllerNode(NodeBody):
             )
             self._rehearsed_force: tuple[int, Floats] = -1, np.empty(0)
             self._rehearsed_state: tuple[int, Floats] = -1, np.empty(0)
+            self.facts = {REHEARSES: True}
             self._publish_rehearsed = shell.publisher(rehearsed(VALVE_COMMAND))
             shell.subscribe(rehearsed(topic), self._on_rehearsed_force, reliable=False)
             shell.subscribe(rehearsed(RIG_STATE), self._on_rehearsed_state, reliable=False)

@@ -13,7 +13,7 @@ from seft_msgs_py.errors import WireError
 from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell
 from seft_msgs_py.wire.messages import ERROR, OK, EstimatesCodec, decode_status
-from seft_msgs_py.wire.outcome import ENDED, State, tripped_status
+from seft_msgs_py.wire.outcome import ENDED, REHEARSES, State, tripped_status
 from seft_msgs_py.wire.topics import (
     ESTIMATES,
     EXPERIMENT_STATE,
@@ -80,6 +80,7 @@ class ReferenceForceNode(NodeBody):
             self._rehearsing = ProtectedForce.from_parameters(
                 section, experiment.axes, experiment.timebase
             )
+            self.facts = {REHEARSES: True}
             self._publish_rehearsed = shell.publisher(rehearsed(topic))
             shell.subscribe(rehearsed(RIG_STATE), self._on_rehearsed_state, reliable=False)
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)

@@ -171,8 +171,8 @@ class SupervisorNode(NodeBody):
 
     def _rehearsal(self) -> str:
         """Have the loop rehearsed, and say what a test still lacks; empty if nothing."""
-        duration, rig = self._section["rehearsal.duration"], self._rig_nodes[0]
-        found = judge(duration, self._descriptions.get(rig, {}), self._peers)
+        nodes = {name: self._descriptions.get(name, {}) for name in self._peers}
+        found = judge(self._section["rehearsal.duration"], nodes)
         self._asked = found.asked
         if found.warning and found.warning != self._warned:
             self._warned = found.warning

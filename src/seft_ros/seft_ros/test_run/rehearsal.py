@@ -1,6 +1,6 @@
 """Whether a loop keeps its rate, by its rehearsal before anything moves."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,21 +38,20 @@ class Rehearsed:
     asked: float = 0.0
 
 
-def judge(duration: float, rig: Mapping[str, Any], peers: Collection[str] = LOOP) -> Rehearsed:
-    """Judge the rehearsal of a rig.
+def judge(duration: float, nodes: Mapping[str, Mapping[str, Any]]) -> Rehearsed:
+    """Judge the rehearsal of a loop.
 
     Parameters
     ----------
     duration : float
         That a rehearsal shall take, s; 0: none is wanted.
-    rig : mapping
-        The rig's description; a rig that can rehearse says so in it.
-    peers : collection of str
-        Nodes of the test. Without the whole loop, and with several rigs, there is no rehearsal.
+    nodes : mapping
+        Name of each node of the test -> its description, in which one that can rehearse says so.
+        There is a rehearsal if all nodes of one loop can: none over a link or with several rigs.
     """
-    if not duration or not {*LOOP} <= {*peers} or not rig.get(REHEARSES):
+    if not duration or not all(nodes.get(name, {}).get(REHEARSES) for name in LOOP):
         return Rehearsed()
-    found = rig.get(REHEARSED)
+    found = nodes["rig"].get(REHEARSED)
     if found is None:
         return Rehearsed(asked=duration)
     try:
