@@ -73,7 +73,8 @@ def check(motion, mass_ratio, table, factors):
     stiffness = summary["estimates"]["stiffness"]["x"]
     assert stiffness["first"] == pytest.approx(factors[0] * STIFFNESS, rel=1e-6)
     assert stiffness["last"] == pytest.approx(STIFFNESS, rel=0.1)
-    assert summary["estimates"]["damping"]["x"]["last"] == pytest.approx(DAMPING, rel=0.2)
+    damping = summary["estimates"]["damping"]["x"]["last"]  # of a motion that has died down
+    assert damping == pytest.approx(DAMPING, rel=0.35)
 
 
 @pytest.mark.parametrize("factors", WRONG)
