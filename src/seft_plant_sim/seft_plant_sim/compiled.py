@@ -76,9 +76,8 @@ def code_folder(folder: Path) -> Path:
     while (folder.parent / "__init__.py").exists():
         folder = folder.parent
     texts = hashlib.sha256(numba.__version__.encode())
-    for package in sorted(
-        {folder, Path(__file__).parent}
-    ):  # a set has an order of its own each time
+    packages = sorted({folder, Path(__file__).parent})  # a set's order differs between processes
+    for package in packages:
         for file in sorted(package.rglob("*.py")):
             texts.update(file.read_bytes())
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
