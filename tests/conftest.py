@@ -50,7 +50,7 @@ def seft(domain, tmp_path, monkeypatch) -> Callable[..., subprocess.CompletedPro
                 command, cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE
             )
         if status is not None:
-            assert done.returncode == status, done.stderr
+            assert done.returncode == status, done.stderr + done.stdout
         return done
 
     return run

@@ -17,10 +17,11 @@ class Hardware:
     """Converters that can fail."""
 
     def __init__(self):
-        self.calls, self.fails = [], False
+        self.calls, self.fails, self.takes = [], False, 0.0
 
     def read_sample(self):
         if self.fails:
+            time.sleep(self.takes)
             raise OSError("the converter does not answer")
         return np.zeros((4, 1))
 
@@ -84,9 +85,13 @@ def driver(monkeypatch):
         del sys.modules[name]
 
 
+@pytest.mark.parametrize("takes", [0.0, 1.2])
 @pytest.mark.parametrize("phase", ["idle", "running"])
-def test_a_fault_brings_the_hardware_to_its_safe_position_and_the_driver_lives_on(driver, phase):
+def test_a_fault_brings_the_hardware_to_its_safe_position_and_the_driver_lives_on(
+    driver, phase, takes
+):
     node, hardware = driver.node, driver.hardware
+    hardware.takes = takes * node._timebase.dt  # beyond a period: no wait before the next sample
     if phase == "running":
         node._told, node._total = "running", 10**6
         node._begin(np.zeros((4, 1)))

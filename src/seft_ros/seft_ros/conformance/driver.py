@@ -173,7 +173,7 @@ class TestDriver(Player):
 
         def is_found() -> bool:
             known = self.description is not None and "rig" in self.status
-            return known and self.is_matched("rig", [EXPERIMENT_STATE], [RIG_STATE])
+            return known and self.is_matched("rig", [], [RIG_STATE])
 
         self.say(State.IDLE)
         if not self.wait(is_found, FOUND):
@@ -189,8 +189,7 @@ class TestDriver(Player):
         """Publish the commands that drive the rig; wait until it receives them."""
         self.commands = TrajectoryCodec(topic, self._samples.axes, self._samples.timebase)
         self.publish_on(topic)
-        listens = [EXPERIMENT_STATE, topic]
-        if not self.wait(lambda: self.is_matched("rig", listens, [RIG_STATE]), FOUND):
+        if not self.wait(lambda: self.is_matched("rig", [topic], [RIG_STATE]), FOUND):
             raise ExperimentError(f"the rig does not listen to {topic.name} within {FOUND:g} s")
 
     def command(self, step: int, value: float = 0.0) -> list[bytes]:

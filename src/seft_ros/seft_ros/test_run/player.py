@@ -110,9 +110,9 @@ class Player:
             self.listen(min(left, HEARTBEAT / 2))
 
     def is_matched(self, node: str, sends: Iterable[Topic], hears: Iterable[Topic]) -> bool:
-        """Tell whether a node is connected on these topics, also by its own status."""
+        """Tell whether a node has this one's state and these topics, also by its own status."""
         reported = self.status[node].values if node in self.status else {}
-        for topic in sends:
+        for topic in (EXPERIMENT_STATE, *sends):
             there = self.node.get_subscriptions_info_by_topic(topic.name)
             found = self._publishers[topic].get_subscription_count()
             hears_us = reported.get(f"senders {topic.name}") != "0"

@@ -120,6 +120,7 @@ class DriverNode(NodeBody):
         deadline = time.monotonic() + period
         try:
             while not self._shell.stopping:
+                self._shell.spin_once(max(deadline - time.monotonic(), 0.0))  # also when late
                 while (left := deadline - time.monotonic()) > 0:
                     self._shell.spin_once(left)
                 late = int((time.monotonic() - deadline) / period)
