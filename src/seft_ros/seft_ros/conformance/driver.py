@@ -15,7 +15,6 @@ from seft_msgs_py.wire.outcome import FINISHED, TRIPPED, State
 from seft_msgs_py.wire.topics import (
     CLOCK_TOPIC,
     DESCRIPTION,
-    EXPERIMENT_STATE,
     RIG_STATE,
     LoopTopic,
 )
