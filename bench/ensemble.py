@@ -12,6 +12,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import seft_msgs_py  # noqa: F401  isort: skip, first: it has numpy use one thread
 import numpy as np
 from _plain_loop import steps_per_second as plain_steps_per_second
 from seft_msgs_py.config.experiment import Experiment

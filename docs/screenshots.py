@@ -74,9 +74,7 @@ def main() -> None:
         monitor = subprocess.Popen([*SEFT, "monitor"])
         try:
             wait_for_page(MONITOR)
-            lockstep = "-p", "rig:pace:=lockstep"  # a browser beside it takes its time
-            run = [*SEFT, "run", DEMO, *lockstep, "--out", str(Path(folder) / "run")]
-            subprocess.run(run, check=True)
+            subprocess.run([*SEFT, "run", DEMO, "--out", str(Path(folder) / "run")], check=True)
             take_picture(browser, MONITOR, "monitor.png", wait=5.0)
         finally:
             monitor.terminate()

@@ -108,23 +108,25 @@ export class History {
     const low = fine ? this.ring[column] : this.low[column];
     const high = fine ? low : this.high[column];
     for (let piece = start; piece <= to; piece += span) {
-      let least = Infinity, most = -Infinity;
+      let least = Infinity, most = -Infinity, trough = piece, peak = piece;
       for (let step = Math.max(piece, from); step < piece + span && step <= to; step += size) {
         const at = fine ? step % LENGTH : Math.floor((step - origin) / size);
-        if (low[at] < least) least = low[at];
-        if (high[at] > most) most = high[at];
+        const middle = step + (size - 1) / 2;
+        if (low[at] < least) [least, trough] = [low[at], middle];
+        if (high[at] > most) [most, peak] = [high[at], middle];
       }
-      const middle = piece + (span - 1) / 2;
       if (least > most) {
-        x.push(middle);
+        x.push(piece + (span - 1) / 2);
         y.push(NaN);
-        continue;
-      }
-      x.push(middle);
-      y.push(least);
-      if (span > 1) {
-        x.push(middle);
-        y.push(most);
+      } else if (span === 1) {
+        x.push(piece);
+        y.push(least);
+      } else if (trough < peak) {
+        x.push(trough, peak);
+        y.push(least, most);
+      } else {
+        x.push(peak, trough);
+        y.push(most, least);
       }
     }
     return { x, y };
