@@ -82,6 +82,7 @@ endif
 	@echo "seft: installing the three packages in place"
 	@$(PIP) install --no-deps --no-build-isolation $(PACKAGES:%=-e %)
 	@echo "seft: compiling the steps of a test, once"
+	@$(BIN)/python -m compileall -q $(PACKAGES)
 	@$(BIN)/seft simulate config/demo.yaml >/dev/null 2>&1 || true
 	@pwd -P > $(READY)
 	@echo "seft: .venv is ready"

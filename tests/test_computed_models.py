@@ -146,7 +146,8 @@ def test_a_model_that_becomes_slow_in_a_test_trips_it(seft_json, model, tmp_path
 
 
 def test_a_model_that_is_too_slow_is_refused_with_the_rate_that_fits(seft, seft_json, model):
-    words = (DEMO, *SHORT, *model("Sleepy"))
+    short = ("-p", "ground_motion:synthetic.duration:=1.0", "-p", "ground_motion:tail:=0.2")
+    words = (DEMO, *short, *model("Sleepy"))
     found = seft_json("preflight", *words, status=1)["model"]
     assert found["median_s"] > 0.004 and not found["fits"]
     assert found["fitting_rate_hz"] in (125, 100, 50, 25) and found["fitting_every"] is None

@@ -5,7 +5,7 @@ import signal
 
 from graph_tools import JHU, PATIENCE, STALLS_ALLOWED
 
-SHORT = ("--duration", "15", "--amplitude", "0.2")
+SHORT = ("--duration", "6", "--band", "1", "100", "--amplitude", "0.2")
 
 
 def numbers(printed):
