@@ -46,6 +46,8 @@ def main() -> int:
         os.sched_setaffinity(0, {min(cores)})
         laps["ring of datagrams"].append(statistics.median(_udp_ring.lap_times(LAPS)))
         laps["ring of raw DDS messages"].append(statistics.median(_ring.lap_times(LAPS)))
+        readers = statistics.median(_ring.lap_times(LAPS, with_readers=True))
+        laps["the same, loop's readers"].append(readers)
         laps["the same, shared memory"].append(_ring.median_over_shared_memory(LAPS))
         simulated = simulate(offline, build_blocks(offline))
         speeds["offline"].append(len(simulated.series["rig/state"].steps) / simulated.wall_s)
