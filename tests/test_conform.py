@@ -20,15 +20,14 @@ LONE = ("-p", "rig:watchdog.supervisor_timeout:=2.0")
 
 @pytest.fixture
 def start_driver(start, domain, tmp_path):
-    """Start a driver of the template's, good or bad, and wait until it is there."""
-    text = (TEMPLATE / "config" / "rig.yaml").read_text().replace("500.0  ", "250.0  ", 1)
-    config = tmp_path / "rig.yaml"
-    text = text.replace("command_timeout: 0.02", "command_timeout: 1.0")
-    config.write_text(text.replace("supervisor_timeout: 1.0", "supervisor_timeout: 2.0"))
+    """Start a driver, good or bad, of the template's or another one, and wait until it is there."""
 
-    def launch(*words):
-        paths = (ROOT / "tests", TEMPLATE, os.environ.get("PYTHONPATH", ""))
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, paths))}
+    def launch(*words, package=TEMPLATE):
+        text = (package / "config" / "rig.yaml").read_text().replace("500.0  ", "250.0  ", 1)
+        text = text.replace("command_timeout: 0.02", "command_timeout: 1.0")
+        config = tmp_path / "rig.yaml"
+        config.write_text(text.replace("supervisor_timeout: 1.0", "supervisor_timeout: 2.0"))
+        environment = with_path(package)
         process = start(*words, "--ros-args", "--params-file", config, env=environment)
         wait_for(lambda: process.poll() is not None or is_running(domain, "/rig"), "the driver")
         assert process.poll() is None, process.communicate()
@@ -37,12 +36,17 @@ def start_driver(start, domain, tmp_path):
     return launch
 
 
+def with_path(package):
+    paths = (ROOT / "tests", package, os.environ.get("PYTHONPATH", ""))
+    return os.environ | {"PYTHONPATH": os.pathsep.join(map(str, paths))}
+
+
 def failed(result):
     return {check["check"] for check in result["checks"] if check["verdict"] == "failed"}
 
 
-def told(result):
-    return [f"{c['verdict']}  {c['check']}: {c['told']}" for c in result["checks"]]
+def shown(result):
+    return [f"{c['verdict']}  {c['check']}: {c['result']}" for c in result["checks"]]
 
 
 def check_conforms(seft, *words):
@@ -52,7 +56,7 @@ def check_conforms(seft, *words):
         result = json.loads(done.stdout)
         if not (again and failed(result) and failed(result) <= {"period", "late states"}):
             break
-    assert (done.returncode, failed(result)) == (0, set()), told(result)
+    assert (done.returncode, failed(result)) == (0, set()), shown(result)
     assert result["conforms"] is True
     assert result["not_run"] == 0
 
@@ -63,6 +67,13 @@ def test_the_simulated_rig_conforms(seft):
 
 def test_the_template_conforms(seft, start_driver):
     start_driver("rig_driver.driver_node")
+    check_conforms(seft, *PATIENT, "--yes")
+
+
+def test_a_rig_behind_ros2_control_conforms(seft, start, start_driver, tmp_path):
+    seft("new", "driver", "my_rig", "--ros2-control", status=0)
+    start("ros2_control_system", "500", env=with_path(TEMPLATE))
+    start_driver("my_rig.ros2_control", package=tmp_path / "my_rig")
     check_conforms(seft, *PATIENT, "--yes")
 
 
@@ -83,7 +94,7 @@ def test_a_bad_driver_fails_what_it_is_bad_at(seft, start_driver, fault, checks)
     start_driver("bad_drivers", fault)
     done = seft("conform", JHU, *PATIENT, "--yes", "--json", status=1)
     result = json.loads(done.stdout)
-    assert checks <= failed(result), told(result)
+    assert checks <= failed(result), shown(result)
     mends = {c["check"]: c["mend"] for c in result["checks"] if c["verdict"] == "failed"}
     assert all(mends.values())
 

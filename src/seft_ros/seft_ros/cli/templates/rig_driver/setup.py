@@ -1,5 +1,7 @@
 """Installation of rig_driver, by colcon or by pip."""
 
+from pathlib import Path
+
 from setuptools import find_packages, setup
 
 NAME = "rig_driver"
@@ -14,7 +16,10 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        (f"share/{NAME}/config", ["config/rig.yaml"]),
+        *(
+            (f"share/{NAME}/{part}", [str(file) for file in Path(part).glob("*.*")])
+            for part in ("config", "launch", "urdf")
+        ),
     ],
     install_requires=["numpy", "seft_msgs_py", "seft_plant_sim"],
     entry_points={"console_scripts": ["rig = rig_driver.driver_node:main"]},
