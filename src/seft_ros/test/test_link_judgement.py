@@ -6,7 +6,7 @@ from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.timing import link_numbers
 from seft_ros.bags.record import Record, Series
 from seft_ros.cli import main as commands
-from seft_ros.force_controller.link_record import LinkRecord
+from seft_ros.force_controller.received_forces import LinkRecord
 from seft_ros.test_run.link_judgement import (
     Allowed,
     RoundTrips,

@@ -35,7 +35,7 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec, decode_batch
 
 from seft_ros.bags.message_blocks import MessageBlock
 from seft_ros.bags.record import Estimates, Event, Series, require_names
-from seft_ros.force_controller.link_record import LinkRecord
+from seft_ros.force_controller.received_forces import LinkRecord
 
 _MOST_EVENTS = 1000
 _LEVELS = {OK: "ok", WARN: "warn", ERROR: "error", STALE: "stale"}

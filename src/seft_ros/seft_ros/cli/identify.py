@@ -112,7 +112,7 @@ def identify(
         voltage_after,
     )
     from seft_ros.drawing.style import save_figure
-    from seft_ros.force_controller.kinds import is_one_controller
+    from seft_ros.force_controller.parameters import is_one_controller
 
     if set(external or ()) - {"rig"}:
         raise InputError("--external: only the rig may be, the other nodes are set up here")

@@ -31,8 +31,8 @@ from seft_plant_sim.compiled import compiled, entry_point
 
 from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.valve_model import ValveModel, valve_models
-from seft_ros.interlock.detector_step import under_load
-from seft_ros.interlock.valve_following import begin_following, doubt, follow_valve
+from seft_ros.protection.detector_step import under_load
+from seft_ros.protection.detectors import begin_following, doubt, follow_valve
 from seft_ros.reference_force.motion_observer import observe, observer_gains, sensor_noise
 
 Floats = npt.NDArray[np.float64]

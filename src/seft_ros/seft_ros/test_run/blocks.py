@@ -9,11 +9,10 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_plant_sim.rig import Rig, Rigs
 
-from seft_ros.force_controller.interlock import Interlock
-from seft_ros.force_controller.interlocks import Interlocks, interlock_of
-from seft_ros.force_controller.names import TRANSFER_FUNCTION, VELOCITY_FEEDFORWARD
+from seft_ros.force_controller.interlock import Interlock, Interlocks, interlock_of
+from seft_ros.force_controller.parameters import TRANSFER_FUNCTION, VELOCITY_FEEDFORWARD
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
-from seft_ros.interlock.protected_force import ProtectedForce
+from seft_ros.protection.protected_force import ProtectedForce
 from seft_ros.reference_force.force_command import FORCE_DRIVEN
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 

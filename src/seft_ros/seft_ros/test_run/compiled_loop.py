@@ -21,7 +21,11 @@ from seft_plant_sim.rig_step import (
 )
 from seft_plant_sim.sensors import BLOCK
 
-from seft_ros.force_controller.block import ForceController
+from seft_ros.force_controller.force_control import (
+    ForceController,
+    TransferParameters,
+    transfer_step,
+)
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.interlock_step import (
     NOTHING,
@@ -31,20 +35,19 @@ from seft_ros.force_controller.interlock_step import (
     begin_control,
     end_control,
 )
-from seft_ros.force_controller.transfer_step import TransferParameters, transfer_step
 from seft_ros.force_controller.velocity_feedforward import (
     FeedforwardParameters,
     VelocityFeedforward,
     feedforward_step,
 )
-from seft_ros.interlock.protection import (
+from seft_ros.protection.protection_step import (
     HOLDING,
     ProtectionParameters,
     ProtectionState,
     begin_step,
     protect,
 )
-from seft_ros.interlock.ramp_down import TAKEN
+from seft_ros.protection.ramp_down import TAKEN
 from seft_ros.reference_force.linear_filter import (
     LinearCompensator,
     LinearParameters,

@@ -10,22 +10,23 @@ import numpy.typing as npt
 from seft_msgs_py.wire.timebase import Timebase
 from seft_plant_sim.compiled import entry_point, kind_of
 
-from seft_ros.interlock.instability import InstabilityWatch
-from seft_ros.interlock.plausibility import PlausibleForce, not_finite
-from seft_ros.interlock.protection import (
+from seft_ros.protection.instability import InstabilityWatch
+from seft_ros.protection.protection_step import (
     CAUSE,
     HOLDING,
     INSTABILITY,
     NOTHING,
     ODD_FORCE,
     ODD_STATE,
+    PlausibleForce,
     ProtectionParameters,
     ProtectionState,
     begin_protection,
     begin_step,
+    not_finite,
     protect,
 )
-from seft_ros.interlock.ramp_down import RampDown
+from seft_ros.protection.ramp_down import RampDown
 from seft_ros.reference_force.reference_force_block import ReferenceForce
 
 Floats = npt.NDArray[np.float64]

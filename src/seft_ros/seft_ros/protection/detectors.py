@@ -1,16 +1,166 @@
-"""Parameters and state of the detectors in arrays, and where their thresholds come from."""
+"""Detectors of faulty sensors, valves and supplies: by name, their thresholds, and their arrays."""
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-
-from seft_ros.interlock.detectors import DETECTORS
-from seft_ros.interlock.valve_following import doubt
+from seft_plant_sim.compiled import compiled
+from seft_plant_sim.sensors import CHANNELS
 
 Floats = npt.NDArray[np.float64]
+
+LASTS, LONG_LASTS = 0.006, 0.02
+"""Times for which a detector must be beyond its threshold, s: longer than a spike; and, where a
+specimen that slips or bangs or a valve at its limit may be, longer than these."""
+
+WARNING = 0.8
+"""Part of its threshold from which on a detector warns: noise alone reaches 0.75 in a test."""
+
+
+@dataclass(frozen=True)
+class Detector:
+    """One of the detectors.
+
+    Attributes
+    ----------
+    name : str
+        By which parameters and reports call it.
+    text : str
+        What it says: a sentence of what it saw and its threshold.
+    unit : str
+        Of these.
+    lasts : float
+        Persistence, s; two samples at least.
+    of_valve : bool
+        Whether it knows the flow by the commands, of which a rig may have missed some.
+    """
+
+    name: str
+    text: str
+    unit: str
+    lasts: float = LASTS
+    of_valve: bool = False
+
+
+_SUMS = "disagree on axis {axis}: they differ by {seen} over the last 50 ms"
+_STEP = "disagree on axis {axis} from sample to sample, as with noise: they differ by {seen}"
+_OIL = "measured velocity and force, and the valve's flow by its commands,"
+_SAME = "measured {} on axis {{axis}} has repeated one value for {{seen}}"
+DETECTORS = (
+    Detector("displacement_velocity", f"measured displacement and velocity {_SUMS}", "m"),
+    Detector("velocity_acceleration", f"measured velocity and acceleration {_SUMS}", "m/s"),
+    Detector("oil_balance", f"{_OIL} {_SUMS}", "m", of_valve=True),
+    Detector("displacement_noise", f"measured displacement and velocity {_STEP}", "m"),
+    Detector("velocity_noise", f"measured velocity and acceleration {_STEP}", "m/s"),
+    Detector("oil_noise", f"{_OIL} {_STEP}", "m", of_valve=True),
+    Detector(
+        "second_order_work",
+        "the measured force falls as the specimen is deformed further: work of {seen} against it",
+        "N m",
+    ),
+    Detector(
+        "force_noise",
+        "measured force and acceleration disagree on axis {axis} from sample to sample, as with "
+        "noise: the specimen's force jumps to and fro in {seen} of late",
+        "samples",
+        0.0,
+    ),
+    Detector(
+        "force_jump",
+        "the specimen's force by measured force and acceleration on axis {axis} jumps by {seen}",
+        "N",
+        0.0,
+    ),
+    Detector(
+        "force_response",
+        "measured force on axis {axis} does not answer the motion: sum of squares {seen}",
+        "N^2",
+        LONG_LASTS,
+    ),
+    Detector(
+        "tracking",
+        "measured displacement on axis {axis} is {seen} away from its target",
+        "m",
+        LONG_LASTS,
+    ),
+    *(Detector(f"{name}_frozen", _SAME.format(name), "samples", 0.0) for name in CHANNELS),
+)
+"""In the order of the rows in `detector_look`."""
+
+MODEL_BASED = (
+    *("oil_balance", "oil_noise", "second_order_work"),
+    *("force_noise", "force_jump", "force_response"),
+)
+"""Those which need to know actuators or specimen: they only warn where these are to be found."""
+ALL = "all"
+
+
+def describe(place: int, found: Floats, axes: Sequence[str]) -> str:
+    """Say in a sentence what a detector saw, of what `detect` gave and `DetectorState.found`."""
+    row, axis = divmod(place, len(axes))
+    one = DETECTORS[row]
+    seen, threshold = (f"{value:.3g} {one.unit}" for value in found.tolist())
+    return f"{one.text.format(axis=axes[axis], seen=seen)} ({threshold} allowed): {one.name}"
+
+
+UNCERTAIN_GAIN, UNCERTAIN_DELAY = 0.15, 2e-3
+"""Standard deviation of the assumed flow gain, relative, and of the valve's delay, s."""
+LARGEST_GAIN_ERROR, LARGEST_DELAY_ERROR = 0.3, 5e-3
+"""Bounds of what is followed."""
+ONE_SAMPLE = 0.1
+"""Time over which what the balance leaves out persists, s: so long, samples count as one."""
+
+
+def doubt(velocity: Floats, force: Floats, oil_stiffness: Floats, dt: float) -> Floats:
+    """Variance of the flow as measured, (m/s)^2, by the RMS noise of velocity and force."""
+    seen = velocity**2 + 2.0 * (force / (oil_stiffness * dt)) ** 2
+    return seen * max(1.0, ONE_SAMPLE / dt)
+
+
+@compiled
+def begin_following(errors: Floats, covariance: Floats) -> None:
+    """Begin a test, with the valves as assumed; shapes (n, 2) and (n, 3)."""
+    errors[:] = 0.0
+    for i in range(len(covariance)):
+        covariance[i, 0] = UNCERTAIN_GAIN**2
+        covariance[i, 1] = UNCERTAIN_DELAY**2
+        covariance[i, 2] = 0.0
+
+
+@compiled
+def follow_valve(
+    errors: Floats, c: Floats, flow: float, later: float, seen: float, doubt: float
+) -> None:
+    """Take in a sample of one valve.
+
+    Parameters
+    ----------
+    errors : ndarray
+        Relative error of the flow gain and error of the delay in s, shape (2,): brought up to date.
+    c : ndarray
+        Their variances, then their covariance, shape (3,): brought up to date.
+    flow, later : float
+        Flow by the valve as assumed, m/s, and its change per delay, m/s^2.
+    seen : float
+        Flow as measured: v + (f' + lambda f) / k_oil, m/s.
+    doubt : float
+        Its variance, (m/s)^2.
+    """
+    by_flow, by_later = c[0] * flow + c[2] * later, c[2] * flow + c[1] * later
+    variance = doubt + flow * by_flow + later * by_later
+    innovation = seen - flow - errors[0] * flow - errors[1] * later
+    found = errors[0] + by_flow / variance * innovation
+    errors[0] = min(max(found, -LARGEST_GAIN_ERROR), LARGEST_GAIN_ERROR)
+    found = errors[1] + by_later / variance * innovation
+    errors[1] = min(max(found, -LARGEST_DELAY_ERROR), LARGEST_DELAY_ERROR)
+    c[0] -= by_flow * by_flow / variance
+    c[1] -= by_later * by_later / variance
+    c[2] -= by_flow * by_later / variance
+
+
 Ints = npt.NDArray[np.int64]
 
 MEMORY = 0.05
@@ -267,3 +417,28 @@ def detector_arrays(
         step=np.zeros(7, dtype=np.int64),
     )
     return parameters, state
+
+
+SAMPLE, TURN_AT, LIMITED_AT, AT_RANGE = range(4)
+"""Places of `DetectorState.step`."""
+DISPLACEMENT_VELOCITY, VELOCITY_ACCELERATION, OIL = range(3)
+"""Relations (1) to (3)."""
+CHANGE, NOISE, SECOND_ORDER_WORK, ROUGH, JUMP = 0, 3, *range(6, 9)
+NO_RESPONSE, TRACKING, FROZEN = range(9, 12)
+"""Rows of the detectors: a relation's sums, its single steps, and so on; four frozen channels."""
+
+
+@compiled
+def look(
+    p: DetectorParameters, state: DetectorState, row: int, i: int, seen: float, threshold: float
+) -> bool:
+    """Hold what a detector sees against its threshold; say whether it has persisted and acts."""
+    share = seen / threshold if threshold > 0.0 else 0.0
+    if share > state.shares[row, i]:
+        state.shares[row, i] = share
+    count = state.counts[row, i]
+    state.counts[row, i] = count = count + 1 if share > 1.0 else max(count - 1, 0)
+    if count >= p.persistence[row] and p.acts[row]:
+        state.found[0], state.found[1] = seen, threshold
+        return True
+    return False

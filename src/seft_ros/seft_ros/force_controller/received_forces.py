@@ -1,5 +1,9 @@
-"""The newest reference force with previews, of which the controller takes the point of its step."""
+"""Reference forces as they come: of each step, or the newest with previews; and how they came."""
 
+import json
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -9,11 +13,103 @@ from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import REFERENCE_FORCE
 from seft_plant_sim.command import MessagesAhead
 
-from seft_ros.force_controller.link_record import LinkRecord
-from seft_ros.interlock.ramp_down import RampDown
-from seft_ros.reference_force.braking import continued
+from seft_ros.protection.ramp_down import RampDown, continued
+
+
+@dataclass(frozen=True)
+class LinkRecord:
+    """Ages of the messages that the forces of a test were taken from.
+
+    Attributes
+    ----------
+    ages : mapping of int to int
+        Steps between the step of a force and that of its message -> number of forces.
+    held : int
+        Forces that no message brought: the one before was held.
+    """
+
+    ages: Mapping[int, int]
+    held: int
+
+    @classmethod
+    def of_all(cls, records: Iterable["LinkRecord"]) -> "LinkRecord":
+        """Add up what the force controllers of several rigs tell."""
+        ages: Counter[int] = Counter()
+        held = 0
+        for record in records:
+            ages.update(record.ages)
+            held += record.held
+        return cls(dict(sorted(ages.items())), held)
+
+    def older_than(self, loop_delay: int) -> int:
+        """Count the forces whose messages were older than the loop's delay: bridged ones."""
+        return sum(count for age, count in self.ages.items() if age > loop_delay)
+
+    def to_json(self) -> str:
+        """Text for a status."""
+        return json.dumps(
+            {"ages": {str(age): n for age, n in self.ages.items()}, "held": self.held}
+        )
+
+    @classmethod
+    def from_json(cls, text: str) -> "LinkRecord":
+        """Read what `to_json` wrote.
+
+        Raises
+        ------
+        ValueError
+            If it is something else.
+        """
+        try:
+            values = json.loads(text)
+            ages = {int(age): int(count) for age, count in values["ages"].items()}
+            return cls(ages, int(values["held"]))
+        except (AttributeError, KeyError, TypeError, OverflowError, RecursionError) as error:
+            raise ValueError(f"link: {error}") from None
+
 
 Floats = npt.NDArray[np.float64]
+
+PENDING = 256  # steps kept while their other half has not come
+
+
+class MatchedForces:
+    """Reference forces by step, for a loop without a delay of its own."""
+
+    def __init__(self) -> None:
+        self._points: dict[int, Floats] = {}
+
+    @property
+    def pending(self) -> int:
+        """Number of forces whose states have not come."""
+        return len(self._points)
+
+    def reset(self, in_lockstep: bool = False) -> None:
+        """Begin a new test; in lockstep, too, each force is waited for."""
+        del in_lockstep
+        self._points.clear()
+
+    def take(self, step: int, points: Floats) -> None:
+        """Take a message: the points of its step and coming ones, shape (p, q, n).
+
+        Raises
+        ------
+        WireError
+            If it has come before.
+        """
+        if step in self._points:
+            raise WireError(f"{REFERENCE_FORCE.name} of step {step} a second time")
+        self._points[step] = points
+        if len(self._points) > PENDING:
+            self._points.pop(min(self._points))
+
+    def points(self, step: int) -> Floats | None:
+        """Points of a step and coming ones; None if they are to be waited for."""
+        points = self._points.get(step)
+        if points is not None:
+            for passed in [other for other in self._points if other <= step]:
+                del self._points[passed]
+        return points
 
 
 class NewestPreview:

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError, WireError
-from seft_ros.force_controller.newest_preview import NewestPreview
-from seft_ros.interlock.ramp_down import RampDown
+from seft_ros.force_controller.received_forces import NewestPreview
+from seft_ros.protection.ramp_down import RampDown
 from seft_ros.test_run.parameter_tables import TABLES
 
 D, DT = 4, 0.002

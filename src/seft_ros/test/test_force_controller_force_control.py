@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.timebase import Timebase
 from seft_plant_sim.lti import bilinear
-from seft_ros.force_controller.block import ForceController
+from seft_ros.force_controller.force_control import ForceController
 from seft_ros.force_controller.parameters import TABLE
 
 DT = 0.002

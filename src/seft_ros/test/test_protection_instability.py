@@ -12,7 +12,7 @@ from scipy.signal import butter, sosfilt
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_plant_sim.whole_structure import reference_response
-from seft_ros.interlock.instability import InstabilityWatch
+from seft_ros.protection.instability import InstabilityWatch
 from seft_ros.reference_force.compensator import Knowledge
 from seft_ros.test_run.parameter_tables import TABLES
 

@@ -3,7 +3,7 @@ import itertools
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_ros.interlock.ramp_down import RampDown
+from seft_ros.protection.ramp_down import RampDown
 
 STEPS = st.integers(1, 2000)
 

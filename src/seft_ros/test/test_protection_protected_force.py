@@ -4,11 +4,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from seft_plant_sim.computed_substructure import ComputedSubstructure
-from seft_ros.interlock.instability import InstabilityWatch
-from seft_ros.interlock.plausibility import PlausibleForce
-from seft_ros.interlock.protected_force import ProtectedForce
-from seft_ros.interlock.ramp_down import RampDown
-from seft_ros.reference_force.braking import continued
+from seft_ros.protection.instability import InstabilityWatch
+from seft_ros.protection.protected_force import ProtectedForce
+from seft_ros.protection.protection_step import PlausibleForce
+from seft_ros.protection.ramp_down import RampDown, continued
 from seft_ros.reference_force.compensator import Knowledge
 
 DT = 0.002

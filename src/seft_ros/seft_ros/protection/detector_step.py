@@ -14,6 +14,8 @@ opposed to that of the deformation (Hill's second-order work, 1958)::
     sum dr . dx >= 0                                                                       (4)
 
 What is wrong for a few samples is a spike; each detector has a persistence.
+
+`detect` gives each the samples.
 """
 
 import math
@@ -22,36 +24,122 @@ import numpy as np
 import numpy.typing as npt
 from seft_plant_sim.compiled import compiled
 
-from seft_ros.interlock.detector_arrays import (
-    FOLLOWED,
-    SIGMAS,
-    DetectorParameters,
-    DetectorState,
-)
-from seft_ros.interlock.detector_look import (
+from seft_ros.protection.detectors import (
     AT_RANGE,
     CHANGE,
     DISPLACEMENT_VELOCITY,
+    FOLLOWED,
     FROZEN,
     JUMP,
     LIMITED_AT,
+    NO_RESPONSE,
     NOISE,
     OIL,
+    ROUGH,
     SAMPLE,
     SECOND_ORDER_WORK,
+    SIGMAS,
     TRACKING,
     TURN_AT,
     VELOCITY_ACCELERATION,
+    DetectorParameters,
+    DetectorState,
+    begin_following,
+    follow_valve,
     look,
 )
-from seft_ros.interlock.specimen_detectors import (
-    look_at_response,
-    look_at_restoring_force,
-    look_at_work,
-)
-from seft_ros.interlock.valve_following import begin_following, follow_valve
 
 Floats = npt.NDArray[np.float64]
+
+OPPOSED = 0.5
+"""Part of the assumed stiffness by which a specimen may soften: fracture, buckling."""
+SLIP, BREAK, STIFFEST = 0.35, 0.25, 6.0
+"""What a specimen may make of its force in a step: parts of its largest, with and against the
+motion, and with it so many times its assumed stiffness."""
+TURNED, TURN, MOVES = 3, 2.0, 0.2
+"""Samples after a turn of the motion in which friction turns round, what that makes of the force,
+and the part of the fastest motion of late from which on a specimen does not stick."""
+SILENT = 25.0
+"""Mean square of the change of the computed mass's force over that of the noise, from which on a
+force that is but noise does not answer."""
+ALTERNATE = 0.33
+"""Part of the samples of late at which r jumps back, as with noise: white noise that is far beyond
+its threshold does so in 2 of 3, a specimen that bangs or an oil column that rings in 1 of 3."""
+
+
+@compiled
+def look_at_restoring_force(
+    p: DetectorParameters, state: DetectorState, step: int, measured: Floats, i: int
+) -> int:
+    """Whether the specimen's force jumps, once or from sample to sample as with noise."""
+    n, found, last, r = measured.shape[1], -1, state.last, state.restoring
+    curvature = rise = fall = 0.0
+    for k in range(n):
+        spring = p.stiffness[i, k] * (measured[0, k] - last[0, k])
+        rise, fall = rise + max(spring, 0.0), fall + max(-spring, 0.0)
+        curvature += p.stiffness[i, k] * p.dt * p.dt * (measured[2, k] + last[2, k])
+    change, moved = r[2, i] - r[0, i], abs(measured[0, i] - last[0, i])
+    moves = p.steps[DISPLACEMENT_VELOCITY, i] + MOVES * state.largest[3, i]
+    slips = moved < moves or step - state.step[TURN_AT] <= TURNED
+    largest = state.largest[7, i]
+    if state.counts[JUMP, i] == 0:  # what is under suspicion is no measure
+        largest = max(abs(r[0, i]), p.memory * largest)
+        state.largest[7, i] = largest
+    # noise jumps to and fro, a blow rings
+    bend, limit = change - r[1, i], p.rough[i] + abs(curvature) + (largest if slips else 0.0)
+    bend = bend if abs(bend) > limit else 0.0
+    alternates = 1.0 if bend * state.bends[0, i] < 0.0 else 0.0
+    state.bends[0, i] = bend
+    if alternates or not slips:
+        state.bends[1, i] = p.short * state.bends[1, i] + alternates
+    if look(p, state, ROUGH, i, state.bends[1, i], ALTERNATE / (1.0 - p.short)):
+        found = ROUGH * n + i
+    # what has jumped must stay there
+    jump = change + (r[1, i] if state.counts[JUMP, i] else 0.0)
+    stiff = STIFFEST * (rise if jump > 0.0 else fall)
+    part = TURN if slips else (SLIP if stiff > 0.0 else BREAK)
+    threshold = part * largest + p.rough[i] + stiff
+    if look(p, state, JUMP, i, abs(jump), threshold) and found < 0:
+        found = JUMP * n + i
+    return found
+
+
+@compiled
+def look_at_response(p: DetectorParameters, state: DetectorState, measured: Floats, i: int) -> int:
+    """Whether a force is but noise, while the computed mass alone asks for far more."""
+    n, last, response = measured.shape[1], state.last, state.response
+    inertia = hiss = 0.0
+    for k in range(n):
+        inertia += p.computed_mass[i, k] * (measured[2, k] - last[2, k])
+        hiss += 2.0 * (p.computed_mass[i, k] * p.noise[2, k]) ** 2
+    response[0, i] = p.short * response[0, i] + (measured[3, i] - last[3, i]) ** 2
+    response[1, i] = p.short * response[1, i] + inertia * inertia
+    white, samples = 2.0 * p.noise[3, i] ** 2, 1.0 / (1.0 - p.short)
+    is_noise = response[0, i] < 2.0 * samples * white
+    threshold = SILENT * samples * (white + hiss) if is_noise else np.inf
+    return NO_RESPONSE * n + i if look(p, state, NO_RESPONSE, i, response[1, i], threshold) else -1
+
+
+@compiled
+def look_at_work(p: DetectorParameters, state: DetectorState, measured: Floats) -> int:
+    """Relation (4) of `detector_step`, over all axes."""
+    n, last, r, work = measured.shape[1], state.last, state.restoring, state.work
+    for row in range(3):
+        work[row] *= p.short
+    for i in range(n):
+        moved, change = measured[0, i] - last[0, i], r[2, i] - r[0, i]
+        noise = p.noise[3, i] ** 2
+        for k in range(n):
+            noise += (p.mass[i, k] * p.noise[2, k]) ** 2
+            work[1] += moved * p.stiffness[i, k] * (measured[0, k] - last[0, k])
+        work[0] += change * moved
+        work[2] += 2.0 * (noise * moved * moved + (p.noise[0, i] * change) ** 2)
+    threshold = OPPOSED * work[1] + 6.0 * math.sqrt(work[2]) + p.unknown
+    return (
+        SECOND_ORDER_WORK * n if look(p, state, SECOND_ORDER_WORK, 0, -work[0], threshold) else -1
+    )
+
+
 Ints = npt.NDArray[np.int64]
 
 CHANNEL, OTHER = (0, 1, 3), (1, 2, 1)
