@@ -12,7 +12,7 @@ import time
 import rclpy
 from _udp_ring import MESSAGE_SIZE
 from rclpy.node import Node
-from seft_msgs_py.node.middleware import PROFILES, RANGE
+from seft_msgs_py.node.process import PROFILES, RANGE
 from seft_msgs_py.node.rclpy_interface import (
     WaitSet,
     message_class,

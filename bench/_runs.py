@@ -9,7 +9,7 @@ from typing import Any
 
 from rosbags.highlevel import AnyReader
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.node.middleware import prepare_on_this_host
+from seft_msgs_py.node.process import prepare_on_this_host
 from seft_msgs_py.wire.messages import Status, decode_diagnostics
 from seft_ros.bags.bag_reader import read_bag
 from seft_ros.bags.record import Record

@@ -15,7 +15,6 @@ from seft_msgs_py.wire.messages import (
     encode_string,
 )
 from seft_msgs_py.wire.outcome import Trip, rig_status
-from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import (
     CLOCK,
     DESCRIPTION,
@@ -28,6 +27,7 @@ from seft_msgs_py.wire.topics import (
     RIG_STATE,
     STRING,
     VALVE_COMMAND,
+    Timebase,
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.bags.bag_reader import read_bag

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, lfilter
 from seft_msgs_py.config.parameter_table import resolve
-from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import Timebase
 from seft_ros.reference_force.ats import parabola_weights
 from seft_ros.reference_force.compensation_methods import METHODS
 from seft_ros.reference_force.delay_estimator import BandPass, DelayEstimator

@@ -6,7 +6,7 @@ import scipy.signal
 from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.lti import bilinear
 from seft_ros.force_controller.force_control import ForceController
 from seft_ros.force_controller.parameters import TABLE

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import Timebase
 from seft_ros.force_controller.force_control import ForceController, LinearControl
 from seft_ros.force_controller.methods import force_control
 from seft_ros.force_controller.parameters import TABLE

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import EstimatesCodec, Status, encode_status
-from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import (
     ESTIMATES,
     EXPERIMENT_STATE,
     GROUND_MOTION,
     REFERENCE_FORCE,
     RIG_STATE,
+    Timebase,
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.reference_force.compensation_methods import METHODS, none

@@ -7,8 +7,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND
-from seft_msgs_py.wire.topics import ESTIMATES, LOOP_TOPICS, REFERENCE_FORCE, RIG_STATE, TARGET
+from seft_msgs_py.wire.topics import (
+    ESTIMATES,
+    LOOP_TOPICS,
+    NANOSECONDS_PER_SECOND,
+    REFERENCE_FORCE,
+    RIG_STATE,
+    TARGET,
+)
 
 from seft_ros.analysis.alignment import Alignment, common_steps
 from seft_ros.analysis.metrics import nrmse, peak

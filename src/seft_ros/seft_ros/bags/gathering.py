@@ -22,13 +22,14 @@ from seft_msgs_py.wire.messages import (
     decode_status,
 )
 from seft_msgs_py.wire.outcome import ENDED, STOPPED, Outcome, State, Trip, read_outcome
-from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND, Timebase
 from seft_msgs_py.wire.topics import (
     GROUND_MOTION,
+    NANOSECONDS_PER_SECOND,
     REFERENCE_FORCE,
     TARGET,
     LoopTopic,
     RigAxes,
+    Timebase,
     bare,
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec, decode_batch

@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.wire.messages import EstimatesCodec, encode_diagnostics, encode_string
 from seft_msgs_py.wire.outcome import FINISHED, RIG, TRIPPED, rig_status
-from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND
 from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
     ESTIMATES,
     GROUND_MOTION,
+    NANOSECONDS_PER_SECOND,
     RIG_STATE,
     RIG_TOPICS,
     STEP_TOPICS,

@@ -8,7 +8,7 @@ from importlib.metadata import version as installed_version
 
 import typer
 from seft_msgs_py.errors import SeftError
-from seft_msgs_py.node.shutdown import as_before, on_ending
+from seft_msgs_py.node.process import as_before, on_ending
 
 from seft_ros.cli.bag_commands import compare, recover, replay, report
 from seft_ros.cli.design_commands import design, preflight

@@ -102,7 +102,7 @@ def _request(service: str) -> int:
 @contextmanager
 def _supervised() -> Iterator["Observer"]:
     """Observe the test whose supervisor is heard."""
-    from seft_msgs_py.node.middleware import prepare_on_this_host
+    from seft_msgs_py.node.process import prepare_on_this_host
 
     from seft_ros.test_run.observer import Observer
 

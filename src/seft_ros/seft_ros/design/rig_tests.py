@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.config.arrays import mass_matrix
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import group
+from seft_msgs_py.config.parameter_table import group, mass_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RIG_STATE
 from seft_plant_sim.rig import Rig

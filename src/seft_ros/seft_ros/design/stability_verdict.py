@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import eigh
 from scipy.optimize import linear_sum_assignment
-from seft_msgs_py.config.arrays import mass_matrix
+from seft_msgs_py.config.parameter_table import mass_matrix
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_plant_sim.rig_parameters import LIMIT_UNITS
 from seft_plant_sim.whole_structure import WholeStructure

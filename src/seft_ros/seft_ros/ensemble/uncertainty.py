@@ -12,7 +12,7 @@ import numpy.typing as npt
 from scipy.stats import rankdata
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Section
-from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.rig import Rig
 
 from seft_ros.drawing.tables import RESPONSES, json_safe

@@ -6,10 +6,9 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.config.arrays import as_matrix
+from seft_msgs_py.config.parameter_table import as_matrix
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.timebase import Timebase
-from seft_msgs_py.wire.topics import RigAxes
+from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import compiled, entry_point, multiply
 from seft_plant_sim.lti import bilinear
 

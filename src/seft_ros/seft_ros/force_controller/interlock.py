@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.config.arrays import mass_matrix, per_axis, symmetric_matrix
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import mass_matrix, per_axis, symmetric_matrix
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.timebase import Timebase
-from seft_msgs_py.wire.topics import RigAxes
+from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import entry_point, kind_of
 from seft_plant_sim.limits import SaturatedTime
 from seft_plant_sim.rig_parameters import LIMIT_NAMES

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.wire.timebase import Timebase
-from seft_msgs_py.wire.topics import RigAxes
+from seft_msgs_py.wire.topics import RigAxes, Timebase
 
 from seft_ros.force_controller.force_control import ControlKnowledge, ForceControl, ForceController
 from seft_ros.force_controller.parameters import REGISTERED, TRANSFER_FUNCTION, VELOCITY_FEEDFORWARD

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.wire.timebase import Timebase
-from seft_msgs_py.wire.topics import REFERENCE_FORCE
+from seft_msgs_py.wire.topics import REFERENCE_FORCE, Timebase
 from seft_plant_sim.command import MessagesAhead
 
 from seft_ros.protection.ramp_down import RampDown, continued

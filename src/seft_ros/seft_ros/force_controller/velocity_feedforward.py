@@ -23,10 +23,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.config.arrays import per_axis
+from seft_msgs_py.config.parameter_table import per_axis
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.timebase import Timebase
-from seft_msgs_py.wire.topics import RigAxes
+from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import compiled, entry_point
 
 from seft_ros.force_controller.force_control import LinearControl

@@ -3,8 +3,8 @@
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.config.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import Floats
 from seft_plant_sim.whole_structure import RunningResponse, whole_structure
 
 from seft_ros.analysis.equivalent_motion import (

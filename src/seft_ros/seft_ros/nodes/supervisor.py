@@ -31,12 +31,12 @@ from seft_msgs_py.wire.outcome import (
     TRIPPED,
     State,
 )
-from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND
 from seft_msgs_py.wire.topics import (
     CLOCK_TOPIC,
     DESCRIPTION,
     DIAGNOSTICS,
     EXPERIMENT_STATE,
+    NANOSECONDS_PER_SECOND,
     REHEARSE,
     START,
     with_rigs,

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.compiled import compiled, entry_point, multiply
 from seft_plant_sim.lti import bilinear
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.compiled import entry_point, kind_of
 
 from seft_ros.protection.instability import InstabilityWatch

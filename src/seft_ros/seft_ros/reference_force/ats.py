@@ -5,7 +5,7 @@ from collections import deque
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from seft_msgs_py.config.arrays import Floats
+from seft_msgs_py.config.parameter_table import Floats
 
 from seft_ros.reference_force.compensator import Knowledge, Signals
 from seft_ros.reference_force.delay_compensation import delay_range, given_delay

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import wraps
 
 import numpy as np
-from seft_msgs_py.config.arrays import Floats
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
 
 from seft_ros.reference_force.compensator import Compensator, Knowledge, Method

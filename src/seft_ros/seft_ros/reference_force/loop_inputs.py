@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from seft_msgs_py.config.arrays import Floats
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.topics import RigAxes
 

@@ -3,9 +3,9 @@
 from typing import Any, Protocol
 
 import numpy as np
-from seft_msgs_py.config.arrays import Floats, mass_matrix, symmetric_matrix
+from seft_msgs_py.config.parameter_table import Floats, mass_matrix, symmetric_matrix
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND, Timebase
+from seft_msgs_py.wire.topics import NANOSECONDS_PER_SECOND, Timebase
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_plant_sim.specimen import deformations
 

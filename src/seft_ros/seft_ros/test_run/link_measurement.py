@@ -8,6 +8,7 @@ from contextlib import closing
 
 import numpy as np
 from seft_msgs_py.errors import ExperimentError, InputError, WireError
+from seft_msgs_py.node.process import leave_graph
 from seft_msgs_py.node.rclpy_interface import (
     WaitSet,
     command_node,
@@ -16,7 +17,6 @@ from seft_msgs_py.node.rclpy_interface import (
     sender,
     taker,
 )
-from seft_msgs_py.node.shutdown import leave_graph
 from seft_msgs_py.wire.messages import decode_string, encode_string
 from seft_msgs_py.wire.topics import LINK_PING, LINK_PONG, RigAxes, Topic
 

@@ -7,7 +7,7 @@ from contextlib import closing
 from typing import Any
 
 from seft_msgs_py.errors import ExperimentError, InputError, WireError
-from seft_msgs_py.node.middleware import is_running, prepare_on_this_host
+from seft_msgs_py.node.process import is_running, leave_graph, prepare_on_this_host
 from seft_msgs_py.node.rclpy_interface import (
     SingleThreadedExecutor,
     command_node,
@@ -18,7 +18,6 @@ from seft_msgs_py.node.rclpy_interface import (
 )
 from seft_msgs_py.node.realtime import AwakeClock
 from seft_msgs_py.node.senders import Senders
-from seft_msgs_py.node.shutdown import leave_graph
 from seft_msgs_py.wire.messages import decode_status
 from seft_msgs_py.wire.outcome import MOVING, RIG
 from seft_msgs_py.wire.topics import CLOCK_TOPIC, DIAGNOSTICS, EXPERIMENT_STATE, NODES, Topic, bare

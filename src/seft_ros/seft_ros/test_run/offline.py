@@ -15,8 +15,13 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.outcome import Trip
-from seft_msgs_py.wire.timebase import Timebase
-from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
+from seft_msgs_py.wire.topics import (
+    GROUND_MOTION,
+    REFERENCE_FORCE,
+    RIG_STATE,
+    VALVE_COMMAND,
+    Timebase,
+)
 from seft_plant_sim.whole_structure import ReferenceResponse, reference_response
 
 from seft_ros.bags.description import describe_environment

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from seft_msgs_py.errors import ExperimentError, WireError
+from seft_msgs_py.node.process import leave_graph
 from seft_msgs_py.node.rclpy_interface import (
     Publisher,
     Subscription,
@@ -16,7 +17,6 @@ from seft_msgs_py.node.rclpy_interface import (
     sender,
     take_timed,
 )
-from seft_msgs_py.node.shutdown import leave_graph
 from seft_msgs_py.wire.messages import Status, decode_diagnostics, encode_status
 from seft_msgs_py.wire.topics import DIAGNOSTICS, EXPERIMENT_STATE, Topic
 

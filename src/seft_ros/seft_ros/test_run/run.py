@@ -10,8 +10,7 @@ from typing import NamedTuple, Self
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
-from seft_msgs_py.node.middleware import prepare_on_this_host
-from seft_msgs_py.node.shutdown import as_before, on_ending
+from seft_msgs_py.node.process import as_before, on_ending, prepare_on_this_host
 from seft_msgs_py.wire.outcome import ENDED, State
 from seft_msgs_py.wire.topics import EXPERIMENT_STATE, NODES, LoopTopic, bare, topics_of, with_rigs
 

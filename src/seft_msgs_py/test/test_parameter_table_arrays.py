@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_msgs_py.config.arrays import as_matrix, mass_matrix, per_axis, symmetric_matrix
+from seft_msgs_py.config.parameter_table import as_matrix, mass_matrix, per_axis, symmetric_matrix
 from seft_msgs_py.errors import InputError
 
 XYZ = ("x", "y", "z")

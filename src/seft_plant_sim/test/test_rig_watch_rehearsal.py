@@ -4,10 +4,16 @@ import time
 
 import numpy as np
 import pytest
-from seft_msgs_py.wire.timebase import Timebase
-from seft_msgs_py.wire.topics import LOOP_TOPICS, RIG_STATE, VALVE_COMMAND, RigAxes, rehearsed
+from seft_msgs_py.wire.topics import (
+    LOOP_TOPICS,
+    RIG_STATE,
+    VALVE_COMMAND,
+    RigAxes,
+    Timebase,
+    rehearsed,
+)
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_plant_sim.rehearsal import Rehearsal
+from seft_plant_sim.rig_watch import Rehearsal
 
 TIMEBASE = Timebase.from_rate(100.0)
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import Timebase
 
 DIVISORS = sorted(2**i * 5**j for i in range(10) for j in range(10))
 """Whole rates with a whole period: the divisors of 10^9."""

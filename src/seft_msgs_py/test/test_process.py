@@ -7,7 +7,7 @@ import sys
 
 import pytest
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.node.middleware import (
+from seft_msgs_py.node.process import (
     NETWORK,
     ONE_HOST,
     PROFILES,
@@ -85,7 +85,7 @@ def test_a_name_is_taken_once_on_a_domain():
 
 def test_the_name_of_a_killed_process_is_free():
     program = (
-        "import time; from seft_msgs_py.node.middleware import single_instance; "
+        "import time; from seft_msgs_py.node.process import single_instance; "
         f"held = single_instance(7, {NODE!r}); print('held', flush=True); time.sleep(600)"
     )
     with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE) as process:

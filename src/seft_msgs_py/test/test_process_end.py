@@ -6,11 +6,11 @@ import pytest
 import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
-from seft_msgs_py.node.shutdown import leave_graph
+from seft_msgs_py.node.process import leave_graph
 
 HELD = """
 import ctypes, sys
-from seft_msgs_py.node.shutdown import exit_watchdog
+from seft_msgs_py.node.process import exit_watchdog
 with exit_watchdog(0.2, {status}, {told!r}):
     while True:
         ctypes.PyDLL(None).usleep(10_000_000)  # holds the interpreter, as a stuck library does
@@ -25,7 +25,7 @@ def test_a_process_that_is_stuck_in_a_library_ends_with_its_status(status, told)
 
 
 def test_what_ends_in_time_leaves_no_alarm_behind():
-    from seft_msgs_py.node.shutdown import exit_watchdog
+    from seft_msgs_py.node.process import exit_watchdog
 
     with exit_watchdog(1000.0, 3):
         assert signal.getitimer(signal.ITIMER_REAL)[0] > 0
