@@ -21,7 +21,7 @@ from seft_msgs_py.wire.topics import (
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.reference_force.compensation_methods import METHODS, none
 from seft_ros.reference_force.reference_force_block import EstimateSampler, ReferenceForce
-from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES
 

@@ -16,14 +16,13 @@ from seft_msgs_py.wire.topics import (
     TARGET,
 )
 
-from seft_ros.analysis.alignment import Alignment, common_steps
-from seft_ros.analysis.metrics import nrmse, peak
+from seft_ros.analysis.metrics import Alignment, common_steps, nrmse, peak
 from seft_ros.analysis.result_text import title_of
-from seft_ros.bags.bag_reader import UNDECODABLE
 from seft_ros.bags.record import (
     Record,
     Series,
 )
+from seft_ros.bags.record_bag import UNDECODABLE
 from seft_ros.drawing.tables import json_safe
 
 Floats = npt.NDArray[np.float64]

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from seft_msgs_py.wire.outcome import REHEARSED, RIG
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 
-from seft_ros.analysis.alignment import common_steps
+from seft_ros.analysis.metrics import common_steps
 from seft_ros.bags.record import Record
 
 Floats = npt.NDArray[np.floating[Any]]

@@ -17,7 +17,7 @@ from seft_ros.ground_motion.ground_motion_block import GroundMotion
 from seft_ros.reference_force.compensation_methods import METHODS
 from seft_ros.reference_force.reference_force_block import knowledge
 from seft_ros.reference_force.reference_force_parameters import TABLE
-from seft_ros.test_run.blocks import build_blocks, with_method
+from seft_ros.test_run.compiled_loop import build_blocks, with_method
 
 UNCERTAINTY = {
     "specimen.mass": 0.2,  # it is weighed

@@ -32,8 +32,13 @@ from seft_ros.bags.record import (
     require_names,
 )
 from seft_ros.reference_force.reference_force_block import sampling_period
-from seft_ros.test_run.blocks import Blocks, build_blocks
-from seft_ros.test_run.compiled_loop import LoopSamples, obstacle, run_compiled
+from seft_ros.test_run.compiled_loop import (
+    Blocks,
+    LoopSamples,
+    build_blocks,
+    obstacle,
+    run_compiled,
+)
 from seft_ros.test_run.state_machine import while_ramping_down
 
 Floats = npt.NDArray[np.float64]

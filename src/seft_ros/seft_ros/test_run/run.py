@@ -17,10 +17,9 @@ from seft_msgs_py.wire.topics import EXPERIMENT_STATE, NODES, LoopTopic, bare, t
 from seft_ros.bags.lasting_bag import obstacle
 from seft_ros.test_run.observer import Observer
 from seft_ros.test_run.parameter_tables import RECORDER
-from seft_ros.test_run.peers import CONFLICT, SILENT
+from seft_ros.test_run.peers import CONFLICT, RUNS, SILENT, UNFIT
 from seft_ros.test_run.process_layout import LOOP_NODES, ProcessLayout
 from seft_ros.test_run.processes import MODULES, NodeProcesses, node_processes
-from seft_ros.test_run.rehearsal import RUNS, UNFIT
 from seft_ros.test_run.state_machine import PACE
 
 POLL_PERIOD = 0.05  # s

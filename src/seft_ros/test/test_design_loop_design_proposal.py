@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_ros.design.controller_proposal import propose_controller
-from seft_ros.design.loop_design import shape_loop
+from seft_ros.design.loop_design import propose_controller, shape_loop
 from seft_ros.design.plant import rig_plant
 from seft_ros.test_run.parameter_tables import TABLES
 

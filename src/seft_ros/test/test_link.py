@@ -7,7 +7,7 @@ from seft_ros.analysis.timing import link_numbers
 from seft_ros.bags.record import Record, Series
 from seft_ros.cli import main as commands
 from seft_ros.force_controller.received_forces import LinkRecord
-from seft_ros.test_run.link_judgement import (
+from seft_ros.test_run.link import (
     Allowed,
     RoundTrips,
     allowed,
@@ -123,6 +123,6 @@ def test_a_delay_that_is_to_be_measured_needs_a_link(monkeypatch, capsys, tmp_pa
 
 
 def allowed_without_number():
-    from seft_ros.test_run.blocks import build_blocks
+    from seft_ros.test_run.compiled_loop import build_blocks
 
     build_blocks(experiment("reference_force:loop_delay:=-1"))

@@ -1,5 +1,5 @@
 import pytest
-from seft_ros.test_run.rehearsal import Rehearsed, judge
+from seft_ros.test_run.peers import Rehearsed, judge
 
 ABLE = {"rehearses": True}
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import scipy.signal
-from seft_ros.design.measured_test import response, spectra
+from seft_ros.design.rig_tests import response, spectra
 
 RATE = 500.0
 COUNT = 120_000

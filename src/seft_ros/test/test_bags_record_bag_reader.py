@@ -30,8 +30,8 @@ from seft_msgs_py.wire.topics import (
     Timebase,
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_ros.bags.bag_reader import read_bag
 from seft_ros.bags.bag_writer import BagWriter
+from seft_ros.bags.record_bag import read_bag
 
 AXES = ("x", "y")
 TIMEBASE = Timebase.from_rate(500.0)
