@@ -3,7 +3,7 @@
 import os
 
 from hypothesis import settings
-from seft_msgs_py.node.middleware import prepare_middleware
+from seft_msgs_py.node.process import prepare_middleware
 
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"  # a wrong type in a message raises, not corrupts
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"

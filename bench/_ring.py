@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import rclpy
 from _udp_ring import MESSAGE_SIZE
 from rclpy.node import Node
-from seft_msgs_py.node.middleware import PROFILES, RANGE
+from seft_msgs_py.node.process import PROFILES, RANGE
 from seft_msgs_py.node.rclpy_interface import (
     WaitSet,
     message_class,

@@ -9,10 +9,10 @@ from typing import Any
 
 from rosbags.highlevel import AnyReader
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.node.middleware import prepare_on_this_host
+from seft_msgs_py.node.process import prepare_on_this_host
 from seft_msgs_py.wire.messages import Status, decode_diagnostics
-from seft_ros.bags.bag_reader import read_bag
 from seft_ros.bags.record import Record
+from seft_ros.bags.record_bag import read_bag
 from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.process_layout import ProcessLayout
 from seft_ros.test_run.run import run_experiment

@@ -19,7 +19,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_ros.bags.bag_writer import STORAGES
 from seft_ros.bags.record import Estimates, Record, Series
 from seft_ros.bags.record_bag import write_record
-from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES
 

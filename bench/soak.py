@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from _runs import CONFIG, use_own_domain
 from seft_msgs_py.config.experiment import Experiment
-from seft_ros.bags.bag_reader import read_bag
+from seft_ros.bags.record_bag import read_bag
 from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.processes import MODULES
 from seft_ros.test_run.run import run_experiment

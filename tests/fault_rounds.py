@@ -35,8 +35,8 @@ from graph_tools import (
 )
 from seft_msgs_py.errors import InputError
 from seft_ros.bags.bag_files import recover
-from seft_ros.bags.bag_reader import read_bag
 from seft_ros.bags.record import Record
+from seft_ros.bags.record_bag import read_bag
 from seft_ros.test_run.processes import MODULES
 
 MOMENTS = ("starting", "ready", "running", "ramping down", "ending")

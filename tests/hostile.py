@@ -10,6 +10,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.node.process import leave_graph
 from seft_msgs_py.node.rclpy_interface import (
     WaitSet,
     message_class,
@@ -17,7 +18,6 @@ from seft_msgs_py.node.rclpy_interface import (
     raw_subscription,
     taker,
 )
-from seft_msgs_py.node.shutdown import leave_graph
 from seft_msgs_py.wire.messages import Status, encode_status, encode_string
 from seft_msgs_py.wire.topics import (
     DESCRIPTION,

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from graph_tools import PATIENCE, ROOT, wait_for
 from seft_msgs_py.wire.topics import NODES
-from seft_ros.bags.bag_reader import read_bag
+from seft_ros.bags.record_bag import read_bag
 
 SHORT = ("ground_motion:synthetic.duration:=3.0", "rig:pace:=lockstep", "recorder:name:=bag")
 OURS = ("seft_msgs_py", "seft_plant_sim", "seft_ros")

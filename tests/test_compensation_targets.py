@@ -10,7 +10,7 @@ from graph_tools import JHU, ROOT
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_ros.analysis.summary import summarise
-from seft_ros.test_run.blocks import build_blocks, with_method
+from seft_ros.test_run.compiled_loop import build_blocks, with_method
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES
 

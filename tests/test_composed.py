@@ -12,7 +12,7 @@ from graph_tools import (
     wait_for,
 )
 from seft_msgs_py.wire.topics import VALVE_COMMAND
-from seft_ros.bags.bag_reader import read_bag
+from seft_ros.bags.record_bag import read_bag
 from test_invariant import EXPERIMENTS, LOCKSTEP, SHORT
 
 

@@ -246,7 +246,7 @@ def test_an_example_is_near_the_solution_of_opensees_itself(tmp_path, name, foun
     import numpy as np
     from seft_msgs_py.config.experiment import Experiment, parse_override
     from seft_ros.analysis.metrics import nrmse
-    from seft_ros.test_run.blocks import build_blocks
+    from seft_ros.test_run.compiled_loop import build_blocks
     from seft_ros.test_run.offline import simulate
     from seft_ros.test_run.parameter_tables import TABLES
 

@@ -5,8 +5,8 @@ import os
 
 import pytest
 from graph_tools import JHU, ROOT, thorough, wait_for
-from seft_msgs_py.node.middleware import is_running
-from seft_ros.cli.new import TEMPLATES
+from seft_msgs_py.node.process import is_running
+from seft_ros.cli.rig_commands import TEMPLATES
 
 pytestmark = pytest.mark.alone
 TEMPLATE = TEMPLATES / "rig_driver"

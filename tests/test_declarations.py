@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import pytest
 from graph_tools import ROOT
 from packaging.requirements import Requirement
-from seft_ros.cli.new import TEMPLATES
+from seft_ros.cli.rig_commands import TEMPLATES
 
 OURS = ("seft_msgs_py", "seft_plant_sim", "seft_ros")
 NAMES = {  # module: name for pip, rosdep key

@@ -10,7 +10,7 @@ from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.wire.topics import LOOP_TOPICS, TOPICS
 from seft_ros.cli.main import APP
 from seft_ros.cli.show_commands import parameters_text
-from seft_ros.conformance.finding import CHECKS
+from seft_ros.conformance.driver import CHECKS
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import critical_mass_ratio
 from seft_ros.reference_force.compensation_methods import METHODS

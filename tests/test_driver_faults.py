@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import RigAxes
-from seft_ros.cli.new import TEMPLATES
+from seft_ros.cli.rig_commands import TEMPLATES
 
 TEMPLATE = TEMPLATES / "rig_driver"
 

@@ -26,7 +26,7 @@ from graph_tools import (
     thorough_but,
     wait_for,
 )
-from seft_ros.bags.bag_reader import read_bag
+from seft_ros.bags.record_bag import read_bag
 from seft_ros.cli.main import main
 from seft_ros.test_run.processes import MODULES
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from graph_tools import JHU, ROOT, THOROUGH
 from seft_msgs_py.config.experiment import Experiment, parse_override
-from seft_ros.test_run.blocks import build_blocks, with_method
+from seft_ros.test_run.compiled_loop import build_blocks, with_method
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from graph_tools import JHU, MISSES_ALLOWED, STALLS_ALLOWED, thorough, thorough_but
-from seft_ros.bags.bag_reader import read_bag
+from seft_ros.bags.record_bag import read_bag
 
 SHORT = ("-p", "ground_motion:synthetic.duration:=5.0", "-p", "ground_motion:tail:=0.5")
 LOCKSTEP = ("-p", "rig:pace:=lockstep", *STALLS_ALLOWED)

@@ -11,8 +11,8 @@ from graph_tools import JHU, MISSES_ALLOWED, PATIENCE, STALLS_ALLOWED, hold, wai
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from seft_msgs_py.wire.topics import NODES
-from seft_ros.bags.bag_reader import read_bag
-from seft_ros.interlock.ramp_down import RampDown
+from seft_ros.bags.record_bag import read_bag
+from seft_ros.protection.ramp_down import RampDown
 from seft_ros.test_run.processes import MODULES
 from std_srvs.srv import Trigger
 

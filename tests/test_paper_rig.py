@@ -7,7 +7,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_ros.analysis.summary import reference_of, summarise
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import instability_band
-from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES
 

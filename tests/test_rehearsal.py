@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 from graph_tools import JHU, PATIENCE
-from seft_ros.bags.bag_reader import read_bag
+from seft_ros.bags.record_bag import read_bag
 
 SEFT = (sys.executable, "-m", "seft_ros.cli.main")
 SHORT = ("-p", "ground_motion:synthetic.duration:=2.0", "-p", "ground_motion:tail:=0.2")

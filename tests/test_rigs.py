@@ -15,8 +15,8 @@ from graph_tools import (
     wait_for,
 )
 from seft_msgs_py.wire.topics import RIG_STATE, VALVE_COMMAND, rigs_of
-from seft_msgs_py.wire.trajectory_layout import parse_trajectory
-from seft_ros.bags.bag_reader import read_bag, read_messages
+from seft_msgs_py.wire.trajectory import parse_trajectory
+from seft_ros.bags.record_bag import read_bag, read_messages
 from seft_ros.test_run.processes import COMPOSED, MODULES
 from two_hosts import two_hosts
 

@@ -18,7 +18,7 @@ from seft_msgs_py.wire.topics import (
     VALVE_COMMAND,
 )
 from seft_ros.bags.bag_files import open_bag
-from seft_ros.bags.bag_reader import read_bag
+from seft_ros.bags.record_bag import read_bag
 from seft_ros.test_run.processes import MODULES
 
 LONG = ("-p", "ground_motion:synthetic.duration:=60.0")

@@ -17,7 +17,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
-from seft_msgs_py.node.middleware import NETWORK
+from seft_msgs_py.node.process import NETWORK
 
 RELAY = Path(__file__).with_name("link_relay.py")
 _SIOCETHTOOL = 0x8946

@@ -22,10 +22,8 @@ from seft_msgs_py.wire.messages import (
     encode_string,
 )
 from seft_msgs_py.wire.outcome import Saturation, Trip, read_outcome, rig_status
-from seft_msgs_py.wire.timebase import Timebase
-from seft_msgs_py.wire.topics import GROUND_MOTION, LOOP_TOPICS
-from seft_msgs_py.wire.trajectory import TrajectoryCodec, decode_batch
-from seft_msgs_py.wire.trajectory_layout import parse_trajectory
+from seft_msgs_py.wire.topics import GROUND_MOTION, LOOP_TOPICS, Timebase
+from seft_msgs_py.wire.trajectory import TrajectoryCodec, decode_batch, parse_trajectory
 
 TIMEBASE = Timebase.from_rate(500.0)
 AXES = ("east", "north")

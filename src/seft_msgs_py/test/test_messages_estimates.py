@@ -12,7 +12,7 @@ from seft_msgs_py.wire.messages import (
     decode_diagnostics,
     encode_diagnostics,
 )
-from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import Timebase
 
 rclpy_serialization = pytest.importorskip("rclpy.serialization")
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402

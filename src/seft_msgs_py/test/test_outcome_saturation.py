@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import decode_status, encode_status
 from seft_msgs_py.wire.outcome import Saturation, read_outcome, rig_status
-from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import Timebase
 
 TIMEBASE = Timebase.from_rate(500.0)
 NAMES = st.sampled_from(["valve", "stroke", "force_capacity", "force_range", "acceleration_range"])

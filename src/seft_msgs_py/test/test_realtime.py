@@ -55,7 +55,7 @@ GRAPH = """
 from pathlib import Path
 import rclpy
 from rclpy.node import Node
-from seft_msgs_py.node.middleware import prepare_on_this_host
+from seft_msgs_py.node.process import prepare_on_this_host
 from seft_msgs_py.node.realtime import side_threads
 prepare_on_this_host()
 rclpy.init(args=[])

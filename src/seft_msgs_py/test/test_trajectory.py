@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import typestore
-from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import (
     GROUND_MOTION,
     JOINT_TRAJECTORY,
@@ -17,9 +16,9 @@ from seft_msgs_py.wire.topics import (
     REFERENCE_FORCE,
     RIG_STATE,
     TARGET,
+    Timebase,
 )
-from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_msgs_py.wire.trajectory_layout import parse_trajectory
+from seft_msgs_py.wire.trajectory import TrajectoryCodec, parse_trajectory
 
 serialization = pytest.importorskip("rclpy.serialization")
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint  # noqa: E402

@@ -7,8 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.wire.timebase import Timebase
-from seft_msgs_py.wire.topics import LOOP_TOPICS, REFERENCE_FORCE, RIG_STATE, TARGET
+from seft_msgs_py.wire.topics import LOOP_TOPICS, REFERENCE_FORCE, RIG_STATE, TARGET, Timebase
 from seft_msgs_py.wire.trajectory import TrajectoryCodec, decode_batch
 
 TIMEBASE = Timebase.from_rate(500.0)

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.config.arrays import Floats, Ints
+from seft_msgs_py.config.parameter_table import Floats, Ints
 
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_ROWS, LIMIT_UNITS

@@ -6,11 +6,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.config.arrays import Floats, Ints, per_axis
-from seft_msgs_py.config.parameter_table import group
+from seft_msgs_py.config.parameter_table import Floats, Ints, group, per_axis
 from seft_msgs_py.wire.outcome import Saturation
-from seft_msgs_py.wire.timebase import Timebase
-from seft_msgs_py.wire.topics import VALVE_COMMAND, RigAxes
+from seft_msgs_py.wire.topics import VALVE_COMMAND, RigAxes, Timebase
 
 from seft_plant_sim.actuator import Hydraulics
 from seft_plant_sim.compiled import compiled, entry_point, kind_of

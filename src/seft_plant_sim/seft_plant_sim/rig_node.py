@@ -36,12 +36,12 @@ from seft_msgs_py.wire.topics import (
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
 from seft_plant_sim.command import Command
-from seft_plant_sim.rehearsal import Rehearsal
 from seft_plant_sim.rig import Rig, Stopped
 from seft_plant_sim.rig_parameters import TABLE
 from seft_plant_sim.rig_watch import (
     CommandWatch,
     RecorderLag,
+    Rehearsal,
     RoundTrip,
     SampleClock,
     Supervision,

@@ -3,14 +3,20 @@
 from typing import NamedTuple
 
 import numpy as np
-from seft_msgs_py.config.arrays import Floats, Ints
+from seft_msgs_py.config.parameter_table import Floats, Ints
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.actuator import OPENING, PER_CAPACITY
 from seft_plant_sim.actuator import STROKE as STROKE_COLUMN
 from seft_plant_sim.compiled import compiled, multiply
-from seft_plant_sim.continuous_model import ContinuousModel
-from seft_plant_sim.integration import Dynamics, Motion, at_rest, dynamics_of, integrate
+from seft_plant_sim.continuous_model import (
+    ContinuousModel,
+    Dynamics,
+    Motion,
+    at_rest,
+    dynamics_of,
+    integrate,
+)
 from seft_plant_sim.limits import Limits, SaturatedTime, exceeds, is_exceeded
 from seft_plant_sim.lti import split_dead_time
 from seft_plant_sim.sensors import CHANNELS, Channels, measure

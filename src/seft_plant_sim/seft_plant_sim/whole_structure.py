@@ -11,15 +11,21 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.config.arrays import Floats, as_matrix
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import group
+from seft_msgs_py.config.parameter_table import Floats, as_matrix, group
 
 from seft_plant_sim.compiled import compiled, multiply
 from seft_plant_sim.computed_model import ModelSource
 from seft_plant_sim.computed_substructure import ComputedSubstructure
-from seft_plant_sim.continuous_model import ContinuousModel, with_springs
-from seft_plant_sim.integration import Dynamics, Motion, at_rest, dynamics_of, integrate
+from seft_plant_sim.continuous_model import (
+    ContinuousModel,
+    Dynamics,
+    Motion,
+    at_rest,
+    dynamics_of,
+    integrate,
+    with_springs,
+)
 from seft_plant_sim.specimen import Specimen
 
 TOLERANCE = 1e-5

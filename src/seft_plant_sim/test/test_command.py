@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.wire.timebase import Timebase
-from seft_msgs_py.wire.topics import REFERENCE_FORCE, TARGET, VALVE_COMMAND
+from seft_msgs_py.wire.topics import REFERENCE_FORCE, TARGET, VALVE_COMMAND, Timebase
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_plant_sim.command import Command, MessagesAhead
 

@@ -5,7 +5,7 @@ import pytest
 from bare_rig import BareRig
 from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
-from seft_plant_sim import integration
+from seft_plant_sim import continuous_model as model_module
 from seft_plant_sim.rig import continuous_model
 from seft_plant_sim.rig_parameters import TABLE
 
@@ -116,7 +116,7 @@ def test_no_drive_gives_what_is_no_number(drive):
 @pytest.mark.parametrize("law", ["linear", "bilinear", "bouc_wen"])
 def test_axes_that_are_not_coupled_are_rigs_of_their_own(law, monkeypatch):
     """In equal steps: else those of the fastest axis are the steps of all."""
-    monkeypatch.setattr(integration, "LONGEST_STEP", 1e-4)
+    monkeypatch.setattr(model_module, "LONGEST_STEP", 1e-4)
     axes = ("x", "y", "z")
     each = {
         "specimen__mass": [52.7, 80.0, 40.0],

@@ -11,7 +11,7 @@ import pytest
 from bare_rig import BareRig
 from scipy.integrate import solve_ivp
 from seft_msgs_py.config.parameter_table import resolve
-from seft_plant_sim import integration
+from seft_plant_sim import continuous_model as model_module
 from seft_plant_sim.actuator import STOP_DAMPING, STOP_STIFFNESS
 from seft_plant_sim.rig import continuous_model
 from seft_plant_sim.rig_parameters import TABLE
@@ -187,7 +187,7 @@ def test_where_it_gets_rough_the_error_falls_as_the_step_does(actuator, commands
     expected = solved(specimen, SERVO | actuator, commands)
     coarse = error(specimen, SERVO | actuator, commands, expected)
     for name in ("LONGEST_STEP", "STEP_TIMES_RATE"):
-        monkeypatch.setattr(integration, name, getattr(integration, name) / 4)
+        monkeypatch.setattr(model_module, name, getattr(model_module, name) / 4)
     fine = error(specimen, SERVO | actuator, commands, expected)
     assert coarse < 0.03
     assert fine < max(coarse / 6, 1e-4)

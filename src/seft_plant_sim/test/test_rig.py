@@ -5,7 +5,7 @@ import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import TABLE
 

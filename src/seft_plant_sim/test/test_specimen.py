@@ -6,7 +6,7 @@ from seft_msgs_py.config.parameter_table import group, resolve
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig_parameters import TABLE
 from seft_plant_sim.specimen import Specimen
-from seft_plant_sim.spring_laws import (
+from seft_plant_sim.springs import (
     BESIDE,
     EXPONENT,
     HYSTERETIC,

@@ -9,10 +9,9 @@ import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
 from seft_ros.analysis.summary import balance_of, energy_numbers, summarise
-from seft_ros.bags.bag_reader import read_bag
 from seft_ros.bags.record import Series
-from seft_ros.bags.record_bag import write_record
-from seft_ros.test_run.blocks import build_blocks
+from seft_ros.bags.record_bag import read_bag, write_record
+from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES
 

@@ -25,11 +25,11 @@ from seft_ros.analysis.report_numbers import report_numbers
 from seft_ros.analysis.report_page import write_report
 from seft_ros.analysis.summary import summarise
 from seft_ros.analysis.tracking import tracked_of, tracking_error, tracking_error_of, tracking_of
-from seft_ros.bags.bag_reader import read_bag
 from seft_ros.bags.record import (
     Record,
     Series,
 )
+from seft_ros.bags.record_bag import read_bag
 from seft_ros.drawing.tables import Mark
 from seft_ros.test_run.parameter_tables import TABLES
 

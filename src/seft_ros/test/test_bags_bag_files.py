@@ -15,13 +15,12 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.messages import encode_string
-from seft_msgs_py.wire.timebase import Timebase
-from seft_msgs_py.wire.topics import DESCRIPTION, VALVE_COMMAND
+from seft_msgs_py.wire.topics import DESCRIPTION, VALVE_COMMAND, Timebase
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.bags import bag_files
 from seft_ros.bags.bag_files import open_bag, recover
+from seft_ros.bags.bag_storage import mcap_messages
 from seft_ros.bags.bag_writer import BagWriter
-from seft_ros.bags.salvage import mcap_messages
 
 CODEC = TrajectoryCodec(VALVE_COMMAND, ("x",), Timebase.from_rate(500.0))
 SAMPLES = [CODEC.encode(step, np.array([step + 0.1])) for step in range(12)]

@@ -14,7 +14,6 @@ from rosbags.interfaces import QosDurability, QosHistory, QosReliability
 from rosbags.rosbag2 import Reader, StoragePlugin
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.wire.messages import encode_diagnostics, encode_string
-from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
@@ -22,6 +21,7 @@ from seft_msgs_py.wire.topics import (
     REFERENCE_FORCE,
     TOPICS,
     VALVE_COMMAND,
+    Timebase,
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.bags import bag_writer

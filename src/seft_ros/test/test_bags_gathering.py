@@ -2,7 +2,7 @@
 
 from seft_msgs_py.wire.messages import Status
 from seft_msgs_py.wire.outcome import STOPPED, Outcome, Trip
-from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import Timebase
 from seft_ros.bags.gathering import trip_of
 
 TIMEBASE = Timebase.from_rate(500)

@@ -13,7 +13,7 @@ from seft_msgs_py.wire.topics import DESCRIPTION, DIAGNOSTICS
 from seft_ros.bags import lasting_bag
 from seft_ros.bags.lasting_bag import LastingBag, expected_size, obstacle
 from seft_ros.bags.record_bag import write_record
-from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES
 

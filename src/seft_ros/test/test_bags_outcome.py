@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import ERROR, OK, WARN, Status, decode_status, encode_status
 from seft_msgs_py.wire.outcome import LISTED_STEPS, Outcome, Trip, read_outcome, rig_status
-from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import Timebase
 
 TIMEBASE = Timebase.from_rate(500.0)
 COUNT = st.integers(0, 10**9)

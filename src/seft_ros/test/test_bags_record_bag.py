@@ -9,14 +9,11 @@ from rosbags.rosbag2 import Reader
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.outcome import Trip
-from seft_msgs_py.wire.timebase import Timebase
-from seft_msgs_py.wire.topics import LOOP_TOPICS
-from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_msgs_py.wire.trajectory_layout import parse_trajectory
-from seft_ros.bags.bag_reader import read_bag
+from seft_msgs_py.wire.topics import LOOP_TOPICS, Timebase
+from seft_msgs_py.wire.trajectory import TrajectoryCodec, parse_trajectory
 from seft_ros.bags.gathering import EstimatesGatherer, SampleBuffer
 from seft_ros.bags.record import Estimates, Record, Series, consecutive_runs
-from seft_ros.bags.record_bag import write_record
+from seft_ros.bags.record_bag import read_bag, write_record
 
 AXES = ("x", "y")
 NODE = {"rate": 1000.0, "axes": list(AXES)}

@@ -20,9 +20,8 @@ from rosbags.typesys import Stores, get_typestore
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.messages import encode_string
 from seft_msgs_py.wire.topics import CLOCK, DESCRIPTION, GROUND_MOTION, LOOP_TOPICS, STRING
-from seft_ros.bags.bag_reader import read_bag
 from seft_ros.bags.record import Record, Series
-from seft_ros.bags.record_bag import write_record
+from seft_ros.bags.record_bag import read_bag, write_record
 
 COUNT = 60
 FOREVER = QosTime(9223372036, 854775807)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override, read_parameter_file
-from seft_ros.bags.bag_reader import read_bag
+from seft_ros.bags.record_bag import read_bag
 from seft_ros.design.controller import Controller
 from seft_ros.design.loop_design import shape_loop
 from seft_ros.design.plant import rig_plant

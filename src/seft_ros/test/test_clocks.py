@@ -17,17 +17,17 @@ WALL = {
 }
 ALLOWED = {
     "seft_msgs_py/node/node_shell.py": "stamps of diagnostics",
-    "seft_msgs_py/node/intra_process_bus.py": "when a message came, for the bag",
+    "seft_msgs_py/node/node_process.py": "when a message came, for the bag",
     "seft_msgs_py/wire/topics.py": "common start of several hosts, refused where clocks differ",
     "seft_ros/nodes/supervisor.py": "the same",
     "seft_ros/nodes/recorder.py": "times in the bag, and its name",
     "seft_ros/test_run/run.py": "the bag's name",
-    "seft_ros/test_run/player.py": "when a message was sent, for conform and replay",
+    "seft_ros/test_run/observer.py": "when a message was sent, for conform and replay",
     "seft_ros/conformance/suite.py": "the same",
-    "seft_ros/bags/stall_watch.py": "when the host stood still, for the bag",
+    "seft_msgs_py/node/realtime.py": "when the host stood still, for the bag",
     "seft_ros/bags/description.py": "when the test was",
     "seft_ros/bags/record_bag.py": "times in the bag",
-    "seft_ros/cli/identify.py": "the folder's name",
+    "seft_ros/cli/design_commands.py": "the folder's name",
 }
 
 

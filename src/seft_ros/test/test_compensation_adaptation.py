@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, lfilter
 from seft_msgs_py.config.parameter_table import resolve
-from seft_msgs_py.wire.timebase import Timebase
-from seft_ros.reference_force.ats import parabola_weights
+from seft_msgs_py.wire.topics import Timebase
 from seft_ros.reference_force.compensation_methods import METHODS
+from seft_ros.reference_force.delay_compensation import parabola_weights
 from seft_ros.reference_force.delay_estimator import BandPass, DelayEstimator
 from seft_ros.reference_force.reference_force_block import knowledge
 from seft_ros.reference_force.reference_force_parameters import TABLE

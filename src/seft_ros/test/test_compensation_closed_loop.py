@@ -8,7 +8,7 @@ from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_plant_sim.lti import bilinear
 from seft_ros.analysis.summary import summarise
 from seft_ros.design.plant import SampledPlant, choose_plant
-from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.reference_force.compensation_methods import METHODS
 from seft_ros.reference_force.reference_force_block import compensator, knowledge

@@ -10,11 +10,9 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_plant_sim import whole_structure
 from seft_plant_sim.command import Command
 from seft_plant_sim.rig import Rig
-from seft_ros.conformance import message_checks, motion_checks, obedience_checks
-from seft_ros.conformance.driver import Guard, Samples, Trial
-from seft_ros.conformance.finding import finding_line, found, not_run, verdict
-from seft_ros.conformance.motion_checks import Drive
-from seft_ros.conformance.obedience_checks import KINDS, BadCommands
+from seft_ros.conformance import message_checks, motion_checks
+from seft_ros.conformance.driver import Guard, Samples, Trial, finding_line, found, not_run, verdict
+from seft_ros.conformance.motion_checks import KINDS, BadCommands, Drive
 from seft_ros.test_run.parameter_tables import TABLES
 
 RATE = 500.0
@@ -257,7 +255,7 @@ def status(phase, **values):
 )
 def test_a_trip_is_in_time_or_not(at, phase, expected):
     trial = Trial(marks={"silent": 1.0}, statuses=[(at, status(phase, reason="no command"))])
-    finding = obedience_checks.check_watchdog(trial, 0.02, "valve_command")
+    finding = motion_checks.check_watchdog(trial, 0.02, "valve_command")
     assert finding.verdict == expected
 
 

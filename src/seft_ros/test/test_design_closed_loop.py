@@ -19,7 +19,7 @@ from seft_ros.design.closed_loop import ClosedLoop
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import critical_mass_ratio
 from seft_ros.design.stability_verdict import predicted_modes
-from seft_ros.force_controller.block import ForceController
+from seft_ros.force_controller.force_control import ForceController
 from seft_ros.reference_force.compensation_methods import METHODS
 from seft_ros.reference_force.reference_force_block import ReferenceForce
 from seft_ros.test_run.parameter_tables import TABLES

@@ -12,7 +12,7 @@ from seft_ros.design.closed_loop import force_loop
 from seft_ros.design.controller import Controller
 from seft_ros.design.loop_design import shape_loop
 from seft_ros.design.plant import SampledPlant, choose_plant
-from seft_ros.force_controller.block import ForceController
+from seft_ros.force_controller.force_control import ForceController
 from seft_ros.test_run.parameter_tables import TABLES
 
 PAPER = Controller.from_coefficients(37.0, [1.0, 17.14, 4002.0])

@@ -11,7 +11,7 @@ from seft_ros.design.preflight_tables import (
     proposed_limits,
     write_limits,
 )
-from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES
 

@@ -19,7 +19,7 @@ from seft_ros.design.rig_tests import (
     write_excitation,
 )
 from seft_ros.ground_motion.synthetic_motion import excitation
-from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES
 

@@ -14,7 +14,7 @@ from seft_ros.design.stability_margins import (
 )
 from seft_ros.design.stability_verdict import preflight
 from seft_ros.reference_force.compensation_methods import METHODS
-from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES
 

@@ -10,8 +10,8 @@ from rig_faults import CHANNELS, FAULTS, FaultyRig
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
 from seft_ros.analysis.summary import shares_of
-from seft_ros.interlock.detectors import DETECTORS
-from seft_ros.test_run.blocks import build_blocks
+from seft_ros.protection.detectors import DETECTORS
+from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES
 

@@ -11,7 +11,7 @@ from seft_ros.ensemble import runs as runs_module
 from seft_ros.ensemble.entries import Entry, make_tournament
 from seft_ros.ensemble.runs import Place, run_all, step_cost
 from seft_ros.reference_force.compensation_methods import METHODS
-from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES
 

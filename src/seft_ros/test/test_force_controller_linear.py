@@ -6,9 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.timebase import Timebase
-from seft_ros.force_controller.block import ForceController
-from seft_ros.force_controller.force_control import LinearControl
+from seft_msgs_py.wire.topics import Timebase
+from seft_ros.force_controller.force_control import ForceController, LinearControl
 from seft_ros.force_controller.methods import force_control
 from seft_ros.force_controller.parameters import TABLE
 

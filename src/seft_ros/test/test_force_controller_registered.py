@@ -5,7 +5,7 @@ import pytest
 from seft_msgs_py.errors import InputError
 from seft_ros.force_controller.force_control import ControlKnowledge, LinearControl
 from seft_ros.force_controller.interlock import Interlock
-from seft_ros.force_controller.registered_control import RegisteredControl
+from seft_ros.force_controller.methods import RegisteredControl
 from warning_detectors import warning_detectors
 
 KNOWN = ControlKnowledge(axes=2, dt=0.002, voltage_limit=10.0)

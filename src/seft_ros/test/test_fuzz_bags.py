@@ -14,9 +14,9 @@ from seft_msgs_py.wire.outcome import rig_status
 from seft_msgs_py.wire.topics import DESCRIPTION, DIAGNOSTICS, RIG_STATE
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.bags.bag_files import recover
-from seft_ros.bags.bag_reader import read_bag
 from seft_ros.bags.bag_writer import BagWriter
 from seft_ros.bags.description import read_description, write_description
+from seft_ros.bags.record_bag import read_bag
 from seft_ros.test_run.parameter_tables import TABLES
 
 EXPERIMENT = Experiment.load(TABLES, ["config/jhu.yaml"], [])

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.config.parameter_table import Table, resolve
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import Timebase
 from seft_ros.ground_motion.ground_motion_block import TABLE, GroundMotion, resample
 
 

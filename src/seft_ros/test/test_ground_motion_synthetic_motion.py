@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import Timebase
 from seft_ros.design.rig_tests import write_excitation
 from seft_ros.ground_motion.ground_motion_block import TABLE, GroundMotion
 from seft_ros.ground_motion.synthetic_motion import (

@@ -6,7 +6,7 @@ from pathlib import Path
 SOURCE = Path(__file__).parents[2]
 LAYERS = (
     *("seft_msgs_py", "seft_plant_sim"),
-    *("drawing", "ground_motion", "reference_force", "interlock", "force_controller"),
+    *("drawing", "ground_motion", "reference_force", "protection", "force_controller"),
     *("bags", "design", "test_run", "nodes"),
     *("analysis", "replay", "ensemble", "monitor", "conformance", "paper", "cli"),
 )

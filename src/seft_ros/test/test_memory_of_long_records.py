@@ -9,10 +9,9 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.comparison import compare
 from seft_ros.analysis.summary import reference_of, summarise
-from seft_ros.bags import bag_reader
-from seft_ros.bags.bag_reader import read_bag
+from seft_ros.bags import record_bag
 from seft_ros.bags.record import Record, Series
-from seft_ros.bags.record_bag import write_record
+from seft_ros.bags.record_bag import read_bag, write_record
 
 STEPS = 40_000
 BATCHES = 10e6  # bytes that reading takes whatever the length
@@ -68,7 +67,7 @@ def test_comparing_copies_no_samples(bag):
 
 def test_every_message_of_a_test_goes_by_once(bag, monkeypatch):
     seen = Counter()
-    read_blocks = bag_reader.read_blocks
+    read_blocks = record_bag.read_blocks
 
     def counted(reader, connections, path):
         for block in read_blocks(reader, connections, path):
@@ -77,7 +76,7 @@ def test_every_message_of_a_test_goes_by_once(bag, monkeypatch):
             )
             yield block
 
-    monkeypatch.setattr(bag_reader, "read_blocks", counted)
+    monkeypatch.setattr(record_bag, "read_blocks", counted)
     read_bag(bag)
     assert len(seen) > 3 * STEPS
     assert set(seen.values()) == {1}

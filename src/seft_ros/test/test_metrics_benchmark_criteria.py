@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from seft_ros.analysis.tracking_metrics import benchmark_criteria
+from seft_ros.analysis.tracking import benchmark_criteria
 
 QUICK = settings(max_examples=30)
 DT = 1 / 512

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, freqz, lfilter
 from seft_ros.analysis.metrics import delayed
-from seft_ros.analysis.tracking_metrics import delay_by_frequency
+from seft_ros.analysis.tracking import delay_by_frequency
 
 DT = 0.002
 COUNT = 30000

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from seft_ros.analysis.tracking_metrics import energy_error, relative_energy_error
+from seft_ros.analysis.tracking import energy_error, relative_energy_error
 
 QUICK = settings(max_examples=40)
 DT = 0.002

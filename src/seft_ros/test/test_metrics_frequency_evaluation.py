@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from seft_ros.analysis.tracking_metrics import frequency_evaluation_index
+from seft_ros.analysis.tracking import frequency_evaluation_index
 
 DT = 0.002
 COUNT = 5000

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from seft_ros.analysis.tracking_metrics import (
+from seft_ros.analysis.tracking import (
     relative_tracking_indicator,
     tracking_indicator,
 )

@@ -21,8 +21,7 @@ from seft_ros.bags.record import Record, Series
 from seft_ros.bags.record_bag import write_record
 from seft_ros.replay.node_replays import RigReplay
 from seft_ros.replay.recorded_test import Recorded, read_recorded
-from seft_ros.test_run.blocks import build_blocks
-from seft_ros.test_run.compiled_loop import LoopSamples
+from seft_ros.test_run.compiled_loop import LoopSamples, build_blocks
 from seft_ros.test_run.offline import loop_series, simulate
 from seft_ros.test_run.parameter_tables import TABLES
 

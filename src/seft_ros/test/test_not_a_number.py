@@ -5,8 +5,7 @@ import struct
 import numpy as np
 import pytest
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.wire.timebase import Timebase
-from seft_msgs_py.wire.topics import LOOP_TOPICS, TARGET
+from seft_msgs_py.wire.topics import LOOP_TOPICS, TARGET, Timebase
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.test_run.parameter_tables import TABLES
 

@@ -10,12 +10,10 @@ from seft_msgs_py.errors import InputError
 from seft_ros.ensemble.entries import perturbed_rig
 from seft_ros.force_controller.force_control import ControlKnowledge
 from seft_ros.force_controller.interlock import Interlock
-from seft_ros.force_controller.registered_control import RegisteredControl
+from seft_ros.force_controller.methods import RegisteredControl
 from seft_ros.reference_force.compensation_methods import METHODS
-from seft_ros.test_run import blocks as blocks_module
-from seft_ros.test_run import offline
-from seft_ros.test_run.blocks import build_blocks
-from seft_ros.test_run.compiled_loop import obstacle
+from seft_ros.test_run import compiled_loop, offline
+from seft_ros.test_run.compiled_loop import build_blocks, obstacle
 from seft_ros.test_run.offline import Workshop, simulate
 from seft_ros.test_run.parameter_tables import TABLES
 
@@ -236,7 +234,7 @@ def test_a_controller_of_another_package_is_not_compiled(monkeypatch):
         own = RegisteredControl(Own, "own", ControlKnowledge(len(axes), timebase.dt, 10.0))
         return Interlock.from_parameters(own, experiment["force_controller"], axes, timebase)
 
-    monkeypatch.setattr(blocks_module, "interlock_of", interlock_of)
+    monkeypatch.setattr(compiled_loop, "interlock_of", interlock_of)
     assert "another package" in Workshop().obstacle(load())
 
 

@@ -5,12 +5,11 @@ import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import rigs_of
-from seft_ros.bags.bag_reader import read_bag
 from seft_ros.bags.record import Series, of_all_rigs
-from seft_ros.bags.record_bag import write_record
+from seft_ros.bags.record_bag import read_bag, write_record
 from seft_ros.force_controller.methods import force_control
 from seft_ros.paper.paper_tests import default_config
-from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES
 

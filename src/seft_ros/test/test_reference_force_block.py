@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import Timebase
 from seft_ros.reference_force.reference_force_block import ReferenceForce
 from seft_ros.reference_force.reference_force_parameters import TABLE
 

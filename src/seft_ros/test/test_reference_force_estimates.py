@@ -10,18 +10,18 @@ from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import EstimatesCodec, Status, encode_status
-from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import (
     ESTIMATES,
     EXPERIMENT_STATE,
     GROUND_MOTION,
     REFERENCE_FORCE,
     RIG_STATE,
+    Timebase,
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.reference_force.compensation_methods import METHODS, none
 from seft_ros.reference_force.reference_force_block import EstimateSampler, ReferenceForce
-from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES
 

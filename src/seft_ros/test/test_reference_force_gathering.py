@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.topics import rigs_of
-from seft_ros.reference_force.loop_inputs import StateGathering
+from seft_ros.reference_force.reference_force_block import StateGathering
 
 RIGS = rigs_of(["west/x", "east/x", "west/y"])
 WEST, EAST = np.arange(8.0).reshape(4, 2), -np.ones((4, 1))

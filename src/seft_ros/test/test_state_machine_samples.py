@@ -1,7 +1,7 @@
 import pytest
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import Status
-from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import Timebase
 from seft_ros.test_run.state_machine import SampleOrder
 
 TIMEBASE = Timebase.from_rate(500.0)

@@ -17,7 +17,7 @@ from seft_ros.reference_force.restoring_model import (
     move_stops,
 )
 from seft_ros.reference_force.target_motion import TargetMotion
-from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES
 

@@ -1,8 +1,7 @@
 """Detectors for tests of something else."""
 
 import numpy as np
-from seft_ros.interlock.detector_arrays import detector_arrays
-from seft_ros.interlock.detectors import DETECTORS
+from seft_ros.protection.detectors import DETECTORS, detector_arrays
 
 
 def warning_detectors(axes, dt=0.002):

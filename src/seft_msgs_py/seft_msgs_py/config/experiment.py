@@ -15,8 +15,7 @@ from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 
 from seft_msgs_py.config.parameter_table import COMMON, Section, Table, Value, nearest, resolve
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.timebase import Timebase
-from seft_msgs_py.wire.topics import NODES, rigs_of
+from seft_msgs_py.wire.topics import NODES, Timebase, rigs_of
 
 EVERY_NODE = "/**"
 PARAMETERS_KEY = "ros__parameters"

@@ -10,7 +10,7 @@ from seft_msgs_py.config.parameter_table import Table
 from seft_msgs_py.errors import SeftError
 from seft_msgs_py.node.node_process import NodeProcess
 from seft_msgs_py.node.node_shell import IDLE_WAIT, NodeShell
-from seft_msgs_py.node.shutdown import exit_watchdog
+from seft_msgs_py.node.process import exit_watchdog
 from seft_msgs_py.wire.messages import OK, Status
 from seft_msgs_py.wire.outcome import tripped_status
 

@@ -14,9 +14,8 @@ from seft_msgs_py.config.experiment import Experiment, split_ros_arguments
 from seft_msgs_py.config.parameter_table import Table
 from seft_msgs_py.errors import SeftError, WireError
 from seft_msgs_py.node import realtime
-from seft_msgs_py.node.intra_process_bus import Receive
-from seft_msgs_py.node.middleware import single_instance
-from seft_msgs_py.node.node_process import NodeProcess, ReadOne, drain
+from seft_msgs_py.node.node_process import NodeProcess, ReadOne, Receive, drain
+from seft_msgs_py.node.process import single_instance
 from seft_msgs_py.node.rclpy_interface import (
     declare_parameters,
     raw_publisher,

@@ -14,7 +14,7 @@ from typing import Any
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Parameter, Section, Table
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.node.middleware import check_shared_memory
+from seft_msgs_py.node.process import check_shared_memory
 from seft_msgs_py.wire.topics import RIG_NODES, RigAxes, Topic
 
 check_shared_memory()  # before rclpy is imported

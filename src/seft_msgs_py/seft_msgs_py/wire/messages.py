@@ -20,7 +20,6 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND, Timebase
 from seft_msgs_py.wire.topics import (
     CLOCK,
     DESCRIPTION,
@@ -28,7 +27,9 @@ from seft_msgs_py.wire.topics import (
     DIAGNOSTIC_STATUS,
     ESTIMATES,
     JOINT_TRAJECTORY,
+    NANOSECONDS_PER_SECOND,
     STRING,
+    Timebase,
 )
 
 Floats = npt.NDArray[np.float64]

@@ -8,8 +8,7 @@ from enum import StrEnum
 
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import ERROR, OK, WARN, Status
-from seft_msgs_py.wire.timebase import Timebase
-from seft_msgs_py.wire.topics import bare
+from seft_msgs_py.wire.topics import Timebase, bare
 
 RIG = "rig"
 RECORDER = "recorder"

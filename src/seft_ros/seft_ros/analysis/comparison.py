@@ -7,17 +7,22 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND
-from seft_msgs_py.wire.topics import ESTIMATES, LOOP_TOPICS, REFERENCE_FORCE, RIG_STATE, TARGET
+from seft_msgs_py.wire.topics import (
+    ESTIMATES,
+    LOOP_TOPICS,
+    NANOSECONDS_PER_SECOND,
+    REFERENCE_FORCE,
+    RIG_STATE,
+    TARGET,
+)
 
-from seft_ros.analysis.alignment import Alignment, common_steps
-from seft_ros.analysis.metrics import nrmse, peak
+from seft_ros.analysis.metrics import Alignment, common_steps, nrmse, peak
 from seft_ros.analysis.result_text import title_of
-from seft_ros.bags.bag_reader import UNDECODABLE
 from seft_ros.bags.record import (
     Record,
     Series,
 )
+from seft_ros.bags.record_bag import UNDECODABLE
 from seft_ros.drawing.tables import json_safe
 
 Floats = npt.NDArray[np.float64]

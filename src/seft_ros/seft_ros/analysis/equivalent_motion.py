@@ -17,8 +17,7 @@ from seft_plant_sim.whole_structure import (
     whole_structure,
 )
 
-from seft_ros.analysis.alignment import every_step
-from seft_ros.analysis.metrics import nrmse
+from seft_ros.analysis.metrics import every_step, nrmse
 from seft_ros.bags.record import Record
 from seft_ros.ground_motion.response_spectrum import response_spectrum
 

@@ -13,8 +13,7 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RIG_STATE
 from seft_plant_sim.whole_structure import ReferenceResponse
 
-from seft_ros.analysis.alignment import Alignment, common_steps
-from seft_ros.analysis.metrics import nrmse
+from seft_ros.analysis.metrics import Alignment, common_steps, nrmse
 from seft_ros.analysis.result_text import title_of
 from seft_ros.analysis.summary import AFTER, COMPARED, judged_part, strong_part
 from seft_ros.bags.record import Record

@@ -11,10 +11,9 @@ from seft_msgs_py.wire.topics import RIG_STATE
 from seft_plant_sim.specimen import EnergyBalance
 from seft_plant_sim.whole_structure import ReferenceResponse
 
-from seft_ros.analysis.alignment import every_step
 from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
 from seft_ros.analysis.judgement import Judgement, judge
-from seft_ros.analysis.metrics import cross_spectrum
+from seft_ros.analysis.metrics import cross_spectrum, every_step
 from seft_ros.analysis.summary import (
     COMPARED,
     ENERGIES,

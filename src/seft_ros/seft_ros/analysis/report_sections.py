@@ -13,8 +13,7 @@ from seft_plant_sim.whole_structure import tested_specimen
 from seft_ros.analysis.equivalent_motion import MARGIN
 from seft_ros.analysis.report_numbers import Report
 from seft_ros.analysis.summary import COMPARED, strong_part
-from seft_ros.analysis.tracking import Tracked
-from seft_ros.analysis.tracking_metrics import delay_by_frequency, energy_error
+from seft_ros.analysis.tracking import Tracked, delay_by_frequency, energy_error
 from seft_ros.bags.record import Record
 from seft_ros.drawing.page import (
     Block,

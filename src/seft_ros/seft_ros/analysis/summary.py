@@ -23,9 +23,8 @@ from seft_plant_sim.whole_structure import (
     tested_specimen,
 )
 
-from seft_ros.analysis.alignment import common_steps, every_step
 from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
-from seft_ros.analysis.metrics import Agreement, agreement, peak
+from seft_ros.analysis.metrics import Agreement, agreement, common_steps, every_step, peak
 from seft_ros.analysis.timing import link_numbers, timing_of
 from seft_ros.analysis.tracking import tracking_error_of, tracking_of
 from seft_ros.bags.record import (
@@ -33,7 +32,7 @@ from seft_ros.bags.record import (
     Record,
 )
 from seft_ros.drawing.tables import json_safe
-from seft_ros.force_controller.detectors_of import detector_shares
+from seft_ros.force_controller.interlock import detector_shares
 from seft_ros.ground_motion.ground_motion_block import MOTION
 from seft_ros.ground_motion.response_spectrum import significant_parts
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from seft_msgs_py.wire.outcome import REHEARSED, RIG
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 
-from seft_ros.analysis.alignment import common_steps
+from seft_ros.analysis.metrics import common_steps
 from seft_ros.bags.record import Record
 
 Floats = npt.NDArray[np.floating[Any]]
@@ -38,7 +38,7 @@ class Timing:
         ``period_s`` of the loop, ``round_trip_s`` (percentiles, largest, how many of the steps
         over_a_period), ``round_trip_at_the_rig_s`` (the same as measured by the rig, by the
         keys of `ROUND_TRIPS`; empty without), ``rehearsal`` (as of
-        `seft_plant_sim.rehearsal.Rehearsal`; None without), ``gaps`` (topic -> median_s and
+        `seft_plant_sim.rig_watch.Rehearsal`; None without), ``gaps`` (topic -> median_s and
         largest_s of the intervals between its messages, largest_step after which the largest was,
         count of those longer than `GAP` periods), ``stalls`` (see `stalls_of`).
     """

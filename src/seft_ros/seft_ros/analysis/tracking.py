@@ -1,27 +1,290 @@
-"""How well the actuators followed in a test: the intended force, and a target's motion."""
+"""How well the actuators followed: measures from the literature, and those of a test.
+
+Signals are of shape (N, n) or (N,), results of shape (n,) or (). Undefined results (of a command
+that is zero throughout, of too few samples, of values that are not finite) are NaN. Signals of
+different shapes are a ValueError.
+"""
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.fft import next_fast_len, rfft
 from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, TARGET
 from seft_plant_sim.whole_structure import ReferenceResponse, whole_structure
 
-from seft_ros.analysis.alignment import common_steps, every_step
 from seft_ros.analysis.equivalent_motion import EquivalentMotion, assumed_structure
-from seft_ros.analysis.metrics import nrmse, paired, peak
-from seft_ros.analysis.tracking_metrics import (
-    benchmark_criteria,
-    energy_error,
-    frequency_evaluation_index,
-    relative_energy_error,
-    relative_tracking_indicator,
+from seft_ros.analysis.metrics import (
+    best_fit_delay,
+    columns,
+    common_steps,
+    cross_spectrum,
+    delayed,
+    every_step,
+    nrmse,
+    paired,
+    peak,
 )
 from seft_ros.bags.record import Record
 
 Floats = npt.NDArray[np.float64]
 Steps = npt.NDArray[np.int64]
+
+FLOORS = 3
+LONG = 100_000
+"""Samples from which on a record is cut to a length whose Fourier transform is fast."""
+
+
+def benchmark_criteria(
+    commanded: Floats,
+    measured: Floats,
+    reference_displacement: Floats,
+    displacement: Floats,
+    dt: float,
+    steps: Steps | None = None,
+) -> list[dict[str, float]]:
+    """Evaluate a test by J1 to J9 of the RTHS benchmark (Silva et al. 2020).
+
+    Parameters
+    ----------
+    commanded, measured : ndarray
+        c and m, M samples: intended force and measured force of a step, N.
+    reference_displacement, displacement : ndarray
+        x_ref of the reference structure and x as measured, shape (L, n) or (L,), m.
+    dt : float
+        Sampling period, s.
+    steps : ndarray of int, optional
+        Steps of ``commanded`` and ``measured``, shape (M,), strictly increasing; default all. For
+        J1 missing ones are interpolated; J2 and J3 count the steps there are.
+
+    Returns
+    -------
+    list of dict
+        Of each axis ``J1``, the tracking delay, ms, positive where the measured signal lags;
+        ``J2``, RMS(m - c) / RMS(c), and ``J3``, max|m - c| / max|c|, %. The first axis also has
+        ``J4``, RMS(x_ref - x) / RMS(x_ref), and ``J7``, max|x_ref - x| / max|x_ref|, %; the second
+        these as J5 and J8, the third as J6 and J9.
+    """
+    c, m = map(columns, paired(commanded, measured))
+    reference, x = map(columns, paired(reference_displacement, displacement))
+    steps = np.arange(len(c)) if steps is None else steps
+    found = []
+    for axis, (y, command) in enumerate(zip(m.T, c.T, strict=True)):
+        row = {"J2": 100 * nrmse(y, command), "J3": 100 * _peak_error(y, command)}
+        delay = np.nan
+        if len(steps) and np.isfinite(y).all() and np.isfinite(command).all():
+            every = np.arange(steps[0], steps[-1] + 1)
+            filled, wanted = (np.interp(every, steps, signal) for signal in (y, command))
+            delay = best_fit_delay(filled, wanted, dt)
+        row = {"J1": 1e3 * delay} | row
+        if axis < FLOORS:
+            floor = x[:, axis], reference[:, axis]
+            row |= {f"J{4 + axis}": 100 * nrmse(*floor), f"J{7 + axis}": 100 * _peak_error(*floor)}
+        found.append(row)
+    return found
+
+
+def _peak_error(y: Floats, reference: Floats) -> float:
+    with np.errstate(invalid="ignore", over="ignore"):
+        error, most = peak(y - reference), peak(reference)
+        ratio = error / most if most > 0 else np.nan
+    return ratio if np.isfinite(ratio) else np.nan
+
+
+@dataclass(frozen=True)
+class FrequencyEvaluation:
+    """Amplitude and delay of a measured signal, by its frequency evaluation index F.
+
+    Attributes
+    ----------
+    amplitude : ndarray
+        |F|: 1 is right, below 1 undershoots.
+    phase_rad : ndarray
+        arg F, within (-pi, pi]; negative where the measured signal lags.
+    frequency_hz : ndarray
+        Equivalent frequency: mean frequency of the command, weighted by its spectrum.
+    delay_s : ndarray
+        -phase / (2 pi frequency); positive where the measured signal lags.
+    """
+
+    amplitude: Floats
+    phase_rad: Floats
+    frequency_hz: Floats
+    delay_s: Floats
+
+
+def frequency_evaluation_index(
+    commanded: Floats, measured: Floats, dt: float, power: float = 2.0
+) -> FrequencyEvaluation:
+    """Evaluate tracking by the frequency evaluation index (FEI) of Guo et al. 2014.
+
+    F = sum_j (Y_j / C_j) |C_j|^l / sum_j |C_j|^l over the discrete Fourier spectra C of the
+    command and Y of the measured signal, from 0 to below Nyquist's frequency. Amplitude and delay
+    follow from F and from the equivalent frequency f = sum_j f_j |C_j|^l / sum_j |C_j|^l. The
+    phase is that of atan2: delays are distinct up to half a period of f.
+
+    The record is taken to be periodic: it should begin and end at rest. Of one longer than
+    `LONG` samples the few at the end are left out that would make its transform slow. Of a
+    constant command the delay is NaN.
+
+    ``power`` is l, positive, else a ValueError; at 2 F is the complex gain that fits best by least
+    squares.
+    """
+    c, m = paired(commanded, measured)
+    if not power > 0:
+        raise ValueError(f"the power is {power}, not positive")
+    if not len(c):
+        return FrequencyEvaluation(*(np.full(c.shape[1:], np.nan) for _ in range(4)))
+    if len(c) > LONG:
+        kept = next(n for n in range(len(c), 0, -1) if next_fast_len(n, real=True) == n)
+        c, m = c[:kept], m[:kept]
+    bins = (len(c) + 1) // 2
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        most_c, most_m = _peaks(c), _peaks(m)
+        command = rfft(c / most_c, axis=0)[:bins]
+        answer = rfft(m / np.where(most_m == 0, 1.0, most_m), axis=0)[:bins]
+        magnitude = np.abs(command)
+        weight = magnitude**power
+        weight = weight / weight.sum(axis=0)
+        ratio = np.divide(answer, command, out=np.zeros_like(answer), where=magnitude > 0)
+        index = (weight * ratio).sum(axis=0)
+        frequency = (np.arange(bins) / (len(c) * dt)) @ weight
+        phase = np.arctan2(index.imag, index.real)
+        amplitude = np.abs(index) * most_m / most_c
+        delay = np.where(frequency > 0, -phase / (2 * np.pi * frequency), np.nan)
+    found = (amplitude, phase, frequency, delay)
+    return FrequencyEvaluation(*(np.where(np.isfinite(amplitude), y, np.nan) for y in found))
+
+
+@dataclass(frozen=True)
+class DelayByFrequency:
+    """Tracking in each of F bands; of one signal of shape (N,), without the axes.
+
+    Attributes
+    ----------
+    frequency_hz : ndarray
+        Centres of the bands, shape (F,), from the first above zero to Nyquist's.
+    amplitude : ndarray
+        Measured over commanded, |H1|, shape (F, n).
+    delay_s : ndarray
+        Phase delay, shape (F, n); positive where the measured signal lags.
+    coherence : ndarray
+        Magnitude squared, 0 to 1, shape (F, n): how far the command explains what was measured.
+        Where it is low the rest means little. With one segment it is 1 and says nothing.
+    """
+
+    frequency_hz: Floats
+    amplitude: Floats
+    delay_s: Floats
+    coherence: Floats
+
+
+def delay_by_frequency(
+    commanded: Floats, measured: Floats, dt: float, segment_s: float = 4.0
+) -> DelayByFrequency:
+    """Estimate amplitude and delay in each band from averaged cross spectra.
+
+    H1 = S_cm / S_cc by Welch's method (Welch 1967; Bendat & Piersol, Random Data), with Hann
+    windows that overlap by half. The record's best-fit delay (`best_fit_delay`) is taken out first
+    and added again, so that the phase does not wrap where a delay exceeds half a period, and both
+    signals' segments hold the same. NaN where the command has nothing, or anything is not finite.
+
+    Parameters
+    ----------
+    commanded, measured : ndarray
+        Of the same shape, (N, n) or (N,), else a ValueError.
+    dt, segment_s : float
+        Sampling period and length of a segment, s.
+    """
+    c, m = map(columns, paired(commanded, measured))
+    size = min(len(c), max(2, round(segment_s / dt)))
+    shape = np.shape(commanded)[1:]
+    if size < 2:
+        return DelayByFrequency(np.empty(0), *(np.empty((0, *shape)) for _ in range(3)))
+    delays = [best_fit_delay(*pair, dt) for pair in zip(m.T, c.T, strict=True)]
+    common = np.where(np.isfinite(delays), delays, 0.0)
+    aligned = np.stack([delayed(y, -tau, dt) for y, tau in zip(m.T, common, strict=True)], axis=1)
+    with np.errstate(all="ignore"):
+        frequency, cross = cross_spectrum(c, aligned, dt, size)
+        power, answer = (cross_spectrum(y, y, dt, size)[1].real for y in (c, aligned))
+        response = (cross / np.where(power > 0, power, np.nan))[1:]
+        coherence = np.abs(cross) ** 2 / np.where(answer > 0, power * answer, np.nan)
+    frequency = frequency[1:]
+    delay = common - np.angle(response) / (2 * np.pi * frequency[:, np.newaxis])
+    found = (np.abs(response), delay, coherence[1:])
+    return DelayByFrequency(frequency, *(y.reshape(-1, *shape) for y in found))
+
+
+def tracking_indicator(commanded: Floats, measured: Floats) -> Floats:
+    """Accumulate the tracking indicator of Mercan & Ricles 2007.
+
+    TI = (A - TA) / 2, where from one sample to the next A grows by (c' + c) / 2 (m' - m) and TA
+    by (m' + m) / 2 (c' - c). Given is TI so far at each sample, of the signals' shape, in the
+    square of their unit; 0 at the first.
+    """
+    c, m = paired(commanded, measured)
+    indicator = np.zeros_like(c)
+    with np.errstate(invalid="ignore", over="ignore"):
+        # A and TA have the products c' m' and c m in common, which this leaves out
+        indicator[1:] = np.cumsum(0.5 * (c[:-1] * m[1:] - c[1:] * m[:-1]), axis=0)
+    return indicator
+
+
+def relative_tracking_indicator(commanded: Floats, measured: Floats) -> Floats:
+    """TI at the end over the square of the command's peak."""
+    c, m = paired(commanded, measured)
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        most = _peaks(c)
+        return _end(tracking_indicator(c / most, m / most))
+
+
+def energy_error(force_error: Floats, velocity: Floats, dt: float) -> Floats:
+    """Accumulate the work of the force error on the specimen, by the trapezoidal rule.
+
+    Positive where force control adds energy (as damping taken away), negative where it takes
+    energy out (as damping added). Of whole cycles the rule is exact for band-limited signals.
+
+    Parameters
+    ----------
+    force_error : ndarray
+        Measured minus reference force, N.
+    velocity : ndarray
+        Of the specimen, relative to the ground, m/s.
+
+    Returns
+    -------
+    ndarray
+        Work so far at each sample, of the signals' shape, J; 0 at the first.
+    """
+    error, v = paired(force_error, velocity)
+    work = np.zeros_like(error)
+    with np.errstate(invalid="ignore", over="ignore"):
+        power = error * v
+        work[1:] = np.cumsum((power[1:] + power[:-1]) * (dt / 2), axis=0)
+    return work
+
+
+def relative_energy_error(
+    reference_force: Floats, force: Floats, velocity: Floats, dt: float
+) -> Floats:
+    """Energy error at the end over the largest input energy, that of the measured force."""
+    reference, measured = paired(reference_force, force)
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        largest = _peaks(energy_error(measured, velocity, dt))
+        return _end(energy_error(measured - reference, velocity, dt) / largest)
+
+
+def _end(y: Floats) -> Floats:
+    """Last values, NaN of less than two or where they are not finite."""
+    end = y[-1] if len(y) > 1 else np.full(y.shape[1:], np.nan)
+    return np.where(np.isfinite(end), end, np.nan)
+
+
+def _peaks(y: Floats) -> Floats:
+    """Largest magnitude of each column; NaN of no samples, or if one is NaN."""
+    return np.asarray(np.abs(y).max(axis=0)) if len(y) else np.full(y.shape[1:], np.nan)
+
 
 SENT_AS_MEANT = ("none", "restoring", "target_motion")
 """Compensation methods whose reference force is that of its own step; others send it ahead."""

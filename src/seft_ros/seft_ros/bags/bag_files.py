@@ -11,8 +11,8 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from seft_msgs_py.errors import InputError
 
+from seft_ros.bags.bag_storage import Source, add_source, file_messages
 from seft_ros.bags.message_blocks import reason_of
-from seft_ros.bags.salvage import Source, add_source, file_messages
 
 SUFFIXES = (".mcap", ".db3")
 _MCAP_MAGIC = b"\x89MCAP0\r\n"

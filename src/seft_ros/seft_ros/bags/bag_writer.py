@@ -21,12 +21,14 @@ from seft_ros.bags.bag_storage import (
     RESERVED,
     SPARE,
     BagPlace,
+    Found,
     McapStorage,
     Reserve,
     SqliteStorage,
     UnsyncedWriter,
+    add_source,
+    source_of,
 )
-from seft_ros.bags.salvage import Found, add_source, source_of
 
 FLUSH_PERIOD = 0.25  # s of wall time
 LONGEST_END = 10.0  # s for which there must be room, to record the end of a test

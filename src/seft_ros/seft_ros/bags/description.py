@@ -21,9 +21,8 @@ from typing import Any
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND
-from seft_msgs_py.wire.topics import RIG_STATE, bare
-from seft_msgs_py.wire.trajectory_layout import Trajectory, parse_trajectory
+from seft_msgs_py.wire.topics import NANOSECONDS_PER_SECOND, RIG_STATE, bare
+from seft_msgs_py.wire.trajectory import Trajectory, parse_trajectory
 
 _ENOUGH = 2000  # messages from which axes and rate are found
 PACKAGES = ("numpy", "scipy", "rosbags", "rclpy", "seft_msgs_py", "seft_plant_sim", "seft_ros")

@@ -22,20 +22,21 @@ from seft_msgs_py.wire.messages import (
     decode_status,
 )
 from seft_msgs_py.wire.outcome import ENDED, STOPPED, Outcome, State, Trip, read_outcome
-from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND, Timebase
 from seft_msgs_py.wire.topics import (
     GROUND_MOTION,
+    NANOSECONDS_PER_SECOND,
     REFERENCE_FORCE,
     TARGET,
     LoopTopic,
     RigAxes,
+    Timebase,
     bare,
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec, decode_batch
 
 from seft_ros.bags.message_blocks import MessageBlock
 from seft_ros.bags.record import Estimates, Event, Series, require_names
-from seft_ros.force_controller.link_record import LinkRecord
+from seft_ros.force_controller.received_forces import LinkRecord
 
 _MOST_EVENTS = 1000
 _LEVELS = {OK: "ok", WARN: "warn", ERROR: "error", STALE: "stale"}

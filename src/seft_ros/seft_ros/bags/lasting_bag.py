@@ -17,8 +17,7 @@ from pathlib import Path
 import numpy as np
 from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import ExperimentError, SeftError
-from seft_msgs_py.wire.timebase import Timebase
-from seft_msgs_py.wire.topics import RIG_STATE, TARGET, VALVE_COMMAND, Topic
+from seft_msgs_py.wire.topics import RIG_STATE, TARGET, VALVE_COMMAND, Timebase, Topic
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.bags.bag_storage import RESERVED, SPARE

@@ -11,7 +11,7 @@ from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.outcome import Saturation, Trip
 from seft_msgs_py.wire.topics import LOOP_TOPICS, RigAxes
 
-from seft_ros.force_controller.link_record import LinkRecord
+from seft_ros.force_controller.received_forces import LinkRecord
 
 __all__ = ["Estimates", "Event", "Record", "Series", "Trip"]
 

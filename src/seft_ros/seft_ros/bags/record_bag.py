@@ -1,34 +1,274 @@
-"""Write a record as a bag of the same form as a recorded one."""
+"""The record of a test as a bag: read, and written in the form of a recorded one."""
 
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.wire.messages import EstimatesCodec, encode_diagnostics, encode_string
+from rosbags.interfaces import Connection
+from rosbags.rosbag2 import Reader
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import InputError, WireError
+from seft_msgs_py.wire.messages import (
+    EstimatesCodec,
+    decode_string,
+    encode_diagnostics,
+    encode_string,
+)
 from seft_msgs_py.wire.outcome import FINISHED, RIG, TRIPPED, rig_status
-from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND
 from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
     ESTIMATES,
+    EXPERIMENT_STATE,
     GROUND_MOTION,
+    NANOSECONDS_PER_SECOND,
+    REFERENCE_FORCE,
     RIG_STATE,
     RIG_TOPICS,
     STEP_TOPICS,
     VALVE_COMMAND,
     RigAxes,
+    Topic,
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-from seft_ros.bags.bag_reader import UNDECODABLE
+from seft_ros.bags.bag_files import open_bag
 from seft_ros.bags.bag_writer import BagWriter
-from seft_ros.bags.description import write_description
-from seft_ros.bags.record import Record, consecutive_runs
+from seft_ros.bags.description import (
+    Description,
+    infer_experiment,
+    read_description,
+    write_description,
+)
+from seft_ros.bags.gathering import (
+    EstimatesGatherer,
+    ReportGatherer,
+    SeriesGatherer,
+    trip_of,
+)
+from seft_ros.bags.message_blocks import read_blocks
+from seft_ros.bags.record import Record, consecutive_runs, of_all_rigs
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
+
+UNDECODABLE = "undecodable"
+"""Key of a record's environment: number of messages that can't be decoded and were left out."""
+
+_LOOP = (RIG_STATE, REFERENCE_FORCE, VALVE_COMMAND, GROUND_MOTION)
+"""Topics that give a test's namespace, axes and rate, the most reliable first."""
+_OF_OUTCOME = (
+    "missed",
+    "missed_steps",
+    "held_steps",
+    "overruns",
+    "saturation",
+    "round_trips",
+    "wall_s",
+)
+
+
+def read_bag(path: str | Path, *, described: bool = True) -> Record:
+    """Read the record of a test from a bag (mcap or sqlite3), whoever recorded it.
+
+    Samples are ordered by step; of duplicates the first counts. Topics may be in a namespace.
+    Messages that can't be decoded are left out and counted in ``environment["undecodable"]``;
+    other topics are ignored.
+
+    Parameters
+    ----------
+    path : path
+        A bag's folder, or a single mcap or sqlite3 file.
+    described : bool
+        Whether the bag must hold the configuration. If not, and it does not, axes and rate are
+        inferred from the samples.
+
+    Raises
+    ------
+    InputError
+        If there is no bag, it is damaged or cut off, no test is described in it, or there are
+        no samples that give axes and rate.
+    """
+    with closing(open_bag(path)) as reader:
+        bag = _Bag(Path(path), reader)
+        description = bag.description()
+        known = described or bool(description.sections)
+        experiment = bag.experiment(description) if known else bag.inferred_experiment()
+        rigs = experiment.rigs
+        forces = reference_force_topic(experiment.sections.get("reference_force", {}))
+        loop: dict[Topic, SeriesGatherer] = {
+            topic.of(rig): SeriesGatherer(topic, experiment, bag.count(topic.of(rig)), rig)
+            for topic in RIG_TOPICS
+            for rig in rigs
+        }
+        for topic in (GROUND_MOTION, forces):
+            loop[topic] = SeriesGatherer(topic, experiment, bag.count(topic))
+        estimates, reports = EstimatesGatherer(experiment), ReportGatherer(experiment.timebase)
+        bag.gather(
+            loop,
+            {
+                ESTIMATES: estimates.take,
+                DIAGNOSTICS: reports.take_diagnostics,
+                EXPERIMENT_STATE: reports.take_state,
+            },
+        )
+        start_ns = reader.start_time
+    undecodable = bag.undecodable + estimates.undecodable + reports.undecodable
+    undecodable += sum(one.undecodable for one in loop.values())
+    series = {  # given out once, for memory
+        topic.name: of_all_rigs([loop.pop(topic.of(rig)).series() for rig in rigs], rigs)
+        for topic in RIG_TOPICS
+    }
+    series |= {topic.name: loop.pop(topic).series() for topic in (GROUND_MOTION, forces)}
+    outcome = reports.outcome(len(rigs))
+    if outcome is not None and outcome.steps > 0:  # the rig never sampled later stamps
+        series = {name: one.until(outcome.steps - 1) for name, one in series.items()}
+    states = series[RIG_STATE.name]
+    if states.received_ns is not None and len(states.received_ns):
+        start_ns = int(states.received_ns[0])
+    if known or len(states.steps):
+        last_step = int(states.steps[-1]) if len(states.steps) else -1
+        for topic in (GROUND_MOTION, REFERENCE_FORCE):  # which are sent ahead
+            series[topic.name] = series[topic.name].until(last_step)
+    for name, one in series.items():
+        steps = states.steps[: len(one.steps)]
+        if np.array_equal(steps, one.steps):  # held once for all topics
+            series[name] = replace(one, steps=steps)
+    end: dict[str, Any] = {"missed": None, "overruns": None, "complete": False}
+    if outcome is not None:
+        end = {name: getattr(outcome, name) for name in _OF_OUTCOME}
+    return Record(
+        experiment=experiment,
+        series=series,
+        estimates=estimates.series(),
+        trip=trip_of(outcome, reports.ending, experiment.timebase),
+        link=reports.link(),
+        events=reports.events(start_ns),
+        described=known,
+        facts=description.facts,
+        environment={**description.environment, UNDECODABLE: undecodable},
+        **end,
+    )
+
+
+def read_messages(path: str | Path, topics: Sequence[Topic]) -> Iterator[tuple[Topic, int, bytes]]:
+    """Give the messages of some topics as they were recorded, in the order of time.
+
+    Yields
+    ------
+    topic : Topic
+        One of them.
+    received_ns : int
+        When the message was received, ns of the wall clock.
+    raw : bytes
+        The message.
+
+    Raises
+    ------
+    InputError
+        If there is no bag, or it is damaged or cut off.
+    """
+    with closing(open_bag(path)) as reader:
+        bag = _Bag(Path(path), reader)
+        found = [(topic, item) for topic in topics for item in bag.connections_of(topic)]
+        for block in read_blocks(reader, [item for _, item in found], path):
+            for source, received_ns, raw in block.messages():
+                yield found[source][0], received_ns, raw
+
+
+class _Bag:
+    """An open bag, of which the topics of one test are read."""
+
+    def __init__(self, path: Path, reader: Reader) -> None:
+        self.path = path
+        self.reader = reader
+        self.undecodable = 0
+        prefixes: set[str] = set()
+        for topic in (DESCRIPTION, *_LOOP):
+            found = {item.topic for item in reader.connections if _is(topic, item)}
+            prefixes = prefixes or {name.removesuffix(topic.name) for name in found}
+        if len(prefixes) > 1:
+            raise InputError(
+                f"{path}: the bag holds several tests, in {', '.join(sorted(prefixes))}; "
+                "record one namespace in a bag"
+            )
+        self.prefix = prefixes.pop() if prefixes else "/"
+
+    def connections_of(self, topic: Topic) -> list[Connection]:
+        """List the connections of a topic that carry its type."""
+        named = self.prefix + topic.name, topic.type
+        return [item for item in self.reader.connections if (item.topic, item.msgtype) == named]
+
+    def description(self) -> Description:
+        texts = []
+        for raw in self._raws(self.connections_of(DESCRIPTION)):
+            try:
+                texts.append(decode_string(raw))
+            except WireError:
+                self.undecodable += 1
+        description, refused = read_description(texts)
+        self.undecodable += refused
+        return description
+
+    def experiment(self, description: Description) -> Experiment:
+        try:
+            return description.experiment()
+        except InputError as error:
+            raise InputError(
+                f"{self.path}: the bag holds no test: {error} on {DESCRIPTION.name}; record tests "
+                "with seft run or seft simulate, or that topic too (seft compare does without)"
+            ) from None
+
+    def inferred_experiment(self) -> Experiment:
+        for topic in _LOOP:
+            connections = self.connections_of(topic)
+            if not sum(connection.msgcount for connection in connections):
+                continue
+            try:
+                return infer_experiment(self._raws(connections))
+            except InputError as error:
+                raise InputError(
+                    f"{self.path}: the bag holds no test that can be read: {error} on {topic.name}"
+                ) from None
+        names = ", ".join(topic.name for topic in _LOOP)
+        raise InputError(f"{self.path}: the bag holds no test, for it has nothing on {names}")
+
+    def count(self, topic: Topic) -> int:
+        """Count the messages of a topic, as the bag claims."""
+        return sum(connection.msgcount for connection in self.connections_of(topic))
+
+    def gather(
+        self,
+        loop: Mapping[Topic, SeriesGatherer],
+        others: Mapping[Topic, Callable[[bytes, int], None]],
+    ) -> None:
+        """Read all messages of some topics, once, in the order of time.
+
+        Those of the loop are many and go block by block, the others one by one.
+        """
+        found = [(n, c) for n, t in enumerate([*loop, *others]) for c in self.connections_of(t)]
+        number = np.array([n for n, _ in found], np.int64)  # of the gatherer, by connection
+        singly = list(others.values())
+        for block in read_blocks(self.reader, [c for _, c in found], self.path):
+            taker = number[block.places["source"]]
+            for at, gatherer in enumerate(loop.values()):
+                gatherer.take(block.only(taker == at))
+            for source, received_ns, raw in block.only(taker >= len(loop)).messages():
+                singly[number[source] - len(loop)](raw, received_ns)
+
+    def _raws(self, connections: list[Connection]) -> Iterator[bytes]:
+        for block in read_blocks(self.reader, connections, self.path):
+            for _, _, raw in block.messages():
+                yield raw
+
+
+def _is(topic: Topic, connection: Connection) -> bool:
+    return connection.msgtype == topic.type and connection.topic.endswith("/" + topic.name)
+
 
 CHUNK_STEPS = 100
 NOT_FINITE = "not_finite"

@@ -53,7 +53,7 @@ def report(
     from seft_ros.analysis.report_numbers import report_numbers
     from seft_ros.analysis.report_page import write_pdf, write_report
     from seft_ros.analysis.result_text import summary_table
-    from seft_ros.bags.bag_reader import read_bag
+    from seft_ros.bags.record_bag import read_bag
     from seft_ros.drawing.page import check_page
 
     beside = bag.with_suffix(".html") if bag.is_file() else bag / "report.html"
@@ -136,7 +136,7 @@ def compare(
         comparisons_table,
         legend,
     )
-    from seft_ros.bags.bag_reader import read_bag
+    from seft_ros.bags.record_bag import read_bag
     from seft_ros.drawing.style import check_figure, save_figure
 
     if not 2 <= len(bags) <= len(ascii_lowercase):
@@ -201,8 +201,7 @@ def replay(
         seft replay bags/lockstep --node rig --offline --json
     """
     from seft_ros.replay.node_replays import REPLAYS
-    from seft_ros.replay.recorded_test import read_recorded
-    from seft_ros.replay.replay_verdict import replay_table
+    from seft_ros.replay.recorded_test import read_recorded, replay_table
 
     nodes = list(dict.fromkeys(node or REPLAYS))
     if out is not None:
@@ -258,8 +257,9 @@ def _answers(
 ) -> dict[str, Any]:
     from seft_ros.bags.record_bag import write_record
     from seft_ros.replay.dds_replay import replay_over_dds
-    from seft_ros.replay.recorded_test import Answers, experiment_of
-    from seft_ros.replay.replay_verdict import (
+    from seft_ros.replay.recorded_test import (
+        Answers,
+        experiment_of,
         replay_verdict,
         replayed_record,
     )

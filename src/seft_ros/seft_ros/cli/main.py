@@ -8,16 +8,13 @@ from importlib.metadata import version as installed_version
 
 import typer
 from seft_msgs_py.errors import SeftError
-from seft_msgs_py.node.shutdown import as_before, on_ending
+from seft_msgs_py.node.process import as_before, on_ending
 
 from seft_ros.cli.bag_commands import compare, recover, replay, report
-from seft_ros.cli.design_commands import design, preflight
-from seft_ros.cli.identify import identify
-from seft_ros.cli.new import new
-from seft_ros.cli.operate import reset, start, status, stop
+from seft_ros.cli.design_commands import design, identify, preflight
 from seft_ros.cli.options import complain, option
-from seft_ros.cli.perform import run, simulate
-from seft_ros.cli.rig_commands import conform, link
+from seft_ros.cli.perform import reset, run, simulate, start, status, stop
+from seft_ros.cli.rig_commands import conform, link, new
 from seft_ros.cli.show_commands import monitor, motion, parameters
 from seft_ros.cli.study_commands import paper, tournament, uncertainty
 

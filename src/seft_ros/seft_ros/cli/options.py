@@ -191,7 +191,7 @@ def offline_test(experiment: Experiment, bag: Path | None, label: str = "") -> R
     Raises `InputError` if parameters contradict each other.
     """
     from seft_ros.ground_motion.ground_motion_block import MOTION
-    from seft_ros.test_run.blocks import build_blocks
+    from seft_ros.test_run.compiled_loop import build_blocks
     from seft_ros.test_run.offline import simulate
 
     blocks = build_blocks(experiment)
@@ -243,7 +243,7 @@ def dds_test(
     ExperimentError
         If the run broke; what was recorded is kept.
     """
-    from seft_ros.bags.bag_reader import read_bag
+    from seft_ros.bags.record_bag import read_bag
     from seft_ros.test_run.run import Interruption, run_experiment
 
     with step_progress(steps) as show_steps, Interruption() as interruption:

@@ -1,12 +1,15 @@
-"""``seft run`` over DDS, and ``seft simulate`` in one process."""
+"""``seft run`` (DDS), ``simulate`` (one process); ``start``, ``stop``, ``reset`` and ``status``."""
 
-from collections.abc import Sequence
+import os
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import TYPE_CHECKING, Annotated, Optional
 
 import typer
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.errors import InputError
+from seft_msgs_py.errors import ExperimentError, InputError
 
 from seft_ros.bags.record import Record
 from seft_ros.cli.options import (
@@ -23,11 +26,122 @@ from seft_ros.cli.options import (
     offline_test,
     once_more,
     option,
+    show,
     show_test,
     step_progress,
     warn,
 )
 from seft_ros.test_run.parameter_tables import TABLES
+
+if TYPE_CHECKING:
+    from seft_ros.test_run.observer import Observer
+
+PATIENCE = 5.0  # s, in which a supervisor that runs is heard
+POLL_PERIOD = 0.05  # s
+
+
+def start() -> int:
+    """Start the test whose nodes run and are ready.
+
+    For nodes that were started one by one. The supervisor's log, and seft status, say which node
+    it waits for.
+
+    Exit status 1: there is no supervisor, or it refuses.
+
+    Examples:
+
+        seft status
+
+        seft start
+    """
+    return _request("start")
+
+
+def stop(
+    at_once: bool = option(False, "Trip instead: the rig goes to its safe position.", "--at-once"),
+) -> int:
+    """Ramp the reference force of the running test down, and end the test.
+
+    This is software. People and hydraulics are protected by the emergency stop in hardware.
+
+    Exit status 1: there is no supervisor, or no test runs.
+
+    Examples:
+
+        seft stop
+
+        seft stop --at-once
+    """
+    return _request("estop" if at_once else "stop")
+
+
+def reset() -> int:
+    """Make the next test possible after one that is done or has tripped.
+
+    Exit status 1: there is no supervisor, or it refuses.
+
+    Examples:
+
+        seft reset
+    """
+    return _request("reset")
+
+
+def status(json: Json = False) -> int:
+    """Print the state of the test, why it is in it, and the time of the test.
+
+    Exit status 1: there is no supervisor, or the test has tripped.
+
+    Examples:
+
+        seft status
+
+        seft status --json
+    """
+    from seft_msgs_py.wire.outcome import MOVING, State
+
+    with _supervised() as observer:
+        state, detail = observer.state, observer.values.get("detail", "")
+        if state in MOVING:
+            observer.spin(2 * POLL_PERIOD)
+        found = {"state": state, "detail": detail, "time_s": observer.time_ns / 1e9}
+        if "steps" in observer.values:
+            found["steps"] = int(observer.values["steps"])
+    name = state.replace("_", " ")
+    text = name if detail == name else f"{name}: {detail}"
+    show(found, json, [f"{text} ({found['time_s']:.1f} s)" if state in MOVING else text])
+    return 1 if state == State.TRIPPED else 0
+
+
+def _request(service: str) -> int:
+    with _supervised() as observer:
+        accepted, answer = observer.call(service)
+    if not accepted:
+        raise ExperimentError(answer)
+    print(answer)
+    return 0
+
+
+@contextmanager
+def _supervised() -> Iterator["Observer"]:
+    """Observe the test whose supervisor is heard."""
+    from seft_msgs_py.node.process import prepare_on_this_host
+
+    from seft_ros.test_run.observer import Observer
+
+    prepare_on_this_host()
+    with closing(Observer()) as observer:
+        deadline = time.monotonic() + PATIENCE
+        while not observer.state:
+            if time.monotonic() > deadline:
+                domain = os.environ.get("ROS_DOMAIN_ID", "0")
+                raise ExperimentError(
+                    f"no supervisor is in ROS domain {domain}: start the nodes; if they run, set "
+                    "ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE as they have them"
+                )
+            observer.spin(POLL_PERIOD)
+        yield observer
+
 
 TRAVEL, FORCE = 0.005, 2000.0
 """Displacement (m) and force (N) at which a motion that looks at signs is stopped."""
@@ -170,8 +284,7 @@ def _with_measured_delay(experiment: Experiment) -> Experiment:
             "reference_force: loop_delay is to be measured, but there is no link: force_controller "
             "is to run here; give a number of steps, or --external force_controller"
         )
-    from seft_ros.test_run.link_judgement import message_size, with_loop_delay
-    from seft_ros.test_run.link_measurement import measure
+    from seft_ros.test_run.link import measure, message_size, with_loop_delay
 
     rate = experiment.timebase.rate
     size, delays = message_size(experiment), []
@@ -218,7 +331,7 @@ def _check_stable(experiment: Experiment, accept_unstable: bool) -> None:
 
 def _check_model(experiment: Experiment) -> None:
     """Raise `InputError` for a computed model that is too slow for a test in real time."""
-    from seft_ros.design.model_time import model_time
+    from seft_ros.design.preflight_tables import model_time
 
     if experiment.sections.get("rig", {}).get("pace") == "lockstep":
         return
@@ -256,7 +369,7 @@ def _steps(experiment: Experiment) -> int:
     An external node has checked its own parameters; an external ground motion counts as 0 steps.
     """
     from seft_ros.ground_motion.ground_motion_block import GroundMotion
-    from seft_ros.test_run.blocks import build_blocks
+    from seft_ros.test_run.compiled_loop import build_blocks
 
     if all(table.node in experiment.sections for table in TABLES):
         return build_blocks(experiment).ground_motion.steps

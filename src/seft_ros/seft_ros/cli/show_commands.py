@@ -9,7 +9,7 @@ from typing import Optional
 import typer
 from seft_msgs_py.config.parameter_table import COMMON, Parameter, nearest
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import Timebase
 
 from seft_ros.cli.options import Files, Json, Params, load_experiment, option, show
 from seft_ros.test_run.parameter_tables import TABLES

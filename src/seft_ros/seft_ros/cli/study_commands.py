@@ -268,9 +268,10 @@ def uncertainty(
     """
     from seft_ros.drawing.page import check_page
     from seft_ros.ensemble.runs import run_tests
-    from seft_ros.ensemble.uncertainty import draw_tests, summarise_uncertainty
-    from seft_ros.ensemble.uncertainty_page import (
+    from seft_ros.ensemble.uncertainty import (
+        draw_tests,
         headline,
+        summarise_uncertainty,
         uncertainty_tables,
         write_uncertainty,
     )

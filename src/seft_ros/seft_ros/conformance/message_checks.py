@@ -9,11 +9,9 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.outcome import FINISHED, TRIPPED, read_outcome
 from seft_msgs_py.wire.topics import QUANTITIES, RIG_STATE
-from seft_msgs_py.wire.trajectory import Floats
-from seft_msgs_py.wire.trajectory_layout import Trajectory, parse_trajectory
+from seft_msgs_py.wire.trajectory import Floats, Trajectory, parse_trajectory
 
-from seft_ros.conformance.driver import Samples, Trial
-from seft_ros.conformance.finding import Finding, found, not_run
+from seft_ros.conformance.driver import Finding, Samples, Trial, found, not_run
 
 SLOWEST_STATUS = 0.5  # s between two diagnostics, median
 SLOWEST_CLOCK = 0.25  # s between two messages of /clock, median; 0.1 s is required

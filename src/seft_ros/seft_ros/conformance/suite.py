@@ -9,17 +9,25 @@ from dataclasses import replace
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.node.realtime import boot, started
+from seft_msgs_py.node.realtime import StallWatch, boot, started
 from seft_msgs_py.wire.outcome import FINISHED, TRIPPED, State
 from seft_msgs_py.wire.topics import LOOP_TOPICS, VALVE_COMMAND
 from seft_plant_sim.whole_structure import tested_specimen
 
-from seft_ros.bags.stall_watch import StallWatch
-from seft_ros.conformance import message_checks, motion_checks, obedience_checks
-from seft_ros.conformance.driver import ENDED_PHASES, SLOW, Answer, Guard, TestDriver, Trial
-from seft_ros.conformance.finding import LATER, Finding, found, not_run
-from seft_ros.conformance.motion_checks import Drive
-from seft_ros.conformance.obedience_checks import PATIENCE, RESTING, BadCommands, rested
+from seft_ros.conformance import message_checks, motion_checks
+from seft_ros.conformance.driver import (
+    ENDED_PHASES,
+    LATER,
+    SLOW,
+    Answer,
+    Finding,
+    Guard,
+    TestDriver,
+    Trial,
+    found,
+    not_run,
+)
+from seft_ros.conformance.motion_checks import PATIENCE, RESTING, BadCommands, Drive, rested
 from seft_ros.test_run.observer import alone_on_the_graph
 from seft_ros.test_run.process_layout import prefer_latency
 from seft_ros.test_run.processes import one_node
@@ -185,7 +193,7 @@ class Suite:
             driver.end()
             if trial.status_of(FINISHED) is not None:
                 break
-        findings = obedience_checks.check_refusals(trial, bad, moved, drive)
+        findings = motion_checks.check_refusals(trial, bad, moved, drive)
         yield from findings
         if any(finding.verdict != "passed" for finding in findings):
             why = "too dangerous on a rig that obeys bad commands"
@@ -198,7 +206,7 @@ class Suite:
             2 * at, lambda step: driver.command(step, 1.2 * (limit or 0.0) if step == at else 0.0)
         )
         driver.end()
-        yield obedience_checks.check_over_limit(trial.samples, at, limit, moved, drive)
+        yield motion_checks.check_over_limit(trial.samples, at, limit, moved, drive)
 
     def _fall_silent(self) -> Iterator[Finding]:
         """Stop sending commands while the rig moves; then stop sending the supervisor's state."""
@@ -228,7 +236,7 @@ class Suite:
         longest = LEAD + 2 * (timeout + PATIENCE)
         again, alone = self._silence("supervisor", timeout, leave_alone, longest)
         driver.end(State.TRIPPED)
-        yield obedience_checks.check_safe_position(tripped, again.samples)
+        yield motion_checks.check_safe_position(tripped, again.samples)
         text = f"{len(latched.states)} states in a test after a trip without a reset"
         rests = not latched.states and latched.status_of(TRIPPED) is not None
         yield found("trip is latched", rests, text)
@@ -246,7 +254,7 @@ class Suite:
             by_itself = trial.phase == TRIPPED
             driver.say(State.TRIPPED)
             driver.wait(lambda: bool(rested(driver.trial)), RESTING)
-            finding = obedience_checks.check_watchdog(trial, timeout, silent, by_itself=by_itself)
+            finding = motion_checks.check_watchdog(trial, timeout, silent, by_itself=by_itself)
             if finding.verdict == "passed" or not by_itself:
                 break
         return trial, finding
@@ -269,7 +277,7 @@ class Suite:
         driver.mark("goes on")
         driver.wait(lambda: trial.phase == TRIPPED, PATIENCE)
         driver.end(State.TRIPPED)
-        return obedience_checks.check_stood_still(trial)
+        return motion_checks.check_stood_still(trial)
 
     def _stop(self) -> Iterator[Finding]:
         """End a test as the supervisor; then start one for which the rig was not ready."""

@@ -1,15 +1,190 @@
-"""Fit of an actuator model to one test, with any specimen."""
+"""Fit of an actuator model to one test, with any specimen, on the balance of its oil."""
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import least_squares
+import scipy.fft
+from scipy.optimize import least_squares, nnls
 
-from seft_ros.design.oil_balance import OilBalance
+from seft_ros.force_controller.valve_model import ValveModel
 
 Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+
+MEMORY = 0.2
+"""Time after which the flow of a command is complete, s."""
+_WIDTH, _LEAST_WIDTH = 0.05, 2.0  # over which spectra are smoothed: of the frequency, and Hz
+_BINS = 80
+_AVERAGED = 32  # lines of the spectrum that are one frequency
+_ROUGH = 0.03  # of the flow: error of a first fit
+
+
+class OilBalance:
+    """One axis of a test, from rest to rest: q w = v + (f' + friction' + lambda f) / k_oil.
+
+    It is taken over each sampling period. The mean of a rate over a period is a difference of
+    samples, so that frequencies beyond half the sampling rate cause no error.
+
+    Parameters
+    ----------
+    commands, positions, accelerations, forces : ndarray
+        Valve command (V); displacement (m), acceleration (m/s^2), force (N) as measured; (N,).
+    dt : float
+        Sampling period, s.
+    band : tuple of float
+        Lowest and highest frequency that counts, Hz.
+
+    Attributes
+    ----------
+    velocity, rise, between : ndarray
+        Mean over each period of the piston's velocity (m/s), of the force's rate (N/s), and of
+        the force (N), shape (N - 1,).
+    largest_force : float
+        N.
+    rough : ndarray
+        Error that a first fit may leave at each of F frequencies within the band, m/s.
+    """
+
+    def __init__(
+        self,
+        commands: Floats,
+        positions: Floats,
+        accelerations: Floats,
+        forces: Floats,
+        dt: float,
+        band: tuple[float, float],
+    ) -> None:
+        self._n, self._dt = len(commands) - 1, dt
+        self._times = np.arange(math.ceil(MEMORY / dt) + 1, dtype=np.float64) * np.float64(dt)
+        self._size = scipy.fft.next_fast_len(self._n + math.ceil(MEMORY / dt), real=True)
+        self._hz: Floats = scipy.fft.rfftfreq(self._size, dt)
+        self._used = (self._hz >= band[0]) & (self._hz <= band[1])
+        self._commands = self._spectrum(commands[:-1])
+        self._drive = self._commands[self._used].conj()
+        self._blocks = np.arange(0, len(self._drive), _AVERAGED)
+        self._counts = np.diff(self._blocks, append=len(self._drive))
+        drive = np.add.reduceat(np.abs(self._drive) ** 2, self._blocks)
+        self._size_of_drive = np.sqrt(np.maximum(drive * self._counts, 1e-30))
+        f = np.add.reduceat(self._hz[self._used], self._blocks) / self._counts
+        half = np.maximum(_WIDTH * f, _LEAST_WIDTH)
+        self._around = np.searchsorted(f, f - half), np.searchsorted(f, f + half, "right")
+        self.rise, self.between = np.diff(forces) / dt, (forces[:-1] + forces[1:]) / 2
+        self.largest_force = float(np.abs(forces).max())
+        self._at_samples, self.velocity, noise = self._motion(positions, accelerations)
+        self._of_motion = self._of(self.velocity)
+        self._of_force = np.stack([self._of(self.rise), self._of(self.between)], axis=1)
+        noise_left = np.add.reduceat(noise, self._blocks) / self._counts**2
+        power = drive / self._counts
+        gain = self.smooth(np.abs(self._of_motion) ** 2) / np.maximum(self.smooth(power), 1e-30)
+        self.rough: Floats = np.sqrt(noise_left + _ROUGH**2 * gain.max() * power + 1e-30)
+
+    def _spectrum(self, signal: Floats) -> Complexes:
+        return scipy.fft.rfft(signal, self._size)
+
+    def _back(self, spectrum: Complexes) -> Floats:
+        return scipy.fft.irfft(spectrum, self._size)[: self._n]
+
+    def _of(self, signal: Floats) -> Complexes:
+        """Part of a signal that is correlated with the commands, at each of F frequencies."""
+        return self._with_commands(self._spectrum(signal))
+
+    def _with_commands(self, spectrum: Complexes) -> Complexes:
+        # noise is not correlated with the commands: it averages out
+        products = np.add.reduceat(spectrum[self._used] * self._drive, self._blocks)
+        return products / self._size_of_drive
+
+    def within(self, signal: Floats) -> Floats:
+        """Take the part of a signal that lies within the band."""
+        return self._back(np.where(self._used, self._spectrum(signal), 0.0))
+
+    def smooth(self, power: Floats) -> Floats:
+        """Mean over the frequencies around each one."""
+        total, (low, high) = np.concatenate([[0.0], np.cumsum(power)]), self._around
+        return (total[high] - total[low]) / (high - low)
+
+    def _motion(self, positions: Floats, accelerations: Floats) -> tuple[Floats, Floats, Floats]:
+        """Velocity from displacement and acceleration, each where it has the less noise.
+
+        Both have white noise, whose powers follow from their difference. Returned are the
+        velocity at the beginning of each period and its mean over it, in m/s, and the power of
+        the remaining noise at each line of the spectrum within the band.
+        """
+        s = 2j * np.pi * np.maximum(self._hz, self._hz[1])
+        change = np.expm1(s * self._dt)
+        gains = np.stack([change / self._dt, change / (self._dt * s * s)])  # of x and a
+        by_position = self._spectrum(np.diff(positions) / self._dt)
+        both = np.stack([by_position, gains[1] * self._spectrum(accelerations[:-1])])
+        powers = np.abs(gains) ** 2
+        bins = np.unique(np.geomspace(1, self._used.sum(), _BINS).astype(int)) - 1
+        off = np.add.reduceat(np.abs(both[0] - both[1])[self._used] ** 2, bins)
+        rows = np.stack([np.add.reduceat(power[self._used], bins) for power in powers], axis=1)
+        rows = rows / np.maximum(off, 1e-30)[:, np.newaxis]
+        sizes = np.linalg.norm(rows, axis=0)
+        sensors = np.maximum(nnls(rows / sizes, np.ones(len(off)))[0] / sizes, 1e-30)
+        weights = 1.0 / (sensors[:, np.newaxis] * powers)
+        total = weights.sum(axis=0)
+        mean = (weights * both).sum(axis=0) / total
+        return self._back(mean * s * self._dt / change), self._back(mean), 1.0 / total[self._used]
+
+    def flow(self, p: Floats) -> tuple[Floats, Complexes]:
+        """Flow of the commands over q, V: the signal, shape (N - 1,), and its spectrum, (F,).
+
+        p: logarithms of the valve's frequency (Hz) and damping ratio, its dead time in ms, and
+        the largest force over the force capacity.
+        """
+        valve = ValveModel(math.exp(p[0]), math.exp(p[1]), p[2] / 1e3, self._dt)
+        volume = valve.volume(self._times)
+        spectrum = self._commands * self._spectrum(np.diff(volume) / self._dt)
+        flow = self._back(spectrum)
+        if p[3]:
+            flow *= np.sqrt(1.0 - np.sign(flow) * p[3] / self.largest_force * self.between)
+            spectrum = self._spectrum(flow)
+        return flow, self._with_commands(spectrum)
+
+    def slip(self, over: float) -> Floats:
+        """Rate of a friction of 1 N that builds up over a velocity in m/s; N/s, (N - 1,)."""
+        return np.diff(np.tanh(self._at_samples / over), append=0.0) / self._dt
+
+    def drag(self, over: float) -> float:
+        """Viscous friction equivalent to a friction of 1 N in this test, N s/m."""
+        v = self._at_samples
+        return float(v @ np.tanh(v / over)) / max(float(v @ v), 1e-30)
+
+    def left(self, p: Floats, over: float, deviation: Floats) -> tuple[Floats, Floats]:
+        """Power of the residual of `solve`, and of the commands' flow; shape (F,), smoothed."""
+        solution, _, errors = self.solve(p, over, deviation)
+        power = (errors.reshape(2, -1) ** 2).sum(axis=0) * deviation**2
+        flow = np.abs(solution[0] * self.flow(p)[1]) ** 2
+        return self.smooth(power), self.smooth(flow)
+
+    def solve(self, p: Floats, over: float, deviation: Floats) -> tuple[Floats, Floats, Floats]:
+        """Solve v = q w - (f' + lambda f + friction') / k_oil for its linear parameters.
+
+        Of parameters p and ``over``, see `flow` and `slip`, with an expected error at each
+        frequency, shape (F,).
+
+        Returns
+        -------
+        solution, deviations : ndarray
+            q, 1 / k_oil, lambda / k_oil and friction / k_oil, and their standard deviations.
+        errors : ndarray
+            Residual over its expected error, real parts, then imaginary parts.
+        """
+        flow, slip = self.flow(p)[1], self._of(self.slip(over))
+        terms = np.column_stack([flow, -self._of_force, -slip, self._of_motion])
+        terms = terms / deviation[:, np.newaxis]
+        split = np.concatenate([terms.real, terms.imag])
+        columns, target = split[:, :4], split[:, 4]
+        scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-30)
+        columns = columns / scale
+        inverse = np.linalg.pinv(columns.T @ columns)
+        solution = inverse @ (columns.T @ target)
+        errors = columns @ solution - target
+        variance = inverse.diagonal() * float(np.mean(errors**2))
+        return solution / scale, np.sqrt(np.maximum(variance, 0.0)) / scale, errors
+
 
 LEAST_EXPLAINED, GOOD_EXPLAINED = 0.5, 0.9
 """Share of the flow's variance that a fit must explain, and that a good one does."""

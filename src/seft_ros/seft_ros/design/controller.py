@@ -11,8 +11,11 @@ from seft_msgs_py.config.experiment import write_parameter_file
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.lti import TransferFunction, bilinear, ratio
 
-from seft_ros.force_controller.kinds import is_one_controller, one_controller
-from seft_ros.force_controller.names import TRANSFER_FUNCTION
+from seft_ros.force_controller.parameters import (
+    TRANSFER_FUNCTION,
+    is_one_controller,
+    one_controller,
+)
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]

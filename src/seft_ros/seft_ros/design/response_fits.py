@@ -10,7 +10,7 @@ from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.specimen import Specimen
 
 from seft_ros.design.controller import Root, roots_of
-from seft_ros.design.measured_test import Response
+from seft_ros.design.rig_tests import Response
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
-from seft_msgs_py.config.arrays import symmetric_matrix
+from seft_msgs_py.config.parameter_table import symmetric_matrix
 from seft_msgs_py.errors import InputError
 
 from seft_ros.design.plan import NEUTRAL, Plan

@@ -9,14 +9,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import eigh
 from scipy.optimize import linear_sum_assignment
-from seft_msgs_py.config.arrays import mass_matrix
+from seft_msgs_py.config.parameter_table import mass_matrix
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_plant_sim.rig_parameters import LIMIT_UNITS
 from seft_plant_sim.whole_structure import WholeStructure
 
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import Margins, Progress, find_margins
-from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
+from seft_ros.force_controller.parameters import VELOCITY_FEEDFORWARD
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 
 Floats = npt.NDArray[np.float64]

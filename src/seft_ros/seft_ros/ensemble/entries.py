@@ -5,11 +5,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from seft_msgs_py.config.arrays import Floats, per_axis
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import Section, nearest
+from seft_msgs_py.config.parameter_table import Floats, Section, nearest, per_axis
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim import rig_parameters
 from seft_plant_sim.rig import Rig
 
@@ -18,7 +17,7 @@ from seft_ros.ground_motion.ground_motion_block import GroundMotion
 from seft_ros.reference_force.compensation_methods import METHODS
 from seft_ros.reference_force.reference_force_block import knowledge
 from seft_ros.reference_force.reference_force_parameters import TABLE
-from seft_ros.test_run.blocks import build_blocks, with_method
+from seft_ros.test_run.compiled_loop import build_blocks, with_method
 
 UNCERTAINTY = {
     "specimen.mass": 0.2,  # it is weighed

@@ -23,7 +23,7 @@ from seft_ros.analysis.summary import summarise_briefly
 from seft_ros.bags.record import Record
 from seft_ros.ensemble.entries import Entry, Tournament
 from seft_ros.ensemble.workers import parallel_map, software
-from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import Workshop, simulate
 
 Progress = Callable[[str, int], None]

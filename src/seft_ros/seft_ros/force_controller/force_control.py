@@ -1,10 +1,16 @@
-"""The one shape of all force controllers, and what they are made of."""
+"""Force control: what all controllers have in common, and the one by transfer functions."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.config.parameter_table import as_matrix
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.topics import RigAxes, Timebase
+from seft_plant_sim.compiled import compiled, entry_point, multiply
+from seft_plant_sim.lti import bilinear
 
 Floats = npt.NDArray[np.float64]
 
@@ -117,3 +123,239 @@ class ForceControl(Protocol):
         InputError
             If it does not say.
         """
+
+
+class TransferParameters(NamedTuple):
+    """What does not change of a controller of n axes with d delays.
+
+    Attributes
+    ----------
+    matrix : ndarray
+        Shape (d + n, n + d), transposed: takes (delays, error) to (drive, delays) without a limit.
+    from_drive : ndarray
+        What the delays lose with a change of the drive, shape (d, n).
+    limit : float
+        Largest magnitude of the drive, V.
+    feedback : bool
+        Whether the measured force is fed back.
+    """
+
+    matrix: Floats
+    from_drive: Floats
+    limit: float
+    feedback: bool
+
+
+class TransferState(NamedTuple):
+    """What changes of it.
+
+    Attributes
+    ----------
+    work, result : ndarray
+        Delays and error, and what the matrix makes of them, shape (d + n,).
+    """
+
+    work: Floats
+    result: Floats
+
+
+@compiled
+def transfer_step(
+    parameters: TransferParameters,
+    state: TransferState,
+    points: Floats,
+    measured: Floats,
+    command: Floats,
+) -> bool:
+    """Find the drive that answers a sample.
+
+    Parameters
+    ----------
+    parameters, state
+        The state is brought up to date.
+    points : ndarray
+        Of the reference force, shape (p, q, n).
+    measured : ndarray
+        Displacement, velocity, acceleration and force, shape (4, n).
+    command : ndarray
+        The result, shape (n,), V.
+
+    Returns
+    -------
+    bool
+        Whether the drive is at its limit on any axis.
+    """
+    p, work, result, n = parameters, state.work, state.result, len(command)
+    delays, last, limited = len(work) - n, points.shape[1] - 1, False
+    for i in range(n):
+        error = points[0, last, i]
+        work[delays + i] = error - measured[3, i] if p.feedback else error
+    multiply(p.matrix, work, result)
+    for i in range(n):
+        drive = result[i]
+        if abs(drive) >= p.limit:
+            limited = True
+            drive = p.limit if drive > 0.0 else -p.limit
+        command[i] = drive
+    for j in range(delays):
+        work[j] = result[n + j]
+    if limited:
+        for j in range(delays):
+            for i in range(n):
+                work[j] -= p.from_drive[j, i] * (command[i] - result[i])
+    return limited
+
+
+class ForceController:
+    """Force servo of n axes: u = G C(s) (f_r - f), limited to the valve's range.
+
+    C is a transfer function on each axis, the same or each its own; G mixes what they ask for,
+    for valves of unlike gain or to decouple axes. Without feedback it is u = G C(s) f_r, which
+    drives the valves by a motion of one's own.
+
+    C is discretised with the bilinear (Tustin) transform. Its recursion runs on the limited
+    outputs, as the valve does, and so cannot wind up: the anti-windup of Astrom & Wittenmark
+    (Computer-Controlled Systems, 3rd ed., sec. 9.4) with a dead-beat observer. While
+    the limit is not met it is the linear controller itself.
+
+    Parameters
+    ----------
+    controllers : sequence of (sequence of float, sequence of float)
+        Numerator and denominator of each axis in s, highest power first; proper, and of one order
+        on all axes.
+    voltage_limit : float
+        Largest magnitude of the valve drive, V.
+    dt : float
+        Sampling period, s.
+    feedback : bool
+        Whether the measured force is fed back.
+    gain : ndarray, optional
+        G, shape (n, n), invertible; default 1.
+
+    Attributes
+    ----------
+    limited : bool
+        Whether the last drive was at its limit on any axis.
+    shape : tuple of int
+        See `ForceControl`.
+    parameters, state : TransferParameters, TransferState
+        What `transfer_step` takes, here and in a compiled loop.
+
+    Raises
+    ------
+    InputError
+        If a C is improper, has no denominator, can't be discretised at this rate, or is of
+        another order, or G is singular.
+    """
+
+    shape = 1, 1
+
+    def __init__(
+        self,
+        controllers: Sequence[tuple[Sequence[float], Sequence[float]]],
+        voltage_limit: float,
+        dt: float,
+        feedback: bool = True,
+        gain: Floats | None = None,
+    ) -> None:
+        axes = len(controllers)
+        try:
+            sampled = [bilinear(*each, dt) for each in controllers]
+        except InputError as error:
+            raise InputError(f"force_controller: {error}") from None
+        orders = {len(a) - 1 for _, a in sampled}
+        if len(orders) > 1:
+            raise InputError(
+                f"force_controller: denominators of degree {min(orders)} and {max(orders)}; give "
+                "them the same, with leading zeros in the numerator"
+            )
+        order = orders.pop()
+        # transposed direct form II on the vector (w, e), w the order * n delays:
+        # u = b0 e + w[0],  w' = shift(w) + b e - a u; with that u put in, in one matrix
+        size = (order + 1) * axes
+        matrix, from_drive = np.zeros((size, size)), np.zeros((order * axes, axes))
+        for axis, (b, a) in enumerate(sampled):
+            output = np.eye(1, order + 1)
+            output[0, order] = b[0]
+            update = np.column_stack([np.eye(order, k=1), b[1:]]) - np.outer(a[1:], output)
+            matrix[axis::axes, axis::axes] = np.vstack([output, update])
+            from_drive[axis::axes, axis] = a[1:]
+        if gain is not None:
+            matrix[:axes] = gain @ matrix[:axes]
+            from_drive = np.ascontiguousarray(from_drive @ _inverse(gain))
+        transposed = np.ascontiguousarray(matrix.T)
+        self.parameters = TransferParameters(
+            transposed, from_drive, float(voltage_limit), bool(feedback)
+        )
+        self.state = TransferState(*np.zeros((2, size)))
+        self._axes, self.limited = axes, False
+        points, measured = np.zeros((1, 1, axes)), np.zeros((4, axes))
+        arguments = points, measured, measured[0]
+        self._step = entry_point(transfer_step, self.parameters, self.state, *arguments)
+
+    @classmethod
+    def from_parameters(
+        cls,
+        section: dict[str, Any],
+        axes: tuple[str, ...],
+        timebase: Timebase,
+        rig: RigAxes | None = None,
+    ) -> "ForceController":
+        """Make it of its section of an experiment, see `force_control`."""
+        own = (rig or RigAxes.whole(axes)).places
+        gain = as_matrix(section.get("gain", 1.0), axes, "force_controller: gain")
+        if np.delete(gain[list(own)], own, axis=1).any():
+            raise InputError(
+                f"force_controller: gain {gain.tolist()} mixes axes of different rigs, whose force "
+                "controllers do not know each other's forces"
+            )
+        gain = gain[np.ix_(own, own)]
+        limits = section["voltage_limit"], timebase.dt, section["feedback"]
+        parts = [np.atleast_1d(section[name]).tolist() for name in ("numerator", "denominator")]
+        if section.get("per_axis"):
+            names = ("numerator", "denominator")
+            each = [_split(part, axes, name) for part, name in zip(parts, names, strict=True)]
+            controllers = list(zip(*each, strict=True))
+        else:
+            controllers = [(parts[0], parts[1])] * len(axes)
+        return cls([controllers[place] for place in own], *limits, gain)
+
+    def reset(self) -> None:
+        """Forget the test so far."""
+        self.state.work[:] = 0.0
+
+    def linear(self) -> LinearControl:
+        """Give its matrices; the states are the delays."""
+        n, matrix = self._axes, self.parameters.matrix.T
+        by_delays, by_error = matrix[:, :-n], matrix[:, -n:]
+        return LinearControl.of_error(
+            by_delays[n:], by_error[n:], by_delays[:n], by_error[:n], self.parameters.feedback
+        )
+
+    def step(self, points: Floats, state: Floats) -> Floats:
+        """See `seft_ros.force_controller.force_control.ForceControl.step`."""
+        points, state = (np.ascontiguousarray(values, np.float64) for values in (points, state))
+        command = np.empty(self._axes)
+        self.limited = self._step(self.parameters, self.state, points, state, command)
+        return command
+
+
+def _split(coefficients: list[float], axes: Sequence[str], name: str) -> list[list[float]]:
+    """Polynomials of the axes that stand one after the other."""
+    each, rest = divmod(len(coefficients), len(axes))
+    if rest:
+        raise InputError(
+            f"force_controller: per_axis, but {name} has {len(coefficients)} coefficients for "
+            f"{len(axes)} axes {list(axes)}; give each axis as many"
+        )
+    return [coefficients[each * axis : each * (axis + 1)] for axis in range(len(axes))]
+
+
+def _inverse(gain: Floats) -> Floats:
+    try:
+        return np.linalg.inv(gain).astype(np.float64)
+    except np.linalg.LinAlgError:
+        raise InputError(
+            f"force_controller: gain {gain.tolist()} is singular: a valve or a combination of "
+            "valves would never be driven"
+        ) from None

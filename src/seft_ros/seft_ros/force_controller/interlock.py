@@ -7,12 +7,15 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.wire.timebase import Timebase
-from seft_msgs_py.wire.topics import RigAxes
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import mass_matrix, per_axis, symmetric_matrix
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import entry_point, kind_of
 from seft_plant_sim.limits import SaturatedTime
+from seft_plant_sim.rig_parameters import LIMIT_NAMES
+from seft_plant_sim.sensors import CHANNELS
 
-from seft_ros.force_controller.detectors_of import detectors_of
 from seft_ros.force_controller.force_control import ForceControl
 from seft_ros.force_controller.interlock_step import (
     DETECTED,
@@ -30,10 +33,130 @@ from seft_ros.force_controller.interlock_step import (
     begin_interlock,
     end_control,
 )
-from seft_ros.interlock.detector_arrays import DetectorParameters, DetectorState
-from seft_ros.interlock.detectors import DETECTORS, describe
+from seft_ros.force_controller.methods import force_control
+from seft_ros.force_controller.valve_model import valve_models
+from seft_ros.force_controller.velocity_feedforward import ACTUATOR
+from seft_ros.protection.detector_step import begin_detectors, detect_all
+from seft_ros.protection.detectors import (
+    ALL,
+    DETECTORS,
+    DetectorParameters,
+    DetectorState,
+    describe,
+    detector_arrays,
+)
+from seft_ros.reference_force.force_command import FORCE_DRIVEN
 
 Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+
+WHERE = "force_controller: "
+
+
+def detectors_of(
+    section: dict[str, Any], axes: tuple[str, ...], dt: float, places: Sequence[int]
+) -> tuple[DetectorParameters, DetectorState]:
+    """Put the detectors of some of the axes into arrays.
+
+    Parameters
+    ----------
+    section : dict
+        The force controller's, for all axes.
+    axes : tuple of str
+        Names of all axes.
+    dt : float
+        Sampling period, s.
+    places : sequence of int
+        Of the axes that are watched.
+
+    Raises
+    ------
+    InputError
+        If what is assumed does not fit the axes, or a detector has another name.
+    """
+    own = list(places)
+    warn_only = section["detectors.warn_only"].replace(",", " ").split()
+    if warn_only == [ALL]:
+        warn_only = [one.name for one in DETECTORS]
+    unknown = set(warn_only) - {one.name for one in DETECTORS}
+    if unknown:
+        raise InputError(
+            f"{WHERE}detectors.warn_only: no detector {sorted(unknown)[0]!r}; there are "
+            + ", ".join(one.name for one in DETECTORS)
+        )
+    actuator = {
+        name: per_axis(section[f"actuator.{name}"], axes, f"{WHERE}actuator.{name}")[own]
+        for name in (*ACTUATOR, "valve_frequency", "valve_damping", "dead_time")
+    }
+    is_known = actuator["valve_frequency"] > 0.0
+    if section["detectors.actuator_kind"] in FORCE_DRIVEN:  # no valve is driven from here
+        is_known[:] = False
+    actuator["flow_gain"] = np.where(is_known, actuator["flow_gain"], 0.0)
+    actuator["valve_frequency"] = np.where(is_known, actuator["valve_frequency"], 1.0 / dt)
+    name, ratio = "detectors.specimen_stiffness", section["detectors.mass_ratio"]
+    stiffness = symmetric_matrix(section[name], axes, WHERE + name)[np.ix_(own, own)]
+    mass = np.zeros_like(stiffness)
+    if np.any(section["detectors.specimen_mass"]):
+        name = "detectors.specimen_mass"
+        mass = mass_matrix(section[name], axes, WHERE + name)[np.ix_(own, own)]
+    if section["detectors.test"] == "eft":  # the specimen carries all of the mass
+        mass, ratio = (1.0 + ratio) * mass, 0.0
+    valves = valve_models(actuator, dt)
+    noise = [f"noise.{channel}" for channel in CHANNELS]
+    ranges = [f"detectors.{channel}_range" for channel in CHANNELS]
+    return detector_arrays(
+        np.array([per_axis(section[n], axes, WHERE + n)[own] for n in noise]),
+        np.array([section[f"limits.{name}"] for name in LIMIT_NAMES]),
+        np.array([per_axis(section[n], axes, WHERE + n)[own] for n in ranges]),
+        section["noise.velocity_source"] == "derived",
+        np.transpose([actuator[name] for name in ACTUATOR]),
+        np.array([[valve.past() for valve in valves], [valve.later() for valve in valves]]),
+        np.ascontiguousarray(mass),
+        np.ascontiguousarray(stiffness),
+        np.ascontiguousarray(ratio * mass),
+        warn_only,
+        section["watchdog.state_timeout"],
+        dt,
+    )
+
+
+def detector_shares(
+    experiment: Experiment, steps: Ints, points: Floats, states: Floats, commands: Floats
+) -> dict[str, float]:
+    """Say how near each detector came to its threshold in a test, 1 at it.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Of the test.
+    steps : ndarray
+        Of the N samples that have been answered, shape (N,).
+    points, states, commands : ndarray
+        Reference force, state and valve command at these, shapes (N, q, n), (N, 4, n) and (N, n).
+
+    Returns
+    -------
+    dict
+        The largest share on any axis, by the detector's name.
+    """
+    section, axes, dt = experiment["force_controller"], experiment.axes, experiment.timebase.dt
+    shares = np.zeros(len(DETECTORS))
+    for rig in experiment.rigs:
+        parameters, state = detectors_of(section, axes, dt, rig.places)
+        own = list(rig.places)
+        begin_detectors(state)
+        detect_all(
+            parameters,
+            state,
+            steps,
+            np.ascontiguousarray(points[..., own]),
+            np.ascontiguousarray(states[..., own]),
+            np.ascontiguousarray(commands[..., own]),
+            section["voltage_limit"],
+        )
+        shares = np.maximum(shares, state.shares.max(axis=1))
+    return {one.name: share for one, share in zip(DETECTORS, shares.tolist(), strict=True)}
+
 
 _MEASURED = ("force", "displacement", "velocity", "acceleration")
 
@@ -225,3 +348,49 @@ class Interlock:
             if not math.isfinite(value):
                 return f"{name} on axis {axis} is {value}"
         return ""
+
+
+class Interlocks:
+    """The `Interlock` of each rig of a test, as the offline loop steps them.
+
+    Parameters
+    ----------
+    rigs : sequence of (RigAxes, Interlock)
+        Which axes each has, and its interlock.
+    """
+
+    def __init__(self, rigs: Sequence[tuple[RigAxes, Interlock]]) -> None:
+        self._rigs = [(list(of.places), interlock) for of, interlock in rigs]
+
+    @property
+    def reason(self) -> str:
+        """Why one of them has tripped, of several the first; empty while none has."""
+        return next((one.reason for _, one in self._rigs if one.reason), "")
+
+    def reset(self) -> None:
+        """Forget the test so far, a trip too."""
+        for _, interlock in self._rigs:
+            interlock.reset()
+
+    def step(self, index: int, points: Floats, state: Floats) -> Floats:
+        """Compute the valve drives of one step, see `Interlock.step`."""
+        drive = np.empty(state.shape[1])
+        for places, interlock in self._rigs:
+            drive[places] = interlock.step(index, points[:, :, places], state[:, places])
+        return drive
+
+
+def interlock_of(experiment: Experiment) -> Interlock | Interlocks:
+    """Make what answers states and reference forces with valve drives, for all rigs of a test.
+
+    Raises
+    ------
+    InputError
+        If the force controller of a rig can't be made.
+    """
+    section, axes, timebase = experiment["force_controller"], experiment.axes, experiment.timebase
+    made = []
+    for rig in experiment.rigs:
+        controller = force_control(section, axes, timebase, rig)
+        made.append((rig, Interlock.from_parameters(controller, section, axes, timebase, rig)))
+    return made[0][1] if len(made) == 1 else Interlocks(made)

@@ -8,9 +8,9 @@ from seft_plant_sim.compiled import compiled, is_finite
 from seft_plant_sim.limits import is_exceeded
 from seft_plant_sim.rig import left_open
 
-from seft_ros.interlock.detector_arrays import DetectorParameters, DetectorState
-from seft_ros.interlock.detector_step import SOUND, SUSPECT, begin_detectors, detect, take_command
-from seft_ros.reference_force.braking import go_on
+from seft_ros.protection.detector_step import SOUND, SUSPECT, begin_detectors, detect, take_command
+from seft_ros.protection.detectors import DetectorParameters, DetectorState
+from seft_ros.protection.ramp_down import go_on
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

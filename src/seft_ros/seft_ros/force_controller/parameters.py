@@ -1,9 +1,18 @@
-"""Parameter table of the force controller."""
+"""Parameter table of the force controller, the controllers by name, and what a section says."""
 
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
 from seft_msgs_py.config.parameter_table import Parameter, Table, parameter_rows
+from seft_msgs_py.config.registered import Registered
 from seft_msgs_py.node import realtime
 
-from seft_ros.force_controller.names import REGISTERED, TRANSFER_FUNCTION, VELOCITY_FEEDFORWARD
+TRANSFER_FUNCTION = "transfer_function"
+VELOCITY_FEEDFORWARD = "velocity_feedforward"
+REGISTERED = Registered("seft.force_control", (TRANSFER_FUNCTION, VELOCITY_FEEDFORWARD))
+"""Of other packages: name -> what makes a controller of `ControlKnowledge`; may take settings."""
+
 
 _ROWS = parameter_rows(
     """
@@ -124,3 +133,20 @@ TABLE = Table(
         *realtime.PARAMETERS,
     ],
 )
+
+
+def one_controller(numerator: Sequence[float], denominator: Sequence[float]) -> dict[str, Any]:
+    """Give the parameters that make it so, whatever was chosen before."""
+    return {
+        "method": TRANSFER_FUNCTION,
+        "per_axis": False,
+        "gain": [1.0],
+        "numerator": list(numerator),
+        "denominator": list(denominator),
+    }
+
+
+def is_one_controller(section: dict[str, Any]) -> bool:
+    """Whether a section is of one."""
+    same = section.get("method", TRANSFER_FUNCTION) == TRANSFER_FUNCTION  # not in an older record
+    return same and not section.get("per_axis") and np.size(section.get("gain", 1.0)) == 1

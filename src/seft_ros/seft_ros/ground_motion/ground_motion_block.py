@@ -10,10 +10,16 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.config.arrays import mass_matrix, per_axis
-from seft_msgs_py.config.parameter_table import Section, Table, group, parameter_rows
+from seft_msgs_py.config.parameter_table import (
+    Section,
+    Table,
+    group,
+    mass_matrix,
+    parameter_rows,
+    per_axis,
+)
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import Timebase
 
 from seft_ros.ground_motion.record_file import RecordedMotion, read_record
 from seft_ros.ground_motion.synthetic_motion import synthetic_motion

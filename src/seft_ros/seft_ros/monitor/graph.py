@@ -16,9 +16,8 @@ from rclpy.executors import ExternalShutdownException, ShutdownException, Single
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
-from seft_msgs_py.node.middleware import prepare_on_this_host
+from seft_msgs_py.node.process import leave_graph, prepare_on_this_host
 from seft_msgs_py.node.rclpy_interface import raw_subscription, take_all
-from seft_msgs_py.node.shutdown import leave_graph
 from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,

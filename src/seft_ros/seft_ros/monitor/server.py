@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.messages import decode_description, decode_diagnostics, decode_status
-from seft_msgs_py.wire.timebase import Timebase
 from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
@@ -22,6 +21,7 @@ from seft_msgs_py.wire.topics import (
     GROUND_MOTION,
     REFERENCE_FORCE,
     RIG_STATE,
+    Timebase,
     Topic,
 )
 from tornado.httpserver import HTTPServer

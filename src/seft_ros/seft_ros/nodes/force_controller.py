@@ -1,5 +1,6 @@
 """Node ``force_controller``: answers state and reference force with the valve command."""
 
+import math
 import sys
 import time
 from dataclasses import replace
@@ -24,18 +25,57 @@ from seft_msgs_py.wire.topics import (
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
 from seft_ros.force_controller.interlock import Interlock
-from seft_ros.force_controller.matched_forces import PENDING, MatchedForces
 from seft_ros.force_controller.methods import force_control
-from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
-from seft_ros.force_controller.newest_preview import NewestPreview
-from seft_ros.force_controller.parameters import TABLE
-from seft_ros.force_controller.silence import Silence
-from seft_ros.interlock.detectors import WARNING
+from seft_ros.force_controller.parameters import TABLE, VELOCITY_FEEDFORWARD
+from seft_ros.force_controller.received_forces import PENDING, MatchedForces, NewestPreview
+from seft_ros.protection.detectors import WARNING
 from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.state_machine import (
     SampleOrder,
     check_magnitude,
 )
+
+
+class Silence:
+    """Time since the last state of a running test.
+
+    A pause in which this process itself was held up counts as one look, as what had come
+    meanwhile could not be seen.
+
+    Parameters
+    ----------
+    longest : float
+        Silence beyond which the test can't go on, s; infinite: never.
+    """
+
+    def __init__(self, longest: float) -> None:
+        self.longest = longest
+        self.pause = longest / 8
+        """Longest time between two looks, s."""
+        self._age = 0.0
+        self._looked_at = math.inf  # nobody listens
+
+    @property
+    def is_watching(self) -> bool:
+        """Whether a test runs, and states are to come."""
+        return self._looked_at < math.inf
+
+    def end(self) -> None:
+        """Expect no more states."""
+        self._looked_at = math.inf
+
+    def heard(self, now: float) -> None:
+        """Note a state at ``now``, s, monotonic: more are to come."""
+        self._age, self._looked_at = 0.0, now
+
+    def is_too_long(self, now: float) -> bool:
+        """Look at the clock; say whether states have failed to come for too long."""
+        if not self.is_watching:
+            return False
+        self._age += min(max(now - self._looked_at, 0.0), 2 * self.pause)
+        self._looked_at = now
+        return self._age > self.longest
+
 
 REPORT_PERIOD = 1.0  # s between two reports of link and valves while a test runs
 STATE_WAIT = 0.0005  # s between polls for a state that is later than its reference force

@@ -23,9 +23,12 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
-from seft_ros.interlock.protected_force import ProtectedForce
-from seft_ros.reference_force.loop_inputs import MotionBuffer, StateGathering
-from seft_ros.reference_force.reference_force_block import EstimateSampler
+from seft_ros.protection.protected_force import ProtectedForce
+from seft_ros.reference_force.reference_force_block import (
+    EstimateSampler,
+    MotionBuffer,
+    StateGathering,
+)
 from seft_ros.reference_force.reference_force_parameters import TABLE, reference_force_topic
 from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.peers import ALL_ANSWERED, AT_REST, RAMPING_DOWN

@@ -31,12 +31,12 @@ from seft_msgs_py.wire.outcome import (
     TRIPPED,
     State,
 )
-from seft_msgs_py.wire.timebase import NANOSECONDS_PER_SECOND
 from seft_msgs_py.wire.topics import (
     CLOCK_TOPIC,
     DESCRIPTION,
     DIAGNOSTICS,
     EXPERIMENT_STATE,
+    NANOSECONDS_PER_SECOND,
     REHEARSE,
     START,
     with_rigs,
@@ -44,8 +44,18 @@ from seft_msgs_py.wire.topics import (
 from std_srvs.srv import Trigger
 
 from seft_ros.test_run.parameter_tables import SUPERVISOR, TABLES
-from seft_ros.test_run.peers import AT_REST, RAMPING_DOWN, SILENT, Heard, missing, silence, silent
-from seft_ros.test_run.rehearsal import RUNS, UNFIT, judge
+from seft_ros.test_run.peers import (
+    AT_REST,
+    RAMPING_DOWN,
+    RUNS,
+    SILENT,
+    UNFIT,
+    Heard,
+    judge,
+    missing,
+    silence,
+    silent,
+)
 from seft_ros.test_run.state_machine import (
     PACE,
     Answer,

@@ -39,7 +39,7 @@ from seft_ros.paper.paper_tests import (
     uncompensated,
     whole_delay,
 )
-from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
 
 Progress = Callable[[str, int], None]

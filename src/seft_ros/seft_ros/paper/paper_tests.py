@@ -21,7 +21,7 @@ from seft_ros.analysis.summary import COMPARED, reference_of
 from seft_ros.design.loop_margins import BAND_HZ
 from seft_ros.design.rig_tests import has_valve
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
-from seft_ros.test_run.blocks import build_blocks, with_method
+from seft_ros.test_run.compiled_loop import build_blocks, with_method
 from seft_ros.test_run.offline import simulate
 
 Floats = npt.NDArray[np.float64]

@@ -9,11 +9,10 @@ import math
 from functools import partial
 
 import numpy as np
-from seft_msgs_py.config.arrays import Floats
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.lti import first_order_hold
 
-from seft_ros.reference_force.ats import Ats
 from seft_ros.reference_force.compensator import (
     Compensator,
     Knowledge,
@@ -22,7 +21,7 @@ from seft_ros.reference_force.compensator import (
     Signals,
     between_samples,
 )
-from seft_ros.reference_force.delay_compensation import DelayFilter, delay_method
+from seft_ros.reference_force.delay_compensation import Ats, DelayFilter, delay_method
 from seft_ros.reference_force.delay_estimator import whole_steps
 from seft_ros.reference_force.linear_filter import LinearCompensator, LinearFilter, Memory
 from seft_ros.reference_force.reference_force_parameters import OWN, REGISTERED

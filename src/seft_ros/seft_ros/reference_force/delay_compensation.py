@@ -1,19 +1,22 @@
-"""Methods that ask for the force of a later instant, by a delay that is given or followed.
+"""Methods that ask for the force of a later instant, by a delay given or followed; and ATS.
 
 An equation is written with the signals of a test as rows over a filter's columns; what comes of it
 are the gains of a linear filter, which may change while it runs.
 """
 
+import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
 
 import numpy as np
-from seft_msgs_py.config.arrays import Floats
+from numpy.lib.stride_tricks import sliding_window_view
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
 
-from seft_ros.reference_force.compensator import Compensator, Knowledge, Method
-from seft_ros.reference_force.delay_estimator import EVERY, DelayEstimator, whole_steps
+from seft_ros.reference_force.compensator import Compensator, Knowledge, Method, Signals
+from seft_ros.reference_force.delay_estimator import EVERY, DelayEstimator, ForceBlocks, whole_steps
 from seft_ros.reference_force.linear_filter import (
     LinearCompensator,
     LinearFilter,
@@ -171,3 +174,133 @@ class ScheduledCompensator:
         table = self._table
         gains: Floats = (1 - part) * table[index, axes] + part * table[index + 1, axes]
         return gains
+
+
+WINDOW = 1.0
+"""Moving window of the least squares, s."""
+_BLOCKS = 20  # the window moves on by one at a time
+_FITTED = 0.006  # s: past through which a parabola gives the derivatives; more: less noise
+_AMPLITUDE = (0.7, 1.3)  # bounds of a0
+_AMPLITUDE_RATE = 0.5  # largest change of a0, 1/s
+_PRIOR = 1e-3  # weight of the present coefficients, over that of the data
+
+
+class Ats:
+    """f_r = a0 f* + a1 f*' + a2 f*'', with a0, a1, a2 fitted on line to the actuator.
+
+    Adaptive time series compensator (Chae, Kazemibidokhti & Ricles 2013, Earthquake Eng. Struct.
+    Dyn. 42:1697-1715): by least squares over a moving window of one second, the reference force
+    is a0 f + a1 f' + a2 f'' of the measured force; so an actuator of amplitude A and delay tau
+    has a0 = 1 / A, a1 = tau / A, a2 = tau^2 / 2 A, and these coefficients make it follow f*.
+
+    f* = -M_e a_g + S r, S = M_c (M_e + M_c)^-1, is the reference force of the solved loop, see
+    `restoring`: the series of the acceleration feedback would grow without limit with frequency.
+    Derivatives are those of a parabola through the last 6 ms; the same filter takes them of f* and,
+    for the fit, of the measured force, so that the coefficients make its lag good as well.
+
+    Parameters
+    ----------
+    knowledge : Knowledge
+        Its options hold the delay to start from, and the bounds.
+
+    Raises
+    ------
+    InputError
+        If no delay is given, or parameters of the adaptation make no sense.
+    """
+
+    def __init__(self, knowledge: Knowledge) -> None:
+        n, dt, options = knowledge.axes, knowledge.dt, knowledge.options
+        delay, (shortest, longest) = given_delay(knowledge), delay_range(knowledge)
+        low, high = _AMPLITUDE
+        self._start = np.tile([1.0, delay, delay**2 / 2], (n, 1))
+        self._least = np.array([low, low * shortest, 0.0])
+        self._greatest = high * np.array([1.0, longest, longest**2 / 2])
+        self._coefficients = self._start.copy()
+        block, past = whole_steps(WINDOW / _BLOCKS, dt), max(3, round(_FITTED / dt))
+        rate = options["compensation.delay_rate"]
+        self._most = np.array([_AMPLITUDE_RATE, rate, rate * longest]) * block * dt
+        self._enough = options["compensation.excitation"] ** 2 * block * _BLOCKS
+        self._forces = ForceBlocks(options["compensation.band"], dt, n, past, block)
+        self._derivatives = parabola_weights(1 + past, dt)
+        signals = Signals(knowledge, preview=0, blocks=past)
+        wanted = knowledge.share @ signals.restoring_force - knowledge.mass @ signals.ground_motion(
+            0.0
+        )
+        values = np.array([wanted, *(signals.state(i) for i in range(past))])
+        self._series = np.tensordot(self._derivatives, values, axes=1)  # of f*: (3, n, columns)
+        self._memory = Memory.past(wanted[:, past * n :], past)
+        self._filter = VaryingFilter(self._memory, self._gains())
+        self.preview = self._filter.preview
+        self._sums: deque[Floats] = deque(maxlen=_BLOCKS)
+
+    def reset(self) -> None:
+        """Forget the test so far, and what was identified."""
+        self._coefficients[:] = self._start
+        self._filter.reset()
+        self._filter.gains = self._gains()
+        self._forces.reset()
+        self._sums.clear()
+
+    def step(self, ground_motion: Floats, state: Floats) -> Floats:
+        """Compute the reference force of one step, see `Compensator.step`."""
+        force = self._filter.step(ground_motion, state)
+        block = self._forces.step(force, state[3])
+        if block is not None:
+            self._sums.append(self._products(block[:, 0], block[:, 1]))
+            self._adapt()
+        return force
+
+    def estimates(self) -> dict[str, Floats]:
+        """Delay a1 / a0 (s) and amplitude 1 / a0 of each axis, as ``delay`` and ``amplitude``."""
+        a0, a1, _ = self._coefficients.T
+        return {"delay": a1 / a0, "amplitude": 1 / a0}
+
+    def linear(self) -> LinearFilter:
+        """Linear filter at the present coefficients."""
+        return self._memory.with_gains(self._gains())
+
+    def _gains(self) -> Floats:
+        """Gains at the present coefficients."""
+        gains: Floats = np.einsum("ni,inc->nc", self._coefficients, self._series)
+        return gains
+
+    def _products(self, reference: Floats, measured: Floats) -> Floats:
+        """Sum the products of (f, f', f'', f_r) over a block, for each axis; shape (n, 4, 4)."""
+        count = self._derivatives.shape[1]
+        latest = sliding_window_view(measured, count, axis=0)[..., ::-1]
+        series = np.einsum("ij,snj->isn", self._derivatives, latest)
+        rows = np.concatenate([series, reference[np.newaxis, count - 1 :]])
+        products: Floats = np.einsum("isn,jsn->nij", rows, rows)
+        return products
+
+    def _adapt(self) -> None:
+        """Move the coefficients towards those that fit the window."""
+        for axis, total in enumerate(np.sum(self._sums, axis=0)):
+            products, reference = total[:3, :3], total[:3, 3]
+            if not self._enough < min(total[0, 0], total[3, 3]) < math.inf:
+                continue
+            now = self._coefficients[axis]
+            # one frequency alone can't determine three coefficients: the rest stays as it is
+            prior = np.diag(_PRIOR * np.diag(products))
+            found = np.linalg.solve(products + prior, reference + prior @ now)
+            bounded = np.clip(found, now - self._most, now + self._most)
+            self._coefficients[axis] = np.clip(bounded, self._least, self._greatest)
+        self._filter.gains = self._gains()
+
+
+def parabola_weights(count: int, dt: float) -> Floats:
+    """Weights of the last values, newest first, for value and derivatives now.
+
+    Those of the parabola fitted to them by least squares: the filter of Savitzky & Golay (1964)
+    at the end of its window.
+
+    Returns
+    -------
+    ndarray
+        Shape (3, count): of the value, the first and the second derivative.
+    """
+    times = -dt * np.arange(count)
+    fit = np.linalg.pinv(np.vander(times / dt, 3, increasing=True))
+    weights: Floats = fit * np.array([[1.0], [1.0 / dt], [2.0 / dt**2]])
+    return weights

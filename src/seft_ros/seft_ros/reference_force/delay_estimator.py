@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from seft_msgs_py.config.arrays import Floats
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
 
 MEMORY = 1.0

@@ -14,7 +14,7 @@ that the impulse of g is that of the trapezoidal rule.
 from collections import deque
 
 import numpy as np
-from seft_msgs_py.config.arrays import Floats
+from seft_msgs_py.config.parameter_table import Floats
 from seft_plant_sim.computed_model import ComputedModel, ModelError
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_discrete_are
-from seft_msgs_py.config.arrays import per_axis
+from seft_msgs_py.config.parameter_table import per_axis
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.sensors import CHANNELS
 

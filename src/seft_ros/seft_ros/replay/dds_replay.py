@@ -13,8 +13,7 @@ from seft_ros.bags.gathering import EstimatesGatherer, SeriesGatherer
 from seft_ros.bags.message_blocks import MessageBlock
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 from seft_ros.replay.recorded_test import Answers, Replay, ReplayStep
-from seft_ros.test_run.observer import alone_on_the_graph
-from seft_ros.test_run.player import Player
+from seft_ros.test_run.observer import Player, alone_on_the_graph
 from seft_ros.test_run.processes import NodeProcesses, one_node
 
 READY_TIMEOUT = 60.0  # s

@@ -21,10 +21,9 @@ from seft_ros.bags.gathering import EstimatesGatherer
 from seft_ros.bags.record import Estimates, Series
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.methods import force_control
-from seft_ros.force_controller.names import VELOCITY_FEEDFORWARD
-from seft_ros.interlock.protected_force import ProtectedForce
-from seft_ros.reference_force.loop_inputs import MotionBuffer
-from seft_ros.reference_force.reference_force_block import EstimateSampler
+from seft_ros.force_controller.parameters import VELOCITY_FEEDFORWARD
+from seft_ros.protection.protected_force import ProtectedForce
+from seft_ros.reference_force.reference_force_block import EstimateSampler, MotionBuffer
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 from seft_ros.replay.recorded_test import Input, Recorded, Replay
 

@@ -15,8 +15,13 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.outcome import Trip
-from seft_msgs_py.wire.timebase import Timebase
-from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
+from seft_msgs_py.wire.topics import (
+    GROUND_MOTION,
+    REFERENCE_FORCE,
+    RIG_STATE,
+    VALVE_COMMAND,
+    Timebase,
+)
 from seft_plant_sim.whole_structure import ReferenceResponse, reference_response
 
 from seft_ros.bags.description import describe_environment
@@ -27,8 +32,13 @@ from seft_ros.bags.record import (
     require_names,
 )
 from seft_ros.reference_force.reference_force_block import sampling_period
-from seft_ros.test_run.blocks import Blocks, build_blocks
-from seft_ros.test_run.compiled_loop import LoopSamples, obstacle, run_compiled
+from seft_ros.test_run.compiled_loop import (
+    Blocks,
+    LoopSamples,
+    build_blocks,
+    obstacle,
+    run_compiled,
+)
 from seft_ros.test_run.state_machine import while_ramping_down
 
 Floats = npt.NDArray[np.float64]

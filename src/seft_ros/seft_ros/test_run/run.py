@@ -10,18 +10,16 @@ from typing import NamedTuple, Self
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
-from seft_msgs_py.node.middleware import prepare_on_this_host
-from seft_msgs_py.node.shutdown import as_before, on_ending
+from seft_msgs_py.node.process import as_before, on_ending, prepare_on_this_host
 from seft_msgs_py.wire.outcome import ENDED, State
 from seft_msgs_py.wire.topics import EXPERIMENT_STATE, NODES, LoopTopic, bare, topics_of, with_rigs
 
 from seft_ros.bags.lasting_bag import obstacle
 from seft_ros.test_run.observer import Observer
 from seft_ros.test_run.parameter_tables import RECORDER
-from seft_ros.test_run.peers import CONFLICT, SILENT
+from seft_ros.test_run.peers import CONFLICT, RUNS, SILENT, UNFIT
 from seft_ros.test_run.process_layout import LOOP_NODES, ProcessLayout
 from seft_ros.test_run.processes import MODULES, NodeProcesses, node_processes
-from seft_ros.test_run.rehearsal import RUNS, UNFIT
 from seft_ros.test_run.state_machine import PACE
 
 POLL_PERIOD = 0.05  # s

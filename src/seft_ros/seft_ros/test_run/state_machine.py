@@ -13,7 +13,7 @@ from seft_msgs_py.wire.messages import Status
 from seft_msgs_py.wire.outcome import ENDED as ENDED
 from seft_msgs_py.wire.outcome import MOVING as MOVING
 from seft_msgs_py.wire.outcome import State as State
-from seft_msgs_py.wire.timebase import Timebase
+from seft_msgs_py.wire.topics import Timebase
 
 ABORTED = "aborted by the operator"
 """Reason of a trip by ``estop``: the emergency stop proper is a button in hardware."""

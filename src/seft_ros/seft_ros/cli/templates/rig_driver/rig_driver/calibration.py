@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.config.arrays import per_axis
-from seft_msgs_py.config.parameter_table import Parameter
+from seft_msgs_py.config.parameter_table import Parameter, per_axis
 
 Floats = npt.NDArray[np.float64]
 

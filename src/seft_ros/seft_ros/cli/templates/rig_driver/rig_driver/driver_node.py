@@ -11,8 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.config.arrays import per_axis
-from seft_msgs_py.config.parameter_table import group
+from seft_msgs_py.config.parameter_table import group, per_axis
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_shell import NodeShell
@@ -40,8 +39,7 @@ from seft_msgs_py.wire.topics import (
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 from seft_plant_sim.command import Command
 from seft_plant_sim.limits import Limits
-from seft_plant_sim.rehearsal import Rehearsal
-from seft_plant_sim.rig_watch import CommandWatch, elapsed
+from seft_plant_sim.rig_watch import CommandWatch, Rehearsal, elapsed
 
 from rig_driver.calibration import Calibration
 from rig_driver.hardware import Hardware

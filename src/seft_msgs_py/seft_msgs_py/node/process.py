@@ -1,0 +1,232 @@
+"""What a ROS process needs before it starts, FastDDS, shared memory, a name, and how it ends.
+
+`network.xml` and `one_host.xml` hold the settings:
+
+- UDP only, on one host too. Shared memory is no faster here (`bench/loop.py` measures both), and
+  all tests on a host, whatever their domain, share its ports, whose health FastDDS judges by one
+  second without activity: while other tests start, end or are killed, or while the host stalls, a
+  living node may lose its port and receive nothing from then on. Killed processes leave files.
+- A participant announces itself for 3 s, not for half a second: of six that start together some
+  miss each other, and would meet only at the next announcement, 3 s later.
+- Readers acknowledge what they have at a heartbeat; with the default of 3 s thousands of samples
+  pile up, and clearing them away stops a publisher for milliseconds.
+- While nacks of the last sample are suppressed, the next one does not wake the event thread.
+- FastDDS writes its messages to stderr: stdout is for results.
+"""
+
+import ctypes
+import errno
+import os
+import signal
+import socket
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any
+
+from seft_msgs_py.errors import InputError
+
+NETWORK = Path(__file__).with_name("network.xml")
+ONE_HOST = Path(__file__).with_name("one_host.xml")
+PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+FOLDER = Path("/dev/shm")
+TRACERS = "lttng-ust-wait-*"
+
+
+def prepare_middleware() -> None:
+    """Have FastDDS read our settings, unless the environment names others, or static peers.
+
+    Call it before rclpy starts; processes that are started later inherit it.
+    """
+    named = os.environ.get(PROFILES)
+    if named not in (None, str(NETWORK), str(ONE_HOST)):
+        return
+    if os.environ.get(RANGE) == "LOCALHOST":
+        if not os.environ.get("ROS_STATIC_PEERS"):  # which only rmw's own settings heed
+            os.environ[PROFILES] = str(ONE_HOST)
+            os.environ[RANGE] = "SYSTEM_DEFAULT"  # at LOCALHOST rmw adds shared memory
+    elif named is None:
+        os.environ[PROFILES] = str(NETWORK)
+
+
+def prepare_on_this_host() -> None:
+    """Do the same, and stay on this host unless the environment sets another range."""
+    os.environ.setdefault(RANGE, "LOCALHOST")
+    prepare_middleware()
+
+
+def check_shared_memory(folder: Path = FOLDER) -> None:
+    """Check that there is a page of shared memory for the tracer that comes with rclpy (LTTng).
+
+    It maps a file there when rclpy is imported, and without memory behind that file the kernel ends
+    the process (SIGBUS). Our messages need no shared memory.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    files = list(folder.glob(TRACERS))
+    if (files and all(file.stat().st_blocks for file in files)) or not folder.is_dir():
+        return
+    try:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            os.posix_fallocate(file.fileno(), 0, 2 * os.sysconf("SC_PAGESIZE"))
+    except OSError as error:
+        if error.errno == errno.ENOSPC:
+            raise InputError(
+                f"{folder} is full, and no ROS process can start: remove what nobody uses there"
+            ) from None
+
+
+def single_instance(domain: int, node: str) -> socket.socket:
+    """Hold the full name of a node on this host in a ROS domain, until the socket is closed.
+
+    Two tests on one ROS domain would command each other's rig before DDS discovery, which may take
+    seconds, has shown either the other's names. The socket is in Linux's abstract namespace: the
+    kernel frees it however the process ends, and like the ROS domain it belongs to the network
+    namespace.
+
+    Raises
+    ------
+    InputError
+        If another process holds it.
+    """
+    held = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        held.bind(f"\0seft/{domain}{node}")
+    except OSError:
+        held.close()
+        raise InputError(
+            f"ROS domain {domain} already has a node {node} on this host: another test's; end "
+            "it, or set ROS_DOMAIN_ID to another number"
+        ) from None
+    return held
+
+
+def is_running(domain: int, node: str) -> bool:
+    """Tell whether a process of this host holds the full name of a node."""
+    try:
+        single_instance(domain, node).close()
+    except InputError:
+        return True
+    return False
+
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_OUTPUTS = (1, 2)
+Handler = Callable[[int, FrameType | None], None]
+
+
+def on_ending(handler: Handler) -> dict[signal.Signals, Any]:
+    """Have ``handler`` called when a signal asks this process to end; return the old handlers.
+
+    SIGHUP means that the terminal has been closed: output, which would fail, is then discarded. It
+    stays ignored where it is (`nohup`).
+    """
+    terminals = [file for file in _OUTPUTS if os.isatty(file)]
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        if number == signal.SIGHUP:
+            _write_nowhere(terminals)
+        handler(number, frame)
+
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    for number in SIGNALS:
+        if number != signal.SIGHUP or before[number] is not signal.SIG_IGN:
+            signal.signal(number, on_signal)
+    return before
+
+
+def as_before(handlers: dict[signal.Signals, Any]) -> None:
+    """Restore the handlers that `on_ending` has returned."""
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+
+
+def _write_nowhere(files: list[int]) -> None:
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for file in files:
+        os.dup2(nowhere, file)
+    os.close(nowhere)
+
+
+_Handler = ctypes.CFUNCTYPE(None, ctypes.c_int)
+
+
+@contextmanager
+def exit_watchdog(seconds: float, status: int, message: str = "") -> Iterator[None]:
+    """End the process with a status if the context takes longer.
+
+    FastDDS 2.14 can wait for itself for ever when a participant is destroyed at the moment when
+    another one leaves (``DomainParticipant::set_listener``), and does not release Python's lock
+    while it waits. So the handler is one of C, which needs no lock. Only the good-bye is lost:
+    others see the node until its lease expires.
+
+    Parameters
+    ----------
+    seconds : float
+        Patience.
+    status : int
+        Exit status.
+    message : str
+        Written to stderr then.
+    """
+
+    def end(_: int) -> None:
+        if message:
+            os.write(2, f"{message}\n".encode())
+        os._exit(status)
+
+    handler = _Handler(end)
+    libc = ctypes.CDLL(None)
+    libc.signal.restype = ctypes.c_void_p
+    libc.signal.argtypes = [ctypes.c_int, ctypes.c_void_p]
+    before = libc.signal(signal.SIGALRM, ctypes.cast(handler, ctypes.c_void_p))
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        libc.signal(signal.SIGALRM, before)
+
+
+QUIET = 0.1  # s without a change
+PATIENCE = 2.0  # s for the graph to be quiet
+CLOSE_PATIENCE = 10.0  # s
+_STUCK = (
+    "seft: the middleware does not let this process leave the graph (a fault of FastDDS); it is "
+    "ended here, and what was recorded is complete"
+)
+
+
+def leave_graph(node: "Node") -> None:
+    """Take a node off the graph, when no other node leaves, and end its context.
+
+    Of some hundred processes that leave at the same time one hangs, see `exit_watchdog`.
+    """
+    import rclpy
+
+    _wait_for_quiet(node)
+    with exit_watchdog(CLOSE_PATIENCE, 1, _STUCK):
+        node.destroy_node()
+        is_default = node.context is rclpy.get_default_context()
+        rclpy.try_shutdown(context=None if is_default else node.context)  # it can begin anew
+
+
+def _wait_for_quiet(node: "Node") -> None:
+    deadline, seen, since = time.monotonic() + PATIENCE, None, 0.0
+    while (now := time.monotonic()) < deadline:
+        names = sorted(node.get_node_names_and_namespaces())
+        if names != seen:
+            seen, since = names, now
+        elif now - since > QUIET:
+            return
+        time.sleep(QUIET / 10)

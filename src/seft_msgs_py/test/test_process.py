@@ -1,0 +1,96 @@
+"""A full /dev/shm is told in one line, where rclpy would be killed."""
+
+import errno
+import os
+import subprocess
+import sys
+
+import pytest
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.node.process import (
+    NETWORK,
+    ONE_HOST,
+    PROFILES,
+    RANGE,
+    check_shared_memory,
+    is_running,
+    prepare_middleware,
+    single_instance,
+)
+
+
+@pytest.mark.parametrize(
+    ("given", "profiles", "reach"),
+    [
+        ({}, str(NETWORK), None),
+        ({RANGE: "SUBNET"}, str(NETWORK), "SUBNET"),
+        ({RANGE: "LOCALHOST"}, str(ONE_HOST), "SYSTEM_DEFAULT"),
+        ({PROFILES: "own.xml"}, "own.xml", None),
+        ({PROFILES: "own.xml", RANGE: "LOCALHOST"}, "own.xml", "LOCALHOST"),
+        ({RANGE: "LOCALHOST", "ROS_STATIC_PEERS": "192.0.2.1"}, None, "LOCALHOST"),
+        # inherited, and asked for once more
+        ({PROFILES: str(ONE_HOST), RANGE: "LOCALHOST"}, str(ONE_HOST), "SYSTEM_DEFAULT"),
+        ({PROFILES: str(ONE_HOST), RANGE: "SYSTEM_DEFAULT"}, str(ONE_HOST), "SYSTEM_DEFAULT"),
+        ({PROFILES: str(NETWORK), RANGE: "LOCALHOST"}, str(ONE_HOST), "SYSTEM_DEFAULT"),
+    ],
+)
+def test_what_the_environment_asks_for_is_what_fastdds_reads(monkeypatch, given, profiles, reach):
+    environment = dict(given)
+    monkeypatch.setattr("os.environ", environment)
+    for _ in range(2):
+        prepare_middleware()
+        assert (environment.get(PROFILES), environment.get(RANGE)) == (profiles, reach)
+
+
+@pytest.fixture
+def is_full(monkeypatch):
+    def refuse(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "posix_fallocate", refuse)
+
+
+def test_a_full_folder_is_told(tmp_path, is_full):
+    with pytest.raises(InputError, match="is full, and no ROS process can start"):
+        check_shared_memory(tmp_path)
+    (tmp_path / "lttng-ust-wait-6").touch()  # it has no page yet
+    with pytest.raises(InputError):
+        check_shared_memory(tmp_path)
+
+
+def test_what_the_tracer_has_already_is_enough(tmp_path, is_full):
+    (tmp_path / "lttng-ust-wait-6").write_bytes(bytes(4096))
+    check_shared_memory(tmp_path)
+
+
+def test_a_folder_with_space_is_left_as_it_was(tmp_path):
+    check_shared_memory(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+    check_shared_memory(tmp_path / "nowhere")
+
+
+NODE = f"/test_{os.getpid()}/rig"
+
+
+def test_a_name_is_taken_once_on_a_domain():
+    held = single_instance(7, NODE)
+    with pytest.raises(InputError, match=f"domain 7 already has a node {NODE} on this host"):
+        single_instance(7, NODE)
+    assert is_running(7, NODE)
+    assert not is_running(8, NODE)
+    assert not is_running(7, f"{NODE}_2")
+    held.close()
+    assert not is_running(7, NODE)
+
+
+def test_the_name_of_a_killed_process_is_free():
+    program = (
+        "import time; from seft_msgs_py.node.process import single_instance; "
+        f"held = single_instance(7, {NODE!r}); print('held', flush=True); time.sleep(600)"
+    )
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE) as process:
+        assert process.stdout.readline() == b"held\n"
+        assert is_running(7, NODE)
+        process.kill()
+        process.wait()
+    assert not is_running(7, NODE)

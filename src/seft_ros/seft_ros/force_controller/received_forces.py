@@ -1,0 +1,223 @@
+"""Reference forces as they come: of each step, or the newest with previews; and how they came."""
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from seft_msgs_py.errors import InputError, WireError
+from seft_msgs_py.wire.topics import REFERENCE_FORCE, Timebase
+from seft_plant_sim.command import MessagesAhead
+
+from seft_ros.protection.ramp_down import RampDown, continued
+
+
+@dataclass(frozen=True)
+class LinkRecord:
+    """Ages of the messages that the forces of a test were taken from.
+
+    Attributes
+    ----------
+    ages : mapping of int to int
+        Steps between the step of a force and that of its message -> number of forces.
+    held : int
+        Forces that no message brought: the one before was held.
+    """
+
+    ages: Mapping[int, int]
+    held: int
+
+    @classmethod
+    def of_all(cls, records: Iterable["LinkRecord"]) -> "LinkRecord":
+        """Add up what the force controllers of several rigs tell."""
+        ages: Counter[int] = Counter()
+        held = 0
+        for record in records:
+            ages.update(record.ages)
+            held += record.held
+        return cls(dict(sorted(ages.items())), held)
+
+    def older_than(self, loop_delay: int) -> int:
+        """Count the forces whose messages were older than the loop's delay: bridged ones."""
+        return sum(count for age, count in self.ages.items() if age > loop_delay)
+
+    def to_json(self) -> str:
+        """Text for a status."""
+        return json.dumps(
+            {"ages": {str(age): n for age, n in self.ages.items()}, "held": self.held}
+        )
+
+    @classmethod
+    def from_json(cls, text: str) -> "LinkRecord":
+        """Read what `to_json` wrote.
+
+        Raises
+        ------
+        ValueError
+            If it is something else.
+        """
+        try:
+            values = json.loads(text)
+            ages = {int(age): int(count) for age, count in values["ages"].items()}
+            return cls(ages, int(values["held"]))
+        except (AttributeError, KeyError, TypeError, OverflowError, RecursionError) as error:
+            raise ValueError(f"link: {error}") from None
+
+
+Floats = npt.NDArray[np.float64]
+
+PENDING = 256  # steps kept while their other half has not come
+
+
+class MatchedForces:
+    """Reference forces by step, for a loop without a delay of its own."""
+
+    def __init__(self) -> None:
+        self._points: dict[int, Floats] = {}
+
+    @property
+    def pending(self) -> int:
+        """Number of forces whose states have not come."""
+        return len(self._points)
+
+    def reset(self, in_lockstep: bool = False) -> None:
+        """Begin a new test; in lockstep, too, each force is waited for."""
+        del in_lockstep
+        self._points.clear()
+
+    def take(self, step: int, points: Floats) -> None:
+        """Take a message: the points of its step and coming ones, shape (p, q, n).
+
+        Raises
+        ------
+        WireError
+            If it has come before.
+        """
+        if step in self._points:
+            raise WireError(f"{REFERENCE_FORCE.name} of step {step} a second time")
+        self._points[step] = points
+        if len(self._points) > PENDING:
+            self._points.pop(min(self._points))
+
+    def points(self, step: int) -> Floats | None:
+        """Points of a step and coming ones; None if they are to be waited for."""
+        points = self._points.get(step)
+        if points is not None:
+            for passed in [other for other in self._points if other <= step]:
+                del self._points[passed]
+        return points
+
+
+class NewestPreview:
+    """The newest message of a reference force whose loop has a delay of d steps.
+
+    The message of step k tells what is asked for at the steps to k + d; of a target also the
+    motion that comes then. Where it is older, its points are `continued`. Where messages fail to
+    come for too long, the force comes down to zero by itself, a target to where it began.
+
+    Parameters
+    ----------
+    axes : int
+        n.
+    loop_delay : int
+        d; negative: not known here.
+    patience : float
+        Steps that a message may be old before the force comes down; in lockstep any number.
+    ramp : RampDown
+        How it comes down.
+    dt : float
+        Sampling period, s.
+
+    Attributes
+    ----------
+    newest : int
+        Step of the newest message; -1 where none has come.
+    """
+
+    def __init__(
+        self, axes: int, loop_delay: int, patience: int, ramp: RampDown, dt: float
+    ) -> None:
+        self._axes, self._loop_delay = axes, max(loop_delay, 0)
+        self._patience, self._ramp, self._dt = patience, ramp, dt
+        self.reset()
+
+    @classmethod
+    def from_parameters(
+        cls, section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
+    ) -> "NewestPreview":
+        """Make it of the force controller's section of an experiment.
+
+        Raises
+        ------
+        InputError
+            If the watchdog would trip on the loop's own delay.
+        """
+        loop_delay, timeout = section["loop_delay"], section["watchdog.reference_timeout"]
+        if round(timeout * timebase.rate) <= loop_delay:
+            raise InputError(
+                f"force_controller: watchdog.reference_timeout is {timeout:g} s, but the loop's "
+                f"own delay is {loop_delay * timebase.dt:g} s (loop_delay); make it longer"
+            )
+        patience = round(timeout * timebase.rate)
+        ramp = RampDown.lasting(section["watchdog.ramp_down_time"], timebase.dt)
+        return cls(len(axes), loop_delay, patience, ramp, timebase.dt)
+
+    def reset(self, in_lockstep: bool = False) -> None:
+        """Begin a new test: no force before the first that is sent.
+
+        Parameters
+        ----------
+        in_lockstep : bool
+            Whether a step waits for a message that has settled its force.
+        """
+        self._in_lockstep = in_lockstep
+        self.newest = -1
+        self._ages: dict[int, int] = {}
+        self._held = 0
+        nothing = np.zeros((1 + self._loop_delay, 1, self._axes))
+        self._messages = MessagesAhead(self._loop_delay, nothing)
+        self._ramp.reset()
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the force has come down because messages failed to come."""
+        return self._ramp.finished
+
+    def record(self) -> LinkRecord:
+        """Tell how the messages of this test have come."""
+        return LinkRecord(dict(sorted(self._ages.items())), self._held)
+
+    def take(self, step: int, points: Floats) -> None:
+        """Take a message: points of its step and the coming ones, shape (p, q, n).
+
+        Raises
+        ------
+        WireError
+            If a newer one has come before.
+        """
+        if step <= self.newest:
+            raise WireError(
+                f"{REFERENCE_FORCE.name} of step {step} after that of step {self.newest}: repeated "
+                "or out of order"
+            )
+        self.newest = step
+        self._messages.add(step, points)
+
+    def points(self, step: int) -> Floats | None:
+        """Points of a step and coming ones, shape (p, q, n); None if they are to be waited for."""
+        newest = step - self.newest
+        if self._in_lockstep and newest > self._loop_delay:
+            return None
+        self._ages[newest] = self._ages.get(newest, 0) + 1
+        if newest > self._patience:
+            self._ramp.begin()
+        age, sent = self._messages.of(step)
+        self._held += age >= len(sent)
+        points = sent[age:]
+        if age > self._loop_delay:
+            count = max(len(sent) - self._loop_delay, 1)
+            points = continued(sent, age, count, self._dt)
+        return points * self._ramp.next() if self._ramp.begun else points

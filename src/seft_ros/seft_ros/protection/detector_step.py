@@ -1,0 +1,412 @@
+"""Analytical redundancy of the channels, step by step, compiled.
+
+What is measured must agree with itself, whatever the specimen is. Over one sampling period, with
+displacement x, velocity v, acceleration a, actuator force f and the valve's flow w::
+
+    change of x = integral of v                                                            (1)
+    change of v = integral of a                                                            (2)
+    integral of w = integral of (v + lambda f / k_oil) + change of f / k_oil               (3)
+
+Each side is summed with a memory of `MEMORY`, so that a slow fault shows, too. The specimen's force
+r = f - M a does work on the structure; where the specimen is deformed further, its increment is not
+opposed to that of the deformation (Hill's second-order work, 1958)::
+
+    sum dr . dx >= 0                                                                       (4)
+
+What is wrong for a few samples is a spike; each detector has a persistence.
+
+`detect` gives each the samples.
+"""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from seft_plant_sim.compiled import compiled
+
+from seft_ros.protection.detectors import (
+    AT_RANGE,
+    CHANGE,
+    DISPLACEMENT_VELOCITY,
+    FOLLOWED,
+    FROZEN,
+    JUMP,
+    LIMITED_AT,
+    NO_RESPONSE,
+    NOISE,
+    OIL,
+    ROUGH,
+    SAMPLE,
+    SECOND_ORDER_WORK,
+    SIGMAS,
+    TRACKING,
+    TURN_AT,
+    VELOCITY_ACCELERATION,
+    DetectorParameters,
+    DetectorState,
+    begin_following,
+    follow_valve,
+    look,
+)
+
+Floats = npt.NDArray[np.float64]
+
+OPPOSED = 0.5
+"""Part of the assumed stiffness by which a specimen may soften: fracture, buckling."""
+SLIP, BREAK, STIFFEST = 0.35, 0.25, 6.0
+"""What a specimen may make of its force in a step: parts of its largest, with and against the
+motion, and with it so many times its assumed stiffness."""
+TURNED, TURN, MOVES = 3, 2.0, 0.2
+"""Samples after a turn of the motion in which friction turns round, what that makes of the force,
+and the part of the fastest motion of late from which on a specimen does not stick."""
+SILENT = 25.0
+"""Mean square of the change of the computed mass's force over that of the noise, from which on a
+force that is but noise does not answer."""
+ALTERNATE = 0.33
+"""Part of the samples of late at which r jumps back, as with noise: white noise that is far beyond
+its threshold does so in 2 of 3, a specimen that bangs or an oil column that rings in 1 of 3."""
+
+
+@compiled
+def look_at_restoring_force(
+    p: DetectorParameters, state: DetectorState, step: int, measured: Floats, i: int
+) -> int:
+    """Whether the specimen's force jumps, once or from sample to sample as with noise."""
+    n, found, last, r = measured.shape[1], -1, state.last, state.restoring
+    curvature = rise = fall = 0.0
+    for k in range(n):
+        spring = p.stiffness[i, k] * (measured[0, k] - last[0, k])
+        rise, fall = rise + max(spring, 0.0), fall + max(-spring, 0.0)
+        curvature += p.stiffness[i, k] * p.dt * p.dt * (measured[2, k] + last[2, k])
+    change, moved = r[2, i] - r[0, i], abs(measured[0, i] - last[0, i])
+    moves = p.steps[DISPLACEMENT_VELOCITY, i] + MOVES * state.largest[3, i]
+    slips = moved < moves or step - state.step[TURN_AT] <= TURNED
+    largest = state.largest[7, i]
+    if state.counts[JUMP, i] == 0:  # what is under suspicion is no measure
+        largest = max(abs(r[0, i]), p.memory * largest)
+        state.largest[7, i] = largest
+    # noise jumps to and fro, a blow rings
+    bend, limit = change - r[1, i], p.rough[i] + abs(curvature) + (largest if slips else 0.0)
+    bend = bend if abs(bend) > limit else 0.0
+    alternates = 1.0 if bend * state.bends[0, i] < 0.0 else 0.0
+    state.bends[0, i] = bend
+    if alternates or not slips:
+        state.bends[1, i] = p.short * state.bends[1, i] + alternates
+    if look(p, state, ROUGH, i, state.bends[1, i], ALTERNATE / (1.0 - p.short)):
+        found = ROUGH * n + i
+    # what has jumped must stay there
+    jump = change + (r[1, i] if state.counts[JUMP, i] else 0.0)
+    stiff = STIFFEST * (rise if jump > 0.0 else fall)
+    part = TURN if slips else (SLIP if stiff > 0.0 else BREAK)
+    threshold = part * largest + p.rough[i] + stiff
+    if look(p, state, JUMP, i, abs(jump), threshold) and found < 0:
+        found = JUMP * n + i
+    return found
+
+
+@compiled
+def look_at_response(p: DetectorParameters, state: DetectorState, measured: Floats, i: int) -> int:
+    """Whether a force is but noise, while the computed mass alone asks for far more."""
+    n, last, response = measured.shape[1], state.last, state.response
+    inertia = hiss = 0.0
+    for k in range(n):
+        inertia += p.computed_mass[i, k] * (measured[2, k] - last[2, k])
+        hiss += 2.0 * (p.computed_mass[i, k] * p.noise[2, k]) ** 2
+    response[0, i] = p.short * response[0, i] + (measured[3, i] - last[3, i]) ** 2
+    response[1, i] = p.short * response[1, i] + inertia * inertia
+    white, samples = 2.0 * p.noise[3, i] ** 2, 1.0 / (1.0 - p.short)
+    is_noise = response[0, i] < 2.0 * samples * white
+    threshold = SILENT * samples * (white + hiss) if is_noise else np.inf
+    return NO_RESPONSE * n + i if look(p, state, NO_RESPONSE, i, response[1, i], threshold) else -1
+
+
+@compiled
+def look_at_work(p: DetectorParameters, state: DetectorState, measured: Floats) -> int:
+    """Relation (4) of `detector_step`, over all axes."""
+    n, last, r, work = measured.shape[1], state.last, state.restoring, state.work
+    for row in range(3):
+        work[row] *= p.short
+    for i in range(n):
+        moved, change = measured[0, i] - last[0, i], r[2, i] - r[0, i]
+        noise = p.noise[3, i] ** 2
+        for k in range(n):
+            noise += (p.mass[i, k] * p.noise[2, k]) ** 2
+            work[1] += moved * p.stiffness[i, k] * (measured[0, k] - last[0, k])
+        work[0] += change * moved
+        work[2] += 2.0 * (noise * moved * moved + (p.noise[0, i] * change) ** 2)
+    threshold = OPPOSED * work[1] + 6.0 * math.sqrt(work[2]) + p.unknown
+    return (
+        SECOND_ORDER_WORK * n if look(p, state, SECOND_ORDER_WORK, 0, -work[0], threshold) else -1
+    )
+
+
+Ints = npt.NDArray[np.int64]
+
+CHANNEL, OTHER = (0, 1, 3), (1, 2, 1)
+"""Channel of each whose change is compared, and with which other."""
+ACCELERATION, FORCE = 2, 3
+"""Rows of these channels."""
+OF_SENSORS = (0, 1, 3, 4, SECOND_ORDER_WORK, JUMP)
+"""Those which put a sample under suspicion."""
+SOUND, SUSPECT = -1, -2
+"""What `detect` gives where no detector ends the test: nothing is beyond its threshold, or the
+sample is not to be used."""
+LEAST_PRESSURE = 0.2
+"""Part of the supply pressure that is always reckoned to be left for the flow."""
+MISSED = 2.0
+"""Commands in a row that the rig may miss unseen."""
+NEVER = -(2**40)
+SAME = 1e-9
+"""Chance of as many equal samples of a channel that is not frozen."""
+
+
+@compiled
+def begin_detectors(state: DetectorState) -> None:
+    """Begin a test."""
+    state.sent[:] = 0.0
+    state.flow[:] = 0.0
+    state.later[:] = 0.0
+    begin_following(state.errors, state.covariance)
+    state.sums[:] = 0.0
+    state.largest[:] = 0.0
+    state.restoring[:] = 0.0
+    state.work[:] = 0.0
+    state.response[:] = 0.0
+    state.bends[:] = 0.0
+    state.repeats[:] = 0
+    state.resolution[:] = np.inf
+    state.counts[:] = 0
+    state.shares[:] = 0.0
+    state.step[:] = NEVER
+
+
+@compiled
+def under_load(direction: float, force: float, capacity: float) -> float:
+    """Flow of a valve that opens in a direction, over that without load (Merritt 1967)."""
+    left = 1.0 - force / capacity if direction > 0.0 else 1.0 + force / capacity
+    return math.sqrt(max(left, LEAST_PRESSURE))
+
+
+@compiled
+def take_command(
+    p: DetectorParameters, state: DetectorState, command: Floats, limited: bool
+) -> None:
+    """Remember the command that answers the last sample, (n,), V, and whether it is limited."""
+    if limited:
+        state.step[LIMITED_AT] = state.step[SAMPLE]
+    for i in range(len(command)):
+        for j in range(state.sent.shape[1] - 1, 0, -1):
+            state.sent[i, j] = state.sent[i, j - 1]
+        load = under_load(command[i], state.last[3, i], p.actuator[i, 3])
+        state.sent[i, 0] = command[i] * load
+
+
+@compiled
+def find_flow(p: DetectorParameters, state: DetectorState, lost: int) -> None:
+    """Find the flow of each valve now; where samples were lost, the last command was held."""
+    for i in range(len(state.flow[0])):
+        for _ in range(min(lost, state.sent.shape[1])):
+            for j in range(state.sent.shape[1] - 1, 0, -1):
+                state.sent[i, j] = state.sent[i, j - 1]
+        flow = later = 0.0
+        for j in range(state.sent.shape[1]):
+            flow += p.past[0, i, j] * state.sent[i, j]
+            later += p.past[1, i, j] * state.sent[i, j]
+        state.flow[0, i], state.flow[1, i] = state.flow[1, i], p.actuator[i, 0] * flow
+        state.later[0, i], state.later[1, i] = state.later[1, i], p.actuator[i, 0] * later
+
+
+@compiled
+def sees(state: DetectorState, step: int, row: int) -> bool:
+    """Say whether a channel was within its range at this sample and the last one."""
+    return step - state.step[AT_RANGE + row] > 1
+
+
+@compiled
+def worse(found: int, other: int) -> int:
+    """Give the first of two findings that is one."""
+    return found if found >= 0 else other
+
+
+@compiled
+def detect(
+    p: DetectorParameters, state: DetectorState, step: int, points: Floats, measured: Floats
+) -> int:
+    """Take a sample in; say which detector ends the test, row * n + axis, or `SOUND` or `SUSPECT`.
+
+    Parameters
+    ----------
+    p, state
+        The state is brought up to date.
+    step : int
+        Of the sample. Where that of the step before is missing, nothing is compared; what is at the
+        end of a sensor's range is not, either.
+    points : ndarray
+        Of the reference force, shape (h + 1, q, n); q is 3 where it is of a target.
+    measured : ndarray
+        Displacement, velocity, acceleration and force, finite, shape (4, n).
+    """
+    n, found = measured.shape[1], SOUND
+    lost = step - state.step[SAMPLE] - 1
+    for row in range(4):
+        for i in range(n):
+            if abs(measured[row, i]) >= p.range[row, i]:
+                state.step[AT_RANGE + row] = step
+    is_first = lost > 0
+    state.step[SAMPLE] = step
+    find_flow(p, state, lost)
+    last, restoring = state.last, state.restoring
+    for i in range(n):
+        total = measured[3, i]
+        for k in range(n):
+            total -= p.mass[i, k] * measured[2, k]
+        restoring[2, i] = total
+    if not is_first:
+        for i in range(n):
+            if measured[1, i] * last[1, i] <= 0.0:
+                state.step[TURN_AT] = step
+        knows_force = sees(state, step, ACCELERATION) and sees(state, step, FORCE)
+        if knows_force:
+            found = worse(found, look_at_work(p, state, measured))
+        for i in range(n):
+            found = worse(found, _relations(p, state, step, measured, i))
+            found = worse(found, _channels(p, state, step, measured, i))
+            if knows_force:
+                found = worse(found, look_at_restoring_force(p, state, step, measured, i))
+                found = worse(found, look_at_response(p, state, measured, i))
+            if points.shape[1] > 1:
+                found = worse(found, _tracking(p, state, step, points, measured, i))
+    for i in range(n):
+        restoring[1, i] = 0.0 if is_first else restoring[2, i] - restoring[0, i]
+        restoring[0, i] = restoring[2, i]
+        for row in range(4):
+            last[row, i] = measured[row, i]
+    if found < 0:
+        for row in OF_SENSORS:
+            for i in range(n):
+                if state.counts[row, i] and p.acts[row]:
+                    return SUSPECT
+    return found
+
+
+@compiled
+def _tracking(
+    p: DetectorParameters, state: DetectorState, step: int, points: Floats, measured: Floats, i: int
+) -> int:
+    """Whether the specimen is where the target is, while the valve can bring it there."""
+    away = abs(points[0, 0, i] - measured[0, i])
+    largest = max(abs(points[0, 0, i]), abs(measured[0, i]), p.memory * state.largest[6, i])
+    state.largest[6, i] = largest
+    threshold = p.sums[DISPLACEMENT_VELOCITY, i] + p.off_target * largest
+    if step - state.step[LIMITED_AT] <= p.limited:
+        threshold = np.inf  # the interlock counts these
+    is_off = look(p, state, TRACKING, i, away, threshold)
+    return TRACKING * measured.shape[1] + i if is_off else -1
+
+
+@compiled
+def _relations(
+    p: DetectorParameters, state: DetectorState, step: int, measured: Floats, i: int
+) -> int:
+    """Relations (1) to (3) of an axis."""
+    n, dt, last, found = measured.shape[1], p.dt, state.last, -1
+    oil, leakage = p.actuator[i, 1], p.actuator[i, 2]
+    moved = 0.5 * dt * (measured[1, i] + last[1, i])
+    for relation in range(3):
+        if not (sees(state, step, CHANNEL[relation]) and sees(state, step, OTHER[relation])):
+            continue
+        if relation == DISPLACEMENT_VELOCITY:
+            one, other = measured[0, i] - last[0, i], moved
+        elif relation == VELOCITY_ACCELERATION:
+            one = measured[1, i] - last[1, i]
+            other = 0.5 * dt * (measured[2, i] + last[2, i])
+        else:
+            flow = 0.5 * (state.flow[0, i] + state.flow[1, i])
+            later = 0.5 * (state.later[0, i] + state.later[1, i])
+            other = 0.5 * dt * leakage * (measured[3, i] + last[3, i])
+            other = moved + (measured[3, i] - last[3, i] + other) / oil
+            errors, covariance = state.errors[i], state.covariance[i]
+            one = dt * (flow + errors[0] * flow + errors[1] * later)
+            if state.counts[NOISE + OIL, i] == 0 and state.counts[CHANGE + OIL, i] == 0:
+                follow_valve(errors, covariance, flow, later, other / dt, p.doubt[i])
+        sums, largest = state.sums[relation], state.largest
+        sums[0, i] = p.fade * sums[0, i] + one
+        sums[1, i] = p.fade * sums[1, i] + other
+        whole = max(abs(sums[0, i]), abs(sums[1, i]), p.memory * largest[relation, i])
+        single = max(abs(one), abs(other), p.fade * largest[3 + relation, i])
+        largest[relation, i], largest[3 + relation, i] = whole, single
+        tolerance, coarse = p.tolerance[relation], state.resolution[CHANNEL[relation], i]
+        coarse = coarse / oil if relation == OIL else coarse
+        coarse = 2.0 * coarse if coarse < np.inf else 0.0
+        if relation == OIL:  # the rig may have missed commands, and held the one before
+            change = abs(state.flow[1, i] - state.flow[0, i])
+            largest[8, i] = max(change, p.fade * largest[8, i])
+            coarse += MISSED * dt * largest[8, i]
+        elif relation == VELOCITY_ACCELERATION:  # a force may have jumped between the samples
+            coarse += 0.5 * dt * abs(measured[2, i] - last[2, i])
+        off, threshold = abs(sums[0, i] - sums[1, i]), p.sums[relation, i] + tolerance * whole
+        threshold += coarse
+        if look(p, state, CHANGE + relation, i, off, threshold) and found < 0:
+            found = (CHANGE + relation) * n + i
+        if relation == OIL:
+            tolerance = min(tolerance, FOLLOWED + SIGMAS * math.sqrt(covariance[0]))
+        off, threshold = abs(one - other), p.steps[relation, i] + tolerance * single + coarse
+        if look(p, state, NOISE + relation, i, off, threshold) and found < 0:
+            found = (NOISE + relation) * n + i
+    return found
+
+
+@compiled
+def _channels(
+    p: DetectorParameters, state: DetectorState, step: int, measured: Floats, i: int
+) -> int:
+    """Whether a channel of an axis repeats one value."""
+    n, found = measured.shape[1], -1
+    for row in range(4):
+        if not sees(state, step, row):
+            continue
+        change, seen, threshold = abs(measured[row, i] - state.last[row, i]), 0.0, np.inf
+        if change > 0.0:
+            state.repeats[row, i] = 0
+            if change < state.resolution[row, i]:
+                state.resolution[row, i] = change
+        else:
+            state.repeats[row, i] += 1
+            seen = float(state.repeats[row, i])
+            # the chance of the same value twice is its step over 2 sqrt(pi) times the noise
+            chance = state.resolution[row, i] / (2.0 * math.sqrt(math.pi) * p.dither[row, i])
+            threshold = math.log(SAME) / math.log(chance) if chance < 0.5 else np.inf
+        if look(p, state, FROZEN + row, i, seen, threshold) and found < 0:
+            found = (FROZEN + row) * n + i
+    return found
+
+
+@compiled
+def detect_all(
+    p: DetectorParameters,
+    state: DetectorState,
+    steps: Ints,
+    points: Floats,
+    states: Floats,
+    commands: Floats,
+    limit: float,
+) -> None:
+    """Take in the samples of a whole test.
+
+    Parameters
+    ----------
+    p, state
+        The state, which has begun, is brought up to date.
+    steps : ndarray
+        Of the N samples, shape (N,).
+    points, states, commands : ndarray
+        Reference force, state and valve command at these, shapes (N, q, n), (N, 4, n) and (N, n).
+    limit : float
+        Largest command, V.
+    """
+    for k in range(len(steps)):
+        detect(p, state, steps[k], points[k : k + 1], states[k])
+        limited = False
+        for i in range(commands.shape[1]):
+            limited |= abs(commands[k, i]) >= limit
+        take_command(p, state, commands[k], limited)

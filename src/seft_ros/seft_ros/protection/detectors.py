@@ -1,0 +1,444 @@
+"""Detectors of faulty sensors, valves and supplies: by name, their thresholds, and their arrays."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from seft_plant_sim.compiled import compiled
+from seft_plant_sim.sensors import CHANNELS
+
+Floats = npt.NDArray[np.float64]
+
+LASTS, LONG_LASTS = 0.006, 0.02
+"""Times for which a detector must be beyond its threshold, s: longer than a spike; and, where a
+specimen that slips or bangs or a valve at its limit may be, longer than these."""
+
+WARNING = 0.8
+"""Part of its threshold from which on a detector warns: noise alone reaches 0.75 in a test."""
+
+
+@dataclass(frozen=True)
+class Detector:
+    """One of the detectors.
+
+    Attributes
+    ----------
+    name : str
+        By which parameters and reports call it.
+    text : str
+        What it says: a sentence of what it saw and its threshold.
+    unit : str
+        Of these.
+    lasts : float
+        Persistence, s; two samples at least.
+    of_valve : bool
+        Whether it knows the flow by the commands, of which a rig may have missed some.
+    """
+
+    name: str
+    text: str
+    unit: str
+    lasts: float = LASTS
+    of_valve: bool = False
+
+
+_SUMS = "disagree on axis {axis}: they differ by {seen} over the last 50 ms"
+_STEP = "disagree on axis {axis} from sample to sample, as with noise: they differ by {seen}"
+_OIL = "measured velocity and force, and the valve's flow by its commands,"
+_SAME = "measured {} on axis {{axis}} has repeated one value for {{seen}}"
+DETECTORS = (
+    Detector("displacement_velocity", f"measured displacement and velocity {_SUMS}", "m"),
+    Detector("velocity_acceleration", f"measured velocity and acceleration {_SUMS}", "m/s"),
+    Detector("oil_balance", f"{_OIL} {_SUMS}", "m", of_valve=True),
+    Detector("displacement_noise", f"measured displacement and velocity {_STEP}", "m"),
+    Detector("velocity_noise", f"measured velocity and acceleration {_STEP}", "m/s"),
+    Detector("oil_noise", f"{_OIL} {_STEP}", "m", of_valve=True),
+    Detector(
+        "second_order_work",
+        "the measured force falls as the specimen is deformed further: work of {seen} against it",
+        "N m",
+    ),
+    Detector(
+        "force_noise",
+        "measured force and acceleration disagree on axis {axis} from sample to sample, as with "
+        "noise: the specimen's force jumps to and fro in {seen} of late",
+        "samples",
+        0.0,
+    ),
+    Detector(
+        "force_jump",
+        "the specimen's force by measured force and acceleration on axis {axis} jumps by {seen}",
+        "N",
+        0.0,
+    ),
+    Detector(
+        "force_response",
+        "measured force on axis {axis} does not answer the motion: sum of squares {seen}",
+        "N^2",
+        LONG_LASTS,
+    ),
+    Detector(
+        "tracking",
+        "measured displacement on axis {axis} is {seen} away from its target",
+        "m",
+        LONG_LASTS,
+    ),
+    *(Detector(f"{name}_frozen", _SAME.format(name), "samples", 0.0) for name in CHANNELS),
+)
+"""In the order of the rows in `detector_look`."""
+
+MODEL_BASED = (
+    *("oil_balance", "oil_noise", "second_order_work"),
+    *("force_noise", "force_jump", "force_response"),
+)
+"""Those which need to know actuators or specimen: they only warn where these are to be found."""
+ALL = "all"
+
+
+def describe(place: int, found: Floats, axes: Sequence[str]) -> str:
+    """Say in a sentence what a detector saw, of what `detect` gave and `DetectorState.found`."""
+    row, axis = divmod(place, len(axes))
+    one = DETECTORS[row]
+    seen, threshold = (f"{value:.3g} {one.unit}" for value in found.tolist())
+    return f"{one.text.format(axis=axes[axis], seen=seen)} ({threshold} allowed): {one.name}"
+
+
+UNCERTAIN_GAIN, UNCERTAIN_DELAY = 0.15, 2e-3
+"""Standard deviation of the assumed flow gain, relative, and of the valve's delay, s."""
+LARGEST_GAIN_ERROR, LARGEST_DELAY_ERROR = 0.3, 5e-3
+"""Bounds of what is followed."""
+ONE_SAMPLE = 0.1
+"""Time over which what the balance leaves out persists, s: so long, samples count as one."""
+
+
+def doubt(velocity: Floats, force: Floats, oil_stiffness: Floats, dt: float) -> Floats:
+    """Variance of the flow as measured, (m/s)^2, by the RMS noise of velocity and force."""
+    seen = velocity**2 + 2.0 * (force / (oil_stiffness * dt)) ** 2
+    return seen * max(1.0, ONE_SAMPLE / dt)
+
+
+@compiled
+def begin_following(errors: Floats, covariance: Floats) -> None:
+    """Begin a test, with the valves as assumed; shapes (n, 2) and (n, 3)."""
+    errors[:] = 0.0
+    for i in range(len(covariance)):
+        covariance[i, 0] = UNCERTAIN_GAIN**2
+        covariance[i, 1] = UNCERTAIN_DELAY**2
+        covariance[i, 2] = 0.0
+
+
+@compiled
+def follow_valve(
+    errors: Floats, c: Floats, flow: float, later: float, seen: float, doubt: float
+) -> None:
+    """Take in a sample of one valve.
+
+    Parameters
+    ----------
+    errors : ndarray
+        Relative error of the flow gain and error of the delay in s, shape (2,): brought up to date.
+    c : ndarray
+        Their variances, then their covariance, shape (3,): brought up to date.
+    flow, later : float
+        Flow by the valve as assumed, m/s, and its change per delay, m/s^2.
+    seen : float
+        Flow as measured: v + (f' + lambda f) / k_oil, m/s.
+    doubt : float
+        Its variance, (m/s)^2.
+    """
+    by_flow, by_later = c[0] * flow + c[2] * later, c[2] * flow + c[1] * later
+    variance = doubt + flow * by_flow + later * by_later
+    innovation = seen - flow - errors[0] * flow - errors[1] * later
+    found = errors[0] + by_flow / variance * innovation
+    errors[0] = min(max(found, -LARGEST_GAIN_ERROR), LARGEST_GAIN_ERROR)
+    found = errors[1] + by_later / variance * innovation
+    errors[1] = min(max(found, -LARGEST_DELAY_ERROR), LARGEST_DELAY_ERROR)
+    c[0] -= by_flow * by_flow / variance
+    c[1] -= by_later * by_later / variance
+    c[2] -= by_flow * by_later / variance
+
+
+Ints = npt.NDArray[np.int64]
+
+MEMORY = 0.05
+"""Time constant of the sums of both sides of a relation, s."""
+SHORT = 0.015
+"""Time constant of the second-order work, s."""
+BIAS = 2.0
+"""Constant error of a sensor over its RMS noise that is no fault."""
+LARGEST = 0.3
+"""Time constant with which the largest motion is forgotten, s: a quarter of a cycle at 1 Hz."""
+SIGMAS = 6.0
+"""Threshold over the RMS of the noise alone."""
+TOLERANCES = (0.1, 0.1, 0.35)
+"""Part of the motion by which relations (1) to (3) may be off: calibration and channels 2 ms apart
+at 7 Hz; a flow gain of which 0.3 is mended."""
+FOLLOWED = 0.1
+"""Part of the flow by which it may be off from sample to sample once its gain has been followed:
+what gain and delay leave out of the valve, the piston's friction."""
+OFF_TARGET = 0.5
+"""Part of the target's motion by which a test may be off it."""
+LIMITED = 0.1
+"""Time after a command at the valve's limit in which it may be so, s."""
+ASSUMED_NOISE = 1e-3
+"""RMS noise of a sensor whose noise is not configured, over the largest value that is allowed."""
+
+
+class DetectorParameters(NamedTuple):
+    """What does not change of the detectors of n axes.
+
+    Attributes
+    ----------
+    dt : float
+        Sampling period, s.
+    fade, short, memory : float
+        Factors per step with which sums, short sums and the largest motion fade.
+    actuator : ndarray
+        Flow gain, oil stiffness, leakage and force capacity, see `FeedforwardParameters`; (n, 4).
+    past : ndarray
+        Part of past commands in the flow now, the newest first, and its change per delay (1/s);
+        shape (2, n, m).
+    doubt : ndarray
+        Variance of the flow as measured, shape (n,), (m/s)^2, see `follow_valve`.
+    mass, stiffness : ndarray
+        Of the specimen as assumed, shape (n, n), kg and N/m.
+    computed_mass : ndarray
+        M_c on the axes, shape (n, n), kg.
+    noise, dither : ndarray
+        RMS noise of the sensors, shape (4, n): as assumed, and as configured, 0 where it is not.
+    range : ndarray
+        Largest value that each sensor can measure, shape (4, n); infinite where it is not known.
+    limited : int
+        Samples after one at the valve's limit in which the target need not be followed.
+    sums, steps : ndarray
+        Noise of the differences of relations (1) to (3), `SIGMAS` times RMS: of sums and of a
+        single step, shape (3, n); infinite where a relation is not watched.
+    rough : ndarray
+        Likewise of the second difference of r, shape (n,), N.
+    unknown : float
+        0; infinite where the specimen is not known.
+    tolerance : ndarray
+        Part of the largest motion by which the sides of a relation may differ, shape (3,).
+    off_target : float
+        Part of the target's largest motion by which the specimen may be away from it; infinite
+        where there is no target.
+    persistence : ndarray
+        Samples for which a detector must be beyond its threshold, shape (D,).
+    acts : ndarray
+        Whether a detector ends the test, shape (D,); 0: it only warns.
+    """
+
+    dt: float
+    fade: float
+    short: float
+    memory: float
+    actuator: Floats
+    past: Floats
+    doubt: Floats
+    mass: Floats
+    stiffness: Floats
+    computed_mass: Floats
+    noise: Floats
+    dither: Floats
+    range: Floats
+    limited: int
+    sums: Floats
+    steps: Floats
+    rough: Floats
+    unknown: float
+    tolerance: Floats
+    off_target: float
+    persistence: Ints
+    acts: Ints
+
+
+class DetectorState(NamedTuple):
+    """What changes of them.
+
+    Attributes
+    ----------
+    last : ndarray
+        The last sample, shape (4, n).
+    flow, later : ndarray
+        Flow of the valve by the commands at the last sample and at this one, m/s, and its change
+        per delay, m/s^2; shapes (2, n).
+    errors, covariance : ndarray
+        Of gain and delay, as followed: see `follow_valve`; shapes (n, 2) and (n, 3).
+    sent : ndarray
+        Past commands as they act under load, the newest first, shape (n, m), V.
+    sums : ndarray
+        Both sides of relations (1) to (3), shape (3, 2, n).
+    largest : ndarray
+        Largest of these of late, of a single step, of the target's motion, of r, and of the change
+        of the flow in a step (m/s); shape (9, n).
+    restoring : ndarray
+        r at the last sample, its last change, and r now; shape (3, n), N.
+    work : ndarray
+        Sums of dr dx, of dx K dx and of squares of its noise, shape (3,).
+    response : ndarray
+        Sums of squares of the changes of f and of M_c a, shape (2, n), N^2.
+    bends : ndarray
+        Second difference of r where it is beyond its threshold, N, and how often it has changed its
+        sign of late; shape (2, n).
+    repeats : ndarray
+        How often the last value of a channel has come, shape (4, n).
+    resolution : ndarray
+        Least change of a channel that was ever seen, shape (4, n); infinite before.
+    counts : ndarray
+        Samples for which each detector has been beyond its threshold, shape (D, n).
+    shares : ndarray
+        Largest part of its threshold that each has reached, shape (D, n).
+    found : ndarray
+        What a detector saw when it tripped, and its threshold; shape (2,).
+    step : ndarray
+        Steps of the last sample, the last turn of the motion, the last command at the valve's
+        limit and the last sample at the end of each channel's range, shape (7,); long ago before.
+    """
+
+    last: Floats
+    flow: Floats
+    later: Floats
+    errors: Floats
+    covariance: Floats
+    sent: Floats
+    sums: Floats
+    largest: Floats
+    restoring: Floats
+    work: Floats
+    response: Floats
+    bends: Floats
+    repeats: Ints
+    resolution: Floats
+    counts: Ints
+    shares: Floats
+    found: Floats
+    step: Ints
+
+
+def detector_arrays(
+    noise: Floats,
+    limits: Floats,
+    ranges: Floats,
+    velocity_is_derived: bool,
+    actuator: Floats,
+    past: Floats,
+    mass: Floats,
+    stiffness: Floats,
+    computed_mass: Floats,
+    warn_only: Sequence[str],
+    longest_hold: float,
+    dt: float,
+) -> tuple[DetectorParameters, DetectorState]:
+    """Put the detectors of n axes into arrays.
+
+    Parameters
+    ----------
+    noise : ndarray
+        RMS noise of displacement, velocity, acceleration and force, shape (4, n); 0: not known.
+    limits : ndarray
+        Their largest values, shape (4,).
+    ranges : ndarray
+        Largest value that each sensor can measure, shape (4, n); 0: not known.
+    velocity_is_derived : bool
+        Whether the velocity is that of the displacement.
+    actuator, past : ndarray
+        See `DetectorParameters`; a flow gain or an oil stiffness of 0 is not known.
+    mass, stiffness, computed_mass : ndarray
+        Shape (n, n), kg, N/m and kg.
+    warn_only : sequence of str
+        Names of the detectors that do not end a test.
+    longest_hold : float
+        Time for which a rig that misses commands holds the last one, s: no fault of the valve.
+    dt : float
+        Sampling period, s.
+    """
+    n, fade, short = noise.shape[1], math.exp(-dt / MEMORY), math.exp(-dt / SHORT)
+    x, v, a, f = np.where(noise > 0.0, noise, ASSUMED_NOISE * limits[:, np.newaxis])
+    if velocity_is_derived:
+        v = math.sqrt(2.0) * x / dt
+    known = (actuator[:, 0] > 0.0) & (actuator[:, 1] > 0.0)
+    actuator = actuator.copy()
+    actuator[~known, 1] = 1.0
+    actuator[actuator[:, 3] <= 0.0, 3] = np.inf
+    oil = np.where(known, f / actuator[:, 1], np.inf)
+    jumps, rates = np.array([x, v, oil]), dt * np.array([v, a, v])
+    sums = np.sqrt(jumps**2 * 2.0 / (1.0 + fade) + rates**2 / (2.0 * (1.0 - fade)))
+    steps = np.sqrt(2.0 * jumps**2 + rates**2 / 2.0)
+    rough = np.sqrt(6.0 * (f**2 + mass**2 @ a**2))
+    unknown = 0.0 if mass.any() and stiffness.any() else math.inf
+    spans = [each.lasts + longest_hold * each.of_valve for each in DETECTORS]
+    lasts = [max(2, math.ceil(span / dt - 1e-9)) for span in spans]
+    acts = [each.name not in warn_only for each in DETECTORS]
+    parameters = DetectorParameters(
+        dt=dt,
+        fade=fade,
+        short=short,
+        memory=math.exp(-dt / LARGEST),
+        actuator=actuator,
+        past=past,
+        doubt=doubt(v, f, actuator[:, 1], dt),
+        mass=mass,
+        stiffness=stiffness,
+        computed_mass=computed_mass,
+        noise=np.array([x, v, a, f]),
+        dither=noise,
+        range=np.where(ranges > 0.0, ranges, np.inf),
+        limited=math.ceil(LIMITED / dt),
+        sums=SIGMAS * sums + BIAS * rates / (1.0 - fade),
+        steps=SIGMAS * steps,
+        rough=SIGMAS * rough + unknown,
+        unknown=unknown,
+        tolerance=np.array(TOLERANCES),
+        off_target=OFF_TARGET,
+        persistence=np.array(lasts),
+        acts=np.array(acts, dtype=np.int64),
+    )
+    state = DetectorState(
+        last=np.zeros((4, n)),
+        flow=np.zeros((2, n)),
+        later=np.zeros((2, n)),
+        errors=np.zeros((n, 2)),
+        covariance=np.zeros((n, 3)),
+        sent=np.zeros_like(past[0]),
+        sums=np.zeros((3, 2, n)),
+        largest=np.zeros((9, n)),
+        restoring=np.zeros((3, n)),
+        work=np.zeros(3),
+        response=np.zeros((2, n)),
+        bends=np.zeros((2, n)),
+        repeats=np.zeros((4, n), dtype=np.int64),
+        resolution=np.zeros((4, n)),
+        counts=np.zeros((len(DETECTORS), n), dtype=np.int64),
+        shares=np.zeros((len(DETECTORS), n)),
+        found=np.zeros(2),
+        step=np.zeros(7, dtype=np.int64),
+    )
+    return parameters, state
+
+
+SAMPLE, TURN_AT, LIMITED_AT, AT_RANGE = range(4)
+"""Places of `DetectorState.step`."""
+DISPLACEMENT_VELOCITY, VELOCITY_ACCELERATION, OIL = range(3)
+"""Relations (1) to (3)."""
+CHANGE, NOISE, SECOND_ORDER_WORK, ROUGH, JUMP = 0, 3, *range(6, 9)
+NO_RESPONSE, TRACKING, FROZEN = range(9, 12)
+"""Rows of the detectors: a relation's sums, its single steps, and so on; four frozen channels."""
+
+
+@compiled
+def look(
+    p: DetectorParameters, state: DetectorState, row: int, i: int, seen: float, threshold: float
+) -> bool:
+    """Hold what a detector sees against its threshold; say whether it has persisted and acts."""
+    share = seen / threshold if threshold > 0.0 else 0.0
+    if share > state.shares[row, i]:
+        state.shares[row, i] = share
+    count = state.counts[row, i]
+    state.counts[row, i] = count = count + 1 if share > 1.0 else max(count - 1, 0)
+    if count >= p.persistence[row] and p.acts[row]:
+        state.found[0], state.found[1] = seen, threshold
+        return True
+    return False

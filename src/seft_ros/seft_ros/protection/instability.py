@@ -1,0 +1,288 @@
+"""Whether a test is going unstable: vibration that no structure has.
+
+A force loop turns unstable at frequencies above the specimen's own, where the ground motion moves
+it little. A limit on acceleration sees that late: by then the vibration is as strong as the test
+itself. Here what is measured above the natural frequency is held against the acceleration that the
+whole structure has under the ground motion and the restoring force that is measured,
+r = f - M_e a::
+
+    (M_e + M_c) (a* + a_g) + g + r = 0                                                      (1)
+
+g is the force of what is computed beside its masses. Nothing is assumed of the specimen: where it
+sticks, yields or bangs, its restoring force says so, and the structure answers. Where the loop
+makes a vibration of its own, at w, the specimen of natural frequency w_n answers by no more than
+a* = a M_e / (M_e + M_c) (w_n / w)^2.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.topics import Timebase
+from seft_plant_sim.compiled import compiled, entry_point, multiply
+from seft_plant_sim.lti import bilinear
+
+from seft_ros.reference_force.compensator import Knowledge
+from seft_ros.reference_force.reference_force_block import knowledge
+from seft_ros.reference_force.substructure import substructure_motion
+
+Floats = npt.NDArray[np.float64]
+
+HURRY = 10.0
+"""How many times faster the strongest vibration uses that time up."""
+IN_BAND = 0.3
+"""Part of the structure's whole acceleration that counts as its vibration in any case. Where the
+specimen yields or bangs the control knocks the oil, which rings for some cycles: in sound tests not
+above 1.5 times the structure's acceleration for long; where the loop is unstable it reaches 7 times
+that acceleration."""
+EXPLAINED, MEASURED, EXPECTED, WHOLE = range(4)
+"""Rows of the mean squares: of the structure's acceleration in the band, the measured one there,
+the largest of the structure's that is remembered, and the structure's whole acceleration."""
+
+
+class WatchParameters(NamedTuple):
+    """What does not change of a watch over n axes.
+
+    Attributes
+    ----------
+    product : ndarray
+        Shape (s + 5n, s + 3n), transposed: takes (states, a_g, measured state) to (states, filtered
+        accelerations of the structure and as measured, the structure's whole one).
+    average, memory : float
+        Factors per step with which mean squares and what was expected fade.
+    patience : float
+        Steps for which vibration must be there.
+    ratio : float
+        Largest RMS over the expected one; 0: none is too large.
+    least : float
+        Mean square that counts as expected in any case, (m/s^2)^2.
+    """
+
+    product: Floats
+    average: float
+    memory: float
+    patience: float
+    ratio: float
+    least: float
+
+
+class WatchState(NamedTuple):
+    """What changes of it.
+
+    Attributes
+    ----------
+    work, result : ndarray
+        States and inputs, and what `WatchParameters.product` makes of them, shapes (s + 5n,) and
+        (s + 3n,).
+    squares : ndarray
+        See `EXPLAINED`, shape (4, n), (m/s^2)^2.
+    above : ndarray
+        Steps for which vibration has been there, shape (1,).
+    """
+
+    work: Floats
+    result: Floats
+    squares: Floats
+    above: Floats
+
+
+@compiled
+def watch_step(
+    parameters: WatchParameters, state: WatchState, ground: Floats, measured: Floats
+) -> bool:
+    """Take a step in; say whether vibration has been there for too long.
+
+    Parameters
+    ----------
+    parameters, state
+        The state is brought up to date.
+    ground : ndarray
+        Ground acceleration, shape (n,), m/s^2.
+    measured : ndarray
+        Displacement, velocity, acceleration and force, shape (4, n).
+    """
+    p, n, squares = parameters, len(ground), state.squares
+    states = len(state.result) - 3 * n
+    for i in range(n):
+        state.work[states + i] = ground[i]
+        for row in range(4):
+            state.work[states + (1 + row) * n + i] = measured[row, i]
+    multiply(p.product, state.work, state.result)
+    for i in range(states):
+        state.work[i] = state.result[i]
+    old, new, excess = p.average, 1.0 - p.average, 0.0
+    for i in range(n):
+        explained, found = state.result[states + i], state.result[states + n + i]
+        whole = state.result[states + 2 * n + i]
+        squares[EXPLAINED, i] = old * squares[EXPLAINED, i] + new * explained * explained
+        squares[MEASURED, i] = old * squares[MEASURED, i] + new * found * found
+        squares[WHOLE, i] = old * squares[WHOLE, i] + new * whole * whole
+        expected = max(squares[EXPLAINED, i], squares[EXPECTED, i] * p.memory, p.least)
+        expected = max(expected, IN_BAND * IN_BAND * squares[WHOLE, i])
+        squares[EXPECTED, i] = expected
+        excess = max(excess, squares[MEASURED, i] / expected)
+    # what is far beyond needs less patience than what is a little
+    excess /= p.ratio * p.ratio
+    state.above[0] = state.above[0] + min(excess, HURRY) if excess > 1.0 else 0.0
+    return state.above[0] >= p.patience
+
+
+AVERAGE = 0.1
+"""Time constant of the mean square, s: some cycles of any vibration in question."""
+MEMORY = 2.0
+"""Time constant with which strong motion that was expected is forgotten, s."""
+SUSTAINED = 0.1
+"""Time for which vibration must be there, s: a knock is none."""
+ABOVE = 2.0
+"""The band begins at this multiple of the specimen's lowest natural frequency."""
+
+
+class InstabilityWatch:
+    """Acceleration above a frequency must be what the structure has, see the module.
+
+    Both accelerations, measured and of the structure, go through the same high-pass filter
+    (Butterworth, fourth order). Their mean squares are taken over `AVERAGE`; the structure's
+    largest fades over `MEMORY`, as vibration rings on. It is a fault if the measured RMS stays
+    above ``ratio`` times the structure's for `SUSTAINED`; as the structure's counts at least the
+    floor, and `IN_BAND` of its whole acceleration.
+
+    Parameters
+    ----------
+    known : Knowledge
+        Mass, what is computed, and the sampling period; the stiffness says where the band begins.
+    axes : sequence of str
+        Names of the n axes.
+    ratio : float
+        Largest RMS over the expected one; 0: never a fault.
+    floor : float
+        RMS that counts as expected in any case, m/s^2: several times the sensors' noise.
+    lowest : float
+        Where the band begins, Hz; 0: at `ABOVE` times the specimen's lowest natural frequency,
+        at most at a quarter of the sampling rate.
+
+    Attributes
+    ----------
+    parameters, state : WatchParameters, WatchState
+        What `watch_step` takes.
+    """
+
+    def __init__(
+        self, known: Knowledge, axes: Sequence[str], ratio: float, floor: float, lowest: float
+    ) -> None:
+        n, dt = len(axes), known.dt
+        self._axes = tuple(axes)
+        if lowest >= 0.45 / dt:
+            raise InputError(
+                f"reference_force: instability.lowest {lowest:g} Hz is beyond what is sampled at "
+                f"{1 / dt:g} Hz; take less than {0.45 / dt:g} Hz"
+            )
+        self._lowest = lowest or min(ABOVE * _natural_hz(known), 0.25 / dt)
+        a, b, c, d = _filtered(known, self._lowest, dt, n)
+        self.parameters = WatchParameters(
+            product=np.ascontiguousarray(np.block([[a, b], [c, d]]).T),
+            average=math.exp(-dt / AVERAGE),
+            memory=math.exp(-2 * dt / MEMORY),
+            patience=SUSTAINED / dt,
+            ratio=float(ratio),
+            least=float(floor) ** 2,
+        )
+        work, result = map(np.zeros, self.parameters.product.shape)
+        self.state = WatchState(work, result, np.zeros((4, n)), np.zeros(1))
+        arguments = self.state.squares[EXPLAINED], np.zeros((4, n))
+        self._step = entry_point(watch_step, self.parameters, self.state, *arguments)
+        self.reset()
+
+    @classmethod
+    def from_parameters(
+        cls, section: dict[str, Any], axes: Sequence[str], timebase: Timebase
+    ) -> "InstabilityWatch":
+        """Make it of the reference force's section of an experiment.
+
+        Raises
+        ------
+        InputError
+            As `knowledge`, or if the band would begin beyond half the sampling rate.
+        """
+        options = (section[f"instability.{name}"] for name in ("ratio", "floor", "lowest"))
+        return cls(knowledge(section, tuple(axes), timebase), axes, *options)
+
+    def reset(self) -> None:
+        """Begin a new test, at rest."""
+        for values in self.state:
+            values[:] = 0.0
+        self.state.squares[EXPECTED] = self.parameters.least
+
+    def step(self, ground_motion: Floats, state: Floats) -> str | None:
+        """Look at one step, see `watch_step`; one line with what is wrong, if anything."""
+        if self.parameters.ratio == 0.0:
+            return None
+        found = self._step(self.parameters, self.state, ground_motion, state)
+        return self.describe() if found else None
+
+    def describe(self) -> str:
+        """Say what vibrates."""
+        _, measured, expected, _ = self.state.squares
+        axis = int((measured / expected).argmax())
+        rms, over = math.sqrt(measured[axis]), math.sqrt(measured[axis] / expected[axis])
+        return (
+            f"instability: acceleration above {self._lowest:.3g} Hz on axis {self._axes[axis]} is "
+            f"{rms:.3g} m/s^2 RMS, {over:.3g} times what the structure has "
+            f"under the measured restoring force (limit {self.parameters.ratio:g})"
+        )
+
+
+def _natural_hz(known: Knowledge) -> float:
+    """Lowest natural frequency of the specimen alone, Hz."""
+    squares = np.linalg.eigvals(np.linalg.solve(known.mass, known.stiffness)).real
+    return math.sqrt(max(float(squares.min()), 0.0)) / math.tau
+
+
+def _filtered(
+    known: Knowledge, lowest: float, dt: float, n: int
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """State space from (a_g, measured state) to what `WatchParameters.product` gives."""
+    beside, inverse = substructure_motion(known, 0), np.linalg.inv(known.total_mass)
+    own, r = np.eye(n, 4 * n, k=2 * n), np.eye(n, 4 * n, k=3 * n)
+    r = r - known.mass @ own
+    # Eq. (1)
+    by_states, by_ground = -beside.c, -beside.e
+    by_measured = -beside.d - inverse @ r
+    one, none = np.eye(n), np.zeros((n, n))
+    fa, fb, fc, fd = (np.kron(part, one) for part in _high_pass(lowest, dt))
+    size, order = len(beside.a), len(fa)
+    apart = np.zeros((order, order))
+    a = np.block(
+        [
+            [beside.a, np.zeros((size, 2 * order))],
+            [fb @ by_states, fa, apart],
+            [np.zeros((order, size)), apart, fa],
+        ]
+    )
+    b = np.block([[beside.h, beside.b], [fb @ by_ground, fb @ by_measured], [fb @ none, fb @ own]])
+    nothing = np.zeros_like(fc)
+    c = np.block(
+        [
+            [fd @ by_states, fc, nothing],
+            [np.zeros((n, size)), nothing, fc],
+            [by_states, nothing, nothing],
+        ]
+    )
+    d = np.block([[fd @ by_ground, fd @ by_measured], [none, fd @ own], [by_ground, by_measured]])
+    return a, b, c, d
+
+
+def _high_pass(lowest: float, dt: float) -> tuple[Floats, Floats, Floats, Floats]:
+    """Butterworth's high pass of fourth order in state space, sampled (bilinear, prewarped)."""
+    w = 2.0 / dt * math.tan(math.pi * lowest * dt)
+    first, second = (2.0 * math.sin(math.pi * k / 8) for k in (1, 3))
+    middle = w * w * (2.0 + first * second)
+    outer = first + second
+    denominator = [1.0, outer * w, middle, outer * w**3, w**4]
+    num, den = bilinear([1.0, 0.0, 0.0, 0.0, 0.0], denominator, dt)
+    a = np.vstack([-den[1:], np.eye(3, 4)])
+    b = np.eye(4, 1)
+    c = (num[1:] - num[0] * den[1:])[np.newaxis]
+    return a, b, c, np.array([[num[0]]])

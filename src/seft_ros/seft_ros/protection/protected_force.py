@@ -1,0 +1,234 @@
+"""The reference force with its own layer of the interlock: guards, plausibility, ramp."""
+
+from collections import deque
+from collections.abc import Hashable, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from seft_msgs_py.wire.topics import Timebase
+from seft_plant_sim.compiled import entry_point, kind_of
+
+from seft_ros.protection.instability import InstabilityWatch
+from seft_ros.protection.protection_step import (
+    CAUSE,
+    HOLDING,
+    INSTABILITY,
+    NOTHING,
+    ODD_FORCE,
+    ODD_STATE,
+    PlausibleForce,
+    ProtectionParameters,
+    ProtectionState,
+    begin_protection,
+    begin_step,
+    not_finite,
+    protect,
+)
+from seft_ros.protection.ramp_down import RampDown
+from seft_ros.reference_force.reference_force_block import ReferenceForce
+
+Floats = npt.NDArray[np.float64]
+
+
+class ProtectedForce:
+    """A `ReferenceForce` that is looked at in each step, and comes down softly if it must.
+
+    While nothing is wrong and nobody asks for the ramp, it gives the very force of the block.
+    In the ramp the force goes on following the test, scaled down; a target is slowed down to rest
+    instead. A force that is not plausible is never given: from there on the last plausible one
+    stands in for it, `continued` and scaled down.
+
+    In a loop with a delay of d steps, the force that is computed from the state of step k is for
+    step k + d, and the points are the forces of the steps k to k + d, which do not change any
+    more: what is late or lost is made good by the next. A target tells its coming motion anyway.
+
+    Parameters
+    ----------
+    reference_force : ReferenceForce
+        The block.
+    plausible : PlausibleForce
+        Limits of its force.
+    watch : InstabilityWatch
+        What else may ask for the ramp.
+    ramp : RampDown
+        The way to zero.
+    loop_delay : int
+        d.
+
+    Attributes
+    ----------
+    preview : int
+        Steps of coming ground motion that `step` wants to see.
+    reference_force : ReferenceForce
+        As given.
+    parameters, state : ProtectionParameters, ProtectionState
+        What `protect` takes, here and in a compiled loop.
+    """
+
+    def __init__(
+        self,
+        reference_force: ReferenceForce,
+        plausible: PlausibleForce,
+        watch: InstabilityWatch,
+        ramp: RampDown,
+        loop_delay: int = 0,
+    ) -> None:
+        self.preview = reference_force.preview
+        self.estimates = reference_force.estimates
+        self.reference_force = reference_force
+        self._plausible, self._watch, self._ramp = plausible, watch, ramp
+        self._axes, tells_motion = len(plausible.last), reference_force.tells_motion
+        self._settled: deque[Floats] | None = None  # of the last steps
+        if loop_delay and not tells_motion:
+            self._settled = deque(maxlen=1 + loop_delay)
+        self._points = np.zeros((*reference_force.shape, self._axes))
+        self.parameters = ProtectionParameters(
+            plausible.limits, ramp.steps, tells_motion, plausible.dt, watch.parameters
+        )
+        self.state = ProtectionState(
+            flags=np.zeros(3, dtype=np.int64),
+            ramp=ramp.state,
+            last=plausible.last,
+            point=np.zeros_like(self._points[:1]),
+            pace=np.zeros(1),
+            odd_force=np.zeros(self._axes),
+            odd_state=np.zeros((4, self._axes)),
+            watch=watch.state,
+        )
+        both = self.parameters, self.state
+        self._begin = entry_point(begin_protection, self.state)
+        self._begin_step = entry_point(begin_step, *both, True)
+        measured = self.state.odd_state
+        arguments = self.state.last, measured, True, 1.0, self._points
+        self._protect = entry_point(protect, *both, *arguments)
+        self.reset()
+
+    @classmethod
+    def from_parameters(
+        cls, section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
+    ) -> "ProtectedForce":
+        """Make it of the reference force's section of an experiment.
+
+        Raises
+        ------
+        InputError
+            As `ReferenceForce.from_parameters`.
+        """
+        return cls(
+            ReferenceForce.from_parameters(section, axes, timebase),
+            PlausibleForce(
+                section["limits.force"], section["limits.force_rate"], axes, timebase.dt
+            ),
+            InstabilityWatch.from_parameters(section, axes, timebase),
+            RampDown.lasting(section["ramp_down_time"], timebase.dt, section["loop_delay"]),
+            section["loop_delay"],
+        )
+
+    @cached_property
+    def kind(self) -> Hashable:
+        """`kind_of` what a compiled loop takes of it and of its compensation method."""
+        of: Any = self.reference_force.compensator
+        return kind_of((self.parameters, self.state, of.parameters, of.state))
+
+    @property
+    def cause(self) -> str | None:
+        """The first fault of this test; latched until `reset`."""
+        code = self.state.flags[CAUSE]
+        if code == NOTHING:
+            return None
+        if failure := getattr(self.reference_force.compensator, "failure", ""):
+            return str(failure)
+        if code == ODD_FORCE:
+            return self._plausible.describe(self.state.odd_force)
+        if code == ODD_STATE:
+            return not_finite(self.state.odd_state, self._plausible.axes)
+        assert code == INSTABILITY
+        return self._watch.describe()
+
+    @property
+    def is_modelled(self) -> bool:
+        """Whether a computed model is part of it."""
+        return self.reference_force.is_modelled
+
+    @property
+    def ramping(self) -> bool:
+        """Whether the ramp has begun."""
+        return self._ramp.begun
+
+    @property
+    def steps_ramped(self) -> int:
+        """Steps since the ramp began, the one in which it did included."""
+        return self._ramp.taken
+
+    @property
+    def longest_ramp(self) -> int:
+        """Steps of the ramp, and those that the force must rest after it."""
+        return self._ramp.whole
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the force that is applied has come down to zero, and stays there."""
+        return self._ramp.finished
+
+    def reset(self) -> None:
+        """Begin a new test."""
+        self.reference_force.reset()
+        for part in (self._plausible, self._watch, self._ramp):
+            part.reset()
+        self._begin(self.state)
+        self._last_state: Floats | None = None
+        if self._settled is not None:
+            none = np.zeros((1, 1, self._axes))
+            self._settled.extend([none] * (self._settled.maxlen or 0))
+
+    def ramp_down(self) -> None:
+        """Bring the force down from the next step on."""
+        self._ramp.begin()
+
+    def step(self, ground_motion: Floats | None, state: Floats) -> Floats:
+        """Compute the points of one step, as `ReferenceForce.step` does.
+
+        Without ground motion, which may be missing in the ramp, a target takes it to be none, and
+        any other force is held while it is scaled down.
+        """
+        self._last_state = state
+        points = self._answer(ground_motion, state)
+        if self._settled is None:
+            return points
+        self._settled.append(points)
+        return np.concatenate(self._settled)
+
+    def ask_model(self) -> None:
+        """Step a computed model, which is part of no answer but the next."""
+        ask = getattr(self.reference_force.compensator, "ask_model", None)
+        if ask is not None:
+            ask()
+
+    def bridge(self, ground_motion: Sequence[Floats | None], state: Floats) -> None:
+        """Make good for the states of steps that were lost before this one, in a straight line.
+
+        Parameters
+        ----------
+        ground_motion : sequence of ndarray or None
+            What `step` would have been given for each of them.
+        state : ndarray
+            That has come after them, shape (4, n).
+        """
+        last = state if self._last_state is None else self._last_state
+        for index, motion in enumerate(ground_motion, 1):
+            part = index / (len(ground_motion) + 1)
+            self.step(motion, (1.0 - part) * last + part * state)
+
+    def _answer(self, ground_motion: Floats | None, state: Floats) -> Floats:
+        both, is_known = (self.parameters, self.state), ground_motion is not None
+        pace = self._begin_step(*both, is_known)
+        motion = (
+            np.zeros((1 + self.preview, self._axes)) if ground_motion is None else ground_motion
+        )
+        if not self.state.flags[HOLDING]:
+            self._points[:] = self.reference_force.step(motion, state, pace)
+        ground, state = (np.ascontiguousarray(each, np.float64) for each in (motion[0], state))
+        self._protect(*both, ground, state, is_known, pace, self._points)
+        return self._points.copy()

@@ -1,0 +1,270 @@
+"""How a reference force is protected, step by step: plausibility, instability watch, ramp."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from seft_plant_sim.compiled import compiled, entry_point, is_finite
+
+from seft_ros.protection.instability import WatchParameters, WatchState, watch_step
+from seft_ros.protection.ramp_down import BEGUN, go_on, next_factor
+
+Floats = npt.NDArray[np.float64]
+
+_QUANTITIES = ("displacement", "velocity", "acceleration", "force")
+
+
+@compiled
+def is_plausible(limits: Floats, last: Floats, force: Floats) -> bool:
+    """Say whether a force is finite, not too large, and not changing too fast.
+
+    Parameters
+    ----------
+    limits : ndarray
+        Largest magnitude, and largest change in a step, N, shape (2,).
+    last : ndarray
+        The last plausible force, shape (n,), N: brought up to date.
+    force : ndarray
+        Shape (n,), N.
+    """
+    for i in range(len(last)):
+        if not (abs(force[i]) <= limits[0] and abs(force[i] - last[i]) <= limits[1]):
+            return False
+    for i in range(len(last)):
+        last[i] = force[i]
+    return True
+
+
+class PlausibleForce:
+    """Limits of the reference force: finite, not too large, not changing too fast.
+
+    Parameters
+    ----------
+    largest : float
+        Largest magnitude on any axis, N.
+    fastest : float
+        Fastest change on any axis, N/s.
+    axes : sequence of str
+        Names of the n axes.
+    dt : float
+        Sampling period, s.
+
+    Attributes
+    ----------
+    limits, last : ndarray
+        What `is_plausible` takes; the last plausible force is zero before the first.
+    axes, dt
+        As given.
+    """
+
+    def __init__(self, largest: float, fastest: float, axes: Sequence[str], dt: float) -> None:
+        self._fastest, self.dt, self.axes = fastest, dt, tuple(axes)
+        self.limits = np.array([largest, fastest * dt * (1 + 1e-12)])
+        self.last = np.zeros(len(self.axes))
+        self._fits = entry_point(is_plausible, self.limits, self.last, self.last)
+
+    def reset(self) -> None:
+        """Begin a new test: no force was applied before it."""
+        self.last[:] = 0.0
+
+    def fault(self, force: Floats) -> str | None:
+        """Say what is wrong with the force of a step, if anything.
+
+        Parameters
+        ----------
+        force : ndarray
+            Shape (n,), N.
+
+        Returns
+        -------
+        str or None
+            One line with limit, value and axis.
+        """
+        fits = self._fits(self.limits, self.last, np.ascontiguousarray(force))
+        return None if fits else self.describe(force)
+
+    def describe(self, force: Floats) -> str:
+        """Say what is wrong with a force that is not plausible, shape (n,), after the last one."""
+        largest = self.limits[0]
+        for axis, value, last in zip(self.axes, force.tolist(), self.last.tolist(), strict=True):
+            if not math.isfinite(value):
+                return f"reference force is {value} N on axis {axis}"
+            if abs(value) > largest:
+                return (
+                    f"reference force {value:.5g} N on axis {axis} is beyond the limit of "
+                    f"{largest:g} N"
+                )
+            if abs(value - last) > self.limits[1]:
+                return (
+                    f"reference force changes by {(value - last) / self.dt:.5g} N/s on axis "
+                    f"{axis}, beyond the limit of {self._fastest:g} N/s"
+                )
+        raise ValueError("nothing is wrong with the force")
+
+
+def not_finite(state: Floats, axes: Sequence[str]) -> str:
+    """Say which value of a measured state, shape (4, n), is not finite; empty if all are."""
+    bad = np.argwhere(~np.isfinite(state))
+    if not len(bad):
+        return ""
+    row, axis = bad[0]
+    return f"measured {_QUANTITIES[row]} is {state[row, axis]} on axis {axes[axis]}"
+
+
+Ints = npt.NDArray[np.int64]
+
+HOLDING, CAUSE, AGE = range(3)
+"""Places of the flags: whether the last plausible point stands in, why it came down, and how many
+steps ago that point was."""
+NOTHING, ODD_FORCE, ODD_STATE, INSTABILITY = range(4)
+"""Causes."""
+
+
+class ProtectionParameters(NamedTuple):
+    """What does not change of the protection of n axes.
+
+    Attributes
+    ----------
+    limits : ndarray
+        `PlausibleForce.limits`, shape (2,), N.
+    ramp_steps : int
+        `RampDown.steps`.
+    tells_motion : bool
+        Whether the points are of a target, which the ramp slows down.
+    dt : float
+        Sampling period, s.
+    watch : WatchParameters
+        Of the instability watch.
+    """
+
+    limits: Floats
+    ramp_steps: int
+    tells_motion: bool
+    dt: float
+    watch: WatchParameters
+
+
+class ProtectionState(NamedTuple):
+    """What changes of it.
+
+    Attributes
+    ----------
+    flags : ndarray
+        See `HOLDING`, shape (3,).
+    ramp : ndarray
+        `RampDown.state`, shape (2,).
+    last : ndarray
+        The last plausible force, shape (n,), N.
+    point : ndarray
+        The last plausible point, shape (1, q, n).
+    pace : ndarray
+        Pace of a target then, shape (1,).
+    odd_force, odd_state : ndarray
+        The force and the measured state of the step at which it came down, shapes (n,), (4, n).
+    watch : WatchState
+        Of the instability watch.
+    """
+
+    flags: Ints
+    ramp: Ints
+    last: Floats
+    point: Floats
+    pace: Floats
+    odd_force: Floats
+    odd_state: Floats
+    watch: WatchState
+
+
+@compiled
+def begin_protection(state: ProtectionState) -> None:
+    """Begin a test, beside the ramp and the watch."""
+    state.flags[:] = 0
+    state.last[:] = 0.0
+    state.point[:] = 0.0
+    state.pace[:] = 1.0
+
+
+@compiled
+def begin_step(parameters: ProtectionParameters, state: ProtectionState, is_known: bool) -> float:
+    """Begin a step: give its pace, 1 in a test, less in the ramp.
+
+    Parameters
+    ----------
+    parameters, state
+        The state is brought up to date.
+    is_known : bool
+        Whether there is ground motion; in the ramp it may be missing.
+    """
+    if not (is_known or parameters.tells_motion):
+        state.flags[HOLDING] = 1
+    return next_factor(parameters.ramp_steps, state.ramp)
+
+
+@compiled
+def protect(
+    parameters: ProtectionParameters,
+    state: ProtectionState,
+    ground: Floats,
+    measured: Floats,
+    is_known: bool,
+    pace: float,
+    points: Floats,
+) -> None:
+    """Look at the points of a step, and make of them what may be given.
+
+    Parameters
+    ----------
+    parameters, state
+        The state is brought up to date.
+    ground : ndarray
+        Ground acceleration of the step, shape (n,), m/s^2.
+    measured : ndarray
+        Displacement, velocity, acceleration and force, shape (4, n).
+    is_known, pace
+        As of `begin_step`.
+    points : ndarray
+        Of the reference force, shape (p, q, n), unless it is held; what may be given.
+    """
+    p, flags, factor = parameters, state.flags, pace
+    last, n, cause = points.shape[1] - 1, points.shape[2], NOTHING
+    if not flags[HOLDING] and not is_plausible(p.limits, state.last, points[0, last]):
+        flags[HOLDING], cause = 1, ODD_FORCE
+    if flags[CAUSE] == NOTHING:
+        if cause == NOTHING and is_known:
+            if not is_finite(measured, 0):
+                cause = ODD_STATE
+            elif p.watch.ratio and watch_step(p.watch, state.watch, ground, measured):
+                cause = INSTABILITY
+        if cause != NOTHING:
+            flags[CAUSE] = cause
+            for i in range(n):
+                state.odd_force[i] = points[0, last, i]
+                for row in range(4):
+                    state.odd_state[row, i] = measured[row, i]
+            if not state.ramp[BEGUN]:
+                state.ramp[BEGUN] = 1
+                factor = next_factor(p.ramp_steps, state.ramp)
+    if flags[HOLDING]:
+        flags[AGE] += 1
+        go_on(state.point, flags[AGE], p.dt, points)
+        scale_points(points, factor / state.pace[0] if state.pace[0] else 0.0)
+        return
+    flags[AGE] = 0
+    for row in range(last + 1):
+        for i in range(n):
+            state.point[0, row, i] = points[0, row, i]
+    if p.tells_motion:
+        state.pace[0] = pace
+    elif state.ramp[BEGUN]:
+        scale_points(points, factor)
+
+
+@compiled
+def scale_points(points: Floats, factor: float) -> None:
+    """Multiply points, shape (p, q, n), by a factor."""
+    for point in range(points.shape[0]):
+        for row in range(points.shape[1]):
+            for i in range(points.shape[2]):
+                points[point, row, i] *= factor

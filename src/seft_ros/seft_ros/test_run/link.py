@@ -1,0 +1,390 @@
+"""Messages over a link and back at the rate of a test, and the judgement of link and test."""
+
+import math
+import os
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from rich.table import Table
+from rich.text import Text
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import ExperimentError, InputError, WireError
+from seft_msgs_py.node.process import leave_graph
+from seft_msgs_py.node.rclpy_interface import (
+    WaitSet,
+    command_node,
+    raw_publisher,
+    raw_subscription,
+    sender,
+    taker,
+)
+from seft_msgs_py.wire.messages import decode_string, encode_string
+from seft_msgs_py.wire.topics import LINK_PING, LINK_PONG, TARGET, RigAxes, Topic
+from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
+
+from seft_ros.design.stability_verdict import MASS_RATIO_RESERVE as RESERVE
+from seft_ros.drawing.tables import Number, make_table, rows_of
+from seft_ros.reference_force.reference_force_parameters import reference_force_topic
+
+Verdict = Literal["good", "marginal", "unusable"]
+
+PERCENTILES = (50, 90, 99, 99.9)
+MARGIN = 1
+"""Steps of a loop's delay beyond the percentile: for its computation, and for rare delays."""
+COUNTED = 99.0
+"""Percentile of the round trips that a loop's delay covers; later values are predicted."""
+SOME_LOST, TOO_MANY_LOST = 0.005, 0.2
+"""Share of the messages lost from which a link is marginal, and unusable."""
+LONGEST_DELAY = 100
+"""Steps that `loop_delay` may have."""
+
+
+@dataclass(frozen=True)
+class RoundTrips:
+    """Round trips of messages sent at a steady rate.
+
+    Attributes
+    ----------
+    rate : float
+        Messages a second.
+    sent : int
+        Their number.
+    times : ndarray
+        Round trips of those that came back, in the order of arrival, shape (M,), s.
+    numbers : ndarray of int
+        Their numbers, shape (M,), from 0.
+    """
+
+    rate: float
+    sent: int
+    times: Floats
+    numbers: npt.NDArray[np.int64]
+
+    @property
+    def lost(self) -> int:
+        """Messages that did not come back."""
+        return self.sent - len(np.unique(self.numbers))
+
+    @property
+    def longest_burst(self) -> int:
+        """Most messages that were lost in a row."""
+        return int(np.diff(np.union1d(self.numbers, [-1, self.sent])).max()) - 1
+
+    @property
+    def reordered(self) -> int:
+        """Messages that came back after a message that was sent later."""
+        return int((self.numbers < np.maximum.accumulate(self.numbers)).sum())
+
+    @property
+    def loop_delay(self) -> int:
+        """Delay that a loop over this link needs, in steps at this rate."""
+        return math.ceil(self._percentile(COUNTED) * self.rate - 1e-9) + MARGIN
+
+    @property
+    def rate_within_a_step(self) -> float:
+        """Rate up to which an answer comes within its step, so that no delay is needed, Hz."""
+        return 1.0 / self._percentile(COUNTED)
+
+    def numbers_by_name(self) -> dict[str, Any]:
+        """Give JSON values."""
+        return {
+            "rate_hz": self.rate,
+            "sent": self.sent,
+            "lost": self.lost,
+            "longest_burst": self.longest_burst,
+            "reordered": self.reordered,
+            "round_trip_s": {
+                **{f"p{p:g}": self._percentile(p) for p in PERCENTILES},
+                "least": float(self.times.min()),
+                "largest": float(self.times.max()),
+            },
+            "loop_delay": self.loop_delay,
+            "rate_within_a_step_hz": self.rate_within_a_step,
+        }
+
+    def _percentile(self, percent: float) -> float:
+        return float(np.percentile(self.times, percent))
+
+
+@dataclass(frozen=True)
+class Allowed:
+    """Result of preflight for a test with the delay that its link needs.
+
+    Attributes
+    ----------
+    mass_ratio : float
+        As planned.
+    critical_mass_ratio : float or None
+        Least unstable one; None where there is none, or it is not known.
+    growing : bool
+        Whether it is unstable as planned.
+    unknown : str
+        Why preflight failed; else empty.
+    """
+
+    mass_ratio: float
+    critical_mass_ratio: float | None
+    growing: bool
+    unknown: str = ""
+
+    def numbers(self) -> dict[str, Any]:
+        """Give JSON values."""
+        return {
+            "mass_ratio": self.mass_ratio,
+            "critical_mass_ratio": self.critical_mass_ratio,
+            "stable": None if self.unknown else not self.growing,
+            "unknown": self.unknown or None,
+        }
+
+
+def with_loop_delay(experiment: Experiment, steps: int) -> Experiment:
+    """Give the same experiment with another delay of the loop, in steps."""
+    sections = {
+        node: {**section, **({"loop_delay": steps} if "loop_delay" in section else {})}
+        for node, section in experiment.sections.items()
+    }
+    return Experiment(sections)
+
+
+def message_size(experiment: Experiment) -> int:
+    """Size of a reference force message over a link with a delay of ten steps, bytes."""
+    section, axes = experiment["reference_force"], experiment.axes
+    topic, points = reference_force_topic(section), 11
+    if topic == TARGET:
+        points += math.ceil(section["compensation.horizon"] * experiment.timebase.rate)
+    codec = TrajectoryCodec(topic, axes, experiment.timebase)
+    return len(codec.encode_points(0, np.zeros((points, len(topic.quantities), len(axes)))))
+
+
+def allowed(experiment: Experiment, loop_delay: int) -> Allowed:
+    """Run preflight for a test with a delay of the loop, in steps."""
+    from seft_ros.design.plan import Plan
+    from seft_ros.design.stability_margins import critical_mass_ratio
+
+    planned = float(experiment["reference_force"]["mass_ratio"])
+    try:
+        plan = Plan(with_loop_delay(experiment, loop_delay))
+        growing = not plan.is_stable()
+        critical = critical_mass_ratio(plan)
+    except InputError as error:
+        return Allowed(planned, None, growing=False, unknown=str(error))
+    return Allowed(planned, critical.value if critical else None, growing)
+
+
+def judge(trips: RoundTrips, test: Allowed | None) -> tuple[Verdict, list[str]]:
+    """Judge a link, and a test over it.
+
+    Returns
+    -------
+    verdict : str
+        ``good``, ``marginal`` or ``unusable``.
+    reasons : list of str
+        Why it is not good.
+    """
+    lost, delay, bad, thin = trips.lost / trips.sent, trips.loop_delay, [], []
+    if delay > LONGEST_DELAY:
+        bad.append(f"the loop would need a delay of {delay} steps, more than {LONGEST_DELAY}")
+    if lost > TOO_MANY_LOST:
+        bad.append(f"{100 * lost:.3g} % of the messages were lost")
+    elif lost > SOME_LOST:
+        thin.append(
+            f"{100 * lost:.3g} % of the messages were lost, up to {trips.longest_burst} in a row: "
+            "they are bridged, with some error"
+        )
+    if test is not None and test.growing:
+        bad.append(f"mass ratio {test.mass_ratio:g} is unstable with a delay of {delay} steps")
+    elif test is not None and test.unknown:
+        thin.append(f"preflight could not be done: {test.unknown}")
+    elif test is not None and (test.critical_mass_ratio or np.inf) < RESERVE * test.mass_ratio:
+        thin.append(
+            f"the critical mass ratio {test.critical_mass_ratio:.3g} is less than {RESERVE:g} "
+            f"times the planned {test.mass_ratio:g}"
+        )
+    return "unusable" if bad else "marginal" if thin else "good", [*bad, *thin]
+
+
+_COLOURS = {"good": "green", "marginal": "yellow", "unusable": "red"}
+_LINK = (
+    Number(
+        "lost",
+        form=lambda link: (
+            f"{link['lost']} ({100 * link['lost'] / link['sent']:.3g} %), "
+            f"at most {link['longest_burst']} in a row"
+        ),
+    ),
+    Number("came out of order", "reordered", form=str),
+    Number("loop_delay that it needs", "loop_delay", "steps", form=str),
+    Number("rate up to which none is needed", "rate_within_a_step_hz", "Hz", form=".3g"),
+)
+_TEST = (
+    Number("critical mass ratio", "critical_mass_ratio", form=".3g", missing="none found"),
+    Number("planned mass ratio", "mass_ratio", form="g"),
+)
+
+
+def link_table(summary: dict[str, Any]) -> Table:
+    """Tabulate the summary of `seft link`; the caption is its verdict."""
+    verdict, trips, test = summary["verdict"], summary["round_trip_s"], summary["test"]
+    rows = rows_of((Number(f"round trip, {name}", name, "ms", 1e3, ".3f") for name in trips), trips)
+    rows += rows_of(_LINK, summary)
+    if test is not None:
+        unknown = {"critical_mass_ratio": "unknown"} if test["unknown"] else {}
+        rows += rows_of(_TEST, test | unknown)
+    return make_table(
+        ("", ""),
+        rows,
+        left=(0, 1),
+        wrap=True,
+        show_header=False,
+        title=f"link: {summary['sent']} messages of {summary['size_bytes']} bytes at "
+        f"{summary['rate_hz']:g} Hz",
+        caption=Text(verdict, style=f"bold {_COLOURS[verdict]}"),
+    )
+
+
+PATIENCE = 15.0  # s, until the other side is found
+POLL_PERIOD = 0.05  # s
+SETTLING = 0.5  # s that do not count: the first messages are the slowest
+FIRST, LAST = 5.0, 1.0  # s in which the first and the last message may come back
+ECHO_PERIOD = 0.2  # s
+
+
+class _LinkNode:
+    """A node that publishes one topic and subscribes to another."""
+
+    def __init__(self, name: str, sends: Topic, hears: Topic) -> None:
+        self.node = command_node(name)
+        self.publisher = raw_publisher(self.node, sends)
+        self.send = sender(self.publisher)
+        self.subscription = raw_subscription(self.node, hears, reliable=False)
+        self._take = taker(self.subscription)
+        self._wait_set = WaitSet(self.node.context, [self.subscription])
+
+    def listen(self, timeout: float) -> Iterator[bytes]:
+        """Wait at most ``timeout`` s for messages, and give all that have come."""
+        self._wait_set.wait(timeout)
+        while (taken := self._take()) is not None:
+            yield taken[0]
+
+    def close(self) -> None:
+        """Leave the graph."""
+        leave_graph(self.node)
+
+
+def echo(progress: Callable[[int], None]) -> None:
+    """Send back each message as it is, until interrupted.
+
+    Parameters
+    ----------
+    progress : callable
+        Called with the number of messages sent back, several times a second; may raise to end.
+    """
+    with closing(_LinkNode("seft_link_echo", LINK_PONG, LINK_PING)) as link:
+        count = 0
+        while True:
+            for raw in link.listen(ECHO_PERIOD):
+                link.send(raw)
+                count += 1
+            progress(count)
+
+
+def measure(
+    rate: float,
+    duration: float,
+    size: int,
+    progress: Callable[[str, int], None],
+    rig: RigAxes | None = None,
+) -> RoundTrips:
+    """Measure the link to the node that echoes on this ROS domain.
+
+    Parameters
+    ----------
+    rate : float
+        Messages a second.
+    duration : float
+        Time for which they are sent, s.
+    size : int
+        Bytes of each.
+    progress : callable
+        Called with the present stage and the number of messages sent.
+    rig : RigAxes, optional
+        Of several rigs, the one whose force controller echoes.
+
+    Raises
+    ------
+    InputError
+        If nobody echoes, or several do.
+    ExperimentError
+        If nothing comes back.
+    """
+    ping, pong = (LINK_PING, LINK_PONG) if rig is None else (LINK_PING.of(rig), LINK_PONG.of(rig))
+    first, count = -max(1, round(SETTLING * rate)), max(2, round(duration * rate))
+    own = uuid.uuid4().hex
+    sent: dict[int, float] = {}
+    back: list[tuple[int, float]] = []
+
+    def listen_until(deadline: float) -> None:
+        while (left := deadline - time.monotonic()) > 0:
+            for raw in link.listen(left):
+                now = time.monotonic()
+                try:
+                    name, number, *_ = decode_string(raw).split(" ")
+                    if name == own:
+                        back.append((int(number), now - sent[int(number)]))
+                except (WireError, ValueError):
+                    continue  # of someone else
+
+    def send(number: int) -> None:
+        raw = encode_string(f"{own} {number} {'.' * size}"[:size])
+        sent[number] = time.monotonic()
+        link.send(raw)
+
+    with closing(_LinkNode("seft_link", ping, pong)) as link:
+        progress("looking for the other side", 0)
+        _find_echo(link, pong)
+        deadline = time.monotonic() + FIRST
+        while not back and time.monotonic() < deadline:  # it may not have found this side yet
+            send(first - 1)
+            listen_until(time.monotonic() + POLL_PERIOD)
+        start = time.monotonic() - first / rate
+        for number in range(first, count):
+            listen_until(start + number / rate)
+            send(number)
+            progress("measuring the link", max(number, 0))
+        deadline = time.monotonic() + LAST
+        while len({number for number, _ in back}) < len(sent) and time.monotonic() < deadline:
+            listen_until(min(deadline, time.monotonic() + POLL_PERIOD))
+    progress("measured", count)
+    counted = [(number, took) for number, took in back if number >= 0]
+    if not counted:
+        raise ExperimentError(
+            f"none of {count} messages came back over the link; is a firewall between?"
+        )
+    numbers, times = zip(*counted, strict=True)
+    return RoundTrips(rate, count, np.array(times), np.array(numbers))
+
+
+def _find_echo(link: _LinkNode, pong: Topic) -> None:
+    """Wait for the one node that echoes."""
+    deadline = time.monotonic() + PATIENCE
+    while True:
+        echoes = link.node.get_publishers_info_by_topic(pong.name)
+        if len(echoes) > 1:
+            names = ", ".join(sorted(echo.node_name for echo in echoes))
+            raise InputError(f"several nodes echo on this ROS domain: {names}; let one do so")
+        if link.publisher.get_subscription_count() and link.subscription.get_publisher_count():
+            return
+        if time.monotonic() > deadline:
+            domain = os.environ.get("ROS_DOMAIN_ID", "0")
+            raise InputError(
+                f"nobody echoes on ROS domain {domain} within {PATIENCE:g} s; on the other "
+                "host start seft link --echo, or its force_controller with a loop_delay "
+                "(docs/hosts.md has what two hosts need to find each other)"
+            )
+        time.sleep(POLL_PERIOD)

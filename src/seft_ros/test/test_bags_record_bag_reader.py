@@ -1,0 +1,366 @@
+import json
+import shutil
+
+import numpy as np
+import pytest
+import yaml
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.messages import (
+    EstimatesCodec,
+    Status,
+    encode_diagnostics,
+    encode_status,
+    encode_string,
+)
+from seft_msgs_py.wire.outcome import Trip, rig_status
+from seft_msgs_py.wire.topics import (
+    CLOCK,
+    DESCRIPTION,
+    DIAGNOSTICS,
+    ESTIMATES,
+    EXPERIMENT_STATE,
+    GROUND_MOTION,
+    LOOP_TOPICS,
+    REFERENCE_FORCE,
+    RIG_STATE,
+    STRING,
+    VALVE_COMMAND,
+    Timebase,
+)
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
+from seft_ros.bags.bag_writer import BagWriter
+from seft_ros.bags.record_bag import read_bag
+
+AXES = ("x", "y")
+TIMEBASE = Timebase.from_rate(500.0)
+CODECS = {topic.name: TrajectoryCodec(topic, AXES, TIMEBASE) for topic in LOOP_TOPICS}
+NODE = {"rate": 500.0, "axes": list(AXES)}
+NODES = {"rig": {**NODE, "seed": 3}, "recorder": {**NODE, "storage": "mcap"}}
+ENVIRONMENT = {"start": "2026-01-01T10:00:00+01:00", "mode": "lockstep"}
+START = 1_767_258_000_000_000_000
+
+
+def states(step):
+    """Sample (4, 2) that tells its step and its place."""
+    return step + np.arange(8.0).reshape(4, 2) / 10
+
+
+def description(nodes=NODES, environment=ENVIRONMENT):
+    parts = [{"node": node, "parameters": p, "fact": 1} for node, p in nodes.items()]
+    return [
+        (DESCRIPTION, encode_string(json.dumps(p))) for p in [*parts, {"environment": environment}]
+    ]
+
+
+def motion(first_step, count):
+    steps = np.arange(first_step, first_step + count, dtype=float)
+    return GROUND_MOTION, CODECS["ground_motion"].encode_points(
+        first_step, np.stack([steps, -steps], axis=1)
+    )
+
+
+def loop(steps):
+    for step in steps:
+        yield RIG_STATE, CODECS["rig/state"].encode(step, states(step))
+        yield REFERENCE_FORCE, CODECS["reference_force"].encode(step, np.full(2, float(step)))
+        yield VALVE_COMMAND, CODECS["valve_command"].encode(step, np.full(2, -float(step)))
+
+
+def ending(phase="finished", trip=None, steps=10):
+    status = rig_status(phase, steps, 2, [4, 6], 1.25, trip)
+    return DIAGNOSTICS, encode_diagnostics(0, [status])
+
+
+TEST = [*description(), motion(0, 8), motion(8, 8), *loop(range(10)), ending()]
+
+
+def write(path, messages, storage="mcap"):
+    with BagWriter(path, storage) as bag:
+        for k, (topic, raw) in enumerate(messages):
+            bag.write(topic, raw, START + k)
+    return path
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_test_is_read_back(tmp_path, storage):
+    record = read_bag(write(tmp_path / "bag", TEST, storage))
+    assert record.experiment.sections == NODES
+    assert record.experiment.axes == AXES
+    assert record.experiment.timebase == TIMEBASE
+    assert record.environment == {**ENVIRONMENT, "undecodable": 0}
+    assert record.complete
+    assert record.trip is None
+    assert (record.missed, record.missed_steps, record.wall_s) == (2, [4, 6], 1.25)
+    for topic in LOOP_TOPICS:
+        assert record.series[topic.name].steps.tolist() == list(range(10))
+        assert record.series[topic.name].values.shape == (10, len(topic.quantities), 2)
+    assert np.array_equal(record.series["rig/state"].values, [states(k) for k in range(10)])
+    assert record.series["ground_motion"].values[7].tolist() == [[7.0, -7.0]]
+    assert record.series["valve_command"].values[9].tolist() == [[-9.0, -9.0]]
+
+
+def test_a_single_file_is_a_bag(tmp_path):
+    for storage, suffix in (("mcap", "mcap"), ("sqlite3", "db3")):
+        path = write(tmp_path / storage, TEST, storage)
+        record = read_bag(path / f"{storage}.{suffix}")
+        assert len(record.series["rig/state"].steps) == 10
+
+
+def test_ground_motion_ends_with_the_last_rig_state(tmp_path):
+    messages = [*description(), motion(0, 50), motion(50, 50), *loop(range(60))]
+    record = read_bag(write(tmp_path / "bag", messages))
+    assert record.series["ground_motion"].steps.tolist() == list(range(60))
+
+
+def test_samples_are_ordered_by_step_and_of_duplicates_the_first_counts(tmp_path):
+    codec = CODECS["rig/state"]
+    messages = [*description(), *loop([0, 3, 1]), (RIG_STATE, codec.encode(3, states(99)))]
+    record = read_bag(write(tmp_path / "bag", [*messages, *loop([2])]))
+    series = record.series["rig/state"]
+    assert series.steps.tolist() == [0, 1, 2, 3]
+    assert np.array_equal(series.values, [states(k) for k in range(4)])
+
+
+def test_each_sample_has_the_time_its_message_was_received(tmp_path):
+    late = [(RIG_STATE, CODECS["rig/state"].encode(3, states(99)))]
+    messages = [*description(), motion(0, 10), *loop([0, 3, 1]), *late, *loop([2])]
+    series = read_bag(write(tmp_path / "bag", messages)).series
+    at = [START + k for k, (topic, _) in enumerate(messages) if topic is RIG_STATE]
+    assert series["rig/state"].received_ns.tolist() == [at[0], at[2], at[4], at[1]]
+    assert series["ground_motion"].received_ns is None
+
+
+def told(name, level, message, **values):
+    return DIAGNOSTICS, encode_diagnostics(0, [Status(name, level, message, values=values)])
+
+
+def test_what_nodes_tell_is_an_event_once_until_they_tell_another(tmp_path):
+    state = [
+        (EXPERIMENT_STATE, encode_status(Status("experiment", 0, "running", values=values)))
+        for values in ({"detail": "running"}, {"detail": "running"}, {"detail": "ramping"})
+    ]
+    messages = [
+        *description(),
+        motion(0, 8),
+        state[0],
+        *loop([0]),
+        told("rig", 0, "running"),
+        told("rig", 0, "running"),
+        state[1],
+        told("recorder", 1, "disk nearly full"),
+        state[2],
+        told("rig", 0, "running", late="1"),
+        told("rig", 2, "tripped"),
+    ]
+    record = read_bag(write(tmp_path / "bag", messages))
+    assert [(e.source, e.level, e.text) for e in record.events] == [
+        ("experiment", "ok", "running"),
+        ("rig", "ok", "running"),
+        ("recorder", "warn", "disk nearly full"),
+        ("experiment", "ok", "running: ramping"),
+        ("rig", "error", "tripped"),
+    ]
+    times = [e.time_s for e in record.events]
+    assert times == sorted(times)
+    assert times[0] < 0 < times[1]  # the rig's first sample is time zero
+
+
+def test_steps_that_were_lost_are_not_there(tmp_path):
+    messages = [*description(), motion(0, 10), *loop([0, 1, 4, 5])]
+    record = read_bag(write(tmp_path / "bag", messages))
+    assert record.series["rig/state"].steps.tolist() == [0, 1, 4, 5]
+    assert record.series["ground_motion"].steps.tolist() == [0, 1, 2, 3, 4, 5]
+
+
+def test_estimates_that_do_not_fit_the_test_are_left_out_and_counted(tmp_path):
+    codec, foreign = EstimatesCodec(AXES, TIMEBASE), EstimatesCodec(("z",), TIMEBASE)
+    delay = {"delay": np.array([0.01, 0.02])}
+    messages = [
+        codec.encode(50, delay),
+        codec.encode(0, delay),
+        codec.encode(100, {"stiffness": np.ones(2)}),
+        foreign.encode(150, {"delay": np.zeros(1)}),
+        b"\x00\x01\x00\x00garbage",
+    ]
+    record = read_bag(write(tmp_path / "bag", [*TEST, *((ESTIMATES, raw) for raw in messages)]))
+    assert record.estimates.names == ("delay",)
+    assert record.estimates.steps.tolist() == [0, 50]
+    assert record.estimates.values.tolist() == [[[0.01, 0.02]]] * 2
+    assert record.environment["undecodable"] == 3
+
+
+def test_without_the_rigs_last_word_the_end_is_unknown(tmp_path):
+    running = (DIAGNOSTICS, encode_diagnostics(0, [rig_status("running", 3, 1, [2], 0.1)]))
+    record = read_bag(write(tmp_path / "bag", [*TEST[:-1], running]))
+    assert not record.complete
+    assert record.missed is None
+    assert record.wall_s is None
+    assert record.trip is None
+
+
+def test_a_trip_is_told_with_reason_step_and_time(tmp_path):
+    trip = Trip("force 900 N on axis x is beyond the limit of 800 N", 9, 0.018)
+    record = read_bag(write(tmp_path / "bag", [*TEST[:-1], ending("tripped", trip)]))
+    assert record.trip == trip
+    assert record.complete
+
+
+def test_the_rigs_last_word_counts(tmp_path):
+    trip = Trip("limit", 9, 0.018)
+    record = read_bag(write(tmp_path / "bag", [*TEST, ending("tripped", trip)]))
+    assert record.trip == trip
+
+
+def test_messages_that_cannot_be_understood_are_left_out_and_counted(tmp_path):
+    other = TrajectoryCodec(RIG_STATE, ("a", "b"), TIMEBASE)
+    bad = [
+        (RIG_STATE, b"\x00\x01\x00\x00garbage"),
+        (RIG_STATE, other.encode(20, states(20))),
+        (DESCRIPTION, encode_string("no json")),
+        (DESCRIPTION, b""),
+        (DIAGNOSTICS, b"\x00\x01"),
+        (VALVE_COMMAND, CODECS["valve_command"].encode(0, np.zeros(2))[:-5]),
+    ]
+    record = read_bag(write(tmp_path / "bag", [*bad, *TEST]))
+    assert record.environment["undecodable"] == 6
+    assert record.series["rig/state"].steps.tolist() == list(range(10))
+    assert record.missed == 2
+
+
+def test_a_test_with_no_samples_is_an_empty_record(tmp_path):
+    record = read_bag(write(tmp_path / "bag", description()))
+    assert [len(series.steps) for series in record.series.values()] == [0, 0, 0, 0]
+    assert record.series["rig/state"].values.shape == (0, 4, 2)
+
+
+@pytest.mark.parametrize("bad", [[], [(DESCRIPTION, encode_string("{}"))], description({})])
+def test_a_bag_without_description_is_an_input_error(tmp_path, bad):
+    path = write(tmp_path / "bag", [*bad, *loop(range(3))])
+    with pytest.raises(InputError, match=f"{path}: the bag holds no test.*experiment/description"):
+        read_bag(path)
+
+
+def test_nodes_that_contradict_one_another_are_an_input_error(tmp_path):
+    nodes = {**NODES, "recorder": {**NODE, "rate": 1000.0}}
+    path = write(tmp_path / "bag", description(nodes))
+    with pytest.raises(InputError, match=r"bag: .*recorder: rate is 1000"):
+        read_bag(path)
+
+
+def test_what_is_no_bag_is_an_input_error(tmp_path):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file.txt").write_text("no bag")
+    (tmp_path / "text.mcap").write_text("no bag")
+    (tmp_path / "text.db3").write_text("no bag")
+    for name in ("none", "folder", "file.txt", "text.mcap", "text.db3"):
+        with pytest.raises(InputError) as caught:
+            read_bag(tmp_path / name)
+        assert str(tmp_path / name) in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_bag_without_metadata_says_how_to_get_it_back(tmp_path, storage):
+    path = write(tmp_path / "bag", TEST, storage)
+    (path / "metadata.yaml").unlink()
+    with pytest.raises(InputError, match=rf"recording was cut off.*seft recover {path}$"):
+        read_bag(path)
+
+
+@pytest.mark.parametrize("text", ["", "a: [", "rosbag2_bagfile_information: 3", "\x00"])
+def test_garbled_metadata_is_an_input_error(tmp_path, text):
+    path = write(tmp_path / "bag", TEST)
+    (path / "metadata.yaml").write_text(text)
+    with pytest.raises(InputError, match="seft recover") as caught:
+        read_bag(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_damage_inside_the_file_is_an_input_error(tmp_path):
+    path = write(tmp_path / "bag", [*TEST, *loop(range(10, 2000))])
+    file = path / "bag.mcap"
+    data = bytearray(file.read_bytes())
+    data[100_000:100_100] = b"\xff" * 100
+    file.write_bytes(data)
+    try:
+        record = read_bag(path)
+    except InputError as error:
+        assert "damaged" in str(error)  # a record's head was hit
+    else:
+        assert record.environment["undecodable"] <= 2
+
+
+def ros2_bag_record(path, messages, prefix="", mode=CompressionMode.NONE, storage="mcap"):
+    """A bag as `ros2 bag record -a` makes it: all topics, of whatever type."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    writer = Writer(path, version=9, storage_plugin=StoragePlugin[storage.upper()])
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        known = {}
+        for k, (name, kind, raw) in enumerate(
+            [
+                ("/rosout", STRING, encode_string("log")),
+                ("/clock", CLOCK, b"\x00\x01\x00\x00" + bytes(8)),
+                (prefix + "/rig/state", STRING, encode_string("a foreign topic of that name")),
+                *((f"{prefix}/{topic.name}", topic.type, raw) for topic, raw in messages),
+            ]
+        ):
+            key = (name, kind)
+            if key not in known:
+                known[key] = writer.add_connection(name, kind, typestore=store)
+            writer.write(known[key], START + k, raw)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("storage", "mode"),
+    [
+        (s, m)
+        for s in ("mcap", "sqlite3")
+        for m in CompressionMode
+        if (s, m.name) != ("sqlite3", "STORAGE")
+    ],
+)
+def test_bags_of_other_recorders_are_read(tmp_path, storage, mode):
+    record = read_bag(ros2_bag_record(tmp_path / "bag", TEST, mode=mode, storage=storage))
+    assert record.series["rig/state"].steps.tolist() == list(range(10))
+    assert record.environment["undecodable"] == 0
+
+
+def test_a_bag_of_several_files_is_read(tmp_path):
+    path = write(tmp_path / "bag", TEST[:12])
+    write(tmp_path / "next", TEST[12:])
+    shutil.move(tmp_path / "next" / "next.mcap", path / "bag_1.mcap")
+    tree = yaml.safe_load((path / "metadata.yaml").read_text())
+    more = yaml.safe_load((tmp_path / "next" / "metadata.yaml").read_text())
+    (info,), (info_more,) = tree.values(), more.values()
+    info["relative_file_paths"].append("bag_1.mcap")
+    present = {item["topic_metadata"]["name"] for item in info["topics_with_message_count"]}
+    info["topics_with_message_count"] += [
+        item
+        for item in info_more["topics_with_message_count"]
+        if item["topic_metadata"]["name"] not in present
+    ]
+    (path / "metadata.yaml").write_text(yaml.safe_dump(tree))
+    record = read_bag(path)
+    assert record.series["rig/state"].steps.tolist() == list(range(10))
+    assert record.complete
+
+
+def test_a_test_in_a_namespace_is_read(tmp_path):
+    record = read_bag(ros2_bag_record(tmp_path / "bag", TEST, prefix="/lab/rig2"))
+    assert record.series["rig/state"].steps.tolist() == list(range(10))
+
+
+def test_tests_in_two_namespaces_are_an_input_error(tmp_path):
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for name in ("/a", "/b"):
+            connection = writer.add_connection(
+                f"{name}/experiment/description", STRING, typestore=store
+            )
+            writer.write(connection, START, description()[0][1])
+    with pytest.raises(InputError, match="several tests, in /a/, /b/"):
+        read_bag(tmp_path / "bag")

@@ -1,0 +1,203 @@
+"""The force controller against scipy.signal, and its behaviour at the valve's limit."""
+
+import numpy as np
+import pytest
+import scipy.signal
+from hypothesis import given
+from hypothesis import strategies as st
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.topics import Timebase
+from seft_plant_sim.lti import bilinear
+from seft_ros.force_controller.force_control import ForceController
+from seft_ros.force_controller.parameters import TABLE
+
+DT = 0.002
+PAPER = ([37.0], [1.0, 17.14, 4002.0])
+CONTROLLERS = {
+    "gain": ([2.5], [0.5]),
+    "paper": PAPER,
+    "integrator": ([50.0], [1.0, 0.0]),
+    "biproper lead": ([0.02, 1.0], [0.001, 1.0]),
+    "double integrator with zeros": ([1.0, 30.0, 400.0], [1.0, 0.0, 0.0]),
+    "order 3": ([4e3, 1e5], [1.0, 120.0, 9e3, 2e5]),
+    "order 4 biproper": ([1.0, 20, 5e3, 1e4, 9e5], [1.0, 60, 9e3, 8e4, 2e6]),
+    "order 5": ([3e6, 2e8], [1.0, 300.0, 5e4, 4e6, 2e8, 3e9]),
+    "leading zeros": ([0.0, 0.0, 37.0], [0.0, 1.0, 17.14, 4002.0]),
+}
+
+
+def controller(numerator, denominator, limit=1e300, axes=1):
+    return ForceController([(numerator, denominator)] * axes, limit, DT)
+
+
+def drive(block, reference, force):
+    """Valve drive for histories of reference and measured force, both of shape (N, n)."""
+    block.reset()
+    states = np.full((len(force), 4, force.shape[1]), 1e6)  # all but the force must not matter
+    states[:, 3] = force
+    return np.array(
+        [block.step(r[None, None], s).copy() for r, s in zip(reference, states, strict=True)]
+    )
+
+
+def filtered(numerator, denominator, error):
+    """The same by scipy: bilinear discretisation and a linear filter."""
+    numerator, denominator = (np.trim_zeros(p, "f") for p in (numerator, denominator))
+    if len(denominator) == 1:
+        return error * numerator[0] / denominator[0]
+    b, a, _ = scipy.signal.cont2discrete((numerator, denominator), DT, "bilinear")
+    return scipy.signal.lfilter(b.ravel(), a, error, axis=0)
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+@pytest.mark.parametrize("axes", [1, 3])
+def test_below_the_limit_it_is_the_linear_filter_of_scipy(name, axes):
+    rng = np.random.default_rng(1)
+    reference, force = rng.normal(size=(2, 400, axes))
+    expected = filtered(*CONTROLLERS[name], reference - force)
+    got = drive(controller(*CONTROLLERS[name], axes=axes), reference, force)
+    np.testing.assert_allclose(got, expected, rtol=1e-8, atol=1e-9 * np.abs(expected).max())
+
+
+def test_the_controller_of_the_paper_by_hand():
+    """Eq. 3.1 with s = (2/dt)(1 - 1/z)/(1 + 1/z), written out."""
+    c = 2 / DT
+    scale = c**2 + 17.14 * c + 4002
+    b, a = bilinear(*PAPER, DT)
+    np.testing.assert_allclose(b, np.array([37, 74, 37]) / scale, rtol=1e-12)
+    np.testing.assert_allclose(
+        a, np.array([scale, 8004 - 2 * c**2, c**2 - 17.14 * c + 4002]) / scale, rtol=1e-12
+    )
+
+
+COEFFICIENTS = st.lists(st.floats(0.1, 10), min_size=1, max_size=6)
+
+
+@given(COEFFICIENTS, COEFFICIENTS, st.sampled_from([0.0005, 0.002, 0.01]))
+def test_bilinear_is_that_of_scipy_and_of_its_definition(numerator, denominator, dt):
+    if len(numerator) > len(denominator):
+        numerator, denominator = denominator, numerator
+    numerator, denominator = (  # frequencies around the rate, where scipy is well conditioned
+        [c * (dt / 2) ** power for power, c in reversed(list(enumerate(polynomial)))]
+        for polynomial in (numerator, denominator)
+    )
+    b, a = bilinear(numerator, denominator, dt)
+    assert a[0] == 1.0
+    assert len(b) == len(a) == len(denominator)
+    theirs_b, theirs_a = scipy.signal.bilinear(numerator, denominator, 1 / dt)
+    for ours, theirs in ((b, theirs_b), (a, theirs_a)):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-7, atol=1e-9 * np.abs(theirs).max())
+    for z in (3.0, 1.1, -1.5):  # s > 0, where positive coefficients leave no pole
+        s = 2 / dt * (z - 1) / (z + 1)
+        expected = np.polyval(numerator, s) / np.polyval(denominator, s)
+        assert np.polyval(b, z) / np.polyval(a, z) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("numerator", "denominator", "told"),
+    [
+        ([1.0, 0.0], [5.0], "improper: numerator of degree 1 over denominator of degree 0"),
+        ([1.0, 0.0, 0.0], [0.0, 1.0, 1.0], "improper: numerator of degree 2 over .* degree 1"),
+        ([1.0], [0.0], "denominator is zero"),
+        ([1.0], [0.0, 0.0, 0.0], "denominator is zero"),
+        ([1.0], [1.0, -2 / DT], "a pole at 1000 rad/s"),
+    ],
+)
+def test_a_controller_that_cannot_be_sampled_is_refused(numerator, denominator, told):
+    with pytest.raises(InputError, match=f"force_controller: .*{told}"):
+        controller(numerator, denominator)
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_without_feedback_the_reference_force_alone_goes_through_it(name):
+    rng = np.random.default_rng(5)
+    reference, force = rng.normal(size=(2, 300, 2))
+    numerator, denominator = CONTROLLERS[name]
+    block = ForceController([(numerator, denominator)] * 2, 1e300, DT, feedback=False)
+    closed = controller(numerator, denominator, axes=2)
+    np.testing.assert_array_equal(
+        drive(block, reference, 1e9 * force), drive(closed, reference, 0 * force)
+    )
+
+
+def test_without_feedback_the_limit_and_its_anti_windup_hold_too():
+    reference = np.repeat([1.0, -1.0], [5000, 200])[:, np.newaxis]
+    block = ForceController([([50.0], [1.0, 0.0])], 10.0, DT, feedback=False)
+    got = drive(block, reference, np.full_like(reference, np.nan))
+    assert (got[1000:5000] == 10.0).all()
+    assert got[5001, 0] < 10.0
+
+
+def test_a_controller_of_zero_drives_nothing():
+    ones = np.ones((10, 1))
+    assert not drive(controller([0.0], [1.0, 2.0, 3.0]), ones, 0 * ones).any()
+
+
+@given(
+    st.sampled_from(sorted(CONTROLLERS)),
+    st.floats(1e-3, 1e3),
+    st.integers(1, 4),
+    st.integers(0, 2**32 - 1),
+    st.floats(0, 8),
+)
+def test_the_drive_never_exceeds_the_limit(name, limit, axes, seed, size):
+    reference = np.random.default_rng(seed).normal(size=(60, axes)) * 10**size
+    block = controller(*CONTROLLERS[name], limit=limit, axes=axes)
+    assert np.abs(drive(block, reference, 0 * reference)).max() <= limit
+
+
+def test_each_axis_is_limited_by_itself():
+    reference = np.column_stack([np.full(50, 100.0), np.full(50, 2.0), np.full(50, -100.0)])
+    got = drive(controller([1.0], [1.0], 10.0, 3), reference, 0 * reference)
+    np.testing.assert_array_equal(got, np.tile([10.0, 2.0, -10.0], (50, 1)))
+    near = np.tile([9.0, 9.0, 10.0], (5, 1))  # together beyond, each within the limit
+    np.testing.assert_array_equal(drive(controller([1.0], [1.0], 10.0, 3), near, 0 * near), near)
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+def test_an_axis_does_not_feel_another_one_at_its_limit(axes):
+    rng = np.random.default_rng(2)
+    reference = rng.normal(size=(300, axes)) * np.array([1e5, 1.0, 3e4])[:axes]
+    together = drive(controller(*PAPER, 10.0, axes), reference, 0 * reference)
+    for column in range(axes):
+        one = reference[:, column : column + 1]
+        alone = drive(controller(*PAPER, 10.0), one, 0 * one)
+        np.testing.assert_allclose(together[:, column : column + 1], alone, atol=1e-12)
+
+
+@pytest.mark.parametrize(("numerator", "steps"), [([50.0], 1), ([5.0, 50.0], 0)])
+def test_after_long_saturation_it_leaves_the_limit_at_once(numerator, steps):
+    """An integrator as soon as the trapezoid of the errors has changed its sign, a PI at once."""
+    error = np.repeat([1.0, -1.0], [5000, 5000])[:, np.newaxis]
+    got = drive(controller(numerator, [1.0, 0.0], 10.0), error, 0 * error)
+    assert (got[1000:5000] == 10.0).all()
+    assert got[5000 + steps, 0] < 10.0
+    wound_up = np.clip(filtered(numerator, [1.0, 0.0], error), -10.0, 10.0)
+    assert (wound_up[5000 : 5000 + 4000] == 10.0).all()  # what a plain recursion would do
+
+
+def test_reset_forgets_the_test():
+    rng = np.random.default_rng(3)
+    reference = rng.normal(size=(200, 2)) * 1e4
+    block = controller(*PAPER, 10.0, 2)
+    first = drive(block, reference, 0 * reference)
+    np.testing.assert_array_equal(drive(block, reference, 0 * reference), first)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_what_is_no_number_never_becomes_a_command_that_looks_valid(value):
+    block = controller([1.0, 2.0], [1.0, 3.0], 10.0)
+    block.reset()
+    state = np.zeros((4, 1))
+    state[3] = value
+    with np.errstate(invalid="ignore"):
+        drives = [block.step(np.zeros((1, 1, 1)), state)[0] for _ in range(3)]
+    assert not np.isfinite(drives[-1]) or abs(drives[-1]) == 10.0
+    assert np.isfinite(value) or np.isinf(value) or np.isnan(drives).all()
+
+
+def test_the_default_is_the_controller_of_the_paper():
+    section = {name: row.default for name, row in TABLE.rows.items()}
+    block = ForceController.from_parameters(section, ("x",), Timebase.from_rate(500.0))
+    error = np.random.default_rng(4).normal(size=(50, 1))
+    np.testing.assert_allclose(drive(block, error, 0 * error), filtered(*PAPER, error), atol=1e-12)

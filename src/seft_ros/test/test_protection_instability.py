@@ -1,0 +1,166 @@
+"""Vibration that the loop makes is seen before it is strong; what the structure does is none."""
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import butter, sosfilt
+from seft_msgs_py.config.experiment import Experiment
+from seft_plant_sim.computed_substructure import ComputedSubstructure
+from seft_plant_sim.whole_structure import reference_response
+from seft_ros.protection.instability import InstabilityWatch
+from seft_ros.reference_force.compensator import Knowledge
+from seft_ros.test_run.parameter_tables import TABLES
+
+CONFIGS = Path(__file__).parents[3] / "config"
+RATIO, FLOOR = 5.0, 0.3
+
+
+def known_of(mass, computed, damping, stiffness, dt=0.002):
+    return Knowledge(mass, ComputedSubstructure.lumped(computed), damping, stiffness, dt, {})
+
+
+ONE = known_of(*(np.array([[value]]) for value in (52.7, 52.7, 800.0, 2.11e5)))
+
+
+def watch(known=ONE, ratio=RATIO, lowest=0.0):
+    axes = [f"axis{i}" for i in range(known.axes)]
+    return InstabilityWatch(known, axes, ratio, FLOOR, lowest)
+
+
+def states_of(known, acceleration, restoring=0.0):
+    """States of a test, as far as the watch looks: a, and f = M_e a + r."""
+    states = np.zeros((len(acceleration), 4, known.axes))
+    states[:, 2] = acceleration
+    states[:, 3] = acceleration @ known.mass.T + restoring
+    return states
+
+
+def first_fault(guard, ground_motion, states):
+    """Step of the first fault and its text; None."""
+    for step, (ground, state) in enumerate(zip(ground_motion, states, strict=True)):
+        if (fault := guard.step(ground, state)) is not None:
+            return step, fault
+    return None
+
+
+def response(known, ground_motion, law=np.asarray):
+    """Relative acceleration of the whole structure, and r = K law(x) + C v; held between steps."""
+    n, substeps = known.axes, 20
+    x, v = np.zeros(n), np.zeros(n)
+    accelerations, forces = [], []
+    inverse, dt = np.linalg.inv(known.total_mass), known.dt / substeps
+    for ground in ground_motion:
+        forces.append(known.damping @ v + known.stiffness @ law(x))
+        accelerations.append(-ground - inverse @ forces[-1])
+        for _ in range(substeps):
+            v = v + dt * (-ground - inverse @ (known.damping @ v + known.stiffness @ law(x)))
+            x = x + dt * v
+    return np.array(accelerations), np.array(forces)
+
+
+def motion(seed, steps, axes, strength=8.0):
+    """Noise that swells and dies away: rough, and as strong as an earthquake."""
+    noise = np.random.default_rng(seed).standard_normal((steps, axes))
+    envelope = np.sin(np.pi * np.arange(steps) / steps) ** 2
+    return strength * envelope[:, np.newaxis] * noise
+
+
+def vibration(steps, dt, hz, growth, start=1e-3):
+    time = np.arange(steps) * dt
+    return (start * np.exp(growth * time) * np.sin(math.tau * hz * time))[:, np.newaxis]
+
+
+@settings(max_examples=25)
+@given(
+    seed=st.integers(0, 1000),
+    axes=st.integers(1, 3),
+    mass_ratio=st.floats(0.0, 10.0),
+    rate=st.sampled_from([250.0, 500.0, 1000.0]),
+    wrong=st.floats(0.1, 10.0),
+)
+def test_strong_motion_is_no_fault_whatever_the_specimen_is(seed, axes, mass_ratio, rate, wrong):
+    couple = 2 * np.eye(axes) - np.eye(axes, k=1) - np.eye(axes, k=-1)
+    mass = 50.0 * np.eye(axes)
+    known = known_of(mass, mass_ratio * mass, 400.0 * couple, 2e5 * couple, 1 / rate)
+    ground = motion(seed, 400, axes)
+    true = dataclasses.replace(known, stiffness=wrong * known.stiffness)
+    acceleration, force = response(true, ground, lambda x: x + 1e4 * x**3)
+    noise = 0.05 * np.random.default_rng(seed + 1).standard_normal(ground.shape)
+    assert first_fault(watch(known), ground, states_of(known, acceleration + noise, force)) is None
+
+
+@pytest.mark.parametrize("hz", [22.0, 35.0, 90.0, 200.0])
+@pytest.mark.parametrize("growth", [2.0, 7.0, 30.0])
+def test_a_growing_vibration_is_seen_while_it_is_weak(hz, growth):
+    acceleration = vibration(5000, ONE.dt, hz, growth)
+    acceleration = acceleration[np.abs(acceleration[:, 0]) < 200.0]
+    step, fault = first_fault(watch(), np.zeros_like(acceleration), states_of(ONE, acceleration))
+    assert np.abs(acceleration[: step + 1]).max() < 30.0
+    assert "on axis axis0" in fault
+    assert "(limit 5)" in fault
+
+
+def test_it_is_seen_in_the_middle_of_strong_motion():
+    ground = motion(3, 3000, 1)
+    exact, force = response(ONE, ground)
+    growing = vibration(3000, ONE.dt, 35.0, 7.0, start=1e-6)
+    step, _ = first_fault(watch(), ground, states_of(ONE, exact + growing, force))
+    assert np.abs(growing[: step + 1]).max() < 8 * np.abs(exact).max()
+
+
+def test_the_axis_that_vibrates_is_named():
+    two = known_of(*(np.kron(np.eye(2), part) for part in (52.7, 52.7, 800.0, 2.11e5)))
+    growing = np.hstack([np.zeros((2000, 1)), vibration(2000, 0.002, 40.0, 7.0)])
+    _, fault = first_fault(watch(two), np.zeros_like(growing), states_of(two, growing))
+    assert "on axis axis1" in fault
+
+
+def test_a_knock_is_no_fault():
+    acceleration = np.zeros((1000, 1))
+    acceleration[500:502] = 8.0
+    assert first_fault(watch(), np.zeros_like(acceleration), states_of(ONE, acceleration)) is None
+
+
+def test_vibration_below_the_band_is_no_matter_of_this_guard():
+    acceleration = vibration(2000, ONE.dt, 5.0, 0.0, start=10.0)
+    acceleration *= np.minimum(np.arange(2000) / 500, 1)[:, np.newaxis]
+    assert first_fault(watch(), np.zeros_like(acceleration), states_of(ONE, acceleration)) is None
+
+
+def test_a_ratio_of_zero_switches_it_off():
+    acceleration = vibration(3000, ONE.dt, 35.0, 5.0)
+    states = states_of(ONE, acceleration)
+    assert first_fault(watch(ratio=0.0), np.zeros_like(acceleration), states) is None
+
+
+def test_a_new_test_begins_at_rest():
+    acceleration = vibration(1000, ONE.dt, 35.0, 10.0)
+    ground = np.zeros_like(acceleration)
+    guard, states = watch(), states_of(ONE, acceleration)
+    first = first_fault(guard, ground, states)
+    guard.reset()
+    assert first is not None
+    assert first_fault(guard, ground, states) == first
+
+
+@pytest.mark.parametrize("config", ["demo", "three_storey_frame", "two_pier_bridge", "water_tower"])
+def test_in_a_perfect_test_both_accelerations_are_one_and_pass_butterworths_high_pass(config):
+    test = Experiment.load(TABLES, [CONFIGS / f"{config}.yaml"])
+    n, section = len(test.axes), test["reference_force"] | {"instability.lowest": 30.0}
+    guard = InstabilityWatch.from_parameters(section, test.axes, test.timebase)
+    ground = motion(1, 600, n)
+    exact = reference_response(test, ground)
+    states = np.stack([exact.displacement, exact.velocity, exact.acceleration, exact.force], axis=1)
+    filtered = np.empty((600, 2, n))
+    for step, state in enumerate(states):
+        guard.step(ground[step], state)
+        filtered[step] = guard.state.result[-3 * n : -n].reshape(2, n)
+    sections = butter(4, 30.0, "high", fs=500, output="sos")
+    wanted = sosfilt(sections, exact.acceleration, axis=0)
+    np.testing.assert_allclose(filtered[:, 1], wanted, atol=1e-9)
+    np.testing.assert_allclose(filtered[:, 0], wanted, atol=1e-3 * np.abs(wanted).max())

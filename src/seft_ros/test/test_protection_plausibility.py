@@ -1,0 +1,79 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from seft_plant_sim.compiled import is_finite
+from seft_ros.protection.protection_step import PlausibleForce, not_finite
+
+DT = 0.002
+
+
+def forces(largest=1000.0, fastest=1e5, axes=("north", "east")):
+    return PlausibleForce(largest, fastest, axes, DT)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_the_largest_force_from_both_sides(axis, sign):
+    limits, force = forces(fastest=1e9), np.zeros(2)
+    force[axis] = sign * 1000.0
+    assert limits.fault(force) is None
+    force[axis] = sign * 1000.01
+    name = ("north", "east")[axis]
+    assert limits.fault(force) == (
+        f"reference force {sign * 1000.0:.5g} N on axis {name} is beyond the limit of 1000 N"
+    )
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_fastest_change_from_both_sides(sign):
+    limits = forces()
+    assert limits.fault(np.array([sign * 200.0, 0.0])) is None  # from rest
+    assert limits.fault(np.array([sign * 400.0, 0.0])) is None
+    assert limits.fault(np.array([sign * 600.01, 0.0])) == (
+        f"reference force changes by {sign * 100005:.5g} N/s on axis north, beyond the limit of "
+        "100000 N/s"
+    )
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_force_that_is_not_finite_is_named(value):
+    assert forces().fault(np.array([0.0, value])) == f"reference force is {value} N on axis east"
+
+
+def test_a_fault_leaves_the_last_plausible_force():
+    limits = forces()
+    limits.fault(np.array([100.0, -100.0]))
+    limits.fault(np.array([math.nan, -100.0]))
+    assert limits.last.tolist() == [100.0, -100.0]
+    limits.reset()
+    assert limits.last.tolist() == [0.0, 0.0]
+
+
+@given(st.lists(st.floats(-1000.0, 1000.0), min_size=1, max_size=50))
+def test_only_what_breaks_a_limit_is_a_fault(values):
+    limits, last = forces(axes=("x",)), 0.0
+    for value in values:
+        fault = limits.fault(np.array([value]))
+        assert (fault is not None) == (abs(value - last) > 1e5 * DT * (1 + 1e-12))
+        last = last if fault else value
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("row", range(4))
+def test_a_measured_state_that_is_not_finite_is_named(row, value):
+    state = np.zeros((4, 2))
+    state[row, 1] = value
+    name = ("displacement", "velocity", "acceleration", "force")[row]
+    assert not_finite(state, ("north", "east")) == f"measured {name} is {value} on axis east"
+    assert not is_finite(state, 0)
+    assert is_finite(state, row + 1)
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=8, max_size=8))
+def test_any_finite_state_is_plausible(values):
+    state = np.array(values).reshape(4, 2)
+    assert is_finite(state, 0)
+    assert not_finite(state, ("a", "b")) == ""

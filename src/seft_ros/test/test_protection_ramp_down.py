@@ -1,0 +1,86 @@
+import itertools
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from seft_ros.protection.ramp_down import RampDown
+
+STEPS = st.integers(1, 2000)
+
+
+def factors(steps):
+    ramp = RampDown(steps)
+    ramp.begin()
+    return [ramp.next() for _ in range(steps)]
+
+
+@given(STEPS)
+def test_the_factor_falls_from_one_to_zero_and_never_rises(steps):
+    way = [1.0, *factors(steps)]
+    assert way[-1] == 0.0
+    assert all(0.0 <= later < earlier for earlier, later in itertools.pairwise(way))
+
+
+@given(STEPS)
+def test_no_step_of_the_ramp_is_larger_than_the_middle_of_half_a_cosine(steps):
+    way = [1.0, *factors(steps)]
+    largest = max(earlier - later for earlier, later in itertools.pairwise(way))
+    assert largest <= 3.1416 / 2 / steps + 1e-12
+
+
+@given(st.integers(4, 2000))
+def test_it_begins_and_ends_gently(steps):
+    way = [1.0, *factors(steps)]
+    assert way[0] - way[1] <= 2.5 / steps**2
+    assert way[-2] - way[-1] <= 2.5 / steps**2
+
+
+@given(STEPS, st.integers(0, 50), st.integers(0, 50))
+def test_before_it_is_one_and_after_it_zero(steps, before, after):
+    ramp = RampDown(steps)
+    assert [ramp.next() for _ in range(before)] == [1.0] * before
+    assert not ramp.finished
+    ramp.begin()
+    for _ in range(steps):
+        assert not ramp.finished
+        ramp.next()
+    assert ramp.finished
+    assert [ramp.next() for _ in range(after)] == [0.0] * after
+
+
+@given(STEPS, st.data())
+def test_asking_again_does_not_begin_it_anew(steps, data):
+    expected, ramp = factors(steps), RampDown(steps)
+    ramp.begin()
+    again = data.draw(st.sets(st.integers(0, steps - 1)))
+    got = []
+    for step in range(steps):
+        if step in again:
+            ramp.begin()
+        got.append(ramp.next())
+    assert got == expected
+
+
+def test_a_reset_makes_it_ready_for_the_next_test():
+    ramp = RampDown(3)
+    ramp.begin()
+    for _ in range(5):
+        ramp.next()
+    ramp.reset()
+    assert (ramp.begun, ramp.finished, ramp.next()) == (False, False, 1.0)
+
+
+@pytest.mark.parametrize(("duration", "steps"), [(0.5, 250), (0.002, 1), (1e-6, 1)])
+def test_its_duration_is_counted_in_steps(duration, steps):
+    ramp = RampDown.lasting(duration, 0.002)
+    ramp.begin()
+    count = 0
+    while not ramp.finished:
+        ramp.next()
+        count += 1
+    assert count == steps
+
+
+def test_a_ramp_of_no_steps_is_none():
+    with pytest.raises(ValueError, match="0 steps"):
+        RampDown(0)
