@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 import pytest
-from seft_msgs_py.node.senders import NAMELESS, UNNAMED, Senders
+from seft_msgs_py.node.senders import NAMELESS, UNNAMED, Senders, connected_listeners
 from seft_msgs_py.wire.topics import DIAGNOSTICS, EXPERIMENT_STATE, RIG_STATE
 
 TRUE, FALSE = bytes([1] * 16), bytes([2] * 16)
@@ -14,13 +14,17 @@ class Graph:
 
     def __init__(self, **publishers):
         self.publishers = publishers or {"/rig": TRUE}
-        self.connected = None
+        self.connected, self.asked = None, 0
 
     def get_publishers_info_by_topic(self, name):
+        self.asked += 1
         return [
             SimpleNamespace(endpoint_gid=list(gid), node_name=name[1:], node_namespace="/")
             for name, gid in self.publishers.items()
         ]
+
+    def count_publishers(self, name):
+        return 10 + len(self.publishers)
 
     def get_publisher_count(self):
         return len(self.publishers) if self.connected is None else self.connected
@@ -58,8 +62,13 @@ def test_who_joins_a_test_is_a_stranger_until_it_ends(topic):
     assert senders.strangers() == f"/other on {topic.name}: 2"
     senders.follow(False)
     assert not senders.is_foreign(topic.name, FALSE)
+    del graph.publishers["/other"]
     senders.follow(True)
     assert senders.strangers() == ""
+    assert senders.is_foreign(topic.name, FALSE)
+    assert senders.strangers() == f"{UNNAMED} on {topic.name}: 1"  # what it was before, is past
+    senders.follow(False)
+    assert not senders.is_foreign(topic.name, FALSE)
 
 
 def test_a_stranger_that_says_nothing_is_named_too_once_its_name_is_known():
@@ -73,11 +82,58 @@ def test_a_stranger_that_says_nothing_is_named_too_once_its_name_is_known():
     assert senders.strangers() == "/other on rig/state: 0"
 
 
+def test_the_graph_is_asked_only_where_there_may_be_a_stranger_without_a_name():
+    graph, other = Graph(), Graph()
+    senders = senders_of(graph, RIG_STATE)
+    senders.add(EXPERIMENT_STATE, "/experiment/state", other)
+    senders.follow(True)
+    graph.asked = other.asked = 0
+
+    def polled():
+        """What is new, and on which topics the graph was asked for it; all ask the first."""
+        graph.asked = 0
+        return len(senders.poll()), graph.asked
+
+    assert polled() == (0, 0)
+    senders.is_foreign(RIG_STATE.name, FALSE)
+    assert polled() == (0, 1)  # it sends, and is not known yet
+    graph.publishers["/other"] = FALSE
+    assert polled() == (1, 1)
+    assert polled() == (0, 0)
+    other.connected = 2
+    assert polled() == (1, 1)
+    assert polled() == (0, 0)
+    graph.publishers["/third"] = bytes([3] * 16)
+    assert polled() == (1, 1)
+    assert polled() == (0, 0)
+
+
+def test_publishers_are_counted_by_topic():
+    senders = senders_of(Graph(), RIG_STATE)
+    senders.add(EXPERIMENT_STATE, "/experiment/state")  # comes from this process
+    assert senders.counts() == {RIG_STATE.name: 1, EXPERIMENT_STATE.name: 11}
+    senders.add(EXPERIMENT_STATE, "/experiment/state", Graph())
+    assert senders.conflict() == ""
+
+
+@pytest.mark.parametrize(("connected", "heard"), [(1, set()), (2, {"rig", "/far/rig"}), (3, 2)])
+def test_listeners_are_named_once_all_who_are_known_are_connected(connected, heard):
+    infos = [
+        SimpleNamespace(node_namespace="/test", node_name="rig"),
+        SimpleNamespace(node_namespace="/far/", node_name="rig"),
+    ]
+    node = SimpleNamespace(get_subscriptions_info_by_topic={"/a": infos}.__getitem__)
+    publisher = SimpleNamespace(topic_name="/a", get_subscription_count=lambda: connected)
+    found = connected_listeners(node, publisher, "/test")
+    assert found == heard or len(found) == heard
+
+
 def test_of_two_who_are_there_at_the_begin_both_are_named_and_none_is_chosen():
     senders = senders_of(Graph(**{"/rig": TRUE, "/other": FALSE}), RIG_STATE)
     assert senders.conflict() == "2 nodes publish rig/state (/other, /rig)"
     senders.follow(True)
     assert not senders.is_foreign(RIG_STATE.name, FALSE)
+    assert senders.poll() == []
 
 
 def test_who_is_known_and_not_connected_yet_is_told_apart_by_its_name():

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.wire.topics import REFERENCE_FORCE, TARGET, VALVE_COMMAND, Timebase
+from seft_msgs_py.wire.topics import REFERENCE_FORCE, TARGET, VALVE_COMMAND, RigAxes, Timebase
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_plant_sim.command import Command, MessagesAhead
 
@@ -91,8 +91,23 @@ def test_over_a_link_it_is_the_one_of_the_message_that_the_delay_tells():
         command.current = step
         command.take(target(step))
     np.testing.assert_array_equal(command.value, [-3.0, 3.0])  # told at step 1 for step 3
+    assert (command.step, command.answered) == (5, 3)
     command.current = 9
     np.testing.assert_array_equal(command.value, [-5.0, 5.0])  # the last that is settled
+    command.reset()
+    assert (command.step, command.answered, command.current) == (1, -1, -1)
+
+
+def test_of_several_rigs_each_takes_the_command_of_its_axes():
+    rig = RigAxes("b", ("b/north",), (1,))
+    codec = TrajectoryCodec(VALVE_COMMAND, ("a/east", "b/north"), TIMEBASE)
+    command = Command(codec, 10.0, rig=rig)
+    command.current = 1
+    np.testing.assert_array_equal(command.value, [0.0])
+    command.take(codec.encode(0, np.array([99.0, -3.0])))  # the other's is no matter of this rig
+    np.testing.assert_array_equal(command.value, [-3.0])
+    with pytest.raises(WireError, match="11 V on axis b/north, beyond the limit of 10 V"):
+        command.take(codec.encode(1, np.array([0.0, 11.0])))
 
 
 D = 3

@@ -23,21 +23,25 @@ DT = 0.002
 
 
 class Judge(Limits):
-    """Limits, sample by sample."""
+    """Limits as a driver looks at them, sample by sample; a simulated rig must find the same."""
 
-    last = None
+    def __init__(self, *arguments):
+        super().__init__(*arguments)
+        self.step, self.seen = 0, np.zeros(8)
 
     def violation(self, measured):
-        last = np.zeros_like(measured) if self.last is None else self.last
-        step = 0 if self.last is None else 1
-        self.last = measured
-        if exceeds(self.values, step, last, measured, self.largest):
-            with np.errstate(invalid="ignore"):
-                return self.describe(measured, step * (measured - last))
-        return None
+        last = self.before if self.step else np.zeros_like(measured)
+        broken = exceeds(self.values, self.step, last, measured, self.seen)
+        with np.errstate(invalid="ignore", over="ignore"):
+            told = super().violation(measured)
+        assert broken == (told is not None)
+        np.testing.assert_array_equal(self.largest, self.seen)
+        self.step, self.before = self.step + 1, measured
+        return told
 
     def reset(self):
-        self.last, self.largest[:] = None, 0.0
+        super().reset()
+        self.step, self.seen[:] = 0, 0.0
 
 
 def state_with(row, column, value):
@@ -91,9 +95,8 @@ def test_there_is_a_violation_if_and_only_if_a_value_is_beyond_its_limit(data, a
         rows.append(data.draw(st.lists(signed, min_size=axes, max_size=axes)))
     within = all(abs(v) <= limit for row, limit in zip(rows, limits, strict=True) for v in row)
     names = [f"axis {index}" for index in range(axes)]
-    with np.errstate(over="ignore"):
-        judge = Judge(dict(zip(LIMIT_NAMES, limits, strict=True)), names, DT)
-        verdict = judge.violation(np.array(rows))
+    judge = Judge(dict(zip(LIMIT_NAMES, limits, strict=True)), names, DT)
+    verdict = judge.violation(np.array(rows))
     assert (verdict is None) == within
 
 
@@ -120,6 +123,24 @@ def test_each_quantity_has_a_largest_change_from_sample_to_sample(row, sign):
     assert limits.violation(beyond) is None
     limits.reset()
     assert limits.violation(state_with(row, 1, -1e8)) is None
+
+
+@pytest.mark.parametrize("row", range(4))
+def test_the_least_excess_of_a_change_is_a_violation(row):
+    limits = Judge(dict.fromkeys(LIMIT_NAMES, 1e9) | RATES, AXES, DT)
+    most = limits.values[4 + row]
+    for value, told in ((most, False), (math.nextafter(most, math.inf), True)):
+        limits.reset()
+        assert limits.violation(state_with(row, 1, 0.0)) is None
+        assert (limits.violation(state_with(row, 1, value)) is not None) == told
+        assert limits.margins()[f"{LIMIT_NAMES[row]}_rate"] == 1.0 - value / most
+        assert sum(margin < 1.0 for margin in limits.margins().values()) == 2
+
+
+def test_what_is_at_its_limit_is_not_what_is_told():
+    limits, state = Judge(PAPER, AXES, DT), np.zeros((4, 2))
+    state[0], state[3, 1] = PAPER["displacement"], -2 * PAPER["force"]
+    assert limits.violation(state).startswith("force -44400 N on axis north")
 
 
 def test_a_sample_that_is_no_number_is_told_and_so_is_the_return_from_it():
@@ -167,9 +188,10 @@ def blind_until(limit, steps):
 
 
 def test_sensors_may_be_blind_for_so_long_and_no_longer():
-    assert blind_until(0.05, range(100, 125)) is None
-    step, told = blind_until(0.05, range(100, 126))
-    assert step == 125
+    for first in (0, 100, 100_000):
+        assert blind_until(0.05, range(first, first + 25)) is None
+        step, told = blind_until(0.05, range(first, first + 26))
+        assert step == first + 25
     assert told == (
         "force at the end of the sensor's range for more than 0.05 s within one second: "
         "the test is blind"

@@ -1,15 +1,34 @@
 """What a rig node watches: its time, its commands, and how a test goes."""
 
+import math
 import statistics
 import time
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_msgs_py.wire.messages import ERROR, OK, WARN, Status
-from seft_msgs_py.wire.outcome import ROUND_TRIPS
-from seft_msgs_py.wire.topics import VALVE_COMMAND
-from seft_plant_sim.rig_watch import HURRY, CommandWatch, RoundTrip, SampleClock, with_health
+from seft_msgs_py.errors import WireError
+from seft_msgs_py.wire.messages import (
+    ERROR,
+    OK,
+    WARN,
+    Status,
+    encode_diagnostics,
+    encode_status,
+)
+from seft_msgs_py.wire.outcome import RECORDED, RECORDER, ROUND_TRIPS, STOPPED
+from seft_msgs_py.wire.topics import REHEARSE, VALVE_COMMAND
+from seft_plant_sim import rig_watch
+from seft_plant_sim.rig_watch import (
+    CommandWatch,
+    RecorderLag,
+    RoundTrip,
+    SampleClock,
+    Supervision,
+    elapsed,
+    with_health,
+)
 
 PERIOD, TIMEOUT = 0.002, 0.02
 ALLOWED = 10  # steps
@@ -76,6 +95,44 @@ def test_a_rig_that_has_waited_in_vain_says_so_at_once(watch):
     assert watch.fault(100.0, 0, -1, in_vain=True).startswith("no new valve_command")
 
 
+def test_time_runs_while_the_machine_sleeps():
+    began = time.clock_gettime(time.CLOCK_BOOTTIME)
+    assert 0.0 <= elapsed() - began < 60.0
+
+
+TICK = 2.0**-9  # s; times are exact in multiples of it
+
+
+@pytest.mark.parametrize(
+    ("before", "last", "periods"),
+    [
+        ([], (0, -1), 1),  # since the test began
+        ([(0, -1), (1, 0)], (2, 0), 2),  # since the sample that was answered
+        ([(0, 0), (1, 1)], (2, 1), 1),
+        ([(0, 0), (1, 1)], (2, 2), 0),  # it is answered, and the rig stood still before it knew
+        ([(0, -1), (1, 0), (2, 1)], (3, 2), 1),
+        ([(0, -1), (1, 0), (2, 1)], (3, 1), 2),
+        ([(0, 20), (1, 20)], (2, 20), 0),  # settled ahead
+    ],
+)
+def test_the_time_without_a_command_is_exact(before, last, periods):
+    watch, start, longest = CommandWatch(VALVE_COMMAND, TICK, 8 * TICK), 100.0, 8.5 * TICK
+    for late, fault in ((0.0, ""), (2.0**-30, "the rig stood still")):
+        watch.begin(start)
+        for step, answered in before:
+            assert watch.fault(start + (step + 1) * TICK, step, answered) == ""
+        now = start + (last[0] + 1 - periods) * TICK + longest + late
+        assert watch.fault(now, *last)[:19] == fault
+
+
+def test_who_failed_is_told_by_the_steps_without_a_command():
+    watch = CommandWatch(VALVE_COMMAND, TICK, 8 * TICK)
+    for step, words in ((8, "the rig stood still for"), (9, "no new valve_command for")):
+        watch.begin(0.0)
+        assert watch.fault(TICK, 0, 0) == ""
+        assert watch.fault(1.0, step, 0).startswith(words)
+
+
 def test_deadlines_are_a_period_apart_and_do_not_drift_by_small_delays():
     clock = SampleClock(0.002, 10.0, makes_up=False)
     for step in range(5):
@@ -89,10 +146,18 @@ def test_who_was_held_up_goes_on_from_there(makes_up):
     clock = SampleClock(0.002, 10.0, makes_up=makes_up)
     clock.awake(0.0065)
     assert clock.overruns == 1
-    assert clock.deadline(1) == pytest.approx(10.0085, abs=0.002 * HURRY + 1e-9)
+    assert clock.deadline(1) == pytest.approx(10.0084 if makes_up else 10.0085)
     for _ in range(200):
         clock.awake(0.0)
     assert clock.deadline(1) == pytest.approx(10.002 if makes_up else 10.0085)
+
+
+def test_half_a_period_is_the_least_overrun():
+    clock = SampleClock(TICK, 10.0, makes_up=False)
+    clock.awake(TICK / 2)
+    assert (clock.overruns, clock.deadline(0)) == (0, 10.0)
+    clock.awake(math.nextafter(TICK / 2, 1.0))
+    assert (clock.overruns, clock.deadline(0)) == (1, 10.0 + TICK / 2)
 
 
 def test_all_that_is_to_come_is_put_off():
@@ -100,6 +165,120 @@ def test_all_that_is_to_come_is_put_off():
     clock.fall_back(0.001)
     assert clock.deadline(3) == pytest.approx(10.007)
     assert clock.overruns == 0
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """The time awake, which stands still until it is put forward."""
+    found = SimpleNamespace(now=0.0)
+    monkeypatch.setattr(rig_watch, "AwakeClock", lambda: SimpleNamespace(time=lambda: found.now))
+    return found
+
+
+def test_a_rig_waits_for_a_recorder_that_is_far_behind_but_not_for_a_silent_one(clock):
+    def hear(*statuses):
+        lag.hear(encode_diagnostics(0, [Status(name, OK, "", values=v) for name, v in statuses]), 0)
+
+    lag = RecorderLag(1.5)
+    assert not lag.is_large(10_000)  # it has never been heard
+    hear(("rig", {RECORDED: "9000"}), (RECORDER, {RECORDED: "100"}), ("rig", {}))
+    assert [lag.is_large(step) for step in (99, 3171, 3172)] == [False, False, True]
+    clock.now = 1.25
+    assert lag.is_large(3172)
+    hear(("rig", {}))
+    clock.now = 1.5
+    assert not lag.is_large(3172)
+    hear((RECORDER, {RECORDED: "101"}))
+    assert [lag.is_large(step) for step in (3172, 3173)] == [False, True]
+    lag.reset()
+    assert [lag.is_large(step) for step in (3071, 3072)] == [False, True]
+    hear((RECORDER, {RECORDED: "500"}), (RECORDER, {}))  # that has begun nothing
+    assert [lag.is_large(step) for step in (3071, 3072)] == [False, True]
+
+
+@pytest.fixture
+def told(clock):
+    """What a rig makes of the supervisor's states."""
+
+    def tell(*states, **values):
+        for state in states:
+            texts = {key: str(value) for key, value in values.items()}
+            found.hear(encode_status(Status("supervisor", OK, state, values=texts)), 0)
+        return found.is_moving
+
+    found = Supervision(2.0)
+    return SimpleNamespace(supervision=found, tell=tell, clock=clock)
+
+
+@pytest.mark.parametrize("state", ["running", "ramping_down"])
+def test_a_rig_moves_in_no_test_for_which_it_was_not_ready(told, state):
+    supervision = told.supervision
+    nothing = (None, "", "", False, 0.0)
+    found = (supervision.wanted, supervision.state, supervision.fault)
+    assert (*found, supervision.latched, supervision.rehearsal) == nothing
+    assert supervision.reason_to_end() == STOPPED
+    with pytest.raises(WireError, match="a test that was running before this rig was ready for it"):
+        told.tell(state, steps=9)
+    assert not told.tell(state, steps=9)  # a sign of life
+    assert supervision.reason_to_end() == STOPPED
+    assert not told.tell("idle", "ready", "idle")
+    with pytest.raises(WireError, match="was running before"):
+        told.tell(state, steps=9)
+
+
+def test_a_rig_moves_from_start_to_end_and_not_again(told):
+    assert not told.tell("idle", "ready")
+    assert told.tell("running", steps=9)
+    assert told.supervision.reason_to_end() is None
+    assert told.tell("ramping_down", "running", steps=9)
+    assert (told.supervision.state, told.supervision.wanted.number("steps")) == ("running", 9)
+    assert not told.tell("done")
+    assert told.supervision.reason_to_end() == STOPPED
+    with pytest.raises(WireError, match="was running before"):
+        told.tell("running", steps=9)
+    assert not told.supervision.is_moving
+
+
+def test_a_test_says_how_many_steps_it_has(told):
+    told.tell("ready")
+    with pytest.raises(WireError, match="does not say how many steps"):
+        told.tell("running")
+    assert not told.supervision.is_moving
+
+
+def test_after_a_trip_a_rig_moves_only_after_a_reset(told):
+    told.tell("ready")
+    told.tell("running", steps=9)
+    told.supervision.latched, told.supervision.fault = True, "an error"
+    assert told.supervision.reason_to_end() == "an error"
+    told.tell("tripped", "ready")
+    with pytest.raises(WireError, match="a test after a trip and no reset"):
+        told.tell("running", steps=9)
+    assert (told.supervision.latched, told.supervision.fault) == (True, "an error")
+    told.tell("idle")
+    assert (told.supervision.latched, told.supervision.fault) == (False, "")
+    told.tell("ready")
+    assert told.tell("running", steps=9)
+
+
+def test_a_silent_supervisor_ends_a_test_after_its_time(told):
+    told.clock.now = 7.0
+    told.tell("ready")
+    told.tell("running", steps=9)
+    told.clock.now = 9.0
+    assert told.supervision.reason_to_end() is None
+    told.tell("running", steps=9)
+    told.clock.now = 11.0
+    assert told.supervision.reason_to_end() is None
+    told.clock.now = 11.25
+    assert told.supervision.reason_to_end() == "node supervisor has been silent for 2 s"
+
+
+def test_a_rehearsal_is_asked_for_and_ended_by_signs_of_life(told):
+    told.tell("idle", **{REHEARSE: 3})
+    assert told.supervision.rehearsal == 3.0
+    told.tell("idle")
+    assert told.supervision.rehearsal == 0.0
 
 
 NONE = float("nan")
@@ -124,6 +303,12 @@ def test_last_and_largest_are_exact_and_the_median_is_near(times):
     assert round_trip.quantile(1.0) == pytest.approx(max(times), rel=0.06)
 
 
+def test_each_quantile_is_within_its_bin():
+    found = of(*(1e-3 * n for n in range(1, 10_001))).numbers()
+    assert list(found.values()) == pytest.approx([5.0, 9.0, 9.9, 9.99, 10.0], rel=0.06)
+    assert math.isnan(of().quantile(0.5))
+
+
 @pytest.mark.parametrize("time", [0.0, -1.0, 1e-9, 1e9])
 def test_any_time_has_its_bin(time):
     assert of(time).count == 1
@@ -132,12 +317,12 @@ def test_any_time_has_its_bin(time):
 
 def test_margins_age_and_round_trip_are_told_by_name():
     status = Status("rig", OK, "running", values={"phase": "running"})
-    told = with_health(status, {"force_rate": 0.5}, time.monotonic() - 0.01, 0.003)
+    told = with_health(status, {"force_rate": 0.5}, time.monotonic() - 1e3, 0.003)
     assert told.level == OK
     assert told.message == "running"
     assert told.values["phase"] == "running"
     assert told.values["margin force rate"] == "0.500"
-    assert float(told.values["command age (ms)"]) >= 10.0
+    assert 1e6 <= float(told.values["command age (ms)"]) < 1.1e6
     assert told.values["round trip last (ms)"] == "3.000"
 
 
@@ -152,5 +337,7 @@ def test_a_narrow_margin_is_warned_of(left):
     told = with_health(Status("rig", OK, "running"), {"force": left, "velocity": 0.1}, 0.0, NONE)
     assert told.level == WARN
     assert told.message == "running; less than 10% left to the limit of force"
+    warned = with_health(Status("rig", WARN, "slow"), {"force": left}, 0.0, NONE)
+    assert (warned.level, warned.message) == (WARN, "slow")
     tripped = with_health(Status("rig", ERROR, "tripped"), {"force": left}, 0.0, NONE)
     assert (tripped.level, tripped.message) == (ERROR, "tripped")

@@ -6,6 +6,8 @@ from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_ros.force_controller.force_control import ForceController
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.nodes.force_controller import Silence
+from seft_ros.protection.detectors import LIMITED_AT, detector_arrays
+from seft_ros.protection.ramp_down import continued
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES
@@ -147,3 +149,180 @@ def test_a_target_is_not_held_against_what_is_no_number(row, quantity):
     guarded = interlock()
     np.testing.assert_array_equal(guarded.step(7, np.ones((5, 3, 2)), measured), [0.0, 0.0])
     assert guarded.reason == f"measured {quantity} on axis north is nan"
+
+
+class Scripted:
+    """A controller that notes what it is to answer, and answers step, 2 step, ... on its axes."""
+
+    def __init__(self, points=4, rows=3):
+        self.shape, self.limited, self.seen, self.drive = (points, rows), False, [], None
+
+    def reset(self):
+        self.seen.clear()
+
+    def step(self, plan, sample):
+        self.seen.append((plan.copy(), sample.copy()))
+        n = sample.shape[1]
+        return len(self.seen) * np.arange(1.0, 1 + n) if self.drive is None else self.drive
+
+
+def watched(controller, axes=AXES, warn_only=()):
+    """An interlock that closes the valve in five steps, with detectors that know the sensors."""
+    n = len(axes)
+    noise = np.repeat([[1e-6], [1e-3], [1e-3], [1.0]], n, axis=1)
+    nothing, none = np.zeros((n, n)), np.zeros((4, n))
+    unknown = np.zeros((n, 4)), np.zeros((2, n, 1)), nothing, nothing, nothing
+    detectors = detector_arrays(noise, np.ones(4), none, False, *unknown, warn_only, 0.0, DT)
+    return Interlock(controller, axes, 1000.0, 0.02, 5 * DT, detectors)
+
+
+def left(taken):
+    return 0.5 * (1.0 + math.cos(math.pi * taken / 5)) if taken < 5 else 0.0
+
+
+SPEED = np.array([0.05, -0.03])
+
+
+def sample_of(step, off=0.0, axis=1):
+    """A sample of motion at a constant speed, with its displacement off by something."""
+    found = np.array([SPEED * DT * step, SPEED, [0.0, 0.0], [20.0, 30.0]])
+    found[0, axis] += off
+    return found
+
+
+def target_of(step, count=4):
+    """Points of a target that does this and then speeds up, and whose force grows."""
+    ahead = np.arange(count)[:, np.newaxis]
+    motion = SPEED * DT * (step + ahead), SPEED * (1.0 + ahead), 20.0 + 3.0 * ahead + [step, 0.0]
+    return np.stack(motion, axis=1)
+
+
+def test_a_suspect_sample_is_replaced_by_what_was_planned_before_it():
+    for count in (4, 1):
+        controller = Scripted(count)
+        guarded = watched(controller)
+        for step in range(70, 80):
+            guarded.step(step, target_of(step, count), sample_of(step, 1e-3 * (step == 75)))
+        assert guarded.reason == ""
+        for place, step in enumerate(range(70, 80)):
+            plan, sample = controller.seen[place]
+            if 75 <= step < 78:  # the spike, the way back from it, and a sample to make sure
+                planned = target_of(74, count)
+                for _ in range(step - 74):
+                    planned = continued(planned, 1, count, DT)
+                expected = (
+                    planned[0, 0],
+                    planned[0, 1],
+                    planned[min(1, count - 1), 1],
+                    planned[0, 2],
+                )
+                np.testing.assert_array_equal(plan, planned)
+                np.testing.assert_array_equal(sample[[0, 1, 3]], [expected[i] for i in (0, 1, 3)])
+                np.testing.assert_allclose(sample[2], (expected[2] - expected[1]) / DT, rtol=1e-14)
+            else:
+                np.testing.assert_array_equal(plan, target_of(step, count))
+                np.testing.assert_array_equal(sample, sample_of(step))
+
+
+def test_while_a_sample_is_suspect_a_controller_of_forces_holds_its_last_command():
+    controller = Scripted(1, 1)
+    guarded = watched(controller)
+    valve = guarded.state.detectors
+    for step in range(10):
+        command = guarded.step(step, force(0.0, 0.0), sample_of(step, 1e-3 * (step == 5)))
+        answered = min(step + 1, 5) if step < 8 else step - 2
+        np.testing.assert_array_equal(command, [answered, 2.0 * answered])
+        np.testing.assert_array_equal(valve.sent[:, 0], command)  # the detectors know of it
+    assert len(controller.seen) == 7
+    assert valve.step[LIMITED_AT] < 0
+    controller.limited = True
+    guarded.step(10, force(0.0, 0.0), sample_of(10))
+    assert valve.step[LIMITED_AT] == 10
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("rows", [1, 3])
+def test_a_fault_closes_the_valve_from_the_last_sound_command_and_its_cause_stays(axis, rows):
+    controller = Scripted(1, rows)
+    guarded = watched(controller)
+
+    def step(index, off):
+        points = target_of(index, 1)[:, -rows:] if rows > 1 else force(*[5.0] * 2)
+        return guarded.step(index, points, sample_of(index, off, axis))
+
+    for index in range(5):
+        step(index, 0.0)
+    drives = [step(index, 2e-3) for index in range(5, 15)]
+    last = drives[1]
+    for taken, drive in enumerate(drives[2:], 1):
+        np.testing.assert_allclose(drive, left(taken) * last, rtol=1e-14)
+    assert len(controller.seen) == (7 if rows > 1 else 5)
+    assert guarded.step_index == 7
+    told = f"measured displacement and velocity disagree on axis {AXES[axis]}: they differ by 0.00"
+    assert guarded.reason.startswith(told)
+    reason = guarded.reason
+    assert not np.any(guarded.step(15, force(0.0, math.nan), state(math.nan)))
+    guarded.trip(16, "another")
+    assert (guarded.reason, guarded.step_index) == (reason, 7)
+    guarded.reset()
+    assert (guarded.reason, guarded.step_index, guarded.nearest[1]) == ("", -1, 0.0)
+    np.testing.assert_array_equal(guarded.step(0, force(math.nan, 0.0), state()), [0.0, 0.0])
+
+
+def test_detectors_that_only_warn_put_no_sample_under_suspicion():
+    controller = Scripted(1, 3)
+    guarded = watched(controller, warn_only=["displacement_velocity", "displacement_noise"])
+    for index in range(9):
+        guarded.step(index, target_of(index, 1), sample_of(index, 2e-3 * (index >= 5)))
+    assert (guarded.reason, len(controller.seen)) == ("", 9)
+    name, share = guarded.nearest
+    assert name.startswith("displacement_")
+    assert share > 1.0
+
+
+def test_detectors_are_not_blinded_by_what_is_no_number():
+    controller = Scripted(1, 1)
+    guarded = watched(controller)
+    for index in range(20):
+        measured = sample_of(index, 2e-3 * (index >= 10))
+        measured[0, 1] = math.nan if index == 3 else measured[0, 1]
+        guarded.step(index, force(0.0, 0.0), measured)
+    assert guarded.step_index == 12
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_drive_that_is_no_number_is_not_sent(bad):
+    controller = Scripted(1, 1)
+    guarded = watched(controller)
+    sound = guarded.step(0, force(0.0, 0.0), state())
+    controller.drive = np.array([3.0, bad])
+    for index in range(1, 7):
+        drive = guarded.step(index, force(0.0, 0.0), state())
+        np.testing.assert_allclose(drive, left(index) * sound, rtol=1e-14)
+    assert guarded.reason == f"valve command on axis north is {bad}"
+    assert (guarded.step_index, len(controller.seen)) == (1, 2)
+
+
+def test_a_valve_that_trips_at_its_limit_closes_from_the_command_before():
+    controller = Scripted(1, 1)
+    guarded = watched(controller)  # 0.02 s: ten samples
+    controller.limited = True
+    drives = [guarded.step(index, force(0.0, 0.0), state()) for index in range(13)]
+    np.testing.assert_array_equal([drive[0] for drive in drives[:10]], np.arange(1.0, 11.0))
+    np.testing.assert_allclose([d[0] for d in drives[10:]], [10 * left(k) for k in (1, 2, 3)])
+    assert guarded.step_index == 10
+
+
+@pytest.mark.parametrize("axes", [("a",), ("a", "b", "c", "d")])
+def test_a_controller_gets_as_many_points_as_it_asks_for(axes):
+    n, controller = len(axes), Scripted(4, 3)
+    for count, rows in ((2, 3), (6, 3), (1, 1), (4, 3)):
+        guarded = watched(controller, axes)
+        points = np.arange(1.0, 1 + count * rows * n).reshape(count, rows, n)
+        points[:, 0], measured = points[0, 0], np.ones((4, n))
+        measured[0] = points[0, 0]
+        guarded.step(0, points, measured)
+        plan, sample = controller.seen[-1]
+        expected = [np.broadcast_to(points[min(k, count - 1)], (3, n)) for k in range(4)]
+        np.testing.assert_array_equal(plan, expected)
+        np.testing.assert_array_equal(sample, measured)
