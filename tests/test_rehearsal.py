@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from graph_tools import JHU, PATIENCE
+from graph_tools import JHU, PATIENCE, wait_for
 from seft_ros.bags.record_bag import read_bag
 
 SEFT = (sys.executable, "-m", "seft_ros.cli.main")
@@ -57,3 +57,23 @@ def test_no_rehearsal_is_made_in_lockstep_or_where_none_is_asked_for(tmp_path):
         done = seft("run", JHU, *SHORT, "-p", word, "--out", bag, "--no-figure", "--json")
         assert done.returncode in (0, 1), done.stderr
         assert "rehearsal" not in read_bag(bag).facts["rig"]
+
+
+def test_nodes_that_did_not_keep_their_rate_rehearse_once_more_when_reset(start_node, domain):
+    words = (
+        "rate:=8000.0",
+        "supervisor:peers:=[ground_motion, reference_force, force_controller, rig]",
+    )
+    for node in ("ground_motion", "reference_force", "force_controller", "rig", "supervisor"):
+        start_node(node, *words)
+
+    def detail():
+        return seft("status").stdout
+
+    wait_for(lambda: "does not fit here" in detail(), "a refusal")
+    first = detail()
+    assert seft("reset").returncode == 0
+    wait_for(lambda: "the rehearsal of the loop" in detail(), "another rehearsal")
+    wait_for(lambda: "does not fit here" in detail(), "another refusal")
+    assert detail() != first  # other times
+    assert seft("reset").returncode == 0

@@ -119,6 +119,7 @@ class RigNode(NodeBody):
         while not self._shell.stopping:
             self._shell.spin_once()
             wanted = supervision.wanted
+            self._rehearsed &= supervision.rehearsal > 0  # who asks anew gets a new one
             if wanted is not None and supervision.is_moving:
                 self._run_test(wanted)
                 ended = True

@@ -292,7 +292,7 @@ class RoundTrip:
 
 
 UNCOUNTED = 0.25  # of the steps: until then the host learns how busy the loop is
-FIRST_ANSWER = 1.0  # s, longest wait for it
+FIRST_ANSWER = 5.0  # s, longest wait for it: the nodes make blocks for the rehearsal
 LATEST = 256  # steps: an answer that is older has no round trip
 
 

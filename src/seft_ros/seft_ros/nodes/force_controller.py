@@ -96,11 +96,8 @@ class ForceControllerNode(NodeBody):
         experiment = shell.experiment
         section, timebase = experiment["force_controller"], experiment.timebase
         rig, axes = shell.rig, shell.rig.axes
-        controller = force_control(section, experiment.axes, timebase, rig)
-        self._controller = Interlock.from_parameters(
-            controller, section, experiment.axes, timebase, rig
-        )
-        self._estimates = getattr(controller, "estimates", None)
+        self._controller = self._interlock()
+        self._estimates = getattr(self._controller.controller, "estimates", None)
         self._command_codec = TrajectoryCodec(VALVE_COMMAND.of(rig), axes, timebase)
         self._publish = shell.publisher(self._command_codec.topic)
         self._states: dict[int, Floats] = {}
@@ -129,13 +126,7 @@ class ForceControllerNode(NodeBody):
         shell.subscribe(topic, self._on_force, reliable=False)
         if len(experiment.rigs) == 1 and self._previews is None:
             # a controller of its own: nothing of a rehearsal is left in a test
-            self._rehearsing = Interlock.from_parameters(
-                force_control(section, experiment.axes, timebase, rig),
-                section,
-                experiment.axes,
-                timebase,
-                rig,
-            )
+            self._rehearsing: Interlock | None = None
             self._rehearsed_force: tuple[int, Floats] = -1, np.empty(0)
             self._rehearsed_state: tuple[int, Floats] = -1, np.empty(0)
             self.facts = {REHEARSES: True}
@@ -145,6 +136,16 @@ class ForceControllerNode(NodeBody):
         wake = self._previews is not None
         states = self._state_codec.topic
         self._read_state = shell.subscribe(states, self._on_state, wake=wake, reliable=False)
+
+    def _interlock(self) -> Interlock:
+        experiment, rig = self._shell.experiment, self._shell.rig
+        section, axes, timebase = (
+            experiment["force_controller"],
+            experiment.axes,
+            experiment.timebase,
+        )
+        controller = force_control(section, axes, timebase, rig)
+        return Interlock.from_parameters(controller, section, axes, timebase, rig)
 
     def _warm_up(self) -> None:
         axes = len(self._shell.rig.axes)
@@ -249,6 +250,8 @@ class ForceControllerNode(NodeBody):
         (step, points), (other, state) = self._rehearsed_force, self._rehearsed_state
         if step != other:
             return
+        if self._rehearsing is None:
+            self._rehearsing = self._interlock()
         if step == 0 or self._rehearsing.reason:
             self._rehearsing.reset()
         command = self._rehearsing.step(step, points, state)

@@ -80,9 +80,7 @@ class ReferenceForceNode(NodeBody):
         self._warm_up()
         if self._gathering is None and not self._delay:
             # a block of its own: nothing of a rehearsal is left in a test
-            self._rehearsing = ProtectedForce.from_parameters(
-                section, experiment.axes, experiment.timebase
-            )
+            self._rehearsing: ProtectedForce | None = None
             self.facts = {REHEARSES: True}
             self._publish_rehearsed = shell.publisher(rehearsed(topic))
             shell.subscribe(rehearsed(RIG_STATE), self._on_rehearsed_state, reliable=False)
@@ -171,7 +169,12 @@ class ReferenceForceNode(NodeBody):
     def _on_rehearsed_state(self, raw: bytes, _: int) -> None:
         """Answer a state of a rehearsal, in which the ground is at rest; no trip follows."""
         step, values = self._state_codecs[0].decode(raw)
-        if step == 0:
+        if self._rehearsing is None:
+            experiment = self._shell.experiment
+            self._rehearsing = ProtectedForce.from_parameters(
+                experiment["reference_force"], experiment.axes, experiment.timebase
+            )
+        elif step == 0:
             self._rehearsing.reset()
         ground = np.zeros((self._window, values.shape[-1]))
         points = self._rehearsing.step(ground, values[0])

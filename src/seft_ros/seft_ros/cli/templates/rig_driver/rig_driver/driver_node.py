@@ -269,6 +269,7 @@ class DriverNode(NodeBody):
         status = decode_status(raw)
         self._heard_at = self._awake.time()
         self._rehearses_for = status.number(REHEARSE) or 0.0
+        self._rehearsed &= self._rehearses_for > 0  # who asks anew gets a new one
         if status.message == self._told:
             return  # a sign of life
         self._told = status.message
