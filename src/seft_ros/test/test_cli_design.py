@@ -2,7 +2,6 @@ import json
 from pathlib import Path
 
 import pytest
-from matplotlib.figure import Figure
 from seft_msgs_py.config.experiment import Experiment
 from seft_ros.test_run.parameter_tables import TABLES
 
@@ -33,14 +32,8 @@ def design(seft):
     return run
 
 
-@pytest.fixture
-def undrawn(monkeypatch):
-    """Spare a test the second that the figure takes."""
-    monkeypatch.setattr("seft_ros.design.loop_figures.design_figure", lambda *_: Figure())
-
-
 def test_the_papers_rig_does_what_the_paper_says(design, tmp_path):
-    found = design(JHU)
+    found = design(JHU, "--figure", "design.png")
     assert set(found) >= KEYS
     assert (found["plant_source"], found["proposed"], found["stable"]) == ("rig", False, True)
     assert found["plant_zero_hz"] == pytest.approx(10.07, abs=0.05)
@@ -56,7 +49,6 @@ def test_the_papers_rig_does_what_the_paper_says(design, tmp_path):
     assert (tmp_path / found["figure"]).stat().st_size > 10_000
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_continuous_time_hides_what_the_loop_loses(design):
     parts = design(JHU)["discretisation"]
     cost, crossover = parts["phase_cost_deg"], parts["sampled"]["crossover_hz"]
@@ -67,7 +59,6 @@ def test_continuous_time_hides_what_the_loop_loses(design):
     assert cost["total"] == pytest.approx(lost, abs=1.5)  # the crossovers differ a little
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_a_proposal_is_written_for_seft_to_read_back(design, seft, tmp_path):
     found = design(JHU, "--crossover", "12", "--out", "controller.yaml")
     assert (found["proposed"], found["out"]) == (True, "controller.yaml")
@@ -84,7 +75,6 @@ def test_a_proposal_is_written_for_seft_to_read_back(design, seft, tmp_path):
     assert "controller.yaml: exists already" in err
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_a_controller_may_be_given_by_its_factors_or_its_coefficients(design):
     by_factors = design(JHU, "--gain", "37", "--pole", "10.0683,0.13547")
     by_coefficients = design(JHU, *PAPER)
@@ -93,7 +83,6 @@ def test_a_controller_may_be_given_by_its_factors_or_its_coefficients(design):
     )
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_the_identified_plant_counts_where_it_is_given(design):
     given = ("plant.numerator:=7000", "plant.denominator:=[1, 0.5]", "plant.dead_time:=0.002")
     words = [word for text in given for word in ("-p", f"force_controller:{text}")]
@@ -104,7 +93,6 @@ def test_the_identified_plant_counts_where_it_is_given(design):
     assert design(JHU, *words, "--plant", "rig")["plant_source"] == "rig"
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_every_axis_is_told_and_one_is_shown(design):
     words = (*TWO_AXES, "--gain", "18", "--pole", "10.07,0.13")
     first, second = design(JHU, *words), design(JHU, *words, "--axis", "y")
@@ -121,7 +109,6 @@ def test_every_axis_is_told_and_one_is_shown(design):
         )
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_an_unstable_loop_is_status_1_and_is_not_written(seft, tmp_path):
     status, out, err = seft("design", JHU, "--gain", "150", "--pole", "10,0.13", "--out", "c.yaml")
     assert status == 1
@@ -131,7 +118,6 @@ def test_an_unstable_loop_is_status_1_and_is_not_written(seft, tmp_path):
     assert not (tmp_path / "c.yaml").exists()
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_for_people_there_is_a_table(seft):
     status, out, err = seft("design", JHU, *TWO_AXES, "--crossover", "6")
     assert (status, err) == (0, "")
@@ -139,7 +125,6 @@ def test_for_people_there_is_a_table(seft):
         assert words in out
 
 
-@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(
     ("words", "told"),
     [

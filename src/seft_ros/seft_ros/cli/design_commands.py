@@ -59,7 +59,7 @@ def design(
     numerator: Optional[str] = option(None, 'Or its coefficients in s, highest power first: "37".'),
     denominator: Optional[str] = option(None, 'Likewise: "1 17.14 4002".'),
     out: Optional[Path] = option(None, "Write the controller to a new parameter file.", "FILE"),
-    figure: Path = option(Path("design.png"), "Where to draw.", "PNG"),
+    figure: Optional[Path] = option(None, "Draw plant, controller and loop to a file.", "PNG"),
     json: Json = False,
 ) -> int:
     """Shape the force loop: plant, controller, loop and closed loop, with margins and delay.
@@ -101,8 +101,9 @@ def design(
     )
     from seft_ros.design.loop_figures import design_figure
     from seft_ros.design.plant import choose_plant
-    from seft_ros.drawing.style import save_figure
+    from seft_ros.drawing.style import check_figure, save_figure
 
+    path = check_figure(figure) if figure is not None else None
     if out is not None:
         check_new(out)
     experiment = load_experiment(config, param, params_file)
@@ -123,11 +124,12 @@ def design(
 
     loop, stable = loops[shown], abs(slowest) < 1
     title = f"{config}, axis {axes[shown]}: force loop at {1 / dt:g} Hz, plant: {whole.source}"
-    path = figure if figure.suffix else figure.with_suffix(".png")
-    save_figure(design_figure(loop, title), path)
     summary = summarise(loop)
     summary["axes"] = summarise_axes(axes, loops)
-    summary |= {"stable": stable, "proposed": crossover is not None, "figure": str(path)}
+    summary |= {"stable": stable, "proposed": crossover is not None}
+    if path is not None:
+        save_figure(design_figure(loop, title), path)
+        summary["figure"] = str(path)
     if out is not None and stable:
         write_controller(controller, out)
         summary["out"] = str(out)

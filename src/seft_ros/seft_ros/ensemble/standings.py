@@ -171,11 +171,12 @@ def standings_table(standings: Sequence[Standing], title: str) -> Table:
 
 def notes(standings: Sequence[Standing], runs: Sequence[Run]) -> list[str]:
     """Say why methods are not possible, and which ran on the uncompiled blocks and why."""
-    said = {
-        f"{row.method}: not possible: {row.not_possible}": None
-        for row in standings
-        if row.not_possible is not None
-    }
+    lacking: dict[str, list[str]] = {}
+    for row in standings:
+        if row.not_possible is not None:
+            why = row.not_possible.replace(f"compensation.method {row.method}", "each")
+            lacking.setdefault(why, []).append(row.method)
+    said = [f"{', '.join(names)}: not possible: {why}" for why, names in lacking.items()]
     methods: dict[str, dict[str, None]] = {}
     for run in runs:
         if run.obstacle:
