@@ -8,10 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.wire.outcome import Saturation, Trip
+from seft_msgs_py.wire.outcome import LinkRecord, Saturation, Trip
 from seft_msgs_py.wire.topics import LOOP_TOPICS, RigAxes
-
-from seft_ros.force_controller.received_forces import LinkRecord
 
 __all__ = ["Estimates", "Event", "Record", "Series", "Trip"]
 
