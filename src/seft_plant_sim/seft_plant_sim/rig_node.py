@@ -11,8 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.node.node_main import NodeBody, NodeKind
-from seft_msgs_py.node.node_shell import WARM_UP_STEPS, NodeShell
+from seft_msgs_py.node.node_shell import WARM_UP_STEPS, NodeBody, NodeKind, NodeShell
 from seft_msgs_py.wire.messages import Status, encode_clock, restamp
 from seft_msgs_py.wire.outcome import (
     FINISHED,

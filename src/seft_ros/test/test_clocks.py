@@ -25,7 +25,7 @@ ALLOWED = {
     "seft_ros/test_run/observer.py": "when a message was sent, for conform and replay",
     "seft_ros/conformance/suite.py": "the same",
     "seft_ros/bags/stall_watch.py": "when the host stood still, for the bag",
-    "seft_ros/bags/description.py": "when the test was",
+    "seft_ros/bags/record.py": "when the test was",
     "seft_ros/bags/record_bag.py": "times in the bag",
     "seft_ros/cli/design_commands.py": "the folder's name",
 }

@@ -23,7 +23,7 @@ from seft_ros.bags.record import (
     Series,
 )
 from seft_ros.bags.record_bag import UNDECODABLE
-from seft_ros.drawing.tables import json_safe
+from seft_ros.drawing.style import json_safe
 
 Floats = npt.NDArray[np.float64]
 First = dict[str, Any] | None

@@ -25,8 +25,7 @@ from seft_ros.analysis.summary import (
 from seft_ros.bags.record import Record
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import instability_band
-from seft_ros.drawing.style import thinned
-from seft_ros.drawing.tables import json_safe
+from seft_ros.drawing.style import json_safe, thinned
 
 Floats = npt.NDArray[np.float64]
 

@@ -29,8 +29,16 @@ from seft_ros.drawing.page import (
     plot,
     time_range,
 )
-from seft_ros.drawing.style import OTHERS, REFERENCE
-from seft_ros.drawing.tables import DISPLAY_UNITS, RESPONSES, Number, axis_label, percent, rows_of
+from seft_ros.drawing.style import (
+    DISPLAY_UNITS,
+    OTHERS,
+    REFERENCE,
+    RESPONSES,
+    Number,
+    axis_label,
+    percent,
+    rows_of,
+)
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
 Floats = npt.NDArray[np.float64]

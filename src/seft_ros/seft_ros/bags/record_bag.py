@@ -40,12 +40,6 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.bags.bag_files import open_bag
 from seft_ros.bags.bag_writer import BagWriter
-from seft_ros.bags.description import (
-    Description,
-    infer_experiment,
-    read_description,
-    write_description,
-)
 from seft_ros.bags.gathering import (
     EstimatesGatherer,
     ReportGatherer,
@@ -53,7 +47,15 @@ from seft_ros.bags.gathering import (
     trip_of,
 )
 from seft_ros.bags.message_blocks import read_blocks
-from seft_ros.bags.record import Record, consecutive_runs, of_all_rigs
+from seft_ros.bags.record import (
+    Description,
+    Record,
+    consecutive_runs,
+    infer_experiment,
+    of_all_rigs,
+    read_description,
+    write_description,
+)
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 
 UNDECODABLE = "undecodable"

@@ -30,7 +30,7 @@ from seft_ros.design.rig_tests import (
     MeasuredTest,
     Measurement,
 )
-from seft_ros.drawing.tables import Number, json_safe, look_up, make_table
+from seft_ros.drawing.style import Number, json_safe, look_up, make_table
 
 Floats = npt.NDArray[np.float64]
 

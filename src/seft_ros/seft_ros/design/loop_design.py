@@ -14,7 +14,7 @@ from seft_ros.design.closed_loop import force_loop
 from seft_ros.design.controller import Controller, Root, lightly_damped
 from seft_ros.design.loop_margins import LoopMargins, Tracking, loop_margins, tracking_measures
 from seft_ros.design.plant import Plant, SampledPlant
-from seft_ros.drawing.tables import CENTRED, Number, make_table, rows_of
+from seft_ros.drawing.style import CENTRED, Number, make_table, rows_of
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]

@@ -35,9 +35,10 @@ from seft_ros.drawing.page import (
 from seft_ros.drawing.page import (
     Section as PageSection,
 )
-from seft_ros.drawing.style import MARK, OTHERS
-from seft_ros.drawing.tables import (
+from seft_ros.drawing.style import (
     GOOD_ERROR,
+    MARK,
+    OTHERS,
     RESPONSES,
     Mark,
     json_safe,

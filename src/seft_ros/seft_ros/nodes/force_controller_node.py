@@ -7,9 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_process import MOST_AT_ONCE
-from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell
+from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeBody, NodeKind, NodeShell
 from seft_msgs_py.wire.messages import OK, WARN, Status, decode_status
 from seft_msgs_py.wire.outcome import MOVING, REHEARSES, tripped_status
 from seft_msgs_py.wire.topics import (

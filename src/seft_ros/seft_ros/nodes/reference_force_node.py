@@ -10,8 +10,7 @@ from functools import partial
 
 import numpy as np
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.node.node_main import NodeBody, NodeKind
-from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell
+from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeBody, NodeKind, NodeShell
 from seft_msgs_py.wire.messages import ERROR, OK, EstimatesCodec, decode_status
 from seft_msgs_py.wire.outcome import ENDED, REHEARSES, State, tripped_status
 from seft_msgs_py.wire.topics import (

@@ -28,8 +28,15 @@ from seft_ros.drawing.page import (
     time_range,
     write_page,
 )
-from seft_ros.drawing.style import FIRST, OTHERS, REFERENCE
-from seft_ros.drawing.tables import DISPLAY_UNITS, GOOD_ERROR, RESPONSES, Mark
+from seft_ros.drawing.style import (
+    DISPLAY_UNITS,
+    FIRST,
+    GOOD_ERROR,
+    OTHERS,
+    REFERENCE,
+    RESPONSES,
+    Mark,
+)
 from seft_ros.paper import measures
 from seft_ros.paper.claims import Claim, read_rows
 from seft_ros.paper.findings import BEYOND, COMPUTED, Findings

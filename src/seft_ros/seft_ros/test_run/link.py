@@ -29,7 +29,7 @@ from seft_msgs_py.wire.topics import LINK_PING, LINK_PONG, TARGET, RigAxes, Topi
 from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
 
 from seft_ros.design.stability_verdict import MASS_RATIO_RESERVE as RESERVE
-from seft_ros.drawing.tables import Number, make_table, rows_of
+from seft_ros.drawing.style import Number, make_table, rows_of
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 
 Verdict = Literal["good", "marginal", "unusable"]

@@ -24,11 +24,11 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_plant_sim.whole_structure import ReferenceResponse, reference_response
 
-from seft_ros.bags.description import describe_environment
 from seft_ros.bags.record import (
     Estimates,
     Record,
     Series,
+    describe_environment,
     require_names,
 )
 from seft_ros.reference_force.reference_force_block import sampling_period
