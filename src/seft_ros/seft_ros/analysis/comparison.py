@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import (
     ESTIMATES,
@@ -25,7 +26,6 @@ from seft_ros.bags.record import (
 from seft_ros.bags.record_bag import UNDECODABLE
 from seft_ros.drawing.style import json_safe
 
-Floats = npt.NDArray[np.float64]
 First = dict[str, Any] | None
 
 

@@ -10,6 +10,7 @@ from math import inf
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import (
     ERROR,
@@ -40,7 +41,6 @@ from seft_ros.bags.record import Estimates, Event, Series, require_names
 _MOST_EVENTS = 1000
 _LEVELS = {OK: "ok", WARN: "warn", ERROR: "error", STALE: "stale"}
 
-Floats = npt.NDArray[np.float64]
 Steps = npt.NDArray[np.int64]
 
 

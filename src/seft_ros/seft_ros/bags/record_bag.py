@@ -13,6 +13,7 @@ import numpy.typing as npt
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.messages import (
     EstimatesCodec,
@@ -276,7 +277,6 @@ CHUNK_STEPS = 100
 NOT_FINITE = "not_finite"
 """Key of the environment: number of samples that are NaN or infinite, and fit in no message."""
 
-Floats = npt.NDArray[np.float64]
 Chunk = tuple[int, Floats]  # first step, values (p, n)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from rich.table import Table
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
 
 from seft_ros.design.closed_loop import force_loop
@@ -16,7 +17,6 @@ from seft_ros.design.loop_margins import LoopMargins, Tracking, loop_margins, tr
 from seft_ros.design.plant import Plant, SampledPlant
 from seft_ros.drawing.style import CENTRED, Number, make_table, rows_of
 
-Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 LOWEST_HZ = 0.1

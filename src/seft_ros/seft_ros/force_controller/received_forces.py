@@ -3,15 +3,13 @@
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.outcome import LinkRecord
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, Timebase
 from seft_plant_sim.command import MessagesAhead
 
 from seft_ros.protection.ramp_down import RampDown, continued
-
-Floats = npt.NDArray[np.float64]
 
 PENDING = 256  # steps kept while their other half has not come
 

@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.compiled import entry_point, kind_of
 
@@ -29,8 +29,6 @@ from seft_ros.protection.protection_step import (
 from seft_ros.protection.ramp_down import RampDown
 from seft_ros.reference_force.compensator import asks_model
 from seft_ros.reference_force.reference_force_block import ReferenceForce
-
-Floats = npt.NDArray[np.float64]
 
 
 class ProtectedForce:
