@@ -41,7 +41,7 @@ def rig_host(two_hosts):
         arguments = ("--ros-args", "--params-file", DEMO, *PLAN, *words)
         return [
             two_hosts.start("b", module, *arguments, prompt=True)
-            for module in ("seft_plant_sim.rig_node", "seft_ros.nodes.force_controller")
+            for module in ("seft_plant_sim.rig_node", "seft_ros.nodes.force_controller_node")
         ]
 
     return start

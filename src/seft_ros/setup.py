@@ -75,7 +75,7 @@ setup(
     entry_points={
         "console_scripts": [
             "seft = seft_ros.cli.main:main",
-            *(f"{node} = seft_ros.nodes.{node}:main" for node in NODES),
+            *(f"{node} = seft_ros.nodes.{node}_node:main" for node in NODES),
         ]
     },
     zip_safe=False,

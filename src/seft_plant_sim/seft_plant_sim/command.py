@@ -3,9 +3,10 @@
 from collections import deque
 
 import numpy as np
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.topics import RigAxes
-from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 
 class MessagesAhead:

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import expm
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
 
-Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 Polynomial = Floats | Sequence[float]
 

@@ -19,9 +19,8 @@ from seft_plant_sim.continuous_model import (
     servo_hydraulic,
     with_low_pass,
 )
-from seft_plant_sim.limits import Limits, SaturatedTime
 from seft_plant_sim.rig_step import BLIND, ENDS, LIMIT, move, rig_arrays, rig_step
-from seft_plant_sim.sensors import Sensors
+from seft_plant_sim.sensors import Limits, SaturatedTime, Sensors
 from seft_plant_sim.specimen import Specimen
 
 AT_REST = 1e-4  # m/s

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.node.node_main import NodeBody, NodeKind
-from seft_msgs_py.node.node_shell import WARM_UP_STEPS, NodeShell
+from seft_msgs_py.node.node_shell import WARM_UP_STEPS, NodeBody, NodeKind, NodeShell
 from seft_msgs_py.wire.messages import Status, encode_clock, restamp
 from seft_msgs_py.wire.outcome import (
     FINISHED,
@@ -33,7 +33,7 @@ from seft_msgs_py.wire.topics import (
     LoopTopic,
     until_start,
 )
-from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_plant_sim.command import Command
 from seft_plant_sim.rig import Rig, Stopped

@@ -17,9 +17,16 @@ from seft_plant_sim.continuous_model import (
     dynamics_of,
     integrate,
 )
-from seft_plant_sim.limits import Limits, SaturatedTime, exceeds, is_exceeded
 from seft_plant_sim.lti import split_dead_time
-from seft_plant_sim.sensors import CHANNELS, Channels, measure
+from seft_plant_sim.sensors import (
+    CHANNELS,
+    Channels,
+    Limits,
+    SaturatedTime,
+    exceeds,
+    is_exceeded,
+    measure,
+)
 
 LONGEST_DELAY_STEPS = 1_000_000
 """Dead time in samples that a rig's memory may hold."""

@@ -7,13 +7,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.node.node_shell import NodeShell
 from seft_msgs_py.node.realtime import AwakeClock
 from seft_msgs_py.wire.messages import WARN, Status, decode_diagnostics, decode_status
 from seft_msgs_py.wire.outcome import MOVING, RECORDED, RECORDER, STOPPED
 from seft_msgs_py.wire.topics import REHEARSE, RIG_STATE, LoopTopic, Timebase, rehearsed
-from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_plant_sim.command import Command
 

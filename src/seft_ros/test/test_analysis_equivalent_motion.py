@@ -30,7 +30,7 @@ from seft_ros.bags.record import (
     Series,
 )
 from seft_ros.bags.record_bag import read_bag
-from seft_ros.drawing.tables import Mark
+from seft_ros.drawing.style import Mark
 from seft_ros.test_run.parameter_tables import TABLES
 
 ROOT = Path(__file__).parents[3]

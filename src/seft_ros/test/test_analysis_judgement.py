@@ -5,7 +5,7 @@ import dataclasses
 
 import pytest
 from seft_ros.analysis.judgement import judge
-from seft_ros.drawing.tables import Mark
+from seft_ros.drawing.style import Mark
 
 GOOD = {
     "steps": 1000,

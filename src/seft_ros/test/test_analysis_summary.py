@@ -22,8 +22,7 @@ from seft_ros.bags.record import (
     Record,
     Series,
 )
-from seft_ros.drawing.style import save_figure
-from seft_ros.drawing.tables import json_safe
+from seft_ros.drawing.style import json_safe, save_figure
 
 COUNT = 2000
 DT = 0.002

@@ -20,8 +20,7 @@ from seft_ros.drawing.page import (
     plot,
     write_page,
 )
-from seft_ros.drawing.style import MOST_POINTS, thinned
-from seft_ros.drawing.tables import Mark
+from seft_ros.drawing.style import MOST_POINTS, Mark, thinned
 
 
 def written(tmp_path: Path, *blocks: Text | Verdict | Table | Plot) -> str:

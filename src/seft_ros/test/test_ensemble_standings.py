@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 from rich.console import Console
 from seft_msgs_py.errors import InputError
-from seft_ros.drawing.style import check_figure
-from seft_ros.drawing.tables import percent
+from seft_ros.drawing.style import check_figure, percent
 from seft_ros.ensemble.entries import Entry, Tournament
 from seft_ros.ensemble.runs import Run
 from seft_ros.ensemble.standings import notes, standings, standings_table, tournament_figure

@@ -5,7 +5,7 @@ import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_ros.force_controller.force_control import ForceController
 from seft_ros.force_controller.interlock import Interlock
-from seft_ros.nodes.force_controller import Silence
+from seft_ros.nodes.force_controller_node import Silence
 from seft_ros.protection.detectors import LIMITED_AT, detector_arrays
 from seft_ros.protection.ramp_down import continued
 from seft_ros.test_run.compiled_loop import build_blocks

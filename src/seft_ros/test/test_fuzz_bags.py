@@ -15,7 +15,7 @@ from seft_msgs_py.wire.topics import DESCRIPTION, DIAGNOSTICS, RIG_STATE
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.bags.bag_files import recover
 from seft_ros.bags.bag_writer import BagWriter
-from seft_ros.bags.description import read_description, write_description
+from seft_ros.bags.record import read_description, write_description
 from seft_ros.bags.record_bag import read_bag
 from seft_ros.test_run.parameter_tables import TABLES
 

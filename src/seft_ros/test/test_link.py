@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.outcome import LinkRecord
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.timing import link_numbers
 from seft_ros.bags.record import Record, Series
 from seft_ros.cli import main as commands
-from seft_ros.force_controller.received_forces import LinkRecord
 from seft_ros.test_run.link import (
     Allowed,
     RoundTrips,

@@ -158,7 +158,7 @@ class Shell:
 def start_node(experiment):
     """Make a reference-force node; it must have tried itself out in silence."""
     shell = Shell(experiment)
-    pytest.importorskip("seft_ros.nodes.reference_force").ReferenceForceNode(shell)
+    pytest.importorskip("seft_ros.nodes.reference_force_node").ReferenceForceNode(shell)
     assert shell.sent == []
     return shell
 

@@ -11,7 +11,7 @@ from seft_msgs_py.wire.outcome import State, tripped_status
 from seft_msgs_py.wire.topics import DIAGNOSTICS
 from seft_ros.test_run.parameter_tables import TABLES
 
-supervisor = pytest.importorskip("seft_ros.nodes.supervisor")
+supervisor = pytest.importorskip("seft_ros.nodes.supervisor_node")
 
 
 class Shell:

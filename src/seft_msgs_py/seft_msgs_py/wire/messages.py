@@ -14,11 +14,11 @@ from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.topics import (
     CLOCK,
@@ -31,8 +31,6 @@ from seft_msgs_py.wire.topics import (
     STRING,
     Timebase,
 )
-
-Floats = npt.NDArray[np.float64]
 
 OK, WARN, ERROR, STALE = range(4)
 """Levels of a DiagnosticStatus."""

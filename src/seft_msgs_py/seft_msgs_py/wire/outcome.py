@@ -1,7 +1,8 @@
-"""How a test ended, by the rig's last status: written and read only here."""
+"""How a test ended, and how forces came, by the last status of nodes: written, read here."""
 
 import json
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -285,3 +286,55 @@ def _finite(text: str) -> float:
     if not math.isfinite(number := float(text)):
         raise ValueError(f"{text} is not finite")
     return number
+
+
+@dataclass(frozen=True)
+class LinkRecord:
+    """Ages of the messages that the forces of a test were taken from.
+
+    Attributes
+    ----------
+    ages : mapping of int to int
+        Steps between the step of a force and that of its message -> number of forces.
+    held : int
+        Forces that no message brought: the one before was held.
+    """
+
+    ages: Mapping[int, int]
+    held: int
+
+    @classmethod
+    def of_all(cls, records: Iterable["LinkRecord"]) -> "LinkRecord":
+        """Add up what the force controllers of several rigs tell."""
+        ages: Counter[int] = Counter()
+        held = 0
+        for record in records:
+            ages.update(record.ages)
+            held += record.held
+        return cls(dict(sorted(ages.items())), held)
+
+    def older_than(self, loop_delay: int) -> int:
+        """Count the forces whose messages were older than the loop's delay: bridged ones."""
+        return sum(count for age, count in self.ages.items() if age > loop_delay)
+
+    def to_json(self) -> str:
+        """Text for a status."""
+        return json.dumps(
+            {"ages": {str(age): n for age, n in self.ages.items()}, "held": self.held}
+        )
+
+    @classmethod
+    def from_json(cls, text: str) -> "LinkRecord":
+        """Read what `to_json` wrote.
+
+        Raises
+        ------
+        ValueError
+            If it is something else.
+        """
+        try:
+            values = json.loads(text)
+            ages = {int(age): int(count) for age, count in values["ages"].items()}
+            return cls(ages, int(values["held"]))
+        except (AttributeError, KeyError, TypeError, OverflowError, RecursionError) as error:
+            raise ValueError(f"link: {error}") from None

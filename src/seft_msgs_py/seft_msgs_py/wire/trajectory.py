@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import decode_message, nanoseconds
 from seft_msgs_py.wire.topics import (
@@ -170,7 +171,6 @@ def parse_trajectory(raw: bytes, topic: str = "trajectory") -> Trajectory:
     return Trajectory(nanoseconds(header.stamp), header.frame_id, axes, tuple(points))
 
 
-Floats = npt.NDArray[np.float64]
 Steps = npt.NDArray[np.int64]
 Bytes = npt.NDArray[np.uint8]
 Flags = npt.NDArray[np.bool_]

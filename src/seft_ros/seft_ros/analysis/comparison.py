@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import (
     ESTIMATES,
@@ -23,9 +24,8 @@ from seft_ros.bags.record import (
     Series,
 )
 from seft_ros.bags.record_bag import UNDECODABLE
-from seft_ros.drawing.tables import json_safe
+from seft_ros.drawing.style import json_safe
 
-Floats = npt.NDArray[np.float64]
 First = dict[str, Any] | None
 
 

@@ -6,9 +6,9 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import eigh
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import Floats, Ints
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import GROUND_MOTION, RIG_STATE
 from seft_plant_sim.whole_structure import (
@@ -20,9 +20,6 @@ from seft_plant_sim.whole_structure import (
 from seft_ros.analysis.metrics import every_step, nrmse
 from seft_ros.bags.record import Record
 from seft_ros.ground_motion.response_spectrum import response_spectrum
-
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
 
 DAMPING = 0.05
 """Of the oscillators of a spectrum."""

@@ -18,18 +18,21 @@ from seft_ros.analysis.result_text import title_of
 from seft_ros.analysis.summary import AFTER, COMPARED, judged_part, strong_part
 from seft_ros.bags.record import Record
 from seft_ros.drawing.style import (
+    DISPLAY_UNITS,
     FIRST,
     MARK,
     OTHERS,
     REFERENCE,
+    RESPONSES,
     SECOND,
     TEXT,
+    axis_label,
     finish,
     new_figure,
+    percent,
     thinned,
     tidy,
 )
-from seft_ros.drawing.tables import DISPLAY_UNITS, RESPONSES, axis_label, percent
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
 Floats = npt.NDArray[np.floating[Any]]

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from seft_ros.drawing.tables import GOOD_ERROR, Mark, percent
+from seft_ros.drawing.style import GOOD_ERROR, Mark, percent
 
 BAD_ERROR = 0.15
 """Displacement error (nrmse), and error of its peak, from which a test is worth nothing; likewise

@@ -13,12 +13,12 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.fft import irfft, next_fast_len, rfft
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 
 from seft_ros.bags.record import Record, Series
 
-Floats = npt.NDArray[np.float64]
 Steps = npt.NDArray[np.int64]
 Where = slice | npt.NDArray[np.intp]
 

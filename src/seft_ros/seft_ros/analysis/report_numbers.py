@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RIG_STATE
 from seft_plant_sim.specimen import EnergyBalance
@@ -25,10 +26,7 @@ from seft_ros.analysis.summary import (
 from seft_ros.bags.record import Record
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import instability_band
-from seft_ros.drawing.style import thinned
-from seft_ros.drawing.tables import json_safe
-
-Floats = npt.NDArray[np.float64]
+from seft_ros.drawing.style import json_safe, thinned
 
 
 @dataclass(frozen=True)

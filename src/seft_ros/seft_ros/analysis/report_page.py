@@ -37,8 +37,18 @@ from seft_ros.drawing.page import (
     plot,
     write_page,
 )
-from seft_ros.drawing.style import OTHERS, SECOND, TEXT, new_figure
-from seft_ros.drawing.tables import DISPLAY_UNITS, Mark, Number, axis_label, percent, rows_of
+from seft_ros.drawing.style import (
+    DISPLAY_UNITS,
+    OTHERS,
+    SECOND,
+    TEXT,
+    Mark,
+    Number,
+    axis_label,
+    new_figure,
+    percent,
+    rows_of,
+)
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
 _BINS = 80

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import numpy.typing as npt
 from bokeh.models import Range1d
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RIG_STATE
 from seft_plant_sim.whole_structure import tested_specimen
@@ -29,11 +30,17 @@ from seft_ros.drawing.page import (
     plot,
     time_range,
 )
-from seft_ros.drawing.style import OTHERS, REFERENCE
-from seft_ros.drawing.tables import DISPLAY_UNITS, RESPONSES, Number, axis_label, percent, rows_of
+from seft_ros.drawing.style import (
+    DISPLAY_UNITS,
+    OTHERS,
+    REFERENCE,
+    RESPONSES,
+    Number,
+    axis_label,
+    percent,
+    rows_of,
+)
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
-
-Floats = npt.NDArray[np.float64]
 
 COHERENT = 0.9
 """Coherence below which amplitude and delay mean little, and are not drawn."""

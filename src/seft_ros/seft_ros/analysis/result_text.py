@@ -10,7 +10,7 @@ from seft_msgs_py.wire.topics import LOOP_TOPICS, TARGET
 
 from seft_ros.analysis.judgement import ramp_note, verdict, worst_response
 from seft_ros.bags.record import Record
-from seft_ros.drawing.tables import (
+from seft_ros.drawing.style import (
     DISPLAY_UNITS,
     GOOD_ERROR,
     RESPONSES,

@@ -4,8 +4,8 @@ from dataclasses import asdict, fields, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import (
     GROUND_MOTION,
@@ -31,12 +31,10 @@ from seft_ros.bags.record import (
     Estimates,
     Record,
 )
-from seft_ros.drawing.tables import json_safe
+from seft_ros.drawing.style import json_safe
 from seft_ros.force_controller.interlock import detector_shares
 from seft_ros.ground_motion.ground_motion_block import MOTION
 from seft_ros.ground_motion.response_spectrum import significant_parts
-
-Floats = npt.NDArray[np.float64]
 
 COMPARED = {
     "displacement": RIG_STATE.quantities.index("positions"),

@@ -10,6 +10,7 @@ from math import inf
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import (
     ERROR,
@@ -21,7 +22,7 @@ from seft_msgs_py.wire.messages import (
     decode_diagnostics,
     decode_status,
 )
-from seft_msgs_py.wire.outcome import ENDED, STOPPED, Outcome, State, Trip, read_outcome
+from seft_msgs_py.wire.outcome import ENDED, STOPPED, LinkRecord, Outcome, State, Trip, read_outcome
 from seft_msgs_py.wire.topics import (
     GROUND_MOTION,
     NANOSECONDS_PER_SECOND,
@@ -36,12 +37,10 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec, decode_batch
 
 from seft_ros.bags.message_blocks import MessageBlock
 from seft_ros.bags.record import Estimates, Event, Series, require_names
-from seft_ros.force_controller.received_forces import LinkRecord
 
 _MOST_EVENTS = 1000
 _LEVELS = {OK: "ok", WARN: "warn", ERROR: "error", STALE: "stale"}
 
-Floats = npt.NDArray[np.float64]
 Steps = npt.NDArray[np.int64]
 
 

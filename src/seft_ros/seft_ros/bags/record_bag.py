@@ -13,6 +13,7 @@ import numpy.typing as npt
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.messages import (
     EstimatesCodec,
@@ -40,12 +41,6 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.bags.bag_files import open_bag
 from seft_ros.bags.bag_writer import BagWriter
-from seft_ros.bags.description import (
-    Description,
-    infer_experiment,
-    read_description,
-    write_description,
-)
 from seft_ros.bags.gathering import (
     EstimatesGatherer,
     ReportGatherer,
@@ -53,7 +48,15 @@ from seft_ros.bags.gathering import (
     trip_of,
 )
 from seft_ros.bags.message_blocks import read_blocks
-from seft_ros.bags.record import Record, consecutive_runs, of_all_rigs
+from seft_ros.bags.record import (
+    Description,
+    Record,
+    consecutive_runs,
+    infer_experiment,
+    of_all_rigs,
+    read_description,
+    write_description,
+)
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 
 UNDECODABLE = "undecodable"
@@ -274,7 +277,6 @@ CHUNK_STEPS = 100
 NOT_FINITE = "not_finite"
 """Key of the environment: number of samples that are NaN or infinite, and fit in no message."""
 
-Floats = npt.NDArray[np.float64]
 Chunk = tuple[int, Floats]  # first step, values (p, n)
 
 

@@ -53,6 +53,12 @@ Files = Annotated[Optional[list[Path]], typer.Option(metavar="FILE", help=_FILES
 Plant = Annotated[Source, typer.Option(help=_PLANT)]
 External = Annotated[Optional[list[str]], typer.Option(metavar="NODE", help=_EXTERNAL)]
 Json = Annotated[bool, typer.Option("--json", help=_JSON)]
+_SPREAD = (
+    "How far what is drawn is from CONFIG's: 0.2 is up to 20 % in stiffness (and amplitude, where "
+    "the ground motion is drawn, too), and up to twice or half the damping."
+)
+Spread = Annotated[float, typer.Option(help=_SPREAD, min=0.0, max=1.0)]
+Seed = Annotated[int, typer.Option(help="Seed of the draws.", min=0)]
 _WORKERS = "Processes that calculate; default one for each core."
 Workers = Annotated[Optional[int], typer.Option(help=_WORKERS, min=1)]
 _SCHEDULER = (

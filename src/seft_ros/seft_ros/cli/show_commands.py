@@ -137,8 +137,7 @@ def motion(
         seft motion kobe.AT2 --config config/demo.yaml --json
     """
     from seft_ros.analysis.result_text import motion_lines
-    from seft_ros.drawing.style import check_figure, save_figure
-    from seft_ros.drawing.tables import make_table
+    from seft_ros.drawing.style import check_figure, make_table, save_figure
     from seft_ros.ground_motion.ground_motion_block import TABLE, GroundMotion
     from seft_ros.ground_motion.response_spectrum import motion_figure, motion_summary
 

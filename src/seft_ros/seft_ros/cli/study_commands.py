@@ -18,6 +18,8 @@ from seft_ros.cli.options import (
     Json,
     Params,
     Scheduler,
+    Seed,
+    Spread,
     Workers,
     load_experiment,
     option,
@@ -131,14 +133,8 @@ def tournament(
         None, "Mass ratio; may be given many times; default CONFIG's.", "ALPHA"
     ),
     rigs: int = option(8, "Number of rigs, CONFIG's own included.", min=1),
-    spread: float = option(
-        0.1,
-        "How far the other rigs are from CONFIG's: 0.2 is up to 20 % in stiffness and "
-        "up to twice or half the damping.",
-        min=0.0,
-        max=1.0,
-    ),
-    seed: int = option(1, "Seed of the random rigs.", min=0),
+    spread: Spread = 0.1,
+    seed: Seed = 1,
     workers: Workers = None,
     scheduler: Scheduler = "",
     figure: Optional[Path] = option(None, "Draw the errors of all tests.", "FILE"),
@@ -221,20 +217,14 @@ def tournament(
 def uncertainty(
     config: Config,
     tests: int = option(200, "Number of drawn tests.", min=2),
-    spread: float = option(
-        0.1,
-        "How far they are from CONFIG's: 0.2 is up to 20 % in stiffness and amplitude, and up to "
-        "twice or half the damping.",
-        min=0.0,
-        max=1.0,
-    ),
+    spread: Spread = 0.1,
     motion: Optional[list[Path]] = option(
         None,
         "Ground motion; may be given many times: each test takes one at random. Default CONFIG's; "
         "a synthetic one is another in each test.",
         "FILE",
     ),
-    seed: int = option(1, "Seed of the draws.", min=0),
+    seed: Seed = 1,
     out: Path = option(Path("uncertainty.html"), "The page.", "HTML"),
     workers: Workers = None,
     scheduler: Scheduler = "",

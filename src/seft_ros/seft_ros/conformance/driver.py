@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from rich.text import Text
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.wire.messages import Status, decode_clock, decode_description
 from seft_msgs_py.wire.outcome import FINISHED, TRIPPED, State
@@ -19,7 +20,7 @@ from seft_msgs_py.wire.topics import (
     RIG_STATE,
     LoopTopic,
 )
-from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_UNITS
 
 from seft_ros.test_run.observer import Player

@@ -9,11 +9,12 @@ from dataclasses import replace
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.node.realtime import StallWatch, boot, started
+from seft_msgs_py.node.realtime import boot, started
 from seft_msgs_py.wire.outcome import FINISHED, TRIPPED, State
 from seft_msgs_py.wire.topics import LOOP_TOPICS, VALVE_COMMAND
 from seft_plant_sim.whole_structure import tested_specimen
 
+from seft_ros.bags.stall_watch import StallWatch
 from seft_ros.conformance import message_checks, motion_checks
 from seft_ros.conformance.driver import (
     ENDED_PHASES,

@@ -7,10 +7,10 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 from scipy.optimize import least_squares, nnls
+from seft_msgs_py.config.parameter_table import Floats
 
 from seft_ros.force_controller.valve_model import ValveModel
 
-Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 MEMORY = 0.2

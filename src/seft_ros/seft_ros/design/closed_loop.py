@@ -9,6 +9,7 @@ import numpy.typing as npt
 from scipy.linalg import eig
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
+from seft_msgs_py.config.parameter_table import Floats
 
 from seft_ros.design.controller import Controller
 from seft_ros.design.plant import Plant, SampledPlant
@@ -23,7 +24,6 @@ from seft_ros.reference_force.linear_filter import LinearFilter
 from seft_ros.reference_force.target_motion import TargetMotion
 from seft_ros.reference_force.target_step import begin_target, target_step
 
-Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 LARGE = 60

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.config.experiment import write_parameter_file
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.lti import TransferFunction, bilinear, ratio
 
@@ -17,7 +18,6 @@ from seft_ros.force_controller.parameters import (
     one_controller,
 )
 
-Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 LIGHTLY_DAMPED = 0.5

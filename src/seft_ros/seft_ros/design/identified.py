@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from rich.table import Table
 from rich.text import Text
 from seft_msgs_py.config.experiment import write_parameter_file
@@ -30,9 +29,7 @@ from seft_ros.design.rig_tests import (
     MeasuredTest,
     Measurement,
 )
-from seft_ros.drawing.tables import Number, json_safe, look_up, make_table
-
-Floats = npt.NDArray[np.float64]
+from seft_ros.drawing.style import Number, json_safe, look_up, make_table
 
 _COHERENT = 0.8  # up to there the closed loop is fitted
 _FLOOR = 0.01  # of a response: required accuracy of a model

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from rich.table import Table
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
 
 from seft_ros.design.closed_loop import force_loop
 from seft_ros.design.controller import Controller, Root, lightly_damped
 from seft_ros.design.loop_margins import LoopMargins, Tracking, loop_margins, tracking_measures
 from seft_ros.design.plant import Plant, SampledPlant
-from seft_ros.drawing.tables import CENTRED, Number, make_table, rows_of
+from seft_ros.drawing.style import CENTRED, Number, make_table, rows_of
 
-Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 LOWEST_HZ = 0.1

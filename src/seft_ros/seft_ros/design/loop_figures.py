@@ -10,6 +10,7 @@ from matplotlib.collections import PathCollection
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
+from seft_msgs_py.config.parameter_table import Floats
 
 from seft_ros.design.actuator_fit import ActuatorFit
 from seft_ros.design.identified import ClosedLoop, Identified, ValveResponse
@@ -17,7 +18,6 @@ from seft_ros.design.loop_design import LoopDesign
 from seft_ros.design.loop_margins import BAND_HZ, FLATNESS_DB
 from seft_ros.drawing.style import FIRST, MARK, REFERENCE, SECOND, TEXT, legend_below, tidy
 
-Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 MOST_AXES = 3

@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import median_filter
 from scipy.signal import find_peaks
+from seft_msgs_py.config.parameter_table import Floats
 
-Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 FLATNESS_DB = 1.0

@@ -6,8 +6,8 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_plant_sim.continuous_model import Drive
@@ -40,8 +40,6 @@ from seft_ros.reference_force.reference_force_block import (
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 from seft_ros.reference_force.target_motion import TargetMotion
 from seft_ros.reference_force.target_step import FORCE
-
-Floats = npt.NDArray[np.float64]
 
 NEUTRAL = 1e-6
 """Growth rate up to which a loop counts as stable, 1/s: rounding makes this of zero."""

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.actuator import Hydraulics
 from seft_plant_sim.continuous_model import ContinuousModel, servo_hydraulic
@@ -23,7 +24,6 @@ from seft_plant_sim.specimen import Specimen
 from seft_ros.design import Source
 from seft_ros.design.controller import Root, lightly_damped, roots_of, uncancelled
 
-Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 

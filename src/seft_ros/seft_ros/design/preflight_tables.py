@@ -18,7 +18,7 @@ from seft_ros.design.closed_loop import growth_rate
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import HIGHEST_MASS_RATIO, Critical, Range, added_delays
 from seft_ros.design.stability_verdict import Preflight
-from seft_ros.drawing.tables import CENTRED, Number, make_table
+from seft_ros.drawing.style import CENTRED, Number, make_table
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
 
 SHARE = 0.6

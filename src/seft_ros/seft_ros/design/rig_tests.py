@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.signal
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import group, mass_matrix
+from seft_msgs_py.config.parameter_table import Floats, group, mass_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 from seft_plant_sim.rig import Rig
@@ -25,7 +25,6 @@ from seft_ros.protection.detectors import MODEL_BASED
 from seft_ros.reference_force.force_command import FORCE_DRIVEN
 from seft_ros.reference_force.reference_force_block import ReferenceForce
 
-Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 _HANN_OVERLAP_GAIN = 0.947  # independent averages for each half-overlapped Hann segment

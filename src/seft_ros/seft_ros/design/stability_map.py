@@ -8,13 +8,13 @@ from itertools import islice, repeat
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import Floats
 
 from seft_ros.design import Source
 from seft_ros.design.plan import Plan
@@ -28,7 +28,6 @@ from seft_ros.design.stability_margins import (
 from seft_ros.design.stability_verdict import Preflight
 from seft_ros.drawing.style import TEXT
 
-Floats = npt.NDArray[np.float64]
 Spread = Callable[[], AbstractContextManager[Callable[..., Iterator[tuple[int, Any]]]]]
 """Gives a `seft_ros.ensemble.workers.Map`."""
 

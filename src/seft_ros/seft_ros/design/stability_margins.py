@@ -8,15 +8,13 @@ from itertools import pairwise, starmap, takewhile
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import brentq
-from seft_msgs_py.config.parameter_table import symmetric_matrix
+from seft_msgs_py.config.parameter_table import Floats, symmetric_matrix
 from seft_msgs_py.errors import InputError
 
 from seft_ros.design.plan import NEUTRAL, Plan
 from seft_ros.design.plant import MAX_DELAY_STEPS
 
-Floats = npt.NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 
 HIGHEST_MASS_RATIO = 50.0

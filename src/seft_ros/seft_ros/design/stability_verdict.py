@@ -19,7 +19,6 @@ from seft_ros.design.stability_margins import Margins, Progress, find_margins
 from seft_ros.force_controller.parameters import VELOCITY_FEEDFORWARD
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 
-Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 NEAR = 2.0

@@ -24,10 +24,10 @@ from seft_ros.drawing.style import (
     MOST_POINTS,
     REFERENCE,
     TEXT,
+    Mark,
     check_folder,
     thinned,
 )
-from seft_ros.drawing.tables import Mark
 
 Floats = npt.NDArray[np.floating[Any]]
 

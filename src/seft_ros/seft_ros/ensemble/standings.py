@@ -15,8 +15,20 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from seft_ros.drawing.style import FIRST, MARK, REFERENCE, TEXT, finish, new_figure, tidy
-from seft_ros.drawing.tables import GOOD_ERROR, Number, json_safe, make_table, percent
+from seft_ros.drawing.style import (
+    FIRST,
+    GOOD_ERROR,
+    MARK,
+    REFERENCE,
+    TEXT,
+    Number,
+    finish,
+    json_safe,
+    make_table,
+    new_figure,
+    percent,
+    tidy,
+)
 from seft_ros.ensemble.entries import UNCERTAINTY, Tournament
 from seft_ros.ensemble.runs import Run
 

@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from bokeh.plotting import figure
 from rich.table import Table as TerminalTable
 from scipy.stats import rankdata
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import Section
+from seft_msgs_py.config.parameter_table import Floats, Section
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.rig import Rig
 
@@ -35,9 +34,10 @@ from seft_ros.drawing.page import (
 from seft_ros.drawing.page import (
     Section as PageSection,
 )
-from seft_ros.drawing.style import MARK, OTHERS
-from seft_ros.drawing.tables import (
+from seft_ros.drawing.style import (
     GOOD_ERROR,
+    MARK,
+    OTHERS,
     RESPONSES,
     Mark,
     json_safe,
@@ -49,8 +49,6 @@ from seft_ros.ensemble.entries import UNCERTAINTY, check_rig, draw_factors, pert
 from seft_ros.ensemble.runs import Run, Test
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
 from seft_ros.test_run.compiled_loop import build_blocks
-
-Floats = npt.NDArray[np.float64]
 
 MOTION_UNCERTAINTY = {
     "peak_force": 1.0,

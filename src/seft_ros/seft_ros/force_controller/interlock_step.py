@@ -3,17 +3,14 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from seft_msgs_py.config.parameter_table import Floats, Ints
 from seft_plant_sim.compiled import compiled, is_finite
-from seft_plant_sim.limits import is_exceeded
 from seft_plant_sim.rig import left_open
+from seft_plant_sim.sensors import is_exceeded
 
 from seft_ros.protection.detector_step import SOUND, SUSPECT, begin_detectors, detect, take_command
 from seft_ros.protection.detectors import DetectorParameters, DetectorState
 from seft_ros.protection.ramp_down import go_on
-
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
 
 TRIP, STEP, SATURATED, DETECTED = range(4)
 """Places of the flags: why it has tripped, at which step, how often the drive was limited, and

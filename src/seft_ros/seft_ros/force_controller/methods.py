@@ -5,15 +5,13 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 
 from seft_ros.force_controller.force_control import ControlKnowledge, ForceControl, ForceController
 from seft_ros.force_controller.parameters import REGISTERED, TRANSFER_FUNCTION, VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 from seft_ros.reference_force.compensator import RegisteredPart
-
-Floats = npt.NDArray[np.float64]
 
 
 class RegisteredControl(RegisteredPart):

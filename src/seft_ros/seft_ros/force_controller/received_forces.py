@@ -1,73 +1,15 @@
-"""Reference forces as they come: of each step, or the newest with previews; and how they came."""
+"""Reference forces as they come: of each step, each waited for, or the newest with previews."""
 
-import json
-from collections import Counter
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError, WireError
+from seft_msgs_py.wire.outcome import LinkRecord
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, Timebase
 from seft_plant_sim.command import MessagesAhead
 
 from seft_ros.protection.ramp_down import RampDown, continued
-
-
-@dataclass(frozen=True)
-class LinkRecord:
-    """Ages of the messages that the forces of a test were taken from.
-
-    Attributes
-    ----------
-    ages : mapping of int to int
-        Steps between the step of a force and that of its message -> number of forces.
-    held : int
-        Forces that no message brought: the one before was held.
-    """
-
-    ages: Mapping[int, int]
-    held: int
-
-    @classmethod
-    def of_all(cls, records: Iterable["LinkRecord"]) -> "LinkRecord":
-        """Add up what the force controllers of several rigs tell."""
-        ages: Counter[int] = Counter()
-        held = 0
-        for record in records:
-            ages.update(record.ages)
-            held += record.held
-        return cls(dict(sorted(ages.items())), held)
-
-    def older_than(self, loop_delay: int) -> int:
-        """Count the forces whose messages were older than the loop's delay: bridged ones."""
-        return sum(count for age, count in self.ages.items() if age > loop_delay)
-
-    def to_json(self) -> str:
-        """Text for a status."""
-        return json.dumps(
-            {"ages": {str(age): n for age, n in self.ages.items()}, "held": self.held}
-        )
-
-    @classmethod
-    def from_json(cls, text: str) -> "LinkRecord":
-        """Read what `to_json` wrote.
-
-        Raises
-        ------
-        ValueError
-            If it is something else.
-        """
-        try:
-            values = json.loads(text)
-            ages = {int(age): int(count) for age, count in values["ages"].items()}
-            return cls(ages, int(values["held"]))
-        except (AttributeError, KeyError, TypeError, OverflowError, RecursionError) as error:
-            raise ValueError(f"link: {error}") from None
-
-
-Floats = npt.NDArray[np.float64]
 
 PENDING = 256  # steps kept while their other half has not come
 

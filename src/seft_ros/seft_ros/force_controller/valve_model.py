@@ -6,9 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.config.parameter_table import Floats
 from seft_plant_sim.lti import LEAST_SAMPLES, Complexes, noncausal_inverse
-
-Floats = npt.NDArray[np.float64]
 
 INVERTED_TO = 0.85
 """Highest frequency that is inverted, over the valve's own: what is above costs too much drive."""

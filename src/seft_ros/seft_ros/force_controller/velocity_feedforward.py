@@ -22,8 +22,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
-from seft_msgs_py.config.parameter_table import per_axis
+from seft_msgs_py.config.parameter_table import Floats, per_axis
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import compiled, entry_point
@@ -33,8 +32,6 @@ from seft_ros.force_controller.valve_model import ValveModel, valve_models
 from seft_ros.protection.detector_step import under_load
 from seft_ros.protection.detectors import begin_following, doubt, follow_valve
 from seft_ros.reference_force.motion_observer import observe, observer_gains, sensor_noise
-
-Floats = npt.NDArray[np.float64]
 
 FEEDBACK = math.pi / 8
 """Gain of the feedback times the valve's mean delay: a quarter of what would oscillate without

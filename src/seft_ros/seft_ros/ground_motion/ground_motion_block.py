@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.config.parameter_table import (
+    Floats,
     Section,
     Table,
     group,
@@ -23,8 +24,6 @@ from seft_msgs_py.wire.topics import Timebase
 
 from seft_ros.ground_motion.record_file import RecordedMotion, read_record
 from seft_ros.ground_motion.synthetic_motion import synthetic_motion
-
-Floats = npt.NDArray[np.float64]
 
 MOST_STEPS = 50_000_000
 """Longest motion that is accepted, in steps: beyond is a mistyped duration or rate."""

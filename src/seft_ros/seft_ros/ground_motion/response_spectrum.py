@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
 
 from seft_ros.ground_motion.column_file import STANDARD_GRAVITY
@@ -12,7 +13,6 @@ from seft_ros.ground_motion.column_file import STANDARD_GRAVITY
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Floats = npt.NDArray[np.float64]
 _BLOCK = 256
 
 PERIODS = np.geomspace(0.02, 5.0, 150)

@@ -2,9 +2,8 @@
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
-
-Floats = npt.NDArray[np.float64]
 
 SIGNALS = ("random", "chirp")
 _EDGE = 1.25  # beyond the band the spectrum falls to zero within this factor

@@ -11,7 +11,7 @@ from typing import Any
 from rich.table import Table
 from ruamel.yaml import YAML
 
-from seft_ros.drawing.tables import CENTRED, json_safe, make_table
+from seft_ros.drawing.style import CENTRED, json_safe, make_table
 from seft_ros.paper import measures
 from seft_ros.paper.findings import BEYOND, Findings
 

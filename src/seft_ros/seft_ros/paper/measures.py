@@ -8,12 +8,12 @@ import numpy as np
 import numpy.typing as npt
 import scipy.signal
 from scipy.ndimage import median_filter
+from seft_msgs_py.config.parameter_table import Floats
 
 from seft_ros.design.loop_margins import BAND_HZ
 from seft_ros.paper.findings import Findings
 from seft_ros.paper.paper_tests import DELAY, SEGMENT, VIBRATION_HZ, Outcome, whole_delay
 
-Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 Values = dict[str, Any]
 

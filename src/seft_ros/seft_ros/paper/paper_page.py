@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from bokeh.models import Range1d
 from bokeh.plotting import figure
+from seft_msgs_py.config.parameter_table import Floats
 
 from seft_ros.design.loop_margins import BAND_HZ
 from seft_ros.drawing.page import (
@@ -28,14 +29,20 @@ from seft_ros.drawing.page import (
     time_range,
     write_page,
 )
-from seft_ros.drawing.style import FIRST, OTHERS, REFERENCE
-from seft_ros.drawing.tables import DISPLAY_UNITS, GOOD_ERROR, RESPONSES, Mark
+from seft_ros.drawing.style import (
+    DISPLAY_UNITS,
+    FIRST,
+    GOOD_ERROR,
+    OTHERS,
+    REFERENCE,
+    RESPONSES,
+    Mark,
+)
 from seft_ros.paper import measures
 from seft_ros.paper.claims import Claim, read_rows
 from seft_ros.paper.findings import BEYOND, COMPUTED, Findings
 from seft_ros.paper.paper_tests import BEYOND_SHARE, Outcome
 
-Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 Response = tuple[Floats, Complexes, str]  # Hz, values, label
 Curve = tuple[Floats, dict[str, Floats], str, str]  # time, signals, label, colour

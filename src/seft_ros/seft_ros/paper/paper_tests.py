@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy.signal
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import Trip
 from seft_msgs_py.wire.topics import GROUND_MOTION, RIG_STATE
@@ -23,8 +23,6 @@ from seft_ros.design.rig_tests import has_valve
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 from seft_ros.test_run.compiled_loop import build_blocks, with_method
 from seft_ros.test_run.offline import simulate
-
-Floats = npt.NDArray[np.float64]
 
 DELAY = 0.01
 """Delay of the actuator that the paper identified and simulates with (section 5.2), s."""

@@ -21,7 +21,7 @@ What is wrong for a few samples is a spike; each detector has a persistence.
 import math
 
 import numpy as np
-import numpy.typing as npt
+from seft_msgs_py.config.parameter_table import Floats, Ints
 from seft_plant_sim.compiled import compiled
 
 from seft_ros.protection.detectors import (
@@ -48,8 +48,6 @@ from seft_ros.protection.detectors import (
     follow_valve,
     look,
 )
-
-Floats = npt.NDArray[np.float64]
 
 OPPOSED = 0.5
 """Part of the assumed stiffness by which a specimen may soften: fracture, buckling."""
@@ -139,8 +137,6 @@ def look_at_work(p: DetectorParameters, state: DetectorState, measured: Floats) 
         SECOND_ORDER_WORK * n if look(p, state, SECOND_ORDER_WORK, 0, -work[0], threshold) else -1
     )
 
-
-Ints = npt.NDArray[np.int64]
 
 CHANNEL, OTHER = (0, 1, 3), (1, 2, 1)
 """Channel of each whose change is compared, and with which other."""

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from seft_msgs_py.config.parameter_table import Floats, Ints
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.sensors import CHANNELS
-
-Floats = npt.NDArray[np.float64]
 
 LASTS, LONG_LASTS = 0.006, 0.02
 """Times for which a detector must be beyond its threshold, s: longer than a spike; and, where a
@@ -160,8 +158,6 @@ def follow_valve(
     c[1] -= by_later * by_later / variance
     c[2] -= by_flow * by_later / variance
 
-
-Ints = npt.NDArray[np.int64]
 
 MEMORY = 0.05
 """Time constant of the sums of both sides of a relation, s."""

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.compiled import compiled, entry_point, multiply
@@ -28,8 +28,6 @@ from seft_plant_sim.lti import bilinear
 from seft_ros.reference_force.compensator import Knowledge
 from seft_ros.reference_force.reference_force_block import knowledge
 from seft_ros.reference_force.substructure import substructure_motion
-
-Floats = npt.NDArray[np.float64]
 
 HURRY = 10.0
 """How many times faster the strongest vibration uses that time up."""

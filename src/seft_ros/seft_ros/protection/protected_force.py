@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.compiled import entry_point, kind_of
 
@@ -27,9 +27,8 @@ from seft_ros.protection.protection_step import (
     protect,
 )
 from seft_ros.protection.ramp_down import RampDown
+from seft_ros.reference_force.compensator import asks_model
 from seft_ros.reference_force.reference_force_block import ReferenceForce
-
-Floats = npt.NDArray[np.float64]
 
 
 class ProtectedForce:
@@ -138,8 +137,9 @@ class ProtectedForce:
         code = self.state.flags[CAUSE]
         if code == NOTHING:
             return None
-        if failure := getattr(self.reference_force.compensator, "failure", ""):
-            return str(failure)
+        method = self.reference_force.compensator
+        if asks_model(method) and method.failure:
+            return method.failure
         if code == ODD_FORCE:
             return self._plausible.describe(self.state.odd_force)
         if code == ODD_STATE:
@@ -202,9 +202,9 @@ class ProtectedForce:
 
     def ask_model(self) -> None:
         """Step a computed model, which is part of no answer but the next."""
-        ask = getattr(self.reference_force.compensator, "ask_model", None)
-        if ask is not None:
-            ask()
+        method = self.reference_force.compensator
+        if asks_model(method):
+            method.ask_model()
 
     def bridge(self, ground_motion: Sequence[Floats | None], state: Floats) -> None:
         """Make good for the states of steps that were lost before this one, in a straight line.

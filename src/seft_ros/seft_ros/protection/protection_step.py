@@ -5,13 +5,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from seft_msgs_py.config.parameter_table import Floats, Ints
 from seft_plant_sim.compiled import compiled, entry_point, is_finite
 
 from seft_ros.protection.instability import WatchParameters, WatchState, watch_step
 from seft_ros.protection.ramp_down import BEGUN, go_on, next_factor
-
-Floats = npt.NDArray[np.float64]
 
 _QUANTITIES = ("displacement", "velocity", "acceleration", "force")
 
@@ -112,8 +110,6 @@ def not_finite(state: Floats, axes: Sequence[str]) -> str:
     row, axis = bad[0]
     return f"measured {_QUANTITIES[row]} is {state[row, axis]} on axis {axes[axis]}"
 
-
-Ints = npt.NDArray[np.int64]
 
 HOLDING, CAUSE, AGE = range(3)
 """Places of the flags: whether the last plausible point stands in, why it came down, and how many

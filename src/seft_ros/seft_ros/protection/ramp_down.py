@@ -3,10 +3,8 @@
 import math
 
 import numpy as np
-import numpy.typing as npt
+from seft_msgs_py.config.parameter_table import Floats, Ints
 from seft_plant_sim.compiled import compiled, entry_point
-
-Floats = npt.NDArray[np.float64]
 
 BRAKING = 0.03
 """Time constant with which a target loses its velocity, s. At a sudden stop its oil would ring."""
@@ -45,8 +43,6 @@ def continued(points: Floats, age: int, count: int, dt: float) -> Floats:
     go_on(points, age, dt, result)
     return result
 
-
-Ints = npt.NDArray[np.int64]
 
 BEGUN, TAKEN = range(2)
 """Places of what `next_factor` remembers: whether the ramp is asked for, and steps of it so far."""

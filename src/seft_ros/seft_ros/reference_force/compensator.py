@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeGuard
 
 import numpy as np
 from seft_msgs_py.config.parameter_table import Floats
@@ -112,6 +112,29 @@ class Compensator(Protocol):
 def tells_motion(compensator: Compensator) -> bool:
     """Whether a method returns points of a target's motion, and has a pace."""
     return hasattr(compensator, "pace")
+
+
+class AskingCompensator(Compensator, Protocol):
+    """A method whose structure may have a computed model, which is stepped beside its answers.
+
+    Attributes
+    ----------
+    model : ModelLine or None
+        The computed model; None where there is none.
+    failure : str
+        Why the model failed in this test, one line; empty while it has not.
+    """
+
+    model: Any
+    failure: str
+
+    def ask_model(self) -> None:
+        """Step the model, which is part of no answer but the next."""
+
+
+def asks_model(compensator: Compensator) -> TypeGuard[AskingCompensator]:
+    """Whether a method may have a computed model."""
+    return hasattr(compensator, "ask_model")
 
 
 Method = Callable[[Knowledge], Compensator]

@@ -14,7 +14,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.lti import LEAST_SAMPLES, Complexes, noncausal_inverse
@@ -22,8 +22,6 @@ from seft_plant_sim.lti import LEAST_SAMPLES, Complexes, noncausal_inverse
 from seft_ros.reference_force.compensator import Knowledge
 from seft_ros.reference_force.restoring_model import THRESHOLDS
 from seft_ros.reference_force.target_step import TargetParameters, TargetState, move_by_force
-
-Floats = npt.NDArray[np.float64]
 
 FORCE_DRIVEN = ("ideal", "delay")
 """Kinds of actuators that are driven by the reference force."""

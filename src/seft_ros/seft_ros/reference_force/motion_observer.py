@@ -4,13 +4,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import solve_discrete_are
-from seft_msgs_py.config.parameter_table import per_axis
+from seft_msgs_py.config.parameter_table import Floats, per_axis
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.sensors import CHANNELS
-
-Floats = npt.NDArray[np.float64]
 
 BETWEEN_SAMPLES = 3.0
 """Noise of the acceleration that is integrated, over that of the sensor: it changes in between."""

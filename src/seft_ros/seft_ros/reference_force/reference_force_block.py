@@ -12,7 +12,7 @@ from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_plant_sim.specimen import deformations
 
 from seft_ros.reference_force.compensation_methods import METHODS
-from seft_ros.reference_force.compensator import Compensator, Knowledge, tells_motion
+from seft_ros.reference_force.compensator import Compensator, Knowledge, asks_model, tells_motion
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 from seft_ros.reference_force.substructure import with_substructure
 
@@ -201,7 +201,7 @@ class ReferenceForce:
     @property
     def is_modelled(self) -> bool:
         """Whether a computed model is part of it."""
-        return getattr(self.compensator, "model", None) is not None
+        return asks_model(self.compensator) and self.compensator.model is not None
 
     def reset(self) -> None:
         """Forget the test so far."""

@@ -44,10 +44,8 @@ from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from seft_msgs_py.config.parameter_table import Floats
 from seft_plant_sim.compiled import compiled, multiply_sized
-
-Floats = npt.NDArray[np.float64]
 
 THRESHOLDS = 12
 """Stop operators of a spring; each has twice the threshold of the one before."""

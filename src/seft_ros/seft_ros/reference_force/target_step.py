@@ -13,7 +13,7 @@ The elastic specimen as assumed is in A, too, so that this part is integrated ex
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from seft_msgs_py.config.parameter_table import Floats
 from seft_plant_sim.compiled import compiled, is_finite, multiply_sized
 
 from seft_ros.reference_force.motion_observer import observe
@@ -26,8 +26,6 @@ from seft_ros.reference_force.restoring_model import (
     move_stops,
     slider_forces,
 )
-
-Floats = npt.NDArray[np.float64]
 
 ESTIMATES = ("stiffness", "damping", "friction")
 """What `target_estimates` gives."""

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import nearest
+from seft_msgs_py.config.parameter_table import Floats, nearest
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import (
     GROUND_MOTION,
@@ -14,7 +14,6 @@ from seft_msgs_py.wire.topics import (
     VALVE_COMMAND,
     LoopTopic,
 )
-from seft_msgs_py.wire.trajectory import Floats
 from seft_plant_sim.rig import Rig
 
 from seft_ros.bags.gathering import EstimatesGatherer

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from rich.console import Group
 from rich.text import Text
 from seft_msgs_py.config.experiment import EVERY_NODE, Experiment, Override
-from seft_msgs_py.config.parameter_table import COMMON
+from seft_msgs_py.config.parameter_table import COMMON, Floats
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.node import realtime
 from seft_msgs_py.wire.messages import decode_diagnostics, decode_status
@@ -28,14 +28,13 @@ from seft_msgs_py.wire.topics import (
     LoopTopic,
     Topic,
 )
-from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.analysis.comparison import compare
 from seft_ros.analysis.result_text import FIELD_UNITS
-from seft_ros.bags.description import describe_environment
-from seft_ros.bags.record import Estimates, Record, Series
+from seft_ros.bags.record import Estimates, Record, Series, describe_environment
 from seft_ros.bags.record_bag import read_bag, read_messages
-from seft_ros.drawing.tables import make_table, number, small_percent
+from seft_ros.drawing.style import make_table, number, small_percent
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 from seft_ros.test_run.parameter_tables import TABLES
 

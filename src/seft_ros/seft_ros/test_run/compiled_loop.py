@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba.extending import overload
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import Floats, Ints
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_plant_sim.compiled import OPTIONS, compiled, entry_point, kind_of
@@ -182,10 +182,6 @@ def with_method(experiment: Experiment, method: str) -> Experiment:
         experiment.sections
         | {"reference_force": force, "force_controller": control | {"method": used}}
     )
-
-
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
 
 
 FORCE_STEPS = {LinearParameters: linear_step, TargetParameters: target_step}

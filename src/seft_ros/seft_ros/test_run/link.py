@@ -14,6 +14,7 @@ import numpy.typing as npt
 from rich.table import Table
 from rich.text import Text
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import ExperimentError, InputError, WireError
 from seft_msgs_py.node.process import leave_graph
 from seft_msgs_py.node.rclpy_interface import (
@@ -26,10 +27,10 @@ from seft_msgs_py.node.rclpy_interface import (
 )
 from seft_msgs_py.wire.messages import decode_string, encode_string
 from seft_msgs_py.wire.topics import LINK_PING, LINK_PONG, TARGET, RigAxes, Topic
-from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.design.stability_verdict import MASS_RATIO_RESERVE as RESERVE
-from seft_ros.drawing.tables import Number, make_table, rows_of
+from seft_ros.drawing.style import Number, make_table, rows_of
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 
 Verdict = Literal["good", "marginal", "unusable"]

@@ -12,8 +12,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.wire.outcome import Trip
 from seft_msgs_py.wire.topics import (
     GROUND_MOTION,
@@ -24,11 +24,11 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_plant_sim.whole_structure import ReferenceResponse, reference_response
 
-from seft_ros.bags.description import describe_environment
 from seft_ros.bags.record import (
     Estimates,
     Record,
     Series,
+    describe_environment,
     require_names,
 )
 from seft_ros.reference_force.reference_force_block import sampling_period
@@ -40,8 +40,6 @@ from seft_ros.test_run.compiled_loop import (
     run_compiled,
 )
 from seft_ros.test_run.state_machine import while_ramping_down
-
-Floats = npt.NDArray[np.float64]
 
 PROGRESS_STEPS = 5000
 

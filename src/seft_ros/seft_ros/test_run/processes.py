@@ -22,15 +22,15 @@ from seft_ros.test_run.orphan_reaper import OrphanReaper
 from seft_ros.test_run.process_layout import LOOP_NODES, ProcessLayout
 
 MODULES = {
-    "ground_motion": "seft_ros.nodes.ground_motion",
-    "reference_force": "seft_ros.nodes.reference_force",
-    "force_controller": "seft_ros.nodes.force_controller",
+    "ground_motion": "seft_ros.nodes.ground_motion_node",
+    "reference_force": "seft_ros.nodes.reference_force_node",
+    "force_controller": "seft_ros.nodes.force_controller_node",
     "rig": "seft_plant_sim.rig_node",
-    "supervisor": "seft_ros.nodes.supervisor",
-    "recorder": "seft_ros.nodes.recorder",
+    "supervisor": "seft_ros.nodes.supervisor_node",
+    "recorder": "seft_ros.nodes.recorder_node",
 }
 """Module of each node, for ``python -m``: it works with and without a ROS installation."""
-COMPOSED = "seft_ros.nodes.loop"
+COMPOSED = "seft_ros.nodes.loop_node"
 
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None, use_errno=True)

@@ -11,10 +11,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import group, per_axis
+from seft_msgs_py.config.parameter_table import Floats, group, per_axis
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.node.node_main import NodeBody, NodeKind
-from seft_msgs_py.node.node_shell import NodeShell
+from seft_msgs_py.node.node_shell import NodeBody, NodeKind, NodeShell
 from seft_msgs_py.node.realtime import AwakeClock
 from seft_msgs_py.wire.messages import ERROR, OK, Status, decode_status, encode_clock
 from seft_msgs_py.wire.outcome import (
@@ -36,10 +35,10 @@ from seft_msgs_py.wire.topics import (
     VALVE_COMMAND,
     until_start,
 )
-from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_plant_sim.command import Command
-from seft_plant_sim.limits import Limits
 from seft_plant_sim.rig_watch import CommandWatch, Rehearsal, elapsed
+from seft_plant_sim.sensors import Limits
 
 from rig_driver.calibration import Calibration
 from rig_driver.hardware import Hardware

@@ -9,9 +9,9 @@ import time
 from functools import partial
 
 import numpy as np
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.node.node_main import NodeBody, NodeKind
-from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell
+from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeBody, NodeKind, NodeShell
 from seft_msgs_py.wire.messages import ERROR, OK, EstimatesCodec, decode_status
 from seft_msgs_py.wire.outcome import ENDED, REHEARSES, State, tripped_status
 from seft_msgs_py.wire.topics import (
@@ -21,7 +21,7 @@ from seft_msgs_py.wire.topics import (
     RIG_STATE,
     rehearsed,
 )
-from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.protection.protected_force import ProtectedForce
 from seft_ros.reference_force.reference_force_block import (

@@ -6,10 +6,10 @@ import time
 from dataclasses import replace
 
 import numpy as np
+from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.node.node_main import NodeBody, NodeKind
 from seft_msgs_py.node.node_process import MOST_AT_ONCE
-from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeShell
+from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeBody, NodeKind, NodeShell
 from seft_msgs_py.wire.messages import OK, WARN, Status, decode_status
 from seft_msgs_py.wire.outcome import MOVING, REHEARSES, tripped_status
 from seft_msgs_py.wire.topics import (
@@ -22,7 +22,7 @@ from seft_msgs_py.wire.topics import (
     VALVE_COMMAND,
     rehearsed,
 )
-from seft_msgs_py.wire.trajectory import Floats, TrajectoryCodec
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.methods import force_control

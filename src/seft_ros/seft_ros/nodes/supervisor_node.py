@@ -10,8 +10,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from seft_msgs_py.node.node_main import NodeBody, NodeKind
-from seft_msgs_py.node.node_shell import NodeShell
+from seft_msgs_py.node.node_shell import NodeBody, NodeKind, NodeShell
 from seft_msgs_py.node.realtime import AwakeClock
 from seft_msgs_py.wire.messages import (
     ERROR,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from seft_msgs_py.errors import InputError
-from seft_ros.bags.description import (
+from seft_ros.bags.record import (
     Description,
     describe_environment,
     git_state,

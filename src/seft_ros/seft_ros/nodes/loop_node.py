@@ -9,11 +9,11 @@ and bits. They hand each other their messages directly; all others receive them 
 import argparse
 import sys
 
-from seft_msgs_py.node.node_main import NodeKind, run_nodes
+from seft_msgs_py.node.node_shell import NodeKind, run_nodes
 from seft_plant_sim.rig_node import KIND as RIG
 
-from seft_ros.nodes.force_controller import KIND as FORCE_CONTROLLER
-from seft_ros.nodes.reference_force import KIND as REFERENCE_FORCE
+from seft_ros.nodes.force_controller_node import KIND as FORCE_CONTROLLER
+from seft_ros.nodes.reference_force_node import KIND as REFERENCE_FORCE
 
 KINDS: dict[str, NodeKind] = {
     kind.table.node: kind for kind in (RIG, REFERENCE_FORCE, FORCE_CONTROLLER)

@@ -14,9 +14,8 @@ from datetime import datetime
 from pathlib import Path
 
 from seft_msgs_py.errors import ExperimentError
-from seft_msgs_py.node.node_main import NodeBody, NodeKind
-from seft_msgs_py.node.node_shell import Handler, NodeShell
-from seft_msgs_py.node.realtime import FIRST, StallWatch, boot
+from seft_msgs_py.node.node_shell import Handler, NodeBody, NodeKind, NodeShell
+from seft_msgs_py.node.realtime import FIRST, boot
 from seft_msgs_py.wire.messages import (
     ERROR,
     OK,
@@ -46,8 +45,9 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-from seft_ros.bags.description import describe_environment
 from seft_ros.bags.lasting_bag import LastingBag, expected_size, obstacle
+from seft_ros.bags.record import describe_environment
+from seft_ros.bags.stall_watch import StallWatch
 from seft_ros.test_run.parameter_tables import RECORDER, TABLES
 from seft_ros.test_run.peers import ALL_ANSWERED, RECORDING, SILENT, WAITS
 
