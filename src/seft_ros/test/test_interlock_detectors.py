@@ -212,8 +212,8 @@ def test_a_detector_acts_once_it_is_beyond_its_threshold_for_its_persistence():
     found = [look(p, state, row, 1, 2.0 * each, 2.0) for each in seen]
     assert found == [False] * 7 + [True, True]
     assert state.found.tolist() == [3.5, 2.0]
-    assert state.shares[row].tolist() == [0.0, 1.75]
     assert not look(p, state, row, 0, 9.0, 0.0)  # a threshold of nothing is none
+    assert state.shares[row].tolist() == [0.0, 1.75]
     assert state.counts[row].tolist() == [0, 4]
     assert not any(look(p, state, rows.TRACKING, 0, 9.0, 1.0) for _ in range(99))  # it warns
     assert state.shares[rows.TRACKING, 0] == 9.0
