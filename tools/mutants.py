@@ -35,6 +35,7 @@ TESTS = {
     f"{CONTROL}interlock_step.py": CONTROL_TESTS,
     f"{CONTROL}interlock.py": CONTROL_TESTS,
     f"{CONTROL}silence.py": CONTROL_TESTS,
+    f"{CONTROL}detectors_of.py": CONTROL_TESTS,
     f"{LOCK}ramp_down.py": (f"{ROS}test/test_interlock_ramp_down.py",),
     f"{LOCK}plausibility.py": (f"{ROS}test/test_interlock_plausibility.py",),
     f"{LOCK}protection.py": FORCE_TESTS,
