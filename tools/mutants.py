@@ -9,18 +9,25 @@ import argparse
 import ast
 import contextlib
 import copy
+import gc
 import hashlib
+import importlib
 import importlib.machinery
 import os
 import signal
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 HOME = Path(__file__).parents[1]
 KILLED = HOME / "build" / "mutants.txt"
 PLANT, ROS = "src/seft_plant_sim/", "src/seft_ros/"
 LOCK, CONTROL = f"{ROS}seft_ros/interlock/", f"{ROS}seft_ros/force_controller/"
+DETECTORS = (
+    *("detector_look", "detector_step", "specimen_detectors", "valve_following"),
+    *("detector_arrays", "detectors"),
+)
 DETECTOR_TESTS = (f"{ROS}test/test_interlock_detectors.py",)
 CONTROL_TESTS = (f"{ROS}test/test_force_controller_interlock.py", "-knot offline_loop")
 FORCE_TESTS = (f"{ROS}test/test_interlock_protected_force.py",)
@@ -40,13 +47,7 @@ TESTS = {
     f"{LOCK}plausibility.py": (f"{ROS}test/test_interlock_plausibility.py",),
     f"{LOCK}protection.py": FORCE_TESTS,
     f"{LOCK}protected_force.py": FORCE_TESTS,
-    **{
-        f"{LOCK}{name}.py": DETECTOR_TESTS
-        for name in (
-            *("detector_look", "detector_step", "specimen_detectors", "valve_following"),
-            *("detector_arrays", "detectors"),
-        )
-    },
+    **{f"{LOCK}{name}.py": DETECTOR_TESTS for name in DETECTORS},
     f"{DRIVER}safe_stop.py": DRIVER_TESTS,
     f"{DRIVER}rest.py": DRIVER_TESTS,
     f"{LOCK}watch_step.py": WATCH_TESTS,
@@ -60,62 +61,69 @@ SWAPS = {
     **{ast.Div: (ast.Mult,), ast.BitAnd: (ast.BitOr,), ast.BitOr: (ast.BitAnd,)},
 }
 NAMES = {"min": "max", "max": "min", "any": "all", "all": "any"}
+LIBRARIES = ("hypothesis", "numba", "pytest", "rosbags.typesys", "scipy.signal")
+WORDS = (
+    "-qx",
+    "--hypothesis-seed=0",
+    "--assert=plain",
+    *(f"-pno:{each}" for each in ("cacheprovider", "pytest_cov", "xdist")),
+)
 ACTS = (ast.AugAssign, ast.Expr, ast.Raise, ast.Return, ast.Continue, ast.Break)
 
 
 def changes(node):
     """Give what may stand in for a node."""
-    if isinstance(node, ast.Compare | ast.BoolOp | ast.BinOp | ast.AugAssign):
-        place = node.ops[0] if isinstance(node, ast.Compare) else node.op
-        for swap in SWAPS.get(type(place), ()):
-            other = copy.copy(node)
-            setattr(
-                other, *(("ops", [swap()]) if isinstance(node, ast.Compare) else ("op", swap()))
-            )
-            yield other
-    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not | ast.USub):
+    if isinstance(node, ast.Compare):
+        for swap in SWAPS.get(type(node.ops[0]), ()):
+            yield ast.Compare(node.left, [swap(), *node.ops[1:]], node.comparators)
+    elif isinstance(node, ast.BoolOp | ast.BinOp | ast.AugAssign):
+        for swap in SWAPS.get(type(node.op), ()):
+            yield changed(node, op=swap())
+    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not | ast.USub):
         yield node.operand
-    if isinstance(node, ast.If | ast.IfExp | ast.While) and not isinstance(
-        node.test, ast.Compare | ast.UnaryOp
-    ):
-        other = copy.copy(node)
-        other.test = ast.UnaryOp(ast.Not(), node.test)
-        yield other
-    if isinstance(node, ast.Constant) and isinstance(node.value, bool | int | float):
-        value = node.value
-        yield ast.Constant(not value if isinstance(value, bool) else 2 * value + (not value % 2))
-    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+    elif isinstance(node, ast.If | ast.IfExp | ast.While):
+        if not isinstance(node.test, ast.Compare | ast.UnaryOp):  # these change by themselves
+            yield changed(node, test=ast.UnaryOp(ast.Not(), node.test))
+    elif isinstance(node, ast.Constant) and isinstance(node.value, bool):
+        yield ast.Constant(not node.value)
+    elif isinstance(node, ast.Constant) and isinstance(node.value, int | float):
+        yield ast.Constant(2 * node.value + (not node.value % 2))
+    elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
         if node.func.id in NAMES:
-            yield ast.Call(ast.Name(NAMES[node.func.id], ast.Load()), node.args, node.keywords)
+            yield changed(node, func=ast.Name(NAMES[node.func.id], ast.Load()))
         elif node.func.id == "abs":
             yield node.args[0]
     is_text = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
     places = [*ast.walk(node.targets[0])] if isinstance(node, ast.Assign) else []
-    if (isinstance(node, ACTS) and not is_text) or any(
-        isinstance(each, ast.Attribute | ast.Subscript) for each in places
-    ):
+    is_kept = any(isinstance(each, ast.Attribute | ast.Subscript) for each in places)
+    if is_kept or (isinstance(node, ACTS) and not is_text):
         yield ast.Pass()
 
 
+def changed(node, **fields):
+    """Give a copy of a node with other fields."""
+    other = copy.copy(node)
+    vars(other).update(fields)
+    return other
+
+
 def mutants(tree):
-    """Give each change of a module: the name of the mutant, its line, and the changed module."""
+    """Give the name of each mutant of a module, which begins with its line, and the module."""
     for node in ast.walk(tree):
         for field, value in ast.iter_fields(node):
             if field in ("annotation", "returns", "decorator_list"):
                 continue
-            for index, child in enumerate(value if isinstance(value, list) else [value]):
+            is_list = isinstance(value, list)
+            for index, child in enumerate(value if is_list else [value]):
+                put = (
+                    partial(value.__setitem__, index) if is_list else partial(setattr, node, field)
+                )
                 for other in changes(child) if isinstance(child, ast.AST) else ():
                     ast.fix_missing_locations(ast.copy_location(other, child))
                     old, new = (ast.unparse(each).partition("\n")[0] for each in (child, other))
-                    if isinstance(value, list):
-                        value[index] = other
-                    else:
-                        setattr(node, field, other)
+                    put(other)
                     yield f"{child.lineno}:{child.col_offset} {old}  ->  {new}", tree
-                    if isinstance(value, list):
-                        value[index] = child
-                    else:
-                        setattr(node, field, child)
+                    put(child)
 
 
 class Uncompiled:
@@ -149,15 +157,8 @@ def is_killed(file, tree, tests, longest):
         importlib.machinery.SourceFileLoader.get_code = get_code
         import pytest
 
-        words = [
-            "-qx",
-            "-pno:cacheprovider",
-            "--assert=plain",
-            "--hypothesis-seed=0",
-            *map(str, tests),
-        ]
         with contextlib.suppress(BaseException):
-            os._exit(int(pytest.main(words, plugins=[Uncompiled()])))
+            os._exit(int(pytest.main([*WORDS, *tests], plugins=[Uncompiled()])))
         os._exit(1)
     while not (ended := os.waitpid(child, os.WNOHANG))[0]:
         if time.monotonic() - began > longest:
@@ -175,46 +176,40 @@ def main():
     words = parser.parse_args().words
     os.chdir(HOME)
     os.environ.update(NUMBA_DISABLE_JIT="1")
-    import hypothesis  # noqa: F401
-    import numba  # noqa: F401
-    import pytest  # noqa: F401
-    import scipy.signal  # noqa: F401
-
+    for module in LIBRARIES:  # once, and not in each process
+        importlib.import_module(module)
+    gc.freeze()
     KILLED.parent.mkdir(exist_ok=True)
     KILLED.touch()
-    survived = total = 0
+    total = survived = 0
     for name, tests in TESTS.items():
-        if words and not any(word in name for word in words):
-            continue
-        file = HOME / name
-        text = file.read_bytes()
-        key = hashlib.sha256(text).hexdigest()[:16]
-        known, began = set(KILLED.read_text().splitlines()), time.monotonic()
-        tree = ast.parse(text)
-        if is_killed(file, tree, tests, 600.0):
-            sys.exit(f"{name}: its tests fail without any change: {' '.join(tests)}")
-        longest = 5.0 + 5.0 * (time.monotonic() - began)
-        every, left = sum(1 for _ in mutants(tree)), []
-        for count, (mutant, changed) in enumerate(mutants(tree), 1):
-            if sys.stderr.isatty():
-                print(
-                    f"\r{name} {count}/{every}, {len(left)} survive\033[K", end="", file=sys.stderr
-                )
-            if (line := f"{key} {mutant}") in known:
-                continue
-            if is_killed(file, changed, tests, longest):
-                with KILLED.open("a") as kept:
-                    kept.write(f"{line}\n")
-            else:
-                left.append(mutant)
-        print(f"\r{name}: {every} mutants, {len(left)} survive\033[K")
-        print(
-            *(f"  {mutant}" for mutant in sorted(left, key=lambda m: int(m.split(":")[0]))),
-            sep="\n",
-        )
-        total, survived = total + every, survived + len(left)
-        sys.stdout.flush()
+        if not words or any(word in name for word in words):
+            every, left = survivors(name, tests)
+            print(f"{name}: {every} mutants, {len(left)} survive", *left, sep="\n  ", flush=True)
+            total, survived = total + every, survived + len(left)
     print(f"{total} mutants, {total - survived} killed, {survived} survive")
+
+
+def survivors(name, tests):
+    """Run the mutants of a file; give how many there are, and which survive, by their lines."""
+    file, began, left = HOME / name, time.monotonic(), []
+    text, known = file.read_bytes(), set(KILLED.read_text().splitlines())
+    key, tree = hashlib.sha256(text).hexdigest()[:16], ast.parse(text)
+    if is_killed(file, tree, tests, 600.0):
+        sys.exit(f"{name}: its tests fail without any change: {' '.join(tests)}")
+    longest, every = 5.0 + 5.0 * (time.monotonic() - began), sum(1 for _ in mutants(tree))
+    for count, (mutant, mutated) in enumerate(mutants(tree), 1):
+        if sys.stderr.isatty():
+            where = f"\r{name} {count}/{every}, {len(left)} survive\033[K"
+            print(where, end="\r" * (count == every), file=sys.stderr, flush=True)
+        if (line := f"{key} {mutant}") in known:
+            continue
+        if is_killed(file, mutated, tests, longest):
+            with KILLED.open("a") as killed:
+                print(line, file=killed)
+        else:
+            left.append(mutant)
+    return every, sorted(left, key=lambda mutant: int(mutant.partition(":")[0]))
 
 
 if __name__ == "__main__":
