@@ -3,12 +3,12 @@
 import sys
 
 import pytest
-from seft_ros.cli.main import main
 
 
 @pytest.fixture
 def seft(monkeypatch, capsys, tmp_path):
     """Run the command line in this process and an empty folder; (status, stdout, stderr)."""
+    from seft_ros.cli.main import main  # most tests do without all that commands need
 
     def run(*words):
         monkeypatch.chdir(tmp_path)

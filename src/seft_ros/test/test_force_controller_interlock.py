@@ -3,10 +3,12 @@ import math
 import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
+from seft_msgs_py.errors import InputError
 from seft_ros.force_controller.force_control import ForceController
-from seft_ros.force_controller.interlock import Interlock
+from seft_ros.force_controller.interlock import Interlock, detector_shares, detectors_of
 from seft_ros.nodes.force_controller_node import Silence
-from seft_ros.protection.detectors import LIMITED_AT, detector_arrays
+from seft_ros.protection.detector_step import begin_detectors, detect_all
+from seft_ros.protection.detectors import DETECTORS, LIMITED_AT, detector_arrays
 from seft_ros.protection.ramp_down import continued
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
@@ -42,6 +44,7 @@ def test_it_is_the_controller_itself_while_all_is_well():
         np.testing.assert_array_equal(guarded.step(step * 1000, asked, measured), expected)
     assert guarded.reason == ""
     assert guarded.step_index == -1
+    assert guarded.kind == interlock().kind is not None
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
@@ -75,13 +78,13 @@ def test_a_reference_force_beyond_the_limit_is_nonsense():
     guarded = interlock()
     guarded.step(0, force(1000.0, -1000.0), state())
     assert guarded.reason == ""
-    np.testing.assert_array_equal(guarded.step(1, force(0.0, -1000.1), state()), [0, 0])
+    np.testing.assert_array_equal(guarded.step(1, force(1000.0, -1000.1), state()), [0, 0])
     assert guarded.reason == "reference force -1000.1 N on axis north is beyond the limit of 1000 N"
 
 
 def test_a_valve_at_its_limit_for_too_long_within_a_second_trips():
     guarded = interlock(longest_saturation=0.1)
-    for step in range(5000):  # a tenth of each second, and no more
+    for step in range(1600):  # a tenth of each second, and no more
         at_limit = step % 500 < 50
         guarded.step(step, force(0.0, -900.0 if at_limit else 5.0), state())
     assert guarded.reason == ""
@@ -126,14 +129,17 @@ def test_silence_is_too_long_after_its_time():
     silence.heard(11.0)
     assert not silence.is_too_long(11.01)
     silence.end()
+    assert not silence.is_watching
     assert not silence.is_too_long(99.0)
 
 
 def test_a_listener_that_was_held_up_itself_blames_nobody():
-    silence = Silence(0.02)
+    longest = 2.0**-6
+    silence = Silence(longest)
+    assert silence.pause == longest / 8
     silence.heard(10.0)
-    assert not silence.is_too_long(70.0)
-    assert not silence.is_too_long(70.002)
+    looks = [10.0 + 60.0 * n for n in range(1, 6)]  # each counts as two pauses
+    assert [silence.is_too_long(at) for at in looks] == [False] * 4 + [True]
 
 
 @pytest.mark.parametrize(
@@ -266,6 +272,7 @@ def test_a_fault_closes_the_valve_from_the_last_sound_command_and_its_cause_stay
     assert (guarded.reason, guarded.step_index) == (reason, 7)
     guarded.reset()
     assert (guarded.reason, guarded.step_index, guarded.nearest[1]) == ("", -1, 0.0)
+    assert controller.seen == []
     np.testing.assert_array_equal(guarded.step(0, force(math.nan, 0.0), state()), [0.0, 0.0])
 
 
@@ -326,3 +333,99 @@ def test_a_controller_gets_as_many_points_as_it_asks_for(axes):
         expected = [np.broadcast_to(points[min(k, count - 1)], (3, n)) for k in range(4)]
         np.testing.assert_array_equal(plan, expected)
         np.testing.assert_array_equal(sample, measured)
+
+
+BRIDGE = "config/two_pier_bridge.yaml"
+
+
+def section_of(*words):
+    """The force controller's section of a test with two rigs, its axes, and the test."""
+    given = [parse_override(f"force_controller:{word}") for word in words]
+    experiment = Experiment.load(TABLES, [BRIDGE], given)
+    return experiment["force_controller"], experiment.axes, experiment
+
+
+def test_an_interlock_is_made_of_its_section():
+    words = ("limits.force:=900.0", "watchdog.close_time:=0.03", "watchdog.saturation_time:=0.1")
+    section, axes, experiment = section_of(*words)
+    controller = Scripted(1, 1)
+    of_all = (controller, section, axes, experiment.timebase)
+    for rig in (None, *experiment.rigs):
+        made = Interlock.from_parameters(*of_all, rig)
+        assert (made.parameters.largest, made.parameters.window) == (900.0, 500)
+        assert made.parameters.closing == pytest.approx(15.0)
+        assert len(made.state.saturated) == 51
+        own = axes if rig is None else rig.axes
+        n = len(own)
+        made.step(0, np.array([[[0.0] * (n - 1) + [-901.0]]]), np.zeros((4, n)))
+        assert f"-901 N on axis {own[-1]} is beyond the limit of 900 N" in made.reason
+
+
+def test_detectors_know_what_their_section_says_of_their_axes():
+    section, axes, _ = section_of(
+        "actuator.flow_gain:=[0.04, 0.05]",
+        "actuator.valve_frequency:=[70.0, 0.0]",
+        "noise.force:=[3.0, 4.0]",
+        "detectors.force_range:=[0.0, 9000.0]",
+        "watchdog.state_timeout:=0.02",
+        "detectors.warn_only:=oil_noise, tracking",
+    )
+    p, _ = detectors_of(section, axes, DT, (0, 1))
+    expected = [[0.04, 1.685e7, 50.0, 24500.0], [0.0, 1.685e7, 50.0, 24500.0]]
+    np.testing.assert_array_equal(p.actuator[:, :1], np.array(expected)[:, :1])
+    np.testing.assert_array_equal(p.actuator[0], expected[0])
+    assert np.isfinite(p.sums[2]).tolist() == [True, False]  # its valve is not known
+    np.testing.assert_array_equal(p.noise, [[5e-6] * 2, [1e-3] * 2, [0.05] * 2, [3.0, 4.0]])
+    np.testing.assert_array_equal(p.range[3], [np.inf, 9000.0])
+    np.testing.assert_array_equal(p.range[:3, 0], [0.1, 1.0, 39.24])
+    np.testing.assert_array_equal(p.mass, np.diag([52.7, 45.0]))
+    np.testing.assert_array_equal(p.stiffness, np.diag([211e3, 160e3]))
+    np.testing.assert_array_equal(p.computed_mass, p.mass)
+    quiet = [one.name for one, acts in zip(DETECTORS, p.acts, strict=True) if not acts]
+    assert quiet == ["oil_noise", "tracking"]
+    assert p.persistence[2] == 13
+    np.testing.assert_allclose(p.past[0].sum(axis=1), 1.0, atol=0.01)  # what is sent, flows
+    alone, state = detectors_of(section, axes, DT, (1,))
+    assert (alone.mass.item(), alone.stiffness.item(), alone.noise[3, 0]) == (45.0, 160e3, 4.0)
+    assert (alone.range[3, 0], state.last.shape) == (9000.0, (4, 1))
+
+
+def test_what_a_test_is_like_changes_what_its_detectors_know():
+    def of(*words):
+        section, axes, _ = section_of(*words)
+        return detectors_of(section, axes, DT, (0, 1))[0]
+
+    of_eft = of("detectors.test:=eft", "detectors.mass_ratio:=1.5")
+    np.testing.assert_allclose(of_eft.mass, np.diag([131.75, 112.5]))  # it carries all the mass
+    assert not of_eft.computed_mass.any()
+    half = of("detectors.mass_ratio:=0.5")
+    np.testing.assert_array_equal(half.computed_mass, 0.5 * half.mass)
+    unknown = of("detectors.specimen_mass:=0.0")
+    assert not unknown.mass.any()
+    assert np.isinf(unknown.rough).all()
+    assert np.isinf(of("detectors.actuator_kind:=ideal").sums[2]).all()
+    assert not of("detectors.warn_only:=all").acts.any()
+    assert of().acts.all()
+    derived = of("noise.velocity_source:=derived")
+    np.testing.assert_allclose(derived.noise[1], math.sqrt(2.0) * 5e-6 / DT)
+    with pytest.raises(InputError, match=r"detectors\.warn_only: no detector 'speed'; there are "):
+        of("detectors.warn_only:=speed")
+
+
+def test_shares_of_a_test_are_the_largest_of_all_its_rigs():
+    section, axes, experiment = section_of("voltage_limit:=0.5")
+    rng = np.random.default_rng(4)
+    noise = np.array([5e-6, 1e-3, 0.05, 3.0])[:, np.newaxis] * [1.0, 2.0]
+    states, commands = noise * rng.normal(size=(50, 4, 2)), rng.normal(size=(50, 2))
+    points, steps = 1e-5 * rng.normal(size=(50, 3, 2)), np.arange(50)
+    found, expected = [], []
+    for own in ([0], [1]):
+        p, state = detectors_of(section, axes, DT, own)
+        begin_detectors(state)
+        series = (np.ascontiguousarray(each[..., own]) for each in (points, states, commands))
+        detect_all(p, state, steps, *series, 0.5)
+        expected.append(state.shares[:, 0])
+    found = detector_shares(experiment, steps, points, states, commands)
+    assert list(found) == [one.name for one in DETECTORS]
+    np.testing.assert_array_equal(list(found.values()), np.max(expected, axis=0))
+    assert not np.array_equal(expected[0], expected[1])

@@ -8,11 +8,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.signal import butter, sosfilt
+from scipy.signal import butter, lfilter, sosfilt
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_plant_sim.whole_structure import reference_response
-from seft_ros.protection.instability import InstabilityWatch
+from seft_ros.protection.instability import (
+    InstabilityWatch,
+    WatchParameters,
+    WatchState,
+    watch_step,
+)
 from seft_ros.reference_force.compensator import Knowledge
 from seft_ros.test_run.parameter_tables import TABLES
 
@@ -164,3 +169,58 @@ def test_in_a_perfect_test_both_accelerations_are_one_and_pass_butterworths_high
     wanted = sosfilt(sections, exact.acceleration, axis=0)
     np.testing.assert_allclose(filtered[:, 1], wanted, atol=1e-9)
     np.testing.assert_allclose(filtered[:, 0], wanted, atol=1e-3 * np.abs(wanted).max())
+
+
+def bare_step(patience, ratio=2.0, least=1e-4, axes=2):
+    """A watch without filters: explained is a_g, found is a, and the whole acceleration is x."""
+    one, none = np.eye(axes), np.zeros((axes, axes))
+    rows = [
+        [one, none, none, none, none],
+        [none, none, none, one, none],
+        [none, one, none, none, none],
+    ]
+    product = np.ascontiguousarray(np.block(rows).T)
+    state = WatchState(*map(np.zeros, product.shape), np.zeros((4, axes)), np.zeros(1))
+    state.squares[2] = least
+    return WatchParameters(product, 0.75, 0.875, patience, ratio, least), state
+
+
+def test_mean_squares_are_held_against_the_largest_that_was_expected():
+    parameters, state = bare_step(1e9)
+    rng = np.random.default_rng(2)
+    strength = np.array([3.0, 0.1, 1.0])[:, np.newaxis, np.newaxis]
+    ground, found, whole = (
+        strength * rng.normal(size=(3, 90, 2)) * rng.choice([0.0, 1.0], (3, 90, 1))
+    )
+    ground[40:], whole[60:] = 0.0, 0.0
+    found[30:] *= 10.0
+    of_ground, of_found, of_whole = (
+        lfilter([0.25], [1.0, -0.75], each**2, axis=0) for each in (ground, found, whole)
+    )
+    fading = 0.875 ** np.arange(91)[:, np.newaxis]
+    now = np.maximum(np.maximum(of_ground, 0.09 * of_whole), 1e-4)
+    expected = (np.maximum.accumulate(np.vstack([[1e-4] * 2, now]) / fading) * fading)[1:]
+    excess = (of_found / expected).max(axis=1) / 4.0
+    above = 0.0
+    for k in range(90):
+        measured = np.array([whole[k], [9.0, 9.0], found[k], [9.0, 9.0]])
+        assert not watch_step(parameters, state, ground[k], measured)
+        rows = of_ground[k], of_found[k], expected[k], of_whole[k]
+        np.testing.assert_allclose(state.squares, rows, rtol=1e-9)
+        above = above + min(excess[k], 10.0) if excess[k] > 1.0 else 0.0
+        assert state.above[0] == pytest.approx(above, rel=1e-9)
+    assert excess.max() > 10.0 > 1.0 > excess.min()
+
+
+def test_vibration_at_the_ratio_is_none_and_beyond_it_counts_until_the_patience_is_used_up():
+    parameters, state = bare_step(6.0, least=1.0, axes=1)
+    parameters = parameters._replace(average=0.0)  # no mean: exact
+    faults = []
+    for found in (2.0, 3.0, 2.0, 3.0, -3.0, 3.0, 20.0):  # 2 is at the limit, 9 / 4 beyond
+        measured = np.array([[0.0], [0.0], [found], [0.0]])
+        faults.append((watch_step(parameters, state, np.zeros(1), measured), state.above[0]))
+    above = [0.0, 2.25, 0.0, 2.25, 4.5, 6.75, 16.75]
+    assert faults == [(each >= 6.0, each) for each in above]
+    parameters, state = bare_step(4.5, least=1.0, axes=1)
+    parameters, measured = parameters._replace(average=0.0), np.array([[0.0], [0.0], [3.0], [0.0]])
+    assert [watch_step(parameters, state, np.zeros(1), measured) for _ in range(2)] == [False, True]

@@ -38,6 +38,22 @@ def test_the_fastest_change_from_both_sides(sign):
     )
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_least_excess_is_a_fault_and_what_is_at_its_limit_is_not_named(sign):
+    limits = forces(fastest=1e9)
+    assert limits.fault(np.array([sign * 1000.0, 0.0])) is None
+    told = limits.fault(np.array([sign * 1000.0, math.nextafter(1000.0, 2000.0)]))
+    assert told == "reference force 1000 N on axis east is beyond the limit of 1000 N"
+    limits = forces()
+    most = limits.limits[1]
+    assert limits.fault(np.array([sign * most, 0.0])) is None
+    limits.reset()
+    told = limits.fault(np.array([sign * most, math.nextafter(most, 2000.0)]))
+    assert told.endswith("on axis east, beyond the limit of 100000 N/s")
+    with pytest.raises(ValueError, match="nothing is wrong"):
+        limits.describe(np.zeros(2))
+
+
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_a_force_that_is_not_finite_is_named(value):
     assert forces().fault(np.array([0.0, value])) == f"reference force is {value} N on axis east"

@@ -108,6 +108,57 @@ def test_a_fault_within_the_ramp_holds_the_last_force_and_is_the_cause_of_a_stop
     assert force.cause == "reference force is nan N on axis x"
 
 
+@pytest.mark.parametrize("row", range(4))
+def test_of_two_causes_in_a_step_the_force_is_told_and_without_motion_no_state_is(row):
+    bad = STATE.copy()
+    bad[row] = np.nan
+    force = protected([np.nan, 100.0])
+    run(force, 1, bad)
+    assert force.cause == "reference force is nan N on axis x"
+    force.reset()
+    force.ramp_down()
+    run(force, 2, bad, None)
+    assert force.cause is None
+    run(force, 1, bad)
+    assert force.cause.startswith("measured ")
+
+
+def test_a_new_test_knows_no_force_of_the_one_before():
+    force = protected([100.0, 100.0, np.nan, 150.0], fastest=110.0 / DT, ramp=4)
+    assert run(force, 2) == [100.0, 100.0]
+    force.reset()
+    assert run(force, 1) == [0.0]
+    force.reset()
+    assert run(force, 1) == [0.0]  # 150 N from rest is too fast
+    assert force.cause.startswith("reference force changes by 75000 N/s")
+
+
+def test_a_reset_is_one_of_all_parts():
+    force, target = protected_target(ramp=4)
+    force.ramp_down()
+    force.step(MOTION, STATE)
+    force.reset()
+    assert (target.paces, force.steps_ramped, force.ramping) == ([], 0, False)
+    assert force.longest_ramp == 6
+    links = protected([1.0, 2.0, 3.0], loop_delay=2)
+    links.step(MOTION, STATE)
+    links.reset()
+    assert links.step(MOTION, STATE).ravel().tolist() == [0.0, 0.0, 2.0]
+
+
+def test_a_computed_model_is_asked_and_its_failure_is_the_cause():
+    force, asked = protected([np.nan, 1.0], ramp=1), []
+    force.ask_model()  # there is none
+    model = SimpleNamespace(ask_model=lambda: asked.append(1), failure="the model has ended")
+    force.reference_force.compensator = model
+    force.reference_force.is_modelled = True
+    force.ask_model()
+    assert (asked, force.is_modelled) == ([1], True)
+    assert force.cause is None
+    run(force, 1)
+    assert force.cause == "the model has ended"
+
+
 def test_without_ground_motion_the_ramp_goes_on_without_a_jump():
     force = protected([100.0, 100.0, 105.0, 500.0], ramp=50)
     run(force, 1)
@@ -156,10 +207,10 @@ def test_states_that_were_lost_are_bridged_in_a_straight_line():
         return inner(motion, state, pace)
 
     force.reference_force.step = step
-    force.step(MOTION, STATE)
-    force.bridge([MOTION] * 3, STATE + 8.0)
-    force.step(MOTION, STATE + 8.0)
-    assert seen == [0.0, 2.0, 4.0, 6.0, 8.0]
+    force.bridge([MOTION], STATE + 1.0)  # nothing was before
+    force.bridge([MOTION] * 3, STATE + 9.0)
+    force.step(MOTION, STATE + 9.0)
+    assert seen == [1.0, 3.0, 5.0, 7.0, 9.0]
 
 
 class Target:
@@ -235,3 +286,14 @@ def test_a_target_that_fails_in_the_ramp_goes_on_from_where_it_is():
     for age, factor in enumerate(np.array(ramp(8)[4:]) / ramp(8)[3], 1):
         found = force.step(MOTION, STATE)
         np.testing.assert_allclose(found, continued(last, age, 5, DT) * factor, atol=1e-12)
+
+
+def test_a_target_that_rests_after_its_ramp_and_fails_asks_for_no_force():
+    force, target = protected_target(ramp=2)
+    force.step(MOTION, STATE)
+    force.ramp_down()
+    for _ in range(2):
+        force.step(MOTION, STATE)
+    target.odd = np.nan
+    assert not force.step(MOTION, STATE)[:, 2].any()
+    assert force.cause.startswith("reference force is nan")

@@ -175,9 +175,8 @@ class ProtectionState(NamedTuple):
 
 @compiled
 def begin_protection(state: ProtectionState) -> None:
-    """Begin a test, beside the ramp and the watch."""
+    """Begin a test, beside the ramp, the watch and the last plausible force."""
     state.flags[:] = 0
-    state.last[:] = 0.0
     state.point[:] = 0.0
     state.pace[:] = 1.0
 
@@ -247,7 +246,6 @@ def protect(
         go_on(state.point, flags[AGE], p.dt, points)
         scale_points(points, factor / state.pace[0] if state.pace[0] else 0.0)
         return
-    flags[AGE] = 0
     for row in range(last + 1):
         for i in range(n):
             state.point[0, row, i] = points[0, row, i]

@@ -1,0 +1,403 @@
+"""Detectors, sample by sample: what each sees, its threshold, and what comes of it."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from seft_ros.protection import detectors as rows
+from seft_ros.protection.detector_step import (
+    SOUND,
+    SUSPECT,
+    begin_detectors,
+    detect,
+    detect_all,
+    take_command,
+    under_load,
+)
+from seft_ros.protection.detectors import (
+    DETECTORS,
+    begin_following,
+    describe,
+    detector_arrays,
+    doubt,
+    follow_valve,
+    look,
+)
+
+DT, N = 0.002, 2
+NOISE = np.array([[1e-5, 2e-5], [2e-3, 1e-3], [0.1, 0.2], [5.0, 3.0]])
+LIMITS = np.array([0.1, 1.0, 50.0, 2e4])
+ACTUATOR = np.array([[0.02, 1e7, 2.0, 2e4], [0.03, 2e7, 3.0, 3e4]])
+"""Flow gain, oil stiffness, leakage, capacity."""
+PAST = np.array([[[0.75, 0.25], [0.6, 0.4]], [[-90.0, 90.0], [-70.0, 70.0]]])
+MASS = np.array([[60.0, 5.0], [5.0, 40.0]])
+STIFFNESS = np.array([[2e5, -3e4], [-3e4, 1e5]])
+COMPUTED = np.array([[90.0, 0.0], [0.0, 70.0]])
+
+
+def detectors(warn_only=(), **changes):
+    """Detectors that have begun, of two axes of which everything is known."""
+    known = {
+        **{"noise": NOISE, "limits": LIMITS, "ranges": np.zeros((4, N))},
+        **{"velocity_is_derived": False, "actuator": ACTUATOR, "past": PAST, "mass": MASS},
+        **{"stiffness": STIFFNESS, "computed_mass": COMPUTED, "warn_only": warn_only},
+        **{"longest_hold": 0.0, "dt": DT, **changes},
+    }
+    p, state = detector_arrays(**known)
+    begin_detectors(state)
+    return p, state
+
+
+def noise_of_a_rig(samples, seed=3, size=1.0):
+    """Samples of sensors that see nothing but noise, and commands that are as small."""
+    rng = np.random.default_rng(seed)
+    return size * NOISE * rng.normal(size=(samples, 4, N)), 0.05 * rng.normal(size=(samples, N))
+
+
+NO_TARGET = np.zeros((1, 1, N))
+
+
+def shares_of(p, state, samples, commands, steps=None, points=NO_TARGET):
+    """Part of its threshold that each detector sees at each sample, shape (N, D, n)."""
+    found = []
+    for place, step in enumerate(range(len(samples)) if steps is None else steps):
+        state.shares[:] = 0.0
+        assert detect(p, state, step, points, samples[place]) == SOUND
+        take_command(p, state, commands[place], False)
+        found.append(state.shares.copy())
+    return np.array(found)
+
+
+def faded(values, factor):
+    return lfilter([1.0], [1.0, -factor], values, axis=0)
+
+
+def largest_of_late(values, factor):
+    scale = factor ** np.arange(len(values))[:, np.newaxis]
+    return np.maximum.accumulate(np.abs(values) / scale) * scale
+
+
+def mean(values):
+    return 0.5 * (values[1:] + values[:-1])
+
+
+def coarse(values):
+    """Twice the least change before each."""
+    change = np.abs(np.diff(values, axis=0))
+    least = np.minimum.accumulate(change, axis=0)
+    return np.vstack([np.zeros((1, N)), 2.0 * least[:-1]])
+
+
+def relation(p, row, one, other, rough, tolerance):
+    """Shares of the sums and of the single steps of a relation."""
+    sums = faded(one, p.fade), faded(other, p.fade)
+    whole = np.maximum(*(largest_of_late(each, p.memory) for each in sums))
+    single = np.maximum(*(largest_of_late(each, p.fade) for each in (one, other)))
+    of_sums = p.sums[row] + p.tolerance[row] * whole + rough
+    of_steps = p.steps[row] + tolerance * single + rough
+    return np.abs(sums[0] - sums[1]) / of_sums, np.abs(one - other) / of_steps
+
+
+def flows(commands, forces, past):
+    """Flow of the valves at each sample, m/s; the newest command came with the sample before."""
+    load = np.sqrt(1.0 - np.sign(commands) * forces / ACTUATOR[:, 3])
+    sent = np.vstack([np.zeros((2, N)), commands * load])
+    return ACTUATOR[:, 0] * (past[:, 0] * sent[1:-1] + past[:, 1] * sent[:-2])
+
+
+def test_each_relation_is_held_against_its_threshold():
+    p, state = detectors()
+    samples, commands = noise_of_a_rig(200)
+    seen = shares_of(p, state, samples, commands)
+    assert not seen[0].any()  # of a first sample there is nothing to compare
+    x, v, a, f = samples.transpose(1, 0, 2)
+    moved, steps = DT * mean(v), np.diff(samples, axis=0)
+    found = relation(p, 0, steps[:, 0], moved, coarse(x), 0.1)
+    np.testing.assert_allclose(seen[1:, rows.CHANGE], found[0], rtol=1e-9)
+    np.testing.assert_allclose(seen[1:, rows.NOISE], found[1], rtol=1e-9)
+    jump = 0.5 * DT * np.abs(steps[:, 2])
+    found = relation(p, 1, steps[:, 1], DT * mean(a), coarse(v) + jump, 0.1)
+    np.testing.assert_allclose(seen[1:, rows.CHANGE + 1], found[0], rtol=1e-9)
+    np.testing.assert_allclose(seen[1:, rows.NOISE + 1], found[1], rtol=1e-9)
+    flow, later = (flows(commands, f, past) for past in PAST)
+    oil, leakage = ACTUATOR[:, 1], ACTUATOR[:, 2]
+    other = moved + (steps[:, 3] + DT * leakage * mean(f)) / oil
+    one, tolerance = np.empty_like(other), np.empty_like(other)
+    errors, covariance = np.zeros((N, 2)), np.zeros((N, 3))
+    begin_following(errors, covariance)
+    for k, (w, d) in enumerate(zip(mean(flow), mean(later), strict=True)):
+        one[k] = DT * (w * (1.0 + errors[:, 0]) + d * errors[:, 1])
+        for i in range(N):
+            follow_valve(errors[i], covariance[i], w[i], d[i], other[k, i] / DT, p.doubt[i])
+        tolerance[k] = 0.1 + 6.0 * np.sqrt(covariance[:, 0])
+    held = 2.0 * DT * largest_of_late(np.diff(flow, axis=0), p.fade)
+    found = relation(p, 2, one, other, coarse(f) / oil + held, np.minimum(tolerance, 0.35))
+    np.testing.assert_allclose(seen[1:, rows.CHANGE + 2], found[0], rtol=1e-9)
+    np.testing.assert_allclose(seen[1:, rows.NOISE + 2], found[1], rtol=1e-9)
+    assert seen.max() < 1.0
+    np.testing.assert_allclose(state.errors, errors, rtol=1e-9)
+
+
+def test_the_specimen_is_held_against_its_thresholds():
+    p, state = detectors()
+    samples, commands = noise_of_a_rig(200)
+    seen = shares_of(p, state, samples, commands)
+    change = np.diff(samples, axis=0)
+    r = samples[:, 3] - samples[:, 2] @ MASS
+    moved, jump = change[:, 0], np.diff(r, axis=0)
+    noise = NOISE[3] ** 2 + MASS**2 @ NOISE[2] ** 2
+    sums = np.array(
+        [
+            (jump * moved).sum(axis=1),
+            (moved * (moved @ STIFFNESS)).sum(axis=1),
+            2.0 * (noise * moved**2 + (NOISE[0] * jump) ** 2).sum(axis=1),
+        ]
+    )
+    done, elastic, square = faded(sums.T, p.short).T
+    share = np.maximum(-done / (0.5 * elastic + 6.0 * np.sqrt(square)), 0.0)
+    np.testing.assert_allclose(seen[1:, rows.SECOND_ORDER_WORK, 0], share, rtol=1e-9, atol=1e-15)
+    assert not seen[:, rows.SECOND_ORDER_WORK, 1].any()
+    inertia = faded((change[:, 2] @ COMPUTED) ** 2, p.short)
+    samples_of_late, white = 1.0 / (1.0 - p.short), 2.0 * NOISE[3] ** 2
+    hiss = 2.0 * COMPUTED**2 @ NOISE[2] ** 2
+    is_noise = faded(change[:, 3] ** 2, p.short) < 2.0 * samples_of_late * white
+    share = np.where(is_noise, inertia / (25.0 * samples_of_late * (white + hiss)), 0.0)
+    assert 0 < is_noise.sum() < is_noise.size
+    np.testing.assert_allclose(seen[1:, rows.NO_RESPONSE], share, rtol=1e-9)
+
+
+def test_the_gain_and_delay_of_a_valve_are_those_of_least_squares():
+    rng = np.random.default_rng(1)
+    flow, later, white = rng.normal(size=(3, 40))
+    later *= 50.0
+    seen = 1.07 * flow + 1e-3 * later + 0.1 * white
+    errors, c = np.ones((1, 2)), np.ones((1, 3))
+    begin_following(errors, c)
+    for k in range(40):
+        follow_valve(errors[0], c[0], flow[k], later[k], seen[k], 0.01)
+    by = np.stack([flow, later], axis=1)
+    information = by.T @ by / 0.01 + np.diag([0.15**-2, 2e-3**-2])
+    expected = np.linalg.solve(information, by.T @ (seen - flow) / 0.01)
+    np.testing.assert_allclose(errors[0], expected, rtol=1e-9)
+    left = np.linalg.inv(information)
+    np.testing.assert_allclose(c[0], [left[0, 0], left[1, 1], left[0, 1]], rtol=1e-9)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_what_is_followed_of_a_valve_has_bounds(sign):
+    errors, c = np.zeros((1, 2)), np.zeros((1, 3))
+    begin_following(errors, c)
+    for _ in range(100):
+        follow_valve(errors[0], c[0], 1.0, 0.0, 1.0 + 9.0 * sign, 1e-3)
+        follow_valve(errors[0], c[0], 0.0, 1.0, 9.0 * sign, 1e-9)
+    np.testing.assert_array_equal(errors[0], [0.3 * sign, 5e-3 * sign])
+
+
+def test_the_doubt_of_a_flow_is_the_noise_of_velocity_and_of_the_change_of_force():
+    found = doubt(np.array([3.0]), np.array([8.0]), np.array([2.0]), 0.5)
+    np.testing.assert_allclose(found, 9.0 + 2.0 * 8.0**2)  # a sample is longer than 0.1 s
+    np.testing.assert_allclose(doubt(np.ones(1), np.zeros(1), np.ones(1), 0.002), 50.0)
+
+
+def test_a_valve_under_load():
+    assert under_load(1.0, 36.0, 100.0) == 0.8
+    assert under_load(-1.0, -36.0, 100.0) == 0.8
+    assert under_load(1.0, -44.0, 100.0) == 1.2
+    assert under_load(0.0, 44.0, 100.0) == 1.2
+    assert under_load(1.0, 99.0, 100.0) == math.sqrt(0.2)  # so much pressure is always left
+    assert under_load(1.0, 99.0, math.inf) == 1.0
+
+
+def test_a_detector_acts_once_it_is_beyond_its_threshold_for_its_persistence():
+    p, state = detectors(["tracking"])
+    row, lasts = rows.CHANGE, p.persistence[rows.CHANGE]
+    assert lasts == 3
+    seen = [1.0, 1.5, 1.25, 1.0, 0.5, 1.5, 1.5, 1.5, 1.75]
+    found = [look(p, state, row, 1, 2.0 * each, 2.0) for each in seen]
+    assert found == [False] * 7 + [True, True]
+    assert state.found.tolist() == [3.5, 2.0]
+    assert not look(p, state, row, 0, 9.0, 0.0)  # a threshold of nothing is none
+    assert state.shares[row].tolist() == [0.0, 1.75]
+    assert state.counts[row].tolist() == [0, 4]
+    assert not any(look(p, state, rows.TRACKING, 0, 9.0, 1.0) for _ in range(99))  # it warns
+    assert state.shares[rows.TRACKING, 0] == 9.0
+
+
+def test_persistences_in_samples():
+    p, _ = detectors(["oil_noise", "force_jump"], longest_hold=0.02)
+    lasts = dict(zip((one.name for one in DETECTORS), p.persistence.tolist(), strict=True))
+    assert lasts.pop("oil_balance") == lasts.pop("oil_noise") == 13
+    assert lasts.pop("force_response") == lasts.pop("tracking") == 10
+    assert [lasts.pop(name) for name in ("force_noise", "force_jump")] == [2, 2]
+    assert [lasts.pop(f"{each}_frozen") for each in ("position", "velocity")] == [2, 2]
+    assert [lasts.pop(f"{each}_frozen") for each in ("acceleration", "force")] == [2, 2]
+    assert set(lasts.values()) == {3}
+    only_warn = [one.name for one, acts in zip(DETECTORS, p.acts, strict=True) if not acts]
+    assert only_warn == ["oil_noise", "force_jump"]
+    assert set(p.acts) == {0, 1}
+
+
+def test_where_a_sample_was_lost_nothing_is_compared_and_the_command_was_held():
+    p, state = detectors()
+    samples, commands = noise_of_a_rig(40)
+    whole = shares_of(p, state, samples, commands)
+    begin_detectors(state)
+    steps = [*range(20), *range(22, 42)]
+    lost = shares_of(p, state, samples, commands, steps)
+    np.testing.assert_array_equal(lost[:20], whole[:20])
+    assert not lost[20].any()
+    assert lost[21].any()
+    begin_detectors(state)
+    held = np.repeat(commands, [1] * 19 + [3] + [1] * 20, axis=0)
+    for step in range(21):
+        detect(p, state, step, NO_TARGET, samples[min(step, 19)])
+        take_command(p, state, held[step], False)
+    sent, flow = state.sent.copy(), None
+    begin_detectors(state)
+    for step in range(20):
+        detect(p, state, step, NO_TARGET, samples[step])
+        take_command(p, state, commands[step], False)
+    detect(p, state, 22, NO_TARGET, samples[20])
+    flow = ACTUATOR[:, 0] * (PAST[0] * state.sent).sum(axis=1)
+    np.testing.assert_array_equal(state.sent[:, 0], state.sent[:, 1])
+    np.testing.assert_array_equal(state.sent[:, 0], sent[:, 0])
+    np.testing.assert_allclose(state.flow[1], flow, rtol=1e-14)
+
+
+@pytest.mark.parametrize("row", range(4))
+def test_a_channel_at_the_end_of_its_range_is_compared_with_nothing_until_it_is_back(row):
+    ranges = np.zeros((4, N))
+    ranges[row, 1] = 1e3
+    p, state = detectors([one.name for one in DETECTORS], ranges=ranges)
+    samples, commands = noise_of_a_rig(12)
+    samples[5, row, 1] = -1e3
+    seen = shares_of(p, state, samples, commands)
+    watched = {0: (0, 3), 1: (0, 1, 2, 3, 4, 5), 2: (1, 4), 3: (2, 5)}[row]
+    blind = np.array([not seen[k, watched].any() for k in range(1, 12)])
+    assert blind.tolist() == [k in (5, 6) for k in range(1, 12)]
+    silent = [not seen[k, rows.NO_RESPONSE].any() for k in (5, 6)]
+    assert silent == [row > 1] * 2
+
+
+@pytest.mark.parametrize("off", [1e-3, -1e-3])
+def test_a_spike_makes_a_sample_suspect_and_a_jump_ends_the_test(off):
+    for stays in (False, True):
+        p, state = detectors()
+        samples, commands = noise_of_a_rig(12, size=0.3)
+        samples[5:, 0, 1] += off * (stays | (np.arange(5, 12) == 5))
+        found = [detect(p, state, k, NO_TARGET, samples[k]) for k in range(8)]
+        assert found[:5] == [SOUND] * 5
+        assert found[5:7] == [SUSPECT] * 2
+        assert found[7] == (rows.CHANGE * N + 1 if stays else SUSPECT)
+    assert commands.any()
+
+
+def test_a_detector_that_only_warns_puts_nothing_under_suspicion():
+    p, state = detectors([one.name for one in DETECTORS])
+    samples, _ = noise_of_a_rig(20, size=0.3)
+    samples[5:, :, 1] += 100.0 * NOISE[:, 1]
+    assert {detect(p, state, k, NO_TARGET, samples[k]) for k in range(20)} == {SOUND}
+    assert state.shares.max() > 1.0
+
+
+@pytest.mark.parametrize("row", range(4))
+def test_a_channel_that_repeats_a_value_is_frozen_once_that_is_no_chance(row):
+    p, state = detectors()
+    samples, _ = noise_of_a_rig(60, size=0.3)
+    step = 0.2 * NOISE[row, 0]
+    samples[:, row, 0] = step * (np.arange(60) % 2)
+    samples[30:, row, 0] = 0.0
+    names = [one.name for one in DETECTORS]
+    most = math.log(1e-9) / math.log(0.2 / (2.0 * math.sqrt(math.pi)))
+    frozen = rows.FROZEN + row
+    for k in range(60):
+        state.shares[:] = 0.0
+        found = detect(p, state, k, NO_TARGET, samples[k])
+        same = k - 30 if k > 30 else 0
+        assert state.shares[frozen, 0] == pytest.approx(same / most, rel=1e-9)
+        if found >= 0:
+            assert found == frozen * N
+            assert k == 30 + math.floor(most) + 2
+            break
+    assert names[frozen].endswith("_frozen")
+    assert found >= 0
+
+
+def test_a_target_must_be_followed_but_not_while_the_valve_is_at_its_limit():
+    p, state = detectors()
+    samples, commands = noise_of_a_rig(200, size=0.0)
+    samples[:, 0] = 1e-9 * np.arange(200)[:, np.newaxis] % 3e-9
+    points = np.zeros((1, 3, N))
+    points[0, 0] = 0.25, 0.0
+    threshold = p.sums[0, 0] + 0.5 * 0.25
+    found = []
+    for k in range(200):
+        state.shares[:] = 0.0
+        found.append(detect(p, state, k, points, samples[k]))
+        share = state.shares[rows.TRACKING, 0]
+        limited = 100 <= k - 1 <= 100 + 49
+        expected = 0.0 if limited or not k else (0.25 - samples[k, 0, 0]) / threshold
+        assert share == pytest.approx(expected, rel=1e-9)
+        take_command(p, state, commands[k] * 0.0, k == 100)
+        if k >= 99:
+            state.counts[rows.TRACKING] = 0
+    assert found.index(rows.TRACKING * N) == 10
+
+
+def test_the_targets_largest_motion_is_remembered():
+    p, state = detectors(["tracking"])
+    samples, commands = noise_of_a_rig(6, size=0.0)
+    points = np.zeros((1, 3, N))
+    for k, target in enumerate([0.0, -0.5, 0.0, 0.0]):
+        points[0, 0, 1] = target
+        samples[k, 0, 1] = (0.0, -0.25, -0.25, 0.01)[k]
+        state.shares[:] = 0.0
+        detect(p, state, k, points, samples[k])
+        take_command(p, state, commands[k] * 0.0, False)
+        if k:
+            largest = 0.5 * p.memory ** (k - 1)
+            away = (0.25, 0.25, 0.01)[k - 1]
+            expected = away / (p.sums[0, 1] + 0.5 * largest)
+            assert state.shares[rows.TRACKING, 1] == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_whole_test_gives_the_shares_of_its_samples():
+    p, state = detectors()
+    samples, commands = noise_of_a_rig(50)
+    commands[7, 1] = -0.5
+    expected, steps = [], np.array([*range(30), *range(33, 53)])
+    for k, step in enumerate(steps):
+        detect(p, state, step, NO_TARGET, samples[k])
+        take_command(p, state, commands[k], bool(np.any(np.abs(commands[k]) >= 0.5)))
+    expected = [values.copy() for values in state]
+    begin_detectors(state)
+    points = np.zeros((50, 1, N))
+    detect_all(p, state, steps, points, samples, commands, 0.5)
+    for values, again in zip(expected, state, strict=True):
+        np.testing.assert_array_equal(values, again)
+    assert state.step[rows.LIMITED_AT] == 7
+
+
+def test_what_is_not_known_of_the_hardware_is_not_watched():
+    nothing, names = np.zeros((N, N)), [one.name for one in DETECTORS]
+    unknown = {"noise": np.zeros((4, N)), "mass": nothing, "stiffness": nothing}
+    p, state = detectors(actuator=np.zeros((N, 4)), computed_mass=nothing, **unknown)
+    np.testing.assert_allclose(p.noise, 1e-3 * LIMITS[:, np.newaxis] * np.ones(N))
+    samples, commands = noise_of_a_rig(50, size=0.1)
+    seen = shares_of(p, state, samples, commands).max(axis=(0, 2))
+    watched = {name for name, share in zip(names, seen, strict=True) if share > 0.0}
+    assert watched == set(names[:2]) | set(names[3:5])
+    derived, _ = detectors(velocity_is_derived=True)
+    np.testing.assert_allclose(derived.noise[1], math.sqrt(2.0) * NOISE[0] / DT)
+
+
+def test_a_detector_says_what_it_saw_and_where():
+    found = np.array([0.01234, 0.005])
+    assert describe(rows.CHANGE * N + 1, found, ("east", "north")) == (
+        "measured displacement and velocity disagree on axis north: they differ by 0.0123 m over "
+        "the last 50 ms (0.005 m allowed): displacement_velocity"
+    )
+    assert describe((rows.FROZEN + 3) * N, found, ("east", "north")).startswith(
+        "measured force on axis east has repeated one value for 0.0123 samples"
+    )
