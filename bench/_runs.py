@@ -14,7 +14,7 @@ from seft_msgs_py.wire.messages import Status, decode_diagnostics
 from seft_ros.bags.record import Record
 from seft_ros.bags.record_bag import read_bag
 from seft_ros.test_run.parameter_tables import TABLES
-from seft_ros.test_run.process_layout import ProcessLayout
+from seft_ros.test_run.processes import ProcessLayout
 from seft_ros.test_run.run import run_experiment
 
 CONFIG = Path(__file__).parent.parent / "config" / "jhu.yaml"

@@ -17,7 +17,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES
-from seft_ros.test_run.process_layout import ProcessLayout
+from seft_ros.test_run.processes import ProcessLayout
 
 ROUNDS = 3
 LAPS = 3_000

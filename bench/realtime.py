@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from _runs import recorded_run, use_own_domain
 from seft_ros.analysis.timing import stalls_of, timing_of
-from seft_ros.test_run.process_layout import ProcessLayout
+from seft_ros.test_run.processes import ProcessLayout
 
 PRIORITY = 50
 MISSED = 0.005  # wanted: at most this share, without real-time priority

@@ -9,7 +9,7 @@ from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.wire.topics import Timebase
 from seft_ros.reference_force.compensation_methods import METHODS
 from seft_ros.reference_force.delay_compensation import parabola_weights
-from seft_ros.reference_force.delay_estimator import BandPass, DelayEstimator
+from seft_ros.reference_force.observers import BandPass, DelayEstimator
 from seft_ros.reference_force.reference_force_block import knowledge
 from seft_ros.reference_force.reference_force_parameters import TABLE
 

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 from seft_msgs_py.node.realtime import FIRST
-from seft_ros.test_run.process_layout import LOOP_NODES, ProcessLayout
-from seft_ros.test_run.processes import NodeProcesses
+from seft_ros.test_run.processes import LOOP_NODES, NodeProcesses, ProcessLayout
 
 NODES = (*LOOP_NODES, "recorder")
 NOT_RANDOM = 0x0040000  # ADDR_NO_RANDOMIZE of personality(2)
@@ -63,7 +62,7 @@ def test_who_comes_earlier_in_a_step_gives_way(layout, priorities):
 
 @pytest.mark.parametrize("may", [False, True])
 def test_cores_stay_awake_without_being_asked_for_where_that_is_allowed(monkeypatch, may):
-    monkeypatch.setattr("seft_ros.test_run.process_layout.may_keep_awake", lambda: may)
+    monkeypatch.setattr("seft_ros.test_run.processes.may_keep_awake", lambda: may)
     assert ProcessLayout().wishes("rig") == ({"keep_awake": True} if may else {})
     assert ProcessLayout(pin=False).wishes("rig") == {}
 

@@ -7,7 +7,7 @@ import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.metrics import nrmse
-from seft_ros.reference_force.motion_observer import observe, observer_gains
+from seft_ros.reference_force.observers import observe, observer_gains
 from seft_ros.reference_force.reference_force_block import knowledge
 from seft_ros.reference_force.restoring_model import (
     THRESHOLDS,

@@ -23,7 +23,7 @@ from seft_ros.design import Source
 from seft_ros.test_run.parameter_tables import TABLES
 
 if TYPE_CHECKING:
-    from seft_ros.test_run.process_layout import ProcessLayout
+    from seft_ros.test_run.processes import ProcessLayout
 
 
 def option(default: Any, text: str, named: str | None = None, **more: Any) -> Any:

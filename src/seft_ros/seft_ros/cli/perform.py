@@ -209,7 +209,7 @@ def run(
         seft run config/jhu.yaml --params-file plan.yaml --accept-unstable
     """
     from seft_ros.design.preflight_tables import expected_peaks, limit_warning
-    from seft_ros.test_run.process_layout import ProcessLayout
+    from seft_ros.test_run.processes import ProcessLayout
     from seft_ros.test_run.run import bag_path
 
     experiment = load_experiment(config, param, params_file, external)

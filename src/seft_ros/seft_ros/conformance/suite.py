@@ -30,8 +30,7 @@ from seft_ros.conformance.driver import (
 )
 from seft_ros.conformance.motion_checks import PATIENCE, RESTING, BadCommands, Drive, rested
 from seft_ros.test_run.observer import alone_on_the_graph
-from seft_ros.test_run.process_layout import prefer_latency
-from seft_ros.test_run.processes import one_node
+from seft_ros.test_run.processes import one_node, prefer_latency
 
 ATTEMPTS = 3
 """Number of tries of a test: this host may have stalled in one."""

@@ -31,7 +31,7 @@ from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.valve_model import ValveModel, valve_models
 from seft_ros.protection.detector_step import under_load
 from seft_ros.protection.detectors import begin_following, doubt, follow_valve
-from seft_ros.reference_force.motion_observer import observe, observer_gains, sensor_noise
+from seft_ros.reference_force.observers import observe, observer_gains, sensor_noise
 
 FEEDBACK = math.pi / 8
 """Gain of the feedback times the valve's mean delay: a quarter of what would oscillate without

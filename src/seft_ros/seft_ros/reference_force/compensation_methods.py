@@ -22,8 +22,8 @@ from seft_ros.reference_force.compensator import (
     between_samples,
 )
 from seft_ros.reference_force.delay_compensation import Ats, DelayFilter, delay_method
-from seft_ros.reference_force.delay_estimator import whole_steps
 from seft_ros.reference_force.linear_filter import LinearCompensator, LinearFilter, Memory
+from seft_ros.reference_force.observers import whole_steps
 from seft_ros.reference_force.reference_force_parameters import OWN, REGISTERED
 from seft_ros.reference_force.target_motion import TargetMotion
 

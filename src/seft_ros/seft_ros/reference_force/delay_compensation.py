@@ -16,13 +16,13 @@ from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
 
 from seft_ros.reference_force.compensator import Compensator, Knowledge, Method, Signals
-from seft_ros.reference_force.delay_estimator import EVERY, DelayEstimator, ForceBlocks, whole_steps
 from seft_ros.reference_force.linear_filter import (
     LinearCompensator,
     LinearFilter,
     Memory,
     VaryingFilter,
 )
+from seft_ros.reference_force.observers import EVERY, DelayEstimator, ForceBlocks, whole_steps
 
 _GRID = 0.25  # sampling periods between the delays that gains are computed for
 

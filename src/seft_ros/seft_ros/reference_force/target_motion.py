@@ -33,7 +33,7 @@ from seft_ros.reference_force.force_command import (
     command_step,
 )
 from seft_ros.reference_force.linear_filter import LinearFilter
-from seft_ros.reference_force.motion_observer import observer_gains, sensor_noise
+from seft_ros.reference_force.observers import observer_gains, sensor_noise
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 from seft_ros.reference_force.restoring_model import model_arrays
 from seft_ros.reference_force.target_step import (

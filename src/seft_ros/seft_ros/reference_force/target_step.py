@@ -16,7 +16,7 @@ import numpy as np
 from seft_msgs_py.config.parameter_table import Floats
 from seft_plant_sim.compiled import compiled, is_finite, multiply_sized
 
-from seft_ros.reference_force.motion_observer import observe
+from seft_ros.reference_force.observers import observe
 from seft_ros.reference_force.restoring_model import (
     THRESHOLDS,
     ModelParameters,

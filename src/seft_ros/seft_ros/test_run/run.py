@@ -18,8 +18,13 @@ from seft_ros.bags.lasting_bag import obstacle
 from seft_ros.test_run.observer import Observer
 from seft_ros.test_run.parameter_tables import RECORDER
 from seft_ros.test_run.peers import CONFLICT, RUNS, SILENT, UNFIT
-from seft_ros.test_run.process_layout import LOOP_NODES, ProcessLayout
-from seft_ros.test_run.processes import MODULES, NodeProcesses, node_processes
+from seft_ros.test_run.processes import (
+    LOOP_NODES,
+    MODULES,
+    NodeProcesses,
+    ProcessLayout,
+    node_processes,
+)
 from seft_ros.test_run.state_machine import PACE
 
 POLL_PERIOD = 0.05  # s

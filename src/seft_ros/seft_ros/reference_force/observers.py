@@ -1,12 +1,118 @@
-"""Delay from the reference force to the measured force, estimated while the test runs."""
+"""Observers: the motion with less noise, and the delay from reference force to measured force."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from seft_msgs_py.config.parameter_table import Floats
+from scipy.linalg import solve_discrete_are
+from seft_msgs_py.config.parameter_table import Floats, per_axis
 from seft_msgs_py.errors import InputError
+from seft_plant_sim.compiled import compiled
+from seft_plant_sim.sensors import CHANNELS
+
+BETWEEN_SAMPLES = 3.0
+"""Noise of the acceleration that is integrated, over that of the sensor: it changes in between."""
+LEAST_NOISE = np.array([1e-6, 1e-4, 5e-3, 0.3])
+"""Noise that every sensor is taken to have: displacement (m), velocity, acceleration, force (N)."""
+UNKNOWN_VELOCITY = 100.0
+"""Noise of a velocity that is no measurement of its own, m/s: it is not used."""
+
+
+def sensor_noise(section: Mapping[str, Any], axes: Sequence[str], group: str, where: str) -> Floats:
+    """RMS noise of each sensor, at least `LEAST_NOISE`.
+
+    Parameters
+    ----------
+    section : mapping
+        With parameters ``{group}.position`` and so on.
+    axes : sequence of str
+        Names of the n axes.
+    group, where : str
+        Of the parameters, for errors.
+
+    Returns
+    -------
+    ndarray
+        Shape (4, n), m, m/s, m/s^2, N.
+    """
+    names = [f"{group}.{channel}" for channel in CHANNELS]
+    given = np.array([per_axis(section[n], tuple(axes), f"{where}: {n}") for n in names])
+    noise = np.maximum(given, LEAST_NOISE[:, np.newaxis])
+    if section[f"{group}.velocity_source"] == "derived":
+        noise[1] = UNKNOWN_VELOCITY
+    return noise
+
+
+def observer_gains(noise: Floats, dt: float) -> tuple[Floats, Floats]:
+    """Gains of a steady Kalman filter of displacement and velocity, driven by the acceleration.
+
+    Parameters
+    ----------
+    noise : ndarray
+        RMS noise of displacement (m), velocity (m/s) and acceleration (m/s^2), first rows of
+        shape (3 or more, n), positive.
+    dt : float
+        Sampling period, s.
+
+    Returns
+    -------
+    gains : ndarray
+        Shape (n, 2, 2): corrections of displacement and velocity by their innovations.
+    left : ndarray
+        RMS noise that is left of displacement and velocity, shape (2, n).
+    """
+    n = noise.shape[1]
+    gains, left = np.empty((n, 2, 2)), np.empty((2, n))
+    free, push = np.array([[1.0, dt], [0.0, 1.0]]), np.array([dt * dt / 2.0, dt])
+    for axis in range(n):
+        x, v, a = noise[:3, axis]
+        scale = np.diag([x, x / dt])  # the equation is solved in units of the noise
+        inverse = np.linalg.inv(scale)
+        driven = inverse @ np.outer(push, push) @ inverse * (BETWEEN_SAMPLES * a) ** 2
+        sensors = inverse @ np.diag([x * x, v * v]) @ inverse
+        predicted = solve_discrete_are(
+            (inverse @ free @ scale).T, np.eye(2), driven + 1e-12 * np.eye(2), sensors
+        )
+        gain = predicted @ np.linalg.inv(predicted + sensors)
+        gains[axis] = scale @ gain @ inverse
+        left[:, axis] = np.sqrt(np.diag(scale @ (predicted - gain @ predicted) @ scale))
+    return gains, left
+
+
+@compiled
+def observe(gains: Floats, dt: float, is_first: bool, measured: Floats, motion: Floats) -> None:
+    """Take a sample in.
+
+    Parameters
+    ----------
+    gains : ndarray
+        As of `observer_gains`, shape (n, 2, 2).
+    dt : float
+        Sampling period, s.
+    is_first : bool
+        Whether nothing has been measured before.
+    measured : ndarray
+        Displacement, velocity, acceleration and force, shape (4, n).
+    motion : ndarray
+        Estimates of displacement and velocity, and the last acceleration, shape (3, n); brought
+        up to date.
+    """
+    for i in range(measured.shape[1]):
+        a = measured[2, i]
+        if is_first:
+            motion[0, i] = measured[0, i]
+            motion[1, i] = measured[1, i]
+        else:  # the acceleration is linear between the samples
+            before = motion[2, i]
+            x = motion[0, i] + dt * (motion[1, i] + dt * (before / 3.0 + a / 6.0))
+            v = motion[1, i] + 0.5 * dt * (before + a)
+            off, rate = measured[0, i] - x, measured[1, i] - v
+            motion[0, i] = x + gains[i, 0, 0] * off + gains[i, 0, 1] * rate
+            motion[1, i] = v + gains[i, 1, 0] * off + gains[i, 1, 1] * rate
+        motion[2, i] = a
+
 
 MEMORY = 1.0
 """Time constant with which the past is forgotten, s."""
