@@ -76,12 +76,9 @@ SAME = 1e-9
 def begin_detectors(state: DetectorState) -> None:
     """Begin a test."""
     state.sent[:] = 0.0
-    state.flow[:] = 0.0
-    state.later[:] = 0.0
     begin_following(state.errors, state.covariance)
     state.sums[:] = 0.0
     state.largest[:] = 0.0
-    state.restoring[:] = 0.0
     state.work[:] = 0.0
     state.response[:] = 0.0
     state.bends[:] = 0.0
