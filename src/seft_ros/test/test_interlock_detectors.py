@@ -209,10 +209,8 @@ def test_work_against_the_specimen_is_told_of_all_axes_at_once(axis):
     p, state = detectors(["force_jump"])
     samples, _ = noise_of_a_rig(90, size=0.3)
     falls = np.maximum(np.arange(90) - 59, 0)
-    samples[:, 0, axis] += 1e-4 * falls
-    samples[:, 1, axis] += 0.05 * (falls > 0)
-    samples[60, 2, axis] += 50.0
-    samples[:, 3, axis] -= 3000.0 * falls
+    samples[:, 0, axis] += 1e-3 * falls
+    samples[:, 3, axis] -= 300.0 * falls
     p.acts[:] = np.arange(len(ALL)) == rows.SECOND_ORDER_WORK
     found = [detect(p, state, k, NO_TARGET, samples[k]) for k in range(90)]
     assert max(found) == rows.SECOND_ORDER_WORK * N
