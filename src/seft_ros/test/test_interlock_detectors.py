@@ -549,6 +549,39 @@ def test_a_whole_test_gives_the_shares_of_its_samples():
     assert state.step[rows.LIMITED_AT] == 7
 
 
+def test_thresholds_are_six_times_what_noise_makes_of_each_relation():
+    p, _ = detectors()
+    impulse = np.eye(1, 4000)[0]
+
+    def rms(weights, factor=0.0):
+        return math.sqrt(np.sum(lfilter(weights, [1.0, -factor], impulse) ** 2))
+
+    x, v, a, f = NOISE
+    fade = math.exp(-DT / 0.05)
+    for row, (jump, rate) in enumerate([(x, v), (v, a), (f / ACTUATOR[:, 1], v)]):
+        of_sums, of_steps = (
+            6.0 * np.hypot(jump * rms([1.0, -1.0], k), DT * rate * rms([0.5, 0.5], k))
+            for k in (fade, 0.0)
+        )
+        bias = 2.0 * DT * rate * faded(np.ones(4000), fade)[-1]
+        np.testing.assert_allclose(p.sums[row], of_sums + bias, rtol=1e-9)
+        np.testing.assert_allclose(p.steps[row], of_steps, rtol=1e-9)
+    rough = 6.0 * rms([1.0, -2.0, 1.0]) * np.sqrt(f**2 + MASS**2 @ a**2)
+    np.testing.assert_allclose(p.rough, rough, rtol=1e-9)
+    assert (p.short, p.memory) == (math.exp(-DT / 0.015), math.exp(-DT / 0.3))
+
+
+def test_a_valve_without_gain_or_oil_and_a_specimen_without_stiffness_are_not_known():
+    actuator = ACTUATOR.copy()
+    actuator[0, 0] = actuator[1, 1] = actuator[1, 3] = 0.0
+    p, _ = detectors(actuator=actuator, ranges=np.full((4, N), 0.5))
+    assert np.isinf(p.sums[rows.OIL]).all()
+    np.testing.assert_array_equal(p.actuator[:, 3], [2e4, np.inf])
+    np.testing.assert_array_equal(p.range, 0.5)
+    for unknown in ("mass", "stiffness"):
+        assert np.isinf(detectors(**{unknown: np.zeros((N, N))})[0].rough).all()
+
+
 def test_what_is_not_known_of_the_hardware_is_not_watched():
     nothing, names = np.zeros((N, N)), [one.name for one in DETECTORS]
     unknown = {"noise": np.zeros((4, N)), "mass": nothing, "stiffness": nothing}
