@@ -33,7 +33,7 @@ CONTROL_TESTS = (f"{ROS}test/test_force_controller_interlock.py", "-knot offline
 FORCE_TESTS = (f"{ROS}test/test_interlock_protected_force.py",)
 DRIVER = f"{ROS}seft_ros/cli/templates/rig_driver/rig_driver/"
 DRIVER_TESTS = ("tests/test_driver_faults.py", "-knot hardware")
-WATCH_TESTS = (*FORCE_TESTS, f"{ROS}test/test_interlock_instability.py")
+WATCH_TESTS = (f"{ROS}test/test_interlock_instability.py", "-knot strong_motion_is_no_fault")
 TESTS = {
     f"{PLANT}seft_plant_sim/limits.py": (f"{PLANT}test/test_limits.py",),
     f"{PLANT}seft_plant_sim/rig_watch.py": (f"{PLANT}test/test_rig_watch.py",),
