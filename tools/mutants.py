@@ -31,8 +31,12 @@ FORCE_TESTS = tuple(
 )
 DRIVER = f"{ROS}seft_ros/cli/templates/rig_driver/rig_driver/"
 DRIVER_TESTS = ("tests/test_driver_faults.py", "-knot hardware")
+WATCH_TESTS = (
+    f"{ROS}test/test_protection_instability.py",
+    "-knot strong_motion_is_no_fault",
+)
 TESTS = {
-    f"{PLANT}seft_plant_sim/rig.py": (f"{PLANT}test/test_limits.py",),
+    f"{PLANT}seft_plant_sim/limits.py": (f"{PLANT}test/test_limits.py",),
     f"{PLANT}seft_plant_sim/rig_watch.py": (f"{PLANT}test/test_rig_watch.py",),
     f"{PLANT}seft_plant_sim/command.py": (f"{PLANT}test/test_command.py",),
     "src/seft_msgs_py/seft_msgs_py/node/senders.py": ("src/seft_msgs_py/test/test_senders.py",),
@@ -43,7 +47,7 @@ TESTS = {
     f"{PROTECTION}protected_force.py": FORCE_TESTS,
     f"{PROTECTION}detectors.py": DETECTOR_TESTS,
     f"{PROTECTION}detector_step.py": DETECTOR_TESTS,
-    f"{PROTECTION}instability.py": (*FORCE_TESTS, f"{ROS}test/test_protection_instability.py"),
+    f"{PROTECTION}instability.py": (*FORCE_TESTS, *WATCH_TESTS),
     f"{DRIVER}safe_stop.py": DRIVER_TESTS,
     f"{DRIVER}rest.py": DRIVER_TESTS,
 }

@@ -7,7 +7,11 @@ import pytest
 import seft_msgs_py
 
 HOME = Path(seft_msgs_py.__file__).parent
-BELOW = {"wire": {"errors"}, "config": {"errors", "wire"}, "node": {"errors", "wire", "config"}}
+BELOW = {
+    "wire": {"arrays", "errors"},
+    "config": {"arrays", "errors", "wire"},
+    "node": {"arrays", "errors", "wire", "config"},
+}
 
 
 def imports(file):

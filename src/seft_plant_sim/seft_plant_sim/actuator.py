@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import Floats, per_axis
+from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.parameter_table import per_axis
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.compiled import compiled

@@ -3,7 +3,7 @@
 from collections import deque
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import Floats
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.topics import RigAxes
 from seft_msgs_py.wire.trajectory import TrajectoryCodec

@@ -10,7 +10,7 @@ from typing import Any
 
 import numba as typed_numba
 import numpy as np
-from seft_msgs_py.config.parameter_table import Floats
+from seft_msgs_py.arrays import Floats
 
 numba: Any = typed_numba  # older ones have no types
 # most loops run over few axes, where loop vectorisation costs more than it saves; statements in a

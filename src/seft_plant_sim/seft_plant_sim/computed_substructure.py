@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import Floats, mass_matrix, symmetric_matrix
+from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.parameter_table import mass_matrix, symmetric_matrix
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.computed_model import ModelSource

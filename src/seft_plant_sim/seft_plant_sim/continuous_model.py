@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import Floats, Ints
+from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.actuator import COLUMNS as PISTON

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import Floats
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.registered import line_in, told
 from seft_msgs_py.errors import InputError
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import Floats, Ints, group, per_axis
+from seft_msgs_py.arrays import Floats, Ints
+from seft_msgs_py.config.parameter_table import group, per_axis
 from seft_msgs_py.wire.outcome import Saturation
 from seft_msgs_py.wire.topics import VALVE_COMMAND, RigAxes, Timebase
 
@@ -19,8 +20,9 @@ from seft_plant_sim.continuous_model import (
     servo_hydraulic,
     with_low_pass,
 )
+from seft_plant_sim.limits import Limits, SaturatedTime
 from seft_plant_sim.rig_step import BLIND, ENDS, LIMIT, move, rig_arrays, rig_step
-from seft_plant_sim.sensors import Limits, SaturatedTime, Sensors
+from seft_plant_sim.sensors import Sensors
 from seft_plant_sim.specimen import Specimen
 
 AT_REST = 1e-4  # m/s

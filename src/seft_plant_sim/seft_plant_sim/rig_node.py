@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from seft_msgs_py.config.parameter_table import Floats
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.node.node_shell import WARM_UP_STEPS, NodeBody, NodeKind, NodeShell
 from seft_msgs_py.wire.messages import Status, encode_clock, restamp

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import Floats, Ints
+from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.actuator import OPENING, PER_CAPACITY
@@ -17,16 +17,9 @@ from seft_plant_sim.continuous_model import (
     dynamics_of,
     integrate,
 )
+from seft_plant_sim.limits import Limits, SaturatedTime, exceeds, is_exceeded
 from seft_plant_sim.lti import split_dead_time
-from seft_plant_sim.sensors import (
-    CHANNELS,
-    Channels,
-    Limits,
-    SaturatedTime,
-    exceeds,
-    is_exceeded,
-    measure,
-)
+from seft_plant_sim.sensors import CHANNELS, Channels, measure
 
 LONGEST_DELAY_STEPS = 1_000_000
 """Dead time in samples that a rig's memory may hold."""

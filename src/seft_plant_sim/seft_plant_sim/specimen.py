@@ -13,7 +13,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import Floats, mass_matrix, symmetric_matrix
+from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.parameter_table import mass_matrix, symmetric_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes
 

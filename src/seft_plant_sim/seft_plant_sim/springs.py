@@ -29,7 +29,8 @@ import numpy as np
 import numpy.typing as npt
 from llvmlite import ir
 from numba.extending import intrinsic
-from seft_msgs_py.config.parameter_table import Floats, group
+from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.compiled import compiled

@@ -11,8 +11,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import Floats, as_matrix, group
+from seft_msgs_py.config.parameter_table import as_matrix, group
 
 from seft_plant_sim.compiled import compiled, multiply
 from seft_plant_sim.computed_model import ModelSource

@@ -2,9 +2,10 @@
 
 import numpy as np
 from seft_plant_sim.continuous_model import ContinuousModel
+from seft_plant_sim.limits import Limits, SaturatedTime
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import LIMIT_NAMES
-from seft_plant_sim.sensors import Channels, Limits, SaturatedTime, Sensors
+from seft_plant_sim.sensors import Channels, Sensors
 
 
 class BareRig(Rig):

@@ -6,8 +6,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.config.parameter_table import Table
 from seft_msgs_py.errors import InputError
+from seft_plant_sim.limits import Limits, SaturatedTime, exceeds, is_exceeded
 from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_ROWS, limit_rows
-from seft_plant_sim.sensors import Limits, SaturatedTime, exceeds, is_exceeded
 
 PAPER = {"displacement": 0.076, "velocity": 0.5, "acceleration": 98.1, "force": 22200.0}
 RATES = {

@@ -404,6 +404,7 @@ def test_what_a_test_is_like_changes_what_its_detectors_know():
     assert not unknown.mass.any()
     assert np.isinf(unknown.rough).all()
     assert np.isinf(of("detectors.actuator_kind:=ideal").sums[2]).all()
+    assert np.isfinite(of("actuator.valve_frequency:=0.5").sums[2]).all()
     assert not of("detectors.warn_only:=all").acts.any()
     assert of().acts.all()
     derived = of("noise.velocity_source:=derived")

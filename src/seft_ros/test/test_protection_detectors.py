@@ -12,6 +12,7 @@ from seft_ros.protection.detector_step import (
     begin_detectors,
     detect,
     detect_all,
+    look_at_restoring_force,
     take_command,
     under_load,
 )
@@ -30,7 +31,7 @@ NOISE = np.array([[1e-5, 2e-5], [2e-3, 1e-3], [0.1, 0.2], [5.0, 3.0]])
 LIMITS = np.array([0.1, 1.0, 50.0, 2e4])
 ACTUATOR = np.array([[0.02, 1e7, 2.0, 2e4], [0.03, 2e7, 3.0, 3e4]])
 """Flow gain, oil stiffness, leakage, capacity."""
-PAST = np.array([[[0.75, 0.25], [0.6, 0.4]], [[-90.0, 90.0], [-70.0, 70.0]]])
+PAST = np.array([[[0.7, 0.2, 0.1], [0.5, 0.4, 0.1]], [[-90.0, 80.0, 10.0], [-70.0, 50.0, 20.0]]])
 MASS = np.array([[60.0, 5.0], [5.0, 40.0]])
 STIFFNESS = np.array([[2e5, -3e4], [-3e4, 1e5]])
 COMPUTED = np.array([[90.0, 0.0], [0.0, 70.0]])
@@ -102,13 +103,21 @@ def relation(p, row, one, other, rough, tolerance):
 def flows(commands, forces, past):
     """Flow of the valves at each sample, m/s; the newest command came with the sample before."""
     load = np.sqrt(1.0 - np.sign(commands) * forces / ACTUATOR[:, 3])
-    sent = np.vstack([np.zeros((2, N)), commands * load])
-    return ACTUATOR[:, 0] * (past[:, 0] * sent[1:-1] + past[:, 1] * sent[:-2])
+    sent = np.vstack([np.zeros((3, N)), commands * load])
+    each = (part * sent[2 - k : -1 - k] for k, part in enumerate(past.T))
+    return ACTUATOR[:, 0] * sum(each)
 
 
-def test_each_relation_is_held_against_its_threshold():
-    p, state = detectors()
+ALL = [one.name for one in DETECTORS]
+
+
+@pytest.mark.parametrize("drive", [0.0, 4.0])
+def test_each_relation_is_held_against_its_threshold(drive):
+    p, state = detectors(ALL)
     samples, commands = noise_of_a_rig(200)
+    commands += drive * np.sin(0.2 * np.arange(200))[:, np.newaxis]
+    if drive:  # the valves' gains are 5 % larger than assumed
+        samples[:, 1] += 1.05 * flows(commands, samples[:, 3], PAST[0])
     seen = shares_of(p, state, samples, commands)
     assert not seen[0].any()  # of a first sample there is nothing to compare
     x, v, a, f = samples.transpose(1, 0, 2)
@@ -135,8 +144,159 @@ def test_each_relation_is_held_against_its_threshold():
     found = relation(p, 2, one, other, coarse(f) / oil + held, np.minimum(tolerance, 0.35))
     np.testing.assert_allclose(seen[1:, rows.CHANGE + 2], found[0], rtol=1e-9)
     np.testing.assert_allclose(seen[1:, rows.NOISE + 2], found[1], rtol=1e-9)
-    assert seen.max() < 1.0
+    assert seen[:, [rows.CHANGE + 2, rows.NOISE + 2]].max() < 1.0
     np.testing.assert_allclose(state.errors, errors, rtol=1e-9)
+    assert (covariance[:, 0] < 0.04**2).all() == (drive > 0.0)
+
+
+def test_a_valve_is_not_followed_while_its_balance_is_off():
+    for row in (rows.CHANGE + rows.OIL, rows.NOISE + rows.OIL):
+        p, state = detectors(ALL)
+        samples, commands = noise_of_a_rig(20)
+        shares_of(p, state, samples, commands)
+        state.counts[row, 1], before = 9, state.errors.copy()
+        shares_of(p, state, samples[:1], commands[:1], [20])
+        assert (state.errors != before).all(axis=1).tolist() == [True, False]
+
+
+def test_a_new_test_knows_nothing_of_the_one_before():
+    p, state = detectors(ALL)
+    samples, commands = noise_of_a_rig(60, size=40.0)
+    samples[20:40:2, 0, 1] = samples[21:41:2, 0, 1]
+    points = np.ascontiguousarray(samples[:1, :3])
+    first = shares_of(p, state, samples, commands, points=points)
+    shares_of(p, state, samples[:40, :, ::-1], commands)
+    begin_detectors(state)
+    assert not state.shares.any()
+    again = shares_of(p, state, samples, commands, points=points)
+    np.testing.assert_array_equal(again, first)
+
+
+def of_what(detector, axis):
+    """Samples, and what is wrong in them from sample 60 on, that this detector alone should see."""
+    samples, commands = noise_of_a_rig(100, size=0.3)
+    wrong = np.zeros((100, 4))
+    to_and_fro = (-1.0) ** np.arange(40)
+    what = {
+        "displacement_velocity": (0, 2e-3),
+        "velocity_acceleration": (1, 0.5),
+        "oil_balance": (3, 3e4),
+        "displacement_noise": (0, 1e-3 * to_and_fro),
+        "velocity_noise": (1, 0.5 * to_and_fro),
+        "oil_noise": (3, 5e3 * to_and_fro),
+        "force_noise": (3, 500.0 * to_and_fro),
+        "force_jump": (3, 500.0),
+        "force_response": (2, 50.0 * to_and_fro),
+    }
+    row, off = what[detector]
+    wrong[60:, row] = off
+    samples[:, :, axis] += wrong
+    return samples, commands
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("name", ALL[:6] + ALL[7:10])
+def test_what_a_detector_finds_is_told_by_row_and_axis(name, axis):
+    p, state = detectors([each for each in ALL if each != name])
+    samples, commands = of_what(name, axis)
+    found = []
+    for k in range(100):
+        found.append(detect(p, state, k, NO_TARGET, samples[k]))
+        take_command(p, state, commands[k], False)
+    first = next(k for k, each in enumerate(found) if each >= 0)
+    assert found[first] == ALL.index(name) * N + axis
+    assert set(found[:60]) == {SOUND}
+    assert 60 < first <= 60 + 2 * p.persistence[ALL.index(name)] + 2
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_work_against_the_specimen_is_told_of_all_axes_at_once(axis):
+    p, state = detectors(["force_jump"])
+    samples, _ = noise_of_a_rig(90, size=0.3)
+    falls = np.maximum(np.arange(90) - 59, 0)
+    samples[:, 0, axis] += 1e-3 * falls
+    samples[:, 3, axis] -= 300.0 * falls
+    p.acts[:] = np.arange(len(ALL)) == rows.SECOND_ORDER_WORK
+    found = [detect(p, state, k, NO_TARGET, samples[k]) for k in range(90)]
+    assert max(found) == rows.SECOND_ORDER_WORK * N
+    assert found.index(max(found)) == 62
+
+
+SLOW, FAST = 0.1, 1e-3
+"""Fastest motion of late, m in a sample, against which 2 mm are little and much."""
+
+
+@pytest.mark.parametrize(
+    ("way", "r", "fastest", "turned", "counted", "part", "stiff"),
+    [  # of the specimen: its way on both axes; r before, its last change, and now
+        ((1e-3, 2e-3), (100.0, 7.0, 400.0), FAST, 4, 0, 0.35, 6 * 200.0),  # rises with the motion
+        ((1e-3, 2e-3), (-100.0, 7.0, -400.0), FAST, 4, 0, 0.35, 6 * 30.0),  # falls with the other's
+        ((-1e-3, -2e-3), (-100.0, 7.0, -400.0), FAST, 4, 0, 0.35, 6 * 200.0),
+        ((0.0, 2e-3), (100.0, -7.0, -400.0), FAST, 4, 0, 0.25, 0.0),  # breaks
+        ((0.0, -2e-3), (100.0, -7.0, 400.0), FAST, 4, 0, 0.25, 0.0),
+        ((0.0, -2e-3), (-100.0, -7.0, 400.0), FAST, 3, 0, 2.0, 0.0),  # the motion has turned
+        ((1e-3, -2e-3), (900.0, -7.0, 400.0), SLOW, 9, 0, 2.0, 6 * 230.0),  # or sticks
+        ((0.0, 2e-3), (900.0, 70.0, 400.0), FAST, 9, 1, 0.25, 0.0),  # it has jumped before
+    ],
+)
+def test_how_far_the_force_of_a_specimen_may_jump(way, r, fastest, turned, counted, part, stiff):
+    p, state = detectors(ALL)
+    state.last[0], measured = [0.25, -0.5], np.zeros((4, N))
+    measured[0] = state.last[0] + way
+    state.restoring[:, 1] = r
+    state.largest[3, 1], state.largest[7, 1] = fastest, 300.0
+    state.step[rows.TURN_AT], state.counts[rows.JUMP, 1] = 50 - turned, counted
+    largest = 300.0 if counted else max(abs(r[0]), p.memory * 300.0)
+    jump = r[2] - r[0] + counted * r[1]
+    assert look_at_restoring_force(p, state, 50, measured, 1) == -1
+    expected = abs(jump) / (part * largest + p.rough[1] + stiff)
+    assert state.shares[rows.JUMP, 1] == pytest.approx(expected, rel=1e-9)
+    assert state.largest[7, 1] == largest
+    assert not state.shares[:, 0].any()
+
+
+def test_a_force_that_jumps_back_and_forth_is_counted_as_noise():
+    p, state = detectors(ALL)
+    measured, now = np.zeros((4, N)), np.array([3000.0, -3000.0])
+    measured[2], state.last[2] = now, [4000.0, 5000.0]
+    curved = abs(DT**2 * STIFFNESS[1] @ (now + state.last[2]))
+    measured[0, 1] = 1.0  # it moves
+    count, before = 0.0, 0.0
+    for excess, turned in [
+        (1, 9),
+        (-1, 9),
+        (-1, 9),
+        (1, 9),
+        (0, 9),
+        (1, 9),
+        (-1, 2),
+        (1, 2),
+        (1, 2),
+    ]:
+        state.step[rows.TURN_AT], state.largest[7, 1] = 50 - turned, 0.0
+        limit = p.rough[1] + curved + (200.0 if turned < 4 else 0.0)
+        bend = math.copysign(1.0, excess) * limit * (1.01 if excess else 0.99)
+        state.restoring[:, 1] = 200.0, 70.0, 270.0 + bend
+        state.counts[rows.JUMP, 1] = 0
+        look_at_restoring_force(p, state, 50, measured, 1)
+        kept = bend if excess else 0.0
+        turns = kept * before < 0.0
+        count = p.short * count + turns if turns or turned > 3 else count
+        before = kept
+        np.testing.assert_allclose(state.bends[:, 1], [kept, count], rtol=1e-9, atol=1e-9)
+    share = state.shares[rows.ROUGH, 1] * 0.33 / (1.0 - p.short)
+    assert share == pytest.approx(count, rel=1e-9)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_of_several_that_find_something_the_first_is_told(axis):
+    p, state = detectors(["force_jump", "force_noise"])
+    samples, _ = noise_of_a_rig(12, size=0.3)
+    samples[5:, 0, axis] += 0.02
+    samples[5:, 1, axis] += 5.0
+    found = [detect(p, state, k, NO_TARGET, samples[k]) for k in range(8)]
+    assert (state.counts[:2, axis] >= 3).all()
+    assert found[5:] == [SUSPECT, SUSPECT, axis]
 
 
 def test_the_specimen_is_held_against_its_thresholds():
@@ -238,17 +398,21 @@ def test_persistences_in_samples():
     assert set(p.acts) == {0, 1}
 
 
-def test_where_a_sample_was_lost_nothing_is_compared_and_the_command_was_held():
+@pytest.mark.parametrize("missing", [1, 2])
+def test_where_a_sample_was_lost_nothing_is_compared(missing):
     p, state = detectors()
     samples, commands = noise_of_a_rig(40)
     whole = shares_of(p, state, samples, commands)
     begin_detectors(state)
-    steps = [*range(20), *range(22, 42)]
-    lost = shares_of(p, state, samples, commands, steps)
+    lost = shares_of(p, state, samples, commands, [*range(20), *range(20 + missing, 40 + missing)])
     np.testing.assert_array_equal(lost[:20], whole[:20])
     assert not lost[20].any()
     assert lost[21].any()
-    begin_detectors(state)
+
+
+def test_where_a_sample_was_lost_the_command_was_held():
+    p, state = detectors()
+    samples, commands = noise_of_a_rig(40)
     held = np.repeat(commands, [1] * 19 + [3] + [1] * 20, axis=0)
     for step in range(21):
         detect(p, state, step, NO_TARGET, samples[min(step, 19)])
@@ -302,25 +466,37 @@ def test_a_detector_that_only_warns_puts_nothing_under_suspicion():
 
 
 @pytest.mark.parametrize("row", range(4))
-def test_a_channel_that_repeats_a_value_is_frozen_once_that_is_no_chance(row):
-    p, state = detectors()
+def test_a_channel_that_is_coarse_or_at_the_end_of_its_range_is_not_frozen(row):
+    ranges = np.zeros((4, N))
+    ranges[row, 0] = 1e3
+    p, state = detectors(ALL, ranges=ranges)
+    samples, commands = noise_of_a_rig(60, size=0.3)
+    samples[20:, row, 0] = 1e3
+    samples[:30, row, 1] = 2.7 * NOISE[row, 1] * (np.arange(30) % 2)  # 0.76: no small chance
+    samples[30:, row, 1] = 0.0
+    assert not shares_of(p, state, samples, commands)[:, rows.FROZEN + row].any()
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("row", range(4))
+def test_a_channel_that_repeats_a_value_is_frozen_once_that_is_no_chance(row, axis):
+    p, state = detectors([each for each in ALL if not each.endswith("_frozen")])
     samples, _ = noise_of_a_rig(60, size=0.3)
-    step = 0.2 * NOISE[row, 0]
-    samples[:, row, 0] = step * (np.arange(60) % 2)
-    samples[30:, row, 0] = 0.0
-    names = [one.name for one in DETECTORS]
+    step = 0.2 * NOISE[row, axis]
+    samples[:, row, axis] = step * (np.arange(60) // 2 % 2)
+    samples[30:, row, axis] = step
     most = math.log(1e-9) / math.log(0.2 / (2.0 * math.sqrt(math.pi)))
     frozen = rows.FROZEN + row
     for k in range(60):
         state.shares[:] = 0.0
         found = detect(p, state, k, NO_TARGET, samples[k])
-        same = k - 30 if k > 30 else 0
-        assert state.shares[frozen, 0] == pytest.approx(same / most, rel=1e-9)
+        same = k - 30 if k > 30 else k % 2
+        expected = same / most if k > 2 else 0.0
+        assert state.shares[frozen, axis] == pytest.approx(expected, rel=1e-9)
         if found >= 0:
-            assert found == frozen * N
+            assert found == frozen * N + axis
             assert k == 30 + math.floor(most) + 2
             break
-    assert names[frozen].endswith("_frozen")
     assert found >= 0
 
 
@@ -342,16 +518,15 @@ def test_a_target_must_be_followed_but_not_while_the_valve_is_at_its_limit():
         take_command(p, state, commands[k] * 0.0, k == 100)
         if k >= 99:
             state.counts[rows.TRACKING] = 0
-    assert found.index(rows.TRACKING * N) == 10
+    assert found[:11] == [SOUND] * 10 + [rows.TRACKING * N]
 
 
 def test_the_targets_largest_motion_is_remembered():
-    p, state = detectors(["tracking"])
+    p, state = detectors(ALL)
     samples, commands = noise_of_a_rig(6, size=0.0)
     points = np.zeros((1, 3, N))
-    for k, target in enumerate([0.0, -0.5, 0.0, 0.0]):
-        points[0, 0, 1] = target
-        samples[k, 0, 1] = (0.0, -0.25, -0.25, 0.01)[k]
+    for k, (target, there) in enumerate([(0.0, 0.0), (-0.25, -0.5), (0.0, -0.25), (0.0, 0.01)]):
+        points[0, 0, 1], samples[k, 0, 1] = target, there
         state.shares[:] = 0.0
         detect(p, state, k, points, samples[k])
         take_command(p, state, commands[k] * 0.0, False)
@@ -367,16 +542,49 @@ def test_a_whole_test_gives_the_shares_of_its_samples():
     samples, commands = noise_of_a_rig(50)
     commands[7, 1] = -0.5
     expected, steps = [], np.array([*range(30), *range(33, 53)])
+    points = 0.1 * np.random.default_rng(5).normal(size=(50, 3, N))
     for k, step in enumerate(steps):
-        detect(p, state, step, NO_TARGET, samples[k])
+        detect(p, state, step, points[k : k + 1], samples[k])
         take_command(p, state, commands[k], bool(np.any(np.abs(commands[k]) >= 0.5)))
     expected = [values.copy() for values in state]
     begin_detectors(state)
-    points = np.zeros((50, 1, N))
     detect_all(p, state, steps, points, samples, commands, 0.5)
     for values, again in zip(expected, state, strict=True):
         np.testing.assert_array_equal(values, again)
     assert state.step[rows.LIMITED_AT] == 7
+
+
+def test_thresholds_are_six_times_what_noise_makes_of_each_relation():
+    p, _ = detectors()
+    impulse = np.eye(1, 4000)[0]
+
+    def rms(weights, factor=0.0):
+        return math.sqrt(np.sum(lfilter(weights, [1.0, -factor], impulse) ** 2))
+
+    x, v, a, f = NOISE
+    fade = math.exp(-DT / 0.05)
+    for row, (jump, rate) in enumerate([(x, v), (v, a), (f / ACTUATOR[:, 1], v)]):
+        of_sums, of_steps = (
+            6.0 * np.hypot(jump * rms([1.0, -1.0], k), DT * rate * rms([0.5, 0.5], k))
+            for k in (fade, 0.0)
+        )
+        bias = 2.0 * DT * rate * faded(np.ones(4000), fade)[-1]
+        np.testing.assert_allclose(p.sums[row], of_sums + bias, rtol=1e-9)
+        np.testing.assert_allclose(p.steps[row], of_steps, rtol=1e-9)
+    rough = 6.0 * rms([1.0, -2.0, 1.0]) * np.sqrt(f**2 + MASS**2 @ a**2)
+    np.testing.assert_allclose(p.rough, rough, rtol=1e-9)
+    assert (p.short, p.memory) == (math.exp(-DT / 0.015), math.exp(-DT / 0.3))
+
+
+def test_a_valve_without_gain_or_oil_and_a_specimen_without_stiffness_are_not_known():
+    actuator = ACTUATOR.copy()
+    actuator[0, 0] = actuator[1, 1] = actuator[1, 3] = 0.0
+    p, _ = detectors(actuator=actuator, ranges=np.full((4, N), 0.5))
+    assert np.isinf(p.sums[rows.OIL]).all()
+    np.testing.assert_array_equal(p.actuator[:, 3], [2e4, np.inf])
+    np.testing.assert_array_equal(p.range, 0.5)
+    for unknown in ("mass", "stiffness"):
+        assert np.isinf(detectors(**{unknown: np.zeros((N, N))})[0].rough).all()
 
 
 def test_what_is_not_known_of_the_hardware_is_not_watched():

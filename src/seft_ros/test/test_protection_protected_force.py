@@ -3,12 +3,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_ros.protection.instability import InstabilityWatch
 from seft_ros.protection.protected_force import ProtectedForce
 from seft_ros.protection.protection_step import PlausibleForce
 from seft_ros.protection.ramp_down import RampDown, continued
 from seft_ros.reference_force.compensator import Knowledge
+from seft_ros.test_run.parameter_tables import TABLES
 
 DT = 0.002
 MOTION, STATE = np.zeros((1, 1)), np.zeros((4, 1))
@@ -139,11 +141,27 @@ def test_a_reset_is_one_of_all_parts():
     force.step(MOTION, STATE)
     force.reset()
     assert (target.paces, force.steps_ramped, force.ramping) == ([], 0, False)
-    assert force.longest_ramp == 6
+    assert (force.longest_ramp, force.estimates()) == (6, {})
     links = protected([1.0, 2.0, 3.0], loop_delay=2)
     links.step(MOTION, STATE)
     links.reset()
     assert links.step(MOTION, STATE).ravel().tolist() == [0.0, 0.0, 2.0]
+
+
+def test_it_is_made_of_its_section():
+    words = ("limits.force:=900.0", "limits.force_rate:=1.0e4", "ramp_down_time:=0.1")
+    given = [parse_override(f"reference_force:{word}") for word in words]
+    experiment = Experiment.load(TABLES, ["config/jhu.yaml"], given)
+    section, axes, timebase = experiment["reference_force"], experiment.axes, experiment.timebase
+    for delay in (0, 3):
+        section["loop_delay"] = delay
+        force = ProtectedForce.from_parameters(section, axes, timebase)
+        np.testing.assert_allclose(force.parameters.limits, [900.0, 20.0])
+        assert (force.parameters.ramp_steps, force.longest_ramp) == (50, 50 + delay)
+        assert force.parameters.watch.ratio == section["instability.ratio"]
+        motion = np.zeros((1 + force.preview, 1))
+        assert len(force.step(motion, STATE)) == 1 + delay
+    assert force.kind == ProtectedForce.from_parameters(section, axes, timebase).kind is not None
 
 
 def test_a_computed_model_is_asked_and_its_failure_is_the_cause():
@@ -262,6 +280,7 @@ def test_a_target_without_ground_motion_goes_on_to_rest_as_if_there_were_none():
         force.step(None, STATE)
     assert target.paces == ramp(4)
     assert not np.any(target.motions)
+    assert {motion.shape for motion in target.motions} == {(5, 1)}
     assert force.cause is None
 
 
@@ -294,6 +313,7 @@ def test_a_target_that_rests_after_its_ramp_and_fails_asks_for_no_force():
     force.ramp_down()
     for _ in range(2):
         force.step(MOTION, STATE)
+    force.state.point[0, 2] = 50.0  # that a yielded specimen still takes
     target.odd = np.nan
     assert not force.step(MOTION, STATE)[:, 2].any()
     assert force.cause.startswith("reference force is nan")

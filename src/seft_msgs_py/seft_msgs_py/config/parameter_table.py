@@ -13,12 +13,9 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import InputError
-
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
 
 
 def per_axis(value: float | Sequence[float], axes: Sequence[str], where: str) -> Floats:

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import eigh
+from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import Floats, Ints
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import GROUND_MOTION, RIG_STATE
 from seft_plant_sim.whole_structure import (

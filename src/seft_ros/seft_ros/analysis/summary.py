@@ -4,8 +4,8 @@ from dataclasses import asdict, fields, replace
 from typing import Any
 
 import numpy as np
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import (
     GROUND_MOTION,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy.fft import next_fast_len, rfft
-from seft_msgs_py.config.parameter_table import Floats
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, TARGET
 from seft_plant_sim.whole_structure import ReferenceResponse, whole_structure
 

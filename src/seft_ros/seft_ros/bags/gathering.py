@@ -9,8 +9,8 @@ from math import inf
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import (
     ERROR,

@@ -20,8 +20,9 @@ from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import Floats, Section
+from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.outcome import LinkRecord, Saturation, Trip
 from seft_msgs_py.wire.topics import LOOP_TOPICS, NANOSECONDS_PER_SECOND, RIG_STATE, RigAxes, bare

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.messages import (
     EstimatesCodec,

@@ -9,8 +9,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from rich.text import Text
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.wire.messages import Status, decode_clock, decode_description
 from seft_msgs_py.wire.outcome import FINISHED, TRIPPED, State

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.outcome import FINISHED, TRIPPED, read_outcome
 from seft_msgs_py.wire.topics import QUANTITIES, RIG_STATE

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.config.parameter_table import Floats
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.wire.outcome import TRIPPED
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_plant_sim.specimen import Specimen

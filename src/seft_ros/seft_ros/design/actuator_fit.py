@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 from scipy.optimize import least_squares, nnls
-from seft_msgs_py.config.parameter_table import Floats
+from seft_msgs_py.arrays import Floats
 
 from seft_ros.force_controller.valve_model import ValveModel
 

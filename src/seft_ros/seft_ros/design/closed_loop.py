@@ -9,7 +9,7 @@ import numpy.typing as npt
 from scipy.linalg import eig
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
-from seft_msgs_py.config.parameter_table import Floats
+from seft_msgs_py.arrays import Floats
 
 from seft_ros.design.controller import Controller
 from seft_ros.design.plant import Plant, SampledPlant

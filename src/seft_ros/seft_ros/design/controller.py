@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import write_parameter_file
-from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.lti import TransferFunction, bilinear, ratio
 

@@ -10,7 +10,7 @@ from matplotlib.collections import PathCollection
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
-from seft_msgs_py.config.parameter_table import Floats
+from seft_msgs_py.arrays import Floats
 
 from seft_ros.design.actuator_fit import ActuatorFit
 from seft_ros.design.identified import ClosedLoop, Identified, ValveResponse

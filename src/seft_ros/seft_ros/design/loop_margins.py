@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import median_filter
 from scipy.signal import find_peaks
-from seft_msgs_py.config.parameter_table import Floats
+from seft_msgs_py.arrays import Floats
 
 Complexes = npt.NDArray[np.complex128]
 

@@ -7,8 +7,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.actuator import Hydraulics
 from seft_plant_sim.continuous_model import ContinuousModel, servo_hydraulic

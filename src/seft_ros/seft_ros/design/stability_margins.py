@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
-from seft_msgs_py.config.parameter_table import Floats, symmetric_matrix
+from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.parameter_table import symmetric_matrix
 from seft_msgs_py.errors import InputError
 
 from seft_ros.design.plan import NEUTRAL, Plan

@@ -11,8 +11,9 @@ import numpy as np
 from bokeh.plotting import figure
 from rich.table import Table as TerminalTable
 from scipy.stats import rankdata
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import Floats, Section
+from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.rig import Rig
 

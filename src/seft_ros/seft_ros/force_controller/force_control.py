@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import Floats, as_matrix
+from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.parameter_table import as_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import compiled, entry_point, multiply

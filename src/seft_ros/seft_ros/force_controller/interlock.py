@@ -6,19 +6,15 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import (
-    Floats,
-    Ints,
-    mass_matrix,
-    per_axis,
-    symmetric_matrix,
-)
+from seft_msgs_py.config.parameter_table import mass_matrix, per_axis, symmetric_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import entry_point, kind_of
+from seft_plant_sim.limits import SaturatedTime
 from seft_plant_sim.rig_parameters import LIMIT_NAMES
-from seft_plant_sim.sensors import CHANNELS, SaturatedTime
+from seft_plant_sim.sensors import CHANNELS
 
 from seft_ros.force_controller.force_control import ForceControl
 from seft_ros.force_controller.interlock_step import (

@@ -3,10 +3,10 @@
 from typing import NamedTuple
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import Floats, Ints
+from seft_msgs_py.arrays import Floats, Ints
 from seft_plant_sim.compiled import compiled, is_finite
+from seft_plant_sim.limits import is_exceeded
 from seft_plant_sim.rig import left_open
-from seft_plant_sim.sensors import is_exceeded
 
 from seft_ros.protection.detector_step import SOUND, SUSPECT, begin_detectors, detect, take_command
 from seft_ros.protection.detectors import DetectorParameters, DetectorState

@@ -5,7 +5,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import Floats
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 
 from seft_ros.force_controller.force_control import ControlKnowledge, ForceControl, ForceController

@@ -3,7 +3,7 @@
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import Floats
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.outcome import LinkRecord
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, Timebase

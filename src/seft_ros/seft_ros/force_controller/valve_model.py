@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.config.parameter_table import Floats
+from seft_msgs_py.arrays import Floats
 from seft_plant_sim.lti import LEAST_SAMPLES, Complexes, noncausal_inverse
 
 INVERTED_TO = 0.85

@@ -22,7 +22,8 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import Floats, per_axis
+from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.parameter_table import per_axis
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import compiled, entry_point

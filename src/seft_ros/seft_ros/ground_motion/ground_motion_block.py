@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.parameter_table import (
-    Floats,
     Section,
     Table,
     group,

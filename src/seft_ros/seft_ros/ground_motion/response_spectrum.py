@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.config.parameter_table import Floats
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import InputError
 
 from seft_ros.ground_motion.column_file import STANDARD_GRAVITY

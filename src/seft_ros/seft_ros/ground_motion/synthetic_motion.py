@@ -2,7 +2,7 @@
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.config.parameter_table import Floats
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import InputError
 
 SIGNALS = ("random", "chirp")

@@ -5,8 +5,8 @@ from itertools import groupby
 from typing import Any
 
 import numpy as np
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, Timebase, rigs_of
 from seft_msgs_py.wire.trajectory import TrajectoryCodec, decode_batch

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.signal
 from scipy.ndimage import median_filter
-from seft_msgs_py.config.parameter_table import Floats
+from seft_msgs_py.arrays import Floats
 
 from seft_ros.design.loop_margins import BAND_HZ
 from seft_ros.paper.findings import Findings

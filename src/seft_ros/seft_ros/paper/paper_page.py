@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from bokeh.models import Range1d
 from bokeh.plotting import figure
-from seft_msgs_py.config.parameter_table import Floats
+from seft_msgs_py.arrays import Floats
 
 from seft_ros.design.loop_margins import BAND_HZ
 from seft_ros.drawing.page import (

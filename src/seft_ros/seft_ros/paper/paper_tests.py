@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.signal
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import Trip
 from seft_msgs_py.wire.topics import GROUND_MOTION, RIG_STATE

@@ -21,7 +21,7 @@ What is wrong for a few samples is a spike; each detector has a persistence.
 import math
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import Floats, Ints
+from seft_msgs_py.arrays import Floats, Ints
 from seft_plant_sim.compiled import compiled
 
 from seft_ros.protection.detectors import (
@@ -160,12 +160,9 @@ SAME = 1e-9
 def begin_detectors(state: DetectorState) -> None:
     """Begin a test."""
     state.sent[:] = 0.0
-    state.flow[:] = 0.0
-    state.later[:] = 0.0
     begin_following(state.errors, state.covariance)
     state.sums[:] = 0.0
     state.largest[:] = 0.0
-    state.restoring[:] = 0.0
     state.work[:] = 0.0
     state.response[:] = 0.0
     state.bends[:] = 0.0

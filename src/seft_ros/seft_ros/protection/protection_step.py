@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import Floats, Ints
+from seft_msgs_py.arrays import Floats, Ints
 from seft_plant_sim.compiled import compiled, entry_point, is_finite
 
 from seft_ros.protection.instability import WatchParameters, WatchState, watch_step

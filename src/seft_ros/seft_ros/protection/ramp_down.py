@@ -3,7 +3,7 @@
 import math
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import Floats, Ints
+from seft_msgs_py.arrays import Floats, Ints
 from seft_plant_sim.compiled import compiled, entry_point
 
 BRAKING = 0.03

@@ -9,7 +9,7 @@ import math
 from functools import partial
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import Floats
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.lti import first_order_hold
 

@@ -12,7 +12,7 @@ from functools import wraps
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from seft_msgs_py.config.parameter_table import Floats
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import InputError
 
 from seft_ros.reference_force.compensator import Compensator, Knowledge, Method, Signals

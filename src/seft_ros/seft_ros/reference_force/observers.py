@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.linalg import solve_discrete_are
-from seft_msgs_py.config.parameter_table import Floats, per_axis
+from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.parameter_table import per_axis
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.sensors import CHANNELS

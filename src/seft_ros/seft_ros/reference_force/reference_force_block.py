@@ -5,7 +5,8 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import Floats, mass_matrix, symmetric_matrix
+from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.parameter_table import mass_matrix, symmetric_matrix
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.topics import NANOSECONDS_PER_SECOND, RigAxes, Timebase
 from seft_plant_sim.computed_substructure import ComputedSubstructure

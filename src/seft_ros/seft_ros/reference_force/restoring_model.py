@@ -44,7 +44,7 @@ from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import Floats
+from seft_msgs_py.arrays import Floats
 from seft_plant_sim.compiled import compiled, multiply_sized
 
 THRESHOLDS = 12

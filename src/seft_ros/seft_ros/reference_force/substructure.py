@@ -12,7 +12,7 @@ given a_g* = a_g + (M_e + M_c)^-1 g instead of a_g (docs/theory.md, More than lu
 from itertools import pairwise
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import Floats
+from seft_msgs_py.arrays import Floats
 from seft_plant_sim.lti import first_order_hold
 
 from seft_ros.reference_force.compensator import Compensator, Knowledge

@@ -16,7 +16,7 @@ from collections import deque
 
 import numpy as np
 from scipy.linalg import eigh
-from seft_msgs_py.config.parameter_table import Floats
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.compiled import entry_point
 from seft_plant_sim.computed_model import ComputedModel, ModelError

@@ -13,7 +13,7 @@ The elastic specimen as assumed is in A, too, so that this part is integrated ex
 from typing import NamedTuple
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import Floats
+from seft_msgs_py.arrays import Floats
 from seft_plant_sim.compiled import compiled, is_finite, multiply_sized
 
 from seft_ros.reference_force.observers import observe

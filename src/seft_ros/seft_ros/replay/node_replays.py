@@ -4,7 +4,8 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import Floats, nearest
+from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import (
     GROUND_MOTION,

@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from rich.console import Group
 from rich.text import Text
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import EVERY_NODE, Experiment, Override
-from seft_msgs_py.config.parameter_table import COMMON, Floats
+from seft_msgs_py.config.parameter_table import COMMON
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.node import realtime
 from seft_msgs_py.wire.messages import decode_diagnostics, decode_status

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba.extending import overload
+from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import Floats, Ints
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_plant_sim.compiled import OPTIONS, compiled, entry_point, kind_of

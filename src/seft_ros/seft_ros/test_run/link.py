@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from rich.table import Table
 from rich.text import Text
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import Floats
 from seft_msgs_py.errors import ExperimentError, InputError, WireError
 from seft_msgs_py.node.process import leave_graph
 from seft_msgs_py.node.rclpy_interface import (

@@ -11,7 +11,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import Floats, group, per_axis
+from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.parameter_table import group, per_axis
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.node.node_shell import NodeBody, NodeKind, NodeShell
 from seft_msgs_py.node.realtime import AwakeClock
@@ -37,8 +38,8 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_plant_sim.command import Command
+from seft_plant_sim.limits import Limits
 from seft_plant_sim.rig_watch import CommandWatch, Rehearsal, elapsed
-from seft_plant_sim.sensors import Limits
 
 from rig_driver.calibration import Calibration
 from rig_driver.hardware import Hardware

@@ -1,0 +1,115 @@
+"""Limits of a test, checked on every sample, and how near it came to them."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from seft_msgs_py.arrays import Floats, Ints
+
+from seft_plant_sim.compiled import compiled
+from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_ROWS, LIMIT_UNITS
+
+
+@compiled
+def exceeds(limits: Floats, step: int, last: Floats, measured: Floats, largest: Floats) -> bool:
+    """Say whether a sample breaks a limit; NaN breaks every limit.
+
+    Last is the sample before it, both of shape (4, n); that of step 0 has none. The largest
+    magnitudes so far, shape (8,), are brought up to date; limits are `Limits.values`.
+    """
+    broken = False
+    for row in range(4):
+        for i in range(measured.shape[1]):
+            size = abs(measured[row, i])
+            change = abs(measured[row, i] - last[row, i]) if step else 0.0
+            broken |= not (size <= limits[row] and change <= limits[4 + row])
+            if size > largest[row]:
+                largest[row] = size
+            if change > largest[4 + row]:
+                largest[4 + row] = change
+    return broken
+
+
+class Limits:
+    """Largest magnitudes of a sample, and of its change since the sample before.
+
+    Made of the parameters ``limits.*``, of which those of rates may lack, the names of the n axes,
+    and the sampling period in s.
+
+    Attributes
+    ----------
+    values : ndarray
+        Shape (8,): of the state, and of its change in a step.
+    largest : ndarray
+        Shape (8,): the largest magnitudes since the reset, as `exceeds` keeps them.
+    """
+
+    def __init__(self, limits: Mapping[str, Any], axes: Sequence[str], dt: float) -> None:
+        self._axes = tuple(axes)
+        self._dt = dt
+        values = [limits[name] for name in LIMIT_NAMES]
+        values += [limits.get(f"{name}_rate", np.inf) * dt for name in LIMIT_NAMES]
+        self.values = np.array(values, dtype=np.float64)
+        self.largest = np.zeros(8)
+        self._last: Floats | None = None
+
+    def reset(self) -> None:
+        """Begin a new test."""
+        self.largest[:] = 0.0
+        self._last = None
+
+    def violation(self, measured: Floats) -> str | None:
+        """Look at the next sample, shape (4, n); one line if it breaks a limit."""
+        measured = np.array(measured, dtype=np.float64)
+        last = measured if self._last is None else self._last
+        self._last = measured
+        if not exceeds(self.values, 1, last, measured, self.largest):
+            return None
+        return self.describe(measured, measured - last)
+
+    def describe(self, measured: Floats, change: Floats) -> str:
+        """Say in one line which limit a sample or its change breaks; both have shape (4, n)."""
+        found = np.vstack([measured, change])
+        row, column = np.argwhere(~(np.abs(found) <= self.values[:, np.newaxis]))[0]
+        per = self._dt if row >= len(LIMIT_NAMES) else 1.0
+        name, unit = LIMIT_ROWS[row].replace("_", " "), LIMIT_UNITS[row]
+        return (
+            f"{name} {found[row, column] / per:.5g} {unit} on axis {self._axes[column]} "
+            f"is beyond the limit of {self.values[row] / per:g} {unit}"
+        )
+
+    def margins(self) -> dict[str, float]:
+        """Smallest distance to each limit since the reset, over the limit; 0 and below: broken."""
+        return dict(zip(LIMIT_ROWS, (1.0 - self.largest / self.values).tolist(), strict=True))
+
+
+@compiled
+def is_exceeded(times: Ints, count: int, step: int, window: int) -> bool:
+    """Count an event at a step; return whether a second has more of them than allowed.
+
+    The last of such steps, shape (allowed + 1,), are kept in turn, ``count`` is how many there
+    have been before, and the window is the steps of a second.
+    """
+    times[count % len(times)] = step
+    return count + 1 >= len(times) and times[(count + 1) % len(times)] > step - window
+
+
+class SaturatedTime:
+    """How long, in s, sensors may be saturated within the last second, of ``window`` steps."""
+
+    def __init__(self, longest: float, dt: float) -> None:
+        self._longest = longest
+        self._allowed = int(longest / dt * (1 + 1e-9))
+        self.window = round(1.0 / dt)
+
+    def times(self) -> Ints:
+        """Room for the steps that `is_exceeded` counts."""
+        return np.zeros(min(self._allowed, self.window) + 1, dtype=np.int64)
+
+    def describe(self, sensors: Sequence[str]) -> str:
+        """Say that sensors, one at least, have been blind for too long."""
+        names = " and ".join(sorted(sensors))
+        return (
+            f"{names} at the end of the sensor's range for more than {self._longest:g} s within "
+            "one second: the test is blind"
+        )
