@@ -231,6 +231,7 @@ SLOW, FAST = 0.1, 1e-3
     [  # of the specimen: its way on both axes; r before, its last change, and now
         ((1e-3, 2e-3), (100.0, 7.0, 400.0), FAST, 4, 0, 0.35, 6 * 200.0),  # rises with the motion
         ((1e-3, 2e-3), (-100.0, 7.0, -400.0), FAST, 4, 0, 0.35, 6 * 30.0),  # falls with the other's
+        ((0.0, 2e-3), (-900.0, 7.0, -1200.0), 8e-3, 4, 0, 0.25, 0.0),
         ((-1e-3, -2e-3), (-100.0, 7.0, -400.0), FAST, 4, 0, 0.35, 6 * 200.0),
         ((0.0, 2e-3), (100.0, -7.0, -400.0), FAST, 4, 0, 0.25, 0.0),  # breaks
         ((0.0, -2e-3), (100.0, -7.0, 400.0), FAST, 4, 0, 0.25, 0.0),
@@ -268,6 +269,7 @@ def test_a_force_that_jumps_back_and_forth_is_counted_as_noise():
         (-1, 9),
         (1, 9),
         (0, 9),
+        (0, 2),
         (1, 9),
         (-1, 2),
         (1, 2),
@@ -275,7 +277,7 @@ def test_a_force_that_jumps_back_and_forth_is_counted_as_noise():
     ]:
         state.step[rows.TURN_AT], state.largest[7, 1] = 50 - turned, 0.0
         limit = p.rough[1] + curved + (200.0 if turned < 4 else 0.0)
-        bend = math.copysign(1.0, excess) * limit * (1.01 if excess else 0.99)
+        bend = math.copysign(1.0, excess) * limit * (1.0 + (1e-6 if excess else -1e-6))
         state.restoring[:, 1] = 200.0, 70.0, 270.0 + bend
         state.counts[rows.JUMP, 1] = 0
         look_at_restoring_force(p, state, 50, measured, 1)
@@ -609,3 +611,16 @@ def test_a_detector_says_what_it_saw_and_where():
     assert describe((rows.FROZEN + 3) * N, found, ("east", "north")).startswith(
         "measured force on axis east has repeated one value for 0.0123 samples"
     )
+
+
+def test_the_last_turn_and_the_last_change_of_the_specimens_force_are_remembered():
+    p, state = detectors(ALL)
+    samples, _ = noise_of_a_rig(5)
+    samples[:, 1] = np.transpose([[0.5, 0.25, -0.25, -0.5, 0.0], [0.5, 0.25, 0.5, 0.25, 0.5]])
+    r = samples[:, 3] - samples[:, 2] @ MASS
+    turns = []
+    for k in range(5):
+        detect(p, state, k, NO_TARGET, samples[k])
+        turns.append(state.step[rows.TURN_AT] == k)
+        np.testing.assert_allclose(state.restoring[1], r[k] - r[max(k - 1, 0)], atol=1e-9)
+    assert turns == [False, False, True, False, True]
