@@ -42,7 +42,7 @@ TESTS = {
     "src/seft_msgs_py/seft_msgs_py/node/senders.py": ("src/seft_msgs_py/test/test_senders.py",),
     f"{CONTROL}interlock_step.py": CONTROL_TESTS,
     f"{CONTROL}interlock.py": CONTROL_TESTS,
-    f"{PROTECTION}ramp_down.py": (f"{ROS}test/test_protection_ramp_down.py",),
+    f"{PROTECTION}ramp_down.py": (f"{ROS}test/test_protection_ramp_down.py", *CONTROL_TESTS),
     f"{PROTECTION}protection_step.py": FORCE_TESTS,
     f"{PROTECTION}protected_force.py": FORCE_TESTS,
     f"{PROTECTION}detectors.py": DETECTOR_TESTS,
