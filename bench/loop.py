@@ -23,7 +23,7 @@ ROUNDS = 3
 LAPS = 3_000
 DURATION = 30.0  # s of ground motion, at twice the speed
 WANTED = {"separate processes": 4_000, "one process": 10_000}  # steps/s
-RING_WANTED = 1.3  # round trip of the loop over a lap of the ring
+RING_WANTED = 1.5  # round trip of the loop over a lap of the ring that has the loop's readers
 SWIFT_LAP = 86e-6
 """s: lap of the ring on the machine on which those numbers of steps were set as targets."""
 
@@ -71,8 +71,9 @@ def main() -> int:
         print(f"  {name:26s} " + " ".join(f"{speed:6,.0f}" for speed in found) + told)
         if wanted:
             met &= max(found) >= wanted * min(1.0, SWIFT_LAP / ring)
-    ratio = statistics.median(laps["loop, separate processes"]) / ring
-    print(f"round trip in separate processes: {ratio:.2f} laps (wanted: {RING_WANTED})")
+    floor = statistics.median(laps["the same, loop's readers"])
+    ratio = statistics.median(laps["loop, separate processes"]) / floor
+    print(f"round trip in separate processes: {ratio:.2f} laps with readers (wanted: {RING_WANTED})")
     return 0 if met and ratio <= RING_WANTED else 1
 
 
