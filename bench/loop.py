@@ -73,7 +73,9 @@ def main() -> int:
             met &= max(found) >= wanted * min(1.0, SWIFT_LAP / ring)
     floor = statistics.median(laps["the same, loop's readers"])
     ratio = statistics.median(laps["loop, separate processes"]) / floor
-    print(f"round trip in separate processes: {ratio:.2f} laps with readers (wanted: {RING_WANTED})")
+    print(
+        f"round trip in separate processes: {ratio:.2f} laps with readers (wanted: {RING_WANTED})"
+    )
     return 0 if met and ratio <= RING_WANTED else 1
 
 
