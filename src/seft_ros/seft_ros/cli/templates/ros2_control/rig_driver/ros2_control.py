@@ -13,7 +13,7 @@ import time
 import numpy as np
 from rig_driver.driver_node import serve
 from rig_driver.hardware import Floats
-from seft_msgs_py.config.arrays import per_axis
+from seft_msgs_py.config.parameter_table import per_axis
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.node.node_shell import NodeShell
 from seft_msgs_py.wire.messages import decode_message, typestore
