@@ -62,6 +62,7 @@ def test_no_rehearsal_is_made_in_lockstep_or_where_none_is_asked_for(tmp_path):
 def test_nodes_that_did_not_keep_their_rate_rehearse_once_more_when_reset(start_node, domain):
     words = (
         "rate:=8000.0",
+        "supervisor:rehearsal.duration:=2.0",
         "supervisor:peers:=[ground_motion, reference_force, force_controller, rig]",
     )
     for node in ("ground_motion", "reference_force", "force_controller", "rig", "supervisor"):
