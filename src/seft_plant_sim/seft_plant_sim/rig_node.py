@@ -51,7 +51,6 @@ from seft_plant_sim.rig_watch import (
 
 CLOCK_PERIOD = 0.1  # s of the test's time
 BREATH = 0.005  # s from the first answer in realtime to the time of step 0
-LATEST = 256  # steps: an answer that is older has no round trip
 FALL_BACK = 0.25  # of a period, by which a rig that is ahead of others delays each next sample
 REPORT_PERIOD = 1.0  # s, of the diagnostics of a running test
 
@@ -104,7 +103,6 @@ class RigNode(NodeBody):
         )
         self._clock_steps = max(1, round(CLOCK_PERIOD * self._timebase.rate))
         self._reported_at = self._answered_at = 0.0
-        self._published_at = [0.0] * LATEST  # the last states, by step
         self._refused_before = 0  # messages, until the newest command came
         self._rehearsed = False
         state = self._rig.reset()
@@ -162,9 +160,7 @@ class RigNode(NodeBody):
             if command is self._drive:
                 self._answered_at = time.monotonic()
                 self._refused_before = self._shell.refused
-                if command.current - command.answered < LATEST:
-                    published_at = self._published_at[command.answered % LATEST]
-                    self._round_trip.add(self._answered_at - published_at)
+                self._round_trip.answered(command, self._answered_at)
 
         self._shell.subscribe(topic, receive, reliable=False)
         return command
@@ -352,7 +348,7 @@ class RigNode(NodeBody):
             raw = self._state_codec.encode(step, state)
         except WireError:
             return False
-        self._published_at[step % LATEST] = time.monotonic()
+        self._round_trip.published(step, time.monotonic())
         self._publish_state(raw)
         if step % self._clock_steps == 0:
             self._publish_clock(step)

@@ -247,8 +247,11 @@ QUANTILES = {"p50": 0.5, "p90": 0.9, "p99": 0.99, "p99.9": 0.999}
 EDGES = [SHORTEST * 10 ** (at / PER_DECADE) for at in range(1, PER_DECADE * DECADES)]
 
 
+LATEST = 256  # steps: an answer that is older has no round trip
+
+
 class RoundTrip:
-    """Histogram of times with bins of equal ratio, and the last and the largest time.
+    """Times from a state to its command: histogram with bins of equal ratio, last, largest.
 
     Attributes
     ----------
@@ -257,6 +260,7 @@ class RoundTrip:
     """
 
     def __init__(self) -> None:
+        self._published_at = [0.0] * LATEST  # the last states, by step
         self.reset()
 
     def reset(self) -> None:
@@ -264,6 +268,15 @@ class RoundTrip:
         self._bins = [0] * (PER_DECADE * DECADES)
         self.count = 0
         self.last = self.largest = math.nan
+
+    def published(self, step: int, at: float) -> None:
+        """Note the time at which a state is published, s."""
+        self._published_at[step % LATEST] = at
+
+    def answered(self, command: Command, at: float) -> None:
+        """Count the newest command, which came at a time in s, unless its state is too old."""
+        if command.current - command.answered < LATEST:
+            self.add(at - self._published_at[command.answered % LATEST])
 
     def add(self, time: float) -> None:
         """Count a time in seconds."""
@@ -294,7 +307,6 @@ class RoundTrip:
 
 UNCOUNTED = 0.25  # of the steps: until then the host learns how busy the loop is
 FIRST_ANSWER = 5.0  # s, longest wait for it: the nodes make blocks for the rehearsal
-LATEST = 256  # steps: an answer that is older has no round trip
 
 
 class Rehearsal:
@@ -320,7 +332,6 @@ class Rehearsal:
         self._publish = shell.publisher(rehearsed(RIG_STATE))
         self._command = Command(TrajectoryCodec(drive, shell.rig.axes, timebase), limit)
         self._round_trip = RoundTrip()
-        self._published_at = [0.0] * LATEST
         self._counts = False
         shell.subscribe(rehearsed(drive), self._take, reliable=False)
 
@@ -356,7 +367,7 @@ class Rehearsal:
                 self._counts, before = True, clock.overruns
             command.current = step
             raw = self._codec.encode(step, sample(step))
-            self._published_at[step % LATEST] = time.monotonic()
+            self._round_trip.published(step, time.monotonic())
             self._publish(raw)
             if step == 0:  # others prepare when they learn of it
                 begun = time.monotonic()
@@ -381,7 +392,7 @@ class Rehearsal:
         }
 
     def _take(self, raw: bytes, _: int) -> None:
-        now, command = time.monotonic(), self._command
-        command.take(raw)
-        if self._counts and command.current - command.answered < LATEST:
-            self._round_trip.add(now - self._published_at[command.answered % LATEST])
+        now = time.monotonic()
+        self._command.take(raw)
+        if self._counts:
+            self._round_trip.answered(self._command, now)
