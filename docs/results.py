@@ -162,6 +162,16 @@ TESTS: dict[str, list[Row]] = {
     ],
 }
 
+ANOTHER = (f"{SPECIMEN}stiffness:=2.1142e5",), (f"{SPECIMEN}damping:=808.3",)
+"""A specimen of 0.2 % more stiffness, and one of 1 % more damping."""
+COMPARED = [
+    (*ONE, *specimen("linear")),
+    (*ONE, *specimen("bilinear", "yield_displacement:=0.003")),
+    (*ONE, *specimen("friction", "friction.force:=190.0")),
+    (*ONE, *specimen("gap", "gap.width:=0.002", "gap.stiffness:=6.0e5")),
+    (*loaded(3.0, 250.0), *specimen("gap", "gap.width:=0.002", "gap.stiffness:=6.0e5")),
+]
+
 
 def named(word: str) -> str:
     """Write an override for a table."""
@@ -191,6 +201,22 @@ def tested(row: Row, motion: Row) -> str:
     return f"{error.rstrip('.')} %"
 
 
+def moved(row: Row, motion: Row) -> str:
+    """Give the change of the exact displacement for each of `ANOTHER`."""
+    changes = []
+    exact = exact_displacement((*row, *motion))
+    for other in ANOTHER:
+        changes.append(100 * nrmse(exact_displacement((*row, *other, *motion)), exact))
+    return ", ".join(f"{change:#.2g}".rstrip(".") + " %" for change in changes)
+
+
+def exact_displacement(words: Row) -> np.ndarray:
+    """Displacement of the whole structure, solved exactly, shape (N, n), m."""
+    experiment = Experiment.load(TABLES, ["config/jhu.yaml"], map(parse_override, words))
+    motion = build_blocks(experiment).ground_motion.samples
+    return reference_response(experiment, motion).displacement
+
+
 def with_missed(blocks: Blocks, every: int) -> np.ndarray:
     """Run a test in which every so many commands come too late: the rig holds the last."""
     motion, known = blocks.ground_motion.samples, blocks.ground_motion.known
@@ -216,14 +242,24 @@ def main() -> None:
     if len(sys.argv) > 1:
         values = (("file", sys.argv[1]), ("unit", "cm/s2"), ("dt", "0.005"))
         motions["Kobe JMA N-S"] = tuple(f"ground_motion:{name}:={word}" for name, word in values)
+    hidden = {*PLAN, *DELAY, *ONE, *NOISELESS, WATCH, STOREYS, LINK}
     for title, rows in TESTS.items():
-        print(f"\n{title}\n\n| overrides | {' | '.join(motions)} |\n|{'---|' * (1 + len(motions))}")
+        print_head(title, motions)
         for row in rows:
-            hidden = {*PLAN, *DELAY, *ONE, *NOISELESS, WATCH, STOREYS, LINK}
             words = [named(word) for word in row if word not in hidden]
             words += ["no sensor noise"] if set(NOISELESS) <= set(row) else []
             errors = [tested(row, motion) for motion in motions.values()]
             print(f"| {', '.join(words) or 'as it is'} | {' | '.join(errors)} |", flush=True)
+    print_head("a specimen of 0.2 % more stiffness, 1 % more damping", motions)
+    for row in COMPARED:
+        words = [named(word) for word in row if word not in hidden]
+        changes = [moved(row, motion) for motion in motions.values()]
+        print(f"| {', '.join(words)} | {' | '.join(changes)} |", flush=True)
+
+
+def print_head(title: str, motions: dict[str, Row]) -> None:
+    """Print the head of a table."""
+    print(f"\n{title}\n\n| overrides | {' | '.join(motions)} |\n|{'---|' * (1 + len(motions))}")
 
 
 if __name__ == "__main__":
