@@ -12,7 +12,9 @@ from seft_ros.protection.detector_step import (
     begin_detectors,
     detect,
     detect_all,
+    hold,
     look_at_restoring_force,
+    look_at_sides,
     take_command,
     under_load,
 )
@@ -147,6 +149,72 @@ def test_each_relation_is_held_against_its_threshold(drive):
     assert seen[:, [rows.CHANGE + 2, rows.NOISE + 2]].max() < 1.0
     np.testing.assert_allclose(state.errors, errors, rtol=1e-9)
     assert (covariance[:, 0] < 0.04**2).all() == (drive > 0.0)
+
+
+def test_the_flows_that_a_rig_may_hold_are_those_of_the_last_samples():
+    flows = np.zeros(3)
+    found = [hold(flows, each) for each in (1.0, -2.0, 4.0, 3.0, 3.5, 5.0)]
+    assert found == [(0.0, 1.0), (-2.0, 1.0), (-2.0, 4.0), (-2.0, 4.0), (3.0, 4.0), (3.0, 5.0)]
+    assert flows.tolist() == [5.0, 3.5, 3.0]
+
+
+@pytest.mark.parametrize(
+    ("other", "share", "counted"),
+    [  # sides: 2, other, and 1 to 4 where a command is held; threshold 3, and 5 for missed commands
+        (7.5, 3.5 / 3.0, 4),
+        (-2.5, 3.5 / 3.0, 4),
+        (7.0, 5.0 / 8.0, 0),
+        (-2.0, 4.0 / 8.0, 0),
+        (-1.0, 3.0 / 8.0, 0),
+    ],
+)
+def test_what_no_command_explains_that_a_rig_may_hold_counts_more(other, share, counted):
+    p, state = detectors(ALL, longest_hold=0.006)
+    row = rows.NOISE + rows.OIL
+    look_at_sides(p, state, row, 1, (2.0, other, 1.0, 4.0), 3.0, 5.0)
+    assert state.shares[row, 1] == share
+    assert state.counts[row, 1] == counted * 2 // 4
+    look_at_sides(p, state, row, 1, (12.0, 2.0, 2.0, 12.0), 3.0, 5.0)
+    assert state.shares[row, 1] == 10.0 / 8.0
+    assert state.counts[row, 1] == counted * 2 // 4 + 1
+
+
+def test_what_the_rig_may_hold_is_summed():
+    p, state = detectors(ALL, longest_hold=0.006)
+    samples, commands = noise_of_a_rig(40)
+    flowed = []
+    for k in range(40):
+        detect(p, state, k, NO_TARGET, samples[k])
+        take_command(p, state, commands[k], False)
+        flowed.append(state.flows[:, 0].copy())
+    assert state.flows.shape == (N, 4)
+    window = np.lib.stride_tricks.sliding_window_view(np.vstack([np.zeros((3, N)), flowed]), 4, 0)
+    sums = state.sums
+    np.testing.assert_allclose(sums[2, 0], faded(flowed, p.fade)[-1], rtol=1e-9)
+    np.testing.assert_allclose(sums[2, 2], faded(window.min(axis=2), p.fade)[-1], rtol=1e-9)
+    np.testing.assert_allclose(sums[2, 3], faded(window.max(axis=2), p.fade)[-1], rtol=1e-9)
+    np.testing.assert_array_equal(sums[:2, 2], sums[:2, 0])
+    np.testing.assert_array_equal(sums[:2, 3], sums[:2, 0])
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_valve_that_closes_is_found_before_one_that_may_hold_a_command(axis):
+    p, state = detectors([each for each in ALL if each != "oil_noise"], longest_hold=0.02)
+    commands, samples = np.full((90, N), 4.0), np.zeros((90, 4, N))
+    sound = flows(commands, samples[:, 3], PAST[0])
+    for closes in (True, False):
+        commands[60:, axis] = 4.0 if closes else 0.0
+        samples[:, 1] = sound
+        samples[60:, 1, axis] *= not closes  # or is stuck, as if the rig held the command
+        found = []
+        for k in range(90):
+            found.append(detect(p, state, k, NO_TARGET, samples[k]))
+            take_command(p, state, commands[k], False)
+        first = next(k for k, each in enumerate(found) if each >= 0)
+        assert found[first] == (rows.NOISE + rows.OIL) * N + axis
+        # the flow of the last command leaves the window at 72; a few have counted once before
+        assert first == (62 if closes else (73, 72)[axis])
+        begin_detectors(state)
 
 
 def test_a_valve_is_not_followed_while_its_balance_is_off():
@@ -395,6 +463,7 @@ def test_persistences_in_samples():
     assert [lasts.pop(f"{each}_frozen") for each in ("position", "velocity")] == [2, 2]
     assert [lasts.pop(f"{each}_frozen") for each in ("acceleration", "force")] == [2, 2]
     assert set(lasts.values()) == {3}
+    assert p.samples.tolist() == [5 if one.of_valve else 1 for one in DETECTORS]
     only_warn = [one.name for one, acts in zip(DETECTORS, p.acts, strict=True) if not acts]
     assert only_warn == ["oil_noise", "force_jump"]
     assert set(p.acts) == {0, 1}

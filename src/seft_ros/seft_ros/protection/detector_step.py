@@ -150,7 +150,7 @@ sample is not to be used."""
 LEAST_PRESSURE = 0.2
 """Part of the supply pressure that is always reckoned to be left for the flow."""
 MISSED = 2.0
-"""Commands in a row that the rig may miss unseen."""
+"""Commands in a row that the rig may miss, and no sample is beyond its threshold."""
 NEVER = -(2**40)
 SAME = 1e-9
 """Chance of as many equal samples of a channel that is not frozen."""
@@ -162,6 +162,7 @@ def begin_detectors(state: DetectorState) -> None:
     state.sent[:] = 0.0
     begin_following(state.errors, state.covariance)
     state.sums[:] = 0.0
+    state.flows[:] = 0.0
     state.largest[:] = 0.0
     state.work[:] = 0.0
     state.response[:] = 0.0
@@ -298,21 +299,70 @@ def _tracking(
 
 
 @compiled
+def hold(flows: Floats, newest: float) -> tuple[float, float]:
+    """Remember a flow; give the least and the largest of those that the rig may hold."""
+    least = largest = newest
+    for j in range(len(flows) - 1, 0, -1):
+        flows[j] = flows[j - 1]
+        least, largest = min(least, flows[j]), max(largest, flows[j])
+    flows[0] = newest
+    return least, largest
+
+
+@compiled
+def look_at_sides(
+    p: DetectorParameters,
+    state: DetectorState,
+    row: int,
+    i: int,
+    sides: tuple[float, float, float, float],
+    threshold: float,
+    missed: float,
+) -> bool:
+    """Hold the sides of a relation against each other.
+
+    Parameters
+    ----------
+    p, state, row, i
+        As of `look`.
+    sides : tuple of float
+        One side, the other, and the least and the largest that the one may be where the rig holds
+        a command.
+    threshold : float
+        Beyond which no command that is held explains how they differ.
+    missed : float
+        By which they may differ further as the rig misses commands.
+    """
+    one, other, least, largest = sides
+    beyond = max(other - largest, least - other)
+    if beyond > threshold:
+        return look(p, state, row, i, beyond, threshold, p.samples[row])
+    return look(p, state, row, i, abs(one - other), threshold + missed)
+
+
+@compiled
 def _relations(
     p: DetectorParameters, state: DetectorState, step: int, measured: Floats, i: int
 ) -> int:
     """Relations (1) to (3) of an axis."""
     n, dt, last, found = measured.shape[1], p.dt, state.last, -1
-    oil, leakage = p.actuator[i, 1], p.actuator[i, 2]
+    oil, leakage, of_late = p.actuator[i, 1], p.actuator[i, 2], state.largest
     moved = 0.5 * dt * (measured[1, i] + last[1, i])
     for relation in range(3):
         if not (sees(state, step, CHANNEL[relation]) and sees(state, step, OTHER[relation])):
             continue
+        tolerance, missed = p.tolerance[relation], 0.0
+        in_step, coarse = tolerance, 2.0 * state.resolution[CHANNEL[relation], i]
+        coarse = coarse if coarse < np.inf else 0.0
         if relation == DISPLACEMENT_VELOCITY:
             one, other = measured[0, i] - last[0, i], moved
+            least = largest = one
         elif relation == VELOCITY_ACCELERATION:
             one = measured[1, i] - last[1, i]
             other = 0.5 * dt * (measured[2, i] + last[2, i])
+            least = largest = one
+            # a force may have jumped between the samples
+            coarse += 0.5 * dt * abs(measured[2, i] - last[2, i])
         else:
             flow = 0.5 * (state.flow[0, i] + state.flow[1, i])
             later = 0.5 * (state.later[0, i] + state.later[1, i])
@@ -320,31 +370,26 @@ def _relations(
             other = moved + (measured[3, i] - last[3, i] + other) / oil
             errors, covariance = state.errors[i], state.covariance[i]
             one = dt * (flow + errors[0] * flow + errors[1] * later)
+            least, largest = hold(state.flows[i], one)
             if state.counts[NOISE + OIL, i] == 0 and state.counts[CHANGE + OIL, i] == 0:
                 follow_valve(errors, covariance, flow, later, other / dt, p.doubt[i])
-        sums, largest = state.sums[relation], state.largest
-        sums[0, i] = p.fade * sums[0, i] + one
-        sums[1, i] = p.fade * sums[1, i] + other
-        whole = max(abs(sums[0, i]), abs(sums[1, i]), p.memory * largest[relation, i])
-        single = max(abs(one), abs(other), p.fade * largest[3 + relation, i])
-        largest[relation, i], largest[3 + relation, i] = whole, single
-        tolerance, coarse = p.tolerance[relation], state.resolution[CHANNEL[relation], i]
-        coarse = coarse / oil if relation == OIL else coarse
-        coarse = 2.0 * coarse if coarse < np.inf else 0.0
-        if relation == OIL:  # the rig may have missed commands, and held the one before
+            in_step = min(tolerance, FOLLOWED + SIGMAS * math.sqrt(covariance[0]))
+            coarse /= oil
             change = abs(state.flow[1, i] - state.flow[0, i])
-            largest[8, i] = max(change, p.fade * largest[8, i])
-            coarse += MISSED * dt * largest[8, i]
-        elif relation == VELOCITY_ACCELERATION:  # a force may have jumped between the samples
-            coarse += 0.5 * dt * abs(measured[2, i] - last[2, i])
-        off, threshold = abs(sums[0, i] - sums[1, i]), p.sums[relation, i] + tolerance * whole
-        threshold += coarse
-        if look(p, state, CHANGE + relation, i, off, threshold) and found < 0:
+            of_late[8, i] = max(change, p.fade * of_late[8, i])
+            missed = MISSED * dt * of_late[8, i]
+        now, sums = (one, other, least, largest), state.sums[relation]
+        for row in range(4):
+            sums[row, i] = p.fade * sums[row, i] + now[row]
+        late = (sums[0, i], sums[1, i], sums[2, i], sums[3, i])
+        whole = max(abs(sums[0, i]), abs(sums[1, i]), p.memory * of_late[relation, i])
+        single = max(abs(one), abs(other), p.fade * of_late[3 + relation, i])
+        of_late[relation, i], of_late[3 + relation, i] = whole, single
+        threshold = p.sums[relation, i] + tolerance * whole + coarse
+        if look_at_sides(p, state, CHANGE + relation, i, late, threshold, missed) and found < 0:
             found = (CHANGE + relation) * n + i
-        if relation == OIL:
-            tolerance = min(tolerance, FOLLOWED + SIGMAS * math.sqrt(covariance[0]))
-        off, threshold = abs(one - other), p.steps[relation, i] + tolerance * single + coarse
-        if look(p, state, NOISE + relation, i, off, threshold) and found < 0:
+        threshold = p.steps[relation, i] + in_step * single + coarse
+        if look_at_sides(p, state, NOISE + relation, i, now, threshold, missed) and found < 0:
             found = (NOISE + relation) * n + i
     return found
 
