@@ -7,7 +7,8 @@ displacement x, velocity v, acceleration a, actuator force f and the valve's flo
     change of v = integral of a                                                            (2)
     integral of w = integral of (v + lambda f / k_oil) + change of f / k_oil               (3)
 
-Each side is summed with a memory of `MEMORY`, so that a slow fault shows, too. The specimen's force
+Each side is summed with a memory of `MEMORY`, so that a slow fault shows, too; their difference
+is without its mean of late, which is the bias of a sensor. The specimen's force
 r = f - M a does work on the structure; where the specimen is deformed further, its increment is not
 opposed to that of the deformation (Hill's second-order work, 1958)::
 
@@ -163,6 +164,8 @@ def begin_detectors(state: DetectorState) -> None:
     begin_following(state.errors, state.covariance)
     state.sums[:] = 0.0
     state.flows[:] = 0.0
+    state.bias[:, 0] = 0.0
+    state.bias[:, 1] = 1.0
     state.largest[:] = 0.0
     state.work[:] = 0.0
     state.response[:] = 0.0
@@ -291,7 +294,8 @@ def _tracking(
     away = abs(points[0, 0, i] - measured[0, i])
     largest = max(abs(points[0, 0, i]), abs(measured[0, i]), p.memory * state.largest[6, i])
     state.largest[6, i] = largest
-    threshold = p.sums[DISPLACEMENT_VELOCITY, i] + p.off_target * largest
+    bias = p.bias[DISPLACEMENT_VELOCITY, i] / (1.0 - p.fade)
+    threshold = p.sums[DISPLACEMENT_VELOCITY, i] + bias + p.off_target * largest
     if step - state.step[LIMITED_AT] <= p.limited:
         threshold = np.inf  # the interlock counts these
     is_off = look(p, state, TRACKING, i, away, threshold)
@@ -357,12 +361,13 @@ def _relations(
         if relation == DISPLACEMENT_VELOCITY:
             one, other = measured[0, i] - last[0, i], moved
             least = largest = one
+            coarse += p.late * abs(measured[1, i] - last[1, i])  # of a derived velocity
         elif relation == VELOCITY_ACCELERATION:
             one = measured[1, i] - last[1, i]
             other = 0.5 * dt * (measured[2, i] + last[2, i])
             least = largest = one
             # a force may have jumped between the samples
-            coarse += 0.5 * dt * abs(measured[2, i] - last[2, i])
+            coarse += (0.5 * dt + p.late) * abs(measured[2, i] - last[2, i])
         else:
             flow = 0.5 * (state.flow[0, i] + state.flow[1, i])
             later = 0.5 * (state.later[0, i] + state.later[1, i])
@@ -378,6 +383,12 @@ def _relations(
             change = abs(state.flow[1, i] - state.flow[0, i])
             of_late[8, i] = max(change, p.fade * of_late[8, i])
             missed = MISSED * dt * of_late[8, i]
+        bias = state.bias[relation]
+        other += bias[0, i]
+        if state.counts[NOISE + relation, i] == 0 and state.counts[CHANGE + relation, i] == 0:
+            constant = bias[0, i] + (1.0 - p.memory) * (one - other)
+            bias[0, i] = min(max(constant, -p.bias[relation, i]), p.bias[relation, i])
+            bias[1, i] *= p.memory
         now, sums = (one, other, least, largest), state.sums[relation]
         for row in range(4):
             sums[row, i] = p.fade * sums[row, i] + now[row]
@@ -385,7 +396,8 @@ def _relations(
         whole = max(abs(sums[0, i]), abs(sums[1, i]), p.memory * of_late[relation, i])
         single = max(abs(one), abs(other), p.fade * of_late[3 + relation, i])
         of_late[relation, i], of_late[3 + relation, i] = whole, single
-        threshold = p.sums[relation, i] + tolerance * whole + coarse
+        unknown = p.bias[relation, i] * bias[1, i] / (1.0 - p.fade)
+        threshold = p.sums[relation, i] + unknown + tolerance * whole + coarse
         if look_at_sides(p, state, CHANGE + relation, i, late, threshold, missed) and found < 0:
             found = (CHANGE + relation) * n + i
         threshold = p.steps[relation, i] + in_step * single + coarse

@@ -31,7 +31,8 @@ class Detector:
     unit : str
         Of these.
     lasts : float
-        Persistence, s; two samples at least.
+        Persistence, s; three samples at least, as what comes between two shows in both; where it is
+        0, two.
     of_valve : bool
         Whether it knows the flow by the commands, of which a rig may have missed some.
     """
@@ -166,7 +167,8 @@ SHORT = 0.015
 BIAS = 2.0
 """Constant error of a sensor over its RMS noise that is no fault."""
 LARGEST = 0.3
-"""Time constant with which the largest motion is forgotten, s: a quarter of a cycle at 1 Hz."""
+"""Time constant with which the largest motion is forgotten, and over which a bias is the mean, s: a
+quarter of a cycle at 1 Hz."""
 SIGMAS = 6.0
 """Threshold over the RMS of the noise alone."""
 TOLERANCES = (0.1, 0.1, 0.35)
@@ -212,8 +214,12 @@ class DetectorParameters(NamedTuple):
     sums, steps : ndarray
         Noise of the differences of relations (1) to (3), `SIGMAS` times RMS: of sums and of a
         single step, shape (3, n); infinite where a relation is not watched.
+    bias : ndarray
+        Largest mean difference in a step that is no fault, shape (3, n).
+    late : float
+        Time by which a derived velocity is late, s; 0: it is measured.
     rough : ndarray
-        Likewise of the second difference of r, shape (n,), N.
+        Noise of the second difference of r, likewise, shape (n,), N.
     unknown : float
         0; infinite where the specimen is not known.
     tolerance : ndarray
@@ -246,6 +252,8 @@ class DetectorParameters(NamedTuple):
     limited: int
     sums: Floats
     steps: Floats
+    bias: Floats
+    late: float
     rough: Floats
     unknown: float
     tolerance: Floats
@@ -272,6 +280,9 @@ class DetectorState(NamedTuple):
     sums : ndarray
         Both sides of relations (1) to (3), and the least and the largest that the left one may be
         where the rig holds a command; shape (3, 4, n).
+    bias : ndarray
+        Mean difference of the sides of relations (1) to (3) in a step of late, and the part of the
+        largest bias that it may still leave out; shape (3, 2, n).
     flows : ndarray
         Left side of relation (3) of the last steps, for as long as the rig may hold a command, the
         newest first, m; shape (n, h).
@@ -309,6 +320,7 @@ class DetectorState(NamedTuple):
     covariance: Floats
     sent: Floats
     sums: Floats
+    bias: Floats
     flows: Floats
     largest: Floats
     restoring: Floats
@@ -376,7 +388,7 @@ def detector_arrays(
     unknown = 0.0 if mass.any() and stiffness.any() else math.inf
     spans = np.array([[each.lasts, longest_hold * each.of_valve] for each in DETECTORS])
     shortest, lasts = (
-        np.maximum(2, np.ceil(span / dt - 1e-9).astype(np.int64))
+        np.maximum(2 + (spans[:, 0] > 0.0), np.ceil(span / dt - 1e-9).astype(np.int64))
         for span in (spans[:, 0], spans.sum(axis=1))
     )
     acts = [each.name not in warn_only for each in DETECTORS]
@@ -395,7 +407,9 @@ def detector_arrays(
         dither=noise,
         range=np.where(ranges > 0.0, ranges, np.inf),
         limited=math.ceil(LIMITED / dt),
-        sums=SIGMAS * sums + BIAS * rates / (1.0 - fade),
+        sums=SIGMAS * sums,
+        bias=BIAS * rates,
+        late=UNCERTAIN_DELAY if velocity_is_derived else 0.0,
         steps=SIGMAS * steps,
         rough=SIGMAS * rough + unknown,
         unknown=unknown,
@@ -413,6 +427,7 @@ def detector_arrays(
         covariance=np.zeros((n, 3)),
         sent=np.zeros_like(past[0]),
         sums=np.zeros((3, 4, n)),
+        bias=np.zeros((3, 2, n)),
         flows=np.zeros((n, 1 + math.ceil(longest_hold / dt - 1e-9))),
         largest=np.zeros((9, n)),
         restoring=np.zeros((3, n)),
