@@ -153,8 +153,9 @@ LEAST_PRESSURE = 0.2
 MISSED = 2.0
 """Commands in a row that the rig may miss, and no sample is beyond its threshold."""
 NEVER = -(2**40)
-SAME = 1e-9
-"""Chance of as many equal samples of a channel that is not frozen."""
+SAME, SUSPECTED = 1e-9, 2.0 / 3.0
+"""Chance of as many equal samples of a channel that is not frozen, and the part of these from which
+on a sample is suspect: a chance of 1e-6."""
 
 
 @compiled
@@ -221,8 +222,10 @@ def sees(state: DetectorState, step: int, row: int) -> bool:
 
 @compiled
 def worse(found: int, other: int) -> int:
-    """Give the first of two findings that is one."""
-    return found if found >= 0 else other
+    """Give the first of two findings that is one; else, whether the sample is suspect."""
+    if found < 0 <= other:
+        return other
+    return found if found >= 0 else min(found, other)
 
 
 @compiled
@@ -411,7 +414,7 @@ def _channels(
     p: DetectorParameters, state: DetectorState, step: int, measured: Floats, i: int
 ) -> int:
     """Whether a channel of an axis repeats one value."""
-    n, found = measured.shape[1], -1
+    n, found = measured.shape[1], SOUND
     for row in range(4):
         if not sees(state, step, row):
             continue
@@ -428,6 +431,8 @@ def _channels(
             threshold = math.log(SAME) / math.log(chance) if chance < 0.5 else np.inf
         if look(p, state, FROZEN + row, i, seen, threshold) and found < 0:
             found = (FROZEN + row) * n + i
+        if seen > SUSPECTED * threshold and p.acts[FROZEN + row]:
+            found = worse(found, SUSPECT)
     return found
 
 
