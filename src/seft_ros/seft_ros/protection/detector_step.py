@@ -7,7 +7,8 @@ displacement x, velocity v, acceleration a, actuator force f and the valve's flo
     change of v = integral of a                                                            (2)
     integral of w = integral of (v + lambda f / k_oil) + change of f / k_oil               (3)
 
-Each side is summed with a memory of `MEMORY`, so that a slow fault shows, too. The specimen's force
+Each side is summed with a memory of `MEMORY`, so that a slow fault shows, too; their difference
+is without its mean of late, which is the bias of a sensor. The specimen's force
 r = f - M a does work on the structure; where the specimen is deformed further, its increment is not
 opposed to that of the deformation (Hill's second-order work, 1958)::
 
@@ -150,10 +151,11 @@ sample is not to be used."""
 LEAST_PRESSURE = 0.2
 """Part of the supply pressure that is always reckoned to be left for the flow."""
 MISSED = 2.0
-"""Commands in a row that the rig may miss unseen."""
+"""Commands in a row that the rig may miss, and no sample is beyond its threshold."""
 NEVER = -(2**40)
-SAME = 1e-9
-"""Chance of as many equal samples of a channel that is not frozen."""
+SAME, SUSPECTED = 1e-9, 2.0 / 3.0
+"""Chance of as many equal samples of a channel that is not frozen, and the part of these from which
+on a sample is suspect: a chance of 1e-6."""
 
 
 @compiled
@@ -162,6 +164,9 @@ def begin_detectors(state: DetectorState) -> None:
     state.sent[:] = 0.0
     begin_following(state.errors, state.covariance)
     state.sums[:] = 0.0
+    state.flows[:] = 0.0
+    state.bias[:, 0] = 0.0
+    state.bias[:, 1] = 1.0
     state.largest[:] = 0.0
     state.work[:] = 0.0
     state.response[:] = 0.0
@@ -217,8 +222,10 @@ def sees(state: DetectorState, step: int, row: int) -> bool:
 
 @compiled
 def worse(found: int, other: int) -> int:
-    """Give the first of two findings that is one."""
-    return found if found >= 0 else other
+    """Give the first of two findings that is one; else, whether the sample is suspect."""
+    if found < 0 <= other:
+        return other
+    return found if found >= 0 else min(found, other)
 
 
 @compiled
@@ -290,11 +297,54 @@ def _tracking(
     away = abs(points[0, 0, i] - measured[0, i])
     largest = max(abs(points[0, 0, i]), abs(measured[0, i]), p.memory * state.largest[6, i])
     state.largest[6, i] = largest
-    threshold = p.sums[DISPLACEMENT_VELOCITY, i] + p.off_target * largest
+    bias = p.bias[DISPLACEMENT_VELOCITY, i] / (1.0 - p.fade)
+    threshold = p.sums[DISPLACEMENT_VELOCITY, i] + bias + p.off_target * largest
     if step - state.step[LIMITED_AT] <= p.limited:
         threshold = np.inf  # the interlock counts these
     is_off = look(p, state, TRACKING, i, away, threshold)
     return TRACKING * measured.shape[1] + i if is_off else -1
+
+
+@compiled
+def hold(flows: Floats, newest: float) -> tuple[float, float]:
+    """Remember a flow; give the least and the largest of those that the rig may hold."""
+    least = largest = newest
+    for j in range(len(flows) - 1, 0, -1):
+        flows[j] = flows[j - 1]
+        least, largest = min(least, flows[j]), max(largest, flows[j])
+    flows[0] = newest
+    return least, largest
+
+
+@compiled
+def look_at_sides(
+    p: DetectorParameters,
+    state: DetectorState,
+    row: int,
+    i: int,
+    sides: tuple[float, float, float, float],
+    threshold: float,
+    missed: float,
+) -> bool:
+    """Hold the sides of a relation against each other.
+
+    Parameters
+    ----------
+    p, state, row, i
+        As of `look`.
+    sides : tuple of float
+        One side, the other, and the least and the largest that the one may be where the rig holds
+        a command.
+    threshold : float
+        Beyond which no command that is held explains how they differ.
+    missed : float
+        By which they may differ further as the rig misses commands.
+    """
+    one, other, least, largest = sides
+    beyond = max(other - largest, least - other)
+    if beyond > threshold:
+        return look(p, state, row, i, beyond, threshold, p.samples[row])
+    return look(p, state, row, i, abs(one - other), threshold + missed)
 
 
 @compiled
@@ -303,16 +353,24 @@ def _relations(
 ) -> int:
     """Relations (1) to (3) of an axis."""
     n, dt, last, found = measured.shape[1], p.dt, state.last, -1
-    oil, leakage = p.actuator[i, 1], p.actuator[i, 2]
+    oil, leakage, of_late = p.actuator[i, 1], p.actuator[i, 2], state.largest
     moved = 0.5 * dt * (measured[1, i] + last[1, i])
     for relation in range(3):
         if not (sees(state, step, CHANNEL[relation]) and sees(state, step, OTHER[relation])):
             continue
+        tolerance, missed = p.tolerance[relation], 0.0
+        in_step, coarse = tolerance, 2.0 * state.resolution[CHANNEL[relation], i]
+        coarse = coarse if coarse < np.inf else 0.0
         if relation == DISPLACEMENT_VELOCITY:
             one, other = measured[0, i] - last[0, i], moved
+            least = largest = one
+            coarse += p.late * abs(measured[1, i] - last[1, i])  # of a derived velocity
         elif relation == VELOCITY_ACCELERATION:
             one = measured[1, i] - last[1, i]
             other = 0.5 * dt * (measured[2, i] + last[2, i])
+            least = largest = one
+            # a force may have jumped between the samples
+            coarse += (0.5 * dt + p.late) * abs(measured[2, i] - last[2, i])
         else:
             flow = 0.5 * (state.flow[0, i] + state.flow[1, i])
             later = 0.5 * (state.later[0, i] + state.later[1, i])
@@ -320,31 +378,33 @@ def _relations(
             other = moved + (measured[3, i] - last[3, i] + other) / oil
             errors, covariance = state.errors[i], state.covariance[i]
             one = dt * (flow + errors[0] * flow + errors[1] * later)
+            least, largest = hold(state.flows[i], one)
             if state.counts[NOISE + OIL, i] == 0 and state.counts[CHANGE + OIL, i] == 0:
                 follow_valve(errors, covariance, flow, later, other / dt, p.doubt[i])
-        sums, largest = state.sums[relation], state.largest
-        sums[0, i] = p.fade * sums[0, i] + one
-        sums[1, i] = p.fade * sums[1, i] + other
-        whole = max(abs(sums[0, i]), abs(sums[1, i]), p.memory * largest[relation, i])
-        single = max(abs(one), abs(other), p.fade * largest[3 + relation, i])
-        largest[relation, i], largest[3 + relation, i] = whole, single
-        tolerance, coarse = p.tolerance[relation], state.resolution[CHANNEL[relation], i]
-        coarse = coarse / oil if relation == OIL else coarse
-        coarse = 2.0 * coarse if coarse < np.inf else 0.0
-        if relation == OIL:  # the rig may have missed commands, and held the one before
+            in_step = min(tolerance, FOLLOWED + SIGMAS * math.sqrt(covariance[0]))
+            coarse /= oil
             change = abs(state.flow[1, i] - state.flow[0, i])
-            largest[8, i] = max(change, p.fade * largest[8, i])
-            coarse += MISSED * dt * largest[8, i]
-        elif relation == VELOCITY_ACCELERATION:  # a force may have jumped between the samples
-            coarse += 0.5 * dt * abs(measured[2, i] - last[2, i])
-        off, threshold = abs(sums[0, i] - sums[1, i]), p.sums[relation, i] + tolerance * whole
-        threshold += coarse
-        if look(p, state, CHANGE + relation, i, off, threshold) and found < 0:
+            of_late[8, i] = max(change, p.fade * of_late[8, i])
+            missed = MISSED * dt * of_late[8, i]
+        bias = state.bias[relation]
+        other += bias[0, i]
+        if state.counts[NOISE + relation, i] == 0 and state.counts[CHANGE + relation, i] == 0:
+            constant = bias[0, i] + (1.0 - p.memory) * (one - other)
+            bias[0, i] = min(max(constant, -p.bias[relation, i]), p.bias[relation, i])
+            bias[1, i] *= p.memory
+        now, sums = (one, other, least, largest), state.sums[relation]
+        for row in range(4):
+            sums[row, i] = p.fade * sums[row, i] + now[row]
+        late = (sums[0, i], sums[1, i], sums[2, i], sums[3, i])
+        whole = max(abs(sums[0, i]), abs(sums[1, i]), p.memory * of_late[relation, i])
+        single = max(abs(one), abs(other), p.fade * of_late[3 + relation, i])
+        of_late[relation, i], of_late[3 + relation, i] = whole, single
+        unknown = p.bias[relation, i] * bias[1, i] / (1.0 - p.fade)
+        threshold = p.sums[relation, i] + unknown + tolerance * whole + coarse
+        if look_at_sides(p, state, CHANGE + relation, i, late, threshold, missed) and found < 0:
             found = (CHANGE + relation) * n + i
-        if relation == OIL:
-            tolerance = min(tolerance, FOLLOWED + SIGMAS * math.sqrt(covariance[0]))
-        off, threshold = abs(one - other), p.steps[relation, i] + tolerance * single + coarse
-        if look(p, state, NOISE + relation, i, off, threshold) and found < 0:
+        threshold = p.steps[relation, i] + in_step * single + coarse
+        if look_at_sides(p, state, NOISE + relation, i, now, threshold, missed) and found < 0:
             found = (NOISE + relation) * n + i
     return found
 
@@ -354,7 +414,7 @@ def _channels(
     p: DetectorParameters, state: DetectorState, step: int, measured: Floats, i: int
 ) -> int:
     """Whether a channel of an axis repeats one value."""
-    n, found = measured.shape[1], -1
+    n, found = measured.shape[1], SOUND
     for row in range(4):
         if not sees(state, step, row):
             continue
@@ -371,6 +431,8 @@ def _channels(
             threshold = math.log(SAME) / math.log(chance) if chance < 0.5 else np.inf
         if look(p, state, FROZEN + row, i, seen, threshold) and found < 0:
             found = (FROZEN + row) * n + i
+        if seen > SUSPECTED * threshold and p.acts[FROZEN + row]:
+            found = worse(found, SUSPECT)
     return found
 
 

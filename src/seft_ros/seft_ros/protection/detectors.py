@@ -31,7 +31,8 @@ class Detector:
     unit : str
         Of these.
     lasts : float
-        Persistence, s; two samples at least.
+        Persistence, s; three samples at least, as what comes between two shows in both; where it is
+        0, two.
     of_valve : bool
         Whether it knows the flow by the commands, of which a rig may have missed some.
     """
@@ -166,7 +167,8 @@ SHORT = 0.015
 BIAS = 2.0
 """Constant error of a sensor over its RMS noise that is no fault."""
 LARGEST = 0.3
-"""Time constant with which the largest motion is forgotten, s: a quarter of a cycle at 1 Hz."""
+"""Time constant with which the largest motion is forgotten, and over which a bias is the mean, s: a
+quarter of a cycle at 1 Hz."""
 SIGMAS = 6.0
 """Threshold over the RMS of the noise alone."""
 TOLERANCES = (0.1, 0.1, 0.35)
@@ -212,8 +214,12 @@ class DetectorParameters(NamedTuple):
     sums, steps : ndarray
         Noise of the differences of relations (1) to (3), `SIGMAS` times RMS: of sums and of a
         single step, shape (3, n); infinite where a relation is not watched.
+    bias : ndarray
+        Largest mean difference in a step that is no fault, shape (3, n).
+    late : float
+        Time by which a derived velocity is late, s; 0: it is measured.
     rough : ndarray
-        Likewise of the second difference of r, shape (n,), N.
+        Noise of the second difference of r, likewise, shape (n,), N.
     unknown : float
         0; infinite where the specimen is not known.
     tolerance : ndarray
@@ -225,6 +231,9 @@ class DetectorParameters(NamedTuple):
         Samples for which a detector must be beyond its threshold, shape (D,).
     acts : ndarray
         Whether a detector ends the test, shape (D,); 0: it only warns.
+    samples : ndarray
+        Samples as which one counts that no command explains which the rig may hold, so that its
+        detector needs no longer than without commands; shape (D,).
     """
 
     dt: float
@@ -243,12 +252,15 @@ class DetectorParameters(NamedTuple):
     limited: int
     sums: Floats
     steps: Floats
+    bias: Floats
+    late: float
     rough: Floats
     unknown: float
     tolerance: Floats
     off_target: float
     persistence: Ints
     acts: Ints
+    samples: Ints
 
 
 class DetectorState(NamedTuple):
@@ -266,7 +278,14 @@ class DetectorState(NamedTuple):
     sent : ndarray
         Past commands as they act under load, the newest first, shape (n, m), V.
     sums : ndarray
-        Both sides of relations (1) to (3), shape (3, 2, n).
+        Both sides of relations (1) to (3), and the least and the largest that the left one may be
+        where the rig holds a command; shape (3, 4, n).
+    bias : ndarray
+        Mean difference of the sides of relations (1) to (3) in a step of late, and the part of the
+        largest bias that it may still leave out; shape (3, 2, n).
+    flows : ndarray
+        Left side of relation (3) of the last steps, for as long as the rig may hold a command, the
+        newest first, m; shape (n, h).
     largest : ndarray
         Largest of these of late, of a single step, of the target's motion, of r, and of the change
         of the flow in a step (m/s); shape (9, n).
@@ -301,6 +320,8 @@ class DetectorState(NamedTuple):
     covariance: Floats
     sent: Floats
     sums: Floats
+    bias: Floats
+    flows: Floats
     largest: Floats
     restoring: Floats
     work: Floats
@@ -365,8 +386,11 @@ def detector_arrays(
     steps = np.sqrt(2.0 * jumps**2 + rates**2 / 2.0)
     rough = np.sqrt(6.0 * (f**2 + mass**2 @ a**2))
     unknown = 0.0 if mass.any() and stiffness.any() else math.inf
-    spans = [each.lasts + longest_hold * each.of_valve for each in DETECTORS]
-    lasts = [max(2, math.ceil(span / dt - 1e-9)) for span in spans]
+    spans = np.array([[each.lasts, longest_hold * each.of_valve] for each in DETECTORS])
+    shortest, lasts = (
+        np.maximum(2 + (spans[:, 0] > 0.0), np.ceil(span / dt - 1e-9).astype(np.int64))
+        for span in (spans[:, 0], spans.sum(axis=1))
+    )
     acts = [each.name not in warn_only for each in DETECTORS]
     parameters = DetectorParameters(
         dt=dt,
@@ -383,14 +407,17 @@ def detector_arrays(
         dither=noise,
         range=np.where(ranges > 0.0, ranges, np.inf),
         limited=math.ceil(LIMITED / dt),
-        sums=SIGMAS * sums + BIAS * rates / (1.0 - fade),
+        sums=SIGMAS * sums,
+        bias=BIAS * rates,
+        late=UNCERTAIN_DELAY if velocity_is_derived else 0.0,
         steps=SIGMAS * steps,
         rough=SIGMAS * rough + unknown,
         unknown=unknown,
         tolerance=np.array(TOLERANCES),
         off_target=OFF_TARGET,
-        persistence=np.array(lasts),
+        persistence=lasts,
         acts=np.array(acts, dtype=np.int64),
+        samples=-(-lasts // shortest),
     )
     state = DetectorState(
         last=np.zeros((4, n)),
@@ -399,7 +426,9 @@ def detector_arrays(
         errors=np.zeros((n, 2)),
         covariance=np.zeros((n, 3)),
         sent=np.zeros_like(past[0]),
-        sums=np.zeros((3, 2, n)),
+        sums=np.zeros((3, 4, n)),
+        bias=np.zeros((3, 2, n)),
+        flows=np.zeros((n, 1 + math.ceil(longest_hold / dt - 1e-9))),
         largest=np.zeros((9, n)),
         restoring=np.zeros((3, n)),
         work=np.zeros(3),
@@ -426,14 +455,23 @@ NO_RESPONSE, TRACKING, FROZEN = range(9, 12)
 
 @compiled
 def look(
-    p: DetectorParameters, state: DetectorState, row: int, i: int, seen: float, threshold: float
+    p: DetectorParameters,
+    state: DetectorState,
+    row: int,
+    i: int,
+    seen: float,
+    threshold: float,
+    samples: int = 1,
 ) -> bool:
-    """Hold what a detector sees against its threshold; say whether it has persisted and acts."""
+    """Hold what a detector sees against its threshold; say whether it has persisted and acts.
+
+    A sample that is beyond the threshold counts as so many `samples`.
+    """
     share = seen / threshold if threshold > 0.0 else 0.0
     if share > state.shares[row, i]:
         state.shares[row, i] = share
     count = state.counts[row, i]
-    state.counts[row, i] = count = count + 1 if share > 1.0 else max(count - 1, 0)
+    state.counts[row, i] = count = count + samples if share > 1.0 else max(count - 1, 0)
     if count >= p.persistence[row] and p.acts[row]:
         state.found[0], state.found[1] = seen, threshold
         return True
