@@ -19,7 +19,7 @@ from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.processes import MODULES
 
 _WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
-_OFFLINE = ("simulate", "compare")
+_OFFLINE = ("simulate", "compare", "preflight", "recover", "report")
 """Commands that run in this process: to start one takes longer than most of what they do."""
 _PATH = os.environ.get("PYTHONPATH")  # a test that changes it wants others' packages to be found
 _domains = itertools.count(os.getpid() % 50)

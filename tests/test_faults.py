@@ -32,6 +32,8 @@ from seft_ros.test_run.processes import MODULES
 
 NO_COMMAND_ALLOWED = ("-p", "supervisor:watchdog.command_timeout:=60.0")
 """In realtime, the rig waits until the supervisor has found out who is silent."""
+UNREHEARSED = ("-p", "supervisor:rehearsal.duration:=0.0")
+"""A busy machine must not refuse a test."""
 LONG = ("-p", "ground_motion:synthetic.duration:=400.0")
 LONG_RAMP = ("-p", "reference_force:ramp_down_time:=60.0")
 STOPPED = b"stopped by the operator"
@@ -50,7 +52,7 @@ class Run:
 
     def __init__(self, start, folder, *words, **options):
         self._bag = folder / "bag"
-        words = (*LONG, *NO_COMMAND_ALLOWED, *MISSES_ALLOWED, *words)
+        words = (*LONG, *NO_COMMAND_ALLOWED, *UNREHEARSED, *MISSES_ALLOWED, *words)
         words = ("seft_ros.cli.main", "run", JHU, *words, "--out", "bag")
         self.process = start(*words, **options)
         self.nodes = {}

@@ -60,14 +60,11 @@ EXPERIMENTS = {
     ),
 }
 
-IN_SHORT = (
-    *("servo_hydraulic", "coupled_axes"),
-    *("target_motion_yielding", "target_motion_behind_a_link"),
-)
-
+SQLITE3 = ("-p", "recorder:storage:=sqlite3")
+IN_SHORT = ("target_motion_yielding", "target_motion_behind_a_link")
+"""Beside `ESTIMATED_DELAY`, and the plain loop in one process (test_composed.py)."""
 ESTIMATED_DELAY = (
-    *("-p", "axes:=[north, east]"),
-    *("-p", "ground_motion:influence:=[1.0, 0.5]"),
+    *EXPERIMENTS["coupled_axes"],
     *("-p", "reference_force:mass_ratio:=0.5"),
     *("-p", "reference_force:compensation.method:=linear_acceleration"),
     *("-p", "reference_force:compensation.delay:=0.012"),
@@ -77,9 +74,10 @@ ESTIMATED_DELAY = (
 
 @pytest.mark.parametrize("name", thorough_but(EXPERIMENTS, IN_SHORT))
 def test_lockstep_over_dds_gives_the_bits_of_the_offline_loop(seft_json, name):
+    """The one bag is of mcap, the other of sqlite3."""
     words = (JHU, *SHORT, *EXPERIMENTS[name])
     simulated = seft_json("simulate", *words, "--out", "simulated")
-    lockstep = seft_json("run", *words, *LOCKSTEP, "--out", "lockstep")
+    lockstep = seft_json("run", *words, *LOCKSTEP, *SQLITE3, "--out", "lockstep")
     compared = seft_json("compare", "simulated", "lockstep")
     assert compared["identical"] is True
     assert compared["first_difference"] is None
@@ -114,7 +112,7 @@ def test_estimates_over_dds_are_those_of_the_offline_loop(seft_json, tmp_path):
         EXPERIMENTS["servo_hydraulic"],
         thorough(ESTIMATED_DELAY),
         EXPERIMENTS["target_motion_behind_a_link"],
-        EXPERIMENTS["target_motion"],
+        thorough(EXPERIMENTS["target_motion"]),
     ],
 )
 def test_realtime_differs_only_from_the_first_missed_command_on(seft_json, tmp_path, experiment):
@@ -144,13 +142,6 @@ def test_a_trip_ends_all_three_ways_of_running_at_the_same_sample(seft_json):
     assert simulated["trip"]["reason"].startswith("acceleration")
     assert simulated["stable"] is lockstep["stable"] is False
     assert seft_json("compare", "simulated", "lockstep")["identical"] is True
-
-
-def test_bags_of_both_storages_hold_the_same_test(seft_json):
-    words = (JHU, *SHORT, *LOCKSTEP)
-    seft_json("run", *words, "--out", "mcap")
-    seft_json("run", *words, "-p", "recorder:storage:=sqlite3", "--out", "sqlite3")
-    assert seft_json("compare", "mcap", "sqlite3")["identical"] is True
 
 
 def test_a_target_comes_to_rest_at_the_same_sample_in_both_ways(seft_json, tmp_path):

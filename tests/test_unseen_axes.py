@@ -117,7 +117,7 @@ def test_a_rig_of_springs_that_yield_is_within_5_percent_of_the_whole_structure(
     assert summary["displacement"]["nrmse"] < 0.045
 
 
-@pytest.mark.parametrize(("n", "seed"), axes_and_seeds(2, at_once=[(5, 0)]))
+@pytest.mark.parametrize(("n", "seed"), axes_and_seeds(2, at_once=[(6, 0)]))
 def test_a_frame_is_near_the_whole_structure_also_where_its_storeys_yield(n, seed):
     _, summary = simulated(*SHORT, *frame(n, seed))
     assert summary["displacement"]["nrmse"] < 0.012

@@ -24,7 +24,9 @@ HOME = Path(__file__).parents[1]
 KILLED = HOME / "build" / "mutants.txt"
 PLANT, ROS = "src/seft_plant_sim/", "src/seft_ros/"
 PROTECTION, CONTROL = f"{ROS}seft_ros/protection/", f"{ROS}seft_ros/force_controller/"
-DETECTOR_TESTS = (f"{ROS}test/test_protection_detectors.py",)
+DETECTOR_TESTS = tuple(
+    f"{ROS}test/test_protection_{name}.py" for name in ("detectors", "detector_memory")
+)
 CONTROL_TESTS = (f"{ROS}test/test_force_controller_interlock.py", "-knot offline_loop")
 FORCE_TESTS = tuple(
     f"{ROS}test/test_protection_{name}.py" for name in ("protected_force", "plausibility")

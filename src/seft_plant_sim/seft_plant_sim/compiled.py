@@ -4,12 +4,14 @@ import hashlib
 import math
 import os
 from collections.abc import Callable, Hashable
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numba as typed_numba
 import numpy as np
+from numba.core import caching
 from seft_msgs_py.arrays import Floats
 
 numba: Any = typed_numba  # older ones have no types
@@ -34,16 +36,42 @@ def compiled[F: Callable[..., Any]](function: F, *, nogil: bool = False) -> F:
     nogil : bool
         Whether it lets go of the interpreter's lock when Python calls it.
     """
-    # numba looks at the file of a function alone, not at what it calls: each text of the package
-    # has its own cache
-    place, known = code_folder(Path(function.__code__.co_filename).parent), numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(place)
-    try:
-        return numba.njit(cache=True, nogil=nogil, **OPTIONS)(function)
-    except RuntimeError:
-        return numba.njit(nogil=nogil, **OPTIONS)(function)
-    finally:
-        numba.config.CACHE_DIR = known
+    made = numba.njit(nogil=nogil, **OPTIONS)(function)
+    with suppress(RuntimeError):  # it can't be written to
+        made._cache = _CACHE(function)
+    return made
+
+
+class _ByText(caching._CacheLocator):
+    """Where numba keeps the machine code of a function: by the texts it may depend on.
+
+    numba itself goes by the path of its file, and by the text of this one alone.
+    """
+
+    def __init__(self, function: Any, file: str) -> None:
+        self._file, self._line = Path(file), function.__code__.co_firstlineno
+
+    @classmethod
+    def from_function(cls, function: Any, file: str) -> Any:
+        found: Any = cls(function, file)
+        try:
+            found.ensure_cache_path()
+        except OSError:
+            return None
+        return found
+
+    def get_cache_path(self) -> str:
+        return str(code_folder(self._file.parent))
+
+    def get_source_stamp(self) -> str:
+        return ""  # the folder's name tells the text
+
+    def get_disambiguator(self) -> str:
+        return f"{self._file.parent.name}-{self._line}"
+
+
+_PLACES = type("Places", (caching.CompileResultCacheImpl,), {"_locator_classes": [_ByText]})
+_CACHE = type("Cache", (caching.FunctionCache,), {"_impl_class": _PLACES})
 
 
 def entry_point(function: Any, *arguments: Any, kind: Hashable = None) -> Callable[..., Any]:

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, lfilter, sosfilt
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import InputError
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.protection.instability import (
@@ -161,14 +162,17 @@ def test_in_a_perfect_test_both_accelerations_are_one_and_pass_butterworths_high
     ground = motion(1, 600, n)
     exact = reference_response(test, ground)
     states = np.stack([exact.displacement, exact.velocity, exact.acceleration, exact.force], axis=1)
-    filtered = np.empty((600, 2, n))
+    filtered, whole = np.empty((600, 2, n)), np.empty((600, n))
     for step, state in enumerate(states):
         guard.step(ground[step], state)
         filtered[step] = guard.state.result[-3 * n : -n].reshape(2, n)
+        whole[step] = guard.state.result[-n:]
     sections = butter(4, 30.0, "high", fs=500, output="sos")
     wanted = sosfilt(sections, exact.acceleration, axis=0)
     np.testing.assert_allclose(filtered[:, 1], wanted, atol=1e-9)
     np.testing.assert_allclose(filtered[:, 0], wanted, atol=1e-3 * np.abs(wanted).max())
+    largest = np.abs(exact.acceleration).max()
+    np.testing.assert_allclose(whole, exact.acceleration, atol=1e-3 * largest)
 
 
 def bare_step(patience, ratio=2.0, least=1e-4, axes=2):
@@ -224,3 +228,51 @@ def test_vibration_at_the_ratio_is_none_and_beyond_it_counts_until_the_patience_
     parameters, state = bare_step(4.5, least=1.0, axes=1)
     parameters, measured = parameters._replace(average=0.0), np.array([[0.0], [0.0], [3.0], [0.0]])
     assert [watch_step(parameters, state, np.zeros(1), measured) for _ in range(2)] == [False, True]
+
+
+def test_what_does_not_shake_is_no_vibration_however_small_the_ratio_is():
+    parameters, state = bare_step(6.0, ratio=0.5, axes=1)
+    assert not watch_step(parameters, state, np.zeros(1), np.zeros((4, 1)))
+    assert state.above[0] == 0.0
+
+
+def test_times_become_factors_and_numbers_of_steps():
+    found = watch().parameters
+    assert found.average == pytest.approx(math.exp(-0.002 / 0.1), rel=1e-12)
+    assert found.memory == pytest.approx(math.exp(-2.0 * 0.002 / 2.0), rel=1e-12)
+    assert found.patience == pytest.approx(50.0, rel=1e-12)
+    assert (found.ratio, found.least) == (RATIO, FLOOR**2)
+
+
+def test_the_band_begins_above_the_specimen_s_frequency_and_at_most_at_a_quarter_of_the_rate():
+    def lowest(stiffness):
+        one = known_of(*(np.array([[value]]) for value in (1.0, 1.0, 0.0, stiffness)))
+        guard = watch(one)
+        guard.state.squares[:] = 1.0
+        return float(guard.describe().split()[3])
+
+    hz = (2.0 * math.pi * np.array([0.0, 0.0, 0.01, 10.0, 62.4, 62.6, 1000.0])) ** 2
+    hz[0] = -1.0  # it bends away
+    assert [lowest(one) for one in hz] == [0.0, 0.0, 0.02, 20.0, 125.0, 125.0, 125.0]
+
+
+@pytest.mark.parametrize("dt", [0.002, 0.01])
+def test_a_band_beyond_what_is_sampled_is_refused_with_the_largest(dt):
+    one = dataclasses.replace(ONE, dt=dt)
+    watch(one, lowest=0.4499 / dt)
+    with pytest.raises(InputError) as told:
+        watch(one, lowest=0.45 / dt)
+    most, rate = {0.002: ("225", "500"), 0.01: ("45", "100")}[dt]
+    assert f"{most} Hz is beyond what is sampled at {rate} Hz; take less than {most} Hz" in str(
+        told.value
+    )
+
+
+def test_what_is_told_is_of_the_axis_that_is_most_beyond_its_own():
+    two = known_of(*(np.kron(np.eye(2), part) for part in (52.7, 52.7, 800.0, 2.11e5)))
+    guard = watch(two)
+    guard.state.squares[1], guard.state.squares[2] = (100.0, 36.0), (25.0, 1.0)
+    assert guard.describe() == (
+        "instability: acceleration above 20.1 Hz on axis axis1 is 6 m/s^2 RMS, 6 times what the "
+        "structure has under the measured restoring force (limit 5)"
+    )

@@ -143,6 +143,7 @@ DISPLAY_UNITS = {
     "delay": ("ms", 1e3),
     "stiffness": ("kN/m", 1e-3),
     "damping": ("N s/m", 1.0),
+    "friction": ("N", 1.0),
 }
 """Quantity -> the unit in which it is displayed, and the factor from SI."""
 RESPONSES = ("displacement", "force", "acceleration")

@@ -100,6 +100,7 @@ class SupervisorNode(NodeBody):
         self._lost: set[str] = set()  # nodes that have fallen silent in this test
         self._published: Status | None = None
         self._logged = self._warned = ""  # the last line of the log, and of a rehearsal
+        self._is_unfit = False  # a rehearsal stands against a test
         self._asked = 0.0  # s for which the rig shall rehearse
         self._message = b""
         self._published_at = self._polled_graph_at = self._reported_at = self._now - AGES_PERIOD
@@ -177,6 +178,7 @@ class SupervisorNode(NodeBody):
         self._heard["supervisor"] = Heard(own, self._now)
         heard, described = self._heard, self._descriptions
         lack = missing(self._peers, heard, described, self._now, self._timeout, self._rigs)
+        self._is_unfit = False
         self._machine.peers(lack or self._rehearsal())
 
     def _rehearsal(self) -> str:
@@ -187,6 +189,7 @@ class SupervisorNode(NodeBody):
         if found.warning and found.warning != self._warned:
             self._warned = found.warning
             self._shell.node.get_logger().warning(found.warning)
+        self._is_unfit = bool(found.refusal)
         if found.asked:
             return RUNS
         return f"{UNFIT}{found.refusal}" if found.refusal else ""
@@ -224,7 +227,7 @@ class SupervisorNode(NodeBody):
 
     def _reset(self) -> Answer:
         """Make the next test possible; while a rehearsal stands against it, ask for another one."""
-        is_unfit = self._machine.state is State.IDLE and UNFIT in self._machine.detail
+        is_unfit = self._machine.state is State.IDLE and self._is_unfit
         if is_unfit and self._descriptions[RIG].pop(REHEARSED, None) is not None:
             return Answer(True, "the loop is rehearsed once more")
         return self._machine.reset(moving=any(self._phase(n) == "running" for n in self._rig_nodes))

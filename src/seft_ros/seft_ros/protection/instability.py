@@ -191,7 +191,6 @@ class InstabilityWatch:
         self.state = WatchState(work, result, np.zeros((4, n)), np.zeros(1))
         arguments = self.state.squares[EXPLAINED], np.zeros((4, n))
         self._step = entry_point(watch_step, self.parameters, self.state, *arguments)
-        self.reset()
 
     @classmethod
     def from_parameters(
@@ -211,7 +210,6 @@ class InstabilityWatch:
         """Begin a new test, at rest."""
         for values in self.state:
             values[:] = 0.0
-        self.state.squares[EXPECTED] = self.parameters.least
 
     def step(self, ground_motion: Floats, state: Floats) -> str | None:
         """Look at one step, see `watch_step`; one line with what is wrong, if anything."""

@@ -1,0 +1,78 @@
+"""What detectors keep from sample to sample, and from test to test."""
+
+import math
+
+import numpy as np
+import pytest
+from seft_ros.protection.detector_step import begin_detectors, detect, find_flow
+from seft_ros.protection.detectors import DETECTORS, FROZEN, TRACKING
+from test_protection_detectors import ACTUATOR, NO_TARGET, NOISE, detectors
+
+N = NOISE.shape[1]
+
+
+def test_a_test_begins_without_what_was_seen_in_the_one_before():
+    _, state = detectors()
+    for values in state:
+        values[:] = 7
+    begin_detectors(state)
+    emptied = ("sent", "errors", "sums", "largest", "work", "response", "bends", "repeats")
+    for name in (*emptied, "counts", "shares"):
+        assert not getattr(state, name).any(), name
+    assert np.isinf(state.resolution).all()
+    assert (state.step < -(10**9)).all()
+
+
+@pytest.mark.parametrize(
+    ("lost", "held"),
+    [
+        (0, [1.0, 2.0, 3.0, 4.0]),
+        (1, [1.0, 1.0, 2.0, 3.0]),
+        (2, [1.0, 1.0, 1.0, 2.0]),
+        (9, [1.0, 1.0, 1.0, 1.0]),
+    ],
+)
+def test_of_lost_samples_the_last_command_was_held(lost, held):
+    rng = np.random.default_rng(1)
+    past = rng.normal(size=(2, N, 4))
+    p, state = detectors(past=past)
+    state.sent[:] = [[1.0, 2.0, 3.0, 4.0], [10.0, 20.0, 30.0, 40.0]]
+    before = rng.normal(size=(2, N))
+    state.flow[1], state.later[1] = before
+    find_flow(p, state, lost)
+    sent = np.outer([1.0, 10.0], held)
+    np.testing.assert_array_equal(state.sent, sent)
+    found = ACTUATOR[:, 0] * (past * sent).sum(axis=2)
+    np.testing.assert_allclose(state.flow, [before[0], found[0]], rtol=1e-12)
+    np.testing.assert_allclose(state.later, [before[1], found[1]], rtol=1e-12)
+
+
+def test_a_target_on_the_other_side_is_told_of_its_axis_with_its_largest_of_late():
+    alone = [one.name for one in DETECTORS if one.name != "tracking"]
+    p, state = detectors(alone)
+    at, found, largest = (0.004, 0.003), [], np.zeros(N)
+    for step in range(11):
+        target = np.array([0.004, -0.01 if step < 2 else -0.0099])
+        points, measured = np.zeros((1, 3, N)), np.zeros((4, N))
+        points[0, 0], measured[0] = target, at
+        state.shares[:] = 0.0
+        found.append(detect(p, state, step, points, measured))
+        if step:
+            of_both = np.maximum(np.abs(target), at)
+            largest = np.maximum(of_both, p.memory * largest)
+            share = np.abs(target - at) / (p.sums[0] + p.off_target * largest)
+            np.testing.assert_allclose(state.shares[TRACKING], share, rtol=1e-12)
+    assert found[-2:] == [-1, TRACKING * N + 1]
+
+
+@pytest.mark.parametrize("chance", [0.1, 0.499, 0.5, 0.7, 1.5])
+def test_of_a_sensor_coarser_than_its_noise_no_value_is_frozen(chance):
+    p, state = detectors()
+    coarse = chance * 2.0 * math.sqrt(math.pi) * NOISE[0, 0]
+    for step, value in enumerate((0.0, coarse, coarse)):
+        measured = np.zeros((4, N))
+        measured[0, 0] = value
+        state.shares[:] = 0.0
+        detect(p, state, step, NO_TARGET, measured)
+    share = math.log(chance) / math.log(1e-9) if chance < 0.5 else 0.0
+    assert state.shares[FROZEN, 0] == pytest.approx(share, rel=1e-9)
