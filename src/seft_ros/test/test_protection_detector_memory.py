@@ -16,8 +16,8 @@ def test_a_test_begins_without_what_was_seen_in_the_one_before():
     for values in state:
         values[:] = 7
     begin_detectors(state)
-    emptied = ("sent", "errors", "sums", "largest", "work", "response", "bends", "repeats")
-    for name in (*emptied, "counts", "shares"):
+    emptied = ("sent", "errors", "sums", "corners", "largest", "work", "response", "bends")
+    for name in (*emptied, "repeats", "counts", "shares"):
         assert not getattr(state, name).any(), name
     assert np.isinf(state.resolution).all()
     assert (state.step < -(10**9)).all()
@@ -47,7 +47,7 @@ def test_of_lost_samples_the_last_command_was_held(lost, held):
     np.testing.assert_allclose(state.later, [before[1], found[1]], rtol=1e-12)
 
 
-def test_a_target_on_the_other_side_is_told_of_its_axis_with_its_largest_of_late():
+def test_tracking_is_compared_with_the_largest_recent_motion_of_its_axis():
     alone = [one.name for one in DETECTORS if one.name != "tracking"]
     p, state = detectors(alone)
     at, found, largest = (0.004, 0.003), [], np.zeros(N)
@@ -60,7 +60,8 @@ def test_a_target_on_the_other_side_is_told_of_its_axis_with_its_largest_of_late
         if step:
             of_both = np.maximum(np.abs(target), at)
             largest = np.maximum(of_both, p.memory * largest)
-            share = np.abs(target - at) / (p.sums[0] + p.off_target * largest)
+            bias = p.bias[0] / (1.0 - p.fade)
+            share = np.abs(target - at) / (p.sums[0] + bias + p.off_target * largest)
             np.testing.assert_allclose(state.shares[TRACKING], share, rtol=1e-12)
     assert found[-2:] == [-1, TRACKING * N + 1]
 

@@ -76,7 +76,7 @@ def faded(values, factor):
     return lfilter([1.0], [1.0, -factor], values, axis=0)
 
 
-def largest_of_late(values, factor):
+def largest_recent(values, factor):
     scale = factor ** np.arange(len(values))[:, np.newaxis]
     return np.maximum.accumulate(np.abs(values) / scale) * scale
 
@@ -92,7 +92,7 @@ def coarse(values):
     return np.vstack([np.zeros((1, N)), 2.0 * least[:-1]])
 
 
-def relation(p, row, one, other, rough, tolerance):
+def relation(p, row, one, other, rough, tolerance, corners=0.0, jump=0.0):
     """Shares of the sums and of the single steps of a relation."""
     bias, right, left = np.zeros(N), [], p.bias[row] / (1.0 - p.fade)
     for k in range(len(one)):
@@ -101,10 +101,10 @@ def relation(p, row, one, other, rough, tolerance):
         bias = np.clip(bias, -p.bias[row], p.bias[row])
     other, unknown = np.array(right), p.memory ** np.arange(1, 1 + len(one))[:, np.newaxis] * left
     sums = faded(one, p.fade), faded(other, p.fade)
-    whole = np.maximum(*(largest_of_late(each, p.memory) for each in sums))
-    single = np.maximum(*(largest_of_late(each, p.fade) for each in (one, other)))
-    of_sums = p.sums[row] + unknown + p.tolerance[row] * whole + rough
-    of_steps = p.steps[row] + tolerance * single + rough
+    whole = np.maximum(*(largest_recent(each, p.memory) for each in sums))
+    single = np.maximum(*(largest_recent(each, p.fade) for each in (one, other)))
+    of_sums = p.sums[row] + unknown + p.tolerance[row] * whole + rough + corners
+    of_steps = p.steps[row] + tolerance * single + rough + jump
     return np.abs(sums[0] - sums[1]) / of_sums, np.abs(one - other) / of_steps
 
 
@@ -137,7 +137,9 @@ def test_each_relation_is_held_against_its_threshold(drive):
     np.testing.assert_allclose(seen[1:, rows.CHANGE], found[0], rtol=1e-9)
     np.testing.assert_allclose(seen[1:, rows.NOISE], found[1], rtol=1e-9)
     jump = 0.5 * DT * np.abs(steps[:, 2])
-    found = relation(p, 1, steps[:, 1], DT * mean(a), coarse(v) + jump, 0.1)
+    sharp = np.abs(np.diff(steps[:, 2], axis=0, prepend=np.zeros((1, N))))
+    corners = faded(0.25 * DT * np.maximum(sharp - 6.0 * math.sqrt(6.0) * NOISE[2], 0.0), p.fade)
+    found = relation(p, 1, steps[:, 1], DT * mean(a), coarse(v), 0.1, corners, jump)
     np.testing.assert_allclose(seen[1:, rows.CHANGE + 1], found[0], rtol=1e-9)
     np.testing.assert_allclose(seen[1:, rows.NOISE + 1], found[1], rtol=1e-9)
     flow, later = (flows(commands, f, past) for past in PAST)
@@ -151,7 +153,7 @@ def test_each_relation_is_held_against_its_threshold(drive):
         for i in range(N):
             follow_valve(errors[i], covariance[i], w[i], d[i], other[k, i] / DT, p.doubt[i])
         tolerance[k] = 0.1 + 6.0 * np.sqrt(covariance[:, 0])
-    held = 2.0 * DT * largest_of_late(np.diff(flow, axis=0), p.fade)
+    held = 2.0 * DT * largest_recent(np.diff(flow, axis=0), p.fade)
     found = relation(p, 2, one, other, coarse(f) / oil + held, np.minimum(tolerance, 0.35))
     np.testing.assert_allclose(seen[1:, rows.CHANGE + 2], found[0], rtol=1e-9)
     np.testing.assert_allclose(seen[1:, rows.NOISE + 2], found[1], rtol=1e-9)
@@ -337,7 +339,7 @@ def test_work_against_the_specimen_is_told_of_all_axes_at_once(axis):
 
 
 SLOW, FAST = 0.1, 1e-3
-"""Fastest motion of late, m in a sample, against which 2 mm are little and much."""
+"""Fastest recent motion, m in a sample, against which 2 mm are little and much."""
 
 
 @pytest.mark.parametrize(
@@ -390,7 +392,7 @@ def test_a_force_that_jumps_back_and_forth_is_counted_as_noise():
         (1, 2),
     ]:
         state.step[rows.TURN_AT], state.largest[7, 1] = 50 - turned, 0.0
-        limit = p.rough[1] + curved + (200.0 if turned < 4 else 0.0)
+        limit = p.rough[1] + curved + (400.0 if turned < 4 else 0.0)
         bend = math.copysign(1.0, excess) * limit * (1.0 + (1e-6 if excess else -1e-6))
         state.restoring[:, 1] = 200.0, 70.0, 270.0 + bend
         state.counts[rows.JUMP, 1] = 0
@@ -435,10 +437,10 @@ def test_the_specimen_is_held_against_its_thresholds():
     np.testing.assert_allclose(seen[1:, rows.SECOND_ORDER_WORK, 0], share, rtol=1e-9, atol=1e-15)
     assert not seen[:, rows.SECOND_ORDER_WORK, 1].any()
     inertia = faded((change[:, 2] @ COMPUTED) ** 2, p.short)
-    samples_of_late, white = 1.0 / (1.0 - p.short), 2.0 * NOISE[3] ** 2
+    recent_samples, white = 1.0 / (1.0 - p.short), 2.0 * NOISE[3] ** 2
     hiss = 2.0 * COMPUTED**2 @ NOISE[2] ** 2
-    is_noise = faded(change[:, 3] ** 2, p.short) < 2.0 * samples_of_late * white
-    share = np.where(is_noise, inertia / (25.0 * samples_of_late * (white + hiss)), 0.0)
+    is_noise = faded(change[:, 3] ** 2, p.short) < 2.0 * recent_samples * white
+    share = np.where(is_noise, inertia / (25.0 * recent_samples * (white + hiss)), 0.0)
     assert 0 < is_noise.sum() < is_noise.size
     np.testing.assert_allclose(seen[1:, rows.NO_RESPONSE], share, rtol=1e-9)
 
@@ -697,6 +699,7 @@ def test_thresholds_are_six_times_what_noise_makes_of_each_relation():
     rough = 6.0 * rms([1.0, -2.0, 1.0]) * np.sqrt(f**2 + MASS**2 @ a**2)
     np.testing.assert_allclose(p.rough, rough, rtol=1e-9)
     assert (p.short, p.memory) == (math.exp(-DT / 0.015), math.exp(-DT / 0.3))
+    assert detectors(dt=0.004)[0].short == math.exp(-1.0 / 7.0)
 
 
 def test_a_valve_without_gain_or_oil_and_a_specimen_without_stiffness_are_not_known():

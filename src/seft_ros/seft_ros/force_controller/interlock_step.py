@@ -91,7 +91,7 @@ def begin_control(
     """Say whether a step is to be answered by the controller; else its command is given.
 
     The controller is to answer `InterlockState.plan` and `InterlockState.sample`. While a sample
-    is under suspicion, these are the motion that the last sound target has predicted for this step;
+    is suspect, these are the motion that the last sound target has predicted for this step;
     where there is no target, the last sound command holds. Once it has tripped, the valve closes
     from there: a valve that closes at once on a moving mass makes the oil hammer.
 

@@ -7,8 +7,8 @@ displacement x, velocity v, acceleration a, actuator force f and the valve's flo
     change of v = integral of a                                                            (2)
     integral of w = integral of (v + lambda f / k_oil) + change of f / k_oil               (3)
 
-Each side is summed with a memory of `MEMORY`, so that a slow fault shows, too; their difference
-is without its mean of late, which is the bias of a sensor. The specimen's force
+Each side is summed with a memory of `MEMORY`, so that a slow fault shows, too. The mean of their
+recent differences, which is the bias of a sensor, is subtracted. The specimen's force
 r = f - M a does work on the structure; where the specimen is deformed further, its increment is not
 opposed to that of the deformation (Hill's second-order work, 1958)::
 
@@ -57,13 +57,17 @@ SLIP, BREAK, STIFFEST = 0.35, 0.25, 6.0
 motion, and with it so many times its assumed stiffness."""
 TURNED, TURN, MOVES = 3, 2.0, 0.2
 """Samples after a turn of the motion in which friction turns round, what that makes of the force,
-and the part of the fastest motion of late from which on a specimen does not stick."""
+and the part of the fastest recent motion from which on a specimen does not stick."""
 SILENT = 25.0
 """Mean square of the change of the computed mass's force over that of the noise, from which on a
 force that is but noise does not answer."""
+CORNER = SIGMAS * math.sqrt(6.0)
+"""Second difference of an acceleration that is more than noise, over the RMS of the noise. A jump
+between two samples shows in two of them, and makes the trapezoidal rule of (2) wrong by half of
+it."""
 ALTERNATE = 0.33
-"""Part of the samples of late at which r jumps back, as with noise: white noise that is far beyond
-its threshold does so in 2 of 3, a specimen that bangs or an oil column that rings in 1 of 3."""
+"""Part of the recent samples at which r alternates: white noise far beyond its threshold does so in
+2 of 3, a specimen with impacts or a ringing oil column in 1 of 3."""
 
 
 @compiled
@@ -81,11 +85,11 @@ def look_at_restoring_force(
     moves = p.steps[DISPLACEMENT_VELOCITY, i] + MOVES * state.largest[3, i]
     slips = moved < moves or step - state.step[TURN_AT] <= TURNED
     largest = state.largest[7, i]
-    if state.counts[JUMP, i] == 0:  # what is under suspicion is no measure
+    if state.counts[JUMP, i] == 0:  # a suspect sample is no measure
         largest = max(abs(r[0, i]), p.memory * largest)
         state.largest[7, i] = largest
-    # noise jumps to and fro, a blow rings
-    bend, limit = change - r[1, i], p.rough[i] + abs(curvature) + (largest if slips else 0.0)
+    # noise alternates, an impact rings
+    bend, limit = change - r[1, i], p.rough[i] + abs(curvature) + (TURN * largest if slips else 0.0)
     bend = bend if abs(bend) > limit else 0.0
     alternates = 1.0 if bend * state.bends[0, i] < 0.0 else 0.0
     state.bends[0, i] = bend
@@ -144,7 +148,7 @@ CHANNEL, OTHER = (0, 1, 3), (1, 2, 1)
 ACCELERATION, FORCE = 2, 3
 """Rows of these channels."""
 OF_SENSORS = (0, 1, 3, 4, SECOND_ORDER_WORK, JUMP)
-"""Those which put a sample under suspicion."""
+"""Those which make a sample suspect."""
 SOUND, SUSPECT = -1, -2
 """What `detect` gives where no detector ends the test: nothing is beyond its threshold, or the
 sample is not to be used."""
@@ -165,6 +169,7 @@ def begin_detectors(state: DetectorState) -> None:
     begin_following(state.errors, state.covariance)
     state.sums[:] = 0.0
     state.flows[:] = 0.0
+    state.corners[:] = 0.0
     state.bias[:, 0] = 0.0
     state.bias[:, 1] = 1.0
     state.largest[:] = 0.0
@@ -326,7 +331,7 @@ def look_at_sides(
     threshold: float,
     missed: float,
 ) -> bool:
-    """Hold the sides of a relation against each other.
+    """Compare the sides of a relation.
 
     Parameters
     ----------
@@ -353,12 +358,12 @@ def _relations(
 ) -> int:
     """Relations (1) to (3) of an axis."""
     n, dt, last, found = measured.shape[1], p.dt, state.last, -1
-    oil, leakage, of_late = p.actuator[i, 1], p.actuator[i, 2], state.largest
+    oil, leakage, recent = p.actuator[i, 1], p.actuator[i, 2], state.largest
     moved = 0.5 * dt * (measured[1, i] + last[1, i])
     for relation in range(3):
         if not (sees(state, step, CHANNEL[relation]) and sees(state, step, OTHER[relation])):
             continue
-        tolerance, missed = p.tolerance[relation], 0.0
+        tolerance, missed, jump = p.tolerance[relation], 0.0, 0.0
         in_step, coarse = tolerance, 2.0 * state.resolution[CHANNEL[relation], i]
         coarse = coarse if coarse < np.inf else 0.0
         if relation == DISPLACEMENT_VELOCITY:
@@ -369,8 +374,12 @@ def _relations(
             one = measured[1, i] - last[1, i]
             other = 0.5 * dt * (measured[2, i] + last[2, i])
             least = largest = one
-            # a force may have jumped between the samples
-            coarse += (0.5 * dt + p.late) * abs(measured[2, i] - last[2, i])
+            rise = measured[2, i] - last[2, i]
+            coarse += p.late * abs(rise)
+            jump = 0.5 * dt * abs(rise)  # of a force, between the samples
+            corner = max(abs(rise - state.corners[0, i]) - CORNER * p.noise[2, i], 0.0)
+            state.corners[0, i] = rise
+            state.corners[1, i] = p.fade * state.corners[1, i] + 0.25 * dt * corner
         else:
             flow = 0.5 * (state.flow[0, i] + state.flow[1, i])
             later = 0.5 * (state.later[0, i] + state.later[1, i])
@@ -384,8 +393,8 @@ def _relations(
             in_step = min(tolerance, FOLLOWED + SIGMAS * math.sqrt(covariance[0]))
             coarse /= oil
             change = abs(state.flow[1, i] - state.flow[0, i])
-            of_late[8, i] = max(change, p.fade * of_late[8, i])
-            missed = MISSED * dt * of_late[8, i]
+            recent[8, i] = max(change, p.fade * recent[8, i])
+            missed = MISSED * dt * recent[8, i]
         bias = state.bias[relation]
         other += bias[0, i]
         if state.counts[NOISE + relation, i] == 0 and state.counts[CHANGE + relation, i] == 0:
@@ -395,15 +404,16 @@ def _relations(
         now, sums = (one, other, least, largest), state.sums[relation]
         for row in range(4):
             sums[row, i] = p.fade * sums[row, i] + now[row]
-        late = (sums[0, i], sums[1, i], sums[2, i], sums[3, i])
-        whole = max(abs(sums[0, i]), abs(sums[1, i]), p.memory * of_late[relation, i])
-        single = max(abs(one), abs(other), p.fade * of_late[3 + relation, i])
-        of_late[relation, i], of_late[3 + relation, i] = whole, single
+        summed = (sums[0, i], sums[1, i], sums[2, i], sums[3, i])
+        whole = max(abs(sums[0, i]), abs(sums[1, i]), p.memory * recent[relation, i])
+        single = max(abs(one), abs(other), p.fade * recent[3 + relation, i])
+        recent[relation, i], recent[3 + relation, i] = whole, single
         unknown = p.bias[relation, i] * bias[1, i] / (1.0 - p.fade)
-        threshold = p.sums[relation, i] + unknown + tolerance * whole + coarse
-        if look_at_sides(p, state, CHANGE + relation, i, late, threshold, missed) and found < 0:
+        corners = state.corners[1, i] if relation == VELOCITY_ACCELERATION else 0.0
+        threshold = p.sums[relation, i] + unknown + tolerance * whole + coarse + corners
+        if look_at_sides(p, state, CHANGE + relation, i, summed, threshold, missed) and found < 0:
             found = (CHANGE + relation) * n + i
-        threshold = p.steps[relation, i] + in_step * single + coarse
+        threshold = p.steps[relation, i] + in_step * single + coarse + jump
         if look_at_sides(p, state, NOISE + relation, i, now, threshold, missed) and found < 0:
             found = (NOISE + relation) * n + i
     return found

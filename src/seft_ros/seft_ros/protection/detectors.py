@@ -63,7 +63,7 @@ DETECTORS = (
     Detector(
         "force_noise",
         "measured force and acceleration disagree on axis {axis} from sample to sample, as with "
-        "noise: the specimen's force jumps to and fro in {seen} of late",
+        "noise: the specimen's force alternated in {seen} recently",
         "samples",
         0.0,
     ),
@@ -162,8 +162,9 @@ def follow_valve(
 
 MEMORY = 0.05
 """Time constant of the sums of both sides of a relation, s."""
-SHORT = 0.015
-"""Time constant of the second-order work, s."""
+SHORT, FEWEST = 0.015, 7.0
+"""Time constant of short sums (of the second-order work, of noise), s, and the least in samples: of
+fewer, some friction looks like noise."""
 BIAS = 2.0
 """Constant error of a sensor over its RMS noise that is no fault."""
 LARGEST = 0.3
@@ -281,14 +282,17 @@ class DetectorState(NamedTuple):
         Both sides of relations (1) to (3), and the least and the largest that the left one may be
         where the rig holds a command; shape (3, 4, n).
     bias : ndarray
-        Mean difference of the sides of relations (1) to (3) in a step of late, and the part of the
-        largest bias that it may still leave out; shape (3, 2, n).
+        Mean difference of the sides of relations (1) to (3) in the recent steps, and the part of
+        the largest bias that this mean does not contain yet; shape (3, 2, n).
     flows : ndarray
         Left side of relation (3) of the last steps, for as long as the rig may hold a command, the
         newest first, m; shape (n, h).
+    corners : ndarray
+        Change of the acceleration in the last step (m/s^2), and by how much its sudden changes may
+        put the sums of relation (2) off (m/s); shape (2, n).
     largest : ndarray
-        Largest of these of late, of a single step, of the target's motion, of r, and of the change
-        of the flow in a step (m/s); shape (9, n).
+        Largest recent values: of these sums, of a single step, of the target's motion, of r, and of
+        the change of the flow in a step (m/s); shape (9, n).
     restoring : ndarray
         r at the last sample, its last change, and r now; shape (3, n), N.
     work : ndarray
@@ -297,7 +301,7 @@ class DetectorState(NamedTuple):
         Sums of squares of the changes of f and of M_c a, shape (2, n), N^2.
     bends : ndarray
         Second difference of r where it is beyond its threshold, N, and how often it has changed its
-        sign of late; shape (2, n).
+        sign recently; shape (2, n).
     repeats : ndarray
         How often the last value of a channel has come, shape (4, n).
     resolution : ndarray
@@ -322,6 +326,7 @@ class DetectorState(NamedTuple):
     sums: Floats
     bias: Floats
     flows: Floats
+    corners: Floats
     largest: Floats
     restoring: Floats
     work: Floats
@@ -372,7 +377,8 @@ def detector_arrays(
     dt : float
         Sampling period, s.
     """
-    n, fade, short = noise.shape[1], math.exp(-dt / MEMORY), math.exp(-dt / SHORT)
+    n, fade = noise.shape[1], math.exp(-dt / MEMORY)
+    short = math.exp(-1.0 / max(SHORT / dt, FEWEST))
     x, v, a, f = np.where(noise > 0.0, noise, ASSUMED_NOISE * limits[:, np.newaxis])
     if velocity_is_derived:
         v = math.sqrt(2.0) * x / dt
@@ -428,6 +434,7 @@ def detector_arrays(
         sent=np.zeros_like(past[0]),
         sums=np.zeros((3, 4, n)),
         bias=np.zeros((3, 2, n)),
+        corners=np.zeros((2, n)),
         flows=np.zeros((n, 1 + math.ceil(longest_hold / dt - 1e-9))),
         largest=np.zeros((9, n)),
         restoring=np.zeros((3, n)),
@@ -463,7 +470,7 @@ def look(
     threshold: float,
     samples: int = 1,
 ) -> bool:
-    """Hold what a detector sees against its threshold; say whether it has persisted and acts.
+    """Compare what a detector sees with its threshold; say whether it has persisted and acts.
 
     A sample that is beyond the threshold counts as so many `samples`.
     """
