@@ -1,0 +1,142 @@
+"""Sound tests of detectors.md, drawn at random: no detector may end one; run in the project.
+
+    .venv/bin/python docs/sound_tests.py 2100 kobe.txt:cm/s2:0.005 nishi_akashi.AT2
+
+Each motion is FILE, or FILE:UNIT:DT (yours to bring); half of the tests take the synthetic one.
+"""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+
+sys.path.append("src/seft_ros/test")
+
+from rig_faults import FaultyRig
+from seft_ros.protection.detectors import DETECTORS
+from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.offline import simulate
+from test_detectors import KIND, NOISE, PLAN, SPECIMEN, load
+
+RATES = 250.0, 500.0, 500.0, 500.0, 1000.0, 2000.0
+YIELD, HARDENING = f"{SPECIMEN}yield_displacement:=", f"{SPECIMEN}hardening_ratio:="
+GAIN, DEAD_TIME = "rig:actuator.flow_gain:=", "rig:actuator.dead_time:="
+VALVE, ADC = "rig:actuator.valve_frequency:=", "rig:sensors.adc_bits:=12"
+MISSED, HELD = "commands missed at random", "commands held for 18 ms"
+
+
+def specimen(draw):
+    """Give the words of a specimen; draw(least, most) draws a number, its logarithm evenly."""
+    yields = f"{YIELD}{draw(0.001, 0.006)}", f"{HARDENING}{draw(0.02, 0.1)}"
+    gap = (
+        f"{SPECIMEN}gap.width:={draw(0.0005, 0.006)}",
+        f"{SPECIMEN}gap.stiffness:={draw(1e5, 1e6)}",
+    )
+    flag, exponent = f"{SPECIMEN}flag.dissipation:={draw(0.2, 1)}", f"{draw(1, 5)}"
+    return (
+        (),
+        (f"{KIND}bilinear", *yields),
+        (f"{KIND}pinching", *yields),
+        (f"{KIND}flag", *yields, flag),
+        (f"{KIND}bouc_wen", *yields, f"{SPECIMEN}bouc_wen.exponent:={exponent}"),
+        (f"{KIND}gap", *gap),
+        (f"{KIND}friction", f"{SPECIMEN}friction.force:={draw(20, 400)}"),
+        (f"{KIND}duffing", f"{SPECIMEN}duffing.cubic:={draw(5e8, 1e10)}"),
+        (f"{KIND}duffing", f"{SPECIMEN}duffing.cubic:={-draw(1e8, 8e8)}"),
+    )
+
+
+def difference(draw, rng):
+    """Give the words of what differs from what is assumed; or `MISSED`, or `HELD`."""
+    sensors = dict(zip(("position", "velocity", "acceleration", "force"), NOISE, strict=True))
+    sign = dict(zip(sensors, rng.choice([-2.0, 2.0], 4), strict=True))
+    return (
+        (),
+        (f"{GAIN}{0.0403 * draw(0.75, 1.25)}",),
+        (f"{DEAD_TIME}{draw(1e-4, 4e-3)}",),
+        (f"rig:actuator.oil_column_frequency:={90 * draw(0.8, 1.25)}",),
+        (f"{VALVE}{70 * draw(0.7, 1.4)}",),
+        (f"rig:actuator.friction:={draw(20, 100)}",),
+        (f"rig:actuator.leakage:={50 * draw(0.5, 2)}",),
+        (f"rig:actuator.force_capacity:={24500 * draw(0.5, 1.5)}",),
+        (f"{GAIN}{0.0403 * draw(0.8, 1.2)}", f"{DEAD_TIME}{draw(1e-4, 3e-3)}", ADC),
+        (f"reference_force:model.stiffness:={2.11e5 * draw(0.6, 1.5)}",),
+        (ADC,),
+        (f"rig:sensors.anti_alias:={draw(80, 200)}",),
+        ("rig:sensors.velocity:=derived",),
+        tuple(f"rig:sensors.{name}_noise:=0.0" for name in sensors),
+        tuple(f"rig:sensors.{name}_noise:={5 * noise}" for name, noise in sensors.items()),
+        tuple(f"rig:sensors.{name}_bias:={sign[name] * noise}" for name, noise in sensors.items()),
+        MISSED,
+        HELD,
+    )
+
+
+class Misses(FaultyRig):
+    """A rig that misses commands, and holds the last one."""
+
+    def __init__(self, rig, how, rng):
+        super().__init__(rig, "", 400, NOISE, np.ones(4))
+        self._how, self._rng, self._held = how, rng, 0
+
+    def _commanded(self, age, command):
+        if self._how == HELD:
+            return self._sent[-1 - age % 10] if age % 300 < 10 else command
+        self._held = self._held + 1 if self._rng.random() < 0.2 and self._held < 9 else 0
+        return self._sent[-1 - self._held]
+
+
+def one_test(seed, motions):
+    """Run a test; give its words, and why it ended."""
+    rng = np.random.default_rng(seed)
+
+    def draw(least, most):
+        return float(f"{np.exp(rng.uniform(*np.log([least, most]))):.4g}")
+
+    def one_of(all_of):
+        return all_of[rng.integers(len(all_of))]
+
+    words, differs, motion = one_of(specimen(draw)), one_of(difference(draw, rng)), one_of(motions)
+    rate = 500.0 if differs in (MISSED, HELD) else one_of(RATES)
+    given = (
+        *(words if differs in (MISSED, HELD) else (*words, *differs)),
+        *(motion if motion and rng.random() < 0.5 else ()),
+        *(f"ground_motion:synthetic.seed:={seed}", f"rig:seed:={seed}", f"rate:={rate}"),
+        *(
+            f"reference_force:mass_ratio:={draw(0.5, 3)}",
+            f"ground_motion:peak_force:={draw(200, 700)}",
+        ),
+        f"ground_motion:time_scale:={one_of((0.3, 0.5, 1.0))}",
+    )
+    experiment = load(*PLAN, *given)
+    blocks = build_blocks(experiment)
+    if differs in (MISSED, HELD):
+        blocks, given = replace(blocks, rig=Misses(blocks.rig, differs, rng)), (*given, differs)
+    record = simulate(experiment, blocks)
+    return given, record.trip.reason if record.trip else ""
+
+
+def motion_words(word):
+    """Give the words of a motion."""
+    file, *told = word.split(":")
+    names = ("file", "unit", "dt")[: 1 + len(told)]
+    return tuple(f"ground_motion:{n}:={v}" for n, v in zip(names, (file, *told), strict=True))
+
+
+def main():
+    """Run the tests; print those that a detector ended."""
+    count, motions = int(sys.argv[1]), [motion_words(word) for word in sys.argv[2:]] or [()]
+    ended = {"by a detector": 0, "otherwise": 0}
+    for seed in range(1, 1 + count):
+        given, reason = one_test(seed, motions)
+        if any(reason.endswith(f": {one.name}") for one in DETECTORS):
+            ended["by a detector"] += 1
+            print(f"{reason}\n    {' '.join(given)}", flush=True)
+        elif reason:
+            ended["otherwise"] += 1
+    print(f"of {count} sound tests, ended by a detector: {ended['by a detector']},", end=" ")
+    print(f"by a limit that is too narrow for them: {ended['otherwise']}")
+
+
+if __name__ == "__main__":
+    main()
