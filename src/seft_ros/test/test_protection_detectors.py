@@ -252,17 +252,18 @@ def test_a_bias_is_followed_as_far_as_it_is_no_fault(sign):
     np.testing.assert_allclose(state.bias[:, 1], p.memory**1999, 1e-9)
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("late", [0.0, 2e-3])
-def test_a_derived_velocity_may_be_late(late):
+def test_a_derived_velocity_may_be_late(late, sign):
     p, state = detectors(ALL, velocity_is_derived=late > 0.0)
     samples, commands = np.zeros((2, 4, N)), np.zeros((2, N))
-    samples[1, 1:3, 1] = 3.0, 50.0
+    samples[:, 1:3, 1] = sign * np.array([[1.0, 10.0], [3.0, 50.0]])
     seen = shares_of(p, state, samples, commands)[1, rows.NOISE : rows.NOISE + 2, 1]
-    moved, gained = 0.5 * DT * 3.0, 0.5 * DT * 50.0
-    threshold = p.steps[0, 1] + 0.1 * moved + late * 3.0
+    moved, gained = 0.5 * DT * 4.0, 0.5 * DT * 60.0
+    threshold = p.steps[0, 1] + 0.1 * moved + late * 2.0
     assert seen[0] == pytest.approx(moved / threshold, rel=1e-9)
-    threshold = p.steps[1, 1] + 0.1 * 3.0 + (0.5 * DT + late) * 50.0
-    assert seen[1] == pytest.approx((3.0 - gained) / threshold, rel=1e-9)
+    threshold = p.steps[1, 1] + 0.1 * 2.0 + (0.5 * DT + late) * 40.0
+    assert seen[1] == pytest.approx((2.0 - gained) / threshold, rel=1e-9)
 
 
 def test_a_valve_is_not_followed_while_its_balance_is_off():
