@@ -261,7 +261,7 @@ def _row(
 COMMON = parameter_rows("""
     rate | float   | 500.0 | Hz | > 0 | sampling rate of the loop
     axes | strings | ["x"] |    |     |
-        names of the axes (actuators), in order; RIG/AXIS where they are of several rigs
+        names of the axes (actuators), in order; RIG/AXIS if they belong to several rigs
 """)
 """Parameters of every node; in a file they are under ``/**``."""
 

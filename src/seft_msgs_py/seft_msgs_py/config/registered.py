@@ -78,7 +78,7 @@ class Registered:
             name,
             "string",
             "",
-            f"settings of {what} that another package has registered, as gain=2.0 poles=[1,2.5]",
+            f"settings of {what} that another package has registered, e.g. gain=2.0 poles=[1,2.5]",
         )
 
 

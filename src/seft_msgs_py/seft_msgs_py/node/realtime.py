@@ -22,7 +22,7 @@ PARAMETERS = parameter_rows(
     lock_memory     | bool | false |  |            |
         whether the node's memory is kept from being paged out
     cpu_core        | int  | -1    |  | -1 .. 4095 |
-        processor core that the node keeps to; -1: as it was started
+        processor core on which the node runs; -1: no change
     keep_awake      | bool | false |  |            |
         whether the machine's cores stay awake while they wait, as long as the node runs
     """

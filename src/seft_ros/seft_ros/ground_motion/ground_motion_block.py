@@ -44,13 +44,13 @@ TABLE = Table(
         column of the file, counted from 0; one for all axes, or one per axis; -1: the first that
         is not the time
     unit                       | string |       |       | "", g, m/s2, cm/s2 |
-        unit of the accelerations in the file; empty: the one that its header says
+        unit of the accelerations in the file; empty: the unit that the file states
     dt                         | float  | 0.0   | s     | 0 ..        |
-        sampling period of the file; 0: its own (header, column of time)
+        sampling period of the file; 0: the period that the file states (header, column of time)
     peak_force                 | float  | 0.0   | N     | 0 ..        |
-        scale the motion so that the largest |mass * acceleration| is this; 0: as recorded
+        scale the motion so that this is the largest |mass * acceleration|; 0: as recorded
     mass                       | floats | reference_force:model.mass or 0.0 | kg    |             |
-        mass that peak_force is meant for: one for every axis, one per axis, or a matrix row
+        mass to which peak_force refers: one for every axis, one per axis, or a matrix row
         by row
     time_scale                 | float  | 1.0   |       | > 0         |
         factor on the motion's duration: 0.5 is twice as fast
