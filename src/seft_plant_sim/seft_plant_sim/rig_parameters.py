@@ -8,13 +8,13 @@ from seft_msgs_py.node import realtime
 
 OWN = ("linear", "bilinear", "bouc_wen", "pinching", "flag", "friction", "gap", "duffing")
 KINDS = Registered("seft.restoring_force", OWN)
-"""Of other packages: a kind -> what makes a `seft_plant_sim.springs.HystereticSpring`.
+"""Laws of other packages: kind -> class or function for a `springs.HystereticSpring`.
 
-It is given elastic stiffness in N/m, yield displacement in m, and hardening ratio, and may take
+It receives elastic stiffness in N/m, yield displacement in m, and hardening ratio, and may take
 settings.
 """
 
-# Rates are of one sample to the next. Tests of config/jhu.yaml and config/demo.yaml that go well
+# Rates are from one sample to the next. Successful tests of config/jhu.yaml and config/demo.yaml
 # reach 0.48, 26, 3e3 and 1.4e5; with valve and accelerometer driven into saturation 0.48, 51, 1.5e4
 # and 6.5e5. An accelerometer's full range of 4 g at the oil column's 90 Hz is 2.2e4.
 _OF_THE_PAPER = {
@@ -33,7 +33,7 @@ LIMIT_UNITS = tuple(unit for _, unit in _OF_THE_PAPER.values())
 
 
 def limit_rows(default_from: str = "") -> list[Parameter]:
-    """Rows ``limits.*`` of a parameter table; defaults are a node's, or suit the paper's rig."""
+    """Rows ``limits.*`` of a parameter table; defaults are those of a node, or the paper's rig."""
     largest = "largest {} on any axis; beyond it the test trips"
     change = (
         "largest change of the measured {} from one sample to the next, per second; beyond it, as "
@@ -184,8 +184,8 @@ ACTUATOR = parameter_rows(
     """,
     "actuator",
 )
-"""Identified values where they are given, else from the data sheets, whose defaults are the paper's
-rig as docs/rig.md explains."""
+"""Identified values are used if given, otherwise the data sheets; their defaults are those of the
+paper's rig (docs/rig.md)."""
 
 SENSORS = parameter_rows(
     """
