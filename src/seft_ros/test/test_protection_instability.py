@@ -273,6 +273,6 @@ def test_what_is_told_is_of_the_axis_that_is_most_beyond_its_own():
     guard = watch(two)
     guard.state.squares[1], guard.state.squares[2] = (100.0, 36.0), (25.0, 1.0)
     assert guard.describe() == (
-        "instability: acceleration above 20.1 Hz on axis axis1 is 6 m/s^2 RMS, 6 times what the "
-        "structure has under the measured restoring force (limit 5)"
+        "instability: acceleration above 20.1 Hz on axis axis1 is 6 m/s^2 RMS, 6 times that of the "
+        "structure under the measured restoring force (limit 5)"
     )

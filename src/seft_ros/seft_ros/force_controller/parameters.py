@@ -1,4 +1,4 @@
-"""Parameter table of the force controller, the controllers by name, and what a section says."""
+"""Parameter table of the force controller, and the controllers by name."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,7 +11,7 @@ from seft_msgs_py.node import realtime
 TRANSFER_FUNCTION = "transfer_function"
 VELOCITY_FEEDFORWARD = "velocity_feedforward"
 REGISTERED = Registered("seft.force_control", (TRANSFER_FUNCTION, VELOCITY_FEEDFORWARD))
-"""Of other packages: name -> what makes a controller of `ControlKnowledge`; may take settings."""
+"""Other packages' controllers: name -> class or function of `ControlKnowledge` and settings."""
 
 
 _ROWS = parameter_rows(
@@ -137,7 +137,7 @@ TABLE = Table(
 
 
 def one_controller(numerator: Sequence[float], denominator: Sequence[float]) -> dict[str, Any]:
-    """Give the parameters that make it so, whatever was chosen before."""
+    """Give the parameters that select one controller for all axes, independent of earlier ones."""
     return {
         "method": TRANSFER_FUNCTION,
         "per_axis": False,
@@ -148,6 +148,6 @@ def one_controller(numerator: Sequence[float], denominator: Sequence[float]) -> 
 
 
 def is_one_controller(section: dict[str, Any]) -> bool:
-    """Whether a section is of one."""
+    """Whether a section has one controller for all axes."""
     same = section.get("method", TRANSFER_FUNCTION) == TRANSFER_FUNCTION  # not in an older record
     return same and not section.get("per_axis") and np.size(section.get("gain", 1.0)) == 1

@@ -1,6 +1,6 @@
-"""Parameter table of the reference force, the methods by name, and what its topic carries.
+"""Parameter table of the reference force, the methods by name, and the content of its topic.
 
-The methods themselves take a third of a second to import, which most nodes can do without.
+The import of the methods themselves takes a third of a second; most nodes do not need it.
 """
 
 from collections.abc import Mapping
@@ -24,9 +24,9 @@ OWN = (
     TARGET_MOTION,
 )
 OF_MODEL = "computed "
-"""Begins the names of what is recorded of a computed model."""
+"""Prefix of the names of a computed model's recorded values."""
 REGISTERED = Registered("seft.compensation", OWN)
-"""Of other packages: name of a method -> `compensator.Method`, which may take settings."""
+"""Methods of other packages: name -> `compensator.Method`, which may take settings."""
 
 _TEST = parameter_rows(
     """
@@ -156,9 +156,9 @@ TABLE = Table(
 
 
 def reference_force_topic(section: Mapping[str, Any]) -> LoopTopic:
-    """Give the topic as the reference force's section of an experiment makes it.
+    """Give the topic from the reference force's section of an experiment.
 
-    Whoever does not know that section reads it as `REFERENCE_FORCE`: the force of a target, too.
+    Without that section a reader uses `REFERENCE_FORCE`, which also reads the force of a target.
     """
     is_target = section.get("compensation.method") == TARGET_MOTION
     return TARGET if is_target else REFERENCE_FORCE
