@@ -147,7 +147,7 @@ def test_a_start_that_waited_while_the_supervisor_stood_still_is_refused(start_n
     os.kill(nodes["supervisor"].pid, signal.SIGCONT)
     wait_for(lambda: (observer.spin(0.05), asked.done())[1], "the answer")
     assert not asked.result().success
-    assert "has stood still" in asked.result().message
+    assert "has stalled" in asked.result().message
 
 
 def test_nodes_of_different_rates_do_not_start(start_node, observer):
@@ -305,7 +305,7 @@ def test_what_the_next_bag_is_called_may_be_set_and_what_a_node_was_started_with
     )
     assert observer.values["detail"] == (
         "waiting for the recorder, as bags/taken exists already; "
-        "mend that or set its parameter name or directory to another"
+        "correct that, or set its parameter name or directory to another"
     )
     assert observer.call("start")[0] is False
     bag.rmdir()

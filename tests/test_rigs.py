@@ -73,7 +73,7 @@ def test_a_rig_that_is_lost_brings_the_other_to_rest(start, observer, tmp_path):
 
 def test_a_node_must_say_which_rig_s_it_is(start):
     for words, fault in (
-        ((), "say which one's it is: --ros-args -r __ns:=/west or -r __ns:=/east"),
+        ((), "name its rig: --ros-args -r __ns:=/west or -r __ns:=/east"),
         (("-r", "__ns:=/lab"), "in namespace /lab, but the axes"),
     ):
         ros = ("--ros-args", "--params-file", BRIDGE, *words)

@@ -200,7 +200,7 @@ def test_who_joins_a_test_with_what_is_valid_is_named_and_not_obeyed(
     compared = seft_json("compare", "simulated", "bag")
     assert compared["identical"] is True
     log = (tmp_path / "bag" / "logs" / "rig.log").read_text()
-    assert log.count("/hostile publishes valve_command, too: it is not heard in this test") == 1
+    assert log.count("/hostile publishes valve_command, too: this test ignores its messages") == 1
 
 
 def test_two_publishers_of_a_topic_of_the_loop_end_the_test_before_anything_moves(

@@ -1,4 +1,4 @@
-"""The wire of a SEFT test: topics, samples <-> bytes, experiment time, parameters, node shell."""
+"""Messages of a SEFT test: topics, samples <-> bytes, experiment time; parameters, node shell."""
 
 import os
 

@@ -4,13 +4,13 @@
 class SeftError(Exception):
     """Base of the errors that are printed in one line.
 
-    The text says what is wrong, where, and how to mend it.
+    The text says what is wrong, where, and how to correct it.
     """
 
     exit_status = 1
 
     def __str__(self) -> str:
-        return " ".join(super().__str__().splitlines())  # a file or an option may hold several
+        return " ".join(super().__str__().splitlines())  # a file or an option may contain several
 
 
 class InputError(SeftError):
@@ -20,7 +20,7 @@ class InputError(SeftError):
 
 
 class ExperimentError(SeftError):
-    """A running test could not go on; exit status 1."""
+    """A running test could not continue; exit status 1."""
 
 
 class WireError(InputError):

@@ -93,7 +93,7 @@ def test_a_core_is_kept_to_and_one_that_is_not_there_is_told():
     core = max(os.sched_getaffinity(0))
     assert ask({"cpu_core": core})["granted"]["cores"] == [core]
     told = ask({"cpu_core": 4095})
-    assert told["denied"][0].startswith("core 4095 is not to be had; choose cpu_core among ")
+    assert told["denied"][0].startswith("core 4095 is not available; choose cpu_core among ")
     assert told["granted"]["cores"] == sorted(os.sched_getaffinity(0))
 
 

@@ -56,7 +56,7 @@ def test_who_joins_a_test_is_a_stranger_until_it_ends(topic):
     assert not senders.is_foreign(topic.name, TRUE)
     assert senders.is_foreign(topic.name, FALSE)
     assert senders.strangers() == f"{UNNAMED} on {topic.name}: 1"
-    assert senders.poll() == [f"/other publishes {topic.name}, too: it is not heard in this test"]
+    assert senders.poll() == [f"/other publishes {topic.name}, too: this test ignores its messages"]
     assert senders.poll() == []
     assert senders.is_foreign(topic.name, FALSE)
     assert senders.strangers() == f"/other on {topic.name}: 2"

@@ -1,4 +1,4 @@
-"""Parameters of a servo-hydraulic actuator: identified ones, or what data sheets say.
+"""Parameters of a servo-hydraulic actuator, identified or from data sheets.
 
 Oil column, valve flow and leakage after Merritt (Hydraulic Control Systems, 1967, ch. 6).
 """
@@ -24,20 +24,20 @@ _AS_GIVEN = (
 
 @dataclass(frozen=True)
 class Hydraulics:
-    """What the actuators of n axes do to the oil's force, each array of shape (n,).
+    """Parameters of the actuators of n axes, each array of shape (n,).
 
     Attributes
     ----------
     oil_stiffness : ndarray
         k_oil, stiffness of the oil column, N/m.
     leakage : ndarray
-        lambda, rate at which leakage lets a force decay, 1/s.
+        lambda, rate at which the force decays by leakage, 1/s.
     flow_gain : ndarray
         q, piston velocity for one volt without load, m/s/V.
     opening_limit : ndarray
         Drive in V at which the valve is fully open.
     force_capacity : ndarray
-        F_s, force at which the supply pressure is used up, N.
+        F_s, force at supply pressure, N.
     valve_frequency, valve_damping : ndarray
         Natural frequency in Hz and damping ratio of the valve.
     friction, friction_velocity : ndarray
@@ -45,7 +45,7 @@ class Hydraulics:
     viscous_friction : ndarray
         Viscous friction of the piston, N s/m.
     stroke : ndarray
-        Largest displacement either way, m.
+        Largest displacement in both directions, m.
     dead_time : float
         Dead time of the valve in s.
     """
@@ -67,10 +67,10 @@ class Hydraulics:
     def from_parameters(
         cls, group: dict[str, Any], specimen: Specimen, axes: Sequence[str], where: str
     ) -> "Hydraulics":
-        """Make it of the parameters ``actuator.*``.
+        """Make it from the parameters ``actuator.*``.
 
-        Where ``oil_stiffness`` (or ``oil_column_frequency``), ``flow_gain``, ``leakage`` and
-        ``force_capacity`` are given they count; else they follow from the data sheets.
+        ``oil_stiffness`` (or ``oil_column_frequency``), ``flow_gain``, ``leakage`` and
+        ``force_capacity`` are used if they are given; otherwise they follow from the data sheets.
 
         Raises
         ------
@@ -96,7 +96,7 @@ class Hydraulics:
         if ((frequency > 0) & (of_frequency <= 0)).any():
             raise InputError(
                 f"{where}.oil_column_frequency is {group['oil_column_frequency']}, but must be "
-                "above the specimen's own frequency: the oil's spring acts beside the specimen's"
+                "above the specimen's own frequency, because oil and specimen act in parallel"
             )
         oil_stiffness = np.where(frequency > 0, of_frequency, oil_stiffness)
         return cls(
@@ -123,7 +123,7 @@ def _given_or(given: Floats, from_data_sheet: Floats) -> Floats:
 
 STOP_STIFFNESS = 2.0  # of the end stops, over the oil's
 STOP_DAMPING = 2.0  # s/m: a stop pushes that much harder per velocity (Hunt & Crossley 1975)
-STALL = 1e-4  # of the force capacity: where the square root of the flow is rounded off
+STALL = 1e-4  # of the force capacity: below it the square root of the flow is smoothed
 OPENING, PER_CAPACITY, STROKE, FRICTION, PER_VELOCITY, STOP, FASTEST = range(7)
 """Columns of `piston_rows`."""
 COLUMNS = 7

@@ -1,4 +1,4 @@
-"""Commands of a rig: which message settles the command of a step."""
+"""Commands of a rig: which message determines the command of a step."""
 
 from collections import deque
 
@@ -10,10 +10,10 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 
 class MessagesAhead:
-    """Points of messages, of which each step takes those of the message d steps before it.
+    """Points of messages; each step uses those of the message d steps before it.
 
-    So it does not matter when a message came, as long as it came in time. Where that message is
-    missing, the next counts, and where there is none, the last. Before the first message the
+    So the arrival time of a message has no effect, as long as it is in time. If that message is
+    missing, the next one is used; if there is none, the last one. Before the first message the
     points are ``nothing``, as of step -1.
     """
 
@@ -34,9 +34,9 @@ class MessagesAhead:
 
 
 class Command:
-    """Takes the messages of one topic, and keeps the newest that fits the test.
+    """Takes the messages of one topic, and keeps the newest valid one.
 
-    A refused message changes nothing: to the rig, its command is missing.
+    A refused message changes nothing: for the rig, its command is missing.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class Command:
     limit : float
         Largest magnitude on any axis, in the topic's unit.
     loop_delay : int
-        Steps beyond that of a message for which its points settle the command.
+        A message determines the commands of its step and of so many later steps.
     rig : RigAxes, optional
         The rig that the command is for, if the topic has the axes of several.
 
@@ -54,11 +54,11 @@ class Command:
     limit, loop_delay : float, int
         As given.
     step : int
-        Last step whose command is settled; -1 where none is.
+        Last step whose command is known; -1: none.
     current : int
         Step of the rig's last sample: no later one can have been answered.
     answered : int
-        Step of the sample that the newest message answers; -1 where none has come.
+        Step of the sample that the newest message answers; -1: none has arrived.
     """
 
     def __init__(
@@ -80,9 +80,9 @@ class Command:
 
     @property
     def value(self) -> Floats:
-        """Command to be applied after the last sample, shape (n,); zero where none has come.
+        """Command to be applied after the last sample, shape (n,); zero before the first message.
 
-        Of a message with points of later steps, that of the sample's step counts, or the last.
+        If a message has points of later steps, the point of the sample's step is used, or the last.
         """
         age, points = self._messages.of(self.current)
         value: Floats = points[min(age, len(points) - 1)]
@@ -95,7 +95,7 @@ class Command:
         ------
         WireError
             If it is no command of these axes, is not finite or beyond the limit, answers a
-            sample that has not been taken, or is not newer than the one that is held.
+            sample that has not been taken, or is not newer than the present one.
         """
         step, values = self.codec.decode(raw)
         name = self.codec.topic.name

@@ -1,4 +1,4 @@
-"""Machine code of the steps, cached on disk, and what all steps do with arrays."""
+"""Machine code of the steps, cached on disk, and array functions that the steps share."""
 
 import hashlib
 import math
@@ -14,9 +14,9 @@ import numpy as np
 from numba.core import caching
 from seft_msgs_py.arrays import Floats
 
-numba: Any = typed_numba  # older ones have no types
-# most loops run over few axes, where loop vectorisation costs more than it saves; statements in a
-# row are vectorised, which is off by default
+numba: Any = typed_numba  # older versions have no types
+# most loops run over few axes, so that loop vectorisation costs more than it saves; vectorisation
+# of successive statements is off by default
 numba.config.LOOP_VECTORIZE, numba.config.SLP_VECTORIZE = 0, 1
 _entry_points: dict[Hashable, Callable[..., Any]] = {}
 OPTIONS = {"error_model": "numpy", "forceinline": True, "_nrt": False}
@@ -34,7 +34,7 @@ def compiled[F: Callable[..., Any]](function: F, *, nogil: bool = False) -> F:
     function : callable
         The function.
     nogil : bool
-        Whether it lets go of the interpreter's lock when Python calls it.
+        Whether it releases the interpreter's lock when Python calls it.
     """
     made = numba.njit(nogil=nogil, **OPTIONS)(function)
     with suppress(RuntimeError):  # it can't be written to
@@ -43,9 +43,9 @@ def compiled[F: Callable[..., Any]](function: F, *, nogil: bool = False) -> F:
 
 
 class _ByText(caching._CacheLocator):
-    """Where numba keeps the machine code of a function: by the texts it may depend on.
+    """Where numba keeps the machine code of a function: by the texts on which it may depend.
 
-    numba itself goes by the path of its file, and by the text of this one alone.
+    numba itself uses the path of the function's file, and the text of that file alone.
     """
 
     def __init__(self, function: Any, file: str) -> None:
@@ -64,7 +64,7 @@ class _ByText(caching._CacheLocator):
         return str(code_folder(self._file.parent))
 
     def get_source_stamp(self) -> str:
-        return ""  # the folder's name tells the text
+        return ""  # the folder's name depends on the text
 
     def get_disambiguator(self) -> str:
         return f"{self._file.parent.name}-{self._line}"
@@ -77,12 +77,12 @@ _CACHE = type("Cache", (caching.FunctionCache,), {"_impl_class": _PLACES})
 def entry_point(function: Any, *arguments: Any, kind: Hashable = None) -> Callable[..., Any]:
     """Give the machine code of a compiled function for arguments of these types.
 
-    Called directly, it does without numba's look at each argument's type, which takes longer than
-    a step does. It trusts its arguments to be of the same types, arrays to be contiguous. Where
-    `kind_of` what differs in these is known, it need not be found.
+    A direct call skips numba's check of each argument's type, which takes longer than a step. The
+    caller must give arguments of the same types, and contiguous arrays. A known ``kind`` of the
+    arguments that may differ, see `kind_of`, saves finding it.
     """
     key = function, kind or kind_of(arguments)
-    if key not in _entry_points:  # numba's look takes as long as thousands of steps
+    if key not in _entry_points:  # numba's check takes as long as thousands of steps
         signature = tuple(numba.typeof(argument) for argument in arguments)
         function.compile(signature)
         _entry_points[key] = function.overloads[signature].entry_point
@@ -100,7 +100,7 @@ def kind_of(argument: Any) -> Any:
 
 @lru_cache
 def code_folder(folder: Path) -> Path:
-    """Where the machine code of a folder's package is kept, which may use this package's too."""
+    """Folder for the machine code of a folder's package, which may also use this package's code."""
     while (folder.parent / "__init__.py").exists():
         folder = folder.parent
     texts = hashlib.sha256(numba.__version__.encode())
@@ -123,12 +123,12 @@ def multiply(transposed: Floats, vector: Floats, result: Floats) -> None:
 def multiply_sized(
     columns: int, rows: int, transposed: Floats, vector: Floats, result: Floats
 ) -> None:
-    """Do what `multiply` does, faster where the sizes are known when it is compiled.
+    """Do what `multiply` does, faster if the sizes are known at compilation.
 
-    The length of a tuple is such a size, that of an array is not.
+    The length of a tuple is known then, that of an array is not.
     """
     whole = rows - rows % 4
-    for i in range(0, whole, 4):  # four at a time, which the processor has instructions for
+    for i in range(0, whole, 4):  # four at a time, by instructions of the processor
         one = two = three = four = 0.0
         for j in range(columns):
             factor = vector[j]

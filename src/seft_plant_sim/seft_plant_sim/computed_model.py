@@ -1,4 +1,4 @@
-"""A computed substructure's part that is any program: a user's class, stepped once per sample."""
+"""A part of the computed substructure that is a program: a user's class, stepped once a sample."""
 
 import re
 import sys
@@ -10,50 +10,50 @@ from typing import Any, Protocol
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
-from seft_msgs_py.config.registered import Registered, line_in, told
+from seft_msgs_py.config.registered import Registered, line_in, reason_of
 from seft_msgs_py.errors import InputError
 
 WHERE = "reference_force: computed.model"
 MODELS = Registered("seft.computed_model", ())
-"""Of other packages: name of a model -> its class, which may take settings."""
+"""Models of other packages: name -> class, which may take settings."""
 SMALL_DISPLACEMENT, SMALL_VELOCITY = 1e-4, 1e-2
-"""m and m/s, at which the tangent of a model is found that does not tell its own."""
+"""m and m/s, at which the tangent of a model is measured if the model does not give it."""
 PROBE_PERIOD = 1e-3  # s
 SAME_FORCE = 1e-9  # relative
 
 
 class Model(Protocol):
-    """What is asked of a computed model; see docs/computed_models.md.
+    """The interface of a computed model; see docs/computed_models.md.
 
-    Beside ``start`` and ``step`` it may have
+    In addition to ``start`` and ``step`` it may have
 
-    - ``stiffness``, ``damping``: its tangents now, N/m and N s/m, shape (m, m) or one number;
-      without them those for a small motion from rest are used,
+    - ``stiffness``, ``damping``: its present tangents, N/m and N s/m, shape (m, m) or one number;
+      without them the tangents of a small motion from rest are used,
     - ``commit()``, called after each step,
-    - ``responses()``, more of what it is recorded with: name -> number,
-    - ``ask(t, displacement, velocity, ground_acceleration)`` and ``answer()``, which take the place
-      of ``step`` where the model computes elsewhere meanwhile (`computed.every` above 1),
+    - ``responses()``, further values to record: name -> number,
+    - ``ask(t, displacement, velocity, ground_acceleration)`` and ``answer()``, which replace
+      ``step`` if the model computes in another process (`computed.every` above 1),
     - ``close()``.
 
     Attributes
     ----------
     axes : int or sequence of str
-        m, the number of the degrees of freedom it acts on: those of the test's axes, then the
-        internal ones; or their names, as the axes' and ``internal 1``.
+        m, the number of the degrees of freedom that it acts on: those of the test's axes, then the
+        internal ones; or their names: names of axes, ``internal 1`` and so on.
     """
 
     axes: int | Sequence[str]
 
     def start(self, dt: float, axes: Sequence[str]) -> None:
-        """Begin a test from rest, forgetting any before it.
+        """Begin a test from rest; forget earlier tests.
 
-        ``dt`` is the time between two steps, s, ``axes`` are the names, m of them.
+        ``dt`` is the time between two steps, s; ``axes`` are the m names.
         """
 
     def step(
         self, t: float, displacement: Floats, velocity: Floats, ground_acceleration: Floats
     ) -> Floats:
-        """Go to the time t, s; give the force that holds it there, shape (m,), N.
+        """Go to the time t, s; give the force that holds the model there, shape (m,), N.
 
         The motion, m and m/s, is relative to the ground, whose acceleration is in m/s^2. The force
         of a spring is its stiffness times the displacement. Masses on the axes belong to
@@ -67,7 +67,7 @@ class ModelError(InputError):
 
 @dataclass(frozen=True)
 class ModelSource:
-    """Makes a model of its parameters.
+    """Makes a model from its parameters.
 
     Attributes
     ----------
@@ -109,12 +109,12 @@ class ModelSource:
 
     @property
     def is_apart(self) -> bool:
-        """Whether the model computes while the loop goes on."""
+        """Whether the model computes while the loop continues."""
         return self._probed.is_apart
 
     @property
     def is_static(self) -> bool:
-        """Whether the force depends on the path alone, but for linear dampers."""
+        """Whether the force depends on the path alone, except for linear dampers."""
         return self._probed.is_static
 
     @property
@@ -130,9 +130,9 @@ class ModelSource:
 
 
 class ComputedModel:
-    """A model under way, in the coordinates of its source; all that it gives is checked.
+    """A model in a test, in the coordinates of its source; all its results are checked.
 
-    Each method raises a `ModelError` that names the model's file and line where it fails.
+    If a method of the model fails, the `ModelError` names the model's file and line.
 
     Attributes
     ----------
@@ -201,11 +201,11 @@ class ComputedModel:
         self._call("ask", self._own.ask, t, *motion)
 
     def answer(self) -> Floats:
-        """Wait for its end; the result is as of `step`."""
+        """Wait for the end of the step; the result is that of `step`."""
         return self._taken("answer", self._call("answer", self._own.answer))
 
     def tangents(self) -> tuple[Floats | None, Floats | None]:
-        """Give stiffness and damping now, shape (N, N), where the model tells them."""
+        """Give the present stiffness and damping, shape (N, N); None if the model has none."""
         own = [self._own_tangent(name) for name in ("stiffness", "damping")]
         stiffness, damping = (
             None if found is None else self.rows.T @ found @ self.rows for found in own
@@ -213,24 +213,24 @@ class ComputedModel:
         return stiffness, damping
 
     def responses(self) -> dict[str, float]:
-        """Give what the model is recorded with beside its force."""
+        """Give the model's further values to record."""
         if not hasattr(self._own, "responses"):
             return {}
         found = self._call("responses", self._own.responses)
         return {str(name): float(value) for name, value in found.items()}
 
     def close(self) -> None:
-        """End what the model has begun elsewhere."""
+        """End the model's other processes."""
         if hasattr(self._own, "close"):
             self._own.close()
 
     def probe(self) -> "Probed":
-        """Look at small motions from rest; the model must be started again."""
+        """Measure small motions from rest; the model must be started again."""
         size = len(self.places)
         rest = np.zeros(size)
 
         def forces(displacement: Floats, velocity: Floats) -> Floats:
-            """Give those at rest, and then in two steps there, shape (3, m)."""
+            """Give the force at rest, and then in two steps at a motion, shape (3, m)."""
             self.start(PROBE_PERIOD)
             motions = ((rest, rest), (displacement, velocity), (displacement, velocity))
             steps = [
@@ -254,8 +254,8 @@ class ComputedModel:
             is_static &= _equal(faster, 2.0 * (fast - still))
         self.start(PROBE_PERIOD)
         for matrix, name in zip(columns, ("stiffness", "damping"), strict=True):
-            told = self._own_tangent(name)
-            matrix[:] = 0.5 * (matrix + matrix.T) if told is None else told
+            own = self._own_tangent(name)
+            matrix[:] = 0.5 * (matrix + matrix.T) if own is None else own
         return Probed(self.places, columns[0], columns[1], is_static, self.is_apart)
 
     def _motion(
@@ -285,7 +285,7 @@ class ComputedModel:
         return found
 
     def _own_tangent(self, name: str) -> Floats | None:
-        """Stiffness or damping as the model tells it, shape (m, m)."""
+        """Stiffness or damping that the model gives, shape (m, m); None if it gives none."""
         if not hasattr(type(self._own), name) and name not in getattr(self._own, "__dict__", {}):
             return None
         size, value = len(self.places), self._call(name, getattr, self._own, name)
@@ -303,14 +303,14 @@ class ComputedModel:
     def _call(self, what: str, function: Callable[..., Any], *arguments: Any) -> Any:
         try:
             return function(*arguments)
-        except InputError as error:  # says all itself
+        except InputError as error:  # its text is complete
             raise ModelError(str(error)) from error
         except Exception as error:
             name = self._source.name
             file = name.rpartition(":")[0]
             module = sys.modules.get(file if self._own is None else type(self._own).__module__)
             line = line_in(error, module.__file__ if module else str(Path(file).resolve()))
-            raise ModelError(f"{WHERE}: {name}{line}, {what}: {told(error)}") from error
+            raise ModelError(f"{WHERE}: {name}{line}, {what}: {reason_of(error)}") from error
 
     def _error(self, what: str, text: str) -> ModelError:
         method = getattr(type(self._own), what, None)
@@ -321,16 +321,16 @@ class ComputedModel:
 
 @dataclass(frozen=True)
 class Probed:
-    """What small motions from rest tell of a model that acts on m degrees of freedom.
+    """Properties of a model of m degrees of freedom, measured by small motions from rest.
 
     Attributes
     ----------
     places : tuple of int
-        Which these are.
+        The degrees of freedom.
     stiffness, damping : ndarray
         Shape (m, m), N/m and N s/m.
     is_static : bool
-        Whether its force depends on displacements alone, but for linear dampers.
+        Whether its force depends on displacements alone, except for linear dampers.
     is_apart : bool
         Whether it has ``ask`` and ``answer``.
     """
@@ -343,7 +343,7 @@ class Probed:
 
 
 def _equal(one: Floats, other: Floats) -> bool:
-    """Say whether forces are equal, but for rounding."""
+    """Say whether forces are equal, except for rounding."""
     return bool(np.abs(one - other).max() <= SAME_FORCE * max(np.abs(other).max(), 1e-300))
 
 
@@ -351,7 +351,7 @@ def _equal(one: Floats, other: Floats) -> bool:
 def _probe(
     name: str, settings: str, dofs: tuple[str, ...], axes: int, versions: tuple[int, ...]
 ) -> Probed:
-    """Probe a model of its own; once, as long as its files stay as they are."""
+    """Probe a new model; again only if its files have changed."""
     del versions
     unit = np.eye(len(dofs))
     model = ModelSource(name, settings, dofs, unit[:, :axes], 1, unit).make()

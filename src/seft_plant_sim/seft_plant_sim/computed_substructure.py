@@ -1,4 +1,4 @@
-"""What is computed of a structure, beside the specimen: masses, dampers and springs."""
+"""The computed substructure: masses, dampers and springs in addition to the specimen."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -18,12 +18,12 @@ _NAMES = ("mass", "damping", "stiffness", "internal", "influence")
 class ComputedSubstructure:
     """Linear structure over the n axes, its interface, and q internal degrees of freedom.
 
-    With x of the axes, z inside, and the force -g on the specimen::
+    With x of the axes, z of the internal degrees of freedom, and the force -g on the specimen::
 
         M (x'' + a_g, z'' + L a_g) + C (x', z') + K (x, z) = (-g, 0)
 
-    The lumped mass of the paper is one of M alone without internal degrees of freedom. A computed
-    model adds its force, of which C and K hold the tangents at rest.
+    The lumped mass of the paper has M alone, without internal degrees of freedom. A computed
+    model adds its force; C and K contain the model's tangents at rest.
 
     Attributes
     ----------
@@ -33,10 +33,10 @@ class ComputedSubstructure:
         L, shape (q, n): ground acceleration of each internal degree of freedom per that of each
         axis.
     on_axes : ndarray or None
-        That of each axis, shape (n, n); None: its own. It is zero of an axis that measures a
-        deformation above another degree of freedom, with which the ground moves it.
+        The same of each axis, shape (n, n); None: each axis has its own ground acceleration. It is
+        zero for an axis that measures a deformation above another degree of freedom.
     model : ModelSource or None
-        What else is computed: its force less that of its tangents acts beside the matrices.
+        Computed model: its force minus that of its tangents acts in addition to the matrices.
     """
 
     mass: Floats
@@ -50,11 +50,10 @@ class ComputedSubstructure:
     def from_parameters(
         cls, section: dict[str, Any], axes: Sequence[str]
     ) -> "ComputedSubstructure":
-        """Make it of a reference force's section: ``computed.*``, ``mass_ratio`` times as large.
+        """Make it from a section of reference_force: ``computed.*`` times ``mass_ratio``.
 
-        The model alone is taken as it is.
-
-        Without ``computed.mass`` it is the mass of the specimen's model.
+        The mass ratio does not change the model. Without ``computed.mass`` the mass is that of
+        the specimen's model.
 
         Raises
         ------
@@ -63,7 +62,7 @@ class ComputedSubstructure:
             model can't be used.
         """
         where, n = "reference_force: computed", len(axes)
-        # records of older versions lack them
+        # not in records of older versions
         given = {name: section.get(f"computed.{name}", 0.0) for name in _NAMES}
         ratio, q = section["mass_ratio"], int(given["internal"])
         names = (*axes, *(f"internal {index + 1}" for index in range(q)))
@@ -97,13 +96,13 @@ class ComputedSubstructure:
 
     @classmethod
     def lumped(cls, mass: Floats) -> "ComputedSubstructure":
-        """Make one of masses on the axes alone, shape (n, n), kg."""
+        """Make one with masses on the axes only, shape (n, n), kg."""
         nothing = np.zeros_like(mass)
         return cls(mass, nothing, nothing, nothing[:0])
 
     @classmethod
     def none(cls, axes: int) -> "ComputedSubstructure":
-        """Make one of nothing."""
+        """Make an empty one."""
         return cls.lumped(np.zeros((axes, axes)))
 
     @property
@@ -124,12 +123,12 @@ class ComputedSubstructure:
 
     @property
     def is_lumped(self) -> bool:
-        """Whether it is masses on the axes and nothing else."""
+        """Whether it has masses on the axes only."""
         linear = self.internal or self.damping.any() or self.stiffness.any()
         return not (linear or self.model is not None)
 
     def without_inertial_coupling(self) -> "ComputedSubstructure":
-        """Count the internal displacements from where a slow interface would take the masses.
+        """Measure internal displacements from the masses' positions under a slow interface motion.
 
         With z = y - M_zz^-1 M_zx x no mass couples axes and y; the force g is the same.
         """
@@ -162,6 +161,6 @@ def _influence(
         raise InputError(
             f"{where}: {numbers.size} values for {internal} internal degrees of freedom and "
             f"{axes} axes; give {internal * axes}, those of each internal degree of freedom "
-            f"together, or {(axes + internal) * axes}, with those of the axes before"
+            f"together, or {(axes + internal) * axes}, those of the axes first"
         )
     return None, numbers.reshape(internal, axes)

@@ -1,8 +1,8 @@
-"""Actuator and specimen between samples: a linear model, what is not linear, and its integration.
+"""Actuator and specimen between samples: a linear model, nonlinear residuals, their integration.
 
-The ideal and the pure-delay actuator stand for an actuator with its force servo loop, as the
-paper's Eq. 5.2 does: they are driven by the reference force. The servo-hydraulic actuator is driven
-by its valve, so that the loop closes over the controller.
+The ideal and the pure-delay actuator represent an actuator with its force servo loop, as in the
+paper's Eq. 5.2: they are driven by the reference force. The servo-hydraulic actuator is driven by
+its valve, so that the loop closes over the controller.
 """
 
 import math
@@ -38,10 +38,10 @@ Drive = Literal["valve_command", "reference_force"]
 class ContinuousModel:
     """Actuator and specimen: z' = a z + b w + g r(z), y = c z + d w + h r(z).
 
-    w is the drive, delayed, and y holds displacement (m), velocity (m/s), acceleration (m/s^2)
+    w is the delayed drive, and y contains displacement (m), velocity (m/s), acceleration (m/s^2)
     and force (N), each over the n axes. The residuals r are those of pistons, then those of
-    springs; without them, this is the small-signal limit. The states begin with x and v, and
-    where there are pistons with x, v, the oil's force p and the valve's opening w.
+    springs; without them, this is the small-signal limit. The states begin with x and v; with
+    pistons they begin with x, v, the oil's force p and the valve's opening w.
 
     Attributes
     ----------
@@ -52,11 +52,11 @@ class ContinuousModel:
     drive : str
         ``valve_command`` (V) or ``reference_force`` (N).
     inputs, outputs : ndarray
-        g and h, shapes (s, r) and (4n, r): of each piston the valve's effective opening less its
-        opening (V), of each the force that holds it (N), of each spring its force less the
-        elastic one (N).
+        g and h, shapes (s, r) and (4n, r). The residuals are, for each piston, the valve's
+        effective opening minus its opening (V); for each piston, the force of friction and stops
+        (N); for each spring, its force minus the elastic one (N).
     pistons : ndarray
-        `piston.piston_rows`; none where the actuators are linear.
+        `piston_rows`; none if the actuators are linear.
     springs : tuple of Spring
         p of them.
     deformation : ndarray
@@ -156,9 +156,9 @@ def servo_hydraulic(
 
     The piston moves with the specimen, so the specimen's poles are the zeros of the
     valve-to-force response (control-structure interaction, Dyke et al. 1995). The valve's flow
-    g(w, p) = w sqrt(1 - sgn(w) p / F_s) ends where the load uses up the supply pressure; drive
-    and opening end where the valve is fully open. For small p and without Coulomb friction this
-    is the linear model with g = w.
+    g(w, p) = w sqrt(1 - sgn(w) p / F_s) is zero at the force at supply pressure; drive and opening
+    are limited to the fully open valve. For small p and without Coulomb friction this is the
+    linear model with g = w.
 
     Parameters
     ----------
@@ -212,9 +212,9 @@ MAX_STEPS = 500
 class Dynamics(NamedTuple):
     """A `ContinuousModel` of n axes, s states and r residuals over two stretches of time.
 
-    Within a stretch the drive does not change. It is taken in equal steps by the exponential
-    Runge-Kutta scheme ETD2RK (Cox & Matthews 2002, Eq. 22): the linear part, which holds the fast
-    oil column and the valve, is solved exactly, so that a linear model needs one step.
+    Within a stretch the drive does not change. The stretch is integrated in equal steps by the
+    exponential Runge-Kutta scheme ETD2RK (Cox & Matthews 2002, Eq. 22). The linear part, with the
+    fast oil column and the valve, is solved exactly, so that a linear model needs one step.
 
     Attributes
     ----------
@@ -222,9 +222,9 @@ class Dynamics(NamedTuple):
         Shape (2, s + n + r, s): takes (z, drive, residuals) to the state after one step if the
         residuals stay as they are.
     correct : ndarray
-        Shape (2, r, s): what a change of the residuals in the step adds.
+        Shape (2, r, s): effect of a change of the residuals in the step.
     steps : ndarray
-        Number of steps of each stretch, shape (2,); 0 where its time is none.
+        Number of steps of each stretch, shape (2,); 0 for a stretch of no time.
     period : ndarray
         Length of a step, shape (2,), s.
     output : ndarray
@@ -244,14 +244,14 @@ class Dynamics(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Where a model is.
+    """State of a model.
 
     Attributes
     ----------
     work : ndarray
         State, drive and residuals, shape (s + n + r,).
     springs : ndarray
-        What the springs remember, shape (p, `springs.MEMORY`).
+        Memory of the springs, shape (p, `springs.MEMORY`).
     state, residuals, trial : ndarray
         Room for the next state, residuals and memories.
     """
@@ -266,14 +266,14 @@ class Motion(NamedTuple):
 def dynamics_of(
     model: ContinuousModel, before: float, after: float, longest: float = 0.0
 ) -> Dynamics:
-    """Make it of a model, for two stretches of time in s, in steps of at most ``longest`` s.
+    """Make it from a model, for two stretches of time in s, in steps of at most ``longest`` s.
 
-    0 stands for `LONGEST_STEP`.
+    0 means `LONGEST_STEP`.
 
     Raises
     ------
     InputError
-        If a residual is too fast to be followed.
+        If a residual is too fast to be integrated.
     """
     fastest, longest = _fastest(model), longest or LONGEST_STEP
     if fastest * longest > STEP_TIMES_RATE:
@@ -308,13 +308,13 @@ def integrate(dynamics: Dynamics, stretch: int, motion: Motion) -> None:
     predict, correct = dynamics.predict[stretch], dynamics.correct[stretch]
     for half in range(2 * dynamics.steps[stretch]):
         memory = motion.springs
-        if half % 2 == 0:  # where it would go if the residuals stayed as they are
+        if half % 2 == 0:  # the next state if the residuals did not change
             multiply(predict, work, state)
             memory = motion.trial
             for j in range(len(memory)):
                 for i in range(MEMORY):
                     memory[j, i] = motion.springs[j, i]
-        else:  # where it goes as they change
+        else:  # the next state with the residuals' change
             for j in range(r):
                 change = residuals[j] - work[start + j]
                 for i in range(s):
@@ -330,7 +330,7 @@ def integrate(dynamics: Dynamics, stretch: int, motion: Motion) -> None:
 
 @compiled
 def _residuals(dynamics: Dynamics, period: float, motion: Motion, memory: Floats) -> None:
-    """Find the residuals at the next state, to which the springs go by way of where they turn."""
+    """Find the residuals at the next state; springs that turn in the step go there first."""
     last, z, residuals = motion.work, motion.state, motion.residuals
     n, m = dynamics.output.shape[1] // 4, len(dynamics.pistons)
     for i in range(m):
@@ -355,7 +355,7 @@ def _laws(model: ContinuousModel) -> Floats:
 
 
 def _fastest(model: ContinuousModel) -> float:
-    """Largest rate at which a residual answers a state, 1/s: a step must be shorter."""
+    """Largest rate at which a residual responds to a state, 1/s: a step must be shorter."""
     rates = model.pistons[:, FASTEST].tolist()
     n, first = model.b.shape[1], 2 * len(model.pistons)
     for j, law in enumerate(_laws(model)):

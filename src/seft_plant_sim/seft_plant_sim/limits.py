@@ -1,4 +1,4 @@
-"""Limits of a test, checked on every sample, and how near it came to them."""
+"""Limits of a test, checked on every sample, and the margins to them."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -14,8 +14,8 @@ from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_ROWS, LIMIT_UNITS
 def exceeds(limits: Floats, step: int, last: Floats, measured: Floats, largest: Floats) -> bool:
     """Say whether a sample breaks a limit; NaN breaks every limit.
 
-    Last is the sample before it, both of shape (4, n); that of step 0 has none. The largest
-    magnitudes so far, shape (8,), are brought up to date; limits are `Limits.values`.
+    ``last`` is the sample before ``measured``, both of shape (4, n); it is not used at step 0. The
+    largest magnitudes so far, shape (8,), are updated; ``limits`` are `Limits.values`.
     """
     broken = False
     for row in range(4):
@@ -33,7 +33,7 @@ def exceeds(limits: Floats, step: int, last: Floats, measured: Floats, largest: 
 class Limits:
     """Largest magnitudes of a sample, and of its change since the sample before.
 
-    Made of the parameters ``limits.*``, of which those of rates may lack, the names of the n axes,
+    Made from the parameters ``limits.*`` (limits of rates are optional), the names of the n axes,
     and the sampling period in s.
 
     Attributes
@@ -41,7 +41,7 @@ class Limits:
     values : ndarray
         Shape (8,): of the state, and of its change in a step.
     largest : ndarray
-        Shape (8,): the largest magnitudes since the reset, as `exceeds` keeps them.
+        Shape (8,): the largest magnitudes since the reset, updated by `exceeds`.
     """
 
     def __init__(self, limits: Mapping[str, Any], axes: Sequence[str], dt: float) -> None:
@@ -59,7 +59,7 @@ class Limits:
         self._last = None
 
     def violation(self, measured: Floats) -> str | None:
-        """Look at the next sample, shape (4, n); one line if it breaks a limit."""
+        """Check the next sample, shape (4, n); one line if it breaks a limit."""
         measured = np.array(measured, dtype=np.float64)
         last = measured if self._last is None else self._last
         self._last = measured
@@ -87,8 +87,8 @@ class Limits:
 def is_exceeded(times: Ints, count: int, step: int, window: int) -> bool:
     """Count an event at a step; return whether a second has more of them than allowed.
 
-    The last of such steps, shape (allowed + 1,), are kept in turn, ``count`` is how many there
-    have been before, and the window is the steps of a second.
+    ``times`` is a ring buffer of the last such steps, shape (allowed + 1,); ``count`` is their
+    number so far, and ``window`` the number of steps in a second.
     """
     times[count % len(times)] = step
     return count + 1 >= len(times) and times[(count + 1) % len(times)] > step - window
@@ -103,13 +103,13 @@ class SaturatedTime:
         self.window = round(1.0 / dt)
 
     def times(self) -> Ints:
-        """Room for the steps that `is_exceeded` counts."""
+        """Array for the steps that `is_exceeded` counts."""
         return np.zeros(min(self._allowed, self.window) + 1, dtype=np.int64)
 
     def describe(self, sensors: Sequence[str]) -> str:
-        """Say that sensors, one at least, have been blind for too long."""
+        """Say that sensors, one at least, have been saturated for too long."""
         names = " and ".join(sorted(sensors))
         return (
             f"{names} at the end of the sensor's range for more than {self._longest:g} s within "
-            "one second: the test is blind"
+            "one second: their channels are unknown"
         )

@@ -19,7 +19,7 @@ Polynomial = Floats | Sequence[float]
 LEAST_SAMPLES = 4.0
 """Samples in a cycle of the highest frequency that is inverted."""
 OUTSIDE_WEIGHT, GAIN_WEIGHT = 0.02, 1e-4
-"""Weights of errors beyond that frequency, and of the inverse's own size, in least squares."""
+"""Weights in least squares: of errors above that frequency, and of the inverse's own size."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def state_space_response(
 def companion_form(numerator: Floats, denominator: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Make the controllable canonical form a, b, c, d of a proper transfer function.
 
-    Over the fastest pole: in s itself its entries spread over many decades.
+    s is scaled by the fastest pole; without scaling the entries spread over many decades.
 
     Parameters
     ----------
@@ -111,8 +111,8 @@ def first_order_hold(a: Floats, b: Floats, dt: float) -> tuple[Floats, Floats, F
 def split_dead_time(delay: float, dt: float) -> tuple[int, float]:
     """Split a dead time into whole sampling periods and the remainder in s.
 
-    Between two samples the delayed input changes once: the remainder after the first of them, at
-    the sample itself where it is 0.
+    Between two samples the delayed input changes once: at the time of the remainder after the
+    first sample; if it is 0, at the sample itself.
     """
     whole = int(delay / dt + 1e-9)
     rest = delay - whole * dt
@@ -176,15 +176,15 @@ def bilinear(
 def noncausal_inverse(
     response: Callable[[Complexes], Complexes], highest: float, taps: int, dt: float
 ) -> Floats:
-    """Weights h of coming samples, so that sum_j h_j y[k + j], through the response, gives y[k].
+    """Weights h of future samples, so that sum_j h_j y[k + j], through the response, gives y[k].
 
-    By least squares over frequency, regularised: what is late has no causal inverse, but y is
-    known ahead.
+    By least squares over frequency, regularised. A delay has no causal inverse, but y is known
+    ahead.
 
     Parameters
     ----------
     response : callable
-        Frequency response at values of s, 1/s, from samples to what they make.
+        Frequency response at values of s, 1/s, from samples to the output.
     highest : float
         Frequency up to which it is inverted, Hz.
     taps : int

@@ -1,8 +1,8 @@
 """An OpenSeesPy script as a computed model, in a process of its own: OpenSees's state is global.
 
-The script makes nodes, materials and elements as ever, and says with `interface` where the test's
-axes take hold of it. Their displacements are imposed there, the other masses are shaken by the
-ground motion, and the reactions are the model's force. docs/computed_models.md shows how.
+The script makes nodes, materials and elements as usual, and names with `interface` the points at
+which the test's axes act on it. The axes' displacements are imposed there, the ground motion acts
+on the other masses, and the reactions are the model's force. See docs/computed_models.md.
 """
 
 import itertools
@@ -19,13 +19,13 @@ from typing import Any, NoReturn
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
-from seft_msgs_py.config.registered import line_in, told
+from seft_msgs_py.config.registered import line_in, reason_of
 from seft_msgs_py.errors import InputError
 
 START_TIME = 60.0  # s, for the worker to import OpenSees and run the script
 STEP_TIME = 5.0  # s, after which a step hangs
 ENDING_TIME = 2.0  # s
-_MANY = 900_000  # tags of what is added to the script's model
+_MANY = 900_000  # first tag of nodes and elements that are added to the script's model
 _OK, _FAILED = b"+", b"-"
 Place = tuple[int, int]
 _runs_script = False
@@ -40,21 +40,21 @@ def interface(
     names: Sequence[str] | None = None,
     responses: Mapping[str, Callable[[], float]] | None = None,
 ) -> None:
-    """Say in a script where the axes of the test take hold of the model.
+    """Name the points of a script's model at which the axes of the test act on it.
 
-    In a test the script ends here, and what stands below is not run: earthquake and analysis are
-    the test's. Anywhere else it does nothing.
+    In a test the script ends here, and the lines below are not run: the test supplies earthquake
+    and analysis. Outside a test this function does nothing.
 
     Parameters
     ----------
     *axes : (int, int) or sequence of (int, int)
-        Node and direction of each axis, or several that move together. If fixed, it is released. It
-        has no mass: what is there belongs to ``reference_force: computed.mass``.
+        Node and direction of each axis, or several that move together. A support there is released.
+        The node must have no mass there: it belongs to ``reference_force: computed.mass``.
     names : sequence of str, optional
-        The degrees of freedom that these are, see `seft_plant_sim.computed_model.Model`; default:
-        those of the test in order.
+        Names of these degrees of freedom, see `seft_plant_sim.computed_model.Model`; default:
+        those of the test, in order.
     responses : mapping, optional
-        What else to record: name -> function that gives a number.
+        Further responses to record: name -> function that gives a number.
     """
     if not _runs_script:
         return
@@ -72,7 +72,7 @@ class OpenSees:
     substeps : int
         Steps of the analysis from one sample to the next.
     tolerance : float
-        Of the norm of the last displacements' increment, m.
+        Largest norm of the last displacement increment, m.
     """
 
     def __init__(self, script: str, substeps: int = 1, tolerance: float = 1e-9) -> None:
@@ -104,7 +104,7 @@ class OpenSees:
         self._is_new = True
 
     def start(self, dt: float, axes: Sequence[str]) -> None:
-        """Build the model anew."""
+        """Build the model again."""
         del axes
         self._ask(b"s" + struct.pack("d", dt), START_TIME)
 
@@ -127,7 +127,7 @@ class OpenSees:
         return np.frombuffer(self._receive(STEP_TIME))
 
     def responses(self) -> dict[str, float]:
-        """Give what the script wants to be recorded."""
+        """Give the script's responses to record."""
         found: dict[str, float] = json.loads(self._ask(b"r", STEP_TIME))
         return found
 
@@ -142,7 +142,7 @@ class OpenSees:
         self._errors.close()
 
     def __del__(self) -> None:
-        """End the worker, which the last test has left."""
+        """End the worker of the last test."""
         if hasattr(self, "_worker") and not self._own.closed:
             self.close()
 
@@ -168,7 +168,7 @@ class OpenSees:
         return reply[1:]
 
     def _fail(self, why: str) -> NoReturn:
-        """Raise an error with the last that OpenSees has written."""
+        """Raise an error with the last output of OpenSees."""
         self._errors.seek(0)
         lines = self._errors.read().decode(errors="replace").splitlines()
         last = [line.strip() for line in lines if line.strip()][-1:]
@@ -177,7 +177,7 @@ class OpenSees:
 
 
 def serve(descriptor: int, script: str, substeps: int, tolerance: float) -> None:
-    """Serve an `OpenSees` until it is gone: what runs in the worker."""
+    """Serve an `OpenSees` until it ends; this runs in the worker."""
     global _runs_script
     _runs_script = True
     connection = Connection(descriptor)
@@ -186,7 +186,7 @@ def serve(descriptor: int, script: str, substeps: int, tolerance: float) -> None
     except Exception as error:
         connection.send_bytes(
             _FAILED
-            + f": OpenSeesPy can't be imported ({told(error)}): pip install 'seft_plant_sim"
+            + f": OpenSeesPy can't be imported ({reason_of(error)}): pip install 'seft_plant_sim"
             "[opensees]'".encode()
         )
         return
@@ -200,7 +200,7 @@ def serve(descriptor: int, script: str, substeps: int, tolerance: float) -> None
             reply = _OK + worker.answer(request)
         except Exception as error:
             sys.stderr.flush()
-            reply = _FAILED + f"{line_in(error, script)}: {told(error)}".encode()
+            reply = _FAILED + f"{line_in(error, script)}: {reason_of(error)}".encode()
         connection.send_bytes(reply)
 
 
@@ -213,7 +213,7 @@ class _Worker:
         sys.path.insert(0, str(Path(script).parent))
 
     def answer(self, request: bytes) -> bytes:
-        """Do what is asked for."""
+        """Carry out a request."""
         if request[:1] == b"s":
             (self._dt,) = struct.unpack("d", request[1:])
             return self._start()
@@ -235,17 +235,17 @@ class _Worker:
             self._axes, names, self._responses = reached.args
         else:
             raise ValueError(
-                "the script has no line interface(...), which says where the axes take hold"
+                "the script has no line interface(...), which says where the axes act on the model"
             )
         for node, direction in itertools.chain.from_iterable(self._axes):
             if mass := ops.nodeMass(node, direction):
                 raise ValueError(
-                    f"node {node} has a mass of {mass:g} kg in direction {direction}, where the "
-                    "interface is: leave it out, and add it to reference_force: computed.mass"
+                    f"node {node} has a mass of {mass:g} kg in direction {direction}, at the "
+                    "interface: remove it, and add it to reference_force: computed.mass"
                 )
             if direction in ops.getFixedDOFs(node):
                 ops.remove("sp", node, direction)
-        if not any(map(self._free, ops.getNodeTags())):  # nothing to solve for: add what floats
+        if not any(map(self._free, ops.getNodeTags())):  # nothing to solve for: add a free node
             size = len(ops.nodeDisp(self._axes[0][0][0]))
             ops.node(_MANY, *[0.0] * len(ops.nodeCoord(self._axes[0][0][0])))
             ops.mass(_MANY, *[1.0] * size)
@@ -310,7 +310,7 @@ class _Worker:
                 ops.sp(*place, origin + motion[i])
 
     def _analyse(self, t: float) -> None:
-        """Take a step; where Newton's method does not converge, in another way."""
+        """Take a step; if Newton's method does not converge, try other methods."""
         ops, dt = self._ops, self._dt / self._substeps
         if ops.analyze(1, dt) == 0:
             return
@@ -322,7 +322,7 @@ class _Worker:
                 return
         raise ValueError(
             f"the analysis does not converge at {t:g} s: give more substeps, or a larger "
-            "tolerance, as computed.settings: substeps=4"
+            "tolerance, for example computed.settings: substeps=4"
         )
 
     def _reactions(self) -> Floats:

@@ -26,12 +26,12 @@ from seft_plant_sim.sensors import Sensors
 from seft_plant_sim.specimen import Specimen
 
 AT_REST = 1e-4  # m/s
-RESTS = 10  # steps below that, so that a vibration's turning point is no rest
+RESTS = 10  # steps below that, so that the turning point of a vibration does not count as rest
 
 
 @dataclass(frozen=True)
 class Safe:
-    """Where a rig goes when a test ends.
+    """The safe position, and how the rig gets there at the end of a test.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Safe:
     closing : int
         Steps in which the valve goes there.
     longest : int
-        For how many steps the rig is followed to rest.
+        Largest number of steps until rest that are simulated.
     """
 
     command: Floats
@@ -51,28 +51,28 @@ class Safe:
     def from_parameters(
         cls, group: dict[str, Any], axes: Sequence[str], dt: float, places: Sequence[int]
     ) -> "Safe":
-        """Make it of ``safe.*`` for the axes at some places; InputError if sizes do not fit."""
+        """Make it from ``safe.*`` for the axes at some places; InputError if sizes do not fit."""
         command = per_axis(group["valve_command"], axes, "rig: safe.valve_command")[list(places)]
         return cls(command, round(group["close_time"] / dt), round(group["settle_time"] / dt))
 
 
 @dataclass(frozen=True)
 class Stopped:
-    """In how many steps a rig came to rest, and the largest force of any actuator meanwhile, N."""
+    """Number of steps until the rig was at rest, and the largest force of any actuator, N."""
 
     steps: int
     peak_force: float
 
 
 class Rig:
-    """Stands for a lab's rig: it measures, with a period of ``dt`` s, and obeys commands.
+    """Simulates a laboratory's rig: it measures with a period of ``dt`` s, and obeys commands.
 
     Attributes
     ----------
     drive : str
         Topic that drives the actuator: ``valve_command`` or ``reference_force``.
     parameters, state : RigParameters, RigState
-        What `rig_step` takes, here and in a compiled loop.
+        Arguments of `rig_step`, here and in a compiled loop.
     kind : tuple
         `kind_of` both.
     step_index : int
@@ -80,7 +80,7 @@ class Rig:
     violation : str or None
         The limit that the last sample breaks; the test must end with that sample.
     saturation : Saturation
-        What has been saturated since the reset: stroke, force capacity, valve, and sensors.
+        Saturation since the reset: of stroke, force capacity, valve, and sensors.
     """
 
     def __init__(
@@ -118,10 +118,11 @@ class Rig:
         timebase: Timebase,
         rig: RigAxes | None = None,
     ) -> "Rig":
-        """Make the rig of its section of an experiment, which is for all axes.
+        """Make the rig from its section of an experiment, which is for all axes.
 
-        Of several rigs it is the one given, which has some of the axes. Raises `InputError` if
-        sizes do not fit the axes, values make no rig, or its specimen is coupled with another's.
+        With several rigs, ``rig`` selects one, which has some of the axes. Raises `InputError` if
+        sizes do not fit the axes, values do not make a rig, or its specimen is coupled with that of
+        another rig.
         """
         own = rig or RigAxes.whole(axes)
         sensors, dt = group(section, "sensors"), timebase.dt
@@ -154,16 +155,16 @@ class Rig:
     def step(self, command: Floats) -> Floats:
         """Apply a command, shape (n,), V or N, see `drive`; take the next sample, shape (4, n).
 
-        Measured are displacement (m), velocity (m/s), acceleration (m/s^2), force (N).
+        The sample contains displacement (m), velocity (m/s), acceleration (m/s^2), force (N).
         """
         self._command[:] = command
         return self._sample(self.step_index + 1)
 
     def stop(self) -> Stopped:
-        """Bring the valve to its safe position and follow the rig until it rests.
+        """Move the valve to its safe position and simulate the rig until it is at rest.
 
         A closed valve locks the piston: the oil column rings, friction and leakage damp it, and the
-        remaining force leaks away. `sample` is the true state then; no limit trips any more.
+        remaining force decays. After that `sample` is the true state, and no limit trips.
         """
         if self._safe is None:
             return Stopped(0, 0.0)
@@ -179,14 +180,14 @@ class Rig:
         return Stopped(steps, peak)
 
     def take(self, found: Ints) -> None:
-        """Take over a test that a compiled loop has run, of what `rig_step` gave there, (N,)."""
+        """Continue after a compiled loop; ``found`` are the results of `rig_step` there, (N,)."""
         self.step_index = len(found) - 1
         self.violation, self.saturation = self.violation_of(int(found[-1])), saturation_of(found)
 
     def violation_of(self, found: int) -> str | None:
-        """Say why the test must end with the last sample, of which `rig_step` gave ``found``.
+        """Say why the test must end with the last sample; ``found`` is the result of `rig_step`.
 
-        Raises what a spring of another package has raised.
+        Raises the exception of a spring of another package, if there was one.
         """
         if found & LIMIT:
             for spring in self._model.springs:
@@ -210,7 +211,7 @@ class Rig:
 
 
 def saturation_of(found: Ints) -> Saturation:
-    """Count what was at the end of its range, of what `rig_step` gave by step, shape (N,)."""
+    """Count saturated samples; ``found`` are the results of `rig_step` by step, shape (N,)."""
     saturation, ever = Saturation(), int(np.bitwise_or.reduce(found))
     for name, bit in ENDS.items():
         if ever & bit:
@@ -225,9 +226,9 @@ def continuous_model(
     rig: RigAxes | None = None,
     stiffness: float = 1.0,
 ) -> ContinuousModel:
-    """Model of actuator, specimen and anti-aliasing filters that a rig's parameters describe.
+    """Model of actuator, specimen and anti-aliasing filters from a rig's parameters.
 
-    See `Rig.from_parameters`; ``stiffness`` is a factor on the elastic specimen's.
+    See `Rig.from_parameters`; ``stiffness`` is a factor on the stiffness of the elastic specimen.
     """
     own = rig or RigAxes.whole(axes)
     whole = Specimen.from_parameters(group(section, "specimen"), axes, "rig: specimen")
@@ -246,7 +247,7 @@ def continuous_model(
 
 
 class Rigs:
-    """Several rigs, each with its own axes, stepped together: the bits are those of their nodes."""
+    """Several rigs with their own axes, stepped together; the bits are those of their nodes."""
 
     def __init__(self, rigs: Sequence[tuple[RigAxes, Rig]]) -> None:
         self._rigs = [(list(of.places), rig) for of, rig in rigs]
@@ -260,7 +261,7 @@ class Rigs:
         timebase: Timebase,
         rigs: Sequence[RigAxes],
     ) -> "Rigs":
-        """Make them of the rig's section of an experiment, see `Rig.from_parameters`."""
+        """Make them from the rig's section of an experiment, see `Rig.from_parameters`."""
         return cls([(one, Rig.from_parameters(section, axes, timebase, one)) for one in rigs])
 
     @property
@@ -270,12 +271,12 @@ class Rigs:
 
     @property
     def violation(self) -> str | None:
-        """The limit that the last sample of a rig breaks; of several rigs the first counts."""
+        """The limit that the last sample breaks, of the first rig that has one."""
         return next((rig.violation for _, rig in self._rigs if rig.violation), None)
 
     @property
     def saturation(self) -> Saturation:
-        """What has been at the end of its range on any of them."""
+        """Saturation of any of them."""
         return Saturation.of_all([rig.saturation for _, rig in self._rigs])
 
     def reset(self) -> Floats:
@@ -297,8 +298,8 @@ class Rigs:
 def left_open(taken: int, steps: float) -> float:
     """Fraction of the last command that is left after some of the steps in which a valve closes.
 
-    A valve that closes at once on a mass M with velocity v makes the oil, of stiffness k, hammer
-    with v sqrt(k M). Half a cosine has no corner at which the oil would ring.
+    A valve that closes at once on a mass M with velocity v makes a force peak of v sqrt(k M) in
+    oil of stiffness k. Half a cosine has no corner that would excite the oil column.
     """
     if taken >= steps:
         return 0.0

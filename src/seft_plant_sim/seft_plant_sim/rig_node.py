@@ -1,4 +1,4 @@
-"""Node ``rig``: the simulated rig behind the topics that a lab's hardware driver has.
+"""Node ``rig``: the simulated rig with the topics of a laboratory's hardware driver.
 
 It publishes rig/state and obeys valve_command (idealised actuators: reference_force). It is
 the sampling clock of the test; the supervisor's experiment/state starts and stops it.
@@ -51,7 +51,7 @@ from seft_plant_sim.rig_watch import (
 
 CLOCK_PERIOD = 0.1  # s of the test's time
 BREATH = 0.005  # s from the first answer in realtime to the time of step 0
-FALL_BACK = 0.25  # of a period, by which a rig that is ahead of others delays each next sample
+FALL_BACK = 0.25  # of a period: delay of each next sample of a rig that is ahead of others
 REPORT_PERIOD = 1.0  # s, of the diagnostics of a running test
 
 
@@ -72,7 +72,7 @@ class RigNode(NodeBody):
         self._rig = Rig.from_parameters(self._section, experiment.axes, self._timebase, shell.rig)
         self._state_codec = TrajectoryCodec(RIG_STATE.of(shell.rig), shell.rig.axes, self._timebase)
         self._publish_state = shell.publisher(RIG_STATE.of(shell.rig))
-        # of several rigs, one is the test's clock, and all keep to one start
+        # with several rigs, one is the test's clock, and all start together
         self._publish_time: Callable[[bytes], None] | None = None
         if shell.rig.axes[0] == experiment.axes[0]:
             self._publish_time = shell.publisher(CLOCK_TOPIC)
@@ -111,13 +111,13 @@ class RigNode(NodeBody):
             state = self._rig.step(self._drive.value)
 
     def run(self) -> None:
-        """Run a test each time the supervisor says so, until the process ends."""
+        """Run a test each time the supervisor starts one, until the process ends."""
         supervision, ended = self._supervision, False
         self.report("idle")
         while not self._shell.stopping:
             self._shell.spin_once()
             wanted = supervision.wanted
-            self._rehearsed &= supervision.rehearsal > 0  # who asks anew gets a new one
+            self._rehearsed &= supervision.rehearsal > 0  # a new request gets a new rehearsal
             if wanted is not None and supervision.is_moving:
                 self._run_test(wanted)
                 ended = True
@@ -126,11 +126,11 @@ class RigNode(NodeBody):
             elif self._rehearsal is not None and supervision.rehearsal and not self._rehearsed:
                 self._rehearse(self._rehearsal, supervision.rehearsal)
             elif ended and wanted is not None and wanted.message == "idle":
-                ended = False  # others know by now how the test ended
+                ended = False  # by now others know how the test ended
                 self.report("idle")
 
     def _rehearse(self, rehearsal: Rehearsal, seconds: float) -> None:
-        """Run the loop with the valve at its safe value, and tell how that went."""
+        """Run the loop with the valve at its safe value, and publish the result."""
         rig, supervision = self._rig, self._supervision
 
         def sample(step: int) -> Floats:
@@ -140,12 +140,12 @@ class RigNode(NodeBody):
             seconds, sample, lambda: self._shell.stopping or not supervision.rehearsal
         )
         rig.reset()
-        if supervision.rehearsal:  # it was not broken off
+        if supervision.rehearsal:  # it was not interrupted
             self._rehearsed = True
             self._shell.tell({REHEARSED: found})
 
     def fault(self, reason: str) -> None:
-        """End the test that runs, or the next one, as long as the operator has not reset it."""
+        """End the running test, or the next one, until the operator resets."""
         self._supervision.fault = reason
 
     def _command(
@@ -186,7 +186,7 @@ class RigNode(NodeBody):
         else:
             try:
                 reason = self._supervision.fault or self._run_steps(wanted, state)
-            except Exception as error:  # of the program: it ends the test as a limit does
+            except Exception as error:  # a fault of the program ends the test as a limit does
                 reason = self._shell.fault("a step", error)
         step = self._rig.step_index
         self._publish_clock(step)
@@ -195,7 +195,7 @@ class RigNode(NodeBody):
             return
         self._supervision.latched = True
         trip = Trip(reason, step, self._timebase.stamp_ns(step) / 1e9)
-        self._report(TRIPPED, trip)  # before the rig comes to rest: others can stop at once
+        self._report(TRIPPED, trip)  # before the rig is at rest, so that others can stop at once
         self._report(TRIPPED, trip, self._rig.stop())
 
     def _run_steps(self, wanted: Status, state: Floats) -> str | None:
@@ -218,7 +218,7 @@ class RigNode(NodeBody):
     def _start_together(self, wanted: Status) -> str | None:
         """Wait for the moment at which all rigs start; give the reason if they can't.
 
-        Each samples by its own clock from then on, so these must agree.
+        After that each rig samples by its own clock, so the clocks must agree.
         """
         if self._is_alone or self._section["pace"] == "lockstep":
             return None
@@ -237,7 +237,7 @@ class RigNode(NodeBody):
         self._shell.report(self._status(phase, trip, stopped))
 
     def _report_if_due(self) -> None:
-        """Report the test's progress, when its commands are there and there is time for it."""
+        """Report the test's progress if its commands have arrived and there is time for it."""
         if time.monotonic() - self._reported_at >= REPORT_PERIOD:
             self._shell.note(self._status("running"))
 
@@ -276,7 +276,7 @@ class RigNode(NodeBody):
         deadline = time.monotonic() + timeout
         while self._valve.step < step or self._drive.step < step:
             if not shell.spin_once(0.05):
-                self._publish_clock(step)  # the ground motion may need the time to go on
+                self._publish_clock(step)  # the ground motion may need the time to continue
             if (why := self._reason_to_end()) is not None:
                 return why
             if time.monotonic() > deadline:
@@ -289,8 +289,8 @@ class RigNode(NodeBody):
     def _start_clock(self) -> None:
         """Begin the time of a test in realtime.
 
-        It begins soon after the first answer, as the other nodes prepare when they learn of a test.
-        Several rigs begin together; one waits for another that is behind, as their steps are
+        It begins soon after the first answer, because the other nodes prepare at the first sample.
+        Several rigs begin together; one waits for another that is behind, because their steps are
         answered together. Over links they can't see each other: each makes up for lost time.
         """
         self._waits = not self._is_alone and not self._section["loop_delay"]
@@ -299,7 +299,7 @@ class RigNode(NodeBody):
         self._clock = SampleClock(self._timebase.dt, start, makes_up=makes_up)
 
     def _realtime(self, step: int, is_last: bool) -> str | None:
-        """Wait for the deadline of the next step, and count a command that is missing then.
+        """Wait for the deadline of the next step, and count a missing command.
 
         Gives the reason if the test must end.
         """
@@ -317,7 +317,7 @@ class RigNode(NodeBody):
         clock.awake(-left)
         late = time.monotonic() + period
         while drive.step < step and time.monotonic() < late and shell.spin_once(0.0):
-            pass  # messages that arrived while we were late are in time; a flood must not block
+            pass  # messages that arrived during a stall are in time; a flood must not block
         if self._waits and drive.step < step:
             clock.fall_back(self._wait_for_answer(step - 1, timeout) + FALL_BACK * period)
         if (why := self._reason_to_end()) is not None or is_last or self._rig.violation is not None:
@@ -342,7 +342,7 @@ class RigNode(NodeBody):
         return time.monotonic() - begun
 
     def _publish(self, step: int, state: Floats) -> bool:
-        """Publish a sample; False if it is not finite, which no message may carry."""
+        """Publish a sample; False if it is not finite, because messages must be finite."""
         self._valve.current = self._drive.current = step
         try:
             raw = self._state_codec.encode(step, state)
@@ -362,7 +362,7 @@ class RigNode(NodeBody):
     def _reason_to_end(self) -> str | None:
         """Give the reason why the test must end here, if there is one."""
         if self._shell.stopping:
-            return "the rig node was told to end"
+            return "the rig node received a signal to end"
         return self._supervision.reason_to_end()
 
 

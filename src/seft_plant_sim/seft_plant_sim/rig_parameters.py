@@ -8,13 +8,13 @@ from seft_msgs_py.node import realtime
 
 OWN = ("linear", "bilinear", "bouc_wen", "pinching", "flag", "friction", "gap", "duffing")
 KINDS = Registered("seft.restoring_force", OWN)
-"""Of other packages: a kind -> what makes a `seft_plant_sim.springs.HystereticSpring`.
+"""Laws of other packages: kind -> class or function for a `springs.HystereticSpring`.
 
-It is given elastic stiffness in N/m, yield displacement in m, and hardening ratio, and may take
+It receives elastic stiffness in N/m, yield displacement in m, and hardening ratio, and may take
 settings.
 """
 
-# Rates are of one sample to the next. Tests of config/jhu.yaml and config/demo.yaml that go well
+# Rates are from one sample to the next. Successful tests of config/jhu.yaml and config/demo.yaml
 # reach 0.48, 26, 3e3 and 1.4e5; with valve and accelerometer driven into saturation 0.48, 51, 1.5e4
 # and 6.5e5. An accelerometer's full range of 4 g at the oil column's 90 Hz is 2.2e4.
 _OF_THE_PAPER = {
@@ -33,7 +33,7 @@ LIMIT_UNITS = tuple(unit for _, unit in _OF_THE_PAPER.values())
 
 
 def limit_rows(default_from: str = "") -> list[Parameter]:
-    """Rows ``limits.*`` of a parameter table; defaults are a node's, or suit the paper's rig."""
+    """Rows ``limits.*`` of a parameter table; defaults are those of a node, or the paper's rig."""
     largest = "largest {} on any axis; beyond it the test trips"
     change = (
         "largest change of the measured {} from one sample to the next, per second; beyond it, as "
@@ -46,7 +46,7 @@ def limit_rows(default_from: str = "") -> list[Parameter]:
     rows += parameter_rows(
         """
         saturated_time | float | 0.05 | s | 0 .. | longest time within one second that sensors may
-            be at the end of their range; a test that is blind for longer trips
+            be saturated, before the test trips
         """,
         "limits",
     )
@@ -62,7 +62,7 @@ PACE = parameter_rows(
         waits for its command
     lockstep_timeout | float  | 5.0      | s | > 0       | longest wait for a command in lockstep
     loop_delay       | int    | reference_force:loop_delay or 0 |   | -1 .. 100 |
-        of an idealised actuator, which obeys reference_force: steps from a state to the
+        for an idealised actuator, which obeys reference_force: steps from a state to the
         first use of the force that is computed from it
     seed             | int    | 0        |   | 0 ..      | seed of the sensor noise
     """
@@ -73,10 +73,10 @@ SPECIMEN = parameter_rows(
     mass      | floats |     | kg    |  | mass: one number, a diagonal, or a matrix
     damping   | floats | 0.0 | N s/m |  | viscous damping, likewise
     stiffness | floats |     | N/m   |  |
-        stiffness, likewise; as new where it yields, without friction and beyond no gap
+        initial elastic stiffness, likewise; without friction, and with open gaps
     springs   | floats | 0.0 |       |  |
-        springs that are not linear: deformation of each per displacement of each axis,
-        spring by spring; 0: one between each axis and the ground
+        nonlinear springs: deformation of each per displacement of each axis, spring by
+        spring; 0: one between each axis and the ground
     """,
     "specimen",
 )
@@ -86,9 +86,9 @@ SPRINGS = (
         "specimen.kind",
         "string",
         "linear",
-        "restoring force: linear, bilinear with kinematic hardening, Bouc-Wen, Bouc-Wen that "
-        "pinches, flag-shaped (self-centring), Coulomb friction beside the spring, a second "
-        "spring beyond a gap, or Duffing's cubic spring",
+        "restoring force: linear, bilinear with kinematic hardening, Bouc-Wen, Bouc-Wen with "
+        "pinching, flag-shaped (self-centring), Coulomb friction parallel to the spring, a second "
+        "spring behind a gap, or Duffing's cubic spring",
         choices=KINDS.names,
     ),
     KINDS.settings_row("specimen.settings", "a restoring force"),
@@ -111,27 +111,27 @@ SPRINGS = (
             degradation of stiffness per work of yield force times yield displacement
             (Baber & Wen 1981, delta_eta)
         pinching.slip           | float  | 1.0  |       | 0 ..       |
-            half of the slip at each passage through zero force once it has grown, over
-            the yield displacement; the rest is as of bouc_wen
+            half of the fully developed slip at each passage through zero force, over the
+            yield displacement; the other parameters are those of bouc_wen
         pinching.growth         | float  | 0.1  |       | > 0        |
             growth of the slip per work of yield force times yield displacement
         pinching.width          | float  | 0.15 |       | > 0        |
-            force within which it slips, over the yield force
+            force range in which it slips, over the yield force
         flag.dissipation        | floats | 0.5  |       | 0 .. 1     |
-            height of the flag over the yield force, for all or per spring; 0: it
-            dissipates nothing
+            height of the flag over the yield force, for all or per spring; 0: no
+            dissipation
         friction.force          | floats | 0.0  | N     | 0 ..       |
-            friction beside each spring, for all or per spring
+            friction parallel to each spring, for all or per spring
         friction.presliding     | float  | 2e-5 | m     | > 0        |
-            displacement by which it gives way before it slides
+            elastic displacement before it slides
         gap.width               | floats | 0.0  | m     | 0 ..       |
-            deformation either way at which the second spring engages, for all or per
+            deformation in both directions at which the second spring engages, for all or per
             spring
         gap.stiffness           | floats | 0.0  | N/m   | 0 ..       |
             stiffness of the second spring, likewise
         duffing.cubic           | floats | 0.0  | N/m^3 |            |
-            coefficient of the deformation's cube, likewise; below 0 the spring softens,
-            up to its largest force
+            coefficient of the deformation's cube, likewise; below 0 the spring softens up to
+            its largest force
         """,
         "specimen",
     ),
@@ -180,12 +180,12 @@ ACTUATOR = parameter_rows(
     viscous_friction     | floats | 0.0             | N s/m    | 0 ..    |
         viscous friction of the piston
     stroke               | floats | 0.076           | m        | > 0     |
-        displacement either way at which the piston meets its stops
+        displacement in both directions at which the piston meets its stops
     """,
     "actuator",
 )
-"""Identified values where they are given, else from the data sheets, whose defaults are the paper's
-rig as docs/rig.md explains."""
+"""Identified values are used if given, otherwise the data sheets; their defaults are those of the
+paper's rig (docs/rig.md)."""
 
 SENSORS = parameter_rows(
     """
@@ -198,13 +198,13 @@ SENSORS = parameter_rows(
     acceleration_bias  | floats | 0.0      | m/s^2 |         | constant error of acceleration
     force_bias         | floats | 0.0      | N     |         | constant error of force
     position_range     | floats | 0.0      | m     | 0 ..    |
-        range of displacement either way, where the sensor saturates; 0: no end
+        displacement in both directions at which the sensor saturates; 0: never
     velocity_range     | floats | 0.0      | m/s   | 0 ..    |
-        range of velocity either way, where the sensor saturates; 0: no end
+        velocity in both directions at which the sensor saturates; 0: never
     acceleration_range | floats | 0.0      | m/s^2 | 0 ..    |
-        range of acceleration either way, where the sensor saturates; 0: no end
+        acceleration in both directions at which the sensor saturates; 0: never
     force_range        | floats | 0.0      | N     | 0 ..    |
-        range of force either way, where the sensor saturates; 0: no end
+        force in both directions at which the sensor saturates; 0: never
     adc_bits           | int    | 0        |       | 0 .. 32 |
         bits of the analog-digital converter over each range; 0: exact
     anti_alias         | float  | 0.0      | Hz    | 0 ..    |
@@ -219,16 +219,18 @@ SENSORS = parameter_rows(
 SAFETY = parameter_rows(
     """
     limits.command              | float  | force_controller:voltage_limit or 10.0 | V | > 0     |
-        largest valve command, either way, that the rig applies; one beyond it is refused.
-        Idealised actuators refuse a reference force beyond limits.force instead
+        largest valve command, in both directions, that the rig applies; a larger one is
+        refused. Idealised actuators refuse a reference force beyond limits.force instead
     safe.valve_command          | floats | 0.0 | V |         |
-        valve command when a test trips or is stopped; an idealised actuator lets go instead
+        valve command after the end of a test; an idealised actuator removes its force instead
     safe.close_time              | float  | 0.02 | s | 0 .. 1  |
-        time in which the valve goes from the last command to that. A valve that closes at once on
-        a moving mass M makes the oil hammer with v sqrt(k_oil M): longer than a period of the
-        oil; the specimen goes on moving meanwhile: shorter than a sixth of its period
+        time in which the valve goes from the last command to safe.valve_command. Longer than a
+        period of the oil column, because a valve that closes at once on a mass M with velocity v
+        makes a force peak of v sqrt(k_oil M); shorter than a sixth of the specimen's period,
+        because the specimen still moves
     safe.settle_time            | float  | 0.2 | s | 0 .. 60 |
-        longest time that the simulated rig is followed to rest after that; 0: not at all
+        longest time for which the simulated rig continues after that, until it is at rest; 0:
+        not at all
     watchdog.command_timeout | float | supervisor:watchdog.command_timeout or 0.02 | s | > 0 |
         in realtime: longest time without a new command before the rig trips
     watchdog.supervisor_timeout | float  | 1.0 | s | > 0     |

@@ -22,23 +22,23 @@ from seft_plant_sim.lti import split_dead_time
 from seft_plant_sim.sensors import CHANNELS, Channels, measure
 
 LONGEST_DELAY_STEPS = 1_000_000
-"""Dead time in samples that a rig's memory may hold."""
+"""Largest dead time of a rig, in samples."""
 STROKE, FORCE_CAPACITY, VALVE = 16, 32, 64
 LIMIT, BLIND = 128, 256
-"""Bits of a step's result, beside 1 to 8 for saturated sensors: other saturated parts, and the
-reasons to end the test, a limit or sensors that are saturated for too long."""
+"""Bits of a step's result: 1 to 8 for saturated sensors, then other saturated parts, then the
+reasons to end the test: a limit, or sensors that are saturated for too long."""
 ENDS = {f"{name}_range": 1 << row for row, name in enumerate(CHANNELS)}
 ENDS |= {"stroke": STROKE, "force_capacity": FORCE_CAPACITY, "valve": VALVE}
 """Bits of saturated parts, by name."""
 
 
 class RigParameters(NamedTuple):
-    """What does not change of a rig of n axes.
+    """Parameters of a rig of n axes.
 
     Attributes
     ----------
     dynamics : Dynamics
-        Of actuator and specimen: from the last sample to the drive's change, and from there on.
+        Of actuator and specimen: from the last sample to the drive's change, and after it.
     drive_limit : ndarray
         Drive at which the actuators saturate, shape (n,).
     changes_between : bool
@@ -60,7 +60,7 @@ class RigParameters(NamedTuple):
 
 
 class RigState(NamedTuple):
-    """What changes of it from step to step.
+    """State of a rig.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class RigState(NamedTuple):
     true : ndarray
         Displacement (m), velocity (m/s), acceleration (m/s^2) and force (N) at the sample, (4n,).
     line : ndarray
-        The last drives in turn, as long as the dead time is, shape (whole periods + 2, n).
+        Ring buffer of the drives during the dead time, shape (whole periods + 2, n).
     counts : ndarray
         Place of the oldest drive, and number of blind samples, shape (2,).
     measured, change : ndarray
@@ -77,7 +77,7 @@ class RigState(NamedTuple):
     largest : ndarray
         Largest magnitudes of both so far, shape (8,).
     blind : ndarray
-        The last steps at which a sensor was at its range, in turn.
+        Ring buffer of the last steps at which a sensor was at its range.
     """
 
     motion: Motion
@@ -129,18 +129,18 @@ def rig_step(
     noise: Floats,
     measured: Floats,
 ) -> int:
-    """Apply a command and take the next sample; step 0 brings the rig to rest instead.
+    """Apply a command and take the next sample; step 0 sets the rig to rest instead.
 
     Parameters
     ----------
     state : RigState
-        Brought up to date.
+        Is updated.
     step : int
         Step of the sample.
     command : ndarray
-        What drives the actuators after the last sample, shape (n,), V or N.
+        Drive of the actuators after the last sample, shape (n,), V or N.
     noise, measured : ndarray
-        Of the sensors at this step, and the sample, which is the result; shape (4, n).
+        Noise of the sensors at this step, and the sample, which is written; shape (4, n).
 
     Returns
     -------
@@ -179,8 +179,8 @@ def rig_step(
 def move(parameters: RigParameters, state: RigState, command: Floats) -> None:
     """Advance the true state by one sampling period, with a command from the new sample on.
 
-    Where the actuator answers its drive without delay (the ideal one), the new sample holds that
-    answer already.
+    If the actuator responds to its drive without delay (the ideal one), the new sample already
+    contains the response.
     """
     dynamics, motion, line = parameters.dynamics, state.motion, state.line
     n, places, oldest = len(command), len(line), state.counts[0]
@@ -203,7 +203,7 @@ def move(parameters: RigParameters, state: RigState, command: Floats) -> None:
 
 @compiled
 def rest(state: RigState) -> None:
-    """Bring the rig to rest, with no drive."""
+    """Set the rig to rest, without drive."""
     state.motion.work[:] = 0.0
     state.motion.springs[:] = 0.0
     state.true[:] = 0.0

@@ -1,4 +1,4 @@
-"""What a rig node watches beside its samples: time, commands, recorder, health; the rehearsal."""
+"""Watches of a rig node: time, commands, recorder, supervisor, health; the rehearsal."""
 
 import math
 import time
@@ -25,10 +25,10 @@ def elapsed() -> float:
 
 
 class CommandWatch:
-    """Checks at the end of each period whether the rig may go on with the command that it holds.
+    """Checks at the end of each period whether the rig may continue with its present command.
 
     While the rig's process or its host stalls, the valve stays open, and the newest command answers
-    an old sample. So time counts, not steps. Times are those of `elapsed`.
+    an old sample. So the watch uses time, not steps. Times are those of `elapsed`.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class CommandWatch:
         self._answered, self._fresh_at = -1, now
 
     def fault(self, now: float, step: int, answered: int, *, in_vain: bool = False) -> str:
-        """Say why the test must end here, before a command is applied; empty if it may go on.
+        """Say why the test must end here, before a command is applied; empty if it may continue.
 
         Parameters
         ----------
@@ -58,9 +58,9 @@ class CommandWatch:
         step : int
             Step of the last sample.
         answered : int
-            Last step whose command is settled, -1 where none is.
+            Last step whose command is known; -1: none.
         in_vain : bool
-            Whether the rig has put off its next sample and waited for as long as it may.
+            Whether the rig has delayed its next sample and waited for as long as it may.
         """
         period, timeout = self._period, self._timeout
         behind = step - answered
@@ -81,15 +81,15 @@ class CommandWatch:
         return f"no new {name} for {timeout:g} s {last}; is {self._topic.publisher} running?"
 
 
-OVERRUN = 0.5  # of a period: lateness after which the rest of it is too short for an answer
+OVERRUN = 0.5  # of a period: after it the rest of the period is too short for an answer
 HURRY = 0.05  # of a period, by which steps are shorter while a rig makes up for lost time
 
 
 class SampleClock:
-    """Absolute deadlines, one a period.
+    """Absolute deadlines, one for each period.
 
-    After an overrun, a deadline missed by more than half a period, all deadlines are put off:
-    hurried steps would leave the others no time to answer. A rig that makes up for lost time
+    After an overrun, a deadline missed by more than half a period, all deadlines are shifted:
+    shorter steps would leave the others no time to answer. A rig that makes up for lost time
     returns to its schedule by slightly shorter steps. Times are in s, monotonic.
     """
 
@@ -103,7 +103,7 @@ class SampleClock:
         return self._start + step * self._period
 
     def awake(self, late: float) -> None:
-        """Take in by how many s a deadline was missed."""
+        """Process the time in s by which a deadline was missed."""
         if late > OVERRUN * self._period:
             self.overruns += 1
             self.fall_back(late)
@@ -111,22 +111,22 @@ class SampleClock:
             self._start -= min(HURRY * self._period, self._start - self._on_time)
 
     def fall_back(self, time: float) -> None:
-        """Put off all that is to come, by a time in s."""
+        """Shift all later deadlines by a time in s."""
         self._start += time
 
 
 MOST = 3072
-"""Steps: three quarters of what queues hold. The recorder reports its step five times a second."""
+"""Steps: three quarters of a queue's length. The recorder reports its step five times a second."""
 
 
 class RecorderLag:
-    """Follows what the recorder says of itself.
+    """Follows the recorder's status.
 
     Parameters
     ----------
     patience : float
-        Silence after which it is waited for no more, s: whether a test goes on without it is the
-        supervisor's to say.
+        Silence after which the rig no longer waits for it, s: the supervisor decides whether a test
+        continues without a recorder.
     """
 
     def __init__(self, patience: float) -> None:
@@ -135,7 +135,7 @@ class RecorderLag:
         self._recorded = 0
 
     def hear(self, raw: bytes, _: int) -> None:
-        """Take in the diagnostics of a node."""
+        """Process the diagnostics of a node."""
         for status in decode_diagnostics(raw)[1]:
             if status.name == RECORDER:
                 self._heard_at = self._awake.time()
@@ -146,14 +146,14 @@ class RecorderLag:
         self._recorded = 0
 
     def is_large(self, step: int) -> bool:
-        """Tell whether the rig should wait after a step until more is recorded."""
+        """Say whether the rig should wait after a step until more is recorded."""
         if step - self._recorded < MOST:
             return False
         return self._awake.time() - self._heard_at < self._patience
 
 
 class Supervision:
-    """What the supervisor asks of this rig, which does not move without one.
+    """The supervisor's requests to this rig, which does not move without a supervisor.
 
     Parameters
     ----------
@@ -165,13 +165,13 @@ class Supervision:
     wanted : Status or None
         State of the experiment that the rig follows; None while it stays at rest.
     state : str
-        State that was published last.
+        Last published state.
     fault : str
-        Fault of the program, which ends every test until the supervisor has said idle.
+        Fault of the program, which ends every test until the supervisor publishes idle.
     latched : bool
-        Whether a test tripped: there is no new one before the supervisor has said idle.
+        Whether a test tripped: no new one begins before the supervisor publishes idle.
     rehearsal : float
-        For how many s the loop is to be rehearsed; 0: not.
+        Requested duration of a rehearsal, s; 0: none.
     """
 
     def __init__(self, patience: float) -> None:
@@ -184,7 +184,7 @@ class Supervision:
 
     @property
     def is_moving(self) -> bool:
-        """Whether the rig is to move."""
+        """Whether the rig should move."""
         return self.wanted is not None and self.wanted.message in MOVING
 
     def hear(self, raw: bytes, _: int) -> None:
@@ -196,10 +196,10 @@ class Supervision:
             return  # a sign of life
         self.state = status.message
         if status.message in MOVING and not (self._armed or self.is_moving):
-            why = "that was running before this rig was ready for it"
+            why = "that began before this rig was ready"
             raise WireError("a test " + ("after a trip and no reset" if self.latched else why))
         if status.message == "running" and not status.number("steps"):
-            raise WireError("a test that does not say how many steps it has")
+            raise WireError("a test without its number of steps")
         if status.message == "idle":
             self.latched, self.fault = False, ""
         self._armed = status.message == "ready" and not self.latched
@@ -216,16 +216,16 @@ class Supervision:
         return None
 
 
-NARROW = 0.1  # of a limit: a smaller margin is warned of
+NARROW = 0.1  # of a limit: a smaller margin gives a warning
 
 
 def with_health(
     status: Status, margins: Mapping[str, float], answered_at: float, last_trip: float
 ) -> Status:
-    """Add the health of the test to a rig's status, under names that diagnostic tools show.
+    """Add the health of the test to a rig's status, under names for diagnostic tools.
 
-    It takes `Limits.margins`, the time of the newest command (s, monotonic; 0: none), and the last
-    round trip from a state to its command (s; nan: none).
+    The arguments are `Limits.margins`, the time of the newest command (s, monotonic; 0: none), and
+    the last round trip from a state to its command (s; nan: none).
     """
     values = {f"margin {name.replace('_', ' ')}": f"{left:.3f}" for name, left in margins.items()}
     narrow = [name.replace("_", " ") for name, left in margins.items() if not left >= NARROW]
@@ -241,7 +241,7 @@ def with_health(
 
 
 SHORTEST = 1e-5  # s, lower edge of the first bin
-PER_DECADE = 20  # bins: a median is right within 6 %
+PER_DECADE = 20  # bins: the error of a median is at most 6 %
 DECADES = 7
 QUANTILES = {"p50": 0.5, "p90": 0.9, "p99": 0.99, "p99.9": 0.999}
 EDGES = [SHORTEST * 10 ** (at / PER_DECADE) for at in range(1, PER_DECADE * DECADES)]
@@ -256,7 +256,7 @@ class RoundTrip:
     Attributes
     ----------
     last, largest : float
-        s; nan where there was none.
+        s; nan if there was none.
     """
 
     def __init__(self) -> None:
@@ -274,7 +274,7 @@ class RoundTrip:
         self._published_at[step % LATEST] = at
 
     def answered(self, command: Command, at: float) -> None:
-        """Count the newest command, which came at a time in s, unless its state is too old."""
+        """Count the newest command, which arrived at a time in s, unless its state is too old."""
         if command.current - command.answered < LATEST:
             self.add(at - self._published_at[command.answered % LATEST])
 
@@ -286,7 +286,7 @@ class RoundTrip:
         self.largest = time if self.count == 1 else max(self.largest, time)
 
     def quantile(self, share: float) -> float:
-        """Middle of the bin that holds a quantile, s; nan where there was no time.
+        """Middle of the bin of a quantile, s; nan if there was no time.
 
         At most the largest time.
         """
@@ -305,12 +305,12 @@ class RoundTrip:
         return {**quantiles, "largest": self.largest}
 
 
-UNCOUNTED = 0.25  # of the steps: until then the host learns how busy the loop is
-FIRST_ANSWER = 5.0  # s, longest wait for it: the nodes make blocks for the rehearsal
+UNCOUNTED = 0.25  # of the steps: in this time the host adapts to the load of the loop
+FIRST_ANSWER = 5.0  # s, longest wait: the nodes make blocks for the rehearsal
 
 
 class Rehearsal:
-    """The rig's side of it, on topics of its own, which no other node takes for a test.
+    """The rig's part of a rehearsal, on separate topics, so that no node takes it for a test.
 
     Parameters
     ----------
@@ -338,22 +338,22 @@ class Rehearsal:
     def run(
         self, seconds: float, sample: Callable[[int], Floats], stop: Callable[[], bool]
     ) -> dict[str, Any]:
-        """Publish samples at the rate, and count what is answered.
+        """Publish samples at the rate, and count the answers.
 
         Parameters
         ----------
         seconds : float
-            For how long.
+            Duration, s.
         sample : callable
-            Gives the state of a step, shape (4, n), of a rig whose valve is at its safe value.
+            Gives the state of a step, shape (4, n), of a rig with its valve at the safe value.
         stop : callable
-            Whether to end early.
+            Says whether to end early.
 
         Returns
         -------
         dict
-            ``rate_hz``; ``steps`` that were counted, ``missed`` (those without a command at their
-            end), ``overruns`` of the rig itself, and ``round_trip_s`` as of
+            ``rate_hz``; the counted ``steps``, ``missed`` (steps without a command at their end),
+            ``overruns`` of the rig itself, and ``round_trip_s``, see
             `seft_msgs_py.wire.outcome.ROUND_TRIPS`. JSON values.
         """
         shell, command, period = self._shell, self._command, self._timebase.dt
@@ -369,7 +369,7 @@ class Rehearsal:
             raw = self._codec.encode(step, sample(step))
             self._round_trip.published(step, time.monotonic())
             self._publish(raw)
-            if step == 0:  # others prepare when they learn of it
+            if step == 0:  # other nodes prepare at the first sample
                 begun = time.monotonic()
                 while command.step < 0 and time.monotonic() - begun < FIRST_ANSWER and not stop():
                     shell.spin_once(period)
@@ -379,7 +379,7 @@ class Rehearsal:
             clock.awake(-left)
             late = time.monotonic() + period
             while command.step < step and time.monotonic() < late and shell.spin_once(0.0):
-                pass  # as in a test: what arrived while we were late is in time
+                pass  # as in a test: messages that arrived during a stall are in time
             missed += self._counts and command.step < step
             if stop():
                 break

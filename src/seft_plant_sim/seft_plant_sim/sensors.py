@@ -11,7 +11,7 @@ from seft_msgs_py.errors import InputError
 from seft_plant_sim.compiled import compiled
 
 BLOCK = 4096
-"""Steps of which the noise is drawn at once."""
+"""Number of steps for which noise is drawn at once."""
 CHANNELS = ("position", "velocity", "acceleration", "force")
 
 
@@ -25,12 +25,12 @@ class Channels(NamedTuple):
     bias : ndarray
         Constant error, shape (4, n).
     range : ndarray
-        Largest magnitude that is measured, shape (4, n); infinite where there is no end.
+        Largest magnitude that is measured, shape (4, n); infinite without a limit.
     resolution : ndarray
-        Step of the analog-digital converters, shape (4, n); 0 throughout: there are none.
+        Step of the analog-digital converters, shape (4, n); all 0: there are none.
     cutoff : float
-        Of the filter by which the velocity is derived from the displacement, w_c / (2 pi) in Hz;
-        0: it is measured.
+        Cut-off w_c / (2 pi), in Hz, of the filter that derives the velocity from the displacement;
+        0: the velocity is measured.
     dt : float
         Sampling period, s.
     """
@@ -49,8 +49,8 @@ def measure(
 ) -> int:
     """Measure a state: noise, bias, range and resolution of every sensor, in this order.
 
-    The true state has shape (4n,); noise, of an RMS of 1, the last sample and this one, which is
-    the result, have shape (4, n). Bit i of what is returned is set if a sensor of channel i is at
+    The true state has shape (4n,). The noise (RMS 1), the last sample and this sample, which is
+    written, have shape (4, n). Bit i of the result is set if a sensor of channel i is at the end of
     its range.
     """
     n = measured.shape[1]
@@ -65,7 +65,7 @@ def measure(
                 value = limit if value > 0.0 else -limit
             measured[row, i] = np.rint(value / resolution) * resolution if resolution else value
     if channels.cutoff:
-        # v = s / (1 + s / w_c) x by the bilinear transform, as a filter that has long been running
+        # v = s / (1 + s / w_c) x by the bilinear transform, in the steady state at the beginning
         half = np.pi * channels.cutoff * channels.dt
         gain, pole = 2 * np.pi * channels.cutoff / (1 + half), (1 - half) / (1 + half)
         for i in range(n):
@@ -77,9 +77,9 @@ def measure(
 class Sensors:
     """The sensors of a rig, and their noise.
 
-    The noise is white and a function of seed, axis and step alone: it does not depend on which
-    samples were taken before, and every way of running a test sees the same. Each axis has a noise
-    of its own, by its place among those of the test (default 0 to n - 1).
+    The noise is white and a function of seed, axis and step alone: it does not depend on earlier
+    samples, and all ways of running a test have the same noise. Each axis has its own noise, by its
+    place among the axes of the test (default 0 to n - 1).
     """
 
     def __init__(self, channels: Channels, seed: int, places: Sequence[int] | None = None) -> None:
@@ -99,7 +99,7 @@ class Sensors:
         where: str,
         places: Sequence[int] | None = None,
     ) -> "Sensors":
-        """Make them of the parameters ``sensors.*``, for the axes at some places, or all.
+        """Make them from the parameters ``sensors.*``, for the axes at some places, or all.
 
         Raises
         ------
@@ -114,7 +114,7 @@ class Sensors:
         noise, bias, ranges = values("noise"), values("bias"), values("range")
         own = list(range(len(axes)) if places is None else places)
         derived = group["velocity"] == "derived"
-        if derived:  # there is no sensor of it
+        if derived:  # there is no velocity sensor
             for rows in (noise, bias, ranges):
                 rows[CHANNELS.index("velocity")] = 0.0
         resolution = np.zeros_like(ranges)
@@ -126,7 +126,7 @@ class Sensors:
                         f"{where}.adc_bits is {group['adc_bits']}, but {channel}_range is 0: "
                         f"a converter needs a range; give {where}.{channel}_range"
                     )
-            resolution[resolution == 0] = 1.0  # of the velocity, which is derived: any will do
+            resolution[resolution == 0] = 1.0  # of the derived velocity: not used
         ranges[ranges == 0] = np.inf
         noise, bias, ranges, resolution = (
             np.ascontiguousarray(rows[:, own]) for rows in (noise, bias, ranges, resolution)
@@ -135,7 +135,7 @@ class Sensors:
         return cls(Channels(noise, bias, ranges, resolution, cutoff, dt), seed, own)
 
     def noise_of(self, step: int) -> Floats:
-        """Noise of a step, of an RMS of 1, shape (4, n)."""
+        """Noise of a step, RMS 1, shape (4, n)."""
         index, row = divmod(step, BLOCK)
         if index != self._block_index:
             self._block_index = index
@@ -143,9 +143,9 @@ class Sensors:
         return self._block[row]
 
     def noise_block(self, index: int, steps: int = BLOCK) -> Floats:
-        """Noise of the first steps of a block, of an RMS of 1, shape (steps, 4, n).
+        """Noise of the first steps of a block, RMS 1, shape (steps, 4, n).
 
-        `BLOCK` steps are all of it.
+        A whole block has `BLOCK` steps.
         """
         noise = np.empty((len(self._places), steps, 4))
         for axis, rows in zip(self._places, noise, strict=True):

@@ -1,10 +1,10 @@
-"""The load-resisting member under test, and the energy balance of a test of it.
+"""The specimen, and the energy balance of a test.
 
-The balance checks the samples of a test without a reference: M a + C v + r(x) = f (Eq. 2.4), each
-term times the velocity and integrated, says that the work of the actuators' force is kinetic
-energy, strain energy, and what dampers and springs dissipate (Uang & Bertero 1990, relative energy;
-the force does the work of the ground motion here). It closes if samples, mass, damping and
-restoring force fit each other.
+The balance checks the samples of a test without a reference. M a + C v + r(x) = f (Eq. 2.4),
+multiplied by the velocity and integrated, states that the work of the actuators' force is the sum
+of kinetic energy, strain energy, and the dissipation of dampers and springs (Uang & Bertero 1990,
+relative energy; here the force does the work of the ground motion). The balance closes if samples,
+mass, damping and restoring force are consistent.
 """
 
 import itertools
@@ -25,8 +25,8 @@ from seft_plant_sim.springs import Spring, make_springs
 class Specimen:
     """Mass, damping and restoring force of a specimen: M a + C v + r(x) = f (Eq. 2.4).
 
-    Linear, r = K x. With springs that are not linear, r = D^T s, where their deformations are
-    e = D x; as long as they are elastic this is K x again (friction acts beside it).
+    A linear specimen has r = K x. With nonlinear springs, r = D^T s for the deformations e = D x;
+    while the springs are elastic this is K x again (friction acts in parallel).
 
     Attributes
     ----------
@@ -48,13 +48,13 @@ class Specimen:
     def from_parameters(
         cls, section: dict[str, Any], axes: Sequence[str], where: str
     ) -> "Specimen":
-        """Make it of parameters ``mass``, ``damping``, ``stiffness``, and ``kind`` if given.
+        """Make it from parameters ``mass``, ``damping``, ``stiffness``, and ``kind`` if given.
 
         Raises
         ------
         InputError
-            If a matrix does not fit the axes, is not symmetric, mass is not positive, or the
-            stiffness is not what such springs add up to.
+            If a matrix does not fit the axes or is not symmetric, mass is not positive, or the
+            stiffness is not the sum of such springs.
         """
         linear = cls(
             mass=mass_matrix(section["mass"], axes, f"{where}.mass"),
@@ -75,7 +75,7 @@ class Specimen:
         return len(self.mass)
 
     def part(self, rig: RigAxes, where: str) -> "Specimen":
-        """Take the part that one of several rigs has.
+        """Take the part of one of several rigs.
 
         Raises
         ------
@@ -89,8 +89,8 @@ class Specimen:
         for name in ("mass", "damping", "stiffness"):
             if getattr(self, name)[np.ix_(own, others)].any():
                 raise InputError(
-                    f"{where}.{name} couples axes of {rig.name} with those of another rig; what "
-                    "rigs share can only be computed: give it as reference_force: computed.*"
+                    f"{where}.{name} couples axes of {rig.name} with those of another rig; such "
+                    "a coupling can only be computed: give it as reference_force: computed.*"
                 )
         touching = self.deformation[:, own].any(axis=1) if self.springs else np.zeros(0, bool)
         if self.springs and self.deformation[np.ix_(touching, others)].any():
@@ -125,7 +125,7 @@ class Specimen:
 def deformations(value: float | Sequence[float], axes: Sequence[str], where: str) -> Floats:
     """Matrix D over n axes, shape (p, n): deformation of each spring per displacement.
 
-    A single 0 stands for one spring between each axis and the ground.
+    A single 0 means one spring between each axis and the ground.
 
     Raises
     ------
@@ -155,16 +155,16 @@ def _spring_stiffness(stiffness: Floats, deformation: Floats, where: str) -> lis
         )
     if found.min() <= 0.0:
         raise InputError(
-            f"{where}.stiffness: the springs' own come out as {np.round(found, 6).tolist()} N/m, "
-            f"but must be positive; mend {where}.springs or the stiffness"
+            f"{where}.stiffness gives springs of {np.round(found, 6).tolist()} N/m, but they must "
+            f"be positive; correct {where}.springs or the stiffness"
         )
     return found.tolist()
 
 
 PATH_POINTS = 4
 """Points of the springs' path in a sample: knees and turning points lie between samples."""
-_PIECE = 1 << 16  # samples whose splines are in memory at a time
-_OVERLAP = 128  # samples beyond either end: each takes a quarter of what the end is wrong by
+_PIECE = 1 << 16  # samples of which splines are in memory at a time
+_OVERLAP = 128  # samples beyond each end: each reduces the error of the end to a quarter
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)  # exact for the product of two splines
 
 
@@ -177,9 +177,9 @@ class EnergyBalance:
     input : ndarray
         Work of the actuators' force so far.
     kinetic, strain : ndarray
-        What the specimen holds at the sample.
+        Energy of the specimen at the sample.
     damped, hysteretic : ndarray
-        What its viscous damping, and the hysteresis of its springs, have dissipated so far.
+        Energy dissipated so far by viscous damping, and by the hysteresis of the springs.
     """
 
     input: Floats
@@ -190,7 +190,7 @@ class EnergyBalance:
 
     @property
     def error(self) -> Floats:
-        """What is left unexplained, shape (N,), relative to the largest input; NaN if that is 0."""
+        """The unbalanced rest, shape (N,), relative to the largest input; NaN if that is 0."""
         left = self.input - self.kinetic - self.strain - self.damped - self.hysteretic
         largest = np.abs(self.input).max()
         return left / largest if largest else np.full_like(left, np.nan)
@@ -207,10 +207,10 @@ def energy_balance(
 ) -> EnergyBalance:
     """Energies of a specimen from rest.
 
-    Work is that of the force over the displacement, whose splines are integrated exactly: the
-    trapezoidal rule would lose (w dt)^2 / 6 of it, 1.6 % at 25 Hz and 500 Hz. Displacement and
-    not velocity stands for the motion in it and in the damping, as noise of two sensors has no
-    mean product, where that of one with itself would be counted as energy.
+    The work of the force over the displacement is integrated exactly, with splines of both: the
+    trapezoidal rule would lose (w dt)^2 / 6 of it, 1.6 % at 25 Hz and 500 Hz. Work and damping use
+    the displacement and not the velocity: the noise of two sensors has no mean product, but the
+    noise of one sensor times itself would count as energy.
 
     Parameters
     ----------
@@ -256,13 +256,13 @@ def energy_balance(
 
 
 def _pieces(count: int) -> Iterator[tuple[int, int]]:
-    """Cut a record into pieces, from sample to sample: splines are many times its size."""
+    """Cut a record into pieces, because its splines need many times its memory."""
     for first in range(0, count - 1, _PIECE):
         yield first, min(first + _PIECE, count - 1)
 
 
 def _integral(power: Floats, dt: float) -> Floats:
-    """Integrate over each period what all axes have at its nodes."""
+    """Integrate over each period the power at its nodes, of all axes."""
     return (power.sum(axis=1).reshape(-1, len(_NODES)) * _WEIGHTS).sum(axis=1) * dt / 2
 
 

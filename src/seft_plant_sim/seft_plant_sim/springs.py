@@ -1,18 +1,18 @@
 """Springs of a specimen: the kinds of spring, laws of other packages; the laws compiled.
 
 A law takes a spring along a straight path from one deformation to the next and gives its force.
-What it remembers is a row of three numbers: the deformation e, its hysteretic displacement z, and
+A spring's memory is a row of three numbers: the deformation e, its hysteretic displacement z, and
 the energy that it has dissipated (for `BOUC_WEN` and `CALLED` the work on its hysteretic part, in
-units of k z_y^2). All laws are independent of the rate of loading: no time occurs in them.
+units of k z_y^2). All laws are independent of the rate of loading: they do not contain time.
 
-A spring's law is a row of `WIDTH` numbers: which law, the stiffness k that the elastic model has,
-and the law's own. With k_0, k_1 and z_y of the row::
+A spring's law is a row of `WIDTH` numbers: which law, the stiffness k of the elastic model, and
+the numbers of the law. With k_0, k_1 and z_y of the row::
 
     SLIDER    s = k_0 e + k_1 z,  z follows e between bounds that depend on e
     BOUC_WEN  s = k_0 e + k_1 z,  z' = e' phi(z) / (1 + f(z) phi(z))
-    GAP       s = k_0 e + k_1 (e - z_y) beyond the gap z_y, either way
-    DUFFING   s = k_0 e + k_1 e^3, held beyond its peak at z_y, if it has one
-    CALLED    a C function that takes the place of the three numbers, and e
+    GAP       s = k_0 e + k_1 (e - z_y) beyond the gap z_y, in both directions
+    DUFFING   s = k_0 e + k_1 e^3, constant beyond its peak at z_y, if it has one
+    CALLED    a C function of the place of the three numbers, and of e
 
 docs/rig.md has their sources.
 """
@@ -44,18 +44,18 @@ EXPONENT, BETA, GAMMA, AMPLITUDE_LOSS, STRENGTH_LOSS, STIFFNESS_LOSS = range(6, 
 SLIP, SLIP_RATE, SLIP_WIDTH = range(12, 15)
 WIDTH = 15
 MEMORY = 3
-"""Numbers that a spring remembers."""
+"""Numbers of a spring's memory."""
 
 BOUC_WEN_STEP = 0.03  # of z_y: longest step of `BOUC_WEN` along a path..
-STEP_TIMES_EXPONENT = 0.4  # ..and shorter where it yields sharply
-MOST_STEPS = 20_000  # of one path: a jump beyond is followed roughly
+STEP_TIMES_EXPONENT = 0.4  # ..and shorter if it yields sharply
+MOST_STEPS = 20_000  # of one path: a longer jump has longer steps
 
 
 @compiled
 def spring_force(laws: Floats, j: int, memory: Floats, e: float) -> float:
     """Take spring j of p straight to a deformation e, m; give its force there, N.
 
-    Laws have shape (p, `WIDTH`); what the springs remember, shape (p, 3), is brought up to date.
+    Laws have shape (p, `WIDTH`); the springs' memory, shape (p, 3), is updated.
     """
     kind = int(laws[j, KIND])
     if kind == CALLED:
@@ -205,7 +205,7 @@ class Spring:
     law : tuple of float
         Row of `WIDTH` numbers, see above.
     own : _Called, optional
-        What the row refers to, of a law of another package.
+        The law of another package to which the row refers.
     """
 
     law: tuple[float, ...]
@@ -213,13 +213,13 @@ class Spring:
 
     @classmethod
     def of_law(cls, kind: int, stiffness: float, *numbers: float) -> "Spring":
-        """Make it of a kind, the elastic stiffness in N/m, and the columns that follow."""
+        """Make it from a kind, the elastic stiffness in N/m, and the columns that follow."""
         row = (float(kind), stiffness, *numbers)
         return cls(row + (0.0,) * (WIDTH - len(row)))
 
     @classmethod
     def of(cls, own: "HystereticSpring") -> "Spring":
-        """Make it of a law of another package."""
+        """Make it from a law of another package."""
         called, a = _Called(own), own.hardening_ratio
         parts = (a * own.stiffness, (1.0 - a) * own.stiffness, own.yield_displacement)
         made = cls.of_law(CALLED, own.stiffness, *parts, float(called.address))
@@ -250,14 +250,14 @@ class Spring:
         return found
 
     def check(self) -> None:
-        """Raise what a law of another package has raised, if it has."""
+        """Raise the exception of a law of another package, if there was one."""
         if self.own is not None and self.own.raised is not None:
             raise self.own.raised
 
 
 @dataclass(frozen=True)
 class HystereticSpring(ABC):
-    """A law of hysteresis of one's own.
+    """A user's law of hysteresis.
 
     The spring carries s = a k e + (1 - a) k z, where e is its deformation and z its hysteretic
     displacement, which follows e as long as the spring is elastic. The law must be independent of
@@ -292,7 +292,7 @@ class HystereticSpring(ABC):
         """
 
     def settle(self, z: float) -> float:
-        """Bring z back to where the law allows it to be, after a step of an integrator."""
+        """Return z to its admissible range, after a step of an integrator."""
         return z
 
     def force(self, deformation: float, z: float) -> float:
@@ -329,9 +329,9 @@ class _Called:
     Attributes
     ----------
     address : int
-        Of the function; it is there as long as this object is.
+        Of the function, valid for the life of this object.
     raised : BaseException or None
-        What the law raised first: it can't go through compiled code, which gets NaN.
+        First exception of the law: it can't pass through compiled code, which receives NaN.
     """
 
     def __init__(self, law: HystereticSpring) -> None:
@@ -358,12 +358,12 @@ _BOUC_WEN = ("exponent", "beta", "gamma", "amplitude_loss", "strength_loss", "st
 def make_springs(
     kind: str, section: dict[str, Any], stiffness: Sequence[float], where: str
 ) -> tuple[Spring, ...]:
-    """Make the springs of a specimen that is not linear, of elastic stiffnesses in N/m.
+    """Make the springs of a nonlinear specimen, from elastic stiffnesses in N/m.
 
     Raises
     ------
     InputError
-        If values make no such spring, or do not fit the springs.
+        If values do not make such a spring, or their number is wrong.
     """
     k = np.array(stiffness)
 
@@ -390,7 +390,7 @@ def make_springs(
         return springs(GAP, k, second, each("gap.width"))
     if kind == "duffing":
         cubic = each("duffing.cubic")
-        # deformation at which a softening spring carries most: k + 3 k_3 e^2 = 0
+        # deformation at the largest force of a softening spring: k + 3 k_3 e^2 = 0
         peak = [
             math.sqrt(-k / (3.0 * c)) if c < 0.0 else math.inf
             for k, c in zip(stiffness, cubic.tolist(), strict=True)

@@ -1,6 +1,6 @@
-"""The response that a perfect test would give: the whole structure from rest, solved exactly.
+"""The response of a perfect test: the whole structure from rest, solved exactly.
 
-Where the structure is not linear, the response is as near as the integration's tolerance.
+For a nonlinear structure the response is accurate to the integration's tolerance.
 """
 
 import time
@@ -35,8 +35,8 @@ COARSEST = 4
 FINEST = 1 << 14
 """Steps of the integration within one of the response."""
 MODEL_TOLERANCE = 5e-3
-"""The same of a structure with a computed model, each step of which may take long: the error is of
-second order in the step, so that two responses are extrapolated to what is twenty times as near."""
+"""The same for a structure with a computed model, whose steps may take long: the error is of second
+order in the step, so that extrapolation of two responses reduces it to a twentieth."""
 COARSEST_MODEL, FINEST_MODEL = 1, 64
 """Its steps."""
 
@@ -46,9 +46,9 @@ def response(
 ) -> Floats:
     """Response to a ground motion that is linear between its samples.
 
-    Exact where the structure is linear. Else the steps of the integration are halved until the
-    response changes by less than `TOLERANCE`, or `MODEL_TOLERANCE`; it then is some four times as
-    near.
+    It is exact if the structure is linear. Otherwise the steps of the integration are halved until
+    the response changes by less than `TOLERANCE`, or `MODEL_TOLERANCE`; the error is then about a
+    quarter of that.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def response(
     dt : float
         Period of a step, s.
     model : ModelSource, optional
-        Acts beside it, see `ComputedSubstructure`.
+        Acts in addition to it, see `ComputedSubstructure`.
 
     Returns
     -------
@@ -93,7 +93,7 @@ def response(
 class ShakenStructure:
     """A structure of n degrees of freedom whose ground motion becomes known step by step.
 
-    A step of ``dt`` s is integrated in ``steps``; one is exact where the structure is linear.
+    A step of ``dt`` s is integrated in ``steps``; one is exact if the structure is linear.
     """
 
     def __init__(self, structure: Specimen, dt: float, steps: int) -> None:
@@ -103,9 +103,9 @@ class ShakenStructure:
         self._last: Floats | None = None
 
     def advance(self, ground_motion: Floats) -> Floats:
-        """Go on over the next N steps; the first of all is step 0, at rest.
+        """Continue over the next N steps; the first of all is step 0, at rest.
 
-        The ground motion has shape (N, n), N at least 1, m/s^2; the result is as of `response`.
+        The ground motion has shape (N, n), N at least 1, m/s^2; the result is that of `response`.
         """
         motion = np.array(ground_motion, dtype=np.float64, order="C")
         last = motion[0] if self._last is None else self._last
@@ -116,8 +116,8 @@ class ShakenStructure:
         self._last = motion[-1]
         return np.moveaxis(samples.reshape(len(motion), 4, -1), 1, 0)
 
-    def mend(self, acceleration: Floats, velocity: Floats) -> None:
-        """Change the ground acceleration and the velocity where it is, by these; shape (n,)."""
+    def correct(self, acceleration: Floats, velocity: Floats) -> None:
+        """Add to the present ground acceleration and to the velocity; shape (n,) each."""
         n = self._structure.axes
         self._motion.work[n : 2 * n] += velocity
         if self._last is not None:
@@ -125,10 +125,10 @@ class ShakenStructure:
 
 
 class ModelledStructure:
-    """A `ShakenStructure` on which a computed model acts, which is stepped as often as it is.
+    """A `ShakenStructure` with a computed model, which takes the same steps.
 
-    The model's force beside its tangents acts like ground acceleration. Over a step it is expected
-    to go on as it did, and then mended: so the impulse is that of the trapezoidal rule.
+    The model's force minus that of its tangents acts like ground acceleration. Over a step it is
+    extrapolated, and then corrected, so that the impulse is that of the trapezoidal rule.
     """
 
     def __init__(self, structure: Specimen, dt: float, steps: int, model: ModelSource) -> None:
@@ -141,10 +141,10 @@ class ModelledStructure:
         self._last: Floats | None = None
         self._acts, self._rises = np.zeros((2, structure.axes))  # m/s^2, and m/s^2 in a step
         self._count = 0
-        self.times: list[float] = []  # s, that the steps of the model have taken
+        self.times: list[float] = []  # s, durations of the model's steps
 
     def advance(self, ground_motion: Floats) -> Floats:
-        """Go on over the next N steps, see `ShakenStructure.advance`."""
+        """Continue over the next N steps, see `ShakenStructure.advance`."""
         samples = np.empty((4, *ground_motion.shape))
         for k, ground in enumerate(ground_motion):
             last, steps = (ground, 1) if self._last is None else (self._last, self._steps)
@@ -168,7 +168,7 @@ class ModelledStructure:
         acts = self._inverse @ (force - stiffness @ x - damping @ v)
         missed = acts - expected
         impulse = np.zeros_like(missed) if self._count == 0 else -0.5 * self._step * missed
-        self._shaken.mend(missed, impulse)
+        self._shaken.correct(missed, impulse)
         v += impulse
         a -= missed
         self._rises = acts - self._acts if self._count else np.zeros_like(acts)
@@ -240,8 +240,8 @@ def reference_response(experiment: Experiment, ground_motion: Floats) -> Referen
 
     M x'' + C x' + r(x) = -M a_g from rest. In a SEFT test it is the specimen and the computed
     substructure; in an EFT test M is (1 + mass_ratio) times the model's mass, all of it on the
-    specimen (Eq. 2.2). Where the rig is simulated, the specimen is the simulated one; else it is
-    the reference-force node's model.
+    specimen (Eq. 2.2). The specimen is that of the simulated rig; without one it is the model of
+    the node reference_force.
 
     Parameters
     ----------
@@ -286,7 +286,7 @@ class WholeStructure:
     structure : Specimen
         Over n axes, then q internal degrees of freedom.
     computed : ComputedSubstructure
-        The part that is computed; nothing in an EFT test.
+        The computed part; empty in an EFT test.
     """
 
     structure: Specimen
@@ -296,7 +296,7 @@ class WholeStructure:
     def of_test(
         cls, specimen: Specimen, section: dict[str, Any], axes: Sequence[str]
     ) -> "WholeStructure":
-        """Make that of a test with a reference force's section, see `reference_response`."""
+        """Make that of a test from the section of reference_force, see `reference_response`."""
         if section["method"] == "eft":
             model_mass = as_matrix(section["model.mass"], axes, "reference_force: model.mass")
             carried = replace(specimen, mass=(1.0 + section["mass_ratio"]) * model_mass)
@@ -306,7 +306,7 @@ class WholeStructure:
     @classmethod
     def of(cls, specimen: Specimen, computed: ComputedSubstructure) -> "WholeStructure":
         """Put them together at the axes."""
-        if computed.is_lumped:  # the very numbers of a structure that has no more than axes
+        if computed.is_lumped:  # exactly the numbers of a structure without internal dofs
             return cls(replace(specimen, mass=specimen.mass + computed.mass), computed)
         inside = [(0, computed.internal)] * 2
         return cls(
@@ -323,7 +323,7 @@ class WholeStructure:
         )
 
     def motion(self, ground_motion: Floats) -> Floats:
-        """Ground acceleration of every degree of freedom, of that of the axes; (N, n + q)."""
+        """Ground acceleration of every degree of freedom from that of the axes; (N, n + q)."""
         if not self.computed.internal:
             return ground_motion
         if self.computed.on_axes is not None:
@@ -337,7 +337,7 @@ def whole_structure(experiment: Experiment) -> WholeStructure:
     Raises
     ------
     InputError
-        If there is no such structure.
+        If the parameters make no such structure.
     """
     return WholeStructure.of_test(
         tested_specimen(experiment), experiment["reference_force"], experiment.axes
@@ -354,13 +354,13 @@ def tested_specimen(experiment: Experiment) -> Specimen:
 
 
 STEPS = 16
-"""Of the integration within a step where a structure yields: near enough to be looked at."""
+"""Of the integration within a step of a nonlinear structure: accurate enough for a plot."""
 
 
 class RunningResponse:
     """Response of the whole structure of an experiment as its ground motion becomes known.
 
-    It is exact where the structure is linear.
+    It is exact if the structure is linear.
     """
 
     def __init__(self, experiment: Experiment) -> None:
@@ -375,7 +375,7 @@ class RunningResponse:
             self._shaken = ModelledStructure(structure, dt, COARSEST_MODEL, model)
 
     def advance(self, ground_motion: Floats) -> tuple[Floats, Floats]:
-        """Go on over the next N steps of the ground motion, shape (N, n), m/s^2, N at least 1.
+        """Continue over the next N steps of the ground motion, shape (N, n), m/s^2, N at least 1.
 
         The first of all is step 0, at rest. Gives displacement and acceleration relative to the
         ground, shape (N, n), m and m/s^2.

@@ -194,7 +194,7 @@ def test_sensors_may_be_blind_for_so_long_and_no_longer():
         assert step == first + 25
     assert told == (
         "force at the end of the sensor's range for more than 0.05 s within one second: "
-        "the test is blind"
+        "their channels are unknown"
     )
     assert blind_until(0.0, [7])[0] == 7
 

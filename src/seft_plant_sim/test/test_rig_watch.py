@@ -217,12 +217,12 @@ def test_a_rig_moves_in_no_test_for_which_it_was_not_ready(told, state):
     found = (supervision.wanted, supervision.state, supervision.fault)
     assert (*found, supervision.latched, supervision.rehearsal) == nothing
     assert supervision.reason_to_end() == STOPPED
-    with pytest.raises(WireError, match="a test that was running before this rig was ready for it"):
+    with pytest.raises(WireError, match="a test that began before this rig was ready"):
         told.tell(state, steps=9)
     assert not told.tell(state, steps=9)  # a sign of life
     assert supervision.reason_to_end() == STOPPED
     assert not told.tell("idle", "ready", "idle")
-    with pytest.raises(WireError, match="was running before"):
+    with pytest.raises(WireError, match="began before this rig"):
         told.tell(state, steps=9)
 
 
@@ -234,14 +234,14 @@ def test_a_rig_moves_from_start_to_end_and_not_again(told):
     assert (told.supervision.state, told.supervision.wanted.number("steps")) == ("running", 9)
     assert not told.tell("done")
     assert told.supervision.reason_to_end() == STOPPED
-    with pytest.raises(WireError, match="was running before"):
+    with pytest.raises(WireError, match="began before this rig"):
         told.tell("running", steps=9)
     assert not told.supervision.is_moving
 
 
 def test_a_test_says_how_many_steps_it_has(told):
     told.tell("ready")
-    with pytest.raises(WireError, match="does not say how many steps"):
+    with pytest.raises(WireError, match="a test without its number of steps"):
         told.tell("running")
     assert not told.supervision.is_moving
 

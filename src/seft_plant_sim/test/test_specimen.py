@@ -120,7 +120,7 @@ def test_springs_may_be_more_than_axes():
                 "stiffness": [-1.0, 1.0, 1.0, -1.0],  # of a spring of -1 N/m in between
                 "springs": [1.0, -1.0],
             },
-            r"specimen\.stiffness: the springs' own come out as \[-1.0\] N/m, but must be posit",
+            r"specimen\.stiffness gives springs of \[-1.0\] N/m, but they must be posit",
         ),
         (
             {
@@ -128,7 +128,7 @@ def test_springs_may_be_more_than_axes():
                 "stiffness": [1.0, 1.0, 1.0, 1.0],
                 "springs": [1.0, 0.0, 0.0, 1.0, 1.0, -1.0],
             },
-            r"the springs' own come out as \[2.0, 2.0, -1.0\] N/m, but must be positive; mend",
+            r"gives springs of \[2.0, 2.0, -1.0\] N/m, but they must be positive; correct",
         ),
     ],
 )

@@ -1,10 +1,10 @@
-"""The nodes of a test, ready to be started.
+"""The nodes of a test, ready for its start.
 
     ros2 launch seft_ros experiment.launch.py config:=config/demo.yaml pace:=lockstep
     ros2 service call /start std_srvs/srv/Trigger
 
-All end when one does, and at Ctrl-C, which ends a running test at once; to bring it down softly
-call /stop first.
+All nodes end when one ends, and at Ctrl-C, which ends a running test at once. To ramp the test
+down, call /stop first.
 """
 
 import contextlib
@@ -40,7 +40,7 @@ ARGUMENTS = [
 
 
 def nodes(context):
-    """Read the experiment, as every node will, and start what it needs."""
+    """Read the experiment as every node will, and start its nodes."""
     said = {argument.name: LaunchConfiguration(argument.name) for argument in ARGUMENTS}
     said = {name: value.perform(context) for name, value in said.items()}
     overrides = []
@@ -77,7 +77,7 @@ def _put(placement, node, process):
     """Put a process on its core when it has been started."""
 
     def put(event, _):
-        with contextlib.suppress(OSError):  # it has ended, as launch tells
+        with contextlib.suppress(OSError):  # it has ended; launch reports that
             placement.put(node, event.pid)
 
     return RegisterEventHandler(OnProcessStart(target_action=process, on_start=put))

@@ -91,7 +91,7 @@ def test_a_wrong_parameter_is_refused(refused, parameter, told):
         ("inf.txt", "1.0\ninf\n2.0\n", {"dt": 0.01}, "inf.txt"),
         ("words.txt", "1.0\ntwo\n3.0\n", {"dt": 0.01}, "words.txt"),
         ("empty.txt", "", {"dt": 0.01}, "empty.txt"),
-        ("no_dt.txt", "1.0\n2.0\n3.0\n", {"unit": "g"}, "holds no sampling period"),
+        ("no_dt.txt", "1.0\n2.0\n3.0\n", {"unit": "g"}, "states no sampling period"),
         ("narrow.txt", "1.0\n2.0\n3.0\n", {"dt": 0.01, "column": 3}, "column"),
         ("no_unit.txt", "1.0\n2.0\n3.0\n", {"dt": 0.01}, "set ground_motion unit"),
         ("still.txt", "0.0\n0.0\n0.0\n", {"dt": 0.01, "unit": "g"}, "zeros"),

@@ -122,11 +122,11 @@ def test_silence_is_too_long_after_its_time():
     silence = Silence(0.02)
     assert not silence.is_too_long(5.0)
     assert not silence.is_watching
-    silence.heard(10.0)
+    silence.received(10.0)
     assert silence.is_watching
     looks = [10.0 + 0.002 * n for n in range(1, 12)]
     assert [silence.is_too_long(at) for at in looks] == [False] * 10 + [True]
-    silence.heard(11.0)
+    silence.received(11.0)
     assert not silence.is_too_long(11.01)
     silence.end()
     assert not silence.is_watching
@@ -137,7 +137,7 @@ def test_a_listener_that_was_held_up_itself_blames_nobody():
     longest = 2.0**-6
     silence = Silence(longest)
     assert silence.pause == longest / 8
-    silence.heard(10.0)
+    silence.received(10.0)
     looks = [10.0 + 60.0 * n for n in range(1, 6)]  # each counts as two pauses
     assert [silence.is_too_long(at) for at in looks] == [False] * 4 + [True]
 

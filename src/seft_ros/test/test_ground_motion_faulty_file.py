@@ -59,7 +59,7 @@ def write(folder: Path, content: str | bytes) -> Path:
         ("1\n2\n".encode("utf-16"), "line 1", "is no text"),
         (AT2 + "NPTS= 7, DT= .01\n 1. 2. 3. 4. 5.\n 6.\n", "line 4", "6 values follow: the file"),
         (AT2 + "NPTS= 7, DT= .01 SEC\n", "line 4", "0 values follow: the file is trunc"),
-        (AT2 + "3 0.01 NPTS, DT\n 1. 2. 3. 4. 5.\n", "line 4", "5 values follow: that is too many"),
+        (AT2 + "3 0.01 NPTS, DT\n 1. 2. 3. 4. 5.\n", "line 4", "5 values follow: too many"),
         (AT2 + "NPTS= 3, DT= .01 SEC\n 1. 2.\n abc\n", "line 6", '"abc" is no number'),
         (AT2 + "NPTS= 3, DT= .01 SEC\n 1. NaN\n 2.\n", "line 5", "nan, not a finite number"),
         (AT2 + "NPTS= 3, DT= .01 SEC\n 1. 2.\n 1E999\n", "line 6", "inf, not a finite number"),

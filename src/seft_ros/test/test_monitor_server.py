@@ -39,7 +39,7 @@ def test_each_look_tells_the_time_and_what_was_asked_for_too_long_ago_is_refused
     graph.send(EXPERIMENT_STATE, encode_status(Status("experiment", 0, "ready", values={})))
     watch.poll()
     assert watch.lateness(1, 100_000.0) == ""
-    assert "the test is ready by now" in watch.lateness(0, 100_000.0)
+    assert "the test is now ready" in watch.lateness(0, 100_000.0)
     now += 1.1
     assert "1.1 s late" in watch.lateness(1, 100_000.0)
     assert "late" in watch.lateness(1, 200_000.0)  # no time of ours

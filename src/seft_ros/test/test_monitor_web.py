@@ -224,7 +224,7 @@ def test_a_token_to_watch_shows_all_and_presses_nothing():
             asked["headers"] |= known
             answer = await ask(**asked)
             assert answer.code == 403
-            assert b"may watch, and not control" in answer.body
+            assert b"may watch, but not control" in answer.body
         assert not calls
         headers = {"Origin": ask.own, **known}
         page = await websocket_connect(ask.request("/live", kind="ws", headers=headers))

@@ -32,7 +32,8 @@ def test_who_fails_to_send_is_named():
     gathering = StateGathering(RIGS, 0.01)
     gathering.take(0, 0, WEST, 5.0)
     assert gathering.lost(5.01) == ""
-    assert "no rig/state of east for 0.01 s (none has come; west is at step 0)" in gathering.lost(6)
+    expected = "no rig/state of east for 0.01 s (none has arrived; west is at step 0)"
+    assert expected in gathering.lost(6)
     gathering.take(1, 0, EAST, 6.0)
     gathering.take(1, 1, EAST, 7.0)
     assert "of west for 0.01 s (the last is of step 0; east is at step 1)" in gathering.lost(8.0)

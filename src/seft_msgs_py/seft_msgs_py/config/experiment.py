@@ -20,10 +20,10 @@ from seft_msgs_py.wire.topics import NODES, Timebase, rigs_of
 EVERY_NODE = "/**"
 PARAMETERS_KEY = "ros__parameters"
 PARAMETER_OPTIONS = ("--params-file", "-p", "--param")
-"""Options of a node's command line that hold parameters."""
+"""Options of a node's command line for parameters."""
 
 LARGEST_FILE = 1_000_000
-"""Bytes; a test of many axes has some thousand, and to parse a million takes a minute."""
+"""Bytes; a test of many axes has some thousand, and a million take a minute to parse."""
 
 Override = tuple[str, str, Value]  # node, parameter, value
 
@@ -33,8 +33,8 @@ _COMMON_TABLE = Table(EVERY_NODE, ())
 class Experiment:
     """All parameters of a test, checked and complete: node name -> parameter name -> value.
 
-    Nodes that each of several rigs has share one section, of which every rig takes the values of
-    its own axes.
+    With several rigs, the nodes of the same name share one section; each rig takes the values of
+    its own axes from it.
 
     Attributes
     ----------
@@ -82,14 +82,14 @@ class Experiment:
         Parameters
         ----------
         tables : iterable of Table
-            Tables of the nodes the experiment is to hold. Sections of other known nodes are
-            read only for the values that tables take from them.
+            Tables of the experiment's nodes. Sections of other known nodes are only read for
+            values that are defaults of these tables.
         files : sequence of path
             Later files win.
         overrides : sequence of (node, parameter, value)
             Win over files; node ``/**`` means every node.
         nodes : iterable of str, optional
-            Nodes whose complete sections are wanted; default all that have a table.
+            Nodes with complete sections; default all that have a table.
 
         Raises
         ------
@@ -113,7 +113,7 @@ class Experiment:
         return self.sections[node]
 
     def to_yaml(self) -> str:
-        """Text of a ROS 2 parameter file that holds every parameter."""
+        """Text of a ROS 2 parameter file with every parameter."""
         first = next(iter(self.sections.values()))
         common = [row.name for row in COMMON]
         sections = {EVERY_NODE: {name: first[name] for name in common}}
@@ -128,7 +128,7 @@ def _merge(
     table = _COMMON_TABLE if node == EVERY_NODE else tables.get(node)
     at = f"{where}: {node}"
     if node == EVERY_NODE:
-        # a wildcard parameter of one node only is legal ROS; it goes to the nodes that know it
+        # ROS permits a wildcard parameter of one node only; it goes to the nodes that know it
         for name in [name for name in section if name not in _COMMON_TABLE.rows]:
             owners = [other for other, rows in tables.items() if name in rows.rows]
             if not owners:
@@ -147,8 +147,8 @@ def read_parameter_file(path: str | Path) -> dict[str, Section]:
     Raises
     ------
     InputError
-        If the file can't be read, is larger than `LARGEST_FILE`, is no YAML, or has not the form
-        of a parameter file.
+        If the file can't be read, is larger than `LARGEST_FILE`, is no YAML, or does not have the
+        form of a parameter file.
     """
     path = Path(path)
     try:
@@ -156,7 +156,7 @@ def read_parameter_file(path: str | Path) -> dict[str, Section]:
             content = file.read(LARGEST_FILE + 1)
         if len(content) > LARGEST_FILE:
             raise InputError(
-                f"{path}: is larger than {LARGEST_FILE / 1e6:g} MB, which no parameter file is; "
+                f"{path}: is larger than {LARGEST_FILE / 1e6:g} MB, the limit of parameter files; "
                 "name another file"
             )
         text = content.decode()
@@ -219,7 +219,7 @@ def write_parameter_file(
 
 
 def parse_override(text: str) -> Override:
-    """Read ``node:parameter:=value``; without a node it is meant for every node."""
+    """Read ``node:parameter:=value``; without a node it applies to every node."""
     target, separator, value = text.partition(":=")
     node, colon, name = target.rpartition(":")
     if not separator or not name or (colon and not node):
@@ -236,7 +236,7 @@ def split_ros_arguments(argv: Sequence[str]) -> tuple[list[str], list[Override]]
     Raises
     ------
     InputError
-        If an option has no value, or an override has not the form ``name:=value``.
+        If an option has no value, or an override does not have the form ``name:=value``.
     """
     files: list[str] = []
     overrides: list[Override] = []
@@ -280,12 +280,12 @@ def _parse_yaml(text: str, where: str) -> Any:
         mark = error.problem_mark
         line = f" line {mark.line + 1}" if mark is not None else ""
         raise InputError(f"{where}:{line} {error.problem or error.context}") from None
-    except Exception as error:  # at odd input ruamel lets all kinds of them through
+    except Exception as error:  # ruamel raises many kinds at invalid input
         raise InputError(f"{where}: {(str(error).splitlines() or ['no YAML'])[0]}") from None
 
 
 def _quoted(value: Value) -> Value:
-    """Put all texts in quotes: to rcl, whose YAML is 1.1, a plain y is true."""
+    """Put all texts in quotes: rcl reads YAML 1.1, in which a plain y is true."""
     if isinstance(value, list):
         return [_quoted(item) for item in value]
     return DoubleQuotedScalarString(value) if isinstance(value, str) else value

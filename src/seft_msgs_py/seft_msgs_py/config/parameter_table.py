@@ -19,7 +19,7 @@ from seft_msgs_py.errors import InputError
 
 
 def per_axis(value: float | Sequence[float], axes: Sequence[str], where: str) -> Floats:
-    """One value for each of the n axes, shape (n,); a single number counts for all.
+    """One value for each of the n axes, shape (n,); a single number is for all.
 
     Raises
     ------
@@ -40,7 +40,7 @@ def per_axis(value: float | Sequence[float], axes: Sequence[str], where: str) ->
 def as_matrix(value: float | Sequence[float], axes: Sequence[str], where: str) -> Floats:
     """Matrix over n axes, shape (n, n): a number or n numbers are its diagonal.
 
-    n * n numbers are its rows, one after the other.
+    n * n numbers are its rows, in order.
 
     Raises
     ------
@@ -102,15 +102,15 @@ class Parameter:
         Name within the node, dots included.
     kind : str
         ``float``, ``int``, ``bool``, ``string``, or a list of one of these: ``floats`` and
-        ``ints`` take a single number too, which then holds for every axis.
+        ``ints`` also take a single number, which is for every axis.
     default : value or None
         None: the parameter must be given.
     description : str
-        What it means, for ``ros2 param describe`` and the README.
+        Its meaning, for ``ros2 param describe`` and docs/parameters.md.
     unit : str
-        SI unit; empty where it has none.
+        SI unit; empty if it has none.
     minimum, maximum : float or None
-        Bounds, inclusive; ``minimum`` is exclusive where ``positive`` is set.
+        Bounds, inclusive; ``minimum`` is exclusive if ``positive`` is set.
     positive : bool
         The value must be greater than zero.
     choices : tuple of str
@@ -120,7 +120,7 @@ class Parameter:
     default_from : str
         ``node:parameter`` of the same experiment whose value is the default.
     live : bool
-        It may be set while the node runs, and takes effect at its next use.
+        The parameter may be set while the node runs, and takes effect at its next use.
     """
 
     name: str
@@ -137,7 +137,7 @@ class Parameter:
     live: bool = False
 
     def check(self, value: Value, where: str) -> Value:
-        """Return the value in this parameter's type; InputError, which names ``where``, if none."""
+        """Return the value in this parameter's type; InputError with ``where`` if it is invalid."""
         scalar = _SCALAR_KIND.get(self.kind)
         if scalar is None:
             return self._check_one(value, self.kind, where)
@@ -205,7 +205,7 @@ def _refusal(text: str, file_name: bool) -> str:
 
 
 def _shown(value: Value) -> str:
-    """Write a value as in a parameter file, in one line; a text is cut where it is long."""
+    """Write a value as in a parameter file, in one line; a long text is cut."""
     if isinstance(value, list | tuple):
         items = ("[...]" if isinstance(item, list | tuple) else _shown(item) for item in value)
         return f"[{', '.join(items)}]"
@@ -220,11 +220,11 @@ def _shown(value: Value) -> str:
 def parameter_rows(text: str, group: str = "") -> tuple[Parameter, ...]:
     """Read rows of a parameter table: name | kind | default | unit | allowed | description.
 
-    An indented line goes on with the row above. The default is empty where the parameter
-    must be given, and may be ``NODE:PARAMETER or DEFAULT``, see `Parameter.default_from`.
+    An indented line continues the row above. The default is empty if the parameter must be
+    given, and may be ``NODE:PARAMETER or DEFAULT``, see `Parameter.default_from`.
     Allowed is empty, ``> 0``, ``> 0 .. MAXIMUM``, ``MINIMUM ..``, ``MINIMUM .. MAXIMUM``,
     ``a file's name``, or a list of texts, ``""`` for the empty one. Names are put into a group:
-    ``specimen`` makes ``specimen.mass`` of ``mass``.
+    with ``specimen``, ``mass`` becomes ``specimen.mass``.
     """
     prefix = f"{group}." if group else ""
     lines: list[str] = []
@@ -261,7 +261,7 @@ def _row(
 COMMON = parameter_rows("""
     rate | float   | 500.0 | Hz | > 0 | sampling rate of the loop
     axes | strings | ["x"] |    |     |
-        names of the axes (actuators), in order; RIG/AXIS where they are of several rigs
+        names of the axes (actuators), in order; RIG/AXIS if they belong to several rigs
 """)
 """Parameters of every node; in a file they are under ``/**``."""
 
@@ -279,7 +279,7 @@ class Table:
         Raises
         ------
         InputError
-            At an unknown name, naming the nearest known one, or a value that does not fit.
+            If a name is unknown (the text gives the nearest known one), or a value is invalid.
         """
         where = where or self.node
         checked: Section = {}
@@ -293,7 +293,7 @@ class Table:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Hint at the known text nearest to a mistyped one; empty if none is near."""
+    """Give a hint with the known text nearest to a mistyped one; empty if none is near."""
     known = [text for text in known if text]
     last = [text for text in known if text.split(".")[-1] == name.split(".")[-1]]
     close = difflib.get_close_matches(name, last or known, n=1, cutoff=0.5) or last[:1]
@@ -313,8 +313,8 @@ def resolve(
 ) -> dict[str, Section]:
     """Fill in values that are not given, from other parameters of the experiment or defaults.
 
-    Given values are checked, and may be of nodes without a table. The resolved ``nodes`` are by
-    default all that have a table.
+    Given values are checked, and may belong to nodes without a table. By default the sections of
+    all nodes with a table are completed.
 
     Raises
     ------

@@ -25,8 +25,8 @@ from seft_msgs_py.errors import InputError
 class Registered:
     """Parts that other packages provide for one group of entry points, by name.
 
-    Their code is imported only when a part is made, so that their errors break no test that does
-    not use it. Our own names can't be registered again.
+    Their code is imported only when a part is made, so that its errors only affect tests that use
+    it. Our own names can't be registered again.
 
     Attributes
     ----------
@@ -46,8 +46,8 @@ class Registered:
     def make(self, name: str, settings: str, where: str, *known: Any) -> Any:
         """Make a part from known arguments and its own settings.
 
-        A name with a colon is that of a file or module and of what is in it, as ``frame.py:Frame``.
-        Settings are ``name=value`` pairs separated by blanks; a value is JSON, or else a text.
+        A name with a colon names a file or module and an object in it, e.g. ``frame.py:Frame``.
+        Settings are ``name=value`` pairs separated by blanks; a value is JSON, otherwise a text.
         ``where`` is the parameter that names the part, as ``node: parameter``.
 
         Raises
@@ -78,19 +78,19 @@ class Registered:
             name,
             "string",
             "",
-            f"settings of {what} that another package has registered, as gain=2.0 poles=[1,2.5]",
+            f"settings of {what} that another package has registered, e.g. gain=2.0 poles=[1,2.5]",
         )
 
 
 @cache
 def _installed(path: tuple[str, ...]) -> EntryPoints:
-    """All entry points on Python's path; to read them takes some 30 ms."""
+    """All entry points on Python's path; reading them takes about 30 ms."""
     del path
     return entry_points()
 
 
 def _of_file(name: str, where: str) -> Any:
-    """Give what a file defines, as ``FILE.py:NAME``; the file is run once in a process."""
+    """Give an object that a file defines, ``FILE.py:NAME``; a process runs the file once."""
     text, _, part = name.rpartition(":")
     file = Path(text).resolve()
     if not file.is_file():
@@ -113,18 +113,18 @@ def _run(file: Path, version: int, where: str) -> ModuleType:
         spec.loader.exec_module(module)
     except Exception as error:
         raise InputError(
-            f"{where}: {file.name}{line_in(error, str(file))}: {told(error)}"
+            f"{where}: {file.name}{line_in(error, str(file))}: {reason_of(error)}"
         ) from None
     return module
 
 
-def told(error: BaseException) -> str:
-    """Say what an exception says; its kind where that is nothing."""
+def reason_of(error: BaseException) -> str:
+    """Text of an exception; its kind if the text is empty."""
     return str(error) or type(error).__name__
 
 
 def line_in(error: BaseException, file: str | None) -> str:
-    """Name the last line of a file that an exception has passed, as `` line 7``; empty if none."""
+    """Name the last line of a file in an exception's traceback, as `` line 7``; empty if none."""
     passed = [f for f in traceback.extract_tb(error.__traceback__) if f.filename == file]
     if isinstance(error, SyntaxError) and error.filename == file:
         return f" line {error.lineno}"
@@ -143,7 +143,7 @@ def _load(entry: EntryPoint, where: str) -> Any:
 
 
 def _settings(text: str, where: str) -> dict[str, Any]:
-    """Read ``name=value`` pairs; a value is JSON, or else a text."""
+    """Read ``name=value`` pairs; a value is JSON, otherwise a text."""
     found: dict[str, Any] = {}
     try:
         words = shlex.split(text)

@@ -1,8 +1,8 @@
-"""What the nodes of one process share: rclpy's context, signals, and the waiting for messages.
+"""Shared parts of the nodes of one process: rclpy's context, signals, and waiting for messages.
 
 The main thread waits for the loop's messages and handles them. A second thread serves requests (for
-parameters, and to the supervisor) and sleeps otherwise. Usually a process holds one node; several
-in one process hand each other their messages directly (`IntraProcessBus`).
+parameters, and to the supervisor) and sleeps otherwise. Usually a process has one node; several
+in one process pass their messages to each other directly (`IntraProcessBus`).
 """
 
 import gc
@@ -30,15 +30,15 @@ from seft_msgs_py.node.realtime import wake_on_time
 from seft_msgs_py.wire.topics import LoopTopic, Topic, bare
 
 Receive = Callable[[bytes, int, bytes], bool]
-"""Takes a message's bytes, the wall-clock time in ns at which it came in, and the identifier of its
+"""Takes a message's bytes, the wall-clock time in ns of its arrival, and the identifier of its
 publisher (empty: a node of this process); returns whether it was acted upon."""
 
 
 class IntraProcessBus:
     """Messages of the loop between the named nodes of one process, in the order of sending.
 
-    They are sent outside after all messages inside, and the answers to these, have been delivered:
-    sending takes longer than a node's answer, and each one less if several are sent in a row.
+    Messages go to other processes after all messages inside, and their answers, are delivered:
+    sending takes longer than a node's answer, and is faster if several are sent in a row.
     """
 
     def __init__(self, nodes: Collection[str]) -> None:
@@ -61,7 +61,7 @@ class IntraProcessBus:
         return [node for node, _ in self._listeners.get(name, [])]
 
     def sender(self, name: str, send: Callable[[bytes], None]) -> Callable[[bytes], None]:
-        """Make the function that sends to the listeners here, and outside by ``send``."""
+        """Make the function that sends to the listeners here, and to others by ``send``."""
         post, put_out = self._posted.append, self._outward.append
 
         def send_to_all(raw: bytes) -> None:
@@ -74,7 +74,7 @@ class IntraProcessBus:
         return send_to_all
 
     def deliver(self) -> bool:
-        """Deliver all messages, and those sent meanwhile; return whether there was any."""
+        """Deliver all messages, also those sent meanwhile; return whether there was any."""
         posted = self._posted
         if not posted:
             return False
@@ -88,21 +88,21 @@ class IntraProcessBus:
         return True
 
     def send_outside(self) -> None:
-        """Send outside what waits for it."""
+        """Send the waiting messages to other processes."""
         while self._outward:
             send, raw = self._outward.popleft()
             send(raw)
 
 
-OUTSIDE_PERIOD = 0.002  # s between polls for outside messages while those inside keep coming
+OUTSIDE_PERIOD = 0.002  # s between polls for outside messages while there are messages inside
 CHORE_PERIOD = 0.01  # s between chores, after messages were handled
-IDLE_CHORE_PERIOD = 0.05  # s, where none came: a wait may have ended because a sample is due
+IDLE_CHORE_PERIOD = 0.05  # s, without messages: a wait may have ended because a sample is due
 MOST_AT_ONCE = 4096  # messages of a topic, as many as the longest queue holds
-MOST_IN_A_TURN = 512  # of a topic that ends no waiting, so that a late node still sends its status
+MOST_IN_A_TURN = 512  # of a topic that does not end waiting: a late node still sends its status
 MOST_REFUSED = 200  # a few ms of invalid messages
-LOG_PERIOD = 1.0  # s between two faults that are logged; all are counted
+LOG_PERIOD = 1.0  # s between two logged faults; all are counted
 REQUESTS = "rclpy/parameter_service.py"
-"""Where rclpy reads requests for parameters, which may be invalid."""
+"""File in which rclpy reads requests for parameters, which may be invalid."""
 
 ReadOne = Callable[[], bool | None]
 """Handles one message and returns whether it was acted upon; None if there is none."""
@@ -161,9 +161,10 @@ class NodeProcess:
         self._executor.add_node(node)
 
     def add_subscription(self, subscription: Subscription, receive: Receive, wake: bool) -> ReadOne:
-        """Hand the messages of a subscription, which a `WaitSet` can hold, to ``receive``.
+        """Give the messages of a subscription, made for a `WaitSet`, to ``receive``.
 
-        With ``wake`` a message ends the waiting; otherwise it is handled when none has ended it.
+        With ``wake`` a message ends the waiting; otherwise it is handled when no other has ended
+        it.
         """
         take = taker(subscription)
 
@@ -179,22 +180,22 @@ class NodeProcess:
         return read_one
 
     def every_turn(self, poll: Callable[[], None]) -> None:
-        """Have ``poll`` called after each turn, when all that was due has been answered."""
+        """Call ``poll`` after each turn, when all due messages have been answered."""
         self._polls.append(poll)
 
     def now_and_then(self, chore: Callable[[], None]) -> None:
-        """Have ``chore`` called after some turns; nothing may wait for it."""
+        """Call ``chore`` after some turns; nothing may wait for it."""
         self._chores.append(chore)
 
     def on_fault(self, listener: Callable[[str], None]) -> None:
-        """Have ``listener`` called, in the main thread, with the reason of each fault."""
+        """Call ``listener``, in the main thread, with the reason of each fault."""
         self._fault_listeners.append(listener)
 
     def attempt(self, what: str, call: Callable[..., Any], *arguments: Any) -> Any:
-        """Call a function; an unexpected exception is a fault, after which the process goes on.
+        """Call a function; an unexpected exception is a fault, after which the process continues.
 
-        If the process ended, a test would lose its node; with the supervisor the operator would
-        lose the emergency stop. A `SeftError`, which a user shall read, is raised.
+        If the process ended, a test would lose its node; without the supervisor the operator could
+        not abort the test. A `SeftError`, which is for the user, is raised.
         """
         try:
             return call(*arguments)
@@ -205,7 +206,7 @@ class NodeProcess:
             return None
 
     def fault(self, what: str, error: Exception) -> str:
-        """Count and log a fault; listeners hear of it in this turn or the next. Give its reason.
+        """Count and log a fault; listeners are called in this turn or the next. Give its reason.
 
         May be called from any thread.
         """
@@ -225,7 +226,7 @@ class NodeProcess:
     def start(self) -> None:
         """Begin to serve: all slow preparations are done."""
         np.seterr(over="ignore", invalid="ignore")  # the limits find values that are not finite
-        sys.setswitchinterval(2e-4)  # the second thread gives way to the loop at once
+        sys.setswitchinterval(2e-4)  # the loop interrupts the second thread at once
         gc.collect()
         gc.freeze()
         self._thread.start()
@@ -233,8 +234,8 @@ class NodeProcess:
     def spin_once(self, timeout: float) -> bool:
         """Wait at most ``timeout`` seconds for messages, and handle them.
 
-        Of topics that end the waiting it takes one message, and the refused ones before it; the
-        next call finds the rest. Returns whether such a message was handled.
+        From topics that end the waiting it takes one message, and the refused ones before it; the
+        next call takes the rest. Returns whether such a message was handled.
         """
         handled = bool(self.attempt("the turn", self._take_turn, timeout))
         for poll in self._polls:
@@ -249,7 +250,7 @@ class NodeProcess:
             for listener in self._fault_listeners:
                 try:
                     listener(reason)
-                except Exception as error:  # which listeners must not hear in turn
+                except Exception as error:  # a listener's own fault is not reported to listeners
                     self.faults += 1
                     self._log(f"{reason}; it could not be reported", error)
         return handled
@@ -269,7 +270,7 @@ class NodeProcess:
             time.sleep(timeout)
             return False
         handled = False
-        # to wait for no time at all takes longer than to poll all
+        # a wait of no time takes longer than a poll of all
         ready = self._wait_set.wait(timeout) if timeout > 0.0 else self._waking
         for subscription in ready:
             read_one = self._waking[subscription]
@@ -287,7 +288,7 @@ class NodeProcess:
         self.stopping = True
         self.bus.send_outside()
         nodes = self._executor.get_nodes()
-        if self._thread.is_alive():  # it must not wait for what is about to be destroyed
+        if self._thread.is_alive():  # it must not wait for objects that are destroyed next
             self._executor.wake()
             self._thread.join(timeout=2.0)
         self._executor.shutdown(timeout_sec=1.0)
@@ -296,7 +297,7 @@ class NodeProcess:
         rclpy.try_shutdown()
 
     def _spin_executor(self) -> None:
-        """Serve until the end: a service that fails must not take stop and estop with it."""
+        """Serve until the end: after a fault of one service, stop and estop must still work."""
         while not self.stopping and rclpy.ok():
             try:
                 self._executor.spin_once(timeout_sec=0.5)
@@ -304,13 +305,13 @@ class NodeProcess:
                 return
             except Exception as error:
                 if _is_invalid_request(error):
-                    self._log("refused a request for parameters that makes no sense", error)
+                    self._log("refused an invalid request for parameters", error)
                 else:
                     self.fault("a service", error)
 
 
 def _is_invalid_request(error: Exception) -> bool:
-    """Tell whether rclpy could not read a request for parameters, which no node has seen."""
+    """Say whether rclpy could not read a request for parameters, which no node has received."""
     files = [frame.filename for frame in extract_tb(error.__traceback__)]
     read = [number for number, file in enumerate(files) if file.endswith(REQUESTS)]
     here = str(Path(__file__).parent)
@@ -318,14 +319,14 @@ def _is_invalid_request(error: Exception) -> bool:
 
 
 def drain(read_one: ReadOne, most: int = MOST_AT_ONCE) -> None:
-    """Handle what has come, at most so many messages; the default is the longest queue."""
+    """Handle the messages that have arrived, at most ``most``; the default is the longest queue."""
     for _ in range(most):
         if read_one() is None:
             return
 
 
 def _without_parameters(argv: Sequence[str]) -> list[str]:
-    """Command line without the parameters, which `Experiment.load` has read already."""
+    """Command line without the parameters, because `Experiment.load` has read them already."""
     words = iter(argv)
     kept = []
     for word in words:

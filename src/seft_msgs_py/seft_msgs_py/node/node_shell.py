@@ -42,25 +42,25 @@ STATUS_PERIOD = 0.2  # s between two heartbeats
 LOOP_PAUSE = 1.0  # s without a message of the loop: the node is idle
 WARN_PERIOD = 1.0  # s
 WARM_UP_STEPS = 200
-"""Steps that a node of the loop runs before the test, so that its first real ones are not slow."""
+"""Steps that a node of the loop runs before the test, so that the test's first steps are fast."""
 Handler = Callable[[bytes, int], None]
-"""Takes a message's bytes and the wall-clock time in ns at which it came in."""
+"""Takes a message's bytes and the wall-clock time in ns of its arrival."""
 
 
 class NodeShell:
     """A node with its checked parameters, read from a command line (``--ros-args``).
 
-    ``table`` holds its own parameters; ``tables`` are all known ones, because parameters may take
-    their values from other nodes.
+    ``table`` contains its own parameters; ``tables`` are all known ones, because parameters may
+    take their values from other nodes.
 
     Attributes
     ----------
     name : str
-        The node's name, with its rig's where the test has several.
+        The node's name, with its rig's name if the test has several.
     experiment : Experiment
         This node's section of the command line and its parameter files.
     rig : RigAxes
-        The rig that the node belongs to; all axes, where it serves all rigs.
+        The rig that the node belongs to; all axes, if it serves all rigs.
     node : rclpy.node.Node
         The node itself.
     refused : int
@@ -73,7 +73,7 @@ class NodeShell:
         files, overrides = split_ros_arguments(argv)
         self.experiment = Experiment.load(tables, files, overrides, nodes=[table.node])
         self.refused = 0
-        self._warning, self._warned_at = "", -WARN_PERIOD  # the first reason since the last one
+        self._warning, self._warned_at = "", -WARN_PERIOD  # first reason since the last warning
         self._process = process
         self._section = section = self.experiment[table.node]
         self.node = Node(
@@ -101,7 +101,7 @@ class NodeShell:
 
     @property
     def stopping(self) -> bool:
-        """Whether the process shall end."""
+        """Whether the process should end."""
         return self._process.stopping
 
     def publisher(self, topic: Topic) -> Callable[[bytes], None]:
@@ -120,7 +120,7 @@ class NodeShell:
         wake: bool = True,
         reliable: bool = True,
     ) -> ReadOne:
-        """Hand every message of a topic to ``handler`` as bytes, in the main thread.
+        """Give every message of a topic to ``handler`` as bytes, in the main thread.
 
         Parameters
         ----------
@@ -154,7 +154,7 @@ class NodeShell:
         return read_one
 
     def catch_up(self, topic: Topic) -> None:
-        """Handle all messages of a topic that have come."""
+        """Handle all messages of a topic that have arrived."""
         drain(self._readers[topic.name])
 
     def start(self, facts: dict[str, Any] | None = None) -> None:
@@ -186,7 +186,7 @@ class NodeShell:
         return self._process.fault(f"{self.name}, {what}", error)
 
     def on_fault(self, listener: Callable[[str], None]) -> None:
-        """Have ``listener`` called with the reason of each fault in this process."""
+        """Call ``listener`` with the reason of each fault in this process."""
         self._process.on_fault(listener)
 
     def refuse(self, reason: str) -> None:
@@ -222,22 +222,22 @@ class NodeShell:
         return self._senders.conflict()
 
     def foreign_publishers(self, refused_before: int) -> str:
-        """Say which foreign nodes may be the reason why messages are missing, to append to that.
+        """Name the foreign nodes that may be the cause of missing messages, to append to a reason.
 
-        ``refused_before`` is `refused` at the last of the messages that are missing now.
+        ``refused_before`` is the value of `refused` when the last message arrived.
         """
         refused, conflict = self.refused - refused_before, self.several_senders()
         text = f"; {refused} messages were refused meanwhile" if refused else ""
         return f"{text}; {conflict}" if conflict else text
 
     def _full_name(self, topic: Topic) -> str:
-        """Name of a topic for this node, which may be a level below the test."""
+        """Name of a topic for this node, whose namespace may be a level below the test's."""
         if not self.rig.name or topic.name.startswith("/"):
             return topic.name
         return f"{self._test_namespace}/{topic.name}"
 
     def _guarded(self, handler: Handler, topic: Topic) -> Receive:
-        """Wrap a handler: refuse invalid messages, and note when the last sample came."""
+        """Wrap a handler: refuse invalid messages, and note the time of the last sample."""
         is_of_each_step = isinstance(topic, LoopTopic) and not topic.latched
         name, senders = topic.name, self._senders
 
@@ -253,7 +253,7 @@ class NodeShell:
                 self.refuse(str(error))
                 return False
             except SeftError:
-                raise  # why the node can't go on, for the user
+                raise  # the reason for the user why the node can't continue
             except Exception as error:
                 self.fault(name, error)
                 return False
@@ -264,9 +264,9 @@ class NodeShell:
         return receive
 
     def _renew_status(self) -> None:
-        """Send the status when it is due, and what is new in it.
+        """Send the status when it is due, with its changes.
 
-        Reading the graph takes a millisecond, which only an idle node has: while the loop runs, the
+        Reading the graph takes a millisecond, too long for a node of a running loop: then the
         listeners are not looked up.
         """
         now = time.monotonic()
@@ -291,7 +291,7 @@ class NodeShell:
                 self._publish_status()
 
     def _log_phase(self) -> None:
-        """Log the phase of an idle node if it is a new one: a line takes a millisecond."""
+        """Log the phase of an idle node if it is new: a line takes a millisecond."""
         phase, text = self._status.values.get("phase", ""), self._status.message
         if phase != self._logged:
             self._logged = phase
@@ -299,7 +299,7 @@ class NodeShell:
             self.node.get_logger().info((text if phase in text else f"{phase}: {text}") + bag)
 
     def _describe(self) -> None:
-        """Publish the node's parameters, at its start and when one was set."""
+        """Publish the node's parameters, at its start and after a change."""
         if self._facts is not None:
             described = {"node": self.name, "parameters": self._section, **self._facts}
             self._description(encode_string(json.dumps(described)))
@@ -313,7 +313,7 @@ class NodeShell:
         return {**counted, "strangers": self._senders.strangers()}
 
     def _update(self, values: dict[str, str]) -> None:
-        """Take up values in the status; an equal status stays the same object."""
+        """Add values to the status; an equal status stays the same object."""
         if values.items() - self._status.values.items():
             self._status = replace(self._status, values={**self._status.values, **values})
 
@@ -335,12 +335,12 @@ CLOSE_PATIENCE = 5.0  # s
 
 
 class NodeBody:
-    """What a node does in its shell; subclasses override what they need.
+    """The behaviour of a node in its shell; subclasses override what they need.
 
     Attributes
     ----------
     facts : dict
-        What others must know of this node besides its parameters; JSON values.
+        Facts about this node that others need besides its parameters; JSON values.
     """
 
     def __init__(self, shell: NodeShell) -> None:
@@ -368,7 +368,7 @@ class NodeBody:
         self._shell.report(tripped_status(self._shell.name, reason, 0))
 
     def poll(self) -> None:
-        """Do what is due by time; called after each turn, whichever node spins."""
+        """Do the work that is due by time; called after each turn, whichever node spins."""
 
     def period(self) -> float:
         """Longest time between two polls, s."""

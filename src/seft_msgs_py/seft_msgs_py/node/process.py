@@ -1,15 +1,15 @@
-"""What a ROS process needs before it starts, FastDDS, shared memory, a name, and how it ends.
+"""Start and end of a ROS process: settings of FastDDS, shared memory, a unique name.
 
-`network.xml` and `one_host.xml` hold the settings:
+`network.xml` and `one_host.xml` contain the settings:
 
-- UDP only, on one host too. Shared memory is no faster here (`bench/loop.py` measures both), and
-  all tests on a host, whatever their domain, share its ports, whose health FastDDS judges by one
-  second without activity: while other tests start, end or are killed, or while the host stalls, a
-  living node may lose its port and receive nothing from then on. Killed processes leave files.
-- A participant announces itself for 3 s, not for half a second: of six that start together some
-  miss each other, and would meet only at the next announcement, 3 s later.
-- Readers acknowledge what they have at a heartbeat; with the default of 3 s thousands of samples
-  pile up, and clearing them away stops a publisher for milliseconds.
+- UDP only, also on one host. Shared memory is not faster here (`bench/loop.py` measures both). Its
+  ports are shared by all tests on a host, in any domain. FastDDS takes a port without activity for
+  one second for dead: while other tests start, end or are killed, or while the host stalls, a
+  running node may lose its port and receive nothing after that. Killed processes leave files.
+- A participant announces itself for 3 s, not for half a second: if six start together, some miss
+  each other, and would only find each other at the next announcement, 3 s later.
+- Readers acknowledge samples at a heartbeat; with the default period of 3 s thousands of samples
+  accumulate, and removing them stops a publisher for milliseconds.
 - While nacks of the last sample are suppressed, the next one does not wake the event thread.
 - FastDDS writes its messages to stderr: stdout is for results.
 """
@@ -38,15 +38,15 @@ TRACERS = "lttng-ust-wait-*"
 
 
 def prepare_middleware() -> None:
-    """Have FastDDS read our settings, unless the environment names others, or static peers.
+    """Make FastDDS read our settings, unless the environment names others, or static peers.
 
-    Call it before rclpy starts; processes that are started later inherit it.
+    Call this before rclpy starts; processes that are started later inherit the settings.
     """
     named = os.environ.get(PROFILES)
     if named not in (None, str(NETWORK), str(ONE_HOST)):
         return
     if os.environ.get(RANGE) == "LOCALHOST":
-        if not os.environ.get("ROS_STATIC_PEERS"):  # which only rmw's own settings heed
+        if not os.environ.get("ROS_STATIC_PEERS"):  # only rmw's own settings use it
             os.environ[PROFILES] = str(ONE_HOST)
             os.environ[RANGE] = "SYSTEM_DEFAULT"  # at LOCALHOST rmw adds shared memory
     elif named is None:
@@ -60,10 +60,10 @@ def prepare_on_this_host() -> None:
 
 
 def check_shared_memory(folder: Path = FOLDER) -> None:
-    """Check that there is a page of shared memory for the tracer that comes with rclpy (LTTng).
+    """Check that there is a page of shared memory for rclpy's tracer (LTTng).
 
-    It maps a file there when rclpy is imported, and without memory behind that file the kernel ends
-    the process (SIGBUS). Our messages need no shared memory.
+    The tracer maps a file there when rclpy is imported; without memory for that file the kernel
+    ends the process (SIGBUS). Our messages do not need shared memory.
 
     Raises
     ------
@@ -79,22 +79,21 @@ def check_shared_memory(folder: Path = FOLDER) -> None:
     except OSError as error:
         if error.errno == errno.ENOSPC:
             raise InputError(
-                f"{folder} is full, and no ROS process can start: remove what nobody uses there"
+                f"{folder} is full, and no ROS process can start: remove unused files there"
             ) from None
 
 
 def single_instance(domain: int, node: str) -> socket.socket:
     """Hold the full name of a node on this host in a ROS domain, until the socket is closed.
 
-    Two tests on one ROS domain would command each other's rig before DDS discovery, which may take
-    seconds, has shown either the other's names. The socket is in Linux's abstract namespace: the
-    kernel frees it however the process ends, and like the ROS domain it belongs to the network
-    namespace.
+    Two tests on one ROS domain would command each other's rig, because DDS discovery of the other's
+    names may take seconds. The socket is in Linux's abstract namespace: the kernel frees it at any
+    end of the process, and like the ROS domain it belongs to the network namespace.
 
     Raises
     ------
     InputError
-        If another process holds it.
+        If another process has the name.
     """
     held = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:
@@ -102,14 +101,14 @@ def single_instance(domain: int, node: str) -> socket.socket:
     except OSError:
         held.close()
         raise InputError(
-            f"ROS domain {domain} already has a node {node} on this host: another test's; end "
+            f"ROS domain {domain} already has a node {node} on this host (another test); end "
             "it, or set ROS_DOMAIN_ID to another number"
         ) from None
     return held
 
 
 def is_running(domain: int, node: str) -> bool:
-    """Tell whether a process of this host holds the full name of a node."""
+    """Say whether a process of this host holds the full name of a node."""
     try:
         single_instance(domain, node).close()
     except InputError:
@@ -126,10 +125,10 @@ Handler = Callable[[int, FrameType | None], None]
 
 
 def on_ending(handler: Handler) -> dict[signal.Signals, Any]:
-    """Have ``handler`` called when a signal asks this process to end; return the old handlers.
+    """Call ``handler`` when a signal requests this process to end; return the old handlers.
 
-    SIGHUP means that the terminal has been closed: output, which would fail, is then discarded. It
-    stays ignored where it is (`nohup`).
+    SIGHUP means that the terminal has been closed: output, which would fail, is then discarded. If
+    SIGHUP is ignored (`nohup`), it stays ignored.
     """
     terminals = [file for file in _OUTPUTS if os.isatty(file)]
 
@@ -165,10 +164,10 @@ _Handler = ctypes.CFUNCTYPE(None, ctypes.c_int)
 def exit_watchdog(seconds: float, status: int, message: str = "") -> Iterator[None]:
     """End the process with a status if the context takes longer.
 
-    FastDDS 2.14 can wait for itself for ever when a participant is destroyed at the moment when
-    another one leaves (``DomainParticipant::set_listener``), and does not release Python's lock
-    while it waits. So the handler is one of C, which needs no lock. Only the good-bye is lost:
-    others see the node until its lease expires.
+    FastDDS 2.14 can deadlock when a participant is destroyed at the moment when another one leaves
+    (``DomainParticipant::set_listener``), and keeps Python's lock while it waits. So the handler is
+    a C function, which does not need the lock. Only the message of leaving is lost: others see the
+    node until its lease expires.
 
     Parameters
     ----------
@@ -210,7 +209,7 @@ _STUCK = (
 def leave_graph(node: "Node") -> None:
     """Take a node off the graph, when no other node leaves, and end its context.
 
-    Of some hundred processes that leave at the same time one hangs, see `exit_watchdog`.
+    Of about a hundred processes that leave at the same time one hangs, see `exit_watchdog`.
     """
     import rclpy
 
@@ -218,7 +217,7 @@ def leave_graph(node: "Node") -> None:
     with exit_watchdog(CLOSE_PATIENCE, 1, _STUCK):
         node.destroy_node()
         is_default = node.context is rclpy.get_default_context()
-        rclpy.try_shutdown(context=None if is_default else node.context)  # it can begin anew
+        rclpy.try_shutdown(context=None if is_default else node.context)  # it can start again
 
 
 def _wait_for_quiet(node: "Node") -> None:

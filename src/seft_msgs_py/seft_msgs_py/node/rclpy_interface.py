@@ -1,9 +1,9 @@
-"""What we use of rclpy: rows of our tables as rclpy wants them, and raw messages.
+"""Our interface to rclpy: rows of our tables as ROS parameters, and raw messages.
 
 Raw messages are waited for and taken in the calling thread, through rclpy's private interface,
-which only this module uses: rclpy's executors deserialise every message and hand it to tasks,
-which takes longer than a whole step of the loop. rclpy's own ``wait_for_message`` does the same: a
-wait set over some subscriptions, from which bytes are taken as they came.
+which only this module uses: rclpy's executors deserialise every message and give it to tasks,
+which takes longer than a whole step of the loop. rclpy's own ``wait_for_message`` does the same:
+it takes bytes from a wait set over some subscriptions.
 """
 
 import ctypes
@@ -140,7 +140,7 @@ def rig_of_node(node: Node, experiment: Experiment) -> tuple[RigAxes, str]:
     if last not in rigs:
         raise InputError(
             f"{name} is in namespace {namespace or '/'}, but the axes {list(experiment.axes)} are "
-            f"of several rigs; say which one's it is: --ros-args {known}"
+            f"of several rigs; name its rig: --ros-args {known}"
         )
     return rigs[last], above
 
@@ -157,7 +157,7 @@ class LoopCallbackGroup(CallbackGroup):
         return False
 
     def ending_execution(self, entity: Any) -> None:
-        """Nothing was begun."""
+        """Nothing was started."""
 
 
 def raw_subscription(
@@ -237,8 +237,8 @@ _OK, _NOTHING = 0, 401  # RCL_RET_OK, RCL_RET_SUBSCRIPTION_TAKE_FAILED
 def taker(subscription: Subscription) -> Callable[[], tuple[bytes, int, bytes] | None]:
     """Make the function that takes the oldest message of a raw subscription.
 
-    It returns None if there is none; else its bytes, the wall-clock time in ns at which it came
-    in, and the identifier of its publisher, which is the ``endpoint_gid`` of the graph.
+    It returns None if there is none; otherwise its bytes, the wall-clock time in ns of its arrival,
+    and the identifier of its publisher, which is the ``endpoint_gid`` of the graph.
     """
     rcl, rcutils = ctypes.PyDLL("librcl.so"), ctypes.PyDLL("librcutils.so")
     rcutils.rcutils_get_default_allocator.restype = _Allocator

@@ -22,7 +22,7 @@ PARAMETERS = parameter_rows(
     lock_memory     | bool | false |  |            |
         whether the node's memory is kept from being paged out
     cpu_core        | int  | -1    |  | -1 .. 4095 |
-        processor core that the node keeps to; -1: as it was started
+        processor core on which the node runs; -1: no change
     keep_awake      | bool | false |  |            |
         whether the machine's cores stay awake while they wait, as long as the node runs
     """
@@ -33,7 +33,7 @@ FIRST = -20
 _TRIES = 20
 _REMEDY = (
     "a line `{user} - {item} {value}` in /etc/security/limits.conf and a new login allow it; "
-    "the test goes on without"
+    "the test continues without it"
 )
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _PR_SET_TIMERSLACK, _SLACK_NS = 29, 1
@@ -57,7 +57,7 @@ def apply(section: Mapping[str, Any]) -> list[str]:
 
 
 def wake_on_time() -> None:
-    """Have this thread, and those that it will start, wake up on time.
+    """Make this thread, and those that it will start, wake up on time.
 
     Otherwise Linux may wake them up to 50 µs later, to save power.
     """
@@ -65,12 +65,11 @@ def wake_on_time() -> None:
 
 
 def take_equal_addresses() -> None:
-    """Have the program that this process will execute use the same addresses as others.
+    """Make the program that this process will execute use the same addresses as others.
 
     Otherwise Linux chooses addresses at random (`personality(2)`). The nodes of the loop run the
-    same interpreter and middleware, one after the other on one core; at equal addresses each finds
-    the processor's caches prepared by the previous one. Where a container denies it, nothing
-    changes.
+    same interpreter and middleware, in turn on one core; at equal addresses each finds the
+    processor's caches prepared by the previous one. If a container denies it, nothing changes.
     """
     _LIBC.personality(_personality() | _ADDR_NO_RANDOMIZE)
 
@@ -79,8 +78,8 @@ def take_precedence(pid: int) -> bool:
     """Let a process run before all others without real-time priority; return if that was allowed.
 
     This includes the threads that it will start. Linux first schedules sessions, and then the
-    processes of each (`sched(7)`, autogroup): so the session of a process that has its own is
-    raised, too.
+    processes of each (`sched(7)`, autogroup). So the session is raised, too, if the process has
+    its own.
     """
     try:
         for thread in threads_of(pid):
@@ -98,7 +97,7 @@ def take_precedence(pid: int) -> bool:
         except BlockingIOError:  # the kernel takes ten a second
             time.sleep(0.1)
         except OSError:
-            break  # it has none, or the process has ended
+            break  # there is no autogroup, or the process has ended
         else:
             break
     return True
@@ -110,7 +109,7 @@ def may_keep_awake() -> bool:
 
 
 def granted() -> dict[str, Any]:
-    """Tell what this process has: its real-time priority (0: none), nice value, cores...
+    """Give what this process has: its real-time priority (0: none), nice value, cores...
 
     ``boot`` is the same for all processes of a machine, ``process`` identifies one of them.
     """
@@ -129,14 +128,14 @@ def granted() -> dict[str, Any]:
 
 
 def boot() -> str:
-    """Identify this machine since its start, without its name."""
+    """Identify this machine and its last start, without its name."""
     return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
 
 
 def started(pid: int) -> int:
     """Time at which a process of this machine started, in ticks of the kernel; -1: there is none.
 
-    Process numbers are used again, and a container has its own.
+    Process numbers are reused, and a container has its own.
     """
     stat = process_stat(pid)
     return int(stat[19]) if stat else -1
@@ -152,17 +151,16 @@ def process_stat(pid: int) -> list[str]:
 
 
 def _personality() -> int:
-    """Read the flags of `personality(2)` of this process; none where reading them is denied."""
+    """Read the flags of `personality(2)` of this process; none if reading them is denied."""
     return max(0, int(_LIBC.personality(_ASK)))
 
 
 def side_threads(pid: int | str = "self") -> list[int]:
     """Find the threads of a process through which no message of the loop passes.
 
-    FastDDS names its threads: ``dds.udp.`` and a port are those that receive, of which the odd
-    ports are for messages, the even ones for discovery (RTPS 2.3, 9.6.1.1); ``dds.ev`` and
-    ``dds.asyn`` announce this process, which can take longer than a step's answer. OSError if there
-    is no such process.
+    FastDDS names its threads: ``dds.udp.`` and a port receive, odd ports messages, even ports
+    discovery (RTPS 2.3, 9.6.1.1); ``dds.ev`` and ``dds.asyn`` announce this process, which can take
+    longer than a step's answer. OSError if there is no such process.
     """
     found = []
     for thread in threads_of(pid):
@@ -182,14 +180,14 @@ def _keep_to_core(core: int) -> str:
             os.sched_setaffinity(thread, {core})
     except OSError:
         allowed = ", ".join(str(each) for each in sorted(os.sched_getaffinity(0)))
-        return f"core {core} is not to be had; choose cpu_core among {allowed}"
+        return f"core {core} is not available; choose cpu_core among {allowed}"
     return ""
 
 
 def _keep_awake() -> str:
-    """Ask the kernel for no latency at all: an idle core then polls.
+    """Request no latency from the kernel: an idle core then polls.
 
-    To wake a sleeping core takes long, also for the process that wakes it (Documentation/power/
+    Waking a sleeping core takes long, also for the process that wakes it (Documentation/power/
     pm_qos_interface of the kernel).
     """
     try:
@@ -198,7 +196,7 @@ def _keep_awake() -> str:
     except OSError:
         return (
             f'to keep the cores awake is denied: a udev rule `KERNEL=="{_AWAKE.name}", '
-            'GROUP="realtime", MODE="0660"` and a user in that group allow it; the test goes on '
+            'GROUP="realtime", MODE="0660"` and a user in that group allow it; the test continues '
             "without"
         )
     _held.append(held)
@@ -206,9 +204,9 @@ def _keep_awake() -> str:
 
 
 def _take_priority(priority: int) -> str:
-    """Raise all threads, those of DDS too: a message must not wait for other processes.
+    """Raise the priority of all threads, also of DDS: messages must not wait for other processes.
 
-    Side threads wait only for those of the loop, which may need their locks. Threads that are
+    Side threads wait only for the loop's threads, which may need their locks. Threads that are
     made later, such as that of the services, have no priority.
     """
     policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
@@ -249,9 +247,8 @@ LONGEST_GAP = 0.25  # s
 class AwakeClock:
     """Monotonic time in which a gap between two polls counts as at most `LONGEST_GAP`.
 
-    A process that stalls, usually with its whole machine, finds the messages of that time in its
-    queues only later: it must not mistake its own stall for the silence of others. Poll the clock
-    often.
+    A process that stalls, usually with its whole machine, reads the messages of that time only
+    later: it must not mistake its own stall for the silence of others. Poll the clock often.
     """
 
     def __init__(self, monotonic: Callable[[], float] = time.monotonic) -> None:

@@ -1,4 +1,4 @@
-"""Which nodes publish what a node reads, and which of them is the test's; who reads its topics."""
+"""Publishers of the topics that a node reads, and the one of the test; readers of its topics."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from rclpy.subscription import Subscription
 from seft_msgs_py.wire.topics import EXPERIMENT_STATE, LoopTopic, Topic, bare
 
 UNNAMED, NAMELESS = "a node whose name is not known", "_NODE_NAME_UNKNOWN_"
-"""Our words for it, and the middleware's until the node has announced itself."""
+"""Our name and the middleware's for a node that has not announced itself yet."""
 
 
 @dataclass
@@ -18,7 +18,7 @@ class _Reader:
 
     topic: Topic
     full_name: str
-    subscription: Subscription | None  # none, where it comes from this process
+    subscription: Subscription | None  # none, if the publisher is in this process
     accepted: bytes = b""  # identifier of the test's publisher; empty: not chosen
 
     def count(self, node: Node) -> int:
@@ -29,7 +29,7 @@ class _Reader:
 
 
 class Senders:
-    """Publishers of the topics that a node reads, as the middleware tells them apart.
+    """Publishers of the topics that a node reads, by the middleware's identifiers.
 
     While a test runs, the loop's topics and the state of the test are accepted only from the
     publisher that each had when the test began. Any other publisher is foreign: its messages are
@@ -44,7 +44,7 @@ class Senders:
         self._names: dict[tuple[str, bytes], str] = {}
 
     def add(self, topic: Topic, full_name: str, subscription: Subscription | None = None) -> None:
-        """Watch a topic; without a subscription it comes from this process."""
+        """Watch a topic; without a subscription its publisher is in this process."""
         self._readers[topic.name] = _Reader(topic, full_name, subscription)
 
     def counts(self) -> dict[str, int]:
@@ -64,7 +64,7 @@ class Senders:
         self._names.clear()
         for reader in self._of_the_test():
             if reader.subscription is None or reader.count(self._node) > 1:
-                continue  # nothing comes from outside; or the right one can't be told
+                continue  # no publisher outside; or the right one is not known
             found = self._known(reader)
             if len(found) > 1:  # one of them is known but not connected yet
                 own = bare(reader.topic.publisher)
@@ -73,7 +73,7 @@ class Senders:
                 (reader.accepted,) = found
 
     def is_foreign(self, name: str, gid: bytes) -> bool:
-        """Tell whether a message comes from a foreign publisher, and count it if so."""
+        """Say whether a message comes from a foreign publisher; if so, count it."""
         accepted = self._readers[name].accepted
         if not accepted or gid == accepted:
             return False
@@ -83,7 +83,7 @@ class Senders:
     def conflict(self) -> str:
         """Say which topic of the test more than one node publishes; empty if none.
 
-        One of them is not of this test, and it would be chance whose messages count.
+        One of them does not belong to this test, and the messages of either could be used.
         """
         for reader in self._of_the_test():
             if (count := reader.count(self._node)) > 1:
@@ -106,7 +106,7 @@ class Senders:
                 if gid != accepted and (name, gid) not in self._names and NAMELESS not in node:
                     self._names[name, gid] = node
                     self._refused.setdefault((name, gid), 0)
-                    news.append(f"{node} publishes {name}, too: it is not heard in this test")
+                    news.append(f"{node} publishes {name}, too: this test ignores its messages")
         return news
 
     def strangers(self) -> str:
@@ -135,7 +135,7 @@ class Senders:
 def connected_listeners(node: Node, publisher: Publisher, namespace: str) -> set[str]:
     """Names of the nodes that read a topic, without the test's namespace.
 
-    None, while some are known but not connected yet.
+    Empty while some are known but not connected yet.
     """
     infos = node.get_subscriptions_info_by_topic(publisher.topic_name)
     full = (f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos)

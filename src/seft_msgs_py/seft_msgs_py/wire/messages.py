@@ -1,8 +1,8 @@
 """Slow standard messages <-> CDR bytes: text, status, diagnostics, clock, estimates.
 
-rosbags' definitions of the Jazzy messages do the work; they are built at first use, which takes a
-tenth of a second. Python types are checked here, for the wire and the bags: a value that does not
-fit, and bytes that are no such message, are a `WireError`.
+The messages are encoded by rosbags' definitions for Jazzy; they are built at first use, which takes
+a tenth of a second. Python types are checked here, for the wire and the bags: a value of a wrong
+type, and bytes that are no such message, raise a `WireError`.
 """
 
 import json
@@ -94,9 +94,9 @@ def encode_status(status: Status) -> bytes:
 
 
 def decode_status(raw: bytes) -> Status:
-    """Read a diagnostic_msgs/msg/DiagnosticStatus; of equal keys the last counts.
+    """Read a diagnostic_msgs/msg/DiagnosticStatus; of equal keys the last one is used.
 
-    Heartbeats repeat a message, which is decoded once: the result must not be changed.
+    Heartbeats repeat a message, which is decoded once: do not change the result.
     """
     return _known_status(raw) if isinstance(raw, bytes) else _read_status(raw)
 
@@ -116,7 +116,7 @@ def encode_diagnostics(stamp_ns: int, statuses: Sequence[Status]) -> bytes:
 
 
 def restamp(message: bytearray, stamp_ns: int) -> None:
-    """Change the stamp at a message's begin; encoding it anew takes 100 times longer."""
+    """Change the stamp at a message's begin; encoding the message takes 100 times longer."""
     struct.pack_into("<iI", message, 4, *divmod(stamp_ns, NANOSECONDS_PER_SECOND))
 
 
@@ -225,8 +225,8 @@ class EstimatesCodec:
     """Estimates that a compensation method identifies on line over n axes <-> message bytes.
 
     A diagnostic_msgs/msg/DiagnosticArray with the stamp of the step, and for each axis a status
-    ``reference_force: <axis>`` whose values are the estimates by name. Numbers are written as
-    Python's `repr` does, so that they are read back bit for bit.
+    ``reference_force: <axis>`` with the estimates by name. Numbers are written by Python's `repr`,
+    so that they are read back bit for bit.
     """
 
     def __init__(self, axes: Sequence[str], timebase: Timebase) -> None:

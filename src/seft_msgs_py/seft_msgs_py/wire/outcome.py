@@ -1,4 +1,4 @@
-"""How a test ended, and how forces came, by the last status of nodes: written, read here."""
+"""The end of a test, and the arrival of forces, in the last status of nodes: written and read."""
 
 import json
 import math
@@ -14,7 +14,7 @@ from seft_msgs_py.wire.topics import Timebase, bare
 RIG = "rig"
 RECORDER = "recorder"
 RECORDED = "recorded"
-"""Key of the recorder's values: states of each rig that are in the bag, or safe in memory."""
+"""Key of the recorder's values: number of states of each rig in the bag, or safe in memory."""
 FINISHED = "finished"
 TRIPPED = "tripped"
 STOPPED = "stopped"
@@ -22,9 +22,9 @@ STOPPED = "stopped"
 REHEARSES = "rehearses"
 """Key of the facts of a node of the loop: whether it can rehearse."""
 REHEARSED = "rehearsal"
-"""Key of the rig's facts: how a rehearsal of the loop went."""
+"""Key of the rig's facts: result of a rehearsal of the loop."""
 LISTED_STEPS = 100
-"""Most missed steps that a status lists; all are counted."""
+"""Largest number of missed steps that a status lists; all are counted."""
 ROUND_TRIPS = {
     "p50": "round trip median (ms)",
     "p90": "round trip 90 % (ms)",
@@ -54,7 +54,7 @@ ENDED = (State.DONE, State.TRIPPED)
 
 @dataclass(frozen=True)
 class Trip:
-    """Why a test was ended, in one line, at which step, and at which experiment time."""
+    """Reason for the end of a test, in one line, with its step and experiment time."""
 
     reason: str
     step: int
@@ -63,7 +63,7 @@ class Trip:
 
 @dataclass(frozen=True)
 class Saturation:
-    """What was saturated (stroke, valve, a sensor...): number of samples, and first step."""
+    """Saturated parts (stroke, valve, a sensor...): number of samples, and first step."""
 
     samples: dict[str, int] = field(default_factory=dict)
     first_step: dict[str, int] = field(default_factory=dict)
@@ -96,7 +96,7 @@ class Saturation:
 
     @classmethod
     def from_json(cls, text: str) -> "Saturation":
-        """Read what `to_json` wrote; ValueError if it is something else."""
+        """Read a text of `to_json`; ValueError if it is something else."""
         found = cls()
         try:
             for name, counts in json.loads(text).items():
@@ -108,7 +108,7 @@ class Saturation:
 
 @dataclass(frozen=True)
 class Outcome:
-    """End of a test, as the rig saw it.
+    """End of a test, as the rig reports it.
 
     Attributes
     ----------
@@ -123,16 +123,16 @@ class Outcome:
     wall_s : float or None
         Wall-clock duration of the test.
     trip : Trip or None
-        Why and when it was ended early; None if finished.
+        Reason and time of an early end; None if finished.
     overruns : int
         Sampling overruns: steps at which the rig was late by more than half a period.
     saturation : Saturation
-        What was saturated.
+        Saturated parts.
     round_trips : dict
-        From a sample to its command, s, by the keys of `ROUND_TRIPS`; empty where not measured.
+        From a sample to its command, s, by the keys of `ROUND_TRIPS`; empty if not measured.
     held_steps : list of int
-        Step of the command applied at each of `missed_steps`, -1 for none; empty where the rig
-        does not report it, and of several rigs.
+        Step of the command applied at each of `missed_steps`, -1 for none; empty if the rig does
+        not report it, and with several rigs.
     """
 
     phase: str
@@ -150,8 +150,8 @@ class Outcome:
     def of_all(cls, outcomes: Sequence["Outcome"]) -> "Outcome":
         """Combine the outcomes of all rigs of a test.
 
-        The first trip with a cause counts, the steps are those that all rigs have sampled, missed
-        commands are added up, and the longest round trips count.
+        The trip is the first one with a cause, the steps are those that all rigs have sampled,
+        missed commands are added up, and the round trips are the longest.
         """
         if len(outcomes) == 1:
             return outcomes[0]
@@ -189,7 +189,7 @@ def rig_status(
     round_trips: Mapping[str, float] | None = None,
     held_steps: Sequence[int] = (),
 ) -> Status:
-    """Status of the rig in any phase, which `read_outcome` understands at the end of a test.
+    """Status of the rig in any phase; `read_outcome` reads it at the end of a test.
 
     Parameters
     ----------
@@ -198,7 +198,7 @@ def rig_status(
     wall_s : float or None
         Wall-clock time since the test began, s; None if it has not.
     trip : Trip, optional
-        Required where the phase is ``tripped``, and only there: else ValueError.
+        Required if the phase is ``tripped``, and only then; otherwise ValueError.
     steps, missed, missed_steps, overruns, saturation, round_trips
         As in `Outcome`; only the first `LISTED_STEPS` missed steps are sent.
     held_steps : sequence of int, optional
@@ -230,7 +230,7 @@ def rig_status(
 
 
 def tripped_status(node: str, reason: str, step: int) -> Status:
-    """Status with which any node but the rig ends a test at once."""
+    """Status with which any node except the rig ends a test at once."""
     values = {"phase": TRIPPED, "reason": reason, "step": str(step)}
     return Status(node, ERROR, f"{TRIPPED} at step {step}: {reason}", values=values)
 
@@ -241,7 +241,7 @@ def read_outcome(status: Status, timebase: Timebase) -> Outcome | None:
     Raises
     ------
     WireError
-        If it is, and a value is missing or invalid.
+        If it is one, and a value is missing or invalid.
     """
     values = status.values
     phase = values.get("phase", "")
@@ -256,7 +256,7 @@ def read_outcome(status: Status, timebase: Timebase) -> Outcome | None:
             phase=phase,
             steps=int(values["steps"]),
             missed=int(values["missed"]),
-            overruns=int(values.get("overruns", "0")),  # a driver may have no such thing
+            overruns=int(values.get("overruns", "0")),  # optional for a driver
             missed_steps=_steps(values["missed_steps"]),
             held_steps=_steps(values.get("held_steps", "")),
             wall_s=float(values["wall_s"]) if "wall_s" in values else None,
@@ -290,14 +290,14 @@ def _finite(text: str) -> float:
 
 @dataclass(frozen=True)
 class LinkRecord:
-    """Ages of the messages that the forces of a test were taken from.
+    """Ages of the messages from which the forces of a test were taken.
 
     Attributes
     ----------
     ages : mapping of int to int
         Steps between the step of a force and that of its message -> number of forces.
     held : int
-        Forces that no message brought: the one before was held.
+        Forces without a message: the previous force was held.
     """
 
     ages: Mapping[int, int]
@@ -305,7 +305,7 @@ class LinkRecord:
 
     @classmethod
     def of_all(cls, records: Iterable["LinkRecord"]) -> "LinkRecord":
-        """Add up what the force controllers of several rigs tell."""
+        """Add up the records of several rigs' force controllers."""
         ages: Counter[int] = Counter()
         held = 0
         for record in records:
@@ -325,7 +325,7 @@ class LinkRecord:
 
     @classmethod
     def from_json(cls, text: str) -> "LinkRecord":
-        """Read what `to_json` wrote.
+        """Read a text of `to_json`.
 
         Raises
         ------

@@ -1,7 +1,7 @@
 """Topics of a test: names, types, publisher, subscribers, quality of service; rigs and time.
 
-The table in the README is made of these rows. Names are relative, so that a test can be put in a
-namespace; a bag holds them with a leading slash.
+The table in docs/nodes.md describes these topics. Names are relative, so that a test can be in a
+namespace; in a bag they have a leading slash.
 
 An axis that is named ``west/x`` belongs to the rig ``west``, whose nodes run in the namespace of
 that name below the test's. Axes without such a name belong to the only rig.
@@ -36,13 +36,13 @@ class Timebase:
 
     @classmethod
     def from_rate(cls, rate: float) -> "Timebase":
-        """Make the time base of a rate in Hz.
+        """Make the time base from a rate in Hz.
 
         Raises
         ------
         InputError
-            If the rate is not positive, or its period is no whole number of nanoseconds:
-            stamps could then not name steps exactly.
+            If the rate is not positive, or its period is no whole number of nanoseconds: then
+            stamps could not identify steps exactly.
         """
         if not 1e-6 < rate < float("inf"):
             raise InputError(f"rate: {rate:g} Hz is no sampling rate; give a positive number")
@@ -82,7 +82,7 @@ class Timebase:
 
 
 def _nearest_exact_rates(rate: float) -> tuple[int, int]:
-    """Whole-number rates below and above ``rate`` whose period is whole in nanoseconds."""
+    """Integer rates below and above ``rate`` with a period of whole nanoseconds."""
     exact = sorted(2**i * 5**j for i in range(10) for j in range(10))
     below = [r for r in exact if r < rate] or [1]
     above = [r for r in exact if r > rate] or [NANOSECONDS_PER_SECOND]
@@ -116,7 +116,7 @@ class RigAxes:
     Attributes
     ----------
     name : str
-        Namespace of its nodes below the test's; empty where a test has but one rig.
+        Namespace of its nodes below the test's; empty if a test has only one rig.
     axes : tuple of str
         Its axes, in order.
     places : tuple of int
@@ -199,7 +199,7 @@ def rig_name(node: str) -> str:
 
 
 def with_rigs(nodes: Iterable[str], rigs: Sequence[RigAxes]) -> list[str]:
-    """Names of nodes in a test of these rigs: one for each rig, where rigs have their own."""
+    """Names of nodes in a test of these rigs: one for each rig, if rigs have their own."""
     return [
         named
         for node in nodes
@@ -218,21 +218,21 @@ class Topic:
     type : str
         Message type.
     publisher : str
-        Node that publishes it; empty where every node does.
+        Node that publishes it; empty if every node does.
     subscribers : tuple of str
         Nodes that must be connected before a test starts (the recorder subscribes to all).
     latched : bool
         Transient local: a late subscriber also gets the last messages.
     depth : int
-        Samples the publisher keeps for a slow reader, until it acknowledges them: in lockstep
+        Samples that the publisher keeps for a slow reader, until it acknowledges them: in lockstep
         there are thousands a second.
     recorded : bool
-        Whether the bag holds it.
+        Whether the bag contains it.
     """
 
     name: str
     type: str
-    publisher: str = field(default="", compare=False)  # several rigs differ in it
+    publisher: str = field(default="", compare=False)  # differs between several rigs
     subscribers: tuple[str, ...] = field(default=(), compare=False)
     latched: bool = False
     depth: int = 4096
@@ -302,11 +302,11 @@ VALVE_COMMAND = LoopTopic(
 LOOP_TOPICS = (GROUND_MOTION, RIG_STATE, REFERENCE_FORCE, VALVE_COMMAND)
 
 REHEARSE = "rehearse"
-"""Key of the state's values: for how many s the rig shall rehearse the loop."""
+"""Key of the state's values: duration of a requested rehearsal of the loop, s."""
 
 
 def rehearsed(topic: LoopTopic) -> LoopTopic:
-    """Give the topic of the loop's rehearsal before a test, which no bag holds."""
+    """Give the topic of the loop's rehearsal before a test, which is not recorded."""
     return replace(topic, name=f"rehearsal/{topic.name}", recorded=False)
 
 

@@ -1,4 +1,4 @@
-"""Force control: what all controllers have in common, and the one by transfer functions."""
+"""Force control: the interface of all controllers, and the controller by transfer functions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from seft_plant_sim.lti import bilinear
 
 @dataclass(frozen=True)
 class ControlKnowledge:
-    """What a controller knows of the test.
+    """The known data of a test for a controller.
 
     Attributes
     ----------
@@ -24,7 +24,7 @@ class ControlKnowledge:
     dt : float
         Sampling period, s.
     voltage_limit : float
-        Largest valve drive, either way, V; what is beyond is cut off.
+        Largest valve drive, in both directions, V; larger drives are cut off.
     """
 
     axes: int
@@ -34,7 +34,7 @@ class ControlKnowledge:
 
 @dataclass(frozen=True)
 class LinearControl:
-    """A controller as a linear system with states w, p of them, over n axes.
+    """A controller as a linear system with p states w, over n axes.
 
     Its input s is the reference force, then the measured displacement, velocity, acceleration
     and force: 5 n values. u = c w + d s, w[k+1] = a w + b s.
@@ -54,7 +54,7 @@ class LinearControl:
     def of_error(
         cls, a: Floats, b: Floats, c: Floats, d: Floats, feedback: bool = True
     ) -> "LinearControl":
-        """Make one that sees the force error f_r - f alone; without feedback, f_r alone.
+        """Make one with the input f_r - f (force error); without feedback, f_r.
 
         Parameters
         ----------
@@ -70,23 +70,23 @@ class LinearControl:
 
     @classmethod
     def none(cls, axes: int) -> "LinearControl":
-        """Make one that hands the reference force itself on."""
+        """Make one that passes on the reference force."""
         one = np.eye(axes)
         return cls.of_error(np.zeros((0, 0)), one[:0], one[:, :0], one, feedback=False)
 
 
 class ForceControl(Protocol):
-    """What the loop asks of a force controller.
+    """The interface of a force controller.
 
-    One that identifies may have ``estimates()`` beside: each quantity by name, shape (n,). The
-    node tells them in its diagnostics.
+    A controller that identifies may also have ``estimates()``: each quantity by name, shape (n,).
+    The node publishes them in its diagnostics.
 
     Attributes
     ----------
     limited : bool
         Whether the last drive was at its limit on any axis.
     shape : tuple of int
-        How many points it needs, and quantities of each: 1, the force, or 3, of a target.
+        Number of points that it needs, and of quantities of each: 1, the force, or 3, of a target.
     """
 
     limited: bool
@@ -101,8 +101,8 @@ class ForceControl(Protocol):
         Parameters
         ----------
         points : ndarray
-            What is asked for at this step and coming ones, shape (p, q, n): the last quantity is
-            the reference force, N; of a target, displacement and velocity stand before it.
+            Points of this step and future ones, shape (p, q, n): the last quantity is the reference
+            force, N; for a target, displacement and velocity precede it.
         state : ndarray
             Measured displacement (m), velocity (m/s), acceleration (m/s^2) and force (N),
             shape (4, n).
@@ -114,24 +114,24 @@ class ForceControl(Protocol):
         """
 
     def linear(self) -> LinearControl:
-        """Linear system that it is as long as no limit is met.
+        """Linear system of the controller within its limits.
 
         Raises
         ------
         InputError
-            If it does not say.
+            If the controller does not give one.
         """
 
 
 class TransferParameters(NamedTuple):
-    """What does not change of a controller of n axes with d delays.
+    """Parameters of a controller of n axes with d delays.
 
     Attributes
     ----------
     matrix : ndarray
         Shape (d + n, n + d), transposed: takes (delays, error) to (drive, delays) without a limit.
     from_drive : ndarray
-        What the delays lose with a change of the drive, shape (d, n).
+        Change of the delays by a change of the drive, negative, shape (d, n).
     limit : float
         Largest magnitude of the drive, V.
     feedback : bool
@@ -145,12 +145,12 @@ class TransferParameters(NamedTuple):
 
 
 class TransferState(NamedTuple):
-    """What changes of it.
+    """State of the controller.
 
     Attributes
     ----------
     work, result : ndarray
-        Delays and error, and what the matrix makes of them, shape (d + n,).
+        Delays and error, and the matrix times these, shape (d + n,).
     """
 
     work: Floats
@@ -170,7 +170,7 @@ def transfer_step(
     Parameters
     ----------
     parameters, state
-        The state is brought up to date.
+        The state is updated.
     points : ndarray
         Of the reference force, shape (p, q, n).
     measured : ndarray
@@ -207,14 +207,14 @@ def transfer_step(
 class ForceController:
     """Force servo of n axes: u = G C(s) (f_r - f), limited to the valve's range.
 
-    C is a transfer function on each axis, the same or each its own; G mixes what they ask for,
-    for valves of unlike gain or to decouple axes. Without feedback it is u = G C(s) f_r, which
-    drives the valves by a motion of one's own.
+    C is a transfer function on each axis, the same for all or one for each; G combines their
+    outputs, for valves of different gain or to decouple axes. Without feedback it is
+    u = G C(s) f_r, which drives the valves by a signal of the user.
 
-    C is discretised with the bilinear (Tustin) transform. Its recursion runs on the limited
-    outputs, as the valve does, and so cannot wind up: the anti-windup of Astrom & Wittenmark
-    (Computer-Controlled Systems, 3rd ed., sec. 9.4) with a dead-beat observer. While
-    the limit is not met it is the linear controller itself.
+    C is discretised with the bilinear (Tustin) transform. Its recursion uses the limited outputs,
+    as the valve does, and so cannot wind up: the anti-windup of Astrom & Wittenmark
+    (Computer-Controlled Systems, 3rd ed., sec. 9.4) with a dead-beat observer. Within the limit it
+    is the linear controller itself.
 
     Parameters
     ----------
@@ -237,13 +237,13 @@ class ForceController:
     shape : tuple of int
         See `ForceControl`.
     parameters, state : TransferParameters, TransferState
-        What `transfer_step` takes, here and in a compiled loop.
+        Arguments of `transfer_step`, here and in a compiled loop.
 
     Raises
     ------
     InputError
-        If a C is improper, has no denominator, can't be discretised at this rate, or is of
-        another order, or G is singular.
+        If a C is improper, has no denominator, can't be discretised at this rate, or has another
+        order than the others, or if G is singular.
     """
 
     shape = 1, 1
@@ -299,7 +299,7 @@ class ForceController:
         timebase: Timebase,
         rig: RigAxes | None = None,
     ) -> "ForceController":
-        """Make it of its section of an experiment, see `force_control`."""
+        """Make it from its section of an experiment, see `force_control`."""
         own = (rig or RigAxes.whole(axes)).places
         gain = as_matrix(section.get("gain", 1.0), axes, "force_controller: gain")
         if np.delete(gain[list(own)], own, axis=1).any():
@@ -339,7 +339,7 @@ class ForceController:
 
 
 def _split(coefficients: list[float], axes: Sequence[str], name: str) -> list[list[float]]:
-    """Polynomials of the axes that stand one after the other."""
+    """Split coefficients into the polynomials of the axes."""
     each, rest = divmod(len(coefficients), len(axes))
     if rest:
         raise InputError(

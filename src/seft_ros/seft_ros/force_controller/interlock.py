@@ -1,4 +1,4 @@
-"""Interlock of the force control: what it must not compute with, and when it gives up."""
+"""Interlock of the force control: it keeps out implausible values, and trips at faults."""
 
 import math
 from collections.abc import Hashable, Sequence
@@ -20,7 +20,7 @@ from seft_ros.force_controller.force_control import ForceControl
 from seft_ros.force_controller.interlock_step import (
     DETECTED,
     FAULT,
-    NONSENSE,
+    IMPLAUSIBLE,
     NOTHING,
     ODD_DRIVE,
     OUTSIDE,
@@ -58,18 +58,18 @@ def detectors_of(
     Parameters
     ----------
     section : dict
-        The force controller's, for all axes.
+        Of the force controller, for all axes.
     axes : tuple of str
         Names of all axes.
     dt : float
         Sampling period, s.
     places : sequence of int
-        Of the axes that are watched.
+        Of the watched axes.
 
     Raises
     ------
     InputError
-        If what is assumed does not fit the axes, or a detector has another name.
+        If assumed values do not fit the axes, or there is no detector of a given name.
     """
     own = list(places)
     warn_only = section["detectors.warn_only"].replace(",", " ").split()
@@ -86,7 +86,7 @@ def detectors_of(
         for name in (*ACTUATOR, "valve_frequency", "valve_damping", "dead_time")
     }
     is_known = actuator["valve_frequency"] > 0.0
-    if section["detectors.actuator_kind"] in FORCE_DRIVEN:  # no valve is driven from here
+    if section["detectors.actuator_kind"] in FORCE_DRIVEN:  # there is no valve
         is_known[:] = False
     actuator["flow_gain"] = np.where(is_known, actuator["flow_gain"], 0.0)
     actuator["valve_frequency"] = np.where(is_known, actuator["valve_frequency"], 1.0 / dt)
@@ -120,14 +120,14 @@ def detectors_of(
 def detector_shares(
     experiment: Experiment, steps: Ints, points: Floats, states: Floats, commands: Floats
 ) -> dict[str, float]:
-    """Say how near each detector came to its threshold in a test, 1 at it.
+    """Give the largest value of each detector in a test, over its threshold.
 
     Parameters
     ----------
     experiment : Experiment
         Of the test.
     steps : ndarray
-        Of the N samples that have been answered, shape (N,).
+        Of the N answered samples, shape (N,).
     points, states, commands : ndarray
         Reference force, state and valve command at these, shapes (N, q, n), (N, 4, n) and (N, n).
 
@@ -159,9 +159,9 @@ _MEASURED = ("force", "displacement", "velocity", "acceleration")
 
 
 class Interlock:
-    """A `ForceControl` that never computes with nonsense, nor stays at its limit for long.
+    """A `ForceControl` that refuses implausible values, and does not stay at its limit for long.
 
-    Once it has tripped it closes the valve, and answers 0 V from then on until the next test.
+    After a trip it closes the valve, and then answers 0 V until the next test.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ class Interlock:
     axes : sequence of str
         Names of the n axes.
     largest_force : float
-        Magnitude of the reference force beyond which it is nonsense, N.
+        Magnitude of the reference force beyond which it is implausible, N.
     longest_saturation : float
         Time within one second that the valve drive may be at its limit, s.
     close_time : float
@@ -183,7 +183,7 @@ class Interlock:
     controller : ForceControl
         As given.
     parameters, state : InterlockParameters, InterlockState
-        What `begin_control` and `end_control` take, here and in a compiled loop.
+        Arguments of `begin_control` and `end_control`, here and in a compiled loop.
     """
 
     def __init__(
@@ -229,7 +229,7 @@ class Interlock:
         timebase: Timebase,
         rig: RigAxes | None = None,
     ) -> "Interlock":
-        """Make it of the force controller's section of an experiment, which is for all axes.
+        """Make it from the force controller's section of an experiment, which is for all axes.
 
         Parameters
         ----------
@@ -238,7 +238,7 @@ class Interlock:
         section, axes, timebase
             Of the experiment.
         rig : RigAxes, optional
-            The one of several rigs that it controls; default all axes.
+            With several rigs, the one that it controls; default all axes.
 
         Raises
         ------
@@ -253,29 +253,29 @@ class Interlock:
 
     @cached_property
     def kind(self) -> Hashable:
-        """`kind_of` what a compiled loop takes of it and of its controller."""
+        """`kind_of` the arguments of a compiled loop: its own, and its controller's."""
         of: Any = self.controller
         return kind_of((self.parameters, self.state, of.parameters, of.state))
 
     @property
     def reason(self) -> str:
-        """Why it has tripped, one line; empty while it has not."""
+        """Reason of its trip, one line; empty without a trip."""
         return self._outside or self._found()
 
     @property
     def step_index(self) -> int:
-        """Step at which it tripped; -1 while it has not."""
+        """Step of its trip; -1 without a trip."""
         return int(self.state.flags[STEP]) if self.state.flags[TRIP] else -1
 
     @property
     def nearest(self) -> tuple[str, float]:
-        """The detector that has come nearest to its threshold, and the part of it, in this test."""
+        """The detector nearest to its threshold in this test, and its value over the threshold."""
         shares = self.state.detectors.shares.max(axis=1)
         row = int(shares.argmax())
         return DETECTORS[row].name, float(shares[row])
 
     def reset(self) -> None:
-        """Forget the test so far, a trip too: before a new test."""
+        """Begin a new test; also after a trip."""
         self.controller.reset()
         self._reset(self.state)
         self._outside = ""
@@ -288,7 +288,7 @@ class Interlock:
         index : int
             The step.
         points : ndarray
-            As to `ForceControl.step`.
+            See `ForceControl.step`.
         state : ndarray
             Measured displacement, velocity, acceleration and force, shape (4, n).
 
@@ -306,21 +306,21 @@ class Interlock:
         return command
 
     def trip(self, index: int, reason: str) -> None:
-        """Close the valve from now on; the first reason counts."""
+        """Close the valve from now on; the first reason is kept."""
         if not self.reason:
             self._outside, self.state.flags[TRIP], self.state.flags[STEP] = reason, OUTSIDE, index
 
     def _found(self) -> str:
-        """Say what the step at which it tripped has found."""
+        """Describe the finding of the step of the trip."""
         code, state = self.state.flags[TRIP], self.state
         if code == NOTHING:
             return ""
         if code == ODD_DRIVE:
             return self._not_a_number("valve command", state.odd)
-        if code == NONSENSE:
+        if code == IMPLAUSIBLE:
             measured = zip(_MEASURED, state.measured[[3, 0, 1, 2]], strict=True)
             found = (self._not_a_number(f"measured {name}", values) for name, values in measured)
-            return self.nonsense(state.force) or next(filter(None, found))
+            return self.implausible(state.force) or next(filter(None, found))
         if code == FAULT:
             detectors = state.detectors
             return describe(int(state.flags[DETECTED]), detectors.found, self._axes)
@@ -330,8 +330,8 @@ class Interlock:
             "second: the force is out of control"
         )
 
-    def nonsense(self, reference_force: Floats) -> str:
-        """Say what is wrong with a reference force, shape (n,), if anything; else empty."""
+    def implausible(self, reference_force: Floats) -> str:
+        """Say what is wrong with a reference force, shape (n,); empty if nothing is."""
         for axis, value in zip(self._axes, reference_force.tolist(), strict=True):
             if abs(value) > self.parameters.largest:
                 return (
@@ -353,7 +353,7 @@ class Interlocks:
     Parameters
     ----------
     rigs : sequence of (RigAxes, Interlock)
-        Which axes each has, and its interlock.
+        The axes of each rig, and its interlock.
     """
 
     def __init__(self, rigs: Sequence[tuple[RigAxes, Interlock]]) -> None:
@@ -361,11 +361,11 @@ class Interlocks:
 
     @property
     def reason(self) -> str:
-        """Why one of them has tripped, of several the first; empty while none has."""
+        """Reason of the first of them that has tripped; empty without a trip."""
         return next((one.reason for _, one in self._rigs if one.reason), "")
 
     def reset(self) -> None:
-        """Forget the test so far, a trip too."""
+        """Begin a new test; also after a trip."""
         for _, interlock in self._rigs:
             interlock.reset()
 
@@ -378,7 +378,7 @@ class Interlocks:
 
 
 def interlock_of(experiment: Experiment) -> Interlock | Interlocks:
-    """Make what answers states and reference forces with valve drives, for all rigs of a test.
+    """Make the interlock of a test, which has those of all rigs.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""How the force control is protected, step by step, compiled."""
+"""Protection of the force control, step by step, compiled."""
 
 from typing import NamedTuple
 
@@ -13,23 +13,23 @@ from seft_ros.protection.detectors import DetectorParameters, DetectorState
 from seft_ros.protection.ramp_down import go_on
 
 TRIP, STEP, SATURATED, DETECTED = range(4)
-"""Places of the flags: why it has tripped, at which step, how often the drive was limited, and
-which detector has found a fault."""
-NOTHING, NONSENSE, ODD_DRIVE, SATURATION, FAULT, OUTSIDE = range(6)
-"""Why; of the last, the reason came from outside."""
+"""Places of the flags: reason and step of the trip, number of limited drives, and the detector that
+has found a fault."""
+NOTHING, IMPLAUSIBLE, ODD_DRIVE, SATURATION, FAULT, OUTSIDE = range(6)
+"""Reasons of a trip; the last one is a reason from outside."""
 
 
 class InterlockParameters(NamedTuple):
-    """What does not change of an interlock.
+    """Parameters of an interlock.
 
     Attributes
     ----------
     largest : float
-        Magnitude of the reference force beyond which it is nonsense, N.
+        Magnitude of the reference force beyond which it is implausible, N.
     window : int
         Steps of a second.
     closing : float
-        Steps in which the valve closes once it has tripped.
+        Steps in which the valve closes after a trip.
     detectors : DetectorParameters
         Of faults.
     """
@@ -41,7 +41,7 @@ class InterlockParameters(NamedTuple):
 
 
 class InterlockState(NamedTuple):
-    """What changes of it.
+    """State of an interlock.
 
     Attributes
     ----------
@@ -50,12 +50,11 @@ class InterlockState(NamedTuple):
     saturated : ndarray
         The last steps at which the drive was limited, see `is_exceeded`.
     force, measured, odd : ndarray
-        Reference force, sample and drive of the step at which it tripped, shapes (n,), (4, n)
-        and (n,).
+        Reference force, sample and drive of the step of the trip, shapes (n,), (4, n) and (n,).
     drive : ndarray
         The last sound command, shape (n,), V.
     plan, sample : ndarray
-        Points and sample that the controller is to answer, shapes (p, q, n) and (4, n).
+        Points and sample for the controller, shapes (p, q, n) and (4, n).
     detectors : DetectorState
         Of faults.
     """
@@ -88,17 +87,17 @@ def begin_control(
     measured: Floats,
     command: Floats,
 ) -> bool:
-    """Say whether a step is to be answered by the controller; else its command is given.
+    """Say whether the controller answers a step; otherwise give its command.
 
-    The controller is to answer `InterlockState.plan` and `InterlockState.sample`. While a sample
-    is suspect, these are the motion that the last sound target has predicted for this step;
-    where there is no target, the last sound command holds. Once it has tripped, the valve closes
-    from there: a valve that closes at once on a moving mass makes the oil hammer.
+    The controller answers `InterlockState.plan` and `InterlockState.sample`. While a sample is
+    suspect, these are the motion that the last sound target has predicted for this step; without a
+    target, the last sound command is held. After a trip the valve closes from there, in some time:
+    a valve that closes at once on a moving mass makes a pressure surge in the oil.
 
     Parameters
     ----------
     parameters, state
-        The state is brought up to date.
+        The state is updated.
     step : int
         The step.
     points : ndarray
@@ -110,7 +109,7 @@ def begin_control(
     """
     last, n, left = points.shape[1] - 1, points.shape[2], 1.0
     if state.flags[TRIP] == NOTHING:
-        # a target is held against the motion, too
+        # a target is compared with the motion, too
         fits = is_finite(measured, 0 if last else 3)
         for i in range(n):
             fits &= abs(points[0, last, i]) <= parameters.largest
@@ -124,7 +123,7 @@ def begin_control(
             follow_plan(state, parameters.detectors.dt)
             return True
         if not fits or found >= 0:
-            trip(state, FAULT if fits else NONSENSE, step)
+            trip(state, FAULT if fits else IMPLAUSIBLE, step)
             state.flags[DETECTED] = found
             for i in range(n):
                 state.force[i] = points[0, last, i]
@@ -140,9 +139,9 @@ def begin_control(
 
 @compiled
 def take_plan(state: InterlockState, points: Floats, measured: Floats) -> None:
-    """Let the controller answer a sample; remember what was asked for."""
+    """Let the controller answer a sample; store its points."""
     plan, sample, count = state.plan, state.sample, min(points.shape[0], state.plan.shape[0])
-    alone = points.shape[1] < plan.shape[1]  # a force, as the nodes warm up
+    alone = points.shape[1] < plan.shape[1]  # a force alone, while the nodes warm up
     for point in range(plan.shape[0]):
         sent = point if point < count else count - 1
         for row in range(plan.shape[1]):
@@ -172,7 +171,7 @@ def end_control(
     limited: bool,
     command: Floats,
 ) -> None:
-    """Look at the command of a controller, and whether it is limited; if it is odd, trip."""
+    """Check the command of a controller, and whether it is limited; trip if it is not finite."""
     for i in range(len(command)):
         if not np.isfinite(command[i]):
             trip(state, ODD_DRIVE, step)

@@ -1,4 +1,4 @@
-"""Force controllers by the name that a parameter file gives: ours, and those of others."""
+"""Force controllers by their name in a parameter file: ours, and those of other packages."""
 
 from collections.abc import Callable
 from functools import partial
@@ -15,20 +15,19 @@ from seft_ros.reference_force.compensator import RegisteredPart
 
 
 class RegisteredControl(RegisteredPart):
-    """Cuts off what another package's controller asks for beyond the limit.
+    """Limits the drive of another package's controller.
 
     Parameters
     ----------
     make : callable
         Makes the controller: an object with ``step(reference_force, state)``, the force of shape
-        (n,), in N; its drive may be beyond the limit. One without ``reset()`` is made anew for
-        each test. Where it has ``linear()``, preflight knows its margins. Where it has
-        ``limited(drive)``, it is called with each drive that was cut off, so that it does not wind
-        up.
+        (n,), in N; its drive may be beyond the limit. Without ``reset()`` it is made again for each
+        test. With ``linear()``, preflight computes its margins. If it has ``limited(drive)``, this
+        is called with each drive that was cut off, so that the controller does not wind up.
     name : str
         As registered.
     knowledge : ControlKnowledge
-        What it knows of the test.
+        The known data of the test.
 
     Attributes
     ----------
@@ -38,7 +37,7 @@ class RegisteredControl(RegisteredPart):
     Raises
     ------
     InputError
-        If its drive has another shape than one value for each axis.
+        If its drive is not one value for each axis.
     """
 
     shape = 1, 1
@@ -70,7 +69,7 @@ def force_control(
     timebase: Timebase,
     rig: RigAxes | None = None,
 ) -> ForceControl:
-    """Make the controller of a force controller's section of an experiment.
+    """Make the controller from a force controller's section of an experiment.
 
     Parameters
     ----------
@@ -81,7 +80,7 @@ def force_control(
     timebase : Timebase
         Sampling clock.
     rig : RigAxes, optional
-        The one of several rigs that it controls; default all axes.
+        With several rigs, the one that it controls; default all axes.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Reference forces as they come: of each step, each waited for, or the newest with previews."""
+"""Received reference forces: each step waits for its own, or uses the newest with previews."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from seft_plant_sim.command import MessagesAhead
 
 from seft_ros.protection.ramp_down import RampDown, continued
 
-PENDING = 256  # steps kept while their other half has not come
+PENDING = 256  # steps kept while state or force is missing
 
 
 class MatchedForces:
@@ -22,21 +22,21 @@ class MatchedForces:
 
     @property
     def pending(self) -> int:
-        """Number of forces whose states have not come."""
+        """Number of forces whose states have not arrived."""
         return len(self._points)
 
     def reset(self, in_lockstep: bool = False) -> None:
-        """Begin a new test; in lockstep, too, each force is waited for."""
+        """Begin a new test; each force is waited for, also in lockstep."""
         del in_lockstep
         self._points.clear()
 
     def take(self, step: int, points: Floats) -> None:
-        """Take a message: the points of its step and coming ones, shape (p, q, n).
+        """Take a message: the points of its step and future ones, shape (p, q, n).
 
         Raises
         ------
         WireError
-            If it has come before.
+            If a message of this step has arrived before.
         """
         if step in self._points:
             raise WireError(f"{REFERENCE_FORCE.name} of step {step} a second time")
@@ -45,7 +45,7 @@ class MatchedForces:
             self._points.pop(min(self._points))
 
     def points(self, step: int) -> Floats | None:
-        """Points of a step and coming ones; None if they are to be waited for."""
+        """Points of a step and future ones; None if they have not arrived."""
         points = self._points.get(step)
         if points is not None:
             for passed in [other for other in self._points if other <= step]:
@@ -56,9 +56,9 @@ class MatchedForces:
 class NewestPreview:
     """The newest message of a reference force whose loop has a delay of d steps.
 
-    The message of step k tells what is asked for at the steps to k + d; of a target also the
-    motion that comes then. Where it is older, its points are `continued`. Where messages fail to
-    come for too long, the force comes down to zero by itself, a target to where it began.
+    The message of step k contains the points of the steps to k + d; for a target also the motion
+    after that. The points of an older message are `continued`. If messages are missing for too
+    long, the force is ramped down to zero, a target to its beginning.
 
     Parameters
     ----------
@@ -67,16 +67,16 @@ class NewestPreview:
     loop_delay : int
         d; negative: not known here.
     patience : float
-        Steps that a message may be old before the force comes down; in lockstep any number.
+        Largest age of a message in steps before the ramp begins; without a limit in lockstep.
     ramp : RampDown
-        How it comes down.
+        The ramp.
     dt : float
         Sampling period, s.
 
     Attributes
     ----------
     newest : int
-        Step of the newest message; -1 where none has come.
+        Step of the newest message; -1: none has arrived.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class NewestPreview:
     def from_parameters(
         cls, section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
     ) -> "NewestPreview":
-        """Make it of the force controller's section of an experiment.
+        """Make it from the force controller's section of an experiment.
 
         Raises
         ------
@@ -108,12 +108,12 @@ class NewestPreview:
         return cls(len(axes), loop_delay, patience, ramp, timebase.dt)
 
     def reset(self, in_lockstep: bool = False) -> None:
-        """Begin a new test: no force before the first that is sent.
+        """Begin a new test: no force before the first message.
 
         Parameters
         ----------
         in_lockstep : bool
-            Whether a step waits for a message that has settled its force.
+            Whether a step waits for a message with its final force.
         """
         self._in_lockstep = in_lockstep
         self.newest = -1
@@ -125,20 +125,20 @@ class NewestPreview:
 
     @property
     def is_lost(self) -> bool:
-        """Whether the force has come down because messages failed to come."""
+        """Whether the force has been ramped down because messages were missing."""
         return self._ramp.finished
 
     def record(self) -> LinkRecord:
-        """Tell how the messages of this test have come."""
+        """Give the ages of the messages of this test."""
         return LinkRecord(dict(sorted(self._ages.items())), self._held)
 
     def take(self, step: int, points: Floats) -> None:
-        """Take a message: points of its step and the coming ones, shape (p, q, n).
+        """Take a message: points of its step and the future ones, shape (p, q, n).
 
         Raises
         ------
         WireError
-            If a newer one has come before.
+            If a newer one has arrived before.
         """
         if step <= self.newest:
             raise WireError(
@@ -149,7 +149,7 @@ class NewestPreview:
         self._messages.add(step, points)
 
     def points(self, step: int) -> Floats | None:
-        """Points of a step and coming ones, shape (p, q, n); None if they are to be waited for."""
+        """Points of a step and future ones, shape (p, q, n); None if they must be waited for."""
         newest = step - self.newest
         if self._in_lockstep and newest > self._loop_delay:
             return None

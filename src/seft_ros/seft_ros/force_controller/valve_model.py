@@ -1,4 +1,4 @@
-"""A servo-valve from the held command to its flow: its response, its inverse, what is under way."""
+"""A servo-valve from the held command to its flow: response, inverse, and flow still to come."""
 
 import cmath
 import math
@@ -10,9 +10,9 @@ from seft_msgs_py.arrays import Floats
 from seft_plant_sim.lti import LEAST_SAMPLES, Complexes, noncausal_inverse
 
 INVERTED_TO = 0.85
-"""Highest frequency that is inverted, over the valve's own: what is above costs too much drive."""
+"""Highest inverted frequency over the valve's own: higher ones need too much drive."""
 SPAN = 4.0
-"""Length of the inverse over the mean delay from command to flow: beyond, it has died out."""
+"""Length of the inverse over the mean delay from command to flow: longer weights are negligible."""
 DERIVATIVE_STEP = 1e-4  # s, by which the response is differentiated
 SETTLED = 1e-3
 """Part of a command's flow that may be neglected."""
@@ -47,11 +47,11 @@ class ValveModel:
         self.memory = math.ceil((self._late + dt - math.log(SETTLED) / decay) / dt)
 
     def flow(self, time: npt.NDArray[np.floating]) -> Floats:
-        """Flow per command at times after the sample that it answers, s; without dimension."""
+        """Flow per command, without unit, at times after the sample that the command answers, s."""
         return self._after(time - self._late) - self._after(time - self._late - self._dt)
 
     def volume(self, time: npt.NDArray[np.floating]) -> Floats:
-        """Integral of `flow` until then, s."""
+        """Integral of `flow` up to these times, s."""
         late = time - self._late
         return self._after(late, integrated=True) - self._after(late - self._dt, integrated=True)
 
@@ -71,7 +71,7 @@ class ValveModel:
         return np.where(time > 0, result.real, 0.0)
 
     def inverse(self, taps: int) -> Floats:
-        """Weights h of the coming flows, so that sum_j h_j flow[k + j] makes this flow; (taps,).
+        """Weights h of the future flows, so that sum_j h_j flow[k + j] makes this flow; (taps,).
 
         By `noncausal_inverse`.
         """
@@ -83,7 +83,7 @@ class ValveModel:
         return noncausal_inverse(response, self._highest, taps, self._dt)
 
     def taps(self) -> int:
-        """Length of the inverse that suffices."""
+        """Sufficient length of the inverse."""
         return max(4, math.ceil(SPAN * self.delay / self._dt))
 
     def under_way(self) -> Floats:
@@ -94,7 +94,7 @@ class ValveModel:
         return 1.0 - self.volume(self._dt * np.arange(1.0, self.memory + 1)) / self._dt
 
     def past(self, late: float = 0.0) -> Floats:
-        """Flow now of past commands, the newest first, of a valve that is late by so many s."""
+        """Present flow of past commands, the newest first, with a further delay of ``late`` s."""
         return self.flow(self._dt * np.arange(1, self.memory + 1) - late)
 
     def later(self) -> Floats:

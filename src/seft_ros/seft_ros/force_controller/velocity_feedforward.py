@@ -1,21 +1,21 @@
-"""Force control through the motion that belongs to the force: the valve sets the piston's velocity.
+"""Force control by the motion of the target: the valve determines the piston's velocity.
 
-The oil obeys f' = k_oil (q w - v) - lambda f, with the valve's flow w. So the flow that belongs to
-a coming motion v* and force f* is
+The oil obeys f' = k_oil (q w - v) - lambda f, with the valve's flow w. So the flow for a future
+motion v* and force f* is
 
     q w = v* + (f*' + lambda f*) / k_oil                                                    (4)
 
-whatever the specimen is: the velocity feedback compensation of effective force testing (Dimig et
-al. 1999) with the velocity that the structure is going to have. A loaded valve lets less oil
-through, by the root of what the load leaves of the supply pressure (Merritt 1967). The valve's own
-response is inverted (`ValveModel.inverse`).
+for any specimen: this is the velocity feedback compensation of effective force testing (Dimig et
+al. 1999) with the future velocity of the structure. A loaded valve passes less oil, by the root of
+the remaining part of the supply pressure (Merritt 1967). The valve's own response is inverted
+(`ValveModel.inverse`).
 
-What remains is fed back as oil: the oil between where the piston will be when all commands have
-taken effect, and where the target will be (a Smith predictor)::
+The remaining error is fed back as oil volume: between the piston's position after all past commands
+have taken effect, and the target's position at that time (a Smith predictor)::
 
-    e = x* - x + volume of the coming flow - volume of the commands under way               (5)
+    e = x* - x + volume of the future flow - volume of the commands under way               (5)
 
-Gain and delay of the valve are followed by recursive least squares on Eq. (4) as measured.
+Gain and delay of the valve are estimated by recursive least squares on the measured Eq. (4).
 """
 
 import math
@@ -35,16 +35,16 @@ from seft_ros.protection.detectors import begin_following, doubt, follow_valve
 from seft_ros.reference_force.observers import observe, observer_gains, sensor_noise
 
 FEEDBACK = math.pi / 8
-"""Gain of the feedback times the valve's mean delay: a quarter of what would oscillate without
-the prediction of Eq. (5)."""
+"""Gain of the feedback times the valve's mean delay: a quarter of the value that would oscillate
+without the prediction of Eq. (5)."""
 BEGIN = 10
-"""Samples before the valve is followed: its model must know the commands under way."""
+"""Samples before the estimation begins: the valve's model must know the commands under way."""
 ACTUATOR = ("flow_gain", "oil_stiffness", "leakage", "force_capacity")
 """Columns of `FeedforwardParameters.actuator`."""
 
 
 class FeedforwardParameters(NamedTuple):
-    """What does not change of a controller of n valves.
+    """Parameters of a controller of n valves.
 
     Attributes
     ----------
@@ -58,16 +58,17 @@ class FeedforwardParameters(NamedTuple):
     feedback : ndarray
         1/s, shape (n,).
     inverse : ndarray
-        Weights of this and the coming flows, shape (n, taps).
-    coming : ndarray
-        Their volume that is under way before them, s; first ``before`` past flows, (n, ...).
+        Weights of this and the future flows, shape (n, taps).
+    future : ndarray
+        Volume per flow that is under way when the flow begins, s; first of past, then of future
+        flows, shape (n, ...).
     before : int
-        Their number.
+        Number of the past flows.
     under_way, past, later : ndarray
-        Of past commands: volume still to come, s, flow now, and its change per delay, 1/s; the
+        Of past commands: volume still to come, s, present flow, and its change per delay, 1/s; the
         newest first, shape (n, memory).
     doubt : ndarray
-        Variance of Eq. (4) as measured, shape (n,), (m/s)^2.
+        Variance of the measured Eq. (4), shape (n,), (m/s)^2.
     """
 
     dt: float
@@ -76,7 +77,7 @@ class FeedforwardParameters(NamedTuple):
     actuator: Floats
     feedback: Floats
     inverse: Floats
-    coming: Floats
+    future: Floats
     before: int
     under_way: Floats
     past: Floats
@@ -85,12 +86,12 @@ class FeedforwardParameters(NamedTuple):
 
 
 class FeedforwardState(NamedTuple):
-    """What changes of it.
+    """State of the controller.
 
     Attributes
     ----------
     measured : ndarray
-        As of `observe`, shape (3, n).
+        See `observe`, shape (3, n).
     force : ndarray
         Last measured force, shape (n,).
     sent : ndarray
@@ -98,7 +99,7 @@ class FeedforwardState(NamedTuple):
     flows : ndarray
         Past flows of the target, the newest first, shape (n, before), m/s.
     flow, shifted : ndarray
-        Room for the coming flows, shape (h + 1,).
+        Work arrays for the future flows, shape (h + 1,).
     errors : ndarray
         Relative error of the flow gain and error of the delay in s, shape (n, 2).
     covariance : ndarray
@@ -120,7 +121,7 @@ class FeedforwardState(NamedTuple):
 
 @compiled
 def begin_feedforward(parameters: FeedforwardParameters, state: FeedforwardState) -> None:
-    """Begin a test, with the valves as assumed."""
+    """Begin a test with the assumed valves."""
     state.measured[:] = 0.0
     state.force[:] = 0.0
     state.sent[:] = 0.0
@@ -142,9 +143,9 @@ def feedforward_step(
     Parameters
     ----------
     parameters, state
-        The state is brought up to date.
+        The state is updated.
     points : ndarray
-        Displacement, velocity and force of the target at this step and the coming ones, shape
+        Displacement, velocity and force of the target at this step and the future ones, shape
         (taps + 1 or more, 3, n).
     measured : ndarray
         Displacement, velocity, acceleration and force, shape (4, n).
@@ -185,9 +186,9 @@ def feedforward_step(
         drive = 0.0
         for j in range(taps):
             drive += p.inverse[i, j] * shifted[j]
-            error += p.coming[i, p.before + j] * shifted[j]
+            error += p.future[i, p.before + j] * shifted[j]
         for j in range(p.before):
-            error += p.coming[i, p.before - 1 - j] * state.flows[i, j]
+            error += p.future[i, p.before - 1 - j] * state.flows[i, j]
         for j in range(state.sent.shape[1]):
             error -= p.under_way[i, j] * real * state.sent[i, j]
         drive = (drive + p.feedback[i] * error) / real
@@ -208,7 +209,7 @@ def feedforward_step(
 
 @compiled
 def follow(p: FeedforwardParameters, state: FeedforwardState, i: int, force: float) -> None:
-    """Follow gain and delay of a valve by Eq. (4): the flow as measured against the model's."""
+    """Estimate gain and delay of a valve by Eq. (4), from the measured flow and the model's."""
     gain, oil, leakage = p.actuator[i, 0], p.actuator[i, 1], p.actuator[i, 2]
     rise = (force - state.force[i]) / p.dt
     seen = state.measured[1, i] + (rise + leakage * force) / oil
@@ -220,21 +221,21 @@ def follow(p: FeedforwardParameters, state: FeedforwardState, i: int, force: flo
 
 
 class VelocityFeedforward:
-    """Force controller of n axes that opens the valves as the coming motion needs it.
+    """Force controller of n axes that opens the valves for the future motion.
 
     Parameters
     ----------
     parameters, state : FeedforwardParameters, FeedforwardState
-        As of `feedforward_arrays`.
+        See `feedforward_arrays`.
     horizon : int
-        Coming steps of the target that `step` is given.
+        Number of future steps of the target that `step` receives.
 
     Attributes
     ----------
     limited, shape
         See `ForceControl`.
     parameters, state
-        What `feedforward_step` takes, here and in a compiled loop.
+        Arguments of `feedforward_step`, here and in a compiled loop.
     """
 
     def __init__(
@@ -254,7 +255,7 @@ class VelocityFeedforward:
     def actuator(
         section: dict[str, Any], axes: tuple[str, ...], rig: RigAxes | None = None
     ) -> dict[str, Floats]:
-        """Give what a section says of each actuator, by name, see `from_parameters`; (n,) each.
+        """Give each actuator's parameters from a section, by name; shape (n,) each.
 
         Raises
         ------
@@ -284,7 +285,7 @@ class VelocityFeedforward:
         timebase: Timebase,
         rig: RigAxes | None = None,
     ) -> "VelocityFeedforward":
-        """Make it of its section of an experiment, see `force_control`.
+        """Make it from its section of an experiment, see `force_control`.
 
         Raises
         ------
@@ -313,9 +314,9 @@ class VelocityFeedforward:
         return {"flow_gain_error": self.state.errors[:, 0], "delay_error": self.state.errors[:, 1]}
 
     def linear(self) -> LinearControl:
-        """Say that there is none."""
+        """Raise an error: there is none."""
         raise InputError(
-            "force_controller: velocity_feedforward is no linear controller: seft simulate tells "
+            "force_controller: velocity_feedforward is no linear controller: seft simulate shows "
             "whether a test is stable"
         )
 
@@ -361,7 +362,7 @@ def feedforward_arrays(
     n, needed = len(valves), max(valve.taps() for valve in valves)
     if horizon < needed + 1:
         raise InputError(
-            f"force_controller: the valves need {(needed + 1) * dt:g} s of the coming motion, but "
+            f"force_controller: the valves need {(needed + 1) * dt:g} s of the future motion, but "
             f"reference_force: compensation.horizon is {horizon * dt:g} s; make it longer"
         )
     memory = valves[0].memory
@@ -369,9 +370,9 @@ def feedforward_arrays(
     under_way = dt * np.array([valve.under_way() for valve in valves])
     past = np.array([valve.past() for valve in valves])
     later = np.array([valve.later() for valve in valves])
-    # volume under way of commands that the inverse has made of the flows: their convolution
-    coming = np.zeros((n, memory + needed))
-    for row, own, h in zip(coming, under_way, inverse, strict=True):
+    # volume under way of the commands that the inverse makes from the flows: their convolution
+    future = np.zeros((n, memory + needed))
+    for row, own, h in zip(future, under_way, inverse, strict=True):
         row[:-1] = np.convolve(own[::-1], h)
     gains, _ = observer_gains(noise, dt)
     parameters = FeedforwardParameters(
@@ -381,7 +382,7 @@ def feedforward_arrays(
         actuator=np.ascontiguousarray(actuator),
         feedback=np.array([FEEDBACK / valve.delay for valve in valves]),
         inverse=inverse,
-        coming=coming,
+        future=future,
         before=memory,
         under_way=under_way,
         past=past,

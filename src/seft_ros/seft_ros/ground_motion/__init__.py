@@ -1,1 +1,1 @@
-"""Ground motions: read from records or made, resampled to the loop, and described."""
+"""Ground motions: read from records or synthetic, resampled to the loop's rate, and described."""

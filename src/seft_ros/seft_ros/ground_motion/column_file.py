@@ -12,10 +12,10 @@ STANDARD_GRAVITY = 9.80665
 """Standard acceleration of gravity in m/s^2, exact by definition (ISO 80000-3)."""
 
 UNITS = {"g": STANDARD_GRAVITY, "m/s2": 1.0, "cm/s2": 0.01}
-"""Unit as it is written in a parameter file -> its size in m/s^2."""
+"""Unit in a parameter file -> its size in m/s^2."""
 
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[EeDd][+-]?\d+)?", re.ASCII)
-"""A number as Fortran, C and spreadsheets write it; D is Fortran's double exponent."""
+"""A number of Fortran, C or a spreadsheet; D is Fortran's double exponent."""
 
 _COMMENT_MARKS = ("%", "#", "//", "!", ";")
 _NOT_FINITE = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
@@ -44,7 +44,7 @@ class Columns:
     path : Path
         The file.
     values : ndarray
-        Shape (N, c), as they are in the file; may contain NaN and infinities.
+        Shape (N, c), in the file's units; may contain NaN and infinities.
     lines : list of int
         Number of the line of each row, or of each value of AT2.
     names : tuple of str
@@ -73,7 +73,7 @@ class Columns:
     def time(self) -> tuple[int, float] | None:
         """Index of the column of time, and its unit in s; None if there is none.
 
-        It is the one whose name says time. Where none does, it is the first of several columns
+        It is the column with the name time. Without such a name, it is the first of several columns
         that rises from line to line, in steps of up to 0.1 s.
         """
         named = [_TIME.fullmatch(name) for name in self.names]
@@ -87,13 +87,13 @@ class Columns:
         return None
 
     def rise(self, column: int) -> float | None:
-        """Usual step of a column that rises from line to line, as time does; None: it does not."""
+        """Usual step of a column that rises from line to line, like time; None: it does not."""
         steps = np.diff(self.values[:, column])
         rises = len(steps) >= _FEWEST_TIMES - 1 and bool((steps > 0).all())
         return float(np.median(steps)) if rises else None
 
     def first_motion(self) -> int:
-        """Index of the first column that is no time and does not rise as time does."""
+        """Index of the first column that is not the time and does not rise like time."""
         time, several = self.time(), self.values.shape[1] > 1
         for index in range(self.values.shape[1]):
             if (time is None or index != time[0]) and not (several and self.rise(index)):
@@ -132,7 +132,7 @@ class Columns:
             row = int(bad[0])
             raise InputError(
                 f"{self.path}: line {self.lines[row]}: the value is {self.values[row, column]}, "
-                "not a finite number; mend the record there, or cut it off before"
+                "not a finite number; correct the record there, or cut it off before"
             )
 
 
@@ -192,14 +192,14 @@ def to_float(token: str, path: Path, line: int) -> float:
     if not token:
         raise InputError(f"{path}: line {line}: a field is empty; write a number there")
     shown = "".join(sign if sign.isprintable() else "?" for sign in token[:30])
-    mend = "correct it, or begin the line with % if it is a comment"
+    remedy = "correct it, or begin the line with % if it is a comment"
     if _DECIMAL_COMMA.fullmatch(token):
-        mend = "write decimal points, not commas"
-    raise InputError(f'{path}: line {line}: "{shown}" is no number; {mend}')
+        remedy = "write decimal points, not commas"
+    raise InputError(f'{path}: line {line}: "{shown}" is no number; {remedy}')
 
 
 def read_unit(text: str) -> str | None:
-    """Recognise an acceleration unit in any spelling, as G, gal, cm/sec/sec, m/s^2.
+    """Recognise an acceleration unit in any spelling, such as G, gal, cm/sec/sec, m/s^2.
 
     Returns a key of `UNITS`; None if the text is none of them.
     """
@@ -217,7 +217,7 @@ def read_columns(path: Path, lines: list[str]) -> Columns:
     Raises
     ------
     InputError
-        At text in the data, or where the number of columns changes; names the line.
+        If there is text in the data, or the number of columns changes; names the line.
     """
     start, separator = _find_data(path, lines)
     data = [
@@ -228,12 +228,12 @@ def read_columns(path: Path, lines: list[str]) -> Columns:
     count, rows = len(data[0][1]), []
     for number, fields in data:
         if len(fields) != count:
-            what, mend = "", "make the columns even"
+            what, remedy = "", "give all lines the same number of columns"
             if number == data[-1][0] and len(fields) < count:
                 what = "a half-written last row: "
-                mend = "remove it, or fetch the record again"
+                remedy = "remove it, or fetch the record again"
             raise InputError(
-                f"{path}: line {number}: {what}{len(fields)} columns, but {count} before; {mend}"
+                f"{path}: line {number}: {what}{len(fields)} columns, but {count} before; {remedy}"
             )
         rows.append([to_float(field, path, number) for field in fields])
     names: tuple[str, ...] = ()
@@ -264,7 +264,7 @@ def read_columns(path: Path, lines: list[str]) -> Columns:
 
 
 def _find_data(path: Path, lines: list[str]) -> tuple[int, str | None]:
-    """Index of the first line that holds only numbers, and its separator (None: white space)."""
+    """Index of the first line of numbers only, and its separator (None: white space)."""
     candidate = None
     for index, line in enumerate(lines):
         if not line.strip() or is_comment(line):
@@ -279,7 +279,7 @@ def _find_data(path: Path, lines: list[str]) -> tuple[int, str | None]:
     if candidate:
         for field in _fields(lines[candidate[0]], candidate[1]):
             to_float(field, path, candidate[0] + 1)
-    raise InputError(f"{path}: holds no line of numbers; give a record in columns, or AT2")
+    raise InputError(f"{path}: contains no line of numbers; give a record in columns, or AT2")
 
 
 def _fields(line: str, separator: str | None) -> list[str]:

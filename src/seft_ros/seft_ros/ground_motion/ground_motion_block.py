@@ -1,7 +1,7 @@
-"""The ground motion of a test: its parameters, and every step of it before the test starts.
+"""The ground motion of a test: its parameters, and all its steps, known before the test starts.
 
-After the end of the test the ground is known to be at rest for the lead time, so that a method
-that looks ahead need not know where the end is.
+After the end of the test the ground is at rest for the lead time, so that a method with a preview
+need not know the end.
 """
 
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ from seft_ros.ground_motion.record_file import RecordedMotion, read_record
 from seft_ros.ground_motion.synthetic_motion import synthetic_motion
 
 MOST_STEPS = 50_000_000
-"""Longest motion that is accepted, in steps: beyond is a mistyped duration or rate."""
+"""Longest accepted motion, in steps: a longer one is a mistyped duration or rate."""
 
 MOTION = "motion"
 """Name of `motion_facts` in the description of the node."""
@@ -44,13 +44,13 @@ TABLE = Table(
         column of the file, counted from 0; one for all axes, or one per axis; -1: the first that
         is not the time
     unit                       | string |       |       | "", g, m/s2, cm/s2 |
-        unit of the accelerations in the file; empty: the one that its header says
+        unit of the accelerations in the file; empty: the unit that the file states
     dt                         | float  | 0.0   | s     | 0 ..        |
-        sampling period of the file; 0: its own (header, column of time)
+        sampling period of the file; 0: the period that the file states (header, column of time)
     peak_force                 | float  | 0.0   | N     | 0 ..        |
-        scale the motion so that the largest |mass * acceleration| is this; 0: as recorded
+        scale the motion so that this is the largest |mass * acceleration|; 0: as recorded
     mass                       | floats | reference_force:model.mass or 0.0 | kg    |             |
-        mass that peak_force is meant for: one for every axis, one per axis, or a matrix row
+        mass to which peak_force refers: one for every axis, one per axis, or a matrix row
         by row
     time_scale                 | float  | 1.0   |       | > 0         |
         factor on the motion's duration: 0.5 is twice as fast
@@ -81,7 +81,7 @@ TABLE = Table(
 
 
 class GroundMotion:
-    """Ground accelerations of a test at the rate of the loop, and the chunks they are sent in.
+    """Ground accelerations of a test at the rate of the loop, and their chunks for publication.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class GroundMotion:
     lead_steps : int
         Steps of rest that are known beyond the end.
     facts : dict, optional
-        Where the motion is from and what was made of it, see `motion_facts`.
+        Source of the motion and its changes, see `motion_facts`.
 
     Attributes
     ----------
@@ -174,7 +174,7 @@ class GroundMotion:
                 samples *= scale
         if not np.isfinite(samples).all():
             raise InputError(
-                f"ground_motion: {record.source}: accelerations beyond all numbers; check its "
+                f"ground_motion: {record.source}: accelerations are not finite; check its "
                 "values, influence and peak_force"
             )
         lead_steps = max(1, round(section["lead"] * timebase.rate))
@@ -201,13 +201,13 @@ class GroundMotion:
 def motion_facts(
     section: Section, record: RecordedMotion, samples: Floats, scale: float
 ) -> dict[str, Any]:
-    """Say where a motion is from, and what a test makes of it; all are JSON values.
+    """Give the source of a motion, and its changes in a test; all are JSON values.
 
     Returns
     -------
     dict
         ``source`` (the file's name, without its folder), ``unit`` (of the file; None: synthetic),
-        ``dt_s`` (of the record), ``scale_factor`` (that `peak_force` asks for), ``peak_force_n``
+        ``dt_s`` (of the record), ``scale_factor`` (from `peak_force`), ``peak_force_n``
         (0: as recorded), ``time_scale``, ``peak_acceleration`` (of each axis in the test, m/s^2),
         ``duration_s`` (in the test, without the tail) and ``tail_s``.
     """
@@ -242,8 +242,8 @@ def resample(
 
     The record is piecewise linear in time between its samples at
     ``j * record_dt * time_scale``, and is evaluated at ``k * timebase.dt``; nothing is
-    filtered. A sample of the record that falls between two steps is lost, and a peak with
-    it: always in a loop slower than the record, sometimes in one that is no multiple of it.
+    filtered. A sample of the record between two steps is lost, also if it is a peak: always
+    if the loop's rate is below the record's, sometimes if it is not a multiple of it.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ def resample(
     timebase : Timebase
         Of the loop.
     time_scale : float
-        Factor on the record's duration; accelerations stay as they are.
+        Factor on the record's duration; accelerations do not change.
     tail : float
         Duration of the zeros in s.
 
@@ -287,9 +287,9 @@ def resample(
 
 
 def check_size(duration: float, rate: float, where: str) -> None:
-    """Refuse motions of an absurd length, before memory is taken for them.
+    """Refuse motions of an implausible length, before memory is reserved for them.
 
-    ``duration`` in s, ``rate`` in Hz; ``where`` names the parameters they come from.
+    ``duration`` in s, ``rate`` in Hz; ``where`` names their parameters.
 
     Raises
     ------

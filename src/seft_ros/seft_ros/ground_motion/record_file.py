@@ -1,8 +1,8 @@
 """Recorded ground motions: PEER AT2, COSMOS V1 and V2, SMC of the USGS, files in columns.
 
 AT2 has two header dialects, ``4096    0.0100    NPTS, DT`` and ``NPTS=  4096, DT= .01000 SEC``.
-COSMOS (v1.20) has lines that say how many values follow and in which format. SMC has headers of
-fixed length. In each the values follow row by row; the last line may be shorter.
+COSMOS (v1.20) has lines with the number and the format of the values that follow. SMC has headers
+of fixed length. In all of them the values follow row by row; the last line may be shorter.
 """
 
 import re
@@ -65,8 +65,8 @@ def read_agency_file(path: Path, lines: list[str]) -> Columns | None:
     Raises
     ------
     InputError
-        If the header can't be understood or is not that of an acceleration, or if there are not
-        as many values as it says.
+        If the header can't be understood or is not that of an acceleration, or if the number of
+        values is not that of the header.
     """
     if any(_COSMOS.match(line) for line in lines):
         return _read_cosmos(path, lines)
@@ -134,9 +134,9 @@ def _read_smc(path: Path, lines: list[str]) -> Columns:
 
 
 def _read_cosmos(path: Path, lines: list[str]) -> Columns:
-    """Read a COSMOS file: a column of each of its channels of acceleration.
+    """Read a COSMOS file: a column for each of its channels of acceleration.
 
-    Velocities and displacements, which may follow each of them, are left out.
+    Velocities and displacements, which may follow each channel, are left out.
     """
     found, other, dt = list[Columns](), "", None
     for index, line in enumerate(lines):
@@ -183,10 +183,10 @@ def _one_column(
     said: int = 0,
     width: int = 0,
 ) -> Columns:
-    """Read the values below a header's last line, of index ``end``: as many as it says.
+    """Read the values below a header's last line, of index ``end``; the header gives their number.
 
-    ``said`` is the number of the line that says how many, if it is another. Of a ``width`` each
-    value has so many characters; otherwise they are separated by blanks, or by their signs.
+    ``said`` is the number of the line with the number of values, if it is another line. With a
+    ``width`` each value has so many characters; otherwise blanks or signs separate the values.
     """
     values = [
         (to_float(piece.strip(), path, number), number)
@@ -194,7 +194,7 @@ def _one_column(
         for piece in _pieces(line, width)
     ]
     if len(values) != count or not values:
-        what = "the file is truncated" if len(values) < count else "that is too many"
+        what = "the file is truncated" if len(values) < count else "too many"
         raise InputError(
             f"{path}: line {said or end + 1} says {count} values, but {len(values)} values follow: "
             f"{what}; fetch the record again, or correct that line"
@@ -211,12 +211,12 @@ def _pieces(line: str, width: int) -> Iterable[str]:
 
 
 def _fields(path: Path, lines: list[str], start: int, end: int, width: int) -> list[float]:
-    """Read the numbers of a header whose lines hold them in a fixed width."""
+    """Read the numbers of a header with a fixed width for each number."""
     numbers = []
     for number, line in enumerate(lines[start:end], start=start + 1):
         numbers += [to_float(piece.strip(), path, number) for piece in _pieces(line, width)]
         if not np.isfinite(numbers).all():
-            raise InputError(f"{path}: line {number}: holds a number that is not finite; mend it")
+            raise InputError(f"{path}: line {number}: a number is not finite; correct it")
     return numbers
 
 
@@ -239,12 +239,12 @@ def _other_quantity(path: Path, number: int, quantity: str) -> InputError:
 _SAME_DT = 1e-3
 
 FIRST_MOTION = -1
-"""Column that stands for the first that is not the time."""
+"""Means the first column that is not the time."""
 
 
 @dataclass(frozen=True)
 class RecordedMotion:
-    """A ground motion as it was recorded.
+    """A recorded ground motion.
 
     Attributes
     ----------
@@ -253,7 +253,7 @@ class RecordedMotion:
     dt : float
         Sampling period of the record in s.
     source : str
-        File it was read from.
+        Its file.
     unit : str
         Unit of the accelerations in the file, of the first chosen column.
     """
@@ -281,17 +281,17 @@ def read_record(
         Columns to take, counted from 0; one may be taken several times; `FIRST_MOTION` is the
         first that is not the time.
     unit : str
-        Unit of the values, ``g``, ``m/s2`` or ``cm/s2``; empty: the one that the file's header
-        says. Where the file says one, the two must agree.
+        Unit of the values, ``g``, ``m/s2`` or ``cm/s2``; empty: the unit that the file's header
+        states. If the file states one, the two must agree.
     dt : float
-        Sampling period in s; 0: the file's own, of its header (AT2, or text such as ``dt=0.005``)
-        or of a column of time. Where the file has one, the two must agree within 0.1 %.
+        Sampling period in s; 0: that of the file's header (AT2, or text such as ``dt=0.005``) or
+        column of time. If the file has one, the two must agree within 0.1 %.
 
     Raises
     ------
     InputError
-        If the file can't be read as a record, names the line; or if column, unit or dt do
-        not fit the file.
+        If the file can't be read as a record (names the line), or if column, unit or dt contradict
+        the file.
     """
     path = Path(path)
     lines = read_lines(path)
@@ -308,7 +308,7 @@ def read_record(
             )
     own_dt = file.dt()
     if own_dt is None and not dt:
-        raise InputError(f"{path}: holds no sampling period; set ground_motion dt (--dt), in s")
+        raise InputError(f"{path}: states no sampling period; set ground_motion dt (--dt), in s")
     if own_dt and dt and abs(dt - own_dt) > _SAME_DT * own_dt:
         raise InputError(
             f"ground_motion: dt is {dt:g} s, but {path} says {own_dt:g} s; "
@@ -321,7 +321,7 @@ def read_record(
 
 
 def _check_columns(file: Columns, columns: Sequence[int], unit: str) -> None:
-    """Refuse columns that do not exist, hold no numbers, have another unit, or hold the time."""
+    """Refuse columns that do not exist, are not finite, have another unit, or contain the time."""
     rows, count = file.values.shape
     if not columns or not all(0 <= column < count for column in columns):
         holds = f"{count} columns, 0 to {count - 1}" if count > 1 else "one column, 0"

@@ -1,4 +1,4 @@
-"""What a ground motion does: its response spectrum, and the numbers by which it is known."""
+"""The response spectrum of a ground motion, and its characteristic numbers."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -44,9 +44,9 @@ def response_spectrum(
     Returns
     -------
     ndarray
-        Shape (P,): ``w^2 max |x|`` in m/s^2, over the samples. Periods below some ten dt
-        have their peaks between samples and are too small; free vibration after the last sample
-        does not count (unless a tail of zeros is appended).
+        Shape (P,): ``w^2 max |x|`` in m/s^2, over the samples. For periods below about ten dt
+        the peaks lie between samples, and the values are too small. Free vibration after the last
+        sample is not included (unless a tail of zeros is appended).
 
     Raises
     ------
@@ -62,12 +62,12 @@ def response_spectrum(
 
 
 class RunningSpectrum:
-    """The response spectra of some motions, piece by piece; arguments as of `response_spectrum`.
+    """The response spectra of some motions, piece by piece; for arguments see `response_spectrum`.
 
     Attributes
     ----------
     spectrum : ndarray
-        Shape (P, S) over the samples so far, in m/s^2; of no samples (P, 0).
+        Shape (P, S) over the samples so far, in m/s^2; (P, 0) without samples.
     """
 
     def __init__(self, periods: npt.ArrayLike, dt: float, damping: float = 0.05) -> None:
@@ -91,7 +91,7 @@ class RunningSpectrum:
         self._last: Floats | None = None
 
     def advance(self, accelerations: Floats) -> None:
-        """Take in the next samples of S motions, shape (N, S), N at least 1, in m/s^2."""
+        """Add the next samples of S motions, shape (N, S), N at least 1, in m/s^2."""
         a = accelerations
         if self._last is None:
             self._q = np.zeros((len(self._decay), a.shape[1]), complex)
@@ -113,13 +113,13 @@ class RunningSpectrum:
 
 
 def _phi2(z: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex128]:
-    """Compute (exp(z) - 1 - z) / z^2; by its series where that would cancel."""
+    """Compute (exp(z) - 1 - z) / z^2; by its series for small z, where terms would cancel."""
     series = 1 / 2 + z * (1 / 6 + z * (1 / 24 + z * (1 / 120 + z * (1 / 720 + z / 5040))))
     return np.where(np.abs(z) < 0.01, series, (np.expm1(z) - z) / z**2)
 
 
 def motion_summary(samples: Floats, dt: float) -> dict[str, Any]:
-    """Numbers by which engineers know a ground motion.
+    """Characteristic numbers of a ground motion.
 
     Parameters
     ----------

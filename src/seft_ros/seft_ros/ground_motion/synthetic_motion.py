@@ -1,4 +1,4 @@
-"""Synthetic ground motions, and excitations for identification; the same for the same seed."""
+"""Synthetic ground motions, and excitations for identification; the same seed gives the same."""
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,7 @@ _FEWEST_PERIODS = 4  # of the band's lowest frequency
 
 
 def motion_spectrum(frequencies: npt.ArrayLike, **filters: float) -> Floats:
-    """Shape of the one-sided power spectrum that synthetic motions aim at.
+    """Shape of the one-sided power spectrum of synthetic motions.
 
     The Kanai-Tajimi spectrum times the high-pass of Clough and Penzien (Dynamics of
     Structures, section 28-3), relative to that of the white noise.
@@ -103,8 +103,7 @@ def synthetic_motion(
 ) -> Floats:
     """Make a synthetic ground motion.
 
-    Accelerations only: they are not corrected for a baseline, so that integrated twice they
-    leave a displacement.
+    The accelerations have no baseline correction: integrated twice they leave a displacement.
 
     Parameters
     ----------
@@ -168,7 +167,7 @@ def excitation(
     ----------
     signal : str
         ``random``: Gaussian noise with a flat spectrum, independent on each axis, by ``seed``;
-        ``chirp``: one logarithmic sweep up for each axis, one axis after the other.
+        ``chirp``: one logarithmic upward sweep for each axis, in turn.
     steps, axes : int
         N and n.
     dt : float
@@ -236,7 +235,7 @@ def _sweeps(steps: int, axes: int, dt: float, band: tuple[float, float]) -> Floa
 
 
 def _ramp(steps: int, dt: float) -> Floats:
-    """One, with half a cosine from zero at the start and to zero at the end."""
+    """Window of ones, with half a cosine from zero at the start and to zero at the end."""
     length = min(_RAMP * steps * dt, _LONGEST_RAMP)
     distance = dt * np.minimum(np.arange(steps), np.arange(steps)[::-1])
     return _rise(distance, 0.0, length)

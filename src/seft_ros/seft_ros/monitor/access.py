@@ -1,7 +1,7 @@
 """Access control: who may see the page and press its buttons.
 
-Any page that a browser shows can send requests here: each request must name this host, and come
-from this page. Other hosts need a token as well: one that controls, or one that only watches.
+Any page in a browser can send requests here. So each request must name this host, and come from
+this page. Other hosts also need a token: one that controls, or one that only watches.
 """
 
 import hmac
@@ -20,7 +20,7 @@ from tornado.web import HTTPError, RequestHandler
 
 ASSETS = Path(__file__).with_name("assets")
 FIRST_WAIT, LONGEST_WAIT = 0.5, 30.0
-"""s that an address waits after its first wrong token; each further one doubles it."""
+"""s, wait of an address after its first wrong token; each further one doubles it."""
 MOST_ADDRESSES = 1000
 
 _AUTHORITY = re.compile(r"(\[[0-9A-Fa-f:.%]+\]|[A-Za-z0-9._-]+)(:\d{1,5})?")
@@ -35,7 +35,7 @@ _HEADERS = {
 
 
 def is_loopback(name: str) -> bool:
-    """Whether a host's name or address is this host's own, seen from nowhere else."""
+    """Whether a host's name or address is the loopback of this host."""
     if name.lower() == "localhost":
         return True
     try:
@@ -45,7 +45,7 @@ def is_loopback(name: str) -> bool:
 
 
 def page_address(host: str, port: int) -> str:
-    """Address under which a browser on this host finds the page."""
+    """Address of the page for a browser on this host."""
     if host in ("", "0.0.0.0", "::"):
         host = "127.0.0.1"
     text = f"[{host}]" if ":" in host else host
@@ -54,7 +54,7 @@ def page_address(host: str, port: int) -> str:
 
 
 class TooEarlyError(Exception):
-    """A token is offered before its address may try again, in so many s."""
+    """A token is offered too early; the argument is the remaining wait of its address, s."""
 
     def __init__(self, wait: float) -> None:
         super().__init__(wait)
@@ -68,9 +68,9 @@ class Tokens:
     Attributes
     ----------
     control : str
-        Sees all, and may press buttons; empty: no token is needed.
+        Permits to see all and to press buttons; empty: no token is needed.
     watch : str
-        Sees all, and may press none; empty: there is no such token.
+        Permits to see all, without buttons; empty: there is no such token.
     """
 
     control: str = ""
@@ -78,23 +78,23 @@ class Tokens:
 
 
 class Access:
-    """Checks tokens and keys, and slows down guessing.
+    """Checks tokens and keys, and delays guessing.
 
-    A token is exchanged for a random key, which the browser keeps: keys are checked without delay,
-    even while somebody else guesses tokens from the same address.
+    A token is exchanged for a random key, which the browser keeps. Keys are checked without delay,
+    also while somebody else guesses tokens from the same address.
 
     Parameters
     ----------
     tokens : Tokens
-        Tokens that are accepted.
+        The accepted tokens.
     monotonic : callable, optional
         Time, s.
     """
 
     def __init__(self, tokens: Tokens, monotonic: Callable[[], float] = time.monotonic) -> None:
         self._tokens, self._monotonic = tokens, monotonic
-        self._keys: dict[str, bool] = {}  # and whether it controls
-        self._failures: dict[str, tuple[int, float]] = {}  # address -> how many, blocked until
+        self._keys: dict[str, bool] = {}  # key -> whether it controls
+        self._failures: dict[str, tuple[int, float]] = {}  # address -> number, blocked until
 
     @property
     def is_open(self) -> bool:
@@ -102,16 +102,16 @@ class Access:
         return not self._tokens.control
 
     def of_key(self, key: str) -> bool | None:
-        """Tell whether a key controls; None if it is none."""
+        """Say whether a key controls; None if it is not valid."""
         return self._keys.get(key)
 
     def of_token(self, given: str, address: str) -> bool | None:
-        """Tell whether a token controls; None if it is wrong.
+        """Say whether a token controls; None if it is wrong.
 
         Raises
         ------
         TooEarlyError
-            If the address must wait. The token is not looked at then.
+            If the address must wait. Then the token is not checked.
         """
         number, until = self._failures.get(address, (0, 0.0))
         now = self._monotonic()
@@ -122,14 +122,14 @@ class Access:
                 self._failures.pop(address, None)
                 return controls
         wait = min(FIRST_WAIT * 2.0 ** min(number, 30), LONGEST_WAIT)
-        self._failures.pop(address, None)  # the newest stands last
+        self._failures.pop(address, None)  # the newest is last
         self._failures[address] = (number + 1, now + wait)
         if len(self._failures) > MOST_ADDRESSES:
             del self._failures[next(iter(self._failures))]
         return None
 
     def new_key(self, controls: bool) -> str:
-        """Make a key for a browser that sent a token."""
+        """Make a key for a browser that has sent a token."""
         key = secrets.token_urlsafe(24)
         self._keys[key] = controls
         return key
@@ -139,8 +139,8 @@ class Guarded(RequestHandler):
     """Checks of every request, and headers of every answer.
 
     The application's settings have ``access``, an `Access`; ``local_only``, whether the page is
-    served on this host alone: then its only name is localhost, and another was made to point here
-    here by a name server (DNS rebinding); and ``port``.
+    served on this host alone; and ``port``. With ``local_only`` the only name is localhost; another
+    name points here by DNS rebinding.
 
     Attributes
     ----------
@@ -153,7 +153,7 @@ class Guarded(RequestHandler):
 
     def set_default_headers(self) -> None:
         """Allow the page its own files only; forbid frames and caches."""
-        host = self.host if self._is_host() else ""  # no invalid name goes into a header
+        host = self.host if self._is_host() else ""  # no invalid name in a header
         policy = (
             "default-src 'none'; script-src 'self'; img-src 'self' data: blob:; "
             "style-src 'self' 'unsafe-inline'; "  # the plotting library makes style elements
@@ -167,7 +167,7 @@ class Guarded(RequestHandler):
     async def prepare(self) -> None:
         """Refuse requests under a foreign name, from a foreign page, or without the token."""
         if not self._is_host():
-            raise HTTPError(403, reason="this page is served to its own host alone")
+            raise HTTPError(403, reason="this page is served to its own host only")
         acts = self.request.method != "GET" or "Upgrade" in self.request.headers
         if acts and not self.is_own_page(self.request.headers.get("Origin", "")):
             raise HTTPError(403, reason="a request of another page")
@@ -177,7 +177,7 @@ class Guarded(RequestHandler):
         self.controls = rights
 
     def _rights(self) -> bool | None:
-        """Tell whether the request may control; None without a valid key or token."""
+        """Say whether the request may control; None without a valid key or token."""
         bearer = self.request.headers.get("Authorization", "").removeprefix("Bearer ")
         offered = self.get_query_argument("token", "") or bearer
         if not offered:
@@ -212,18 +212,18 @@ class Guarded(RequestHandler):
 
     @property
     def access(self) -> Access:
-        """Who may do what."""
+        """The access control."""
         found: Access = self.settings["access"]
         return found
 
     @property
     def host(self) -> str:
-        """Name that was asked; Tornado's own may be a name for none."""
+        """Requested host name; Tornado's own attribute may have a default."""
         return self.request.headers.get("Host", "")
 
     @property
     def cookie(self) -> str:
-        """Name of the cookie that holds the key; cookies of all ports of a host are one."""
+        """Name of the key's cookie, with the port: a host's cookies are shared by its ports."""
         return f"seft_monitor_{self.settings['port']}"
 
     def _is_host(self) -> bool:
@@ -237,6 +237,6 @@ class Missing(Guarded):
     """An address that does not exist."""
 
     async def prepare(self) -> None:
-        """Answer 404 to a request with the right to know."""
+        """Answer 404 to a request with access."""
         await super().prepare()
         raise HTTPError(404, reason="there is nothing here")

@@ -1,8 +1,8 @@
 """The ROS graph for the monitor, and the supervisor's services.
 
-Messages wait in the middleware until they are asked for, ten times a second: waking for each
-would cost more than all else that the monitor does. Lost messages of the loop are not sent again,
-so that a slow monitor delays nobody.
+Messages wait in the middleware until the monitor takes them, ten times a second: waking for each
+message would cost more than all its other work. Lost messages of the loop are not sent again, so
+that a slow monitor delays nobody.
 """
 
 import asyncio
@@ -46,7 +46,7 @@ class Graph:
     Parameters
     ----------
     namespace : str
-        In which the test's topics and services are; empty: none.
+        Of the test's topics and services; empty: none.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class Graph:
         self._subscriptions: dict[str, Subscription] = {}
         for topic in _TOPICS:
             self._subscribe(topic)
-        # made now, and so found by the time that a stop is wanted
+        # made now, so that discovery is complete when a stop is requested
         self._clients: dict[str, Client] = {
             name: self._node.create_client(Trigger, name) for name in SERVICES
         }
@@ -78,9 +78,9 @@ class Graph:
         self._thread.start()
 
     def take(self, topic: Topic) -> Messages:
-        """Take what has come on a topic: bytes, and the wall-clock time in ns of their sending.
+        """Take the new messages of a topic: bytes, and the wall-clock time in ns of their sending.
 
-        A topic of one of several rigs is listened to from the first time on.
+        A topic of one of several rigs is subscribed to at the first call.
         """
         if topic.name not in self._subscriptions:
             self._subscribe(topic)

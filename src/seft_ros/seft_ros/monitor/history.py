@@ -14,14 +14,14 @@ from seft_msgs_py.wire.topics import RIG_STATE, RigAxes
 
 Steps = npt.NDArray[np.int64]
 Batch = tuple[Steps, Floats, Steps]
-"""Steps, values of shape (N, 4, axes), and when each was sent, ns."""
+"""Steps, values of shape (N, 4, axes), and the time of sending of each, ns."""
 MOST_WAITING = 2**14
-"""Steps of a rig that are kept while another is silent."""
+"""Number of steps of a rig that are kept while another is silent."""
 MEASURED = {"displacement": "positions", "acceleration": "accelerations", "force": "effort"}
 ROWS = {name: RIG_STATE.quantities.index(quantity) for name, quantity in MEASURED.items()}
-"""Rows of a sample of rig/state that are shown."""
+"""Displayed rows of a sample of rig/state."""
 FOLLOWED = ("displacement", "force")
-"""Of which the error is shown, too."""
+"""Quantities with a displayed error."""
 
 
 class Signals:
@@ -32,9 +32,9 @@ class Signals:
     axes : tuple of str
         Names of the n axes.
     measured, reference : dict of str to slice
-        Columns of a quantity in `ROWS`, one an axis; m, m/s^2, N.
+        Columns of a quantity in `ROWS`, one for each axis; m, m/s^2, N.
     error : dict of str to slice
-        Columns of measured less reference, of the quantities in `FOLLOWED`.
+        Columns of measured minus reference, of the quantities in `FOLLOWED`.
     answer : slice
         Time from a state's publication to that of its reference force, ms.
     count : int
@@ -63,7 +63,7 @@ class Signals:
 
 
 class RigBatches:
-    """Keeps what rigs have sent until all have sent the same step.
+    """Keeps the states of rigs until all have sent the same step.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class RigBatches:
         self._waiting: list[Batch] = [_none(len(rig.axes)) for rig in rigs]
 
     def take(self, rig: int, batch: Batch) -> None:
-        """Take in what a rig has sent; a step before its last begins a new test for it."""
+        """Add states of a rig; a step before its last one begins a new test for it."""
         steps, before = batch[0], self._waiting[rig]
         (back,) = np.nonzero(np.diff(np.concatenate([before[0][-1:], steps])) <= 0)
         if len(back):
@@ -86,7 +86,7 @@ class RigBatches:
         self._waiting[rig] = _rows((joined[0], joined[1], joined[2]), slice(-MOST_WAITING, None))
 
     def complete(self) -> Batch:
-        """Give the steps that all rigs have sent by now, once."""
+        """Give the steps that all rigs have sent; each step once."""
         steps = self._waiting[0][0]
         for other, _, _ in self._waiting[1:]:
             steps = np.intersect1d(steps, other, assume_unique=True)
@@ -113,11 +113,11 @@ def _rows(batch: Batch, rows: slice) -> Batch:
 Samples = npt.NDArray[np.float32]
 AnyFloats = npt.NDArray[np.floating[Any]]
 BUCKETS = 4096
-"""Twice as many as a page has columns of pixels."""
+"""Twice the columns of pixels of a page."""
 LENGTH = 2**15
-"""Samples that are kept as they came: a minute at 500 Hz."""
+"""Samples that are kept individually: a minute at 500 Hz."""
 SAMPLES, ENVELOPE, RECENT = range(3)
-"""Frames: new samples; the whole test so far; its last stretch, which the envelope has already."""
+"""Frames: new samples; the whole test so far; its last part, which the envelope contains."""
 Frame = str | bytes
 """What a page receives: JSON text, or a frame of samples."""
 _HEADER = struct.Struct("<4I2d")
@@ -126,15 +126,15 @@ _HEADER = struct.Struct("<4I2d")
 class Envelope:
     """Extremes of some signals over equal pieces of time, from the first sample to the last.
 
-    When the buckets are used up, each two become one: the whole of a test is always there, as
-    finely as memory allows, and no peak is lost.
+    When all buckets are used, each two become one: the whole test is always there, as finely as
+    memory allows, and no peak is lost.
 
     Parameters
     ----------
     columns : int
         Number of signals.
     buckets : int
-        Most pieces, even.
+        Largest number of pieces, even.
 
     Attributes
     ----------
@@ -159,13 +159,13 @@ class Envelope:
 
     @property
     def high(self) -> Samples:
-        """Largest values, as `low`."""
+        """Largest values, see `low`."""
         return self._high[: self.count]
 
     def add(self, first: int, values: Samples) -> None:
-        """Take in samples (N, columns), NaN where missing, of consecutive steps from ``first`` on.
+        """Add samples (N, columns), NaN if missing, of consecutive steps from ``first`` on.
 
-        None of them is before those that were taken in.
+        No step may be before earlier ones.
         """
         if not len(values):
             return
@@ -198,22 +198,22 @@ class Stretch(NamedTuple):
 
 
 class History:
-    """Signals of a test by step, from topics that come one after another.
+    """Signals of a test by step, from topics that are read in turn.
 
-    Signals of a step are written in any order; a step is released when no more is expected, and
-    does not change after that.
+    Signals of a step are written in any order; a step is released when no more signals are
+    expected, and does not change after that.
 
     Parameters
     ----------
     columns : int
         Number of signals.
     length : int
-        Samples that are kept, a power of two.
+        Number of samples kept, a power of two.
 
     Attributes
     ----------
     envelope : Envelope
-        Of all that was released.
+        Of all released steps.
     head : int
         One beyond the last step written.
     released : int
@@ -229,7 +229,7 @@ class History:
     def write(self, steps: npt.NDArray[np.int64], columns: slice, values: AnyFloats) -> None:
         """Write values (N, number of columns) of steps (N,).
 
-        Steps that were released already or are far away are left out.
+        Steps that are already released or far away are left out.
         """
         fits = (steps >= self.released) & (steps < self.released + len(self._ring))
         steps, values = steps[fits], values[fits]
@@ -241,17 +241,17 @@ class History:
         self._ring[steps & self._mask, columns] = values
 
     def begin(self, step: int) -> None:
-        """Begin at a step, or go on there, far beyond what was written."""
+        """Begin at a step, or continue there, far beyond the written steps."""
         if step >= self.head:
             self._begin = self.head = self.released = step
 
     def subtract(self, until: int, target: slice, minuend: slice, subtrahend: slice) -> None:
-        """Write differences of signals, of the steps before ``until`` not released yet."""
+        """Write differences of signals, of the unreleased steps before ``until``."""
         slots = np.arange(self.released, min(until, self.head)) & self._mask
         self._ring[slots, target] = self._ring[slots, minuend] - self._ring[slots, subtrahend]
 
     def release(self, until: int) -> Stretch | None:
-        """Take what was written of the steps before ``until`` into the history; give it."""
+        """Release the steps before ``until``, and give them."""
         first, until = self.released, min(until, self.head)
         if until <= first:
             return None
@@ -261,7 +261,7 @@ class History:
         return Stretch(first, values)
 
     def recent(self) -> Stretch:
-        """Give the last of what was released, as much as is kept."""
+        """Give the last released steps that are kept."""
         first = max(self._begin, self.head - len(self._ring))
         return Stretch(first, self._ring[np.arange(first, self.released) & self._mask])
 

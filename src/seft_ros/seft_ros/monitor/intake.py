@@ -1,4 +1,4 @@
-"""Samples of one test after another: from messages to a history, with what they should be."""
+"""Samples of successive tests: from messages to a history, with their reference."""
 
 from collections.abc import Iterator, Sequence
 from itertools import groupby
@@ -27,33 +27,33 @@ MOST_AT_ONCE = 4000
 
 
 class _Motion:
-    """Ground motion from step 0 on, as it is published; what was used is forgotten."""
+    """Published ground motion from step 0 on; used steps are forgotten."""
 
     def __init__(self) -> None:
-        self._coming: list[Floats] = []
+        self._pending: list[Floats] = []
         self._known = self.used = 0  # steps
 
     def add(self, first: int, values: Floats) -> None:
-        if first == self._known:  # without the first chunks nothing is known of the rest
-            self._coming.append(values)
+        if first == self._known:  # without the first chunks the rest can't be used
+            self._pending.append(values)
             self._known += len(values)
 
     def take(self, until: int) -> Floats | None:
-        """Take what follows, up to a step."""
+        """Take the next steps, up to a step."""
         count = min(until, self._known) - self.used
         if count <= 0:
             return None
         self.used += count
-        found, rest = np.split(np.concatenate(self._coming), [count])
-        self._coming = [rest]
+        found, rest = np.split(np.concatenate(self._pending), [count])
+        self._pending = [rest]
         return found
 
 
 class LiveReference:
-    """Follows the ground motion of one test after another.
+    """Follows the ground motion of successive tests.
 
-    The first of a test's motion arrives before the test begins; a monitor that starts later gets
-    all of it if the publisher still has all.
+    The first part of a test's motion arrives before the test begins; a monitor that starts later
+    receives all of it if the publisher still has all.
 
     Attributes
     ----------
@@ -64,30 +64,30 @@ class LiveReference:
     def __init__(self) -> None:
         self.response: RunningResponse | None = None
         self._now: _Motion | None = None
-        self._coming: _Motion | None = None
+        self._next: _Motion | None = None
         self._running = False
 
     def begin(self, response: RunningResponse | None) -> None:
         """Begin a test."""
         self.response = response
-        if self._coming is not None or (self._now is not None and self._now.used):
-            self._now, self._coming = self._coming, None
+        if self._next is not None or (self._now is not None and self._now.used):
+            self._now, self._next = self._next, None
         self._running = True
 
     def motion(self, first: int, values: Floats) -> None:
-        """Take in ground motion from a step on, shape (N, n), m/s^2."""
+        """Add ground motion from a step on, shape (N, n), m/s^2."""
         if first == 0:
             if self._running and (self._now is None or not self._now.used):
                 self._now = _Motion()
             else:
-                self._coming = _Motion()
-        target = self._coming or self._now
+                self._next = _Motion()
+        target = self._next or self._now
         hopeless = target is self._now and self._running and self.response is None
         if target is not None and not hopeless:
             target.add(first, values)
 
     def advance(self, until: int) -> tuple[int, Floats, Floats, Floats] | None:
-        """Go on to a step, as far as the motion is known and time allows.
+        """Continue to a step, as far as the motion is known and time allows.
 
         Returns
         -------
@@ -105,7 +105,7 @@ class LiveReference:
 
 
 class LiveMotion:
-    """Follows a test's own ground motion, its response spectrum, and a linear structure under it.
+    """Follows a test's equivalent ground motion: its spectrum, and a linear structure's response.
 
     Parameters
     ----------
@@ -129,15 +129,15 @@ class LiveMotion:
         return None if assumed is None else cls(assumed)
 
     def advance(self, asked: Floats, states: Floats) -> None:
-        """Go on over the next N steps.
+        """Continue over the next N steps.
 
         Parameters
         ----------
         asked : ndarray
-            Ground acceleration, shape (N, n), m/s^2.
+            Requested ground acceleration, shape (N, n), m/s^2.
         states : ndarray
-            As measured, shape (N, 4, n); NaN where there is none: what happened there counts as
-            right.
+            Measured states, shape (N, 4, n); NaN if missing: then the motion is assumed to be the
+            requested one.
         """
         missing = ~np.isfinite(states).all(axis=(1, 2))
         tested = self._equivalent.advance(np.where(missing[:, None, None], 0.0, states))
@@ -146,12 +146,12 @@ class LiveMotion:
             response.advance(motion)[0]
             for response, motion in zip(self._responses, (asked, tested), strict=True)
         )
-        with np.errstate(over="ignore", invalid="ignore"):  # of a test that went unstable
+        with np.errstate(over="ignore", invalid="ignore"):  # of an unstable test
             self._squares += [np.sum(wanted**2), np.sum((found - wanted) ** 2)]
             self._spectra.advance(np.hstack([asked, tested]))
 
     def summary(self) -> dict[str, Any]:
-        """Give what the page shows of it so far, JSON values."""
+        """Give the values for the page, JSON values."""
         response, difference = self._squares
         spectra = self._spectra.spectrum.T
         if not (response > 0 and np.isfinite(difference) and np.isfinite(spectra).all()):
@@ -167,15 +167,15 @@ class LiveMotion:
 
 
 HELD_BACK = 8
-"""Steps that wait for their reference force."""
+"""Number of steps that wait for their reference force."""
 LONGEST_GAP = 2**14
-"""Steps; after a longer gap the history begins anew."""
+"""Steps; after a longer gap a new history begins."""
 
 Messages = list[tuple[bytes, int]]
 
 
 class Intake:
-    """Takes in the loop's messages of a graph, one test after another.
+    """Reads the loop's messages of a graph, for successive tests.
 
     Parameters
     ----------
@@ -189,19 +189,19 @@ class Intake:
     Attributes
     ----------
     rigs : tuple of RigAxes
-        Whose the axes are.
+        Rigs of the axes.
     number : int
-        Counts the tests seen; 0: none yet.
+        Counts the tests; 0: none yet.
     history : History
         Of the newest test.
     signals : Signals
-        Its columns.
+        Columns of the history.
     refused : int
         Messages that could not be decoded.
     reference_note : str
-        Why there is no reference response, in a sentence; empty if there is one.
+        Reason without a reference response, in a sentence; empty with one.
     own_motion : dict
-        The test's own ground motion so far, of `LiveMotion.summary`, once a second.
+        The test's equivalent ground motion so far, of `LiveMotion.summary`, once a second.
     """
 
     def __init__(self, axes: tuple[str, ...], timebase: Timebase, number: int = 0) -> None:
@@ -211,7 +211,7 @@ class Intake:
         self.number, self.refused = number, 0
         self.reference_note = ""
         self._expected = True  # whether the next sample may be the first of a test
-        self._cleared = False  # whether nothing has been seen of the test that is counted
+        self._cleared = False  # whether no sample of the counted test has arrived
         self._new: list[Stretch] = []
         self._sections: dict[str, dict[str, Any]] = {}
         self._reference = LiveReference()
@@ -226,10 +226,10 @@ class Intake:
         # of the last steps, by step modulo length:
         self._steps = np.full(2**14, -1)
         self._recent = np.full((2**14, 4, len(axes)), np.nan)  # states
-        self._sent = np.zeros(2**14, np.int64)  # ns, when they were
+        self._sent = np.zeros(2**14, np.int64)  # ns, times of sending
 
     def describe(self, sections: dict[str, dict[str, Any]]) -> None:
-        """Take in the parameters of the nodes; they hold from the next test on."""
+        """Use the parameters of the nodes from the next test on."""
         self._sections = sections
         if self.number and self._reference.response is None:
             self._reference.response = (
@@ -238,14 +238,14 @@ class Intake:
             self._follow_motion()
 
     def clear(self) -> None:
-        """Forget the last test; the next sample is the first that is seen of another."""
+        """Forget the last test; the next sample is the first of another."""
         self.number += 1
         self.history = History(self.signals.count)
         self.own_motion = {}
         self._cleared = self._expected = True
 
     def motion(self, messages: Messages) -> None:
-        """Take in ground motion."""
+        """Add ground motion."""
         for raw, _ in messages:
             try:
                 first, values = self._motion.decode(raw)
@@ -255,7 +255,7 @@ class Intake:
                 self._reference.motion(first, values[:, 0, :])
 
     def samples(self, states: Sequence[Messages], forces: Messages) -> list[Stretch]:
-        """Take in states of each rig and reference forces; give what is new in the history."""
+        """Add states of each rig and reference forces; give the new part of the history."""
         self._new = []
         for steps, values, sent in self._batches_of_states(states):
             jumps = np.diff(steps)
@@ -278,7 +278,7 @@ class Intake:
             self._new.append(stretch)
 
     def _batches_of_states(self, states: Sequence[Messages]) -> Iterator[Batch]:
-        """Decode states; of several rigs, give what is there of all."""
+        """Decode states; with several rigs, give the steps of all rigs."""
         for rig, (codec, messages) in enumerate(zip(self._states, states, strict=True)):
             for batch in self._batches(codec, messages):
                 if self._of_rigs is None:
@@ -289,7 +289,7 @@ class Intake:
             yield self._of_rigs.complete()
 
     def _batches(self, codec: TrajectoryCodec, messages: Messages) -> Iterator[Batch]:
-        """Decode messages, those of equal length together; of each its own step counts."""
+        """Decode messages, those of equal length together; use the first point of each."""
         for _, alike in groupby(messages, lambda message: len(message[0])):
             raws, sent = zip(*alike, strict=True)
             rows = np.frombuffer(b"".join(raws), np.uint8).reshape(len(raws), -1)
@@ -298,7 +298,7 @@ class Intake:
             yield batch.steps, batch.values, np.array(sent, np.int64)[batch.messages]
 
     def _take_states(self, steps: Steps, values: Floats, sent: Steps) -> None:
-        """Take in states of increasing steps without long gaps."""
+        """Add states of increasing steps without long gaps."""
         first = int(steps[0])
         if (
             not self.number
@@ -323,7 +323,7 @@ class Intake:
         self.history.write(steps, self.signals.reference["force"], forces)
         slots = steps % len(self._steps)
         times = (sent - self._sent[slots]) / 1e6
-        known = (self._steps[slots] == steps) & (times >= 0.0)  # else clocks of two hosts
+        known = (self._steps[slots] == steps) & (times >= 0.0)  # negative: clocks of two hosts
         times = np.where(known, times, np.nan)
         self.history.write(steps, self.signals.answer, times[:, np.newaxis])
 
@@ -343,7 +343,7 @@ class Intake:
         self._live_motion = LiveMotion.of(Experiment(self._sections)) if known else None
 
     def _response(self) -> RunningResponse | None:
-        """Make the model of the whole structure, of what the nodes say of themselves."""
+        """Make the model of the whole structure from the nodes' descriptions."""
         if "reference_force" not in self._sections:
             reason = "reference_force has not described itself"
         else:

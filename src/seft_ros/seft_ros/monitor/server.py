@@ -1,4 +1,4 @@
-"""The monitor's process: polls the graph ten times a second, and serves pages with what is new."""
+"""The monitor's process: polls the graph ten times a second, and sends the news to its pages."""
 
 import asyncio
 import contextlib
@@ -35,23 +35,23 @@ if TYPE_CHECKING:  # Watch itself needs no ROS
     from seft_ros.monitor.graph import Graph
 
 TELLERS = ("rig", "reference_force", "force_controller", "ground_motion", "supervisor")
-"""Nodes whose rate and axes are used, the first that is there."""
+"""Nodes whose rate and axes are used: those of the first available one."""
 
 PERIOD = 0.1  # s
 NICE = 3
-"""Gives way to the nodes, and still answers a stop on a busy machine."""
+"""The nodes precede the monitor, and it still answers a stop on a busy machine."""
 LATEST = 1.0  # s from a press to the supervisor
 
 
 class Watch:
-    """Moves what comes from a graph to a `Session` and an `Intake`, and makes frames of it.
+    """Moves messages from a graph to a `Session` and an `Intake`, and makes frames of them.
 
     Parameters
     ----------
     graph : Graph
-        What is watched.
+        The watched graph.
     now : callable, optional
-        Time that requests of pages are dated by, s.
+        Clock for the times of requests, s.
     """
 
     def __init__(self, graph: "Graph", now: Callable[[], float] = time.monotonic) -> None:
@@ -62,21 +62,21 @@ class Watch:
         self._refused = 0
 
     def poll(self) -> list[Frame]:
-        """Take the messages that have arrived; give what is new, for pages that have the rest."""
+        """Take the messages that have arrived; give the news, for pages that have the rest."""
         self._hear_nodes()
         intake = self.intake
         if intake is None:
             return self._news()  # samples wait in the middleware until they can be read
         take, before = self._graph.take, intake.number
         intake.motion(take(GROUND_MOTION))
-        forces = take(REFERENCE_FORCE)  # before the states: of each the state has come, too
+        forces = take(REFERENCE_FORCE)  # before the states: so the state of each has arrived
         new = intake.samples([take(RIG_STATE.of(rig)) for rig in intake.rigs], forces)
-        if intake.number != before:  # also without word of the supervisor
+        if intake.number != before:  # also without a message of the supervisor
             self.session.begin()
         return self._news() + [samples_frame(intake.number, stretch) for stretch in new]
 
     def everything(self) -> list[Frame]:
-        """Give all that a page needs which has just been opened."""
+        """Give all frames for a newly opened page."""
         frames: list[Frame] = [*self._told.values(), self._time()]
         if self.intake is not None and self.intake.number:
             history, number = self.intake.history, self.intake.number
@@ -90,14 +90,14 @@ class Watch:
         Parameters
         ----------
         state : int
-            `Session.number` when it was made.
+            `Session.number` at the time of the request.
         at_ms : float
-            Time of this process when it was made, as the page knows it, ms.
+            Time of the request by the clock of this process, as known to the page, ms.
         """
         if not 0.0 <= (late := self._now() - at_ms / 1e3) <= LATEST:
-            return f"it came {late:.1f} s late, and only a stop may; press it again"
+            return f"it arrived {late:.1f} s late, which only a stop may do; press it again"
         if state != self.session.number:
-            return f"the test is {self.session.summary()['state']} by now; look, and press it again"
+            return f"the test is now {self.session.summary()['state']}; check that, and press again"
         return ""
 
     def _hear_nodes(self) -> None:
@@ -128,7 +128,7 @@ class Watch:
                 yield content
 
     def _follow_description(self) -> None:
-        """Make what takes in samples anew where rate or axes have changed."""
+        """Make a new `Intake` if rate or axes have changed."""
         sections = self.session.sections
         teller = next((node for node in TELLERS if node in sections), None)
         if teller is None:
@@ -145,7 +145,7 @@ class Watch:
         intake.describe(dict(sections))
 
     def _news(self) -> list[Frame]:
-        """Make texts of what the nodes say; give those that are not as they were."""
+        """Make the page's texts from the nodes' messages; give those that have changed."""
         session, intake = self.session, self.intake
         test: dict[str, Any] = {"domain": self._graph.domain}
         if intake is not None:
@@ -172,17 +172,17 @@ class Watch:
         return [*news, self._time()]
 
     def _time(self) -> str:
-        """Give the time of this process: a sign of life, and the age of what a page shows."""
+        """Give the time of this process: a sign of life, and the age of a page's content."""
         return json.dumps({"kind": "time", "at": round(1e3 * self._now())})
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """Take a port, 0 for any; a name that stands for several addresses means the first of IPv4.
+    """Take a port, 0 for any; of a name with several addresses the first IPv4 address.
 
     Raises
     ------
     InputError
-        If it can't be had.
+        If it is not available.
     """
     try:
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
@@ -191,17 +191,17 @@ def listen(host: str, port: int) -> socket.socket:
     except (OSError, UnicodeError) as error:
         number = getattr(error, "errno", None) or 0
         reason = os.strerror(number) if number > 0 else getattr(error, "strerror", str(error))
-        mend = "another seft monitor may have it; name another port with --port"
-        how = mend if number == errno.EADDRINUSE else "see --host and --port"
+        remedy = "another seft monitor may use it; give another port with --port"
+        how = remedy if number == errno.EADDRINUSE else "see --host and --port"
         raise InputError(f"can't listen at {host}:{port} ({reason}); {how}") from None
     listening.setblocking(False)
     return listening
 
 
 def keep_off_the_loop() -> None:
-    """Leave the loop's core, the first one, to the loop, and the others to it where it needs them.
+    """Keep off the loop's core, the first one, and have low priority on the others.
 
-    To be called before other threads are there: they inherit both.
+    Call this before other threads are started: they inherit both.
     """
     cores = sorted(os.sched_getaffinity(0))
     if len(cores) > 1:
@@ -218,9 +218,9 @@ def serve(
     Parameters
     ----------
     listening : socket
-        As `listen` gives it for ``host``.
+        From `listen` for ``host``.
     tokens : Tokens
-        What pages must know.
+        Tokens of the pages.
     namespace : str
         Of the test's topics.
     ready : callable
@@ -245,7 +245,7 @@ def serve(
             server = HTTPServer(web, idle_connection_timeout=60)
             server.add_socket(listening)
             gc.collect()
-            gc.freeze()  # later collections skip the objects that exist now
+            gc.freeze()  # later collections skip the existing objects
             ready()
             while not stopping.is_set():
                 pages.send(watch.poll())

@@ -1,4 +1,4 @@
-"""State of the test and its nodes, from their messages, as the page shows it."""
+"""State of the test and its nodes, from their messages, for the page."""
 
 import time
 from collections import deque
@@ -12,7 +12,7 @@ from seft_msgs_py.wire.outcome import ENDED, RIG, State
 from seft_msgs_py.wire.topics import NODES, bare
 
 SILENCE = 1.0  # s; nodes give a sign of life five times a second
-ENDED_WITH_TEST = 0.5  # s before a test's end: a node heard then was shut down after it
+ENDED_WITH_TEST = 0.5  # s before a test's end: a node that sent then was shut down after it
 NOT_BEGUN = (State.IDLE, State.READY)
 EVENTS = 200
 MARGIN, ROUND_TRIP = "margin ", "round trip "
@@ -26,7 +26,7 @@ SHOWN = {
 
 
 class Session:
-    """Follows states, diagnostics and descriptions of one test after another.
+    """Follows states, diagnostics and descriptions of successive tests.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class Session:
     round_trips : list
         Of the running test, by the rig: (test time in s, median, largest in ms, missed).
     number : int
-        Counts the states; a request that was made in another one is not carried out.
+        Counts the states; a request of another state is not carried out.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class Session:
         self._now = self._awake.time()
         self.sections: dict[str, dict[str, Any]] = {}
         self.round_trips: list[tuple[float, float | None, float | None, int]] = []
-        self._experiment = Status("", 0, "", values={})  # nothing is heard yet
+        self._experiment = Status("", 0, "", values={})  # no message yet
         self._silent = False
         self.number = 0
         self._ended_at = 0.0
@@ -61,7 +61,7 @@ class Session:
         self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS)
 
     def poll(self) -> None:
-        """Take the time; a supervisor that has fallen silent is an event."""
+        """Read the clock; a supervisor that has become silent is an event."""
         self._now = self._awake.time()
         heard = self._nodes.get("")
         silent = heard is not None and self._now - heard[1] > SILENCE
@@ -69,11 +69,11 @@ class Session:
             if self._experiment.message in ENDED:
                 self._note("left", "the nodes of the test have shut down", 4)
             else:
-                self._note("gone", "the supervisor has fallen silent", 3)
+                self._note("gone", "the supervisor is silent", 3)
         self._silent = silent
 
     def on_state(self, status: Status) -> bool:
-        """Take in experiment/state; return whether a new test begins."""
+        """Process experiment/state; return whether a new test begins."""
         before, self._experiment = self._experiment, status
         self._nodes[""] = (status, self._now)
         last, news = ((each.message, each.values.get("detail", "")) for each in (before, status))
@@ -94,21 +94,21 @@ class Session:
         self._rigs = {}
 
     def on_diagnostics(self, statuses: list[Status], dt: float) -> None:
-        """Take in the diagnostics of nodes; dt is the period of a step, s."""
+        """Process the diagnostics of nodes; dt is the period of a step, s."""
         for status in statuses:
             if bare(status.name) not in NODES:
                 continue
             self._nodes[status.name] = (status, self._now)
             is_rig = bare(status.name) == RIG and status.values.get("phase", "idle") != "idle"
-            if is_rig and self._experiment.message not in NOT_BEGUN:  # else it is of the last test
+            if is_rig and self._experiment.message not in NOT_BEGUN:  # else it is the last test's
                 self._follow_rig(status, dt)
 
     def on_description(self, node: str, parameters: dict[str, Any]) -> None:
-        """Take in a node's parameters; those of several rigs are of all."""
+        """Process a node's parameters; several rigs share theirs."""
         self.sections[bare(node)] = parameters
 
     def summary(self) -> dict[str, Any]:
-        """Give what the page shows of it, JSON values."""
+        """Give the values for the page, JSON values."""
         state, values = self._experiment.message, self._experiment.values
         rig = self._of_all_rigs()
         return {
@@ -131,7 +131,7 @@ class Session:
         }
 
     def events(self) -> list[dict[str, Any]]:
-        """Give what happened, oldest first: when (s), what, why, and its level."""
+        """Give the events, oldest first: time (s), event, reason, and level."""
         return list(self._events)
 
     def _node(self, name: str) -> dict[str, Any]:
@@ -168,7 +168,7 @@ class Session:
         }
 
     def _of_all_rigs(self) -> dict[str, str]:
-        """Combine the values of all rigs: the sum of what they missed, else the worst."""
+        """Combine the values of all rigs: the sum of missed commands, otherwise the worst."""
         first, *others = list(self._rigs.values()) or [{}]
         found = dict(first)
         for other in others:
@@ -191,14 +191,14 @@ class Session:
             return  # round trips of the first rig are shown
         steps, last = (_whole(each.get("steps")) or 0 for each in (values, before))
         if steps < last:
-            self.round_trips = []  # of another test
+            self.round_trips = []  # those of another test
         if steps == last:
             return
         trip, missed = _named(values, ROUND_TRIP), _whole(values.get("missed")) or 0
         times = trip.get("median (ms)"), trip.get("largest (ms)")
         self.round_trips.append((steps * dt, *times, missed))
         if len(self.round_trips) > 2 * EVENTS:
-            del self.round_trips[1::2]  # older ones get thinner: memory is bounded
+            del self.round_trips[1::2]  # every second one: memory is bounded
 
     def _note(self, what: str, detail: str, level: int) -> None:
         self._events.append(

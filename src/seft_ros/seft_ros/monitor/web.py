@@ -21,10 +21,10 @@ from seft_ros.monitor.history import Frame
 LIBRARY = Path(bokeh.__file__).parent / "server" / "static" / "js"
 MOST_PAGES = 32
 BEHIND = 4_000_000
-"""Bytes that may wait for a slow page; beyond, it is skipped, and later gets everything anew."""
+"""Bytes that may wait for a slow page; after that it is skipped, and later receives all frames."""
 
 HEIGHT = 230  # pixels
-LEFT = 64  # pixels for the numbers: all figures begin at the same place, and nothing jumps
+LEFT = 64  # pixels for the numbers: all figures begin at the same place, which does not change
 LINES = {
     "displacement": ("displacement / mm", ("reference", "measured")),
     "displacement_error": ("displacement error / mm", ("error",)),
@@ -35,10 +35,10 @@ LINES = {
     "timing": ("time / ms", ("answer", "largest", "median", "period")),
     "missed": ("missed commands", ("missed",)),
 }
-"""Of each figure: the vertical axis, and its lines, the last on top."""
+"""Vertical axis and lines of each figure, the last line on top."""
 WIDTHS = {"natural": 1.0, "reference": 3.0, "answer": 1.0, "period": 1.0, "median": 2.0}
 STEPPED = ("largest", "median", "missed")
-"""Signals that are sent once a second, of the second before."""
+"""Signals that are sent once a second, for the last second."""
 
 STOPS = ("stop", "estop")
 Call = Callable[[str], Awaitable[tuple[bool, str]]]
@@ -46,7 +46,7 @@ Lateness = Callable[[int, float], str]
 
 
 class Page(Guarded):
-    """The page itself; a token in its address becomes a key in a cookie, and goes out of sight."""
+    """The page itself; a token in its address becomes a key in a cookie, and is hidden."""
 
     def get(self) -> None:
         """Answer with the page."""
@@ -63,7 +63,7 @@ class Figures(Guarded):
     """The figures, without their lines."""
 
     def get(self) -> None:
-        """Answer with what the plotting library makes figures of."""
+        """Answer with the data from which the plotting library makes figures."""
         self.set_header("Content-Type", "application/json")
         self.finish(self.settings["figures"])
 
@@ -72,7 +72,7 @@ class File(Guarded, StaticFileHandler):
     """A style sheet, a script, or the plotting library."""
 
     def set_extra_headers(self, path: str) -> None:
-        """Let browsers keep it, but ask each time whether it is still the same."""
+        """Let browsers keep it, but check each time whether it has changed."""
         del path
         self.set_header("Cache-Control", "no-cache")
 
@@ -80,14 +80,14 @@ class File(Guarded, StaticFileHandler):
 class Service(Guarded):
     """A button of the page.
 
-    A request to start or to reset says in which state the page made it, and when; a stop may be
-    late.
+    A request to start or to reset contains the state and the time at which the page made it; a
+    stop may be late.
     """
 
     async def post(self, name: str) -> None:
         """Call the supervisor; answer with its answer."""
         if not self.controls:
-            raise HTTPError(403, reason="this token may watch, and not control")
+            raise HTTPError(403, reason="this token may watch, but not control")
         why = "" if name in STOPS else self._lateness()
         done, text = (False, why) if why else await self.settings["call"](name)
         self.finish({"done": done, "text": text})
@@ -106,7 +106,7 @@ class Live(Guarded, WebSocketHandler):
     """Live frames to an open page."""
 
     waiting = 0
-    """Bytes that have not gone out yet."""
+    """Bytes that are not sent yet."""
 
     def check_origin(self, origin: str) -> bool:
         """Accept this page only."""
@@ -127,7 +127,7 @@ class Live(Guarded, WebSocketHandler):
         self.settings["pages"].remove(self)
 
     def send(self, frame: Frame) -> None:
-        """Send a frame, without waiting for it to go out."""
+        """Send a frame, without waiting for the end of sending."""
         try:
             sending = self.write_message(frame, binary=isinstance(frame, bytes))
         except WebSocketClosedError:
@@ -139,27 +139,27 @@ class Live(Guarded, WebSocketHandler):
     def _sent(self, size: int, sending: asyncio.Future[None]) -> None:
         self.waiting -= size
         if not sending.cancelled():
-            sending.exception()  # a page that has gone is no failure
+            sending.exception()  # a closed page is no failure
 
 
 class Pages:
-    """The pages that are open.
+    """The open pages.
 
     Parameters
     ----------
     everything : callable
-        Gives what a page needs that has just been opened.
+        Gives all frames for a newly opened page.
     """
 
     def __init__(self, everything: Callable[[], list[Frame]]) -> None:
         self._everything = everything
-        self._open: dict[Live, bool] = {}  # and whether it knows all
+        self._open: dict[Live, bool] = {}  # page -> whether it has all frames
 
     def __len__(self) -> int:
         return len(self._open)
 
     def add(self, page: Live) -> bool:
-        """Take in a page, unless there are too many."""
+        """Add a page, unless there are too many."""
         if len(self._open) >= MOST_PAGES:
             return False
         self._open[page] = False
@@ -176,7 +176,7 @@ class Pages:
             page.close(1001, "the monitor has ended")
 
     def send(self, frames: list[Frame]) -> None:
-        """Send what is new to every page, and everything to pages that lack it."""
+        """Send the news to every page, and all frames to new and skipped pages."""
         for page, knows_all in list(self._open.items()):
             if page.waiting > BEHIND:
                 self._open[page] = False
@@ -188,10 +188,10 @@ class Pages:
 
 
 def figures() -> dict[str, Any]:
-    """Make all figures by name, as ``Bokeh.embed.embed_item`` takes them; still empty.
+    """Make all figures by name, for ``Bokeh.embed.embed_item``; still empty.
 
-    The page's script puts the lines into them: each has a data source of its name, with columns
-    x in s and y in the unit of the axis.
+    The page's script adds the lines: each has a data source with its name, with columns x in s and
+    y in the unit of the axis.
     """
     return {name: json_item(_figure(name, *LINES[name])) for name in LINES}
 
@@ -225,7 +225,7 @@ def application(
     tokens: Tokens, local_only: bool, port: int, pages: Pages, call: Call, lateness: Lateness
 ) -> Application:
     """Make the web application; see `Guarded` for local_only, `Watch.lateness` for lateness."""
-    drawn = json.dumps(figures())  # now: it takes a second, for which a stop would wait
+    drawn = json.dumps(figures())  # now: it takes a second, and a stop would have to wait
     return Application(
         [
             (r"/", Page),

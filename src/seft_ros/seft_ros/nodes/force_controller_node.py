@@ -39,13 +39,12 @@ from seft_ros.test_run.state_machine import (
 class Silence:
     """Time since the last state of a running test.
 
-    A pause in which this process itself was held up counts as one look, as what had come
-    meanwhile could not be seen.
+    A stall of this process counts as one look, because it could not read the messages of that time.
 
     Parameters
     ----------
     longest : float
-        Silence beyond which the test can't go on, s; infinite: never.
+        Silence after which the test can't continue, s; infinite: never.
     """
 
     def __init__(self, longest: float) -> None:
@@ -53,23 +52,23 @@ class Silence:
         self.pause = longest / 8
         """Longest time between two looks, s."""
         self._age = 0.0
-        self._looked_at = math.inf  # nobody listens
+        self._looked_at = math.inf  # no test runs
 
     @property
     def is_watching(self) -> bool:
-        """Whether a test runs, and states are to come."""
+        """Whether a test runs, and states are expected."""
         return self._looked_at < math.inf
 
     def end(self) -> None:
         """Expect no more states."""
         self._looked_at = math.inf
 
-    def heard(self, now: float) -> None:
-        """Note a state at ``now``, s, monotonic: more are to come."""
+    def received(self, now: float) -> None:
+        """Note a state at ``now``, s, monotonic; more are expected."""
         self._age, self._looked_at = 0.0, now
 
     def is_too_long(self, now: float) -> bool:
-        """Look at the clock; say whether states have failed to come for too long."""
+        """Look at the clock; say whether states have been missing for too long."""
         if not self.is_watching:
             return False
         self._age += min(max(now - self._looked_at, 0.0), 2 * self.pause)
@@ -87,8 +86,8 @@ class ForceControllerNode(NodeBody):
     If the reference force comes over a link, it answers each state at once with the force that the
     newest message has for its step.
 
-    Once tripped it answers every further state with 0 V, and sends nothing otherwise: for a rig
-    whose states are missing, 0 V of its last step would be stale.
+    After a trip it answers every further state with 0 V. It sends nothing without a state: if the
+    rig's states are missing, 0 V for its last step would be stale.
     """
 
     def __init__(self, shell: NodeShell) -> None:
@@ -106,10 +105,10 @@ class ForceControllerNode(NodeBody):
             self._previews = NewestPreview.from_parameters(section, axes, timebase)
         self._forces = self._previews or MatchedForces()
         self._reported_at = 0.0
-        self._moving = False  # as the supervisor says
+        self._moving = False  # by the supervisor's state
         self._order = SampleOrder(timebase)
         self._silence = Silence(section["watchdog.state_timeout"])
-        self._refused_before = 0  # messages, until the last state came
+        self._refused_before = 0  # messages, until the last state arrived
         self._warm_up()
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
         if self._previews is not None:
@@ -121,11 +120,11 @@ class ForceControllerNode(NodeBody):
         self._state_codec = TrajectoryCodec(RIG_STATE.of(rig), axes, timebase)
         # the reference force is one message for all rigs
         self._places = list(rig.places) if rig.name else slice(None)
-        # without a link the state of a step is nearly always there before the force that answers
-        # it: only the force wakes the node
+        # without a link the state of a step nearly always arrives before the force that answers it:
+        # only the force wakes the node
         shell.subscribe(topic, self._on_force, reliable=False)
         if len(experiment.rigs) == 1 and self._previews is None:
-            # a controller of its own: nothing of a rehearsal is left in a test
+            # a separate controller, so that a rehearsal does not influence a test
             self._rehearsing: Interlock | None = None
             self._rehearsed_force: tuple[int, Floats] = -1, np.empty(0)
             self._rehearsed_state: tuple[int, Floats] = -1, np.empty(0)
@@ -186,7 +185,7 @@ class ForceControllerNode(NodeBody):
             self._silence.end()
             if moving:
                 self._report()  # the complete result
-        if status.message == "idle" and self._controller.reason:  # the operator has reset it
+        if status.message == "idle" and self._controller.reason:  # after a reset by the operator
             self._controller.reset()
             self._report()
 
@@ -199,11 +198,11 @@ class ForceControllerNode(NodeBody):
         if step in self._states:
             raise WireError(f"{RIG_STATE.name} of step {step} a second time")
         if step + 1 < self._order.steps and not self._order.in_lockstep:
-            self._silence.heard(time.monotonic())
+            self._silence.received(time.monotonic())
             self._refused_before = self._shell.refused
         else:
             self._silence.end()  # the test is over, not known to run, or in lockstep
-        if self._controller.reason:  # it needs no reference force any more
+        if self._controller.reason:  # after a trip no reference force is needed
             self._answer(step, np.zeros((1, 1, state.shape[1])), state)
             return
         self._states[step] = state
@@ -217,8 +216,8 @@ class ForceControllerNode(NodeBody):
         if self._controller.reason and step <= self._order.last:
             return
         for force in points[: self._settled, -1]:
-            if nonsense := self._controller.nonsense(force):
-                raise WireError(f"{name} of step {step}: {nonsense}")
+            if implausible := self._controller.implausible(force):
+                raise WireError(f"{name} of step {step}: {implausible}")
         self._begin_with(step)  # it may be read before its state
         if self._previews is None:
             self._order.check(name, step)
@@ -231,7 +230,7 @@ class ForceControllerNode(NodeBody):
             self._answer_if_complete(waiting)
 
     def _fetch_state(self, step: int) -> None:
-        """Read states until that of a step, which is answered when it comes."""
+        """Read states until that of a step, which is answered when it arrives."""
         for _ in range(MOST_AT_ONCE):
             if step <= self._order.last or step in self._states or self._read_state() is None:
                 return
@@ -246,7 +245,7 @@ class ForceControllerNode(NodeBody):
         self._answer_rehearsed()
 
     def _answer_rehearsed(self) -> None:
-        """Answer a step of a rehearsal: the rig does not obey, which detectors may see; no trip."""
+        """Answer a step of a rehearsal; the rig does not obey, so detectors must not trip."""
         (step, points), (other, state) = self._rehearsed_force, self._rehearsed_state
         if step != other:
             return
@@ -296,7 +295,7 @@ class ForceControllerNode(NodeBody):
                 f"step {previews.newest}); is the link to the reference_force node cut?"
             )
         elif time.monotonic() - self._reported_at >= REPORT_PERIOD:
-            self._report()  # the answer is sent, and there is time
+            self._report()  # after the answer there is time
 
     def _trip(self, reason: str) -> None:
         self._silence.end()

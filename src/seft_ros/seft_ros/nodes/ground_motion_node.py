@@ -17,7 +17,7 @@ TIMER_PERIOD = 0.02  # s
 class GroundMotionNode(NodeBody):
     """Publishes chunks of a `GroundMotion`, a lead ahead of the rig's time.
 
-    That time is read from /clock, every 0.1 s of the test: reading every rig/state would wake one
+    It reads that time from /clock, every 0.1 s of the test: reading every rig/state would wake one
     more process in each step.
     """
 

@@ -2,8 +2,8 @@
 
     ros2 run seft_ros loop --nodes rig reference_force --ros-args --params-file FILE
 
-They are the nodes that also have executables of their own, with the same names, topics, parameters
-and bits. They hand each other their messages directly; all others receive them on the topics.
+They are the same nodes as the separate executables, with the same names, topics, parameters and
+bits. They pass their messages to each other directly; all others receive them on the topics.
 """
 
 import argparse

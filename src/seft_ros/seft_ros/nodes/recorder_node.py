@@ -1,9 +1,9 @@
-"""Node ``recorder``: writes every message of a test, as it came, into a bag.
+"""Node ``recorder``: writes every message of a test, as received, into a bag.
 
 It keeps the messages before the start that belong to the test (descriptions, ground motion), opens
 a bag when the test runs, and closes it when the test has ended and its topics are silent. The next
 test waits for that, and for a place where its bag can be made. The parameter ``on_loss`` says
-whether a test whose bag is lost goes on; it is recorded in any case.
+whether a test continues if its bag is lost; it is recorded in any case.
 """
 
 import json
@@ -51,7 +51,7 @@ from seft_ros.bags.stall_watch import StallWatch
 from seft_ros.test_run.parameter_tables import RECORDER, TABLES
 from seft_ros.test_run.peers import ALL_ANSWERED, RECORDING, SILENT, WAITS
 
-SILENCE = 0.3  # s without a message of a step: the last one has come
+SILENCE = 0.3  # s without a message of a step: the last one has arrived
 LONG_SILENCE = 3.5  # s, if messages are missing: DDS may resend them every 3 s only
 LONGEST_DRAIN = 15.0  # s
 TICK = 0.02  # s
@@ -71,14 +71,14 @@ class RecorderNode(NodeBody):
         self._descriptions: dict[str, tuple[Topic, bytes, int]] = {}
         self._before: deque[tuple[Topic, bytes, int]] = deque(maxlen=20_000)
         self._bag: LastingBag | None = None
-        self._reason = self._unsaved = ""  # to bring the test down; why its bag can't be saved
+        self._reason = self._unsaved = ""  # to ramp the test down; why its bag can't be saved
         self._checked_at = -PLACE_PERIOD
         self._steps = 0  # of the next test
         self._phase = "idle"
         self._ended_at: float | None = None
-        self._next_began = False  # ground motion of the next test has come
+        self._next_began = False  # ground motion of the next test has arrived
         self._values = {"phase": "idle"}
-        self._is_trip_complete = True  # how the test ended
+        self._is_trip_complete = True  # whether the reason of a trip is complete
         self._force_phase = ""  # of the reference force
         self._step_message_at = 0.0
         self._samples = Counter[str]()  # by topic
@@ -94,7 +94,7 @@ class RecorderNode(NodeBody):
             shell.subscribe(topic, self._receiver(topic), depth=depth, wake=False)
 
     def run(self) -> None:
-        """Record until the process ends; close a bag that is open then."""
+        """Record until the process ends; then close an open bag."""
         try:
             super().run()
         finally:
@@ -172,7 +172,7 @@ class RecorderNode(NodeBody):
         self._before.append((topic, raw, now))
 
     def _is_of_the_next_test(self, motion: bytes) -> bool:
-        """Tell whether a chunk belongs to a test after that of the open bag."""
+        """Say whether a chunk belongs to a test after that of the open bag."""
         if self._ended_at is None or self._bag is None:
             return False
         self._next_began |= self._motion_codec.decode(motion)[0] == 0
@@ -192,7 +192,7 @@ class RecorderNode(NodeBody):
             if self._ended_at is not None:
                 return
             self._ended_at = time.monotonic()
-            last = test.number("step")  # where it tripped
+            last = test.number("step")  # of the trip
             steps = self._steps if phase == State.DONE else 0
             self._expected = steps if last is None else last + 1
         self._phase = phase
@@ -250,7 +250,7 @@ class RecorderNode(NodeBody):
             self._watch.begin(there["cores"], period, there["priority"], first=first)
 
     def _place(self) -> Path:
-        """Folder of the next bag; a default name is one that is free."""
+        """Folder of the next bag; a default name is a free one."""
         directory = Path(self._section["directory"])
         if self._section["name"]:
             return directory / self._section["name"]
@@ -261,13 +261,13 @@ class RecorderNode(NodeBody):
         return place
 
     def _check_place(self) -> None:
-        """Have the next test wait while its bag can't be made."""
+        """Make the next test wait while its bag can't be made."""
         if (now := time.monotonic()) - self._checked_at < PLACE_PERIOD:
             return
         self._checked_at = now
         why = obstacle(self._place(), self._expected_size(self._steps))
         if why:
-            why += "; mend that or set its parameter name or directory to another"
+            why += "; correct that, or set its parameter name or directory to another"
         if why != self._values.get(WAITS, ""):
             self._report(**(self._values | {WAITS: why}))
 

@@ -1,6 +1,6 @@
 """Node ``reference_force``: answers each rig/state with the reference force of its step.
 
-It ramps the force down if the supervisor says so, or if the force is at fault. Phases: ready,
+It ramps the force down on request of the supervisor, or after a fault of the force. Phases: ready,
 ramping_down, at_rest, ended.
 """
 
@@ -38,7 +38,7 @@ from seft_ros.test_run.state_machine import (
 )
 
 RIG_POLL = 0.002  # s between polls for the state of a late rig
-LONGEST_MODEL_STEP = 0.05  # s, of a computed model: by then a rig has held its command for long
+LONGEST_MODEL_STEP = 0.05  # s, of a computed model: by then the rig has held its command too long
 
 
 class ReferenceForceNode(NodeBody):
@@ -74,12 +74,12 @@ class ReferenceForceNode(NodeBody):
         self._waiting: dict[int, Floats] = {}
         self._order = SampleOrder(experiment.timebase, self._delay)
         self._conflict = ""  # why this test is not answered
-        self._test = ""  # state of the test, as the supervisor says
+        self._test = ""  # state of the test, from the supervisor
         self._phase = ""
         self._cause_step = self._ramp_step = -1
         self._warm_up()
         if self._gathering is None and not self._delay:
-            # a block of its own: nothing of a rehearsal is left in a test
+            # a separate block, so that a rehearsal does not influence a test
             self._rehearsing: ProtectedForce | None = None
             self.facts = {REHEARSES: True}
             self._publish_rehearsed = shell.publisher(rehearsed(topic))
@@ -103,7 +103,7 @@ class ReferenceForceNode(NodeBody):
             self._trip_for(self._gathering.lost(time.monotonic()), max(self._order.last, 0))
 
     def fault(self, reason: str) -> None:
-        """End the test: no state is answered any more."""
+        """End the test: no more states are answered."""
         self._trip_for(reason, max(self._order.last, 0))
 
     def period(self) -> float:
@@ -136,7 +136,7 @@ class ReferenceForceNode(NodeBody):
     def _on_ground_motion(self, raw: bytes, _: int) -> None:
         first, values = self._motion_codec.decode(raw)
         check_magnitude("ground_motion from step", first, values)
-        if first == 0:  # a new motion, of which nothing has passed
+        if first == 0:  # a new motion, from its beginning
             under_way = self._order.steps and not self._order.may_begin
             if under_way and self._order.last >= 0:  # before, a state overtook its motion
                 raise WireError("a new ground_motion in the middle of a test")
@@ -167,7 +167,7 @@ class ReferenceForceNode(NodeBody):
             self._answer(step, state)
 
     def _on_rehearsed_state(self, raw: bytes, _: int) -> None:
-        """Answer a state of a rehearsal, in which the ground is at rest; no trip follows."""
+        """Answer a state of a rehearsal, with the ground at rest; it can't trip."""
         step, values = self._state_codecs[0].decode(raw)
         if self._rehearsing is None:
             experiment = self._shell.experiment
@@ -192,7 +192,7 @@ class ReferenceForceNode(NodeBody):
         self._follow_test()
 
     def _follow_test(self) -> None:
-        """Act on the state of the test, also when a test begins in it."""
+        """Act on the state of the test, also at the beginning of a test."""
         if self._test == State.RAMPING_DOWN:
             self._block.ramp_down()
             for step in sorted(self._waiting):
@@ -206,15 +206,15 @@ class ReferenceForceNode(NodeBody):
             self._report("ready")
 
     def _trip_for(self, reason: str, step: int) -> None:
-        """End the test for a reason, if there is one: no state is answered any more."""
+        """End the test for a reason, if there is one: no more states are answered."""
         self._conflict = reason
         if reason:
             self._shell.report(tripped_status("reference_force", reason, step))
 
     def _answer(self, step: int, state: Floats) -> None:
-        """Answer a state, or keep it until its ground motion comes."""
+        """Answer a state, or keep it until its ground motion arrives."""
         motion = self._motion.window(step, self._window)
-        if motion is None and self._test != State.RAMPING_DOWN:  # in which it may never come
+        if motion is None and self._test != State.RAMPING_DOWN:  # in a ramp it may never arrive
             self._waiting[step] = state
             return
         self._waiting.pop(step, None)
@@ -229,7 +229,7 @@ class ReferenceForceNode(NodeBody):
             self._send_estimates(step)
 
     def _ask_model(self, step: int) -> None:
-        """Step a computed model, now that the sample is answered; trip if it takes far too long."""
+        """Step a computed model, after the answer to the sample; trip if it takes far too long."""
         begun = time.monotonic()
         self._block.ask_model()
         took = time.monotonic() - begun
@@ -241,7 +241,7 @@ class ReferenceForceNode(NodeBody):
             )
 
     def _message(self, step: int, motion: Floats | None, state: Floats) -> bytes:
-        """Message that answers a state; lost states before it are bridged."""
+        """Message that answers a state; lost states before it are interpolated."""
         if self._delay and step > self._order.last + 1:
             lost = range(self._order.last + 1, step)
             self._block.bridge([self._motion.window(s, self._window) for s in lost], state)
@@ -264,7 +264,7 @@ class ReferenceForceNode(NodeBody):
         self.report(phase, values, OK if cause is None else ERROR, cause or phase)
 
     def _send_estimates(self, step: int) -> None:
-        """Publish the method's estimates; if they can't be sent, the test goes on."""
+        """Publish the method's estimates; if they can't be sent, the test continues."""
         estimates = self._sampler.sample(step)
         try:
             if estimates:

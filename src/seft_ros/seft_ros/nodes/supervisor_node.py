@@ -1,6 +1,6 @@
 """Node ``supervisor``: starts, watches and ends a test.
 
-It holds the state machine, publishes it latched on experiment/state, and serves start, stop,
+It has the state machine, publishes the state latched on experiment/state, and serves start, stop,
 estop and reset.
 """
 
@@ -65,12 +65,12 @@ from seft_ros.test_run.state_machine import (
 HEARTBEAT = 0.2  # s between two publications of the state
 AGES_PERIOD = 1.0  # s
 GRAPH_PERIOD = 0.2  # s between two polls of the graph
-STOOD_STILL = 1.0  # s without a poll; requests to start or reset that waited so long expire
+STOOD_STILL = 1.0  # s without a poll; requests to start or reset expire after that time
 MOST_AT_ONCE = 1000  # messages between two polls, in a flood
 LEVELS = {State.RAMPING_DOWN: WARN, State.TRIPPED: ERROR}
 SOFT_PEERS = ("ground_motion", "recorder")
 """Nodes without which the loop can still ramp the force down."""
-START_AHEAD_NS = 200_000_000  # time in which the start reaches all rigs
+START_AHEAD_NS = 200_000_000  # in this time the start reaches all rigs
 LOCKSTEP_PATIENCE = 10.0  # times the margin of realtime
 FAULTY = Answer(False, "a fault of the program; the supervisor's log has it, and a test is ended")
 
@@ -97,11 +97,11 @@ class SupervisorNode(NodeBody):
         self._publish = shell.publisher(EXPERIMENT_STATE)
         self._state, self._since = State.IDLE, self._now  # at the last poll
         self._silent: list[str] | None = None  # nodes silent before a trip, once known
-        self._lost: set[str] = set()  # nodes that have fallen silent in this test
+        self._lost: set[str] = set()  # nodes that have become silent in this test
         self._published: Status | None = None
         self._logged = self._warned = ""  # the last line of the log, and of a rehearsal
-        self._is_unfit = False  # a rehearsal stands against a test
-        self._asked = 0.0  # s for which the rig shall rehearse
+        self._is_unfit = False  # a rehearsal prevents a test
+        self._asked = 0.0  # s, requested duration of a rehearsal
         self._message = b""
         self._published_at = self._polled_graph_at = self._reported_at = self._now - AGES_PERIOD
         shell.subscribe(DIAGNOSTICS, self._on_diagnostics)
@@ -122,11 +122,11 @@ class SupervisorNode(NodeBody):
             self._shell.spin_once()
             for _ in range(MOST_AT_ONCE):
                 if not self._shell.spin_once(0.0):
-                    break  # a node is silent only if none of these is its own
+                    break  # a node is silent only if none of these messages is its own
             self._shell.attempt("a poll", self.poll)
 
     def fault(self, reason: str) -> None:
-        """End a test at once; the services go on answering."""
+        """End a test at once; the services still answer."""
         with self._lock:
             self._machine.hard_trip(reason, self._step())
             self._publish_if_due()
@@ -162,7 +162,7 @@ class SupervisorNode(NodeBody):
         """Note when a state began; skip a ramp if there is no node for it."""
         machine = self._machine
         if machine.state is State.RAMPING_DOWN and "reference_force" not in self._peers:
-            machine.at_rest()  # no node ramps the force down
+            machine.at_rest()  # there is no node that ramps the force down
         if machine.state is not self._state:
             self._state, self._since, self._silent = machine.state, self._now, None
             if self._state is State.RUNNING:
@@ -182,7 +182,7 @@ class SupervisorNode(NodeBody):
         self._machine.peers(lack or self._rehearsal())
 
     def _rehearsal(self) -> str:
-        """Have the loop rehearsed, and say what a test still lacks; empty if nothing."""
+        """Rehearse the loop, and say what a test still needs; empty if nothing."""
         nodes = {name: self._descriptions.get(name, {}) for name in self._peers}
         found = judge(self._section["rehearsal.duration"], nodes)
         self._asked = found.asked
@@ -195,7 +195,7 @@ class SupervisorNode(NodeBody):
         return f"{UNFIT}{found.refusal}" if found.refusal else ""
 
     def _watch_peers(self) -> None:
-        """Trip if a peer falls silent: softly, if the loop can go on without it."""
+        """Trip if a peer becomes silent: softly, if the loop can continue without it."""
         gone = silent(self._peers, self._heard, self._now, self._timeout)
         self._lost.update(gone)
         for node in sorted(gone, key=SOFT_PEERS.__contains__):
@@ -205,7 +205,7 @@ class SupervisorNode(NodeBody):
         ramped_for = self._now - self._since if self._state is State.RAMPING_DOWN else 0.0
         if self._machine.state is State.RAMPING_DOWN and ramped_for > self._ramp_patience():
             self._machine.hard_trip(
-                f"the reference force has not come to rest within {self._ramp_patience():g} s",
+                f"the reference force has not become zero within {self._ramp_patience():g} s",
                 self._step(),
             )
 
@@ -216,7 +216,7 @@ class SupervisorNode(NodeBody):
         return float(self._parameters("reference_force").get("ramp_down_time", 0.0)) + margin
 
     def _find_the_silent(self) -> None:
-        """Find the nodes that were silent when the test tripped: they send nothing after it."""
+        """Find the nodes that were silent when the test tripped: they send nothing after that."""
         unheard = [n for n in self._peers if n in self._heard and self._heard[n].at < self._since]
         gone = silent(unheard, self._heard, self._now, self._timeout)
         if unheard == gone:
@@ -226,10 +226,10 @@ class SupervisorNode(NodeBody):
                 self._machine.note(silence(node, self._heard))
 
     def _reset(self) -> Answer:
-        """Make the next test possible; while a rehearsal stands against it, ask for another one."""
+        """Make the next test possible; if a rehearsal prevents it, request another one."""
         is_unfit = self._machine.state is State.IDLE and self._is_unfit
         if is_unfit and self._descriptions[RIG].pop(REHEARSED, None) is not None:
-            return Answer(True, "the loop is rehearsed once more")
+            return Answer(True, "the loop is rehearsed again")
         return self._machine.reset(moving=any(self._phase(n) == "running" for n in self._rig_nodes))
 
     def _in_time(self, request: Callable[[], Answer], what: str) -> Callable[[], Answer]:
@@ -238,7 +238,7 @@ class SupervisorNode(NodeBody):
         def answer() -> Answer:
             now = time.monotonic()
             if now - self._looked_at > STOOD_STILL or now - self._woke_at < STOOD_STILL:
-                return Answer(False, f"can't {what}: the supervisor has stood still; ask once more")
+                return Answer(False, f"can't {what}: the supervisor has stalled; try again")
             return request()
 
         return answer
@@ -288,7 +288,7 @@ class SupervisorNode(NodeBody):
         self._log(level)
 
     def _log(self, level: int) -> None:
-        """Log the state if it is a new one; a line of the program may have one level only."""
+        """Log the state if it is new; rclpy allows one level for each line of the program."""
         line, log = self._machine.log_line, self._shell.node.get_logger()
         if line == self._logged:
             return
@@ -317,7 +317,7 @@ class SupervisorNode(NodeBody):
             cause = reason if is_rig else f"{status.name}: {reason}"
             trip(cause, status.number("step"))
             if status.name in self._lost and reason != STOPPED:
-                machine.note(cause)  # what it did while its link was cut
+                machine.note(cause)  # its trip while the link was cut
         elif is_rig and phase == FINISHED:
             if all(self._phase(rig) == FINISHED for rig in self._rig_nodes):
                 self._machine.finish(f"{status.values.get('steps')} steps done")
@@ -344,7 +344,7 @@ class SupervisorNode(NodeBody):
         return parameters
 
     def _step(self) -> int:
-        """Step of the test by /clock, which comes every 0.1 s of the test."""
+        """Step of the test by /clock, which is published every 0.1 s of the test."""
         return round(self._test_s * self._shell.experiment.timebase.rate)
 
 

@@ -1,1 +1,1 @@
-"""What brings a test down softly: ramp, plausibility, guards."""
+"""Protection of the reference force: ramp-down, plausibility, instability watch, detectors."""

@@ -1,22 +1,22 @@
 """Analytical redundancy of the channels, step by step, compiled.
 
-What is measured must agree with itself, whatever the specimen is. Over one sampling period, with
+The measured channels must agree with each other, for any specimen. Over one sampling period, with
 displacement x, velocity v, acceleration a, actuator force f and the valve's flow w::
 
     change of x = integral of v                                                            (1)
     change of v = integral of a                                                            (2)
     integral of w = integral of (v + lambda f / k_oil) + change of f / k_oil               (3)
 
-Each side is summed with a memory of `MEMORY`, so that a slow fault shows, too. The mean of their
+Each side is summed with a memory of `MEMORY`, so that slow faults show, too. The mean of their
 recent differences, which is the bias of a sensor, is subtracted. The specimen's force
-r = f - M a does work on the structure; where the specimen is deformed further, its increment is not
-opposed to that of the deformation (Hill's second-order work, 1958)::
+r = f - M a does work on the structure; while the specimen is deformed further, the increment of r
+does not oppose that of the deformation (Hill's second-order work, 1958)::
 
     sum dr . dx >= 0                                                                       (4)
 
-What is wrong for a few samples is a spike; each detector has a persistence.
+A deviation of a few samples is a spike, so each detector has a persistence.
 
-`detect` gives each the samples.
+`detect` passes the samples to all detectors.
 """
 
 import math
@@ -53,18 +53,18 @@ from seft_ros.protection.detectors import (
 OPPOSED = 0.5
 """Part of the assumed stiffness by which a specimen may soften: fracture, buckling."""
 SLIP, BREAK, STIFFEST = 0.35, 0.25, 6.0
-"""What a specimen may make of its force in a step: parts of its largest, with and against the
-motion, and with it so many times its assumed stiffness."""
+"""Largest change of a specimen's force in a step: parts of its largest force, with and against the
+motion; with the motion, in addition, so many times the assumed stiffness."""
 TURNED, TURN, MOVES = 3, 2.0, 0.2
-"""Samples after a turn of the motion in which friction turns round, what that makes of the force,
-and the part of the fastest recent motion from which on a specimen does not stick."""
+"""Samples after a turn of the motion in which friction reverses, the change of the force by that,
+and the part of the fastest recent motion above which a specimen does not stick."""
 SILENT = 25.0
-"""Mean square of the change of the computed mass's force over that of the noise, from which on a
-force that is but noise does not answer."""
+"""Mean square of the change of the computed mass's force over that of the noise, above which a
+measured force that is only noise does not answer the motion."""
 CORNER = SIGMAS * math.sqrt(6.0)
 """Second difference of an acceleration that is more than noise, over the RMS of the noise. A jump
-between two samples shows in two of them, and makes the trapezoidal rule of (2) wrong by half of
-it."""
+between two samples shows in two of them, and causes an error of half the jump in the trapezoidal
+rule of (2)."""
 ALTERNATE = 0.33
 """Part of the recent samples at which r alternates: white noise far beyond its threshold does so in
 2 of 3, a specimen with impacts or a ringing oil column in 1 of 3."""
@@ -97,7 +97,7 @@ def look_at_restoring_force(
         state.bends[1, i] = p.short * state.bends[1, i] + alternates
     if look(p, state, ROUGH, i, state.bends[1, i], ALTERNATE / (1.0 - p.short)):
         found = ROUGH * n + i
-    # what has jumped must stay there
+    # after a jump, r must stay there
     jump = change + (r[1, i] if state.counts[JUMP, i] else 0.0)
     stiff = STIFFEST * (rise if jump > 0.0 else fall)
     part = TURN if slips else (SLIP if stiff > 0.0 else BREAK)
@@ -109,7 +109,7 @@ def look_at_restoring_force(
 
 @compiled
 def look_at_response(p: DetectorParameters, state: DetectorState, measured: Floats, i: int) -> int:
-    """Whether a force is but noise, while the computed mass alone asks for far more."""
+    """Whether a force is only noise, while the computed mass alone requires far more."""
     n, last, response = measured.shape[1], state.last, state.response
     inertia = hiss = 0.0
     for k in range(n):
@@ -144,22 +144,22 @@ def look_at_work(p: DetectorParameters, state: DetectorState, measured: Floats) 
 
 
 CHANNEL, OTHER = (0, 1, 3), (1, 2, 1)
-"""Channel of each whose change is compared, and with which other."""
+"""For each relation: the channel whose change is compared, and the channel that is integrated."""
 ACCELERATION, FORCE = 2, 3
 """Rows of these channels."""
 OF_SENSORS = (0, 1, 3, 4, SECOND_ORDER_WORK, JUMP)
-"""Those which make a sample suspect."""
+"""Detectors that make a sample suspect."""
 SOUND, SUSPECT = -1, -2
-"""What `detect` gives where no detector ends the test: nothing is beyond its threshold, or the
-sample is not to be used."""
+"""Results of `detect` if no detector ends the test: nothing is beyond its threshold, or the sample
+must not be used."""
 LEAST_PRESSURE = 0.2
-"""Part of the supply pressure that is always reckoned to be left for the flow."""
+"""Part of the supply pressure that is always assumed to be left for the flow."""
 MISSED = 2.0
-"""Commands in a row that the rig may miss, and no sample is beyond its threshold."""
+"""Commands in a row that the rig may miss without a sample beyond its threshold."""
 NEVER = -(2**40)
 SAME, SUSPECTED = 1e-9, 2.0 / 3.0
-"""Chance of as many equal samples of a channel that is not frozen, and the part of these from which
-on a sample is suspect: a chance of 1e-6."""
+"""Chance of so many equal samples of a channel that is not frozen, and the part of these samples
+after which a sample is suspect: a chance of 1e-6."""
 
 
 @compiled
@@ -194,7 +194,7 @@ def under_load(direction: float, force: float, capacity: float) -> float:
 def take_command(
     p: DetectorParameters, state: DetectorState, command: Floats, limited: bool
 ) -> None:
-    """Remember the command that answers the last sample, (n,), V, and whether it is limited."""
+    """Store the command that answers the last sample, (n,), V, and whether it is limited."""
     if limited:
         state.step[LIMITED_AT] = state.step[SAMPLE]
     for i in range(len(command)):
@@ -206,7 +206,7 @@ def take_command(
 
 @compiled
 def find_flow(p: DetectorParameters, state: DetectorState, lost: int) -> None:
-    """Find the flow of each valve now; where samples were lost, the last command was held."""
+    """Find the present flow of each valve; if samples were lost, the last command was held."""
     for i in range(len(state.flow[0])):
         for _ in range(min(lost, state.sent.shape[1])):
             for j in range(state.sent.shape[1] - 1, 0, -1):
@@ -227,7 +227,7 @@ def sees(state: DetectorState, step: int, row: int) -> bool:
 
 @compiled
 def worse(found: int, other: int) -> int:
-    """Give the first of two findings that is one; else, whether the sample is suspect."""
+    """Give the first finding of a fault; without one, whether the sample is suspect."""
     if found < 0 <= other:
         return other
     return found if found >= 0 else min(found, other)
@@ -237,17 +237,17 @@ def worse(found: int, other: int) -> int:
 def detect(
     p: DetectorParameters, state: DetectorState, step: int, points: Floats, measured: Floats
 ) -> int:
-    """Take a sample in; say which detector ends the test, row * n + axis, or `SOUND` or `SUSPECT`.
+    """Check a sample; give the detector that ends the test, row * n + axis, `SOUND` or `SUSPECT`.
 
     Parameters
     ----------
     p, state
-        The state is brought up to date.
+        The state is updated.
     step : int
-        Of the sample. Where that of the step before is missing, nothing is compared; what is at the
-        end of a sensor's range is not, either.
+        Of the sample. Nothing is compared if the sample before is missing; a channel is not used if
+        it is at the end of its sensor's range.
     points : ndarray
-        Of the reference force, shape (h + 1, q, n); q is 3 where it is of a target.
+        Of the reference force, shape (h + 1, q, n); q is 3 for a target.
     measured : ndarray
         Displacement, velocity, acceleration and force, finite, shape (4, n).
     """
@@ -298,7 +298,7 @@ def detect(
 def _tracking(
     p: DetectorParameters, state: DetectorState, step: int, points: Floats, measured: Floats, i: int
 ) -> int:
-    """Whether the specimen is where the target is, while the valve can bring it there."""
+    """Whether the specimen is away from the target, although the valve is not at its limit."""
     away = abs(points[0, 0, i] - measured[0, i])
     largest = max(abs(points[0, 0, i]), abs(measured[0, i]), p.memory * state.largest[6, i])
     state.largest[6, i] = largest
@@ -312,7 +312,7 @@ def _tracking(
 
 @compiled
 def hold(flows: Floats, newest: float) -> tuple[float, float]:
-    """Remember a flow; give the least and the largest of those that the rig may hold."""
+    """Store a flow; give the least and the largest of those that the rig may hold."""
     least = largest = newest
     for j in range(len(flows) - 1, 0, -1):
         flows[j] = flows[j - 1]
@@ -336,14 +336,14 @@ def look_at_sides(
     Parameters
     ----------
     p, state, row, i
-        As of `look`.
+        See `look`.
     sides : tuple of float
-        One side, the other, and the least and the largest that the one may be where the rig holds
-        a command.
+        One side, the other, and the least and the largest value of the first if the rig holds a
+        command.
     threshold : float
-        Beyond which no command that is held explains how they differ.
+        Difference above which no held command explains it.
     missed : float
-        By which they may differ further as the rig misses commands.
+        Further difference that missed commands may cause.
     """
     one, other, least, largest = sides
     beyond = max(other - largest, least - other)
@@ -456,12 +456,12 @@ def detect_all(
     commands: Floats,
     limit: float,
 ) -> None:
-    """Take in the samples of a whole test.
+    """Check the samples of a whole test.
 
     Parameters
     ----------
     p, state
-        The state, which has begun, is brought up to date.
+        The state, after its begin; it is updated.
     steps : ndarray
         Of the N samples, shape (N,).
     points, states, commands : ndarray

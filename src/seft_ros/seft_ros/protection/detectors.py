@@ -11,11 +11,11 @@ from seft_plant_sim.compiled import compiled
 from seft_plant_sim.sensors import CHANNELS
 
 LASTS, LONG_LASTS = 0.006, 0.02
-"""Times for which a detector must be beyond its threshold, s: longer than a spike; and, where a
-specimen that slips or bangs or a valve at its limit may be, longer than these."""
+"""Times for which a detector must be beyond its threshold, s: longer than a spike; and longer than
+the effects of a specimen that slips or hits a stop, or of a valve at its limit."""
 
 WARNING = 0.8
-"""Part of its threshold from which on a detector warns: noise alone reaches 0.75 in a test."""
+"""Part of its threshold at which a detector warns: noise alone reaches 0.75 in a test."""
 
 
 @dataclass(frozen=True)
@@ -25,16 +25,16 @@ class Detector:
     Attributes
     ----------
     name : str
-        By which parameters and reports call it.
+        Name in parameters and reports.
     text : str
-        What it says: a sentence of what it saw and its threshold.
+        Its finding in a sentence, with the measured value and the threshold.
     unit : str
-        Of these.
+        Of both.
     lasts : float
-        Persistence, s; three samples at least, as what comes between two shows in both; where it is
-        0, two.
+        Persistence, s; three samples at least, because an event between two samples shows in both;
+        0: two samples.
     of_valve : bool
-        Whether it knows the flow by the commands, of which a rig may have missed some.
+        Whether it uses the flow of the commands, some of which a rig may have missed.
     """
 
     name: str
@@ -87,18 +87,18 @@ DETECTORS = (
     ),
     *(Detector(f"{name}_frozen", _SAME.format(name), "samples", 0.0) for name in CHANNELS),
 )
-"""In the order of the rows in `detector_look`."""
+"""In the order of the rows of a detector's arrays."""
 
 MODEL_BASED = (
     *("oil_balance", "oil_noise", "second_order_work"),
     *("force_noise", "force_jump", "force_response"),
 )
-"""Those which need to know actuators or specimen: they only warn where these are to be found."""
+"""Detectors that need actuators or specimen: they only warn while these are being identified."""
 ALL = "all"
 
 
 def describe(place: int, found: Floats, axes: Sequence[str]) -> str:
-    """Say in a sentence what a detector saw, of what `detect` gave and `DetectorState.found`."""
+    """Describe a detector's finding in a sentence, from the results of `detect`."""
     row, axis = divmod(place, len(axes))
     one = DETECTORS[row]
     seen, threshold = (f"{value:.3g} {one.unit}" for value in found.tolist())
@@ -108,20 +108,21 @@ def describe(place: int, found: Floats, axes: Sequence[str]) -> str:
 UNCERTAIN_GAIN, UNCERTAIN_DELAY = 0.15, 2e-3
 """Standard deviation of the assumed flow gain, relative, and of the valve's delay, s."""
 LARGEST_GAIN_ERROR, LARGEST_DELAY_ERROR = 0.3, 5e-3
-"""Bounds of what is followed."""
+"""Bounds of the estimates."""
 ONE_SAMPLE = 0.1
-"""Time over which what the balance leaves out persists, s: so long, samples count as one."""
+"""Correlation time of the effects that the balance leaves out, s: within it, samples count as
+one."""
 
 
 def doubt(velocity: Floats, force: Floats, oil_stiffness: Floats, dt: float) -> Floats:
-    """Variance of the flow as measured, (m/s)^2, by the RMS noise of velocity and force."""
+    """Variance of the measured flow, (m/s)^2, from the RMS noise of velocity and force."""
     seen = velocity**2 + 2.0 * (force / (oil_stiffness * dt)) ** 2
     return seen * max(1.0, ONE_SAMPLE / dt)
 
 
 @compiled
 def begin_following(errors: Floats, covariance: Floats) -> None:
-    """Begin a test, with the valves as assumed; shapes (n, 2) and (n, 3)."""
+    """Begin a test with the assumed valves; shapes (n, 2) and (n, 3)."""
     errors[:] = 0.0
     for i in range(len(covariance)):
         covariance[i, 0] = UNCERTAIN_GAIN**2
@@ -133,18 +134,18 @@ def begin_following(errors: Floats, covariance: Floats) -> None:
 def follow_valve(
     errors: Floats, c: Floats, flow: float, later: float, seen: float, doubt: float
 ) -> None:
-    """Take in a sample of one valve.
+    """Update the estimates of one valve with a sample.
 
     Parameters
     ----------
     errors : ndarray
-        Relative error of the flow gain and error of the delay in s, shape (2,): brought up to date.
+        Relative error of the flow gain and error of the delay in s, shape (2,); updated.
     c : ndarray
-        Their variances, then their covariance, shape (3,): brought up to date.
+        Their variances, then their covariance, shape (3,); updated.
     flow, later : float
-        Flow by the valve as assumed, m/s, and its change per delay, m/s^2.
+        Flow of the assumed valve, m/s, and its change per delay, m/s^2.
     seen : float
-        Flow as measured: v + (f' + lambda f) / k_oil, m/s.
+        Measured flow: v + (f' + lambda f) / k_oil, m/s.
     doubt : float
         Its variance, (m/s)^2.
     """
@@ -163,31 +164,31 @@ def follow_valve(
 MEMORY = 0.05
 """Time constant of the sums of both sides of a relation, s."""
 SHORT, FEWEST = 0.015, 7.0
-"""Time constant of short sums (of the second-order work, of noise), s, and the least in samples: of
-fewer, some friction looks like noise."""
+"""Time constant of short sums (of the second-order work, of noise), s, and its least value in
+samples: with fewer, some friction looks like noise."""
 BIAS = 2.0
-"""Constant error of a sensor over its RMS noise that is no fault."""
+"""Largest constant error of a sensor that is no fault, over its RMS noise."""
 LARGEST = 0.3
-"""Time constant with which the largest motion is forgotten, and over which a bias is the mean, s: a
+"""Time constant of the memory of the largest motion, and of the mean that gives a bias, s: a
 quarter of a cycle at 1 Hz."""
 SIGMAS = 6.0
 """Threshold over the RMS of the noise alone."""
 TOLERANCES = (0.1, 0.1, 0.35)
-"""Part of the motion by which relations (1) to (3) may be off: calibration and channels 2 ms apart
-at 7 Hz; a flow gain of which 0.3 is mended."""
+"""Largest difference of relations (1) to (3) over the motion: calibration and channels 2 ms apart
+at 7 Hz; a flow gain with an error of 0.3, which the controller corrects."""
 FOLLOWED = 0.1
-"""Part of the flow by which it may be off from sample to sample once its gain has been followed:
-what gain and delay leave out of the valve, the piston's friction."""
+"""Largest difference of the flow from sample to sample, over the flow, once its gain is estimated:
+effects of the valve that gain and delay do not describe, the piston's friction."""
 OFF_TARGET = 0.5
-"""Part of the target's motion by which a test may be off it."""
+"""Largest distance to the target over the target's motion."""
 LIMITED = 0.1
-"""Time after a command at the valve's limit in which it may be so, s."""
+"""Time after a command at the valve's limit in which the distance may be larger, s."""
 ASSUMED_NOISE = 1e-3
-"""RMS noise of a sensor whose noise is not configured, over the largest value that is allowed."""
+"""RMS noise of a sensor whose noise is not configured, over the limit of its channel."""
 
 
 class DetectorParameters(NamedTuple):
-    """What does not change of the detectors of n axes.
+    """Parameters of the detectors of n axes.
 
     Attributes
     ----------
@@ -198,23 +199,23 @@ class DetectorParameters(NamedTuple):
     actuator : ndarray
         Flow gain, oil stiffness, leakage and force capacity, see `FeedforwardParameters`; (n, 4).
     past : ndarray
-        Part of past commands in the flow now, the newest first, and its change per delay (1/s);
+        Part of past commands in the present flow, the newest first, and its change per delay (1/s);
         shape (2, n, m).
     doubt : ndarray
-        Variance of the flow as measured, shape (n,), (m/s)^2, see `follow_valve`.
+        Variance of the measured flow, shape (n,), (m/s)^2, see `follow_valve`.
     mass, stiffness : ndarray
-        Of the specimen as assumed, shape (n, n), kg and N/m.
+        Of the assumed specimen, shape (n, n), kg and N/m.
     computed_mass : ndarray
         M_c on the axes, shape (n, n), kg.
     noise, dither : ndarray
-        RMS noise of the sensors, shape (4, n): as assumed, and as configured, 0 where it is not.
+        RMS noise of the sensors, shape (4, n): assumed, and configured (0: not configured).
     range : ndarray
-        Largest value that each sensor can measure, shape (4, n); infinite where it is not known.
+        Largest value that each sensor can measure, shape (4, n); infinite if it is not known.
     limited : int
         Samples after one at the valve's limit in which the target need not be followed.
     sums, steps : ndarray
         Noise of the differences of relations (1) to (3), `SIGMAS` times RMS: of sums and of a
-        single step, shape (3, n); infinite where a relation is not watched.
+        single step, shape (3, n); infinite for a relation that is not watched.
     bias : ndarray
         Largest mean difference in a step that is no fault, shape (3, n).
     late : float
@@ -222,19 +223,19 @@ class DetectorParameters(NamedTuple):
     rough : ndarray
         Noise of the second difference of r, likewise, shape (n,), N.
     unknown : float
-        0; infinite where the specimen is not known.
+        0; infinite if the specimen is not known.
     tolerance : ndarray
         Part of the largest motion by which the sides of a relation may differ, shape (3,).
     off_target : float
-        Part of the target's largest motion by which the specimen may be away from it; infinite
-        where there is no target.
+        Largest distance of the specimen to the target, over the target's largest motion; infinite
+        without a target.
     persistence : ndarray
         Samples for which a detector must be beyond its threshold, shape (D,).
     acts : ndarray
         Whether a detector ends the test, shape (D,); 0: it only warns.
     samples : ndarray
-        Samples as which one counts that no command explains which the rig may hold, so that its
-        detector needs no longer than without commands; shape (D,).
+        Count of a sample that no held command explains, so that its detector needs no longer time
+        than without held commands; shape (D,).
     """
 
     dt: float
@@ -265,56 +266,57 @@ class DetectorParameters(NamedTuple):
 
 
 class DetectorState(NamedTuple):
-    """What changes of them.
+    """State of the detectors.
 
     Attributes
     ----------
     last : ndarray
         The last sample, shape (4, n).
     flow, later : ndarray
-        Flow of the valve by the commands at the last sample and at this one, m/s, and its change
+        Flow of the valve from the commands at the last sample and at this one, m/s, and its change
         per delay, m/s^2; shapes (2, n).
     errors, covariance : ndarray
-        Of gain and delay, as followed: see `follow_valve`; shapes (n, 2) and (n, 3).
+        Of the estimated gain and delay, see `follow_valve`; shapes (n, 2) and (n, 3).
     sent : ndarray
         Past commands as they act under load, the newest first, shape (n, m), V.
     sums : ndarray
-        Both sides of relations (1) to (3), and the least and the largest that the left one may be
-        where the rig holds a command; shape (3, 4, n).
+        Both sides of relations (1) to (3), and the least and the largest value of the left side if
+        the rig holds a command; shape (3, 4, n).
     bias : ndarray
         Mean difference of the sides of relations (1) to (3) in the recent steps, and the part of
         the largest bias that this mean does not contain yet; shape (3, 2, n).
     flows : ndarray
-        Left side of relation (3) of the last steps, for as long as the rig may hold a command, the
-        newest first, m; shape (n, h).
+        Left side of relation (3) of the last steps, for the time of a held command, the newest
+        first, m; shape (n, h).
     corners : ndarray
-        Change of the acceleration in the last step (m/s^2), and by how much its sudden changes may
-        put the sums of relation (2) off (m/s); shape (2, n).
+        Change of the acceleration in the last step (m/s^2), and the effect of its sudden changes on
+        the sums of relation (2) (m/s); shape (2, n).
     largest : ndarray
         Largest recent values: of these sums, of a single step, of the target's motion, of r, and of
         the change of the flow in a step (m/s); shape (9, n).
     restoring : ndarray
-        r at the last sample, its last change, and r now; shape (3, n), N.
+        r at the last sample, its last change, and the present r; shape (3, n), N.
     work : ndarray
         Sums of dr dx, of dx K dx and of squares of its noise, shape (3,).
     response : ndarray
         Sums of squares of the changes of f and of M_c a, shape (2, n), N^2.
     bends : ndarray
-        Second difference of r where it is beyond its threshold, N, and how often it has changed its
-        sign recently; shape (2, n).
+        Second difference of r while it is beyond its threshold, N, and the recent frequency of its
+        changes of sign; shape (2, n).
     repeats : ndarray
-        How often the last value of a channel has come, shape (4, n).
+        Number of repetitions of the last value of a channel, shape (4, n).
     resolution : ndarray
-        Least change of a channel that was ever seen, shape (4, n); infinite before.
+        Least change of a channel so far, shape (4, n); infinite at the beginning.
     counts : ndarray
         Samples for which each detector has been beyond its threshold, shape (D, n).
     shares : ndarray
         Largest part of its threshold that each has reached, shape (D, n).
     found : ndarray
-        What a detector saw when it tripped, and its threshold; shape (2,).
+        Value of a detector when it tripped, and its threshold; shape (2,).
     step : ndarray
         Steps of the last sample, the last turn of the motion, the last command at the valve's
-        limit and the last sample at the end of each channel's range, shape (7,); long ago before.
+        limit and the last sample at the end of each channel's range, shape (7,); a large negative
+        number at the beginning.
     """
 
     last: Floats
@@ -365,7 +367,7 @@ def detector_arrays(
     ranges : ndarray
         Largest value that each sensor can measure, shape (4, n); 0: not known.
     velocity_is_derived : bool
-        Whether the velocity is that of the displacement.
+        Whether the velocity is derived from the displacement.
     actuator, past : ndarray
         See `DetectorParameters`; a flow gain or an oil stiffness of 0 is not known.
     mass, stiffness, computed_mass : ndarray
@@ -373,7 +375,7 @@ def detector_arrays(
     warn_only : sequence of str
         Names of the detectors that do not end a test.
     longest_hold : float
-        Time for which a rig that misses commands holds the last one, s: no fault of the valve.
+        Longest time for which a rig that misses commands holds the last one, s: no fault.
     dt : float
         Sampling period, s.
     """
@@ -470,9 +472,9 @@ def look(
     threshold: float,
     samples: int = 1,
 ) -> bool:
-    """Compare what a detector sees with its threshold; say whether it has persisted and acts.
+    """Compare a detector's value with its threshold; say whether it has persisted and acts.
 
-    A sample that is beyond the threshold counts as so many `samples`.
+    A sample beyond the threshold counts as ``samples`` samples.
     """
     share = seen / threshold if threshold > 0.0 else 0.0
     if share > state.shares[row, i]:

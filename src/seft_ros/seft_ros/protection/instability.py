@@ -1,16 +1,16 @@
-"""Whether a test is going unstable: vibration that no structure has.
+"""Whether a test is becoming unstable: vibration that no structure has.
 
-A force loop turns unstable at frequencies above the specimen's own, where the ground motion moves
-it little. A limit on acceleration sees that late: by then the vibration is as strong as the test
-itself. Here what is measured above the natural frequency is held against the acceleration that the
-whole structure has under the ground motion and the restoring force that is measured,
+A force loop becomes unstable at frequencies above the specimen's own, where the ground motion moves
+it little. A limit on acceleration detects that late: by then the vibration is as strong as the test
+itself. The watch compares the measured acceleration above the natural frequency with the
+acceleration of the whole structure under the ground motion and the measured restoring force
 r = f - M_e a::
 
     (M_e + M_c) (a* + a_g) + g + r = 0                                                      (1)
 
-g is the force of what is computed beside its masses. Nothing is assumed of the specimen: where it
-sticks, yields or bangs, its restoring force says so, and the structure answers. Where the loop
-makes a vibration of its own, at w, the specimen of natural frequency w_n answers by no more than
+g is the force of computed parts other than mass. Nothing is assumed of the specimen: if it sticks,
+yields or hits a stop, its restoring force contains that, and the structure responds to it. If the
+loop itself vibrates, at w, the response to a specimen of natural frequency w_n is not more than
 a* = a M_e / (M_e + M_c) (w_n / w)^2.
 """
 
@@ -30,19 +30,19 @@ from seft_ros.reference_force.reference_force_block import knowledge
 from seft_ros.reference_force.substructure import substructure_motion
 
 HURRY = 10.0
-"""How many times faster the strongest vibration uses that time up."""
+"""Largest factor by which strong vibration shortens that time."""
 IN_BAND = 0.3
-"""Part of the structure's whole acceleration that counts as its vibration in any case. Where the
-specimen yields or bangs the control knocks the oil, which rings for some cycles: in sound tests not
-above 1.5 times the structure's acceleration for long; where the loop is unstable it reaches 7 times
+"""Part of the structure's whole acceleration that is always assumed as its vibration. If the
+specimen yields or hits a stop, the control excites the oil column for some cycles: in sound tests
+not above 1.5 times the structure's acceleration for long; in an unstable loop it reaches 7 times
 that acceleration."""
 EXPLAINED, MEASURED, EXPECTED, WHOLE = range(4)
 """Rows of the mean squares: of the structure's acceleration in the band, the measured one there,
-the largest of the structure's that is remembered, and the structure's whole acceleration."""
+the largest recent one of the structure, and the structure's whole acceleration."""
 
 
 class WatchParameters(NamedTuple):
-    """What does not change of a watch over n axes.
+    """Parameters of a watch over n axes.
 
     Attributes
     ----------
@@ -50,13 +50,13 @@ class WatchParameters(NamedTuple):
         Shape (s + 5n, s + 3n), transposed: takes (states, a_g, measured state) to (states, filtered
         accelerations of the structure and as measured, the structure's whole one).
     average, memory : float
-        Factors per step with which mean squares and what was expected fade.
+        Factors per step with which mean squares and the expected vibration fade.
     patience : float
-        Steps for which vibration must be there.
+        Steps for which vibration must last.
     ratio : float
         Largest RMS over the expected one; 0: none is too large.
     least : float
-        Mean square that counts as expected in any case, (m/s^2)^2.
+        Mean square that is always expected, (m/s^2)^2.
     """
 
     product: Floats
@@ -68,17 +68,17 @@ class WatchParameters(NamedTuple):
 
 
 class WatchState(NamedTuple):
-    """What changes of it.
+    """State of a watch.
 
     Attributes
     ----------
     work, result : ndarray
-        States and inputs, and what `WatchParameters.product` makes of them, shapes (s + 5n,) and
+        States and inputs, and `WatchParameters.product` times these, shapes (s + 5n,) and
         (s + 3n,).
     squares : ndarray
         See `EXPLAINED`, shape (4, n), (m/s^2)^2.
     above : ndarray
-        Steps for which vibration has been there, shape (1,).
+        Steps for which vibration has lasted, shape (1,).
     """
 
     work: Floats
@@ -91,12 +91,12 @@ class WatchState(NamedTuple):
 def watch_step(
     parameters: WatchParameters, state: WatchState, ground: Floats, measured: Floats
 ) -> bool:
-    """Take a step in; say whether vibration has been there for too long.
+    """Check a step; say whether vibration has lasted for too long.
 
     Parameters
     ----------
     parameters, state
-        The state is brought up to date.
+        The state is updated.
     ground : ndarray
         Ground acceleration, shape (n,), m/s^2.
     measured : ndarray
@@ -122,7 +122,7 @@ def watch_step(
         expected = max(expected, IN_BAND * IN_BAND * squares[WHOLE, i])
         squares[EXPECTED, i] = expected
         excess = max(excess, squares[MEASURED, i] / expected)
-    # what is far beyond needs less patience than what is a little
+    # strong vibration is accepted for a shorter time than weak vibration
     excess /= p.ratio * p.ratio
     state.above[0] = state.above[0] + min(excess, HURRY) if excess > 1.0 else 0.0
     return state.above[0] >= p.patience
@@ -131,35 +131,35 @@ def watch_step(
 AVERAGE = 0.1
 """Time constant of the mean square, s: some cycles of any vibration in question."""
 MEMORY = 2.0
-"""Time constant with which strong motion that was expected is forgotten, s."""
+"""Time constant of the memory of strong expected motion, s."""
 SUSTAINED = 0.1
-"""Time for which vibration must be there, s: a knock is none."""
+"""Time for which vibration must last, s: an impact is shorter."""
 ABOVE = 2.0
 """The band begins at this multiple of the specimen's lowest natural frequency."""
 
 
 class InstabilityWatch:
-    """Acceleration above a frequency must be what the structure has, see the module.
+    """Compares acceleration above a frequency with that of the structure, see the module.
 
     Both accelerations, measured and of the structure, go through the same high-pass filter
     (Butterworth, fourth order). Their mean squares are taken over `AVERAGE`; the structure's
-    largest fades over `MEMORY`, as vibration rings on. It is a fault if the measured RMS stays
-    above ``ratio`` times the structure's for `SUSTAINED`; as the structure's counts at least the
-    floor, and `IN_BAND` of its whole acceleration.
+    largest fades over `MEMORY`, because vibration decays slowly. It is a fault if the measured RMS
+    stays above ``ratio`` times the structure's for `SUSTAINED`. The structure's RMS is taken as at
+    least the floor, and `IN_BAND` of its whole acceleration.
 
     Parameters
     ----------
     known : Knowledge
-        Mass, what is computed, and the sampling period; the stiffness says where the band begins.
+        Mass, computed substructure and sampling period; the stiffness determines the band.
     axes : sequence of str
         Names of the n axes.
     ratio : float
         Largest RMS over the expected one; 0: never a fault.
     floor : float
-        RMS that counts as expected in any case, m/s^2: several times the sensors' noise.
+        RMS that is always expected, m/s^2: several times the sensors' noise.
     lowest : float
-        Where the band begins, Hz; 0: at `ABOVE` times the specimen's lowest natural frequency,
-        at most at a quarter of the sampling rate.
+        Lower end of the band, Hz; 0: `ABOVE` times the specimen's lowest natural frequency, at most
+        a quarter of the sampling rate.
 
     Attributes
     ----------
@@ -196,12 +196,12 @@ class InstabilityWatch:
     def from_parameters(
         cls, section: dict[str, Any], axes: Sequence[str], timebase: Timebase
     ) -> "InstabilityWatch":
-        """Make it of the reference force's section of an experiment.
+        """Make it from the reference force's section of an experiment.
 
         Raises
         ------
         InputError
-            As `knowledge`, or if the band would begin beyond half the sampling rate.
+            See `knowledge`; or if the band would begin beyond half the sampling rate.
         """
         options = (section[f"instability.{name}"] for name in ("ratio", "floor", "lowest"))
         return cls(knowledge(section, tuple(axes), timebase), axes, *options)
@@ -212,20 +212,20 @@ class InstabilityWatch:
             values[:] = 0.0
 
     def step(self, ground_motion: Floats, state: Floats) -> str | None:
-        """Look at one step, see `watch_step`; one line with what is wrong, if anything."""
+        """Check one step, see `watch_step`; one line with the fault, if there is one."""
         if self.parameters.ratio == 0.0:
             return None
         found = self._step(self.parameters, self.state, ground_motion, state)
         return self.describe() if found else None
 
     def describe(self) -> str:
-        """Say what vibrates."""
+        """Describe the vibration."""
         _, measured, expected, _ = self.state.squares
         axis = int((measured / expected).argmax())
         rms, over = math.sqrt(measured[axis]), math.sqrt(measured[axis] / expected[axis])
         return (
             f"instability: acceleration above {self._lowest:.3g} Hz on axis {self._axes[axis]} is "
-            f"{rms:.3g} m/s^2 RMS, {over:.3g} times what the structure has "
+            f"{rms:.3g} m/s^2 RMS, {over:.3g} times that of the structure "
             f"under the measured restoring force (limit {self.parameters.ratio:g})"
         )
 
@@ -239,7 +239,7 @@ def _natural_hz(known: Knowledge) -> float:
 def _filtered(
     known: Knowledge, lowest: float, dt: float, n: int
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """State space from (a_g, measured state) to what `WatchParameters.product` gives."""
+    """State space from (a_g, measured state) to the result of `WatchParameters.product`."""
     beside, inverse = substructure_motion(known, 0), np.linalg.inv(known.total_mass)
     own, r = np.eye(n, 4 * n, k=2 * n), np.eye(n, 4 * n, k=3 * n)
     r = r - known.mass @ own

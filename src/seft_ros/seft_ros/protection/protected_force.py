@@ -1,4 +1,4 @@
-"""The reference force with its own layer of the interlock: guards, plausibility, ramp."""
+"""The reference force with its protection: instability watch, plausibility, ramp-down."""
 
 from collections import deque
 from collections.abc import Hashable, Sequence
@@ -32,16 +32,16 @@ from seft_ros.reference_force.reference_force_block import ReferenceForce
 
 
 class ProtectedForce:
-    """A `ReferenceForce` that is looked at in each step, and comes down softly if it must.
+    """A `ReferenceForce` that is checked in each step, and is ramped down after a fault.
 
-    While nothing is wrong and nobody asks for the ramp, it gives the very force of the block.
-    In the ramp the force goes on following the test, scaled down; a target is slowed down to rest
-    instead. A force that is not plausible is never given: from there on the last plausible one
-    stands in for it, `continued` and scaled down.
+    Without a fault or a ramp it gives exactly the force of the block. In the ramp the force
+    continues to follow the test, scaled down; a target is slowed down to rest instead. An
+    implausible force is never given: the last plausible one replaces it, `continued` and scaled
+    down.
 
     In a loop with a delay of d steps, the force that is computed from the state of step k is for
-    step k + d, and the points are the forces of the steps k to k + d, which do not change any
-    more: what is late or lost is made good by the next. A target tells its coming motion anyway.
+    step k + d, and the points are the final forces of the steps k to k + d: the next message
+    replaces a late or lost one. A target's points contain its future motion in any case.
 
     Parameters
     ----------
@@ -50,20 +50,20 @@ class ProtectedForce:
     plausible : PlausibleForce
         Limits of its force.
     watch : InstabilityWatch
-        What else may ask for the ramp.
+        May begin the ramp, too.
     ramp : RampDown
-        The way to zero.
+        The ramp.
     loop_delay : int
         d.
 
     Attributes
     ----------
     preview : int
-        Steps of coming ground motion that `step` wants to see.
+        Number of later steps whose ground motion `step` needs.
     reference_force : ReferenceForce
         As given.
     parameters, state : ProtectionParameters, ProtectionState
-        What `protect` takes, here and in a compiled loop.
+        Arguments of `protect`, here and in a compiled loop.
     """
 
     def __init__(
@@ -108,12 +108,12 @@ class ProtectedForce:
     def from_parameters(
         cls, section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
     ) -> "ProtectedForce":
-        """Make it of the reference force's section of an experiment.
+        """Make it from the reference force's section of an experiment.
 
         Raises
         ------
         InputError
-            As `ReferenceForce.from_parameters`.
+            See `ReferenceForce.from_parameters`.
         """
         return cls(
             ReferenceForce.from_parameters(section, axes, timebase),
@@ -127,7 +127,7 @@ class ProtectedForce:
 
     @cached_property
     def kind(self) -> Hashable:
-        """`kind_of` what a compiled loop takes of it and of its compensation method."""
+        """`kind_of` the arguments of a compiled loop: its own, and its compensation method's."""
         of: Any = self.reference_force.compensator
         return kind_of((self.parameters, self.state, of.parameters, of.state))
 
@@ -149,7 +149,7 @@ class ProtectedForce:
 
     @property
     def is_modelled(self) -> bool:
-        """Whether a computed model is part of it."""
+        """Whether it has a computed model."""
         return self.reference_force.is_modelled
 
     @property
@@ -159,7 +159,7 @@ class ProtectedForce:
 
     @property
     def steps_ramped(self) -> int:
-        """Steps since the ramp began, the one in which it did included."""
+        """Steps since the ramp began, with the first step of the ramp."""
         return self._ramp.taken
 
     @property
@@ -169,7 +169,7 @@ class ProtectedForce:
 
     @property
     def at_rest(self) -> bool:
-        """Whether the force that is applied has come down to zero, and stays there."""
+        """Whether the applied force has reached zero, and stays there."""
         return self._ramp.finished
 
     def reset(self) -> None:
@@ -184,14 +184,14 @@ class ProtectedForce:
             self._settled.extend([none] * (self._settled.maxlen or 0))
 
     def ramp_down(self) -> None:
-        """Bring the force down from the next step on."""
+        """Ramp the force down from the next step on."""
         self._ramp.begin()
 
     def step(self, ground_motion: Floats | None, state: Floats) -> Floats:
         """Compute the points of one step, as `ReferenceForce.step` does.
 
-        Without ground motion, which may be missing in the ramp, a target takes it to be none, and
-        any other force is held while it is scaled down.
+        In the ramp the ground motion may be missing: then a target assumes none, and any other
+        force is held and scaled down.
         """
         self._last_state = state
         points = self._answer(ground_motion, state)
@@ -201,20 +201,20 @@ class ProtectedForce:
         return np.concatenate(self._settled)
 
     def ask_model(self) -> None:
-        """Step a computed model, which is part of no answer but the next."""
+        """Step a computed model, whose force is used from the next answer on."""
         method = self.reference_force.compensator
         if asks_model(method):
             method.ask_model()
 
     def bridge(self, ground_motion: Sequence[Floats | None], state: Floats) -> None:
-        """Make good for the states of steps that were lost before this one, in a straight line.
+        """Interpolate the lost states of steps before this one linearly.
 
         Parameters
         ----------
         ground_motion : sequence of ndarray or None
-            What `step` would have been given for each of them.
+            Argument of `step` for each of them.
         state : ndarray
-            That has come after them, shape (4, n).
+            The state that arrived after them, shape (4, n).
         """
         last = state if self._last_state is None else self._last_state
         for index, motion in enumerate(ground_motion, 1):

@@ -1,4 +1,4 @@
-"""How a reference force is protected, step by step: plausibility, instability watch, ramp."""
+"""Protection of a reference force, step by step: plausibility, instability watch, ramp."""
 
 import math
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ def is_plausible(limits: Floats, last: Floats, force: Floats) -> bool:
     limits : ndarray
         Largest magnitude, and largest change in a step, N, shape (2,).
     last : ndarray
-        The last plausible force, shape (n,), N: brought up to date.
+        The last plausible force, shape (n,), N; updated.
     force : ndarray
         Shape (n,), N.
     """
@@ -52,7 +52,7 @@ class PlausibleForce:
     Attributes
     ----------
     limits, last : ndarray
-        What `is_plausible` takes; the last plausible force is zero before the first.
+        Arguments of `is_plausible`; the last plausible force is zero before the first step.
     axes, dt
         As given.
     """
@@ -112,14 +112,14 @@ def not_finite(state: Floats, axes: Sequence[str]) -> str:
 
 
 HOLDING, CAUSE, AGE = range(3)
-"""Places of the flags: whether the last plausible point stands in, why it came down, and how many
-steps ago that point was."""
+"""Places of the flags: whether the last plausible point is used, the cause of the ramp, and the age
+of that point in steps."""
 NOTHING, ODD_FORCE, ODD_STATE, INSTABILITY = range(4)
 """Causes."""
 
 
 class ProtectionParameters(NamedTuple):
-    """What does not change of the protection of n axes.
+    """Parameters of the protection of n axes.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ class ProtectionParameters(NamedTuple):
     ramp_steps : int
         `RampDown.steps`.
     tells_motion : bool
-        Whether the points are of a target, which the ramp slows down.
+        Whether the points are those of a target, which the ramp slows down.
     dt : float
         Sampling period, s.
     watch : WatchParameters
@@ -143,7 +143,7 @@ class ProtectionParameters(NamedTuple):
 
 
 class ProtectionState(NamedTuple):
-    """What changes of it.
+    """State of the protection.
 
     Attributes
     ----------
@@ -156,9 +156,9 @@ class ProtectionState(NamedTuple):
     point : ndarray
         The last plausible point, shape (1, q, n).
     pace : ndarray
-        Pace of a target then, shape (1,).
+        Pace of a target at that point, shape (1,).
     odd_force, odd_state : ndarray
-        The force and the measured state of the step at which it came down, shapes (n,), (4, n).
+        Force and measured state of the step of the fault, shapes (n,), (4, n).
     watch : WatchState
         Of the instability watch.
     """
@@ -175,7 +175,7 @@ class ProtectionState(NamedTuple):
 
 @compiled
 def begin_protection(state: ProtectionState) -> None:
-    """Begin a test, beside the ramp, the watch and the last plausible force."""
+    """Begin a test; the ramp, the watch and the last plausible force are begun separately."""
     state.flags[:] = 0
     state.point[:] = 0.0
     state.pace[:] = 1.0
@@ -183,12 +183,12 @@ def begin_protection(state: ProtectionState) -> None:
 
 @compiled
 def begin_step(parameters: ProtectionParameters, state: ProtectionState, is_known: bool) -> float:
-    """Begin a step: give its pace, 1 in a test, less in the ramp.
+    """Begin a step; give its pace: 1 in a test, less in the ramp.
 
     Parameters
     ----------
     parameters, state
-        The state is brought up to date.
+        The state is updated.
     is_known : bool
         Whether there is ground motion; in the ramp it may be missing.
     """
@@ -207,20 +207,21 @@ def protect(
     pace: float,
     points: Floats,
 ) -> None:
-    """Look at the points of a step, and make of them what may be given.
+    """Check the points of a step, and replace them if necessary.
 
     Parameters
     ----------
     parameters, state
-        The state is brought up to date.
+        The state is updated.
     ground : ndarray
         Ground acceleration of the step, shape (n,), m/s^2.
     measured : ndarray
         Displacement, velocity, acceleration and force, shape (4, n).
     is_known, pace
-        As of `begin_step`.
+        See `begin_step`.
     points : ndarray
-        Of the reference force, shape (p, q, n), unless it is held; what may be given.
+        Of the reference force, shape (p, q, n); not used if it is held. The permitted points are
+        written here.
     """
     p, flags, factor = parameters, state.flags, pace
     last, n, cause = points.shape[1] - 1, points.shape[2], NOTHING

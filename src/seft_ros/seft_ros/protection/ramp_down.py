@@ -1,4 +1,4 @@
-"""Where a force goes without a new one: it stays, a target brakes, and the way to zero."""
+"""The points after the last ones: a force stays, a target brakes; and the ramp to zero."""
 
 import math
 
@@ -7,23 +7,23 @@ from seft_msgs_py.arrays import Floats, Ints
 from seft_plant_sim.compiled import compiled, entry_point
 
 BRAKING = 0.03
-"""Time constant with which a target loses its velocity, s. At a sudden stop its oil would ring."""
+"""Time constant of a target's braking, s. At a sudden stop the oil column would ring."""
 
 
 @compiled
 def go_on(points: Floats, age: int, dt: float, result: Floats) -> None:
-    """Give points from a step on, whether they have been sent or not.
+    """Give points from a step on; points that were not sent are extrapolated.
 
     Parameters
     ----------
     points : ndarray
-        Those that have been sent, shape (p, q, n).
+        The sent points, shape (p, q, n).
     age : int
         Steps after the first of them.
     dt : float
         Sampling period, s.
     result : ndarray
-        The points wanted, shape (count, q, n).
+        The result, shape (count, q, n).
     """
     last, (_, quantities, n) = len(points) - 1, points.shape
     for index in range(len(result)):
@@ -38,19 +38,19 @@ def go_on(points: Floats, age: int, dt: float, result: Floats) -> None:
 
 
 def continued(points: Floats, age: int, count: int, dt: float) -> Floats:
-    """Give so many points, see `go_on`."""
+    """Give ``count`` points, see `go_on`."""
     result = np.empty((count, *points.shape[1:]))
     go_on(points, age, dt, result)
     return result
 
 
 BEGUN, TAKEN = range(2)
-"""Places of what `next_factor` remembers: whether the ramp is asked for, and steps of it so far."""
+"""Places of the state of `next_factor`: whether the ramp has begun, and its steps so far."""
 
 
 @compiled
 def ramp_factor(taken: int, steps: int) -> float:
-    """Factor of the ``taken``-th of some steps down: half a cosine."""
+    """Factor of step ``taken`` of a ramp of some steps: half a cosine."""
     return 0.5 * (1.0 + math.cos(math.pi * taken / steps)) if taken < steps else 0.0
 
 
@@ -63,7 +63,7 @@ def next_factor(steps: int, ramp: Ints) -> float:
     steps : int
         Steps of the ramp.
     ramp : ndarray
-        See `BEGUN`, shape (2,): brought up to date.
+        See `BEGUN`, shape (2,); updated.
     """
     if not ramp[BEGUN]:
         return 1.0
@@ -74,21 +74,21 @@ def next_factor(steps: int, ramp: Ints) -> float:
 class RampDown:
     """Factor that falls from 1 to 0 as half a cosine, counted in steps of the test.
 
-    A step that is not taken does not count: a loop that stands still does not lose its ramp.
+    Steps count, not time: if the loop stalls, the ramp continues after the stall.
 
     Parameters
     ----------
     steps : int
-        Steps from the first that is scaled to the one whose factor is 0, both included.
+        Steps from the first scaled one to the one of factor 0, both included.
     rest : int
-        Steps of factor 0 beyond that until the ramp counts as finished.
+        Further steps of factor 0 until the ramp is finished.
 
     Attributes
     ----------
     steps : int
         As given.
     state : ndarray
-        What `next_factor` remembers.
+        State of `next_factor`.
     """
 
     def __init__(self, steps: int, rest: int = 0) -> None:
@@ -100,22 +100,22 @@ class RampDown:
 
     @classmethod
     def lasting(cls, duration: float, dt: float, rest: int = 0) -> "RampDown":
-        """Make one of a duration and a sampling period, both in s."""
+        """Make one from a duration and a sampling period, both in s."""
         return cls(max(1, round(duration / dt)), rest)
 
     @property
     def begun(self) -> bool:
-        """Whether the ramp has been asked for."""
+        """Whether the ramp has begun."""
         return bool(self.state[BEGUN])
 
     @property
     def taken(self) -> int:
-        """Factors given since then."""
+        """Number of factors given since then."""
         return int(self.state[TAKEN])
 
     @property
     def finished(self) -> bool:
-        """Whether the factor 0 has been given, and as often again as it must rest."""
+        """Whether the factor 0 has been given, and then for `rest` steps."""
         return self.taken >= self.whole
 
     def reset(self) -> None:
@@ -123,7 +123,7 @@ class RampDown:
         self.state[:] = 0
 
     def begin(self) -> None:
-        """Ask for the ramp; asking again does not begin it anew."""
+        """Begin the ramp; a second call has no effect."""
         self.state[BEGUN] = 1
 
     def next(self) -> float:

@@ -1,4 +1,4 @@
-"""Compensation methods by the name that a parameter file gives: ours, and those of others.
+"""Compensation methods by their name in a parameter file: ours, and those of other packages.
 
 Each is one equation for the reference force f_r, with the delay tau that it compensates, the
 measured restoring force r = f - M_e a, and S = M_c (M_e + M_c)^-1. Equation numbers are those of
@@ -32,7 +32,7 @@ _AT_REST = 1 - 1e-7  # least decay of the model's slowest mode in a step
 
 
 def none(knowledge: Knowledge) -> Compensator:
-    """f_r = -(M_e + M_c) a_g - M_c a (Eq. 2.5 and 5.3): the measured acceleration as it is."""
+    """f_r = -(M_e + M_c) a_g - M_c a (Eq. 2.5 and 5.3), with the measured acceleration."""
     n = knowledge.axes
     measured = np.zeros((n, 4 * n))
     measured[:, 2 * n : 3 * n] = -knowledge.computed_mass
@@ -42,10 +42,10 @@ def none(knowledge: Knowledge) -> Compensator:
 def restoring(knowledge: Knowledge) -> Compensator:
     """f_r* = -M_e a_g + S r: the algebraic loop of the acceleration feedback, solved.
 
-    With M_e a + r = f_r put into Eq. 2.5 for the acceleration that the force will cause: the
-    same force where the actuator is ideal, but the feedback ends with the specimen's own
-    stiffness and damping instead of its mass, so that the loop gain falls with frequency and
-    stays below one. Needs no model beyond the mass.
+    The acceleration that the force will cause is eliminated from Eq. 2.5 by M_e a + r = f_r. With
+    an ideal actuator the force is the same, but the feedback passes through the specimen's
+    stiffness and damping instead of its mass, so that the loop gain falls with frequency and stays
+    below one. The method needs no model except the mass.
     """
     n, share = knowledge.axes, knowledge.share
     measured = np.zeros((n, 4 * n))
@@ -59,9 +59,9 @@ def polynomial(knowledge: Knowledge, longest: int) -> DelayFilter:
     """f_r(t) = -(M_e + M_c) a_g(t + tau) - M_c sum_j l_j a(t - j p).
 
     The l_j are the weights of Lagrange's polynomial of order N through the last N + 1
-    accelerations, a spacing p apart, for the instant t + tau. Horiuchi et al. (1996, 11WCEE,
-    paper 660) space them by the delay itself, p = tau, where the weights are 2, -1 or 3, -3, 1 or
-    4, -6, 4, -1; here p is the nearest whole number of steps, at least one.
+    accelerations, at a spacing p, for the instant t + tau. In Horiuchi et al. (1996, 11WCEE, paper
+    660) the spacing is the delay itself, p = tau, with weights 2, -1 or 3, -3, 1 or 4, -6, 4, -1;
+    here p is the nearest whole number of steps, at least one.
     """
     n, dt = knowledge.axes, knowledge.dt
     order = knowledge.options["compensation.order"]
@@ -94,14 +94,14 @@ def lagrange_weights(ahead: float, order: int) -> Floats:
 def linear_acceleration(knowledge: Knowledge, longest: int) -> DelayFilter:
     """f_r(t) = -(M_e + M_c) a_g(t + tau) - M_c a+, with a+ the acceleration predicted for t + tau.
 
-    After Horiuchi & Konno (2001, Phil. Trans. R. Soc. A 359:1893-1909), who let the acceleration
-    vary linearly over the delay, so that displacement and velocity at its end are (Newmark's
-    method with beta = 1/6)::
+    After Horiuchi & Konno (2001, Phil. Trans. R. Soc. A 359:1893-1909): the acceleration varies
+    linearly over the delay, so that displacement and velocity at its end are (Newmark's method with
+    beta = 1/6)::
 
         x+ = x + tau v + tau^2 (2 a + a+) / 6,    v+ = v + tau (a + a+) / 2
 
-    Here a+ closes the equation of motion of the whole structure at t + tau, where the ground
-    motion is known, instead of being extrapolated::
+    Here a+ is not extrapolated, but follows from the equation of motion of the whole structure at
+    t + tau, for which the ground motion is known::
 
         (M_e + M_c) a+ + C v+ + K x+ = -(M_e + M_c) a_g(t + tau)
     """
@@ -128,8 +128,8 @@ def model(knowledge: Knowledge, longest: int) -> DelayFilter:
 
         (M_e + M_c) a + C v + K x = -(M_e + M_c) a_g
 
-    which the central-difference method solves up to t + tau under the known coming ground
-    motion, in equal steps of at most a sampling period that are short for the fastest mode.
+    The central-difference method solves it up to t + tau under the known future ground motion, in
+    equal steps of at most a sampling period that are short for the fastest mode.
     """
     signals = Signals(knowledge, preview=longest)
     mass, damping, stiffness = knowledge.total_mass, knowledge.damping, knowledge.stiffness
@@ -159,12 +159,12 @@ def model(knowledge: Knowledge, longest: int) -> DelayFilter:
 def inverse(knowledge: Knowledge, longest: int) -> DelayFilter:
     """f_r[k] = -M_e a_g(t + tau) + S (alpha_c r[k] - (alpha_c - 1) r[k-1]).
 
-    The actuator is taken as G(z) = z / (alpha_c z - (alpha_c - 1)), which comes nearer by one
-    alpha_c-th of the distance in each step, and the command is passed through its inverse (Chen
-    & Ricles 2009, Eng. Struct. 31:2643-2655). G lags by alpha_c - 1 steps, hence
+    The assumed actuator is G(z) = z / (alpha_c z - (alpha_c - 1)), whose output reduces the
+    remaining difference by 1 / alpha_c in each step. The command is passed through its inverse
+    (Chen & Ricles 2009, Eng. Struct. 31:2643-2655). G lags by alpha_c - 1 steps, therefore
     alpha_c = 1 + tau / dt. The command is that of the solved loop, see `restoring`: with the
     acceleration itself the inverse would make the feedback of high frequencies 2 alpha_c - 1
-    times as large. The ground motion needs no inverse, as it is known ahead.
+    times as large. The ground motion needs no inverse, because it is known ahead.
     """
     n, share = knowledge.axes, knowledge.share
     signals = Signals(knowledge, preview=longest, blocks=1)  # of r[k-1]
@@ -183,20 +183,20 @@ def inverse(knowledge: Knowledge, longest: int) -> DelayFilter:
 def smith(knowledge: Knowledge, longest: int) -> DelayFilter:
     """f_r(t) = -M_e a_g(t + tau) + S (r_s(t) + r(t) - r_s(t - tau)).
 
-    Smith (1959, ISA J. 6:2, 28-33): fed back is the response of a model of the specimen to the
-    reference force without delay, corrected by the measured response less that of the delayed
-    model. Where the model is right the delay is outside the loop.
+    Smith (1959, ISA J. 6:2, 28-33): the feedback is the response of a model of the specimen to the
+    reference force without delay, corrected by the measured response minus that of the delayed
+    model. If the model is right, the delay is outside the loop.
 
     The loop without delay is algebraic, M_e a_s + r_s = f_r and f_r = -(M_e + M_c) a_g - M_c a_s,
-    and solved as in `restoring`; the correction is that of the restoring force r = f - M_e a for
-    the same reason. The model's restoring force is r_s = C v_s + K x_s, with x_s and v_s exact for
-    a force that varies linearly from step to step.
+    and solved as in `restoring`; for the same reason the correction is that of the restoring force
+    r = f - M_e a. The model's restoring force is r_s = C v_s + K x_s, with x_s and v_s exact for a
+    force that varies linearly from step to step.
     """
     n, share = knowledge.axes, knowledge.share
     signals = Signals(knowledge, preview=longest, blocks=2 + longest)
     free, before, at = _smith_model(knowledge)
     stiffness_damping = np.hstack([knowledge.stiffness, knowledge.damping])
-    # the model at this step is (states) + at f_r; its past restoring forces, the newest first
+    # the model at this step is (states) + at f_r; then its past restoring forces, the newest first
     known = stiffness_damping @ np.vstack([signals.state(0), signals.state(1)])
     direct = stiffness_damping @ at
 

@@ -1,4 +1,4 @@
-"""What all compensation methods have in common, and the signals that their equations use."""
+"""The interface of all compensation methods, and the signals that their equations use."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -14,22 +14,22 @@ from seft_ros.reference_force.linear_filter import LinearFilter
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What a method knows, or assumes, of the test over n axes.
+    """The known or assumed data of a test over n axes, for a compensation method.
 
     Attributes
     ----------
     mass : ndarray
         M_e on the rig, shape (n, n), kg.
     computed : ComputedSubstructure
-        What is computed beside it, no mass of which couples axes and internal degrees of freedom.
-        In an EFT test it is nothing.
+        The computed substructure; none of its masses couples axes and internal degrees of freedom.
+        In an EFT test it is empty.
     damping, stiffness : ndarray
-        C and K of the specimen as far as the experimenter knows them, shape (n, n), N s/m, N/m.
+        Assumed C and K of the specimen, shape (n, n), N s/m, N/m.
     dt : float
         Sampling period, s.
     options : mapping
-        Parameters ``compensation.*`` and ``tracking.*`` of the reference force, by name; the
-        delays and dead times among them hold the loop's delay.
+        Parameters ``compensation.*`` and ``tracking.*`` of the reference force, by name; their
+        delays and dead times include the loop's delay.
     loop_delay : int
         Steps from a state to the first use of the force that is computed from it.
     springs : ndarray or None
@@ -52,7 +52,7 @@ class Knowledge:
 
     @property
     def computed_mass(self) -> Floats:
-        """M_c, computed on the axes, shape (n, n), kg: all that most methods need to know."""
+        """M_c, computed on the axes, shape (n, n), kg: sufficient for most methods."""
         return self.computed.mass[: self.axes, : self.axes]
 
     @property
@@ -67,11 +67,11 @@ class Knowledge:
 
 
 class Compensator(Protocol):
-    """What the reference force asks of a compensation method.
+    """The interface of a compensation method.
 
     A method that computes the motion of a target returns 1 + ``preview`` points of it, see
-    `ReferenceForce.step`, and has an attribute ``pace``: 1 in a test; as it goes to 0, the ground
-    motion fades and the target comes to rest.
+    `ReferenceForce.step`, and has an attribute ``pace``: 1 in a test; while it falls to 0, the
+    ground motion fades and the target slows down to rest.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class Compensator(Protocol):
         """Estimate of each quantity that is identified on line, by name; shape (n,) each."""
 
     def linear(self) -> LinearFilter:
-        """Linear filter that the method is now: exactly, or as long as no estimate changes."""
+        """Linear filter of the method: exact, or for its present estimates."""
 
 
 def tells_motion(compensator: Compensator) -> bool:
@@ -115,21 +115,21 @@ def tells_motion(compensator: Compensator) -> bool:
 
 
 class AskingCompensator(Compensator, Protocol):
-    """A method whose structure may have a computed model, which is stepped beside its answers.
+    """A method whose structure may have a computed model, which is stepped after its answers.
 
     Attributes
     ----------
     model : ModelLine or None
-        The computed model; None where there is none.
+        The computed model; None if there is none.
     failure : str
-        Why the model failed in this test, one line; empty while it has not.
+        Reason of the model's failure in this test, one line; empty without a failure.
     """
 
     model: Any
     failure: str
 
     def ask_model(self) -> None:
-        """Step the model, which is part of no answer but the next."""
+        """Step the model, whose force is used from the next answer on."""
 
 
 def asks_model(compensator: Compensator) -> TypeGuard[AskingCompensator]:
@@ -141,7 +141,7 @@ Method = Callable[[Knowledge], Compensator]
 
 
 class NotLinearError(InputError):
-    """What another package has registered has no ``linear()``: only a simulation judges it."""
+    """A part of another package has no ``linear()``: only a simulation shows its stability."""
 
     def __init__(self, where: str, name: str) -> None:
         super().__init__(
@@ -150,14 +150,14 @@ class NotLinearError(InputError):
 
 
 class RegisteredPart:
-    """Another package's method or controller, of which only ``step`` is required.
+    """Another package's method or controller; only its ``step`` is required.
 
     Parameters
     ----------
     where, name : str
         Parameter that names it, and its name as registered.
     make : callable
-        Makes it. One without ``reset()`` is made anew for each test.
+        Makes it. Without ``reset()`` it is made again for each test.
     takes : str
         Arguments of ``step``.
 
@@ -180,7 +180,7 @@ class RegisteredPart:
             self._own = self._make()
 
     def linear(self) -> Any:
-        """Give what its own ``linear()`` gives; a `NotLinearError` says that it has none."""
+        """Give the result of its own ``linear()``; NotLinearError if it has none."""
         if not hasattr(self._own, "linear"):
             raise NotLinearError(self._where, self._name)
         return self._own.linear()
@@ -220,7 +220,7 @@ def between_samples(steps: float, count: int) -> Floats:
     Returns
     -------
     ndarray
-        Shape (count,); beyond the last sample they give that one.
+        Shape (count,); after the last sample they give the last value.
     """
     weights: Floats = np.maximum(0.0, 1.0 - np.abs(np.arange(count) - min(steps, count - 1.0)))
     return weights
@@ -230,16 +230,16 @@ def between_samples(steps: float, count: int) -> Floats:
 class Signals:
     """Each signal as a matrix of n rows over the columns (s, y, g) of `LinearFilter.matrix`.
 
-    What is added and multiplied by matrices with these is a gain matrix in the end.
+    Sums of these, multiplied by matrices, are a gain matrix.
 
     Attributes
     ----------
     knowledge : Knowledge
         The test.
     preview : int
-        Coming steps of the ground motion among the columns.
+        Future steps of the ground motion among the columns.
     blocks : int
-        Blocks of n states among them.
+        Blocks of n states among the columns.
     """
 
     knowledge: Knowledge

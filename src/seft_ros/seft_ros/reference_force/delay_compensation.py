@@ -1,7 +1,7 @@
-"""Methods that ask for the force of a later instant, by a delay given or followed; and ATS.
+"""Methods that request the force of a later instant, by a given or estimated delay; and ATS.
 
-An equation is written with the signals of a test as rows over a filter's columns; what comes of it
-are the gains of a linear filter, which may change while it runs.
+An equation is written with the signals of a test as rows over a filter's columns; the result are
+the gains of a linear filter, which may change during the test.
 """
 
 import math
@@ -24,12 +24,12 @@ from seft_ros.reference_force.linear_filter import (
 )
 from seft_ros.reference_force.observers import EVERY, DelayEstimator, ForceBlocks, whole_steps
 
-_GRID = 0.25  # sampling periods between the delays that gains are computed for
+_GRID = 0.25  # sampling periods between the delays for which gains are computed
 
 
 @dataclass(frozen=True)
 class DelayFilter:
-    """Linear filter of which the output gains alone depend on the delay.
+    """Linear filter whose output gains depend on the delay.
 
     Attributes
     ----------
@@ -44,10 +44,10 @@ class DelayFilter:
 
 
 def delay_method(design: Callable[[Knowledge, int], DelayFilter]) -> Method:
-    """Make a method of its filter, which ``design`` makes for delays up to some whole steps.
+    """Make a method from its filter, which ``design`` makes for delays up to some whole steps.
 
     It runs at ``compensation.delay``, or at the delay that is estimated on line; it raises
-    `InputError` if no delay is given, or the parameters of the estimate make no sense.
+    `InputError` if no delay is given, or the parameters of the estimate are invalid.
     """
 
     @wraps(design)
@@ -63,7 +63,7 @@ def delay_method(design: Callable[[Knowledge, int], DelayFilter]) -> Method:
 
 
 def given_delay(knowledge: Knowledge) -> float:
-    """Delay that is to be compensated, s.
+    """Delay to compensate, s.
 
     Raises
     ------
@@ -104,22 +104,22 @@ def delay_range(knowledge: Knowledge) -> tuple[float, float]:
 
 
 class ScheduledCompensator:
-    """Delay compensation that follows the delay of each axis as it is estimated on line.
+    """Delay compensation with the delay of each axis estimated on line.
 
-    The gains are computed beforehand on a grid of delays; between two of them they are
-    interpolated. The row of an axis is taken at that axis's delay.
+    The gains are computed before the test on a grid of delays, and interpolated in between. The row
+    of an axis is taken at that axis's delay.
 
     Parameters
     ----------
     knowledge : Knowledge
-        Its options hold the first delay and the bounds.
+        Its options give the first delay and the bounds.
     delay_filter : DelayFilter
         The method.
 
     Raises
     ------
     InputError
-        If parameters of the estimate make no sense.
+        If parameters of the estimate are invalid.
     """
 
     def __init__(self, knowledge: Knowledge, delay_filter: DelayFilter) -> None:
@@ -191,22 +191,22 @@ class Ats:
     Adaptive time series compensator (Chae, Kazemibidokhti & Ricles 2013, Earthquake Eng. Struct.
     Dyn. 42:1697-1715): by least squares over a moving window of one second, the reference force
     is a0 f + a1 f' + a2 f'' of the measured force; so an actuator of amplitude A and delay tau
-    has a0 = 1 / A, a1 = tau / A, a2 = tau^2 / 2 A, and these coefficients make it follow f*.
+    has a0 = 1 / A, a1 = tau / A, a2 = tau^2 / 2 A, and with these coefficients it follows f*.
 
     f* = -M_e a_g + S r, S = M_c (M_e + M_c)^-1, is the reference force of the solved loop, see
     `restoring`: the series of the acceleration feedback would grow without limit with frequency.
-    Derivatives are those of a parabola through the last 6 ms; the same filter takes them of f* and,
-    for the fit, of the measured force, so that the coefficients make its lag good as well.
+    Derivatives are those of a parabola through the last 6 ms. The same filter is used for f* and,
+    in the fit, for the measured force, so that the coefficients also correct its lag.
 
     Parameters
     ----------
     knowledge : Knowledge
-        Its options hold the delay to start from, and the bounds.
+        Its options give the first delay and the bounds.
 
     Raises
     ------
     InputError
-        If no delay is given, or parameters of the adaptation make no sense.
+        If no delay is given, or parameters of the adaptation are invalid.
     """
 
     def __init__(self, knowledge: Knowledge) -> None:
@@ -235,7 +235,7 @@ class Ats:
         self._sums: deque[Floats] = deque(maxlen=_BLOCKS)
 
     def reset(self) -> None:
-        """Forget the test so far, and what was identified."""
+        """Forget the test so far, and the identified values."""
         self._coefficients[:] = self._start
         self._filter.reset()
         self._filter.gains = self._gains()
@@ -281,7 +281,7 @@ class Ats:
             if not self._enough < min(total[0, 0], total[3, 3]) < math.inf:
                 continue
             now = self._coefficients[axis]
-            # one frequency alone can't determine three coefficients: the rest stays as it is
+            # one frequency alone can't determine three coefficients: the others do not change
             prior = np.diag(_PRIOR * np.diag(products))
             found = np.linalg.solve(products + prior, reference + prior @ now)
             bounded = np.clip(found, now - self._most, now + self._most)
@@ -292,8 +292,8 @@ class Ats:
 def parabola_weights(count: int, dt: float) -> Floats:
     """Weights of the last values, newest first, for value and derivatives now.
 
-    Those of the parabola fitted to them by least squares: the filter of Savitzky & Golay (1964)
-    at the end of its window.
+    They are those of a parabola fitted by least squares: the filter of Savitzky & Golay (1964) at
+    the end of its window.
 
     Returns
     -------

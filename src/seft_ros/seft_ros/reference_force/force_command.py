@@ -1,9 +1,9 @@
-"""The force to ask for, where the actuator takes forces and is late.
+"""The reference force for an actuator that obeys forces with a delay.
 
-Its response T from the force asked for to the force that acts is inverted on the target's force,
-which is known ahead. What remains is fed back where it can still be mended: the specimen is
-predicted by its model under the forces that are on their way, up to when a new one acts, and
-drawn to the target there like a mass on a critically damped spring::
+The actuator's response T from reference force to acting force is inverted for the target's force,
+which is known ahead. The remaining error is fed back at the time when a new force acts: the
+specimen is predicted up to that time by its model, under the forces on their way, and drawn to the
+target like a mass on a critically damped spring::
 
     f_r = sum_j h_j f*[k + j] + M_e (w^2 (x* - x) + 2 w (v* - v)) / T(0)                    (6)
 
@@ -28,7 +28,7 @@ FORCE_DRIVEN = ("ideal", "delay")
 
 
 class CommandParameters(NamedTuple):
-    """What does not change of a force command.
+    """Parameters of a force command.
 
     Attributes
     ----------
@@ -56,15 +56,15 @@ class CommandParameters(NamedTuple):
 
 
 class CommandState(NamedTuple):
-    """What changes of it.
+    """State of a force command.
 
     Attributes
     ----------
     sent : ndarray
         Past commands, the newest first, shape (steps + 1, n), N.
     motion, stops : ndarray
-        Displacements, then velocities, and stop operators of the specimen while it is predicted;
-        shapes (2n,), (n, m).
+        Displacements, then velocities, and stop operators of the predicted specimen; shapes (2n,),
+        (n, m).
     """
 
     sent: Floats
@@ -85,12 +85,12 @@ def command_arrays(known: Knowledge, horizon: int) -> tuple[CommandParameters, C
         for name in ("numerator", "denominator")
     )
     dt, late = known.dt, float(known.options["tracking.dead_time"])
-    if not numerator.any():  # a pure delay, which includes the half step of the hold
+    if not numerator.any():  # a pure delay, with the half step of the hold
         numerator = denominator = np.ones(1)
         late = known.options["compensation.delay"] - dt / 2
         if late < dt / 2:
             raise InputError(
-                "reference_force: target_motion needs the response of a rig that is driven by "
+                "reference_force: target_motion needs the response of a rig that obeys "
                 "forces: find it with seft identify CONFIG, or give compensation.delay (the "
                 "actuator's delay and 1.5 steps)"
             )
@@ -125,7 +125,7 @@ def command_arrays(known: Knowledge, horizon: int) -> tuple[CommandParameters, C
 
 @compiled
 def begin_command(state: CommandState) -> None:
-    """Begin a test: no force has been asked for."""
+    """Begin a test: no force has been requested."""
     state.sent[:] = 0.0
 
 
@@ -137,16 +137,16 @@ def command_step(
     running: TargetState,
     points: Floats,
 ) -> None:
-    """Put Eq. (6) in place of the target's force of this step.
+    """Replace the target's force of this step by Eq. (6).
 
     Parameters
     ----------
     parameters, state
-        The state is brought up to date.
+        The state is updated.
     target, running
         Of the target at this step.
     points : ndarray
-        As of `target_step`, shape (taps or more, 3, n); the force of the first is replaced.
+        See `target_step`, shape (taps or more, 3, n); the force of the first is replaced.
     """
     p, n = parameters, len(target.axes)
     y, stops, known = state.motion, state.stops, running.model.stops
@@ -154,7 +154,7 @@ def command_step(
         y[i], y[n + i] = running.measured[0, i], running.measured[1, i]
         for k in range(known.shape[1]):
             stops[i, k] = known[i, k]
-    # first the force of the command that acts now goes on for a part of a step, then the others'
+    # first the force of the present command acts for a part of a step, then those of the others
     for age in range(p.steps, -1, -1):
         span = p.part * p.dt if age == p.steps else p.dt
         move_by_force(target, running, p.by_force, state.sent[age], span, y, stops)

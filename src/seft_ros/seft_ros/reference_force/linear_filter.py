@@ -1,4 +1,4 @@
-"""Linear compensation: from what is measured and known ahead to the reference force."""
+"""Linear compensation: from measured signals and known ground motion to the reference force."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -18,8 +18,8 @@ class LinearFilter:
         f_r[k] = c s[k] + d y[k] + e g[k...]
         s[k+1] = a s[k] + b y[k] + h g[k...]
 
-    The reference force itself may be among the states. Preflight takes the eigenvalues of the
-    closed loop from these very matrices.
+    The reference force itself may be among the states. Preflight computes the eigenvalues of the
+    closed loop from exactly these matrices.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class LinearFilter:
 
     @classmethod
     def of_gains(cls, d: Floats, e: Floats) -> "LinearFilter":
-        """Filter that remembers nothing."""
+        """Filter without states."""
         n = len(d)
         b, h = np.zeros((0, d.shape[1])), np.zeros((0, e.shape[1]))
         return cls(np.zeros((0, 0)), b, h, np.zeros((n, 0)), d, e)
@@ -54,7 +54,7 @@ class LinearFilter:
         return self.e.shape[1] // self.axes - 1
 
     def delayed(self, steps: int) -> "LinearFilter":
-        """Filter whose reference force comes so many steps later."""
+        """Filter whose reference force is delayed by so many steps."""
         if not steps:
             return self
         n, size, late = self.axes, len(self.a), self.axes * steps
@@ -101,7 +101,7 @@ def linear_step(
     Parameters
     ----------
     parameters, state
-        The state is brought up to date.
+        The state is updated.
     ground : ndarray
         Ground acceleration of this step and the later ones, shape (1 + preview, n), m/s^2.
     measured : ndarray
@@ -129,7 +129,7 @@ def linear_step(
 
 
 class LinearCompensator:
-    """A `LinearFilter` as a compensator: one matrix-vector product to a step.
+    """A `LinearFilter` as a compensator: one matrix-vector product for each step.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ class LinearCompensator:
     Attributes
     ----------
     parameters, state : LinearParameters, LinearState
-        What `linear_step` takes, here and in a compiled loop.
+        Arguments of `linear_step`, here and in a compiled loop.
     """
 
     def __init__(self, linear_filter: LinearFilter) -> None:
@@ -179,7 +179,7 @@ class Memory:
         f_r[k] = gains (s[k], y[k], g[k...])
         s[k+1] = a s[k] + b y[k] + h g[k] + w f_r[k]
 
-    The states s mean the same at all gains, and so remain right while these change.
+    The states s have the same meaning at all gains, so that the gains may change.
 
     Attributes
     ----------

@@ -14,11 +14,12 @@ from seft_plant_sim.compiled import compiled
 from seft_plant_sim.sensors import CHANNELS
 
 BETWEEN_SAMPLES = 3.0
-"""Noise of the acceleration that is integrated, over that of the sensor: it changes in between."""
+"""Noise of the integrated acceleration over the sensor's: the acceleration changes between samples.
+"""
 LEAST_NOISE = np.array([1e-6, 1e-4, 5e-3, 0.3])
-"""Noise that every sensor is taken to have: displacement (m), velocity, acceleration, force (N)."""
+"""Least assumed noise of the sensors: displacement (m), velocity, acceleration, force (N)."""
 UNKNOWN_VELOCITY = 100.0
-"""Noise of a velocity that is no measurement of its own, m/s: it is not used."""
+"""Noise of a derived velocity, m/s: so large that it is not used."""
 
 
 def sensor_noise(section: Mapping[str, Any], axes: Sequence[str], group: str, where: str) -> Floats:
@@ -62,14 +63,14 @@ def observer_gains(noise: Floats, dt: float) -> tuple[Floats, Floats]:
     gains : ndarray
         Shape (n, 2, 2): corrections of displacement and velocity by their innovations.
     left : ndarray
-        RMS noise that is left of displacement and velocity, shape (2, n).
+        Remaining RMS noise of displacement and velocity, shape (2, n).
     """
     n = noise.shape[1]
     gains, left = np.empty((n, 2, 2)), np.empty((2, n))
     free, push = np.array([[1.0, dt], [0.0, 1.0]]), np.array([dt * dt / 2.0, dt])
     for axis in range(n):
         x, v, a = noise[:3, axis]
-        scale = np.diag([x, x / dt])  # the equation is solved in units of the noise
+        scale = np.diag([x, x / dt])  # solve the equation in units of the noise
         inverse = np.linalg.inv(scale)
         driven = inverse @ np.outer(push, push) @ inverse * (BETWEEN_SAMPLES * a) ** 2
         sensors = inverse @ np.diag([x * x, v * v]) @ inverse
@@ -84,21 +85,20 @@ def observer_gains(noise: Floats, dt: float) -> tuple[Floats, Floats]:
 
 @compiled
 def observe(gains: Floats, dt: float, is_first: bool, measured: Floats, motion: Floats) -> None:
-    """Take a sample in.
+    """Update the estimates with a sample.
 
     Parameters
     ----------
     gains : ndarray
-        As of `observer_gains`, shape (n, 2, 2).
+        See `observer_gains`, shape (n, 2, 2).
     dt : float
         Sampling period, s.
     is_first : bool
-        Whether nothing has been measured before.
+        Whether this is the first sample.
     measured : ndarray
         Displacement, velocity, acceleration and force, shape (4, n).
     motion : ndarray
-        Estimates of displacement and velocity, and the last acceleration, shape (3, n); brought
-        up to date.
+        Estimates of displacement and velocity, and the last acceleration, shape (3, n); updated.
     """
     for i in range(measured.shape[1]):
         a = measured[2, i]
@@ -116,10 +116,10 @@ def observe(gains: Floats, dt: float, is_first: bool, measured: Floats, motion: 
 
 
 MEMORY = 1.0
-"""Time constant with which the past is forgotten, s."""
+"""Time constant of the memory, s."""
 EVERY = 10
 """Steps from one estimate to the next."""
-_ALIKE = 0.7  # least correlation coefficient of two signals that are one, delayed
+_ALIKE = 0.7  # least correlation coefficient of a signal and its delayed copy
 _TINY = 1e-300  # N^4: no division by zero
 _ROUNDING = 1e-9  # of a sampling period
 
@@ -130,7 +130,7 @@ def whole_steps(time: float, dt: float) -> int:
 
 
 class BandPass:
-    """High-pass and low-pass of the second order (Butterworth) in a row, for many signals.
+    """High-pass and low-pass of the second order (Butterworth) in series, for many signals.
 
     Each is the bilinear transform of w^2 or s^2 over s^2 + sqrt(2) w s + w^2, prewarped, as a
     recursion of the direct form II, transposed.
@@ -201,7 +201,7 @@ def _second_order(
 
 
 class ForceBlocks:
-    """Passes both forces of n axes through the same band-pass and hands them out in blocks.
+    """Passes both forces of n axes through the same band-pass and returns them in blocks.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ class ForceBlocks:
     axes : int
         Number of axes n.
     past, block : int
-        Steps before a block that come with it, and steps of a block.
+        Steps that are returned before a block, and steps of a block.
 
     Raises
     ------
@@ -233,15 +233,15 @@ class ForceBlocks:
         self._row = self._past
 
     def step(self, reference: Floats, measured: Floats) -> Floats | None:
-        """Take in the forces of one step, shape (n,) each, N.
+        """Add the forces of one step, shape (n,) each, N.
 
         A step with a value that is not finite is left out.
 
         Returns
         -------
         ndarray or None
-            With the last step of a block, the steps before it and its own, shape (past + block, 2,
-            n): reference force and measured force in the band. It holds until the next step.
+            At the last step of a block: the steps before it and its own, shape (past + block, 2,
+            n), reference force and measured force in the band. Valid until the next step.
         """
         if self._row == len(self._samples):
             self._samples[: self._past] = self._samples[-self._past :]
@@ -257,21 +257,21 @@ class ForceBlocks:
 
 
 class DelayEstimator:
-    """Delay at which the measured force of each of n axes is most like the reference force.
+    """Delay at which the measured force of each of n axes best fits the reference force.
 
-    With both forces passed through the same band-pass, p and q, it is the lag l at which a p[k-l]
-    leaves least of q[k], whatever the amplitude a: where the normalised correlation ::
+    Both forces pass through the same band-pass and become p and q. The delay is the lag l at which
+    a p[k-l] fits q[k] best, for any amplitude a: there the normalised correlation ::
 
         sum q[k] p[k-l] / sqrt(sum q[k]^2 sum p[k-l]^2)
 
-    is largest, the sums fading with a time constant of a second, and between the samples by the
-    parabola through three of them (Knapp & Carter 1976, IEEE Trans. ASSP 24:320-327, on time
-    delay by correlation). Neither an amplitude error of the actuator nor the loop around it
-    biases the estimate, as the measured force follows from the reference force whatever its
-    origin. A force that is held between the samples acts half a step later than it shows.
+    is largest. The sums fade with a time constant of a second. Between the samples the maximum is
+    that of the parabola through three of them (Knapp & Carter 1976, IEEE Trans. ASSP 24:320-327, on
+    time delay by correlation). Neither an amplitude error of the actuator nor the loop around it
+    biases the estimate, because the measured force follows from the reference force in any case. A
+    force that is held between the samples acts half a step later than its samples.
 
-    The estimate stays where it is while the forces are small or not alike, keeps within its
-    bounds, and moves no faster than its rate.
+    The estimate does not change while the forces are small or uncorrelated; it stays within its
+    bounds, and changes no faster than its rate.
 
     Parameters
     ----------
@@ -332,7 +332,7 @@ class DelayEstimator:
             sums[:] = 0.0
 
     def step(self, reference: Floats, measured: Floats) -> None:
-        """Take in the forces of one step.
+        """Add the forces of one step.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Reference force that the actuators are to apply; what is gathered for it, and identified."""
+"""Reference force of the actuators; the gathered states and ground motion; its estimates."""
 
 import math
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ class StateGathering:
     rigs : sequence of RigAxes
         The rigs of the test, with n axes together.
     patience : float
-        Time for which the state of a rig may lack when another's is there, s.
+        Longest time for which the state of a rig may be missing after another's has arrived, s.
     """
 
     def __init__(self, rigs: Sequence[RigAxes], patience: float) -> None:
@@ -40,7 +40,7 @@ class StateGathering:
         """Begin a new test."""
         self._newest = [-1] * len(self._rigs)
         self._parts: dict[int, dict[int, Floats]] = {}
-        self._since = math.inf  # when the first state came that waits for another
+        self._since = math.inf  # arrival of the first state that waits for another rig's
 
     def take(self, rig: int, step: int, state: Floats, now: float) -> Floats | None:
         """Take the state of a rig.
@@ -59,8 +59,8 @@ class StateGathering:
         Returns
         -------
         ndarray or None
-            State of all axes at that step, shape (4, n), once all rigs have sent theirs; steps
-            before it are given up then.
+            State of all axes at that step, shape (4, n), when all rigs have sent theirs; earlier
+            steps are dropped then.
 
         Raises
         ------
@@ -85,23 +85,23 @@ class StateGathering:
 
     @property
     def is_waiting(self) -> bool:
-        """Whether the state of a rig is there and that of another is not."""
+        """Whether the state of one rig has arrived and that of another has not."""
         return self._since < math.inf
 
     def lost(self, now: float) -> str:
-        """Name the rig whose states are late at a time in s, monotonic; empty if none is."""
+        """Name a rig with late states, at a time in s, monotonic; empty if there is none."""
         if now - self._since <= self._patience:
             return ""
         first, last = max(self._newest), min(self._newest)
         name, ahead = (self._rigs[self._newest.index(step)].name for step in (last, first))
-        known = f"the last is of step {last}" if last >= 0 else "none has come"
+        known = f"the last is of step {last}" if last >= 0 else "none has arrived"
         return (
             f"no rig/state of {name} for {self._patience:g} s ({known}; {ahead} is at step {first})"
         )
 
 
 class MotionBuffer:
-    """Ground accelerations of n axes by step, from the first that is still wanted on.
+    """Ground accelerations of n axes by step, from the first step that is still needed.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ class MotionBuffer:
         Returns
         -------
         bool
-            False where steps before it are missing; then it is left out.
+            False if steps before it are missing; then it is left out.
         """
         if first == 0 or not len(self._values):
             self._first, self._values = first, values.copy()
@@ -138,7 +138,7 @@ class MotionBuffer:
         return True
 
     def window(self, step: int, count: int) -> Floats | None:
-        """Accelerations of ``count`` steps from ``step`` on, shape (count, n), if all are there."""
+        """Accelerations of ``count`` steps from ``step`` on, shape (count, n); None if missing."""
         start = step - self._first
         if start < 0 or start + count > len(self._values):
             return None
@@ -152,7 +152,7 @@ class MotionBuffer:
 
 
 class ReferenceForce:
-    """Reference force of a test over n axes, as a compensation method computes it.
+    """Reference force of a test over n axes, computed by a compensation method.
 
     All methods approximate
 
@@ -171,9 +171,9 @@ class ReferenceForce:
     preview : int
         Number of later steps whose ground motion `step` needs.
     tells_motion : bool
-        Whether it gives the motion of a target, and not the force alone.
+        Whether it gives the motion of a target in addition to the force.
     shape : (int, int)
-        Points and quantities that `step` gives.
+        Number of points and quantities of `step`.
     compensator : Compensator
         As given.
     """
@@ -188,20 +188,20 @@ class ReferenceForce:
     def from_parameters(
         cls, section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
     ) -> "ReferenceForce":
-        """Make it of its section of an experiment.
+        """Make it from its section of an experiment.
 
         Raises
         ------
         InputError
-            If the model's sizes do not fit the axes, its mass is not positive, or the method
-            lacks something.
+            If the model's sizes do not fit the axes, its mass is not positive, or the method needs
+            more parameters.
         """
         known = knowledge(section, axes, timebase)
         return cls(compensator(section["compensation.method"], known))
 
     @property
     def is_modelled(self) -> bool:
-        """Whether a computed model is part of it."""
+        """Whether it has a computed model."""
         return asks_model(self.compensator) and self.compensator.model is not None
 
     def reset(self) -> None:
@@ -219,7 +219,7 @@ class ReferenceForce:
         state : ndarray
             Measured displacement, velocity, acceleration and force, shape (4, n).
         pace : float
-            Of a target: 1 in a test, on the way to rest it goes to 0.
+            Of a target: 1 in a test; in the ramp it falls to 0.
 
         Returns
         -------
@@ -238,7 +238,7 @@ class ReferenceForce:
 
 
 def compensator(method: str, known: Knowledge) -> Compensator:
-    """Make a compensation method of what is known of a test; InputError if it lacks something."""
+    """Make a compensation method from the known data of a test; InputError if some are missing."""
     computed = known.computed
     for name, given in (("model", computed.model), ("influence of axes", computed.on_axes)):
         if given is not None and method != TARGET_MOTION:
@@ -251,7 +251,7 @@ def compensator(method: str, known: Knowledge) -> Compensator:
 
 
 def knowledge(section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase) -> Knowledge:
-    """Gather what a compensation method may know of a test.
+    """Gather the known data of a test for a compensation method.
 
     Raises
     ------
@@ -284,7 +284,7 @@ def knowledge(section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
     loop_delay: int = section["loop_delay"]
     if loop_delay < 0:
         raise InputError(
-            "reference_force: loop_delay is to be measured, which only seft run does; measure it "
+            "reference_force: loop_delay is -1, and only seft run measures it; measure it "
             "with seft link, and give it with -p reference_force:loop_delay:=STEPS"
         )
     prefixes = ("compensation.", "tracking.")
@@ -301,7 +301,7 @@ def knowledge(section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
 
 PERIOD_NS = NANOSECONDS_PER_SECOND // 10
 MODEL_PERIOD_NS = NANOSECONDS_PER_SECOND // 100
-"""Experiment time between two samples, and with a computed model, whose hysteresis they draw."""
+"""Experiment time between two samples with a computed model; a plot of its hysteresis needs it."""
 
 
 class Estimating(Protocol):
@@ -323,13 +323,13 @@ def sampling_period(timebase: Timebase, is_modelled: bool) -> int:
 class EstimateSampler:
     """Samples the estimates of a reference force at step 0 and every `sampling_period` from there.
 
-    Where the step that is due was lost, the next one counts. Sampling is left to the caller,
-    for whom it must cost nothing to ask at every step: ``if step >= sampler.due``.
+    If the due step was lost, the next one is sampled. The caller decides by a comparison that takes
+    no time at each step: ``if step >= sampler.due``.
 
     Parameters
     ----------
     reference_force : Estimating
-        Whose estimates.
+        Has the estimates.
     timebase : Timebase
         Sampling clock of the test.
 
@@ -359,8 +359,8 @@ class EstimateSampler:
         Returns
         -------
         dict of str to ndarray
-            Name -> estimate of each axis, shape (n,), SI units; empty where the method
-            identifies nothing.
+            Name -> estimate of each axis, shape (n,), SI units; empty if the method identifies
+            nothing.
         """
         self.due = step - step % self._every + self._every
         return {name: np.array(value) for name, value in self._estimates().items()}

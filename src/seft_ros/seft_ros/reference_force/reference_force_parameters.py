@@ -1,6 +1,6 @@
-"""Parameter table of the reference force, the methods by name, and what its topic carries.
+"""Parameter table of the reference force, the methods by name, and the content of its topic.
 
-The methods themselves take a third of a second to import, which most nodes can do without.
+The import of the methods themselves takes a third of a second; most nodes do not need it.
 """
 
 from collections.abc import Mapping
@@ -24,14 +24,14 @@ OWN = (
     TARGET_MOTION,
 )
 OF_MODEL = "computed "
-"""Begins the names of what is recorded of a computed model."""
+"""Prefix of the names of a computed model's recorded values."""
 REGISTERED = Registered("seft.compensation", OWN)
-"""Of other packages: name of a method -> `compensator.Method`, which may take settings."""
+"""Methods of other packages: name -> `compensator.Method`, which may take settings."""
 
 _TEST = parameter_rows(
     """
     method             | string | seft |       | eft, seft |
-        seft: computed mass by acceleration feedback (Eq. 2.5); eft: without (Eq. 2.3)
+        seft: with computed mass, by acceleration feedback (Eq. 2.5); eft: without (Eq. 2.3)
     mass_ratio         | float  | 0.0  |       | 0 ..      |
         computed mass over specimen mass, alpha; with computed.mass a factor on all that is
         computed, 1 as given
@@ -43,99 +43,98 @@ _TEST = parameter_rows(
     computed.internal  | int    | 0    |       | 0 .. 200  |
         degrees of freedom of the computed substructure beside the axes
     computed.influence | floats | 0.0  |       |           |
-        ground acceleration of each of these per that of each axis, one after the other; 0:
-        that of the first axis; with target_motion, those of the axes may stand before: 0
-        where an axis is a deformation on top of an internal degree of freedom
+        ground acceleration of each internal degree of freedom per ground acceleration of each
+        axis, row by row; 0: that of the first axis. With target_motion, rows of the axes may
+        precede: 0 for an axis that is a deformation above an internal degree of freedom
     computed.model     | string |      |       |           |
-        what else is computed, for target_motion: FILE.py:CLASS, MODULE:CLASS or a name
-        that a package has registered, as opensees (docs/computed_models.md); empty:
-        nothing
+        computed model, for target_motion: FILE.py:CLASS, MODULE:CLASS or a name that a
+        package has registered, e.g. opensees (docs/computed_models.md); empty: no model
     computed.settings  | string |      |       |           |
-        its settings, as script=frame.py substeps=2
+        its settings, e.g. script=frame.py substeps=2
     computed.every     | int    | 1    |       | 1 .. 50   |
-        samples from one step of the model to the next, where it is slow
+        samples from one step of the model to the next; above 1 for a slow model
     loop_delay         | int    | 0    |       | -1 .. 100 |
-        steps from a state to the first use of the force that is computed from it, where a
-        link lies between this node and the force controller (docs/hosts.md); 0: none does,
-        and the force controller waits for it; -1: seft run measures it before the test
+        steps from a state to the first use of the force that is computed from it, if there is
+        a link between this node and the force controller (docs/hosts.md); 0: no link, and the
+        force controller waits for the force; -1: seft run measures it before the test
     model.mass         | floats | rig:specimen.mass | kg    |           |
-        mass of the specimen as known to the experimenter
+        assumed mass of the specimen
     model.damping      | floats | rig:specimen.damping or 0.0 | N s/m |           |
-        damping of the specimen, likewise
+        assumed damping of the specimen
     model.stiffness    | floats | rig:specimen.stiffness | N/m   |           |
-        stiffness of the specimen, likewise
+        assumed stiffness of the specimen
     model.springs      | floats | rig:specimen.springs or 0.0 |       |           |
-        springs of the specimen that may yield, likewise: deformation of each per
-        displacement of each axis; 0: one between each axis and the ground
+        springs of the specimen that may yield: deformation of each spring per displacement of
+        each axis; 0: one spring between each axis and the ground
     """
 )
 _COMPENSATION = parameter_rows(
     """
     compensation.delay                 | float  | 0.0   | s     | 0 .. 1    |
-        delay that the method compensates: from reference force to measured force, latency
-        of the loop included, as seft identify finds it (an idealised actuator's delay and
-        1.5 steps); `none` and `restoring` do not use it
+        delay that the method compensates: from reference force to measured force, with the
+        latency of the loop, as seft identify finds it (for an idealised actuator its delay
+        plus 1.5 steps); `none` and `restoring` do not use it
     compensation.order                 | int    | 1     |       | 1 .. 3    |
         order of the polynomial of `polynomial`
     compensation.estimate_delay        | bool   | false |       |           |
-        estimate the delay of each axis while the test runs, from compensation.delay on; for
-        the methods that compensate a delay, `ats` adapts by itself
+        estimate the delay of each axis while the test runs, starting at compensation.delay;
+        for the methods that compensate a delay. `ats` adapts by itself
     compensation.delay_range           | floats | [0.002, 0.04] | s     | 0 .. 0.1  |
-        shortest and longest delay that is estimated
+        shortest and longest delay that the estimate may have
     compensation.delay_rate            | float  | 0.01  |       | 0 ..      |
         largest change of an estimated delay, s per s
     compensation.excitation            | float  | 20.0  | N     | > 0       |
-        RMS of the forces over about a second from which on they are used to adapt; above
-        what the sensors' noise makes
+        least RMS of the forces, over about a second, at which the methods adapt; above the
+        effect of the sensors' noise
     compensation.band                  | floats | [1.0, 12.0] | Hz    | > 0       |
-        lowest and highest frequency at which forces are compared to adapt: where they have
-        their energy
+        lowest and highest frequency at which the methods compare forces to adapt: the band of
+        the forces' energy
     compensation.actuator_kind | string | rig:actuator.kind or servo_hydraulic |  | ideal, delay,
         servo_hydraulic, servo_hydraulic_linear | `target_motion`: kind of the rig's
-        actuators; ideal and delay are driven by reference_force, which is then sent ahead
-        by their response (tracking.*)
+        actuators; ideal and delay obey reference_force, which is then sent ahead of time, by
+        their response (tracking.*)
     compensation.horizon               | float  | 0.05  | s     | > 0 .. 1  |
-        `target_motion`: time ahead for which the motion is predicted; four times the
-        delay of the valves, or three times that of the force loop
+        `target_motion`: how far ahead the motion is predicted; four times the delay of the
+        valves, or three times that of the force loop
     compensation.noise.position | floats | rig:sensors.position_noise or 0.0 | m | 0 .. |
-        RMS noise of the measured displacement, by which it is weighed against the others
+        RMS noise of the measured displacement, which determines its weight
     compensation.noise.velocity | floats | rig:sensors.velocity_noise or 0.0 | m/s | 0 .. |
-        RMS noise of the measured velocity, by which it is weighed against the others
+        RMS noise of the measured velocity, which determines its weight
     compensation.noise.acceleration | floats | rig:sensors.acceleration_noise or 0.0 | m/s^2 | 0 ..
-        | RMS noise of the measured acceleration, by which it is weighed against the others
+        | RMS noise of the measured acceleration, which determines its weight
     compensation.noise.force | floats | rig:sensors.force_noise or 0.0 | N | 0 .. |
-        RMS noise of the measured force, by which it is weighed against the others
+        RMS noise of the measured force, which determines its weight
     compensation.noise.velocity_source | string | rig:sensors.velocity or measured |  | measured,
-        derived | whether the velocity is measured, or derived from the displacement and so
-        late
+        derived | whether the velocity is measured, or derived from the displacement (and
+        therefore late)
     tracking.numerator                 | floats | [0.0] |       |           |
         numerator of the identified response from reference force to measured force of the
-        same step, in s, highest power first, for `target_motion` on a rig that is driven by
-        forces; 0: a pure delay, of compensation.delay
+        same step, in s, highest power first, for `target_motion` on a rig that obeys forces;
+        0: a pure delay, of compensation.delay
     tracking.denominator               | floats | [1.0] |       |           |
         its denominator, likewise
     tracking.dead_time                 | float  | 0.0   | s     | 0 .. 1    |
-        its dead time, the loop's latency included
+        its dead time, with the loop's latency
     limits.force | float | supervisor:limits.force or 22200.0 | N | > 0 |
         largest reference force on any axis; beyond it the test is ramped down
     limits.force_rate                  | float  | 3.0e6 | N/s   | > 0       |
         fastest change of the reference force on any axis from step to step, likewise; far
-        above what a test near its limits asks for, so that it only catches what is no test
+        above the changes in a test near its limits, so that it finds faults only
     instability.ratio                  | float  | 5.0   |       | 0 ..      |
-        vibration beyond this many times what the structure has under the measured restoring
-        force brings the test down softly, before it grows to a limit; 0: never
+        ratio of the vibration to that of the structure under the measured restoring force, above
+        which the test is ramped down, before a limit is reached; 0: never
     instability.floor                  | float  | 0.3   | m/s^2 | > 0       |
-        vibration (RMS) that counts as the structure's in any case: several times the noise
-        of the accelerometers
+        least vibration (RMS) that is assumed for the structure: several times the noise of
+        the accelerometers
     instability.lowest                 | float  | 0.0   | Hz    | 0 ..      |
-        frequency from which on vibration is watched; 0: twice the specimen's lowest natural
-        frequency, which the model gives
+        lowest frequency at which vibration is watched; 0: twice the specimen's lowest natural
+        frequency, from the model
     watchdog.rig_timeout               | float  | 0.01  | s     | > 0       |
-        of several rigs in realtime: longest time that the state of one may fail to come
-        when another's is there, before the test trips
+        with several rigs in realtime: longest time that the state of one rig may be missing
+        after another's has arrived, before the test trips
     ramp_down_time                     | float  | 0.5   | s     | > 0 .. 60 |
-        experiment time in which the reference force goes to zero, as half a cosine, where a
-        test is brought down softly
+        time of the test in which a ramp-down takes the reference force to zero, as half a
+        cosine
     """
 )
 TABLE = Table(
@@ -146,7 +145,7 @@ TABLE = Table(
             "compensation.method",
             "string",
             "none",
-            "how the measured acceleration is freed of the actuator's delay",
+            "how the actuator's delay is compensated",
             choices=REGISTERED.names,
         ),
         REGISTERED.settings_row("compensation.settings", "a method"),
@@ -157,9 +156,9 @@ TABLE = Table(
 
 
 def reference_force_topic(section: Mapping[str, Any]) -> LoopTopic:
-    """Give the topic as the reference force's section of an experiment makes it.
+    """Give the topic from the reference force's section of an experiment.
 
-    Whoever does not know that section reads it as `REFERENCE_FORCE`: the force of a target, too.
+    Without that section a reader uses `REFERENCE_FORCE`, which also reads the force of a target.
     """
     is_target = section.get("compensation.method") == TARGET_MOTION
     return TARGET if is_target else REFERENCE_FORCE

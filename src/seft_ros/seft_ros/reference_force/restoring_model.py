@@ -1,4 +1,4 @@
-"""The restoring force near where the specimen is: a line, a damper and sliders, followed on line.
+"""The restoring force near the specimen's state: a line, a damper and sliders, identified on line.
 
 In coordinates of the specimen's springs, with deformations e = D x and forces s = D^-T r, each
 spring j is
@@ -6,37 +6,36 @@ spring j is
     s_j = p_j + sum_l K_jl e_l + sum_l C_jl e_l' + sum_i w_ji z_i(e_j)
 
 p is an offset, K and C are stiffness and damping. z_i is the stop operator with threshold y_i: it
-moves with the deformation, and stays between -y_i and y_i. Sums of them are the hysteresis of
-Prandtl and Ishlinskii (Visintin, Differential Models of Hysteresis, 1994, ch. III), which friction,
-yielding and unloading are made of. The model is linear in p, K, C and w, so a Kalman filter
-follows them.
+moves with the deformation, and stays between -y_i and y_i. Sums of stop operators are the
+hysteresis of Prandtl and Ishlinskii (Visintin, Differential Models of Hysteresis, 1994, ch. III),
+which describes friction, yielding and unloading. The model is linear in p, K, C and w, so a Kalman
+filter estimates them.
 
-It is never believed beyond the sample: the measured force itself is p plus the rest, so what the
-model does not know stands in p, and the model serves to go from where the specimen is to where
-the target is, and a few steps ahead.
+The model is only used near the sample: the offset p contains the part of the measured force that
+the rest of the model does not explain. The model serves for the step from the specimen's state to
+the target's, and for the prediction a few steps ahead.
 
-While the innovations are noise, the filter averages. When their recent sum is what chance would
-make once in `ONCE_IN` s, the specimen has changed: the covariance grows by the prior's,
-scaled to explain what was seen (Zhou & Frank 1996), in directions that leave the force of the last
-sample as it was, as a force does not jump when a stiffness does.
+While the innovations are noise, the filter averages. If their recent sum is so large that chance
+makes it once in `ONCE_IN` s, the specimen has changed: the covariance is increased by the prior's,
+scaled to explain the sum (Zhou & Frank 1996), in directions that keep the force of the last sample,
+because a force does not jump when a stiffness does.
 
-The specimen as assumed is a model without unknowns, and predicts better than one that still
-learns wherever it is right. The two are weighed by their likelihoods (Magill 1965), whose ratio is
-bounded so that each can overtake the other.
+The assumed specimen is a model without unknowns. If it is right, it predicts better than a model
+that still learns. The two are weighted by their likelihoods (Magill 1965), whose ratio is bounded
+so that each can overtake the other.
 
-The structure remembers the restoring force as an impulse, and every sample also tells of the force
-that has acted before it: with the parameters' covariance c with that impulse, the Kalman filter
-estimates it, too (a fixed-lag smoother: Anderson & Moore, Optimal Filtering, 1979, ch. 7). What the
-estimate changes by, acts now::
+The structure remembers the restoring force as an impulse, and every sample also improves the
+estimate of earlier forces. With the covariance c of the parameters and that impulse, the Kalman
+filter estimates the impulse, too (a fixed-lag smoother: Anderson & Moore, Optimal Filtering, 1979,
+ch. 7). The change of its estimate acts now::
 
     change of the impulse = c . phi / variance * innovation
-    c <- c - P phi (c . phi) / variance, then c <- fade c + P phi with the P of after the update
+    c <- c - P phi (c . phi) / variance, then c <- fade c + P phi with the P after the update
 
-Without it the impulse would be the sum of running estimates, of twice the variance that the sum of
-the measured force has.
+Without it the impulse would be the sum of the estimates over time, with twice the variance of the
+sum of the measured force.
 
-What was taken for noise until the specimen turned out to be another was an impulse, too, and is
-made good.
+The innovations before a change was detected were taken for noise. Their impulse is applied, too.
 """
 
 import math
@@ -48,65 +47,66 @@ from seft_msgs_py.arrays import Floats
 from seft_plant_sim.compiled import compiled, multiply_sized
 
 THRESHOLDS = 12
-"""Stop operators of a spring; each has twice the threshold of the one before."""
+"""Number of stop operators of a spring; each has twice the threshold of the one before."""
 SMALLEST_SLIDER = 2.0
 """Least threshold over the noise of the deformation."""
 ONCE_IN = 2.0
-"""Time in which chance makes one sum of innovations that is taken for a change, s."""
+"""Mean time between two sums of innovations that chance makes and the filter takes for a change, s.
+"""
 RECENT = 0.008
-"""Time constant of that sum, s: what persists for longer than a valve takes to answer matters."""
+"""Time constant of that sum, s: changes that last longer than a valve's answer matter."""
 UNCERTAIN_STIFFNESS, UNCERTAIN_DAMPING = 0.3, 0.3
-"""Standard deviation of what is assumed, relative to it."""
+"""Standard deviation of the assumed values, relative to them."""
 CHANGING_STIFFNESS, CHANGING_DAMPING, CHANGING_SLIDER = 1.0, 0.5, 1.5
 """Standard deviation of a change: of K and C relative to them, of w to its prior."""
 SLIDER_TO_NOISE, OFFSET_TO_NOISE = 0.5, 7.0
 """Prior of a slider's force and of the offset, over the noise of the restoring force."""
 MOST_EVIDENCE = math.log(1e4)
-"""Largest logarithm of the likelihoods' ratio, either way."""
+"""Largest magnitude of the logarithm of the likelihoods' ratio."""
 CONFIRMED_IN = 0.05
-"""Time in which the assumed model must be right until it is believed again, s: a restoring force
-that swings crosses the assumed line now and then, whatever the specimen is."""
+"""Time for which the assumed model must be right before it is accepted again, s: with any specimen
+an oscillating force crosses the assumed line now and then."""
 STANDS_OUT = 20.0
-"""Motion over its noise from which on it tells of stiffness and damping: what is regressed on a
-noisy motion comes out too small, by the square of the noise over the motion."""
+"""Least motion over its noise for the identification of stiffness and damping: regression on a
+noisy motion underestimates them, by the square of the noise over the motion."""
 DRIFT = 0.003
-"""Change in a second that goes unnoticed, relative to the prior's or what is assumed."""
+"""Undetected change in a second, relative to the prior or the assumed value."""
 LEAST_DAMPING = 0.02
-"""Damping ratio that a spring may have even where none is assumed."""
+"""Least damping ratio of a spring, also if none is assumed."""
 
 
 class ModelParameters(NamedTuple):
-    """What does not change of the models of n springs with q parameters and m thresholds each.
+    """Parameters of the models of n springs with q parameters and m thresholds each.
 
     Attributes
     ----------
     springs : tuple of int
-        0 to n - 1. The length of a tuple is known where a step is compiled: its loops need not
-        count, which a step of one axis would do for most of its time.
+        0 to n - 1. The length of a tuple is known at compilation, so that its loops need no
+        counting, which would take most of the time of a step of one axis.
     thresholds : ndarray
         y, shape (n, m), m.
     start : ndarray
         Parameters (p, K, C, w) of each spring at the beginning, shape (n, q): 1 + 2n + m, and up
-        to three zeros, so that they are fours.
+        to three zeros, so that q is a multiple of four.
     prior, drift, change : ndarray
         Their variance at the beginning, per step, and of a change; shape (n, q).
     noise : ndarray
-        Variance of the restoring force by the sensors of force and acceleration, and with what the
-        noise of the motion makes of it where the specimen is as assumed; shape (n, 2), N^2.
+        Variance of the restoring force from the sensors of force and acceleration, and with the
+        effect of the motion's noise on the assumed specimen; shape (n, 2), N^2.
     observed : ndarray
         Variance of the deformations (m^2) and their rates (m^2/s^2), shape (n, 2).
     alike : float
-        So many samples of these count as one, as the observer filters them.
+        So many samples of these count as one, because the observer filters them.
     least : ndarray
-        Deformation (m) and its rate (m/s) that stand out of the noise, shape (n, 2).
+        Least deformation (m) and rate (m/s) above the noise, see `STANDS_OUT`; shape (n, 2).
     recent : float
         Factor per step with which sums of innovations fade.
     remembered : ndarray
         Factor per step with which the structure forgets an impulse on each spring, shape (n,).
     surprise : float
-        Square of the normalised sum that is no chance.
+        Square of the normalised sum at which a change is detected.
     confirming : float
-        Largest growth of the evidence for the assumed model while it is not believed, per step.
+        Largest growth of the evidence for the assumed model while it is not accepted, per step.
     """
 
     springs: tuple[int, ...]
@@ -126,26 +126,25 @@ class ModelParameters(NamedTuple):
 
 
 class ModelState(NamedTuple):
-    """What changes of them.
+    """State of the models.
 
     Attributes
     ----------
     values, before : ndarray
-        Parameters as used, now and at the last sample; shape (n, q).
+        Used parameters, now and at the last sample; shape (n, q).
     found : ndarray
-        As the filter has them, shape (n, q).
+        Parameters of the filter, shape (n, q).
     covariance : ndarray
         Shape (n, q, q).
     past : ndarray
-        Their covariance with the impulse that has acted, over a period; shape (n, q).
+        Their covariance with the past impulse, over a period; shape (n, q).
     regressors, last : ndarray
-        What they multiply now, and at the last sample, shape (n, q).
+        Factors of the parameters now, and at the last sample, shape (n, q).
     stops : ndarray
         z of the specimen, shape (n, m), m.
     sums : ndarray
-        Of each spring: recent innovations, their variance, the impulse over a period that was not
-        explained, the force that makes good for impulses (N), and the evidence for the assumed
-        model; shape (n, 5).
+        Of each spring: recent innovations, their variance, the unexplained impulse over a period,
+        the force that corrects impulses (N), and the evidence for the assumed model; shape (n, 5).
     work : ndarray
         Shape (3, q).
     """
@@ -172,21 +171,21 @@ def model_arrays(
     frequency: Floats,
     dt: float,
 ) -> tuple[ModelParameters, ModelState]:
-    """Make models of a specimen as assumed, all in coordinates of its springs.
+    """Make models of an assumed specimen, all in coordinates of its springs.
 
     Parameters
     ----------
     mass, damping, stiffness : ndarray
         Shape (n, n), kg, N s/m and N/m.
     noise : ndarray
-        RMS noise of the restoring force by the sensors of force and acceleration, shape (n,), N.
+        RMS noise of the restoring force from the sensors of force and acceleration, shape (n,), N.
     observed : ndarray
         RMS noise of deformations (m) and their rates (m/s), shape (n, 2).
     alike : float
         So many samples of these count as one.
     frequency : ndarray
-        The whole structure's at each spring, shape (n,), rad/s: in a quarter of its period it turns
-        an impulse into a displacement, and forgets it.
+        Frequency of the whole structure at each spring, shape (n,), rad/s: after a quarter of the
+        period an impulse has become a displacement.
     dt : float
         Sampling period, s.
     """
@@ -288,7 +287,7 @@ def move_stops(parameters: ModelParameters, change: Floats, stops: Floats) -> No
 def slider_forces(
     parameters: ModelParameters, values: Floats, stops: Floats, forces: Floats
 ) -> None:
-    """Force of the sliders of each spring by these values, shape (n,), N: the result."""
+    """Force of the sliders of each spring with these values, shape (n,), N: the result."""
     n = len(parameters.springs)
     first = 1 + 2 * n
     for j in range(n):
@@ -303,7 +302,7 @@ def slider_forces(
 
 @compiled
 def motion_noise(parameters: ModelParameters, state: ModelState, j: int) -> float:
-    """Variance of the force of spring j by the noise of the motion, at the slope as found, N^2."""
+    """Variance of the force of spring j from the motion's noise, at the identified slope, N^2."""
     found, observed, n = state.found[j], parameters.observed, len(parameters.springs)
     sticking = 0.0
     for i in range(THRESHOLDS):
@@ -321,10 +320,10 @@ def motion_noise(parameters: ModelParameters, state: ModelState, j: int) -> floa
 def follow(
     parameters: ModelParameters, state: ModelState, e: Floats, rate: Floats, measured: Floats
 ) -> None:
-    """Take in the measured restoring force of each spring, shape (n,), N.
+    """Update the models with the measured restoring force of each spring, shape (n,), N.
 
-    The stops have moved to the deformations e before; ``sums[:, 3]`` then holds the force that is
-    to act on the structure over this step beside the model's, to make good for what was not seen.
+    The stops have moved to the deformations e before. The result ``sums[:, 3]`` is the force that
+    acts on the structure over this step in addition to the model's, to correct the past impulse.
     """
     n = len(parameters.springs)
     q = fours(1 + 2 * n + THRESHOLDS)
@@ -353,7 +352,7 @@ def follow(
             of_past += past[i] * phi[i]
         moves = (e[j] / parameters.least[j, 0]) ** 2 + (rate[j] / parameters.least[j, 1]) ** 2 > 1.0
         was_right = sums[4] > 0.0
-        # logarithm of the likelihoods' ratio, of what is assumed over what is found
+        # logarithm of the likelihoods' ratio, of the assumed model over the identified one
         gained = innovation**2 / variance + math.log(variance / parameters.noise[j, 1])
         gained -= surplus**2 / parameters.noise[j, 1]
         gained = min(0.5 * gained, MOST_EVIDENCE if sums[4] > 0.0 else parameters.confirming)
@@ -364,7 +363,7 @@ def follow(
         surprise = sums[0] * sums[0] / sums[1]
         is_change = surprise > parameters.surprise
         if is_change:
-            # P += g T diag(change) T', where T leaves the force of the last sample as it was
+            # P += g T diag(change) T', where T keeps the force of the last sample
             explained = change[0]
             for i in range(1, q):
                 explained += change[i] * (phi[i] - last[i]) ** 2
@@ -384,7 +383,7 @@ def follow(
         weight, per_variance = 1.0 / (1.0 + math.exp(-sums[4])), 1.0 / variance
         by_taken = by_left = 0.0
         for i in range(q):
-            # what does not move tells of the offset alone (Schmidt-Kalman)
+            # a spring that does not move changes the offset only (Schmidt-Kalman)
             taken[i] = gain[i] * per_variance if moves or i == 0 else 0.0
             left[i] = taken[i] * variance - gain[i]
             found[i] += taken[i] * innovation

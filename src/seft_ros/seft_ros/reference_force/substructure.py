@@ -1,12 +1,13 @@
-"""A computed substructure that is more than lumped mass, for every compensation method.
+"""Computed substructures with more than lumped mass, for every compensation method.
 
 With g the force of its dampers, springs and internal degrees of freedom on the axes, the whole
 structure obeys
 
     (M_e + M_c) (a + a_g) + g = -r,   so   (M_e + M_c) (a + a_g + (M_e + M_c)^-1 g) = -r
 
-Beside its masses M_c on the axes a substructure acts like further ground acceleration. A method is
-given a_g* = a_g + (M_e + M_c)^-1 g instead of a_g (docs/theory.md, More than lumped mass).
+In addition to its masses M_c on the axes a substructure acts like further ground acceleration. A
+method receives a_g* = a_g + (M_e + M_c)^-1 g instead of a_g (docs/theory.md, More than lumped
+mass).
 """
 
 from itertools import pairwise
@@ -29,12 +30,12 @@ def with_substructure(method: Compensator, knowledge: Knowledge) -> Compensator:
     method : Compensator
         Made for the lumped masses.
     knowledge : Knowledge
-        What it was made of.
+        Its data.
 
     Returns
     -------
     Compensator
-        The method itself where there is nothing but masses.
+        The method itself if the substructure has masses only.
     """
     if knowledge.computed.is_lumped:
         return method
@@ -45,7 +46,7 @@ def with_substructure(method: Compensator, knowledge: Knowledge) -> Compensator:
 
 
 def whole_system(knowledge: Knowledge) -> tuple[Floats, Floats]:
-    """Give the whole structure in state space, as far as it is known.
+    """Give the assumed whole structure in state space.
 
     Returns
     -------
@@ -68,11 +69,11 @@ def whole_system(knowledge: Knowledge) -> tuple[Floats, Floats]:
 
 
 def substructure_motion(knowledge: Knowledge, preview: int) -> LinearFilter:
-    """Give the filter to the ground acceleration that stands for a substructure.
+    """Give the filter whose output is the equivalent ground acceleration of a substructure.
 
-    Its internal degrees of freedom are driven by the measured motion of the axes, exactly where
-    that is linear between samples: stable at any frequency and step. Over the preview, the whole
-    structure is expected to move as its model does beside the measured restoring force.
+    Its internal degrees of freedom are driven by the measured motion of the axes, exactly for a
+    motion that is linear between samples: stable at any frequency and step. Over the preview, the
+    whole structure moves as its model, with the measured restoring force.
 
     Parameters
     ----------
@@ -89,11 +90,11 @@ def substructure_motion(knowledge: Knowledge, preview: int) -> LinearFilter:
     """
     n, computed, dt = knowledge.axes, knowledge.computed, knowledge.dt
     inside, steps = 2 * computed.internal, 1 + preview
-    # everything is a combination of states, measured signals and ground motion
+    # all signals are combinations of states, measured signals and ground motion
     parts = np.split(np.eye(inside + n + 4 * n + steps * n), inside + n * np.arange(0, 5 + steps))
     before, rest, x, v, a, f, *ground = (part for part in parts)
     system, by_ground = _internal(knowledge)
-    # the motion of the axes enters as input, and ends in itself
+    # the motion of the axes is an input
     free, start, change = first_order_hold(
         system[:, 2 * n :], np.hstack([system[:, : 2 * n], by_ground]), dt
     )
@@ -125,12 +126,12 @@ def substructure_motion(knowledge: Knowledge, preview: int) -> LinearFilter:
 
 
 class SubstructureMotion:
-    """The filter of `substructure_motion` under way.
+    """The filter of `substructure_motion` in a test.
 
     Parameters
     ----------
     motion : LinearFilter
-        As it gives it.
+        Its result.
     """
 
     def __init__(self, motion: LinearFilter) -> None:
@@ -145,7 +146,7 @@ class SubstructureMotion:
         self._work[:] = 0.0
 
     def step(self, ground_motion: Floats, state: Floats) -> Floats:
-        """Take a step in, as `Compensator.step` is given it.
+        """Compute one step, with the arguments of `Compensator.step`.
 
         Returns
         -------
@@ -161,7 +162,7 @@ class SubstructureMotion:
 
 
 class _BehindMotion:
-    """A method that is not linear, behind a `SubstructureMotion`."""
+    """A nonlinear method behind a `SubstructureMotion`."""
 
     def __init__(self, method: Compensator, motion: LinearFilter) -> None:
         self.preview = method.preview
@@ -178,12 +179,12 @@ class _BehindMotion:
         return self._method.step(self._motion.step(ground_motion, state), state)
 
     def linear(self) -> LinearFilter:
-        """Linear filter that the method is now, see `Compensator.linear`."""
+        """Linear filter of the method, see `Compensator.linear`."""
         return _behind(self._method.linear(), self._motion.filter)
 
 
 def _behind(method: LinearFilter, motion: LinearFilter) -> LinearFilter:
-    """Put a filter behind one that makes its ground motion."""
+    """Put a filter behind one whose output is its ground motion."""
     none = np.zeros((len(motion.a), len(method.a)))
     return LinearFilter(
         a=np.block([[motion.a, none], [method.h @ motion.c, method.a]]),
@@ -203,7 +204,7 @@ def _force(knowledge: Knowledge) -> Floats:
 
 
 def _internal(knowledge: Knowledge) -> tuple[Floats, Floats]:
-    """Rate of (z, z') by (x, v, z, z') and by a_g, shapes (2q, 2n + 2q) and (2q, n)."""
+    """Rate of (z, z') from (x, v, z, z') and from a_g, shapes (2q, 2n + 2q) and (2q, n)."""
     n, computed = knowledge.axes, knowledge.computed
     q = computed.internal
     k, c = (

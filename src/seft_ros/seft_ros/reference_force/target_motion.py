@@ -1,14 +1,14 @@
-"""Compensation method ``target_motion``: the motion that the whole structure is going to have.
+"""Compensation method ``target_motion``: the future motion of the whole structure.
 
-A computed model is asked after a sample, at the target's motion there, and its force g is followed
-from there on as a line over displacement, velocity and time::
+A computed model takes a step after each sample, at the target's motion of that sample. Its force g
+is then extrapolated linearly over displacement, velocity and time::
 
     g(x, v, t) = g_n + K (x - x_n) + C (v - v_n) + (t - t_n) g'
 
-K and C are its tangents as it tells them, or as they were at rest, and g' makes the line before
-this one right where this one begins. If the force depends on displacements alone, K does that
-instead, by Broyden's update (1965). What the line before had missed is made good by an impulse, so
-that the impulse of g is that of the trapezoidal rule.
+K and C are the tangents that the model gives, or those at rest; with g' the last line would have
+given the force at the beginning of this one. If the force depends on displacements alone, K does
+that instead, by Broyden's update (1965). An impulse corrects the error of the last line, so that
+the impulse of g is that of the trapezoidal rule.
 """
 
 import math
@@ -45,19 +45,19 @@ from seft_ros.reference_force.target_step import (
     target_step,
 )
 
-LEAST_MOTION = 1e-9  # m: rounding makes the tangent of less
+LEAST_MOTION = 1e-9  # m: the tangent of a smaller motion is rounding
 STIFFEST = 0.25
-"""Of a followed tangent over the mass, times dt squared: the prediction is stable up to there."""
+"""Largest tangent over the mass, times dt squared: the prediction is stable up to this value."""
 
 
 class ModelLine:
-    """Follows a computed model, one sample after the other.
+    """Steps a computed model at each sample, and extrapolates its force.
 
     Parameters
     ----------
     computed : ComputedSubstructure
-        With a model, which is made when it is first needed: the linear loops that preflight looks
-        at do without.
+        With a model, which is made when it is first needed: the linear loops of preflight do not
+        need it.
     inverse : ndarray
         Of the whole mass, shape (N, N), 1/kg.
     dt : float
@@ -66,8 +66,9 @@ class ModelLine:
     Attributes
     ----------
     values : ndarray
-        Acceleration by displacement and velocity, by 1, and its rate, shape (N, 2N + 2): of what
-        the force differs from that of the tangents at rest. Time begins at the last sample.
+        Acceleration per displacement and velocity, constant acceleration, and its rate, shape
+        (N, 2N + 2): of the force minus that of the tangents at rest. Time begins at the last
+        sample.
     force : ndarray
         Of the model at the last sample, shape (N,), N.
     """
@@ -90,18 +91,18 @@ class ModelLine:
         self.values[:], self.force[:] = 0.0, 0.0
         self._count = 0
         self._asked: deque[Floats] = deque()
-        self._line = np.zeros_like(self.values)  # that of the last answer, from there on
-        self._at: Floats | None = None  # which was this motion
-        self._tangent = self._source.own_tangents[0]  # of the model's own axes, followed
+        self._line = np.zeros_like(self.values)  # the line from the last answer on
+        self._at: Floats | None = None  # the motion of the last answer
+        self._tangent = self._source.own_tangents[0]  # of the model's own axes, updated
         self._own = np.zeros(0), np.zeros(0)  # their displacement and force
 
     def step(self, motion: Floats, ground: Floats) -> None:
-        """Take in a sample of the target.
+        """Step the model at a sample of the target.
 
         Parameters
         ----------
         motion : ndarray
-            Displacements, then velocities, shape (2N,); they get the impulse that was missed.
+            Displacements, then velocities, shape (2N,); the missed impulse is added to them.
         ground : ndarray
             Ground acceleration of the axes, shape (n,), m/s^2.
 
@@ -112,7 +113,7 @@ class ModelLine:
         """
         model, count, size = self._model(), self._count, len(self.force)
         self._count += 1
-        self.values[:, -2] += self._dt * self.values[:, -1]  # the time begins here
+        self.values[:, -2] += self._dt * self.values[:, -1]  # time begins here
         turn = count % self._every
         if turn == 0:
             x, v = motion[:size].copy(), motion[size:].copy()
@@ -126,7 +127,7 @@ class ModelLine:
             self._take(model.answer(), motion, turn)
 
     def _model(self) -> ComputedModel:
-        """Give the model, in the test that has begun."""
+        """Give the model, started for this test."""
         if self._made is None:
             self._made = self._source.make()
         if not self._is_started:
@@ -135,12 +136,12 @@ class ModelLine:
         return self._made
 
     def _take(self, force: Floats, motion: Floats, late: int) -> None:
-        """Draw the new line, and mend the motion; the force is that ``late`` samples ago."""
+        """Make the new line, and correct the motion; the force is that of ``late`` samples ago."""
         at, size, span = self._asked.popleft(), len(force), self._every * self._dt
         acts = -self._inverse @ (force - self._rest @ at)
         line, before = np.zeros_like(self._line), self._line
-        follows, told = self._source.is_static, self._model().tangents()
-        for part, tangent in zip((slice(size), slice(size, 2 * size)), told, strict=True):
+        follows, own = self._source.is_static, self._model().tangents()
+        for part, tangent in zip((slice(size), slice(size, 2 * size)), own, strict=True):
             if tangent is not None:
                 line[:, part] = -self._inverse @ (tangent - self._rest[:, part])
                 follows = False
@@ -151,7 +152,7 @@ class ModelLine:
             if not follows:
                 line[:, -1] = change / span
             missed = change - span * before[:, -1]
-            # it grew in proportion to the time, from when the line came into use until now
+            # the error grew in proportion to the time, from the first use of the line until now
             begin = late * self._dt
             end = span + begin
             motion[size:] += 0.5 * (end**2 - begin**2) / span * missed
@@ -163,7 +164,7 @@ class ModelLine:
         self.force[:] = force
 
     def _follow(self, at: Floats, force: Floats) -> Floats:
-        """Follow the force of a static model; give accelerations per displacement, (N, N)."""
+        """Update the tangent of a static model; give accelerations per displacement, (N, N)."""
         size, rows = len(force), self._model().rows
         own, own_force = rows @ at[:size], np.linalg.lstsq(rows.T, force, rcond=None)[0]
         own_force = own_force - self._source.own_tangents[1] @ (rows @ at[size:])
@@ -182,13 +183,13 @@ class ModelLine:
         return beside
 
     def failure_of(self, error: ModelError) -> str:
-        """Say what has failed, and when."""
+        """Describe a failure, with its step."""
         return f"{error} (step {self._count - 1})"
 
     def recorded(self, axes: int) -> dict[str, Floats]:
-        """Give the model's motion and force, and what else it tells; shape (n,) each.
+        """Give the model's motion, force and responses; shape (n,) each.
 
-        What belongs to no axis stands at each of them.
+        Values that belong to no axis are given for each axis.
         """
         size, source, model = len(self.force), self._source, self._model()
         at = np.zeros(size) if self._at is None else self._at[:size]
@@ -201,8 +202,8 @@ class ModelLine:
                     found.setdefault(name, np.zeros(axes))[place] = value
                 else:
                     found[f"{name}, {source.dofs[place]}"] = np.full(axes, value)
-        told = model.responses()
-        return found | {f"{OF_MODEL}{name}": np.full(axes, value) for name, value in told.items()}
+        more = model.responses()
+        return found | {f"{OF_MODEL}{name}": np.full(axes, value) for name, value in more.items()}
 
 
 LONGEST_SUBSTEP = 0.001
@@ -215,22 +216,23 @@ class TargetMotion:
     Parameters
     ----------
     known : Knowledge
-        Of the test; its damping and stiffness are where the model of the restoring force starts.
+        Of the test; its damping and stiffness are initial values of the model of the restoring
+        force.
 
     Attributes
     ----------
     preview : int
         Steps of the horizon.
     parameters, state : TargetParameters, TargetState
-        What `target_step` takes, here and in a compiled loop.
+        Arguments of `target_step`, here and in a compiled loop.
     command : tuple of CommandParameters and CommandState, or None
-        Of a rig that is driven by forces, see `command_step`.
+        Of a rig that obeys forces, see `command_step`.
     pace : float
         See `target_step`.
     model : ModelLine or None
         Of the computed model.
     failure : str
-        Why that can't go on; empty while it can.
+        Reason of the model's failure; empty without a failure.
     """
 
     def __init__(self, known: Knowledge) -> None:
@@ -268,9 +270,9 @@ class TargetMotion:
             self._begin_command(self.command[1])
 
     def step(self, ground_motion: Floats, state: Floats) -> Floats:
-        """Bring the target up to a sample, see `target_step`; (1 + preview, 3, n).
+        """Update the target with a sample, see `target_step`; (1 + preview, 3, n).
 
-        All points are NaN once a computed model has failed.
+        After a failure of the computed model all points are NaN.
         """
         self.ask_model()
         self._ground[:] = ground_motion
@@ -288,7 +290,7 @@ class TargetMotion:
     def ask_model(self) -> None:
         """Step the computed model at the last sample, if there is one and it was not stepped yet.
 
-        It is done before the next sample at the latest; earlier where there is time.
+        This is done at the latest before the next sample, and earlier if there is time.
         """
         model, state = self.model, self.state
         if model is None or self._is_asked or self.failure:
@@ -307,16 +309,16 @@ class TargetMotion:
         state.by_state[1] += model.values[:, :-2] - before[:, :-2]
 
     def linear(self) -> LinearFilter:
-        """Say that there is none."""
+        """Raise an error: there is none."""
         raise InputError(
-            "reference_force: target_motion is no linear filter: seft simulate tells whether a "
+            "reference_force: target_motion is no linear filter: seft simulate shows whether a "
             "test is stable"
         )
 
     def estimates(self) -> dict[str, Floats]:
-        """Stiffness, damping and sliders' force of each spring, as found on line.
+        """Stiffness, damping and sliders' force of each spring, as identified on line.
 
-        And the motion, force and responses of a computed model.
+        With a computed model also its motion, force and responses.
         """
         found = np.empty((len(ESTIMATES), len(self.parameters.mass)))
         self._estimate(self.parameters, self.state, found)
@@ -334,7 +336,7 @@ class TargetMotion:
 def target_arrays(
     known: Knowledge,
 ) -> tuple[TargetParameters, TargetState, ModelLine | None]:
-    """Put a target into arrays, at what is known of a test; and follow a computed model."""
+    """Put a target into arrays, from the known data of a test; make a computed model's line."""
     n, computed, dt = known.axes, known.computed, known.dt
     size = n + computed.internal
     names = tuple(f"axis {index + 1}" for index in range(n))
@@ -353,7 +355,7 @@ def target_arrays(
 
     white = through(to_springs, noise[3]) + through(to_springs @ known.mass, noise[2])
     deformed = np.sqrt(np.transpose([through(deformation, left[0]), through(deformation, left[1])]))
-    alike = 2.0 / gains[:, 0, 0].min() - 1.0  # what the observer leaves of the noise persists
+    alike = 2.0 / gains[:, 0, 0].min() - 1.0  # the noise after the observer is correlated
     specimen = [(0, computed.internal)] * 2
     mass, damping, stiffness = (
         np.pad(measured, specimen) + part
@@ -377,7 +379,7 @@ def target_arrays(
     frequency = np.sqrt(np.abs(np.diag(deformation @ by_spring[:n]) * np.diag(own_stiffness)))
     own = own_mass, own_damping, own_stiffness
     model, model_state = model_arrays(*own, np.sqrt(white), deformed, alike, frequency, dt)
-    # the coming motion, see `predict`
+    # the future motion, see `predict`
     hold = np.ascontiguousarray(np.hstack([free, start]))
     deforming = deformation @ (hold[:n] - np.eye(n, 3 * size))
     columns = 3 * size + 2 * n + 1
@@ -386,9 +388,9 @@ def target_arrays(
     steady[: 3 * size] = np.vstack([stays, deforming @ stays]).T
     force[: 3 * size] = (known.mass @ np.hstack([a[size : size + n], np.eye(n, size)])).T
     force[-n:] = deformation
-    rise, mending = np.zeros((size, columns)), np.zeros((size, 3 * size + n))
+    rise, correction = np.zeros((size, columns)), np.zeros((size, 3 * size + n))
     rise[:, 3 * size : -n - 1], rise[:, -n:] = -influence, -by_spring
-    mending[:, : 2 * size] = change.T
+    correction[:, : 2 * size] = change.T
     squares = np.linalg.eigvals(inverse @ stiffness).real
     parameters = TargetParameters(
         axes=tuple(range(n)),
@@ -416,17 +418,17 @@ def target_arrays(
         measured=np.zeros((3, n)),
         target=np.zeros(3 * size),
         stops=np.zeros(thresholds),
-        coming_stops=np.zeros(thresholds),
+        future_stops=np.zeros(thresholds),
         ground=np.zeros(n),
         by_motion=np.zeros((n, 2 * n)),
         by_state=np.zeros((2, size, 2 * size)),
         constant=np.zeros((2, size)),
         line=np.zeros((0, 2 * size + 2)) if line is None else line.values,
         rise=rise,
-        mending=mending,
+        correction=correction,
         substep=np.zeros_like(steady),
         force=force.copy(),
-        coming=np.zeros(columns),
+        future=np.zeros(columns),
         next=np.zeros(3 * size + n),
         is_running=np.zeros(1),
         axes=np.zeros((3, n)),
@@ -437,9 +439,9 @@ def target_arrays(
 
 
 def spring_deformations(known: Knowledge) -> Floats:
-    """Deformations in which the specimen's springs do not feel each other, shape (n, n).
+    """Deformations in which the specimen's springs are not coupled, shape (n, n).
 
-    They are those of the springs as assumed, where these give the displacements; else the modal
+    They are those of the assumed springs, if these determine the displacements; otherwise the modal
     displacements of the elastic specimen, each in m of the axis that moves most.
     """
     springs = known.springs

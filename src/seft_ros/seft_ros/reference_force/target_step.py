@@ -1,13 +1,13 @@
-"""The whole structure's motion under the measured restoring force, and how it will go on.
+"""The whole structure's motion under the measured restoring force, and its prediction.
 
-With the force r of the specimen at the target (x*, v*), that of the computed part's springs and
-dampers in A, and L the ground acceleration of each degree of freedom::
+With the force r of the specimen at the target (x*, v*), the computed part's springs and dampers in
+C_c and K_c, and L the ground acceleration of each degree of freedom::
 
     (M_e + M_c) (a* + L a_g) + C_c v* + K_c x* + r(x*, v*) = 0                             (1)
 
-The elastic specimen as assumed is in A, too, so that this part is integrated exactly
-(`whole_system`); what r differs from it by acts like the ground motion does, linear in between
-(ETD2RK, Cox & Matthews 2002, Eq. 22).
+The assumed elastic specimen and the computed part are integrated exactly (`whole_system`). The
+difference of r from the assumed specimen, the push, acts like the ground motion, and is linear
+between samples (ETD2RK, Cox & Matthews 2002, Eq. 22).
 """
 
 from typing import NamedTuple
@@ -28,42 +28,42 @@ from seft_ros.reference_force.restoring_model import (
 )
 
 ESTIMATES = ("stiffness", "damping", "friction")
-"""What `target_estimates` gives."""
+"""Rows of `target_estimates`."""
 POSITION, SPEED, FORCE = range(3)
 """Rows of a point: displacement (m), velocity (m/s) and actuator force (N) of the target."""
 
 
 class TargetParameters(NamedTuple):
-    """What does not change of a target of n axes, with N degrees of freedom in all.
+    """Parameters of a target of n axes, with N degrees of freedom in all.
 
     Attributes
     ----------
     axes, dofs : tuple of int
-        0 to n - 1, and 0 to N - 1: their lengths are known where a step is compiled.
+        0 to n - 1, and 0 to N - 1: their lengths are known at compilation.
     dt : float
         Sampling period, s.
     substeps : int
-        Steps of the integration in it.
+        Steps of the integration in a period.
     gains : ndarray
         Of the observer, shape (n, 2, 2).
     mass : ndarray
         M_e on the rig, shape (n, n), kg.
     deformation, to_springs : ndarray
-        D, and D^-T, which makes springs' forces of the axes'; shape (n, n).
+        D, and D^-T from forces of the axes to forces of the springs; shape (n, n).
     hold, change : ndarray
         Integration over a substep, see `first_order_hold`: shapes (2N, 3N) and (2N, N). The states
-        are displacements, then velocities; the input is an acceleration, which stands below them.
+        are displacements, then velocities; the input, an acceleration, follows them.
     deforming : ndarray
-        Change of the springs' deformations in a substep, by these; shape (n, 3N).
+        Change of the springs' deformations in a substep from these; shape (n, 3N).
     steady, force : ndarray
-        G of `predict` if the push stayed as it is, and F without stiffness, damping and offset of
-        the springs; transposed, shapes (s, 3N + n) and (s, n), s = 3N + 2n + 1.
+        G of `predict` for a constant push, and F without stiffness, damping and offset of the
+        springs; transposed, shapes (s, 3N + n) and (s, n), s = 3N + 2n + 1.
     influence, by_spring : ndarray
         Accelerations per ground acceleration, and per force of each spring: shape (N, n).
     by_assumed : ndarray
-        Accelerations by the specimen as assumed, of displacement and velocity, shape (N, 2n).
+        Accelerations by the assumed specimen, per displacement and velocity, shape (N, 2n).
     damper : float
-        Rate at which the target's motion dies out where a test is brought down, 1/s.
+        Rate at which the target's motion decays in a ramp-down, 1/s.
     model : ModelParameters
         Of the restoring force.
     """
@@ -89,56 +89,56 @@ class TargetParameters(NamedTuple):
 
 
 class TargetState(NamedTuple):
-    """What changes of it.
+    """State of a target.
 
     Attributes
     ----------
     model : ModelState
         Of the restoring force.
     measured : ndarray
-        Displacement and velocity as observed, and the last acceleration, shape (3, n).
+        Observed displacement and velocity, and the last acceleration, shape (3, n).
     target : ndarray
         Displacements and velocities of the target, and the push on it; shape (3N,).
-    stops, coming_stops : ndarray
-        Its stop operators, and those while it is predicted; shape (n, m).
+    stops, future_stops : ndarray
+        Its stop operators, and those of its prediction; shape (n, m).
     ground : ndarray
         Last ground acceleration, shape (n,).
     by_motion : ndarray
-        Force of each spring by displacement and velocity of the axes, shape (n, 2n).
+        Force of each spring per displacement and velocity of the axes, shape (n, 2n).
     by_state, constant : ndarray
-        The push of the model at the last sample and at this one: accelerations by the states, and
-        without them; shapes (2, N, 2N) and (2, N).
+        The push of the model at the last sample and at this one: accelerations per state, and the
+        constant part; shapes (2, N, 2N) and (2, N).
     line : ndarray
         The push of a computed model from the last sample on, see `ModelLine.values`; shape
         (N, 2N + 2), or (0, 2N + 2) without one.
-    rise, mending : ndarray
-        Change of the push in a substep by z of `predict`, and what it adds to the result,
+    rise, correction : ndarray
+        Change of the push in a substep from z of `predict`, and its effect on the result,
         transposed; shapes (N, s) and (N, 3N + n).
     substep, force : ndarray
         G and F of `predict`, transposed; shapes (s, 3N + n) and (s, n).
-    coming, next : ndarray
+    future, next : ndarray
         z of `predict`, and G z; shapes (s,) and (3N + n,).
     is_running : ndarray
         Whether a sample has been taken, shape (1,).
     axes, dofs, springs : ndarray
-        Room for vectors, shapes (3, n), (3, 2N) and (7, n).
+        Work arrays, shapes (3, n), (3, 2N) and (7, n).
     """
 
     model: ModelState
     measured: Floats
     target: Floats
     stops: Floats
-    coming_stops: Floats
+    future_stops: Floats
     ground: Floats
     by_motion: Floats
     by_state: Floats
     constant: Floats
     line: Floats
     rise: Floats
-    mending: Floats
+    correction: Floats
     substep: Floats
     force: Floats
-    coming: Floats
+    future: Floats
     next: Floats
     is_running: Floats
     axes: Floats
@@ -148,12 +148,12 @@ class TargetState(NamedTuple):
 
 @compiled
 def begin_target(parameters: TargetParameters, state: TargetState) -> None:
-    """Begin a test: the target will start where the specimen is."""
+    """Begin a test: the target will start at the specimen's position."""
     begin_model(parameters.model, state.model)
     state.target[:] = 0.0
     state.stops[:] = 0.0
     state.is_running[0] = 0.0
-    state.coming[3 * len(parameters.dofs) + len(parameters.axes)] = 1.0
+    state.future[3 * len(parameters.dofs) + len(parameters.axes)] = 1.0
     take_model(parameters, state, 1.0)
 
 
@@ -166,22 +166,22 @@ def target_step(
     pace: float,
     points: Floats,
 ) -> None:
-    """Bring the target up to a sample, and predict it.
+    """Update the target with a sample, and predict it.
 
     Parameters
     ----------
     parameters, state
-        The state is brought up to date.
+        The state is updated.
     ground : ndarray
-        Ground acceleration of this step and the coming ones, shape (h + 1, n), m/s^2.
+        Ground acceleration of this step and the future ones, shape (h + 1, n), m/s^2.
     measured : ndarray
         Displacement, velocity, acceleration and force of the specimen, shape (4, n).
     pace : float
-        1 in a test. On the way down to 0 the ground motion fades and the target comes to rest.
+        1 in a test. While it falls to 0, the ground motion fades and the target slows down to rest.
     points : ndarray
-        The target at this step and the coming ones: displacement, velocity and force of each axis,
-        shape (h + 1, 3, n). The result. All are NaN where the sample is not finite, which is
-        not taken in: what a target remembers would be so ever after.
+        The target at this step and the future ones: displacement, velocity and force of each axis,
+        shape (h + 1, 3, n). The result. If the sample is not finite, all are NaN, and the target
+        is not updated, because its state would then remain not finite.
     """
     if not is_finite(measured, 0):
         points[:] = np.nan
@@ -198,7 +198,7 @@ def target_step(
     for i in range(n):
         state.axes[0, i] = measured[3, i] - state.axes[0, i]
     times(n, n, p.to_springs, state.axes[0], force)
-    if first:  # at rest, wherever the specimen is
+    if first:  # at rest, at the specimen's position
         for i in range(n):
             state.target[i] = state.measured[0, i]
         before[:] = 0.0
@@ -220,7 +220,7 @@ def target_step(
 
 @compiled
 def target_estimates(parameters: TargetParameters, state: TargetState, result: Floats) -> None:
-    """Give stiffness, damping and sliders' force of each spring as found, shape (3, n)."""
+    """Give the identified stiffness, damping and sliders' force of each spring, shape (3, n)."""
     values, thresholds = state.model.found, parameters.model.thresholds
     n = len(parameters.axes)
     for j in range(n):
@@ -242,7 +242,7 @@ def times(rows: int, columns: int, matrix: Floats, vector: Floats, result: Float
 
 @compiled
 def take_model(p: TargetParameters, state: TargetState, pace: float) -> None:
-    """Make the push of the model's parameters; what was this sample's is the last one's now."""
+    """Make the push from the model's parameters; the former push becomes the last one."""
     n, half, values, by_motion = len(p.axes), len(p.dofs), state.model.values, state.by_motion
     for j in range(n):
         for k in range(n):
@@ -281,10 +281,11 @@ def push(
     ground: Floats,
     result: Floats,
 ) -> None:
-    """Find what acts on the elastic whole structure, as an acceleration: N of the result.
+    """Find the push on the elastic whole structure, as N accelerations in the result.
 
-    It is the ground motion (times the pace), and the force by which the specimen is not the elastic
-    one assumed: by the model of the last sample (0) or this one (1), with these forces of sliders.
+    It consists of the ground motion (times the pace), and the difference of the specimen's force
+    from the assumed elastic one, by the model of the last sample (0) or this one (1), with these
+    forces of sliders.
     """
     by_state, constant = state.by_state[model], state.constant[model]
     for i in range(len(p.dofs)):
@@ -331,11 +332,11 @@ def advance(
             push(p, state, 1, y, of_new, ground, new)
             for i in range(half):
                 new[i] = old[i] + part * (new[i] - old[i])
-                for j in range(n):  # what was not seen in time of the restoring force
+                for j in range(n):  # the correction of the restoring force's past impulse
                     new[i] -= p.by_spring[i, j] * model.sums[j, 3]
             for i in range(len(state.line)):
                 new[i] += part * p.dt * state.line[i, 2 * half + 1]
-            if side:  # mends the state by how much the push has changed
+            if side:  # correct the state by the change of the push
                 for i in range(2 * half):
                     for k in range(half):
                         y[i] += p.change[i, k] * (new[k] - begin[k])
@@ -353,13 +354,14 @@ def advance(
 
 @compiled
 def take_substep(p: TargetParameters, state: TargetState) -> None:
-    """Make G and F of `predict` of this sample's model, what of them depends on it.
+    """Make the parts of G and F of `predict` that depend on this sample's model.
 
-    If the push stayed b, it would be c at the end. The state is mended by ``change (c - b)``, and
-    with it the push: ``G z`` is what a constant push does, and `mending` of the rise c - b.
+    With a constant push b over the substep, the push at its end would be c. The state is corrected
+    by ``change (c - b)``, and with it the push: ``G z`` is the effect of a constant push, and
+    `correction` that of the rise c - b.
     """
     n, half, by_state, by_motion = len(p.axes), len(p.dofs), state.by_state[1], state.by_motion
-    rise, mending, substep, force = state.rise, state.mending, state.substep, state.force
+    rise, correction, substep, force = state.rise, state.correction, state.substep, state.force
     size, one = 3 * half, 3 * half + n
     for i in range(half):
         for k in range(size):
@@ -371,13 +373,13 @@ def take_substep(p: TargetParameters, state: TargetState) -> None:
             total = 1.0 if m == i else 0.0
             for k in range(2 * half):
                 total += by_state[m, k] * p.change[k, i]
-            mending[i, 2 * half + m] = total
-        times(n, size, p.deforming, mending[i], mending[i, size:])
+            correction[i, 2 * half + m] = total
+        times(n, size, p.deforming, correction[i], correction[i, size:])
     for k in range(size + 2 * n + 1):
         for m in range(size + n):
             total = p.steady[k, m]
             for i in range(half):
-                total += rise[i, k] * mending[i, m]
+                total += rise[i, k] * correction[i, m]
             substep[k, m] = total
     for i in range(n):
         force[one, i] = 0.0
@@ -395,17 +397,17 @@ def take_substep(p: TargetParameters, state: TargetState) -> None:
 def predict(
     p: TargetParameters, state: TargetState, known: Floats, pace: float, points: Floats
 ) -> None:
-    """Integrate Eq. (1) over the coming steps, and write the points, see `target_step`.
+    """Integrate Eq. (1) over the future steps, and write the points, see `target_step`.
 
-    The model stays as it is, so that all but the stops is linear in the state y, the push b, the
-    ground acceleration a_g and the forces s of the sliders at the end of a substep; so is the
-    force, which is f_r of Eq. 2.5 with a*::
+    The model does not change, so that all except the stops is linear in the state y, the push b,
+    the ground acceleration a_g and the forces s of the sliders at the end of a substep. The force,
+    f_r of Eq. 2.5 with a*, is linear in these, too::
 
         f* = M_e a* + r = F z,  z = (y, b, a_g, 1, s)                                          (3)
         (y, b, change of the deformations in the next substep) = G z                           (4)
     """
-    n, half, z, new = len(p.axes), len(p.dofs), state.coming, state.next
-    size, stops = 3 * half, state.coming_stops
+    n, half, z, new = len(p.axes), len(p.dofs), state.future, state.next
+    size, stops = 3 * half, state.future_stops
     columns = size + 2 * n + 1
     ground, sliders, change = z[size : size + n], z[size + n + 1 :], new[size:]
     take_substep(p, state)
@@ -438,7 +440,7 @@ def predict(
             for i in range(len(state.line)):
                 rise = (1.0 + point + part) * p.dt * state.line[i, 2 * half + 1]
                 for k in range(size + n):
-                    new[k] += rise * state.mending[i, k]
+                    new[k] += rise * state.correction[i, k]
             for i in range(size):
                 z[i] = new[i]
 
@@ -468,8 +470,7 @@ def move_by_force(
     span : float
         Time, s.
     y, stops : ndarray
-        Displacements, then velocities, and stop operators; shapes (2n,), (n, m). Brought up to
-        date.
+        Displacements, then velocities, and stop operators; shapes (2n,), (n, m). Updated.
     """
     n, h = len(p.axes), span / p.substeps
     r, new, change, sliders = state.axes[0], state.axes[1], state.springs[4], state.springs[5]

@@ -15,14 +15,14 @@ from seft_ros.test_run.peers import PARAMETERS as REHEARSAL
 _WATCHDOG = parameter_rows(
     """
     watchdog.command_timeout | float | 0.02 | s | > 0        |
-        longest time that rig and force controller go without each other in realtime: the
-        rig without a new command, the force controller without a new state
+        in realtime: longest time of the rig without a new command, and of the force
+        controller without a new state
     watchdog.peer_timeout    | float | 1.0  | s | > 0 0.5 .. |
-        longest silence of a node, which sends a sign of life 5 times a second, before the
-        test trips
+        longest silence of a node before the test trips; a node sends a sign of life 5 times
+        a second
     watchdog.ramp_margin     | float | 2.0  | s | > 0        |
         longest time that the reference force may take beyond its ramp_down_time before the
-        test trips at once; ten times as long in lockstep, where the loop keeps no time
+        test trips at once; ten times as long in lockstep, where steps may take any time
     """
 )
 SUPERVISOR = Table(
@@ -48,8 +48,8 @@ _LIVE = parameter_rows(
         name of the bag in it; empty: date and time of the start
     storage   | string | mcap |  | mcap, sqlite3 | file format of the bag
     on_loss   | string | stop |  | stop, go_on   |
-        what becomes of a test whose bag is deleted, moved or can't be written on: it is brought
-        down, or goes on; the recorder keeps what comes, and saves it at the end
+        what happens to a test if its bag is deleted or moved, or writing fails: the test is
+        ramped down, or continues; the recorder keeps all messages, and saves them at the end
     """
 )
 RECORDER = Table("recorder", [replace(row, live=True) for row in _LIVE])

@@ -1,15 +1,15 @@
-// Buttons of the operator. Abort takes one press and no dialog; the others ask.
+// Buttons of the operator. Abort needs one press and no dialog; the others ask for confirmation.
 
 const PATIENCE = { start: 1000, reset: 1000, stop: 6000, estop: 6000 }; // ms
 const QUESTIONS = {
   start: ["Start this test?", "The rig moves."],
-  stop: ["Stop the test?", "The force comes down, then the rig rests."],
-  reset: ["Reset?", "The supervisor forgets how the test ended, and makes ready for the next."],
+  stop: ["Stop the test?", "The force ramps down, then the rig rests."],
+  reset: ["Reset?", "The supervisor clears the result of the test, and prepares the next."],
 };
 const POSSIBLE = { start: ["ready"], stop: ["running", "ramping_down"], reset: ["done", "tripped"] };
 const MOVING = POSSIBLE.stop;
 const LABELS = { start: "Start", stop: "Stop", reset: "Reset", estop: "Abort test" };
-const LATE_NEVER = "It is not carried out later."; // the monitor refuses what is a second old
+const LATE_NEVER = "It will not be carried out later."; // the monitor refuses old requests
 
 const element = (id) => document.getElementById(id);
 
@@ -20,7 +20,7 @@ function say(text, mark) {
 }
 
 export class Buttons {
-  /** now gives the monitor's time, in ms, as far as the page knows it. */
+  /** now gives the monitor's time, in ms, as known to the page. */
   constructor(now) {
     this.now = now;
     this.asked = null;
@@ -38,14 +38,14 @@ export class Buttons {
     });
   }
 
-  /** Show buttons to who may press them. */
+  /** Show the buttons only with control access. */
   allow(controls) {
     this.controls = controls;
     element("buttons").hidden = !controls;
     element("watching").hidden = controls;
   }
 
-  /** Let only those be pressed that the supervisor would obey; stops also where nobody knows. */
+  /** Enable the buttons that the supervisor would obey; stop also if the state is unknown. */
   follow(status, stale) {
     this.status = status;
     const { state, silent, heard } = status;
@@ -57,7 +57,7 @@ export class Buttons {
     }
   }
 
-  /** Take away what was answered in another test. */
+  /** Remove the answer of another test. */
   forget() {
     say("", "");
   }

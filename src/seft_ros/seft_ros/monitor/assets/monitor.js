@@ -13,7 +13,7 @@ const SHARE = FEW ? 0.08 : 0.12; // of the time may go into them
 const element = (id) => document.getElementById(id);
 const known = { test: { domain: "" }, status: null, trips: [], motion: {} };
 const OLD = 1000; // ms without a word, after which what is shown is old
-const clock = { at: 0, heard: -Infinity }; // the monitor's time, and when it came, ms
+const clock = { at: 0, heard: -Infinity }; // the monitor's time, and its arrival, ms
 const buttons = new Buttons(() => clock.at + performance.now() - clock.heard);
 let history = null, plots = null, planned = false, held = null, interval = LEAST, drawnAt = 0;
 
@@ -29,7 +29,7 @@ function connect() {
   };
 }
 
-/** Say so where nothing has come for a second, grey out what is old, and offer no start. */
+/** Without data for a second say so, show old data in grey, and disable the start. */
 function judge() {
   const silence = performance.now() - clock.heard, stale = silence > OLD;
   const { heard, silent, ended } = known.status ?? {}; // of a test that has ended nothing is old
@@ -101,7 +101,7 @@ function times() {
   return width ? [to - width, to] : [begin, to];
 }
 
-/** Have a picture made as soon as one is due; without news no frame is asked for. */
+/** Draw as soon as it is due; without news no animation frame is requested. */
 function renew() {
   if (planned) return;
   planned = true;

@@ -103,7 +103,7 @@ export class Plots {
     for (const [name, [quantity, scale]] of Object.entries(ERRORS))
       if (this.panels[name].seen)
         this.show(name, from, to, { error: line(signals.error[quantity] + axis, scale) }, even);
-    // of the time before, too: it holds up to the first that is told
+    // with the value before, which is valid up to the first one reported
     const some = told.filter(([time], at) => time >= from && (told[at - 1]?.[0] ?? 0) <= to);
     const column = (at) => ({ x: some.map(([time]) => time), y: some.map((row) => row[at] ?? NaN) });
     if (this.panels.timing.seen) {
@@ -122,7 +122,7 @@ export class Plots {
     this.drawing = false;
   }
 
-  /** Draw response spectra of the ground motion that is tested and of the one asked for. */
+  /** Draw response spectra of the tested ground motion and of the requested one. */
   drawMotion({ frequency_hz: x, natural_hz, asked, tested }, axis) {
     const panel = this.panels.spectrum;
     const drawn = JSON.stringify([asked?.[axis], tested?.[axis]]);

@@ -1,4 +1,4 @@
-// Texts and tables of the page. Whatever a node tells is text, never markup.
+// Texts and tables of the page. Content from nodes is text, never markup.
 
 const NAMES = { "": "no test", idle: "idle", ready: "ready", running: "running",
   ramping_down: "ramping down", done: "done", tripped: "tripped", gone: "silent", left: "ended" };
@@ -26,19 +26,19 @@ function row(...parts) {
 const milliseconds = (value) => (value === undefined ? "–" : `${value.toFixed(2)} ms`);
 const left = (margin) => (margin > 0 ? `${(100 * margin).toFixed(0)} % left` : "beyond");
 
-/** Have a number stand out: "" | "warning" | "error". */
+/** Mark a number: "" | "warning" | "error". */
 function mark(id, trouble) {
   element(id).parentElement.dataset.trouble = trouble;
 }
 
-/** Say that the monitor says nothing. */
+/** Show that the monitor is silent. */
 export function showSilence(silence, status) {
   element("state").dataset.state = "lost";
   set("state-name", "no data");
   const since = Number.isFinite(silence) ? `for ${(silence / 1000).toFixed(0)} s` : "";
-  const last = status?.heard ? `; the test was ${NAMES[status.state] ?? status.state} last` : "";
-  const old = "what is below is old";
-  set("state-detail", since ? `nothing has come from seft monitor ${since}: ${old}${last}`
+  const last = status?.heard ? `; last state: ${NAMES[status.state] ?? status.state}` : "";
+  const old = "all data below is old";
+  set("state-detail", since ? `no data from seft monitor ${since}: ${old}${last}`
     : `not connected to seft monitor: ${old}${last}`);
   document.title = "no data – seft monitor";
 }
@@ -49,8 +49,8 @@ export function showState(status, domain) {
   const last = status.detail === NAMES[status.state] ? "" : status.detail;
   const when = status.step === null ? "" : ` (step ${status.step}, ${status.time_s} s)`;
   const details = {
-    "": `nothing is heard of a test on ROS domain ${domain} yet`,
-    gone: `the supervisor has fallen silent; the test was ${NAMES[status.state]} last`,
+    "": `no messages of a test on ROS domain ${domain} yet`,
+    gone: `the supervisor is silent; last state: ${NAMES[status.state]}`,
   };
   element("state").dataset.state = key;
   set("state-name", NAMES[key] ?? key);

@@ -130,7 +130,7 @@ class DriverNode(NodeBody):
                     self._rehearse(self._rehearsal)
                     deadline = time.monotonic() + period
             if self._phase == "running":
-                self._end("the rig node was told to end")
+                self._end("the rig node received a signal to end")
                 self._stop.finish()
         finally:
             self._hardware.to_safe_position()
