@@ -273,6 +273,6 @@ def test_the_message_names_the_axis_with_the_largest_ratio():
     guard = watch(two)
     guard.state.squares[1], guard.state.squares[2] = (100.0, 36.0), (25.0, 0.25)
     assert guard.describe() == (
-        "instability: acceleration above 20.1 Hz on axis axis1 is 6 m/s^2 RMS, 12 times that of the "
-        "structure under the measured restoring force (limit 5)"
+        "instability: acceleration above 20.1 Hz on axis axis1 is 6 m/s^2 RMS, 12 times that of "
+        "the structure under the measured restoring force (limit 5)"
     )
