@@ -16,7 +16,7 @@ def test_a_test_begins_without_what_was_seen_in_the_one_before():
     for values in state:
         values[:] = 7
     begin_detectors(state)
-    emptied = ("sent", "errors", "sums", "flows", "corners", "largest", "work", "response", "bends")
+    emptied = ("sent", "errors", "sums", "flows", "rise", "largest", "work", "response", "bends")
     for name in (*emptied, "repeats", "counts", "shares"):
         assert not getattr(state, name).any(), name
     assert np.isinf(state.resolution).all()

@@ -92,7 +92,7 @@ def coarse(values):
     return np.vstack([np.zeros((1, N)), 2.0 * least[:-1]])
 
 
-def relation(p, row, one, other, rough, tolerance, corners=0.0, jump=0.0):
+def relation(p, row, one, other, rough, tolerance, in_sums=0.0, in_step=0.0):
     """Shares of the sums and of the single steps of a relation."""
     bias, right, left = np.zeros(N), [], p.bias[row] / (1.0 - p.fade)
     for k in range(len(one)):
@@ -103,8 +103,8 @@ def relation(p, row, one, other, rough, tolerance, corners=0.0, jump=0.0):
     sums = faded(one, p.fade), faded(other, p.fade)
     whole = np.maximum(*(largest_recent(each, p.memory) for each in sums))
     single = np.maximum(*(largest_recent(each, p.fade) for each in (one, other)))
-    of_sums = p.sums[row] + unknown + p.tolerance[row] * whole + rough + corners
-    of_steps = p.steps[row] + tolerance * single + rough + jump
+    of_sums = p.sums[row] + unknown + p.tolerance[row] * whole + rough + in_sums
+    of_steps = p.steps[row] + tolerance * single + rough + in_step
     return np.abs(sums[0] - sums[1]) / of_sums, np.abs(one - other) / of_steps
 
 
@@ -137,9 +137,8 @@ def test_each_relation_is_held_against_its_threshold(drive):
     np.testing.assert_allclose(seen[1:, rows.CHANGE], found[0], rtol=1e-9)
     np.testing.assert_allclose(seen[1:, rows.NOISE], found[1], rtol=1e-9)
     jump = 0.5 * DT * np.abs(steps[:, 2])
-    sharp = np.abs(np.diff(steps[:, 2], axis=0, prepend=np.zeros((1, N))))
-    corners = faded(0.25 * DT * np.maximum(sharp - 6.0 * math.sqrt(6.0) * NOISE[2], 0.0), p.fade)
-    found = relation(p, 1, steps[:, 1], DT * mean(a), coarse(v), 0.1, corners, jump)
+    summed = np.maximum(jump, 0.5 * DT * np.abs(faded(steps[:, 2], p.fade)))
+    found = relation(p, 1, steps[:, 1], DT * mean(a), coarse(v), 0.1, summed, jump)
     np.testing.assert_allclose(seen[1:, rows.CHANGE + 1], found[0], rtol=1e-9)
     np.testing.assert_allclose(seen[1:, rows.NOISE + 1], found[1], rtol=1e-9)
     flow, later = (flows(commands, f, past) for past in PAST)

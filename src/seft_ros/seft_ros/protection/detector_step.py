@@ -61,10 +61,6 @@ and the part of the fastest recent motion above which a specimen does not stick.
 SILENT = 25.0
 """Mean square of the change of the computed mass's force over that of the noise, above which a
 measured force that is only noise does not answer the motion."""
-CORNER = SIGMAS * math.sqrt(6.0)
-"""Second difference of an acceleration that is more than noise, over the RMS of the noise. A jump
-between two samples shows in two of them, and causes an error of half the jump in the trapezoidal
-rule of (2)."""
 ALTERNATE = 0.33
 """Part of the recent samples at which r alternates: white noise far beyond its threshold does so in
 2 of 3, a specimen with impacts or a ringing oil column in 1 of 3."""
@@ -169,7 +165,7 @@ def begin_detectors(state: DetectorState) -> None:
     begin_following(state.errors, state.covariance)
     state.sums[:] = 0.0
     state.flows[:] = 0.0
-    state.corners[:] = 0.0
+    state.rise[:] = 0.0
     state.bias[:, 0] = 0.0
     state.bias[:, 1] = 1.0
     state.largest[:] = 0.0
@@ -363,23 +359,22 @@ def _relations(
     for relation in range(3):
         if not (sees(state, step, CHANNEL[relation]) and sees(state, step, OTHER[relation])):
             continue
-        tolerance, missed, jump = p.tolerance[relation], 0.0, 0.0
-        in_step, coarse = tolerance, 2.0 * state.resolution[CHANNEL[relation], i]
+        tolerance, missed, in_sums, in_step = p.tolerance[relation], 0.0, 0.0, 0.0
+        part, coarse = tolerance, 2.0 * state.resolution[CHANNEL[relation], i]
         coarse = coarse if coarse < np.inf else 0.0
         if relation == DISPLACEMENT_VELOCITY:
             one, other = measured[0, i] - last[0, i], moved
             least = largest = one
-            coarse += p.late * abs(measured[1, i] - last[1, i])  # of a derived velocity
+            in_sums = in_step = p.late * abs(measured[1, i] - last[1, i])  # of a derived velocity
         elif relation == VELOCITY_ACCELERATION:
             one = measured[1, i] - last[1, i]
             other = 0.5 * dt * (measured[2, i] + last[2, i])
             least = largest = one
             rise = measured[2, i] - last[2, i]
-            coarse += p.late * abs(rise)
-            jump = 0.5 * dt * abs(rise)  # of a force, between the samples
-            corner = max(abs(rise - state.corners[0, i]) - CORNER * p.noise[2, i], 0.0)
-            state.corners[0, i] = rise
-            state.corners[1, i] = p.fade * state.corners[1, i] + 0.25 * dt * corner
+            state.rise[i] = p.fade * state.rise[i] + rise
+            # a force may jump at any time between two samples
+            in_sums = (0.5 * dt + p.late) * max(abs(rise), abs(state.rise[i]))
+            in_step = (0.5 * dt + p.late) * abs(rise)
         else:
             flow = 0.5 * (state.flow[0, i] + state.flow[1, i])
             later = 0.5 * (state.later[0, i] + state.later[1, i])
@@ -390,7 +385,7 @@ def _relations(
             least, largest = hold(state.flows[i], one)
             if state.counts[NOISE + OIL, i] == 0 and state.counts[CHANGE + OIL, i] == 0:
                 follow_valve(errors, covariance, flow, later, other / dt, p.doubt[i])
-            in_step = min(tolerance, FOLLOWED + SIGMAS * math.sqrt(covariance[0]))
+            part = min(tolerance, FOLLOWED + SIGMAS * math.sqrt(covariance[0]))
             coarse /= oil
             change = abs(state.flow[1, i] - state.flow[0, i])
             recent[8, i] = max(change, p.fade * recent[8, i])
@@ -409,11 +404,10 @@ def _relations(
         single = max(abs(one), abs(other), p.fade * recent[3 + relation, i])
         recent[relation, i], recent[3 + relation, i] = whole, single
         unknown = p.bias[relation, i] * bias[1, i] / (1.0 - p.fade)
-        corners = state.corners[1, i] if relation == VELOCITY_ACCELERATION else 0.0
-        threshold = p.sums[relation, i] + unknown + tolerance * whole + coarse + corners
+        threshold = p.sums[relation, i] + unknown + tolerance * whole + coarse + in_sums
         if look_at_sides(p, state, CHANGE + relation, i, summed, threshold, missed) and found < 0:
             found = (CHANGE + relation) * n + i
-        threshold = p.steps[relation, i] + in_step * single + coarse + jump
+        threshold = p.steps[relation, i] + part * single + coarse + in_step
         if look_at_sides(p, state, NOISE + relation, i, now, threshold, missed) and found < 0:
             found = (NOISE + relation) * n + i
     return found

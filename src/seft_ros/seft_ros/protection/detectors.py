@@ -288,9 +288,8 @@ class DetectorState(NamedTuple):
     flows : ndarray
         Left side of relation (3) of the last steps, for the time of a held command, the newest
         first, m; shape (n, h).
-    corners : ndarray
-        Change of the acceleration in the last step (m/s^2), and the effect of its sudden changes on
-        the sums of relation (2) (m/s); shape (2, n).
+    rise : ndarray
+        Sum of the acceleration's changes, m/s^2, shape (n,).
     largest : ndarray
         Largest recent values: of these sums, of a single step, of the target's motion, of r, and of
         the change of the flow in a step (m/s); shape (9, n).
@@ -328,7 +327,7 @@ class DetectorState(NamedTuple):
     sums: Floats
     bias: Floats
     flows: Floats
-    corners: Floats
+    rise: Floats
     largest: Floats
     restoring: Floats
     work: Floats
@@ -436,7 +435,7 @@ def detector_arrays(
         sent=np.zeros_like(past[0]),
         sums=np.zeros((3, 4, n)),
         bias=np.zeros((3, 2, n)),
-        corners=np.zeros((2, n)),
+        rise=np.zeros(n),
         flows=np.zeros((n, 1 + math.ceil(longest_hold / dt - 1e-9))),
         largest=np.zeros((9, n)),
         restoring=np.zeros((3, n)),
