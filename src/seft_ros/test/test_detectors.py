@@ -32,7 +32,7 @@ SEEN_ANYWHERE = (  # faults that end a test in time wherever they come; of other
     *(f"velocity {fault}" for fault in ("dead", "frozen", "flipped", "off by its peak", "noisy")),
     *(f"velocity {fault}" for fault in ("halved", "doubled", "dead but for noise")),
     *(f"acceleration {fault}" for fault in ("dead", "frozen", "doubled", "off by its peak")),
-    *("acceleration drifting", "force frozen", "converter frozen"),
+    *("force frozen", "converter frozen"),
     *("cable of all sensors broken", "axes dead but for noise"),
 )
 MOST = 12  # faults of which a test at its fastest may be too late, or the oil hammer

@@ -162,7 +162,7 @@ def test_the_cases_end_in_every_way():
     shop = Workshop()
     reasons = [trip.reason for words in CASES.values() if (trip := shop.run(load(*words)).trip)]
     for part in (
-        "displacement", "acceleration rate", "blind", "instability", "reference force changes",
+        "displacement", "acceleration rate", "unknown", "instability", "reference force changes",
         "reference force", "out of control",
     ):  # fmt: skip
         assert any(part in reason for reason in reasons), part
