@@ -86,7 +86,7 @@ ifneq ($(HEALTHY),yes)
 endif
 	@rm -f $(READY)
 	@echo "seft: installing the pinned libraries (at first some 500 MB, a few minutes)"
-	@$(PIP) install --no-compile -r requirements.txt || { \
+	@$(PIP) install -r requirements.txt || { \
 		echo "seft: see why with: $(BIN)/pip install -r requirements.txt" >&2; exit 2; }
 	@echo "seft: installing the three packages in place"
 	@$(PIP) install --no-deps --no-build-isolation $(PACKAGES:%=-e %)
@@ -110,7 +110,7 @@ $(UBUNTU_READY): tools/ubuntu-24.04.txt requirements.txt $(BUILD_FILES)
 		| awk -F == 'NF == 2 && !seen[$$1]++' > $(UBUNTU)/constraints.txt
 	@echo "seft: installing what Ubuntu 24.04 has (a minute or two)"
 	@$(UBUNTU_PIP) install -c $(UBUNTU)/constraints.txt setuptools wheel
-	@$(UBUNTU_PIP) install --no-compile -c $(UBUNTU)/constraints.txt --no-build-isolation \
+	@$(UBUNTU_PIP) install -c $(UBUNTU)/constraints.txt --no-build-isolation \
 		"ros-jazzy-rclpy[fastrtps]" ros-jazzy-common-interfaces pytest-xdist \
 		$(PACKAGES:%=-e %[test])
 	@pwd -P > $(UBUNTU_READY)
