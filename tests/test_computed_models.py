@@ -5,7 +5,7 @@ import subprocess
 import sys
 
 import pytest
-from graph_tools import DEMO, ROOT, STALLS_ALLOWED, thorough
+from graph_tools import DEMO, MISSES_ALLOWED, ROOT, STALLS_ALLOWED, thorough
 
 MODELS = '''
 class Hardening:
@@ -139,7 +139,7 @@ def test_a_model_that_becomes_slow_in_a_test_trips_it(seft_json, model, tmp_path
     text = MODELS.replace("if t > 1.5:", 'if t > 1.5 and "reference_force" in sys.argv[0]:')
     text = text.replace('raise ValueError("it broke")', "time.sleep(0.08)")
     (tmp_path / "models.py").write_text(f"import sys\nimport time\n{text}")
-    words = (*SHORT, *model("Breaking"), *STALLS_ALLOWED)
+    words = (*SHORT, *model("Breaking"), *STALLS_ALLOWED, *MISSES_ALLOWED)
     summary = seft_json("run", DEMO, *words, "--out", "slow", status=1)
     assert "models.py:Breaking took 0.0" in summary["trip"]["reason"]
 
