@@ -1,9 +1,9 @@
 """Table of detectors.md: faults of the hardware in tests of other specimens; run in the project.
 
-    .venv/bin/python docs/faults.py kobe.txt
+    .venv/bin/python docs/faults.py kobe.txt:cm/s2:0.005
 
-kobe.txt is Kobe 1995, JMA N-S, in cm/s^2 at 0.005 s (yours to bring). Without it the synthetic
-motion is all there is.
+Each motion is FILE, or FILE:UNIT:DT (yours to bring; kobe.txt is Kobe 1995, JMA N-S), beside the
+synthetic one.
 """
 
 import sys
@@ -12,6 +12,7 @@ from collections import Counter
 sys.path.append("src/seft_ros/test")
 
 from rig_faults import FAULTS
+from sound_tests import motion_words
 from test_detectors import (
     BILINEAR,
     GAP,
@@ -32,10 +33,9 @@ TIMES = 2.0, 3.5, 5.0
 
 def main() -> None:
     """Print the table."""
-    motions = {"synthetic": ()}
-    if len(sys.argv) > 1:
-        file, unit, dt = f"file:={sys.argv[1]}", "unit:=cm/s2", "dt:=0.005"
-        motions["Kobe"] = tuple(f"ground_motion:{word}" for word in (file, unit, dt))
+    motions = {"synthetic": ()} | {
+        word.partition(":")[0]: motion_words(word) for word in sys.argv[1:]
+    }
     tests = [(motion, time) for motion in motions for time in TIMES]
     heads = "".join(f" {motion}, {time:g} s |" for motion, time in tests)
     print(f"| of {len(FAULTS)} faults: in time + harmless |{heads}\n|---|{'---|' * len(tests)}")

@@ -12,7 +12,7 @@ import numpy as np
 
 sys.path.append("src/seft_ros/test")
 
-from rig_faults import FaultyRig
+from rig_faults import HELD, MISSED, FaultyRig
 from seft_ros.protection.detectors import DETECTORS
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
@@ -22,7 +22,6 @@ RATES = 250.0, 500.0, 500.0, 500.0, 1000.0, 2000.0
 YIELD, HARDENING = f"{SPECIMEN}yield_displacement:=", f"{SPECIMEN}hardening_ratio:="
 GAIN, DEAD_TIME = "rig:actuator.flow_gain:=", "rig:actuator.dead_time:="
 VALVE, ADC = "rig:actuator.valve_frequency:=", "rig:sensors.adc_bits:=12"
-MISSED, HELD = "commands missed at random", "commands held for 18 ms"
 
 
 def specimen(draw):
@@ -72,20 +71,6 @@ def difference(draw, rng):
     )
 
 
-class Misses(FaultyRig):
-    """A rig that misses commands, and holds the last one."""
-
-    def __init__(self, rig, how, rng):
-        super().__init__(rig, "", 400, NOISE, np.ones(4))
-        self._how, self._rng, self._held = how, rng, 0
-
-    def _commanded(self, age, command):
-        if self._how == HELD:
-            return self._sent[-1 - age % 10] if age % 300 < 10 else command
-        self._held = self._held + 1 if self._rng.random() < 0.2 and self._held < 9 else 0
-        return self._sent[-1 - self._held]
-
-
 def one_test(seed, motions):
     """Run a test; give its words, and why it ended."""
     rng = np.random.default_rng(seed)
@@ -112,13 +97,14 @@ def one_test(seed, motions):
     experiment = load(*PLAN, *given)
     blocks = build_blocks(experiment)
     if misses:
-        blocks, given = replace(blocks, rig=Misses(blocks.rig, differs, rng)), (*given, differs)
+        rig = FaultyRig(blocks.rig, differs, 400, NOISE, np.ones(4))
+        blocks, given = replace(blocks, rig=rig), (*given, differs)
     record = simulate(experiment, blocks)
     return given, record.trip.reason if record.trip else ""
 
 
 def motion_words(word):
-    """Give the words of a motion."""
+    """Give the words of a motion, ``FILE`` or ``FILE:UNIT:DT``."""
     file, *told = word.split(":")
     names = ("file", "unit", "dt")[: 1 + len(told)]
     return tuple(f"ground_motion:{n}:={v}" for n, v in zip(names, (file, *told), strict=True))

@@ -95,8 +95,8 @@ def test_a_bad_driver_fails_what_it_is_bad_at(seft, start_driver, fault, checks)
     done = seft("conform", JHU, *PATIENT, "--yes", "--json", status=1)
     result = json.loads(done.stdout)
     assert checks <= failed(result), shown(result)
-    mends = {c["check"]: c["mend"] for c in result["checks"] if c["verdict"] == "failed"}
-    assert all(mends.values())
+    remedies = {c["check"]: c["remedy"] for c in result["checks"] if c["verdict"] == "failed"}
+    assert all(remedies.values())
 
 
 def test_a_rig_that_is_not_simulated_is_not_moved_unasked(seft):

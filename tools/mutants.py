@@ -25,7 +25,8 @@ KILLED = HOME / "build" / "mutants.txt"
 PLANT, ROS = "src/seft_plant_sim/", "src/seft_ros/"
 PROTECTION, CONTROL = f"{ROS}seft_ros/protection/", f"{ROS}seft_ros/force_controller/"
 DETECTOR_TESTS = tuple(
-    f"{ROS}test/test_protection_{name}.py" for name in ("detectors", "detector_memory")
+    f"{ROS}test/test_protection_{name}.py"
+    for name in ("detectors", "relations", "specimen_force", "detector_memory")
 )
 CONTROL_TESTS = (f"{ROS}test/test_force_controller_interlock.py", "-knot offline_loop")
 FORCE_TESTS = tuple(

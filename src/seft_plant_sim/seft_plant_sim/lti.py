@@ -8,12 +8,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import expm
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.errors import InputError
 
-Complexes = npt.NDArray[np.complex128]
 Polynomial = Floats | Sequence[float]
 
 LEAST_SAMPLES = 4.0

@@ -93,10 +93,10 @@ class RigNode(NodeBody):
             self._rehearsal = Rehearsal(shell, self._timebase, topic, limit)
             self.facts[REHEARSES] = True
         self._supervision = Supervision(self._section["watchdog.supervisor_timeout"])
-        shell.subscribe(EXPERIMENT_STATE, self._supervision.hear, depth=16)
+        shell.subscribe(EXPERIMENT_STATE, self._supervision.receive, depth=16)
         self._recorder_lag = RecorderLag(self._section["lockstep_timeout"])
         if self._section["pace"] == "lockstep":
-            shell.subscribe(DIAGNOSTICS, self._recorder_lag.hear)
+            shell.subscribe(DIAGNOSTICS, self._recorder_lag.receive)
         self._clock: SampleClock | None = None  # of a test in realtime
         self._watch = CommandWatch(
             self._drive.codec.topic, self._timebase.dt, self._section["watchdog.command_timeout"]
@@ -142,7 +142,7 @@ class RigNode(NodeBody):
         rig.reset()
         if supervision.rehearsal:  # it was not interrupted
             self._rehearsed = True
-            self._shell.tell({REHEARSED: found})
+            self._shell.add_facts({REHEARSED: found})
 
     def fault(self, reason: str) -> None:
         """End the running test, or the next one, until the operator resets."""

@@ -131,14 +131,14 @@ class RecorderLag:
 
     def __init__(self, patience: float) -> None:
         self._patience, self._awake = patience, AwakeClock()
-        self._heard_at = -patience
+        self._received_at = -patience
         self._recorded = 0
 
-    def hear(self, raw: bytes, _: int) -> None:
+    def receive(self, raw: bytes, _: int) -> None:
         """Process the diagnostics of a node."""
         for status in decode_diagnostics(raw)[1]:
             if status.name == RECORDER:
-                self._heard_at = self._awake.time()
+                self._received_at = self._awake.time()
                 self._recorded = int(status.number(RECORDED) or 0)
 
     def reset(self) -> None:
@@ -149,7 +149,7 @@ class RecorderLag:
         """Say whether the rig should wait after a step until more is recorded."""
         if step - self._recorded < MOST:
             return False
-        return self._awake.time() - self._heard_at < self._patience
+        return self._awake.time() - self._received_at < self._patience
 
 
 class Supervision:
@@ -176,7 +176,7 @@ class Supervision:
 
     def __init__(self, patience: float) -> None:
         self._patience, self._awake = patience, AwakeClock()
-        self._heard_at = self._awake.time()
+        self._received_at = self._awake.time()
         self.wanted: Status | None = None
         self.state = self.fault = ""
         self.latched = self._armed = False
@@ -187,10 +187,10 @@ class Supervision:
         """Whether the rig should move."""
         return self.wanted is not None and self.wanted.message in MOVING
 
-    def hear(self, raw: bytes, _: int) -> None:
+    def receive(self, raw: bytes, _: int) -> None:
         """Follow the supervisor; a rig that starts in the middle of a test stays at rest."""
         status = decode_status(raw)
-        self._heard_at = self._awake.time()
+        self._received_at = self._awake.time()
         self.rehearsal = status.number(REHEARSE) or 0.0
         if status.message == self.state:
             return  # a sign of life
@@ -211,7 +211,7 @@ class Supervision:
             return self.fault
         if not self.is_moving:
             return STOPPED
-        if self._awake.time() - self._heard_at > self._patience:
+        if self._awake.time() - self._received_at > self._patience:
             return f"node supervisor has been silent for {self._patience:g} s"
         return None
 

@@ -80,7 +80,7 @@ def target(step):
 def test_of_a_target_the_force_of_the_first_point_is_applied():
     command = Command(TrajectoryCodec(REFERENCE_FORCE, AXES, TIMEBASE), 7.0)
     command.current = 5
-    command.take(target(5))  # forces of up to 9 N to come, of which this rig hears nothing
+    command.take(target(5))  # forces of up to 9 N to come, of which this rig receives nothing
     command.current = 7
     np.testing.assert_array_equal(command.value, [-5.0, 5.0])
 

@@ -177,7 +177,9 @@ def clock(monkeypatch):
 
 def test_a_rig_waits_for_a_recorder_that_is_far_behind_but_not_for_a_silent_one(clock):
     def hear(*statuses):
-        lag.hear(encode_diagnostics(0, [Status(name, OK, "", values=v) for name, v in statuses]), 0)
+        lag.receive(
+            encode_diagnostics(0, [Status(name, OK, "", values=v) for name, v in statuses]), 0
+        )
 
     lag = RecorderLag(1.5)
     assert not lag.is_large(10_000)  # it has never been heard
@@ -203,7 +205,7 @@ def told(clock):
     def tell(*states, **values):
         for state in states:
             texts = {key: str(value) for key, value in values.items()}
-            found.hear(encode_status(Status("supervisor", OK, state, values=texts)), 0)
+            found.receive(encode_status(Status("supervisor", OK, state, values=texts)), 0)
         return found.is_moving
 
     found = Supervision(2.0)

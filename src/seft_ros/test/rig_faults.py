@@ -29,6 +29,8 @@ OTHER_FAULTS = (
     *("supply lost", "supply at a tenth", "converter frozen", "cable of all sensors broken"),
     *("converter late by 10 ms", "axes dead but for noise", "valve late by 20 ms"),
 )
+HELD, MISSED = "commands held for 18 ms", "commands missed at random"
+"""What a slow host does to a sound rig, at 500 Hz."""
 FAULTS = (
     *(f"{channel} {fault}" for channel in CHANNELS for fault in SENSOR_FAULTS),
     *(f"valve {fault}" for fault in VALVE_FAULTS),
@@ -44,7 +46,7 @@ class FaultyRig:
     rig : Rig
         The sound one.
     fault : str
-        One of `FAULTS`; empty: none.
+        One of `FAULTS`, `HELD` or `MISSED`; empty: none.
     step : int
         At which it begins.
     noise, largest : ndarray
@@ -63,7 +65,7 @@ class FaultyRig:
     def __init__(self, rig, fault, step, noise, largest):
         self._rig, self._fault, self._at = rig, fault, step
         self._noise, self._largest = noise, largest
-        self._draw = np.random.default_rng(7)
+        self._draw, self._missed = np.random.default_rng(7), 0
         self.sensors, self.felt, self.peak_force, self.travel = rig.sensors, None, 0.0, 0.0
         self.drive = rig.drive
 
@@ -93,6 +95,12 @@ class FaultyRig:
         name = self._fault.removeprefix("valve ")
         if self._fault.startswith("valve ") and name in VALVE_FAULTS:
             return VALVE_FAULTS[name](command, self._volt)
+        if self._fault == HELD:
+            return self._sent[-1 - age % 10] if age % 300 < 10 else command
+        if self._fault == MISSED:
+            misses = self._draw.random() < 0.2 and self._missed < 9
+            self._missed = self._missed + 1 if misses else 0
+            return self._sent[-1 - self._missed]
         if name == "late by 20 ms":
             return self._sent[max(len(self._sent) - 11, 0)]
         if "supply" in self._fault and age == 0:

@@ -62,7 +62,7 @@ def test_plant_loop_and_closed_loop_agree_with_the_analytic_model(identify, name
     known = analytic(*overrides)
     zero, pole = known.plant.antiresonance(), known.plant.oil_column()
     assert status == 0
-    assert found["notes"][0].startswith("actuator.* is of the actuators alone: another specimen")
+    assert found["notes"][0].startswith("actuator.* describes the actuators and holds for any")
     rig = Experiment.load(TABLES, [JHU], [parse_override(text) for text in overrides])["rig"]
     actuator = found["actuator"]
     assert actuator["verdict"] == "good"
@@ -283,7 +283,7 @@ def test_people_get_a_table(seft):
     for words in (
         "flow gain",
         "good",
-        "another specimen",
+        "describes the actuators",
         "oil column",
         "phase margin",
         "delay",

@@ -55,7 +55,7 @@ def test_a_short_synthetic_motion_makes_a_page_and_claims(seft, monkeypatch, tmp
     ("words", "told"),
     [
         (["--file", "none.AT2"], "none.AT2"),
-        (["--unit", "cm/s2"], "--unit: there is no record"),
+        (["--unit", "cm/s2"], "--unit: needs a record"),
         (["--file", "none.AT2", "--unit", "feet"], "unit is"),
         (["--out", "none/paper.html"], "no folder none"),
         (["--out", "paper.pdf"], "pages end in .html"),

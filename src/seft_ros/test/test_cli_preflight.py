@@ -74,10 +74,10 @@ def test_for_people_there_is_a_table_and_every_reason_in_a_line(seft):
     assert all(line.startswith("seft: marginal: ") for line in err.splitlines())
 
 
-def test_what_is_amiss_is_told_with_the_command_that_mends_it(seft, told):
+def test_a_problem_is_shown_with_the_command_that_fixes_it(seft, told):
     """A heavier specimen that the method does not know: two commands, typed as they are."""
     words = (JHU, "-p", "rig:specimen.mass:=80", "-p", f"{RATIO}1.5")
-    for expected in ("takes the specimen's mass for 52.7 kg", "recommended method"):
+    for expected in ("assumes a specimen's mass of 52.7 kg", "recommended method"):
         _, found = told(*words)
         step = found["next"][0]
         assert expected in step["found"]
@@ -88,7 +88,7 @@ def test_what_is_amiss_is_told_with_the_command_that_mends_it(seft, told):
     assert (status, found["verdict"]) == (0, "stable")
     assert "valve, fully open" in found["next"][0]["found"]
     status, found = told(*shlex.split(found["next"][0]["commands"][0])[2:])
-    assert (status, found["next"][0]["found"]) == (0, "nothing is amiss")
+    assert (status, found["next"][0]["found"]) == (0, "no problem was found")
 
 
 def test_limits_that_would_end_the_test_are_told_with_a_command_that_writes_others(seft, told):
@@ -99,7 +99,7 @@ def test_limits_that_would_end_the_test_are_told_with_a_command_that_writes_othe
     (step,) = told(*words, "--params-file", "limits.yaml")[1]["next"]
     assert "displacement" in step["found"]  # -p wins over a file
     (step,) = told(*words[:-2], "--params-file", "limits.yaml")[1]["next"]
-    assert step["found"] == "nothing is amiss"
+    assert step["found"] == "no problem was found"
 
 
 def test_an_unstable_plan_has_no_damping_in_the_test(seft, told):

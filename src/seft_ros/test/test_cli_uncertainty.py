@@ -79,10 +79,7 @@ def test_an_interruption_says_how_it_goes_on(tmp_path):
     assert (
         (tmp_path / "err")
         .read_text()
-        .endswith(
-            "seft: interrupted; there is no result; the same command, in this folder, goes on with "
-            "what is finished\n"
-        )
+        .endswith("seft: interrupted; no result yet; the same command in this folder continues\n")
     )
 
 

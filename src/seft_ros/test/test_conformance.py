@@ -104,8 +104,8 @@ def test_a_wrong_unit_or_sign_is_found_and_named(
 ):
     finding = units_of(scaled(samples, row, factor), drive, specimen)[check]
     assert finding.verdict == "failed"
-    assert finding.mend.startswith(culprit)
-    assert why in finding.mend
+    assert finding.remedy.startswith(culprit)
+    assert why in finding.remedy
 
 
 def test_a_channel_of_another_time_is_no_derivative(samples, drive, specimen):
@@ -113,7 +113,7 @@ def test_a_channel_of_another_time_is_no_derivative(samples, drive, specimen):
     values[:, 2] = np.roll(values[:, 2], 10, axis=0)
     late = Samples(samples.steps, values, samples.times)
     finding = units_of(late, drive, specimen)["acceleration of velocity"]
-    assert (finding.verdict, "not of one time" in finding.mend) == ("failed", True)
+    assert (finding.verdict, "not of one time" in finding.remedy) == ("failed", True)
 
 
 def test_without_a_specimen_that_is_known_the_force_is_not_judged(samples, drive):
@@ -124,13 +124,13 @@ def test_a_valve_that_is_reversed_is_found(samples, drive):
     assert motion_checks.check_moves(samples, drive).verdict == "passed"
     reversed_valve = Samples(samples.steps, -samples.values, samples.times)
     finding = motion_checks.check_moves(reversed_valve, drive)
-    assert (finding.verdict, "reverse the valve's sign" in finding.mend) == ("failed", True)
+    assert (finding.verdict, "reverse the valve's sign" in finding.remedy) == ("failed", True)
 
 
 def test_a_rig_without_pressure_does_not_move(samples, drive, experiment):
     still = moved(experiment, Drive(DT, 1e-9))
     finding = motion_checks.check_moves(still, drive)
-    assert (finding.verdict, "is the pressure on?" in finding.mend) == ("failed", True)
+    assert (finding.verdict, "is the pressure on?" in finding.remedy) == ("failed", True)
 
 
 @pytest.mark.parametrize(("later", "expected"), [(0, "passed"), (6, "failed")])

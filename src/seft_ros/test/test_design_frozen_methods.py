@@ -286,6 +286,6 @@ def test_a_transfer_function_takes_the_force_of_the_first_point():
     assert not plan.follows_valves and np.isfinite(plan.growth_rate())
 
 
-def test_a_controller_of_the_coming_motion_needs_one():
-    with pytest.raises(InputError, match="needs the coming motion"):
+def test_velocity_feedforward_needs_a_target_motion():
+    with pytest.raises(InputError, match="needs a target motion"):
         Plan(experiment({"reference_force": {"compensation.method": "none"}}))

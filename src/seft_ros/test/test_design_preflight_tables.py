@@ -58,7 +58,7 @@ def test_limits_far_beyond_are_told():
 def test_limits_that_would_end_the_test_are_told():
     experiment = load("supervisor:limits.displacement:=0.005")
     told = limit_warning(experiment, expected_peaks(experiment))
-    assert told.startswith("limits are below what this test is expected to reach, and may end it")
+    assert told.startswith("limits are below the expected peaks, and may end the test")
     assert "displacement 0.005 m (expected: 0.01" in told
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rig_faults import CHANNELS, FAULTS, FaultyRig
+from rig_faults import CHANNELS, FAULTS, HELD, FaultyRig
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
 from seft_ros.analysis.summary import shares_of
@@ -183,12 +183,7 @@ def test_a_lost_state_is_no_fault():
 def test_a_rig_that_holds_a_command_for_as_long_as_it_may_has_no_fault():
     experiment, known, largest, _ = sound((*PLAN, "reference_force:instability.ratio:=100.0"))
     blocks = build_blocks(experiment, known)
-
-    class Holds(FaultyRig):
-        def _commanded(self, age, command):
-            return self._sent[-1 - age % 10] if age % 300 < 10 else command  # 18 ms
-
-    rig = Holds(blocks.rig, "", 400, NOISE, largest)
+    rig = FaultyRig(blocks.rig, HELD, 400, NOISE, largest)
     record = simulate(experiment, replace(blocks, rig=rig))
     reason = record.trip.reason if record.trip else ""  # it shakes, and may meet a limit
     assert not any(one.name in reason for one in DETECTORS)

@@ -245,11 +245,11 @@ def test_steps_that_the_recorder_lost_altogether_are_told(seft, record, blocks, 
     ("words", "told"),
     [
         (["--node", "recorder"], "--node recorder: must be one of reference_force"),
-        (["-p", "rig:seed:=3"], "-p changes one node; name it with --node"),
+        (["-p", "rig:seed:=3"], "-p needs one --node, whose parameters it changes"),
         (["--node", "rig", "-p", "rate:=100.0"], "the recorded samples have their own rate"),
         (["--node", "rig", "-p", "rig:sed:=3"], "there is no parameter sed; did you mean seed"),
         (["--node", "rig", "-p", "supervisor:peers:=[rig]"], "the replay is to rig alone"),
-        (["--out", "x"], "--out takes the answers of one node"),
+        (["--out", "x"], "--out needs one --node"),
     ],
 )
 def test_wrong_words_are_refused_in_one_line(seft, record, blocks, tmp_path, words, told):

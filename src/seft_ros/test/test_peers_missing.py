@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.wire.messages import Status
 from seft_msgs_py.wire.topics import NODES, TOPICS, rigs_of, topics_of, with_rigs
-from seft_ros.test_run.peers import Heard, silence, silent
+from seft_ros.test_run.peers import LastStatus, silence, silent
 from seft_ros.test_run.peers import missing as missing_after
 
 PEERS = tuple(node for node in NODES if node != "supervisor")
@@ -14,42 +14,42 @@ TWO_RIGS = rigs_of(["west/x", "east/x"])
 PEERS_OF_TWO = with_rigs(PEERS, TWO_RIGS)
 
 
-def missing(peers, heard, descriptions, now, rigs=ONE_RIG):
-    return missing_after(peers, heard, descriptions, now, TIMEOUT, rigs)
+def missing(peers, statuses, descriptions, now, rigs=ONE_RIG):
+    return missing_after(peers, statuses, descriptions, now, TIMEOUT, rigs)
 
 
 def graph(peers=PEERS, drive="valve_command", rigs=ONE_RIG):
     """What a complete graph has said: status and description of each node."""
     everyone = " ".join(with_rigs(NODES, rigs))
-    heard, descriptions = {}, {}
+    statuses, descriptions = {}, {}
     for node in (*peers, "supervisor"):
         own = [topic for topic in topics_of(rigs) if topic.publisher in (node, "")]
         values = {f"matched {topic.name}": everyone for topic in own}
         if node == "ground_motion":
             values["phase"] = "primed"
-        heard[node] = Heard(Status(node, 0, "", values=values), NOW - 0.5)
+        statuses[node] = LastStatus(Status(node, 0, "", values=values), NOW - 0.5)
         descriptions[node] = {"parameters": {"rate": 500.0, "axes": ["x"]}}
     descriptions["rig"] = {**descriptions.get("rig", {}), "drive": drive}
-    return heard, descriptions
+    return statuses, descriptions
 
 
 def test_of_several_rigs_each_must_be_there_and_hear():
     def lacks(change, rigs=TWO_RIGS):
-        heard, descriptions = graph(PEERS_OF_TWO, rigs=rigs)
-        change(heard, descriptions)
-        return missing(PEERS_OF_TWO, heard, descriptions, NOW, rigs)
+        statuses, descriptions = graph(PEERS_OF_TWO, rigs=rigs)
+        change(statuses, descriptions)
+        return missing(PEERS_OF_TWO, statuses, descriptions, NOW, rigs)
 
-    def deaf(heard, _):
-        values = heard["west/rig"].status.values
+    def deaf(statuses, _):
+        values = statuses["west/rig"].status.values
         values["matched west/rig/state"] = "reference_force recorder"
 
-    def driven(heard, descriptions):
+    def driven(statuses, descriptions):
         descriptions["east/rig"]["drive"] = "reference_force"
-        values = heard["reference_force"].status.values
+        values = statuses["reference_force"].status.values
         values["matched reference_force"] = "west/force_controller east/force_controller recorder"
 
-    assert lacks(lambda heard, _: None) == ""
-    assert lacks(lambda heard, _: heard.pop("east/rig")) == "node east/rig"
+    assert lacks(lambda statuses, _: None) == ""
+    assert lacks(lambda statuses, _: statuses.pop("east/rig")) == "node east/rig"
     assert lacks(deaf) == "west/rig to reach west/force_controller on west/rig/state"
     assert lacks(driven) == "reference_force to reach east/rig on reference_force"
 
@@ -62,17 +62,17 @@ def test_of_several_rigs_each_must_be_there_and_hear():
     ],
 )
 def test_several_rigs_must_agree(node, name, value, expected):
-    heard, descriptions = graph(PEERS_OF_TWO, rigs=TWO_RIGS)
+    statuses, descriptions = graph(PEERS_OF_TWO, rigs=TWO_RIGS)
     descriptions[node]["parameters"][name] = value
-    assert missing(PEERS_OF_TWO, heard, descriptions, NOW, TWO_RIGS).startswith(expected)
+    assert missing(PEERS_OF_TWO, statuses, descriptions, NOW, TWO_RIGS).startswith(expected)
 
 
 def lost(publisher, topic, listener, **rest):
     """What is missing where a listener does not hear a publisher on a topic."""
-    heard, descriptions = graph(**rest)
-    values = heard[publisher].status.values
+    statuses, descriptions = graph(**rest)
+    values = statuses[publisher].status.values
     values[f"matched {topic}"] = values[f"matched {topic}"].replace(listener, "")
-    return missing(PEERS, heard, descriptions, NOW)
+    return missing(PEERS, statuses, descriptions, NOW)
 
 
 def test_nothing_is_missing_in_a_complete_graph():
@@ -81,16 +81,16 @@ def test_nothing_is_missing_in_a_complete_graph():
 
 @pytest.mark.parametrize("node", PEERS)
 def test_a_node_that_was_never_heard_is_named(node):
-    heard, descriptions = graph()
-    del heard[node]
-    assert missing(PEERS, heard, descriptions, NOW) == f"node {node}"
+    statuses, descriptions = graph()
+    del statuses[node]
+    assert missing(PEERS, statuses, descriptions, NOW) == f"node {node}"
 
 
 @pytest.mark.parametrize(("age", "expected"), [(TIMEOUT, ""), (TIMEOUT + 0.01, "node rig")])
 def test_a_node_that_fell_silent_counts_as_absent(age, expected):
-    heard, descriptions = graph()
-    heard["rig"] = Heard(heard["rig"].status, NOW - age)
-    assert missing(PEERS, heard, descriptions, NOW) == expected
+    statuses, descriptions = graph()
+    statuses["rig"] = LastStatus(statuses["rig"].status, NOW - age)
+    assert missing(PEERS, statuses, descriptions, NOW) == expected
 
 
 def test_all_absent_nodes_are_named_in_order():
@@ -99,9 +99,9 @@ def test_all_absent_nodes_are_named_in_order():
 
 @pytest.mark.parametrize("node", PEERS)
 def test_a_node_without_a_description_is_named(node):
-    heard, descriptions = graph()
+    statuses, descriptions = graph()
     del descriptions[node]
-    assert missing(PEERS, heard, descriptions, NOW) == f"the parameters of {node}"
+    assert missing(PEERS, statuses, descriptions, NOW) == f"the parameters of {node}"
 
 
 @pytest.mark.parametrize(
@@ -112,10 +112,10 @@ def test_a_node_without_a_description_is_named(node):
     ],
 )
 def test_nodes_that_were_started_differently_are_named_with_their_values(name, value, expected):
-    heard, descriptions = graph()
+    statuses, descriptions = graph()
     parameters = {**descriptions["rig"]["parameters"], name: value}
     descriptions["rig"] = {**descriptions["rig"], "parameters": parameters}
-    assert missing(PEERS, heard, descriptions, NOW) == expected
+    assert missing(PEERS, statuses, descriptions, NOW) == expected
 
 
 LINKS = [
@@ -149,58 +149,58 @@ def test_the_recorder_must_hear_every_recorded_topic(topic):
 
 def test_without_a_recorder_nobody_waits_for_it():
     peers = tuple(node for node in PEERS if node != "recorder")
-    heard, descriptions = graph(peers)
-    for node in heard.values():
+    statuses, descriptions = graph(peers)
+    for node in statuses.values():
         for key, value in node.status.values.items():
             node.status.values[key] = value.replace("recorder", "")
-    assert missing(peers, heard, descriptions, NOW) == ""
+    assert missing(peers, statuses, descriptions, NOW) == ""
 
 
 def test_a_test_waits_for_the_first_of_the_ground_motion():
-    heard, descriptions = graph()
-    heard["ground_motion"].status.values["phase"] = "idle"
-    assert missing(PEERS, heard, descriptions, NOW) == "the first of the ground motion"
+    statuses, descriptions = graph()
+    statuses["ground_motion"].status.values["phase"] = "idle"
+    assert missing(PEERS, statuses, descriptions, NOW) == "the first of the ground motion"
 
 
 def test_a_test_without_a_ground_motion_node_waits_for_it_too():
     peers = tuple(node for node in PEERS if node != "ground_motion")
-    heard, descriptions = graph(peers)
-    assert missing(peers, heard, descriptions, NOW) == "the first of the ground motion"
+    statuses, descriptions = graph(peers)
+    assert missing(peers, statuses, descriptions, NOW) == "the first of the ground motion"
 
 
 @given(st.data())
 def test_every_missing_piece_alone_keeps_the_test_waiting(data):
-    heard, descriptions = graph()
+    statuses, descriptions = graph()
     publisher, topic, listener = data.draw(st.sampled_from(LINKS))
-    values = heard[publisher].status.values
+    values = statuses[publisher].status.values
     remaining = data.draw(st.sets(st.sampled_from(NODES)).map(lambda nodes: nodes - {listener}))
     values[f"matched {topic}"] = " ".join(sorted(remaining))
-    assert missing(PEERS, heard, descriptions, NOW) != ""
+    assert missing(PEERS, statuses, descriptions, NOW) != ""
 
 
 def test_a_listener_that_knows_no_sender_yet_is_named():
-    heard, descriptions = graph()
-    heard["force_controller"].status.values["senders rig/state"] = "0"
-    expected = "force_controller to hear rig on rig/state"
-    assert missing(PEERS, heard, descriptions, NOW) == expected
-    heard["force_controller"].status.values["senders rig/state"] = "1"
-    assert missing(PEERS, heard, descriptions, NOW) == ""
+    statuses, descriptions = graph()
+    statuses["force_controller"].status.values["senders rig/state"] = "0"
+    expected = "force_controller to receive from rig on rig/state"
+    assert missing(PEERS, statuses, descriptions, NOW) == expected
+    statuses["force_controller"].status.values["senders rig/state"] = "1"
+    assert missing(PEERS, statuses, descriptions, NOW) == ""
 
 
 @pytest.mark.parametrize("phase", ["running", "finished", "tripped"])
 def test_a_rig_that_still_tells_of_the_last_test_is_waited_for(phase):
-    heard, descriptions = graph()
-    heard["rig"].status.values["phase"] = phase
-    assert missing(PEERS, heard, descriptions, NOW) == "the rig to leave the last test"
-    heard["rig"].status.values["phase"] = "idle"
-    assert missing(PEERS, heard, descriptions, NOW) == ""
+    statuses, descriptions = graph()
+    statuses["rig"].status.values["phase"] = phase
+    assert missing(PEERS, statuses, descriptions, NOW) == "the rig to leave the last test"
+    statuses["rig"].status.values["phase"] = "idle"
+    assert missing(PEERS, statuses, descriptions, NOW) == ""
 
 
 @pytest.mark.parametrize("phase", ["ramping_down", "at_rest", "ended"])
 def test_the_reference_force_must_have_left_the_last_test(phase):
-    heard, descriptions = graph()
-    heard["reference_force"].status.values["phase"] = phase
-    assert missing(PEERS, heard, descriptions, NOW) == (
+    statuses, descriptions = graph()
+    statuses["reference_force"].status.values["phase"] = phase
+    assert missing(PEERS, statuses, descriptions, NOW) == (
         "the reference force to leave the last test"
     )
 
@@ -214,18 +214,18 @@ def test_the_reference_force_must_have_left_the_last_test(phase):
     ],
 )
 def test_the_recorder_must_be_done_with_the_last_test_and_able_to_record_the_next(values, expected):
-    heard, descriptions = graph()
-    heard["recorder"].status.values.update(values)
-    assert missing(PEERS, heard, descriptions, NOW) == expected
+    statuses, descriptions = graph()
+    statuses["recorder"].status.values.update(values)
+    assert missing(PEERS, statuses, descriptions, NOW) == expected
 
 
 def test_the_silent_are_named_with_the_time_of_their_last_sign_of_life():
-    heard, _ = graph()
-    heard["rig"] = Heard(heard["rig"].status, NOW - 1.01, 12.341)
-    heard["recorder"] = Heard(heard["recorder"].status, NOW - 1.0, 12.4)
-    del heard["ground_motion"]  # never heard: not silent, but absent
-    assert silent(PEERS, heard, NOW, 1.0) == ["rig"]
-    assert silence("rig", heard) == "node rig has been silent since 12.34 s"
+    statuses, _ = graph()
+    statuses["rig"] = LastStatus(statuses["rig"].status, NOW - 1.01, 12.341)
+    statuses["recorder"] = LastStatus(statuses["recorder"].status, NOW - 1.0, 12.4)
+    del statuses["ground_motion"]  # never heard: not silent, but absent
+    assert silent(PEERS, statuses, NOW, 1.0) == ["rig"]
+    assert silence("rig", statuses) == "node rig has been silent since 12.34 s"
 
 
 @pytest.mark.parametrize(
@@ -233,9 +233,9 @@ def test_the_silent_are_named_with_the_time_of_their_last_sign_of_life():
     [(0, 0, True), (7, 7, True), (7, -1, True), (7, 0, False), (0, 7, False), (0, -1, False)],
 )
 def test_both_ends_of_a_link_must_agree_on_its_delay(sent, taken, fits):
-    heard, descriptions = graph()
+    statuses, descriptions = graph()
     for node, steps in (("reference_force", sent), ("force_controller", taken)):
         parameters = {**descriptions[node]["parameters"], "loop_delay": steps}
         descriptions[node] = {**descriptions[node], "parameters": parameters}
     told = f"one loop_delay: reference_force has {sent}, force_controller has {taken}"
-    assert missing(PEERS, heard, descriptions, NOW) == ("" if fits else told)
+    assert missing(PEERS, statuses, descriptions, NOW) == ("" if fits else told)

@@ -168,7 +168,7 @@ class NodeShell:
         self.node.get_logger().info("started; the supervisor starts and ends tests")
         self._process.now_and_then(self._renew_status)
 
-    def tell(self, facts: dict[str, Any]) -> None:
+    def add_facts(self, facts: dict[str, Any]) -> None:
         """Add facts about the node (JSON values) to its description."""
         self._facts = {**(self._facts or {}), **facts}
         self._describe()

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.fft import irfft, next_fast_len, rfft
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 
@@ -120,8 +120,6 @@ class Alignment:
         # the start alone is none
         return any(np.intersect1d(one.steps, other.steps).any() for one, other in pairs)
 
-
-Complexes = npt.NDArray[np.complex128]
 
 _ITERATIONS = 30
 _RESOLUTION = 1e-9  # of a sample

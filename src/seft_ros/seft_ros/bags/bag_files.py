@@ -77,13 +77,13 @@ def storage_files(path: str | Path) -> list[Path]:
             found = [file for file in path.iterdir() if storage_suffix(file) in SUFFIXES]
             if found or (path / "metadata.yaml").exists():
                 return sorted(found, key=_natural_order)
-            raise InputError(f"{path}: no bag, for no mcap or db3 file is in that folder")
+            raise InputError(f"{path}: no bag: the folder has no mcap or db3 file")
         if not path.exists():
             raise InputError(f"{path}: there is no such bag")
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from None
     if storage_suffix(path) not in SUFFIXES:
-        raise InputError(f"{path}: no bag; give a bag's folder, or an mcap or db3 file")
+        raise InputError(f"{path}: not a bag; give a bag's folder, or an mcap or db3 file")
     return [path]
 
 

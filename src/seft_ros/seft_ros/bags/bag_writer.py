@@ -278,7 +278,7 @@ class BagWriter:
         with suppress(OSError, sqlite3.Error):
             self._writer.abort()
         self._error = ExperimentError(
-            f"{self.path}: the bag can't be written any more ({_reason(error)}); mend that, then "
+            f"{self.path}: the bag can't be written any more ({_reason(error)}); fix that, then "
             f"recover what was recorded with: seft recover {self.path}"
         )
         return self._error

@@ -1,6 +1,6 @@
 """Commands on recorded tests: ``seft report``, ``seft recover`` and ``seft compare``.
 
-``seft replay``: a recorded test fed to one node once more.
+``seft replay``: a recorded test fed to one node.
 """
 
 import time
@@ -30,15 +30,15 @@ def report(
     ),
     json: Json = False,
 ) -> int:
-    """Show whether a recorded test can be trusted, and where it can not.
+    """Judge a recorded test, and write a page about it.
 
     Writes one HTML page that needs no network: verdict, what was tested, displacement, force and
     acceleration against the exact response of the whole structure with windows at the peaks,
     force tracking, hysteresis, spectra, energy, timing, estimates, events. Drag to zoom, click a
     name in a legend to hide its line. --json prints the same numbers.
 
-    The bag holds all that is needed: samples, configuration, versions. A bag whose recorder was
-    cut off is read after seft recover BAG.
+    The bag holds all that is needed: samples, configuration, versions. If its recorder was
+    killed, use seft recover BAG first.
 
     Examples:
 
@@ -76,7 +76,7 @@ def report(
 def recover(
     bag: Annotated[Path, typer.Argument(metavar="BAG", help="Folder of a recorded test.")],
 ) -> int:
-    """Make a bag readable whose recorder was killed: every complete message is kept.
+    """Make the bag of a killed recorder readable: every complete message is kept.
 
     The cut-off file stays beside it, named .cut. An intact bag is left as it is.
 
@@ -97,17 +97,17 @@ def compare(
             metavar="BAG BAG...", help="Folders of recorded tests; the first is compared with each."
         ),
     ],
-    figure: Optional[Path] = option(None, "Draw the tests on one another.", "FILE"),
+    figure: Optional[Path] = option(None, "Draw the tests in one figure.", "FILE"),
     json: Json = False,
 ) -> int:
     """Compare recorded tests with the first of them, sample by sample, bit for bit.
 
     Samples are aligned by the step in their stamps, independent of duration and recorder. At
-    different rates, samples at common times are compared. Of tests of different length or axes,
-    the common part is compared, and the rest is reported.
+    different rates, samples at common times are compared. If tests differ in
+    length or axes, the common part is compared, and the rest is reported.
 
-    Bags are mcap or sqlite3, also of ros2 bag record: compressed, split into files, with any
-    other topics. One that lacks experiment/description is compared without its configuration.
+    Bags are mcap or sqlite3, also those of ros2 bag record: compressed, split into files, with
+    other topics. A bag without experiment/description is compared without its configuration.
 
     Exit status 0 if all samples on the loop's topics are identical, 1 if not.
 
@@ -170,21 +170,21 @@ def replay(
     ),
     out: Optional[Path] = option(
         None,
-        "Write the test with the replayed answers in place of the recorded as a bag, "
-        "must be new; with one --node alone.",
+        "Write a bag of the test with the replayed answers instead of the recorded ones; the "
+        "folder must be new, and --node given once.",
         "DIR",
     ),
     json: Json = False,
 ) -> int:
-    """Feed a recorded test to one node, and see that it answers as recorded, bit for bit.
+    """Feed a recorded test to one node, and check that it answers as recorded, bit for bit.
 
-    The node runs as a process over DDS with its recorded parameters; the replay plays the others:
-    it sends the recorded messages step by step, each when the one before is answered. So it is as
-    fast as the node, and nothing is lost. -p shows the effect of a change.
+    The node runs alone, as a process over DDS, with its recorded parameters. The replay sends the
+    recorded messages step by step, each after the answer to the one before, so it is as fast as
+    the node, and no message is lost. -p shows the effect of a changed parameter.
 
-    reference_force gets ground_motion, rig/state and when the operator or a fault brought the
-    force down; force_controller rig/state and reference_force; rig valve_command, the held ones
-    for those that it missed. Of the other nodes none runs.
+    reference_force receives ground_motion, rig/state, and the ramps that the operator or a fault
+    started; force_controller receives rig/state and reference_force; rig receives valve_command,
+    and holds its command where it missed one in the test.
 
     Exit status 0 if all answers are identical, 1 if not.
 
@@ -206,11 +206,11 @@ def replay(
     nodes = list(dict.fromkeys(node or REPLAYS))
     if out is not None:
         if len(nodes) > 1:
-            raise InputError("--out takes the answers of one node; name it with --node")
+            raise InputError("--out needs one --node, whose answers it writes")
         check_out(out)
     overrides = [parse_override(text) for text in param or ()]
     if overrides and len(nodes) > 1:
-        raise InputError("-p changes one node; name it with --node")
+        raise InputError("-p needs one --node, whose parameters it changes")
     recorded = read_recorded(bag)
     replays = _replays(nodes, recorded, asked=bool(node))
     given = {"bag": str(bag), "overrides": param or []}
@@ -223,12 +223,12 @@ def replay(
         for note in result["notes"]:
             complain(f"{result['node']}: {note}")
         if result["ended"]:
-            complain(f"{result['node']} answered no more: {result['ended']}")
+            complain(f"{result['node']} stopped answering: {result['ended']}")
     return 0 if identical else 1
 
 
 def _replays(nodes: list[str], recorded: "Recorded", *, asked: bool) -> list["Replay"]:
-    """Make the replays to some nodes; of those that nobody asked for by name some may lack.
+    """Make the replays of some nodes; leave out, if not ``asked``, those that the bag can't feed.
 
     Raises
     ------
@@ -266,14 +266,14 @@ def _answers(
 
     meant = experiment_of(replay, overrides, fixed=False)
     section = meant[replay.node]
-    with step_progress(len(replay.expected.steps)) as tell:
+    with step_progress(len(replay.expected.steps)) as progress:
         if offline:
-            tell(f"{replay.node} answers offline", 0)
+            progress(f"{replay.node} answers offline", 0)
             start = time.monotonic()
             answers = Answers(*replay.computed(section), time.monotonic() - start)
-            tell(f"{replay.node} has answered", len(answers.series.steps))
+            progress(f"{replay.node} has answered", len(answers.series.steps))
         else:
-            answers = replay_over_dds(replay, experiment_of(replay, overrides), tell)
+            answers = replay_over_dds(replay, experiment_of(replay, overrides), progress)
     result = replay_verdict(replay, recorded, answers)
     if out is not None:
         record = replayed_record(replay, recorded, answers, section)

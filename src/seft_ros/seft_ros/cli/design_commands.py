@@ -45,19 +45,21 @@ def design(
     param: Params = None,
     params_file: Files = None,
     plant: Plant = Source.AUTO,
-    axis: Optional[str] = option(None, "Axis to be shown; default the first.", "NAME"),
+    axis: Optional[str] = option(None, "Axis to show; default the first.", "NAME"),
     crossover: Optional[float] = option(None, "Propose a controller for this crossover.", "HZ"),
     gain_margin: float = option(6.0, "Least gain margin of a proposal in dB.", "DB"),
     gain: Optional[float] = option(None, "Try gain * product(s - zeros) / product(s - poles)."),
     zero: Optional[list[str]] = option(
         None,
-        "Its zeros, one option each: real, or with a damping ratio a conjugate pair; "
-        "0 is a differentiator.",
+        "Zero of the controller: real, or with a damping ratio a conjugate pair; 0 is a "
+        "differentiator. May be given many times.",
         "HZ[,DAMPING]",
     ),
-    pole: Optional[list[str]] = option(None, "Its poles; 0 is an integrator.", "HZ[,DAMPING]"),
-    numerator: Optional[str] = option(None, 'Or its coefficients in s, highest power first: "37".'),
-    denominator: Optional[str] = option(None, 'Likewise: "1 17.14 4002".'),
+    pole: Optional[list[str]] = option(
+        None, "Pole of the controller; 0 is an integrator.", "HZ[,DAMPING]"
+    ),
+    numerator: Optional[str] = option(None, 'Numerator in s, highest power first: "37".'),
+    denominator: Optional[str] = option(None, 'Denominator: "1 17.14 4002".'),
     out: Optional[Path] = option(None, "Write the controller to a new parameter file.", "FILE"),
     figure: Optional[Path] = option(None, "Draw plant, controller and loop to a file.", "PNG"),
     json: Json = False,
@@ -65,12 +67,13 @@ def design(
     """Shape the force loop: plant, controller, loop and closed loop, with margins and delay.
 
     The plant leads from valve to actuator force. Its zeros are the specimen's poles
-    (control-structure interaction): the controller's poles go there, and its gain sets the
-    crossover, well below the oil-column resonance. Margins are those of the loop as it runs,
-    sampled, held and a step late; beside them stands what continuous time would give.
+    (control-structure interaction). The controller's poles cancel them, and its gain sets the
+    crossover, well below the oil-column resonance. Margins are those of the loop as it runs:
+    sampled, held and one step late. The table also gives those of continuous time.
 
-    Without further options the experiment's own controller is judged. Exit status 1: with
-    this controller the loop is unstable; it is not written then.
+    Without further options the experiment's own controller is examined.
+
+    Exit status 1: with this controller the loop is unstable; it is not written then.
 
     Examples:
 
@@ -164,21 +167,20 @@ def preflight(
     ),
     json: Json = False,
 ) -> int:
-    """Tell whether a planned test is stable, and how far from its limits, without moving anything.
+    """Check whether a planned test is stable, and with which margins; nothing moves.
 
     Takes the eigenvalues of the sampled closed loop of rig, compensation and force controller:
     critical mass ratio, critical delay, margins against a wrong gain and a wrong delay, and the
     false damping that the test will show; and sweeps the specimen's local stiffness from 0 to 3
     times the assumed one. Exact where the loop is linear; the table says what that excludes.
 
-    Of a method or controller of your own that has no linear(), the planned test is simulated
-    instead.
+    If a method or controller of your own has no linear(), the planned test is simulated instead.
 
     The exact response of the planned test gives the peaks to expect, and limits that fit them.
-    Below the tables stands what is amiss, with the commands that mend it.
+    Below the tables it names the problems it found, with the commands that fix them.
 
-    Of a computed model, the tangent at rest is part of the loop; its steps are timed along
-    the motion of the planned test.
+    A computed model enters the loop with its tangent at rest. Its steps are timed along the
+    motion of the planned test.
 
     Exit status 1: the plan is unstable, or the computed model too slow.
 
@@ -216,15 +218,15 @@ def preflight(
     experiment = load_experiment(config, param, params_file, external)
     try:
         plan = Plan(experiment, plant)
-        with late_progress() as tell:
-            found = fly(plan, tell)
+        with late_progress() as progress:
+            found = fly(plan, progress)
     except NotLinearError as error:
         if figure is not None:
             raise InputError(f"{error}; --figure can't draw them") from None
         if write is not None:
             write_limits(write, proposed_limits(expected_peaks(experiment)))
         return 0 if is_stable_in_simulation(experiment, error, as_json=json) else 1
-    with late_progress() as tell:
+    with late_progress() as progress:
         summary = summarise(plan, found)
         peaks = expected_peaks(experiment)
         limits = proposed_limits(peaks)
@@ -238,7 +240,7 @@ def preflight(
             write_limits(write, limits)
         if path is not None:
             spread = partial(parallel_map, workers or free_cores(), scheduler)
-            maps = stability_maps(plan, found.margins, tell, spread)
+            maps = stability_maps(plan, found.margins, progress, spread)
             save_figure(preflight_figure(plan, found, maps), path)
             summary["figure"] = str(path)
     tables = preflight_tables(plan, found, f"preflight of {config}")
@@ -247,7 +249,7 @@ def preflight(
         lines = [
             f"computed model: {1e3 * timed.median:.2g} ms for a step, {1e3 * timed.p999:.2g} ms "
             f"for one of 1000, of {1e3 * timed.budget:.2g} ms",
-            "the loop above has its tangent at rest",
+            "the tables above take its tangent at rest",
             *lines,
         ]
     show(summary, json, [*tables, limits_table(experiment, peaks), "", *lines], "figure")
@@ -306,19 +308,20 @@ def identify(
     ),
     json: Json = False,
 ) -> int:
-    """Identify a rig: its actuators, and the force loop that they make with the specimen.
+    """Identify a rig: its actuators, and its force loop with this specimen.
 
-    Ordinary tests, with all limits and bags. Open loop, the excitation drives the valves
-    (force_controller's feedback is off), before it a short pilot at a low level that finds the
-    amplitude. It shows the actuators: what velocity_feedforward needs, whatever the specimen is,
-    so that another specimen needs no new identification. Closed loop, where the force controller
-    follows a force, the excitation is the reference force. It shows that loop with this specimen:
-    what the other methods of compensation need.
+    Runs ordinary tests, with all limits, and records each.
 
-    The folder then holds the excitation, the bags, a figure, and model.yaml: a parameter file for
-    reference_force and force_controller, to be given as --params-file.
+    Open loop: the excitation drives the valves, and force_controller's feedback is off. A short
+    pilot test at a low level finds the amplitude. The result describes the actuators, which
+    velocity_feedforward needs. It holds for any specimen.
 
-    Rigs without a valve (actuator.kind ideal or delay) have the closed loop only.
+    Closed loop: the excitation is the reference force, where the force controller follows one.
+    The result describes the force loop with this specimen, which the other methods need. Rigs
+    without a valve (actuator.kind ideal or delay) have this test only.
+
+    The folder then holds the excitation, the bags, a figure, and model.yaml: parameters of
+    reference_force and force_controller for --params-file.
 
     Examples:
 
@@ -351,7 +354,9 @@ def identify(
     from seft_ros.force_controller.parameters import is_one_controller
 
     if set(external or ()) - {"rig"}:
-        raise InputError("--external: only the rig may be, the other nodes are set up here")
+        raise InputError(
+            "--external: only the rig may be external; the other nodes are set up here"
+        )
     experiment = load_experiment(config, param, params_file, external)
     first = pilot_voltage(experiment) if amplitude is None else amplitude
     levels = Levels(first, default_force(experiment, signal) if force is None else force)

@@ -56,7 +56,7 @@ def seft(
     context: typer.Context,
     version: bool = option(False, "Print the version and end.", "--version"),
 ) -> None:
-    """Print the help to stderr, where no command is given."""
+    """Print the help to stderr if no command is given."""
     if version:
         print(f"seft {installed_version('seft_ros')}")
         raise typer.Exit(0)
@@ -69,9 +69,9 @@ def seft(
 def main() -> int:
     """Run the command line; return 0 done, 1 tripped or unstable, 2 wrong input.
 
-    SIGTERM and a closed terminal are as Ctrl-C: whatever a command has set in motion rests first.
+    SIGTERM and a closed terminal act as Ctrl-C: the command first brings what it moves to rest.
     """
-    gc.set_threshold(100_000)  # most of what a command imports and makes stays to its end
+    gc.set_threshold(100_000)  # most objects of a command live to its end
     before = on_ending(signal.default_int_handler)
     try:
         return int(APP(standalone_mode=False) or 0)
@@ -89,7 +89,7 @@ def main() -> int:
         if not hasattr(error, "format_message"):
             raise
         # wrong use; whose class this is, typer's or click's, depends on typer's version
-        complain(f"{error.format_message()} (seft --help shows what there is)")
+        complain(f"{error.format_message()} (see seft --help)")
         return 2
     finally:
         as_before(before)

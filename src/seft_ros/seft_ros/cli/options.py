@@ -35,11 +35,11 @@ def option(default: Any, text: str, named: str | None = None, **more: Any) -> An
 _OVERRIDE = "Override a parameter, as in ROS 2; may be given many times."
 _FILES = "Another parameter file, whose values win over CONFIG's; may be given many times."
 _PLANT = (
-    "rig: the simulated rig's linear model; identified: plant.* of force_controller; "
-    "auto: the identified one where it is given."
+    "rig: the simulated rig's linear model; identified: plant.* of force_controller; auto: the "
+    "identified one, if it is given."
 )
 _EXTERNAL = (
-    "This node runs already with parameters of its own, such as a lab's hardware driver as rig. "
+    "A node that runs already with its own parameters, such as a lab's driver as rig. "
     "May be given many times."
 )
 _JSON = "Print one JSON object on stdout, and nothing else there."
@@ -54,8 +54,8 @@ Plant = Annotated[Source, typer.Option(help=_PLANT)]
 External = Annotated[Optional[list[str]], typer.Option(metavar="NODE", help=_EXTERNAL)]
 Json = Annotated[bool, typer.Option("--json", help=_JSON)]
 _SPREAD = (
-    "How far what is drawn is from CONFIG's: 0.2 is up to 20 % in stiffness (and amplitude, where "
-    "the ground motion is drawn, too), and up to twice or half the damping."
+    "Largest relative deviation from CONFIG: 0.2 is 20 % in stiffness (and amplitude, if the "
+    "ground motion is drawn too), and twice or half the damping."
 )
 Spread = Annotated[float, typer.Option(help=_SPREAD, min=0.0, max=1.0)]
 Seed = Annotated[int, typer.Option(help="Seed of the draws.", min=0)]
@@ -202,10 +202,12 @@ def offline_test(experiment: Experiment, bag: Path | None, label: str = "") -> R
 
     blocks = build_blocks(experiment)
     motion = blocks.ground_motion
-    with step_progress(motion.steps) as tell:
-        record = simulate(experiment, blocks, lambda done: tell(f"{label}simulating", done))
+    with step_progress(motion.steps) as progress:
+        record = simulate(experiment, blocks, lambda done: progress(f"{label}simulating", done))
         record = replace(record, facts={GROUND_MOTION.name: {MOTION: motion.facts}})
-        tell(f"{label}writing the bag" if label else "done", len(record.series["rig/state"].steps))
+        progress(
+            f"{label}writing the bag" if label else "done", len(record.series["rig/state"].steps)
+        )
         if bag is not None:
             from seft_ros.bags.record_bag import write_record
 
@@ -222,7 +224,7 @@ def is_stable_in_simulation(
     True, with a warning, where no simulated rig belongs to it.
     """
     if "rig" not in experiment.sections:
-        complain(f"{why}, and without a simulated rig not its stability either")
+        complain(f"{why}, and there is no simulated rig to test its stability")
         return True
     complain(f"{why}; the test is simulated instead")
     return show_test(offline_test(experiment, None), None, as_json=as_json, figure=False)
@@ -239,8 +241,8 @@ def dds_test(
 ) -> tuple[Record, Path]:
     """Run a test as separate nodes over DDS, with a progress bar, and read its bag.
 
-    Gives the record and the bag's folder, which is another where the first was lost. The label
-    precedes what is said of one of several tests.
+    Gives the record and the bag's folder, which is another if the first was lost. The label
+    precedes the messages about one of several tests.
 
     Raises
     ------
@@ -254,12 +256,12 @@ def dds_test(
 
     with step_progress(steps) as show_steps, Interruption() as interruption:
 
-        def tell(what: str, done: int) -> None:
+        def progress(what: str, done: int) -> None:
             interruption.check()
             show_steps(f"{label}{what}", done)
 
         try:
-            fault, bag = run_experiment(experiment, bag, tell, layout, external)
+            fault, bag = run_experiment(experiment, bag, progress, layout, external)
         except KeyboardInterrupt:
             kept = f"; what was recorded is in {bag}" if bag.exists() else ""
             raise ExperimentError(f"{label}interrupted{kept}") from None

@@ -360,7 +360,7 @@ def _check_signs(experiment: Experiment, external: Sequence[str]) -> None:
     )
     for finding in found:
         if finding.verdict == "failed" and finding.check not in TIMING:
-            raise InputError(f"the rig: {finding.check}: {finding.result}; {finding.mend}")
+            raise InputError(f"the rig: {finding.check}: {finding.result}; {finding.remedy}")
 
 
 def _steps(experiment: Experiment) -> int:

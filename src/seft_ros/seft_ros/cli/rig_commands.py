@@ -34,24 +34,24 @@ def link(
     config: Optional[Path] = typer.Argument(
         None,
         metavar="[CONFIG]",
-        help="Experiment whose rate and message size are used, and which preflight looks at.",
+        help="Experiment, for its rate and message size, and for its margin over this link.",
     ),
     param: Params = None,
     params_file: Files = None,
-    echo: bool = option(False, "Be the other side: send back what comes, until Ctrl-C.", "--echo"),
-    rig: str = option("", "Of several rigs, whose link it is.", "NAME"),
-    duration: float = option(10.0, "Time for which the link is measured.", "S"),
+    echo: bool = option(False, "Be the other side: send messages back until Ctrl-C.", "--echo"),
+    rig: str = option("", "Rig at the other side, if the test has several.", "NAME"),
+    duration: float = option(10.0, "Duration of the measurement in s.", "S"),
     out: Optional[Path] = option(
         None, "Write the delay of the loop to a file for --params-file.", "FILE"
     ),
     json: Json = False,
 ) -> int:
-    """Measure the link to another host, and judge which test it is fit for.
+    """Measure the link to another host, and say which tests it is good for.
 
-    Sends messages of the size of a reference force at the rate of the test, which the other side
-    sends back: seft link --echo there, or its force_controller with a loop_delay. Reports round
-    trips, loss, reordering, the delay of the loop (loop_delay) that the link needs, the rate up to
-    which none would be needed, and with CONFIG the mass ratio up to which the test is stable.
+    Sends messages of the size of a reference force at the rate of the test. The other side sends
+    them back: seft link --echo, or a force_controller with a loop_delay. Reports round trips,
+    loss, reordering, the delay of the loop (loop_delay) that the link needs, the highest rate that
+    needs none, and with CONFIG the mass ratio up to which the test is stable.
 
     Exit status 1: the link is unusable, or the test unstable over it.
 
@@ -73,7 +73,7 @@ def link(
     if echo:
         return _echo()
     if out is not None and config is None:
-        raise InputError("--out needs CONFIG: a delay in steps is one at the rate of a test")
+        raise InputError("--out needs CONFIG: the delay is counted in steps at its rate")
     if duration <= 0:
         raise InputError(f"--duration is {duration:g} s, but must be positive")
     experiment = None if config is None else load_experiment(config, param, params_file)
@@ -81,8 +81,8 @@ def link(
     if experiment is not None:
         rate, size = experiment.timebase.rate, message_size(experiment)
     other_side = _rig(rig, experiment)
-    with step_progress(max(2, round(duration * rate))) as tell:
-        trips = measure(rate, duration, size, tell, other_side)
+    with step_progress(max(2, round(duration * rate))) as progress:
+        trips = measure(rate, duration, size, progress, other_side)
     test = None if experiment is None else allowed(experiment, trips.loop_delay)
     verdict, reasons = judge(trips, test)
     summary: dict[str, Any] = {
@@ -107,11 +107,11 @@ def _rig(name: str, experiment: Experiment | None) -> RigAxes | None:
     """Find the rig whose link is measured; None where there is but one."""
     if experiment is None or len(experiment.rigs) < 2:
         if name:
-            raise InputError(f"--rig {name}: give CONFIG of a test that has several rigs")
+            raise InputError(f"--rig {name}: needs CONFIG of a test with several rigs")
         return None
     rigs = {rig.name: rig for rig in experiment.rigs}
     if name not in rigs:
-        raise InputError(f"--rig {name}: must be {' or '.join(rigs)}, whose link it is")
+        raise InputError(f"--rig {name}: must be {' or '.join(rigs)}")
     return rigs[name]
 
 
@@ -137,8 +137,8 @@ def conform(
     amplitude: Optional[float] = option(
         None, "Largest valve command; default 0.2 V (50 N for an idealised actuator).", "V"
     ),
-    travel: float = option(0.005, "Displacement from rest at which it is stopped, m.", "M"),
-    force: float = option(2000.0, "Change of force at which it is stopped, N.", "N"),
+    travel: float = option(0.005, "Displacement from rest at which the rig is stopped, m.", "M"),
+    force: float = option(2000.0, "Change of force at which the rig is stopped, N.", "N"),
     yes: bool = option(False, "Move the rig without asking: nobody is within its reach.", "--yes"),
     json: Json = False,
 ) -> int:
@@ -146,9 +146,9 @@ def conform(
 
     Acts as supervisor and force controller for a node rig that runs already, such as a lab's own
     driver: checks its messages; moves it by a few tenths of a millimetre to compare units, signs
-    and stamps; then sends what must be refused, and falls silent, to check that it trips, rests
-    and stays at rest. Each check has one line: passed or failed, the measured number, how to mend
-    it. An early failure ends the checks before the rig moves further.
+    and stamps; then sends invalid commands, and none, to check that it trips, comes to rest and
+    stays there. Each check has one line: passed or failed, the measured number, and
+    how to fix a failure. An early failure ends the checks before the rig moves further.
 
     CONFIG has rate, axes, limits, and the specimen's mass, damping and stiffness
     (reference_force: model.*); the rig's own parameters are taken from its description.
@@ -169,7 +169,7 @@ def conform(
     experiment = load_experiment(config, param, params_file, None if start_rig else ["rig"])
     if len(experiment.rigs) > 1:
         raise InputError(
-            f"{config}: the axes are of several rigs, but conform looks at one: give its axes "
+            f"{config}: the axes are of several rigs, but conform checks one: give its axes "
             'alone, without its name, as -p "/**:axes:=[x]", and parameters for these'
         )
     for name, value in (("--amplitude", amplitude), ("--travel", travel), ("--force", force)):
@@ -181,12 +181,12 @@ def conform(
         _ask(amplitude, travel)
     console = stderr_console()
 
-    def tell(finding: "Finding") -> None:
+    def show_one(finding: "Finding") -> None:
         if not json:
             console.print(finding_line(finding), soft_wrap=True, highlight=False)
 
     findings = look_at(
-        experiment, tell, start_rig=start_rig, amplitude=amplitude, travel=travel, force=force
+        experiment, show_one, start_rig=start_rig, amplitude=amplitude, travel=travel, force=force
     )
     result = verdict(findings)
     words = "conforms" if result["conforms"] else "does not conform"

@@ -1,4 +1,4 @@
-"""``seft motion``, ``seft parameters`` and ``seft monitor``: what they show moves nothing."""
+"""``seft motion``, ``seft parameters`` and ``seft monitor``: they move nothing."""
 
 import re
 import secrets
@@ -25,33 +25,33 @@ def monitor(
     port: int = option(8765, "Port; 0: any that is free.", "N", min=0, max=65535),
     token: str = option(
         "",
-        "Token that a browser must send; made where it is needed and not given. "
+        "Token that a browser must send; generated if one is needed and none is given. "
         "SEFT_MONITOR_TOKEN keeps it out of the list of processes.",
         "TEXT",
         envvar="SEFT_MONITOR_TOKEN",
     ),
     watch_token: str = option(
         "",
-        "Token to watch only, without buttons; control then needs a token, also on this host. "
+        "Token for watching only, without buttons; control then needs a token even on this host. "
         "SEFT_MONITOR_WATCH_TOKEN keeps it out of the list of processes.",
         "TEXT",
         envvar="SEFT_MONITOR_WATCH_TOKEN",
     ),
     namespace: str = option("", "Namespace of the test's topics.", "NAME"),
     open_page: bool = option(
-        False, "Open the page in the browser, off the loop's core too.", "--open"
+        False, "Open the page in a browser, which also keeps off the loop's core.", "--open"
     ),
 ) -> int:
     """Show a running test on a page in the browser, with buttons to start and stop it.
 
-    Any test on the ROS domain: of seft run, of ros2 run, several one after another. It shows the
+    Shows any test on the ROS domain, of seft run or ros2 run, one after another. It shows the
     state and trips, displacement, acceleration and force with their reference, round trip and
-    missed commands, margins to the limits. What it has seen survives a reload of the page.
+    missed commands, margins to the limits. A reload of the page keeps the history.
 
-    Buttons call the supervisor: Start, Stop and Reset ask once more, Abort test takes one press.
-    A button in a browser is no emergency stop: that is a circuit in hardware.
+    Buttons call the supervisor: Start, Stop and Reset ask for confirmation, Abort test acts at
+    once. A button in a browser is no emergency stop; that must be a circuit in hardware.
 
-    It listens at 127.0.0.1 alone unless --host says otherwise. Ctrl-C ends it, not the test.
+    It listens at 127.0.0.1 unless --host names another address. Ctrl-C ends it, not the test.
 
     Examples:
 
@@ -70,9 +70,9 @@ def monitor(
         if any(not c.isprintable() or c.isspace() for c in text) or not text.isascii():
             raise InputError(f"{name}: use printable ASCII characters without blanks")
     if token and token == watch_token:
-        raise InputError("--watch-token: is the token that controls; use another")
+        raise InputError("--watch-token: must differ from --token")
     if not re.fullmatch(r"(/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*)?", namespace, re.ASCII):
-        raise InputError(f"--namespace {namespace}: is no name of ROS, such as /lab2")
+        raise InputError(f"--namespace {namespace}: is not a valid ROS namespace, such as /lab2")
     if not token and (watch_token or not is_loopback(host)):
         token = secrets.token_urlsafe(24)
     keep_off_the_loop()
@@ -114,17 +114,17 @@ def motion(
         None,
         "Column, from 0; once for each axis to be shown. Default the first that is not the time.",
     ),
-    unit: Optional[str] = option(None, "g, m/s2 or cm/s2, where the file does not say."),
-    dt: Optional[float] = option(None, "Sampling period in s, where the file has none."),
-    time_scale: Optional[float] = option(None, "0.5: twice as fast."),
+    unit: Optional[str] = option(None, "g, m/s2 or cm/s2, if the file does not say."),
+    dt: Optional[float] = option(None, "Sampling period in s, if the file has none."),
+    time_scale: Optional[float] = option(None, "Factor on time; 0.5: twice as fast."),
     rate: Optional[float] = option(None, "Rate of the loop in Hz; default CONFIG's, or 500."),
     figure: Optional[Path] = option(None, "Draw time history and response spectrum.", "FILE"),
     json: Json = False,
 ) -> int:
     """Show a ground motion as a test uses it: source, unit, scale, peak, duration.
 
-    A record alone is shown as it is, resampled to the rate of a loop. With --config all that
-    the experiment does to it is done: peak_force, time_scale, influence, tail.
+    Without --config, a record is only resampled to the rate of the loop. With it, the motion is
+    also processed as in the experiment: peak_force, time_scale, influence, tail.
 
     Examples:
 
@@ -199,10 +199,10 @@ def parameters_text(nodes: list[str]) -> str:
     """Markdown tables of some nodes' parameters."""
     common = [row.name for row in COMMON]
     parts = [
-        "# Parameters\n\nMade by `seft parameters`. A value in *italics* is taken from another "
-        "parameter of the same experiment where it is not given; **required** ones have none. "
-        "All are read when a node starts and then fixed, but for those marked *live*: "
-        "`ros2 param set` changes them for their next use.",
+        "# Parameters\n\nMade by `seft parameters`. A default in *italics* is the value of another "
+        "parameter of the same experiment; a **required** parameter has no default. "
+        "A node reads its parameters when it starts. Only those marked *live* can be changed "
+        "later, by `ros2 param set`.",
         "## every node, under `/**`\n\n" + _table(COMMON),
     ]
     for table in TABLES:

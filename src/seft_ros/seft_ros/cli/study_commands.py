@@ -30,7 +30,7 @@ from seft_ros.cli.options import (
 if TYPE_CHECKING:
     from seft_ros.ensemble.runs import Place
 
-_LOST = "there is no result; the same command, in this folder, goes on with what is finished"
+_LOST = "no result yet; the same command in this folder continues"
 
 
 def paper(
@@ -47,8 +47,8 @@ def paper(
         "CONFIG's motion, which is synthetic.",
         "MOTION",
     ),
-    unit: Optional[str] = option(None, "g, m/s2 or cm/s2, where the file does not say."),
-    dt: Optional[float] = option(None, "Sampling period in s, where the file has none."),
+    unit: Optional[str] = option(None, "g, m/s2 or cm/s2, if the file does not say."),
+    dt: Optional[float] = option(None, "Sampling period in s, if the file has none."),
     column: Optional[int] = option(
         None, "Column of the file, from 0; default the first that is not the time."
     ),
@@ -61,7 +61,7 @@ def paper(
     """Reproduce the figures and claims of the paper (Nakata & Combs 2012) on one page.
 
     Identifies the simulated rig, runs the paper's tests and simulations, and judges every number
-    and statement by a criterion that stands beside it. Results do not depend on the number of
+    and statement by a criterion that the page shows. Results do not depend on the number of
     workers.
 
     Exit status 0: the page was made. A claim that does not agree is a finding, not a failure; it
@@ -94,8 +94,8 @@ def paper(
     experiment = load_experiment(config or default_config(), param, params_file)
     experiment = _with_motion(experiment, file, given)
     check_rig(experiment)
-    with step_progress(CALCULATIONS, "there is no page") as tell:
-        found = find(experiment, workers or free_cores(), tell)
+    with step_progress(CALCULATIONS, "there is no page") as progress:
+        found = find(experiment, workers or free_cores(), progress)
     claims = judge_claims(found)
     name = "the paper's rig" if config is None else str(config)
     write_paper(found, claims, name, path)
@@ -114,9 +114,7 @@ def _with_motion(experiment: Experiment, file: Path | None, given: dict[str, Any
     words = {name: value for name, value in given.items() if value is not None}
     if file is None:
         if words and not experiment["ground_motion"]["file"]:
-            raise InputError(
-                f"--{next(iter(words))}: there is no record that it could be of; name one by --file"
-            )
+            raise InputError(f"--{next(iter(words))}: needs a record; name one by --file")
         section = words
     else:
         own = {name: TABLE.rows[name].default for name in given}
@@ -144,19 +142,19 @@ def tournament(
 ) -> int:
     """Run all compensation methods on the same motion and rigs, and rank them.
 
-    The first rig is CONFIG's own. The others differ from it at random in what an experimenter
-    does not know exactly: specimen, oil column, valve, dead time, friction, and the noise of the
-    sensors. The methods see the same rigs and go on believing CONFIG's model, tracking and delay.
-    Errors are those of the displacement against the exact response of each rig's own structure,
-    without any shift, as in seft simulate. Results do not depend on who calculates them. After an
-    interruption the same command, in the same folder, goes on with the tests that are finished.
+    The first rig is CONFIG's own. The others differ from it at random in what an experimenter does
+    not know exactly: specimen, oil column, valve, dead time, friction, and the noise of the
+    sensors. The methods meet the same rigs, and assume CONFIG's model, tracking and delay. Errors
+    are those of the displacement against the exact response of each rig's own structure, without
+    any shift, as in seft simulate. Results do not depend on the number or kind of workers. After an
+    interruption the same command in the same folder continues.
 
     Tests run in the compiled loop of seft simulate; those of methods that adapt in Python run in
-    its plain loop, many times slower. --json has the engine of each, and a note under the tables
-    says which they are.
+    its plain loop, many times slower. A note under the tables names them; --json has the engine of
+    each.
 
-    Methods that need a delay or a model of the force loop find it in what seft identify writes;
-    those that lack something are named, and the others go on.
+    Methods that need a delay or a model of the force loop take it from what seft identify writes.
+    Methods that lack something are named, and the others run.
 
     Examples:
 
@@ -189,9 +187,9 @@ def tournament(
         experiment, method or (), mass_ratio or (), rigs=rigs, seed=seed, spread=spread
     )
     total = len(plan.entries())
-    with step_progress(total, _LOST) as tell:
-        runs = run_all(plan, _place(workers, scheduler), tell)
-        tell("cost of a step", total)
+    with step_progress(total, _LOST) as progress:
+        runs = run_all(plan, _place(workers, scheduler), progress)
+        progress("cost of a step", total)
         costs = {key: step_cost(plan, *key) for key in plan.pairs()}
     ranked = standings(plan, runs, costs)
     section = experiment["ground_motion"]
@@ -232,19 +230,19 @@ def uncertainty(
     params_file: Files = None,
     json: Json = False,
 ) -> int:
-    """Tell how wrong a planned test may be, and what its error depends on.
+    """Show how large the error of a planned test may be, and what it depends on.
 
     Simulates the test on rigs, specimens and ground motions that differ at random from CONFIG's, as
-    the rigs of seft tournament do, while methods and controller go on believing CONFIG. Errors are
+    the rigs of seft tournament do, while methods and controller assume CONFIG. Errors are
     against the exact response of each rig's own structure, without any shift.
 
     The page shows the distribution of the error, the share of tests that trip, and the rank
     correlation of each drawn quantity with the error. --json has every test.
 
-    Results do not depend on who calculates them. After an interruption the same command, in the
-    same folder, goes on with the tests that are finished.
+    Results do not depend on the number or kind of workers. After an interruption the same command,
+    in the same folder, goes on with the tests that are finished.
 
-    Exit status 0: the page was made, whatever it says. 1: interrupted. 2: wrong input.
+    Exit status 0: the page was made. 1: interrupted. 2: wrong input.
 
     Examples:
 
@@ -270,8 +268,8 @@ def uncertainty(
     experiment = load_experiment(config, param, params_file)
     files = [str(file.resolve()) for file in motion or ()]
     plan = draw_tests(experiment, tests, seed=seed, spread=spread, motions=files)
-    with step_progress(1 + tests, _LOST) as tell:
-        runs = run_tests(plan.tests(), _place(workers, scheduler), tell, "uncertainty")
+    with step_progress(1 + tests, _LOST) as progress:
+        runs = run_tests(plan.tests(), _place(workers, scheduler), progress, "uncertainty")
     summary = summarise_uncertainty(plan, runs)
     title = f"{tests} tests, spread {100 * spread:g} %, seed {seed}"
     write_uncertainty(summary, plan, runs, config.name, title, path)

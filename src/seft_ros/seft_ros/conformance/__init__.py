@@ -1,1 +1,1 @@
-"""Whether a rig's node keeps the contract that a test relies on."""
+"""Checks that a rig's node keeps the contract that a test relies on."""

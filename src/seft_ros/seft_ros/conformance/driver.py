@@ -43,7 +43,7 @@ _MOTION = {
     "end of a test": "end after as many states as experiment/state says (steps); report phase "
     "finished with seft_msgs_py's rig_status, and idle again when experiment/state is idle",
     "/clock": "publish the stamp of the last state on /clock, ten times a second",
-    "period": "sample at absolute deadlines, start + k periods; a sleep of a period adds up",
+    "period": "sample at absolute deadlines, start + k periods; repeated sleeps of a period drift",
     "late states": "",
     "at rest": "the valve is not at its centre, or something moves the rig: trim the valve's null",
     "follows the command": "is the pressure on? Then raise --amplitude",
@@ -73,7 +73,7 @@ _OBEDIENCE = {
     "starts late stays at rest",
 }
 CHECKS = {**_MOTION, **_OBEDIENCE}
-"""Name of each check, and how to mend a failure; empty: it depends on what was measured."""
+"""Name of each check, and how to fix a failure; empty: it depends on what was measured."""
 LATER = tuple(_OBEDIENCE)
 """Checks that are run only on a rig that has passed those before them."""
 
@@ -90,7 +90,7 @@ class Finding:
         ``passed``, ``failed`` or ``not run``.
     result : str
         The result, with the measured number; or why it was not run.
-    mend : str
+    remedy : str
         What to do about a failure.
     measured : dict of str to float
         The numbers, by name with unit.
@@ -99,14 +99,14 @@ class Finding:
     check: str
     verdict: Verdict
     result: str
-    mend: str = ""
+    remedy: str = ""
     measured: dict[str, float] = field(default_factory=dict)
 
 
-def found(check: str, passed: bool, result: str, mend: str = "", **measured: float) -> Finding:
-    """Make the finding of a check that was run; only of a failed one it says how to mend it."""
-    mend = "" if passed else mend or CHECKS.get(check, "")
-    return Finding(check, "passed" if passed else "failed", result, mend, measured)
+def found(check: str, passed: bool, result: str, remedy: str = "", **measured: float) -> Finding:
+    """Make the finding of a check that was run; only of a failed one it says how to fix it."""
+    remedy = "" if passed else remedy or CHECKS.get(check, "")
+    return Finding(check, "passed" if passed else "failed", result, remedy, measured)
 
 
 def not_run(check: str, why: str) -> Finding:
@@ -122,11 +122,11 @@ _MARKS = {
 
 
 def finding_line(finding: Finding) -> Text:
-    """Describe a finding in one line; below, how to mend it."""
+    """Describe a finding in one line; below, how to fix it."""
     mark, colour = _MARKS[finding.verdict]
     text = Text.assemble((mark, f"bold {colour}"), f"  {finding.check}: {finding.result}")
-    if finding.mend:
-        text.append(f"\n           -> {finding.mend}")
+    if finding.remedy:
+        text.append(f"\n           -> {finding.remedy}")
     return text
 
 
@@ -137,13 +137,13 @@ def verdict(findings: Sequence[Finding]) -> dict[str, Any]:
     -------
     dict
         ``conforms``, how many checks ``passed``, ``failed`` and were ``not_run``, and ``checks``:
-        of each ``check``, ``verdict``, ``result``, ``mend``, ``measured``.
+        of each ``check``, ``verdict``, ``result``, ``remedy``, ``measured``.
     """
     counts = {
         word.replace(" ", "_"): sum(finding.verdict == word for finding in findings)
         for word in _MARKS
     }
-    checks = [asdict(finding) | {"mend": finding.mend or None} for finding in findings]
+    checks = [asdict(finding) | {"remedy": finding.remedy or None} for finding in findings]
     return {"conforms": not counts["failed"] and bool(findings), **counts, "checks": checks}
 
 
@@ -281,8 +281,8 @@ class TestDriver(Player):
         self.trial = Trial()  # the running test, or the last one
         self._samples = TrajectoryCodec(RIG_STATE, experiment.axes, experiment.timebase)
         self._answer: Answer | None = None
-        hears = {RIG_STATE: self._on_state, CLOCK_TOPIC: self._on_clock}
-        super().__init__("seft_conform", [], {**hears, DESCRIPTION: self._on_description})
+        receives = {RIG_STATE: self._on_state, CLOCK_TOPIC: self._on_clock}
+        super().__init__("seft_conform", [], {**receives, DESCRIPTION: self._on_description})
 
     def meet(self, duration: float) -> Trial:
         """Find the rig and listen to it for some time, in idle.

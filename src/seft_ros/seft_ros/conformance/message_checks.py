@@ -1,4 +1,4 @@
-"""Whether a rig's description and messages are those of the contract, and in time."""
+"""Checks that a rig's description and messages follow the contract, and come in time."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -38,12 +38,12 @@ def check_description(description: Mapping[str, Any] | None, experiment: Experim
     parameters = description["parameters"]
     for key, value in {"rate": rate, "axes": axes}.items():
         if parameters.get(key) != value:
-            mend = "start the rig with the experiment's own file"
-            return found(name, False, f"{key} is {parameters.get(key)}, not {value}", mend)
+            remedy = "start the rig with the experiment's own file"
+            return found(name, False, f"{key} is {parameters.get(key)}, not {value}", remedy)
     pace = parameters.get("pace", "realtime")
     if pace != "realtime":
-        mend = "start it with -p rig:pace:=realtime: timing is part of the contract"
-        return found(name, False, f"the rig's pace is {pace}", mend)
+        remedy = "start it with -p rig:pace:=realtime: timing is part of the contract"
+        return found(name, False, f"the rig's pace is {pace}", remedy)
     return found(name, True, f"{rate:g} Hz, axes {', '.join(axes)}, {pace}")
 
 
@@ -51,7 +51,7 @@ def check_signs_of_life(trial: Trial) -> Finding:
     """Check that the rig reports its phase often enough in idle."""
     name, times = "diagnostics", [at for at, _ in trial.statuses]
     if len(times) < 2:
-        return found(name, False, f"{len(times)} statuses of the rig were heard")
+        return found(name, False, f"{len(times)} statuses of the rig were received")
     if trial.phase != "idle":
         text = f"phase {trial.phase or 'none'} before a test, not idle"
         return found(name, False, text, "report phase idle between tests, see docs/hardware.md")
@@ -149,7 +149,7 @@ def check_timing(samples: Samples, dt: float, stalls: Stalls) -> list[Finding]:
     """Check that the rig's clock has the experiment's rate, and states meet their deadlines.
 
     The deadlines of a window are those of its earliest state: a single overrun of the clock, after
-    which it continues from there, does not count for ever. A rig may wait for the answer to its
+    which it continues from there, counts once. A rig may wait for the answer to its
     first state before its time begins. If this host stalled often, the best windows count, and of
     these the typical one.
     """
@@ -172,13 +172,13 @@ def check_timing(samples: Samples, dt: float, stalls: Stalls) -> list[Finding]:
         f"{PERCENTILE:g} of 100 within {1e3 * typical:.3f} ms of their deadline "
         f"(median {1e3 * p50:.3f}, p99 {1e3 * p99:.3f}, largest {1e3 * largest:.3f} ms){left_out}"
     )
-    mend = (
+    remedy = (
         f"at most {1e3 * LATEST * dt:g} ms, half a period, is allowed: publish before anything "
         "else in a period, and take a real-time priority (docs/realtime.md)"
     )
     numbers = {"p50_s": p50, "p95_s": typical, "p99_s": p99, "largest_s": largest}
     judged = typical if left_out else max(typical, p99)
-    return [right_rate, found("late states", judged <= LATEST * dt, text, mend, **numbers)]
+    return [right_rate, found("late states", judged <= LATEST * dt, text, remedy, **numbers)]
 
 
 def _quiet_windows(windows: Floats, late: Floats, stalls: Stalls) -> tuple[npt.NDArray[Any], str]:

@@ -1,4 +1,4 @@
-"""Whether the channels of a small motion are consistent; whether bad commands are refused."""
+"""Checks that the channels agree in a small motion, and that bad commands are refused."""
 
 import math
 import struct
@@ -113,8 +113,8 @@ def check_moves(samples: Samples, drive: Drive) -> Finding:
     for axis in range(moved.shape[2]):
         if _ratio(_correlate(moved[:, 1, [axis]], drive.dt), drives).real <= 0:
             text = f"a positive command moves axis number {axis} backwards"
-            mend = f"reverse the valve's sign: force control would run away; or the {_SENSOR}"
-            return found(name, False, text, mend, seen=seen)
+            remedy = f"reverse the valve's sign: force control would run away; or the {_SENSOR}"
+            return found(name, False, text, remedy, seen=seen)
     return found(name, True, f"{text}, a positive command extends", seen=seen)
 
 
@@ -132,9 +132,9 @@ def check_units(samples: Samples, drive: Drive, specimen: Specimen | None) -> li
         ("velocity of displacement", "velocity / d(displacement)/dt", speed, culprits[0]),
         ("acceleration of velocity", "acceleration / d(velocity)/dt", rate, culprits[1]),
     ):
-        mend = f"{culprit}: {_why(factor)}; see the {_SENSOR}"
+        remedy = f"{culprit}: {_why(factor)}; see the {_SENSOR}"
         numbers = {"ratio": abs(ratio), "phase_deg": _phase(ratio)}
-        findings.append(found(name, _fits(ratio), _described(what, ratio), mend, **numbers))
+        findings.append(found(name, _fits(ratio), _described(what, ratio), remedy, **numbers))
     name = "force of specimen"
     if specimen is None:
         return [*findings, not_run(name, "mass, damping and stiffness are not known")]
@@ -144,15 +144,15 @@ def check_units(samples: Samples, drive: Drive, specimen: Specimen | None) -> li
     if _fits(speed) and _fits(rate):
         why = _why(force)
     text = _described("force / (m a + c v + k x)", force)
-    mend = f"{why}; see the {_SENSOR}, and the specimen's values in the experiment"
-    return [*findings, found(name, _fits(force), text, mend, ratio=abs(force))]
+    remedy = f"{why}; see the {_SENSOR}, and the specimen's values in the experiment"
+    return [*findings, found(name, _fits(force), text, remedy, ratio=abs(force))]
 
 
 def _correlate(signal: Floats, dt: float, *, derivative: bool = False) -> Complex:
     """Correlate a signal, or its derivative, with waves; noise is not differentiated.
 
-    The waves w are zero at both ends, so that by parts the derivative of the signal y goes over to
-    them, int w y' dt = -int w' y dt (modulating functions, Shinbrot 1957).
+    The waves w are zero at both ends, so integration by parts moves the derivative from the
+    signal y to them, int w y' dt = -int w' y dt (modulating functions, Shinbrot 1957).
 
     The signal has shape (N, n), the result (lines, n).
     """
@@ -338,17 +338,17 @@ def check_over_limit(
 def check_watchdog(trial: Trial, timeout: float, silent: str, *, by_itself: bool = True) -> Finding:
     """Check that the rig trips by itself within its time, s, when messages stop."""
     name = f"watchdog: {silent} silent"
-    mend = f"trip by itself within {timeout:g} s, and report phase tripped and the reason at once"
+    remedy = f"trip by itself within {timeout:g} s, and report phase tripped and the reason at once"
     if "silent" not in trial.marks:
-        return found(name, False, "the test ended before", mend)
+        return found(name, False, "the test ended before", remedy)
     last, tripped = trial.last_state_after("silent"), trial.status_of(TRIPPED)
     if tripped is None or not by_itself:
         text = f"no trip; last state after {last:.3f} s, {timeout:g} s are configured"
-        return found(name, False, text, mend, last_state_s=last)
+        return found(name, False, text, remedy, last_state_s=last)
     took, reason = tripped[0] - trial.marks["silent"], tripped[1].values.get("reason", "")
     text = f"tripped after {took:.3f} s ({timeout:g} s configured): {reason or 'no reason given'}"
     passed = max(took, last) <= timeout + PATIENCE and bool(reason)
-    return found(name, passed, text, mend, tripped_s=took, last_state_s=last)
+    return found(name, passed, text, remedy, tripped_s=took, last_state_s=last)
 
 
 def check_stood_still(trial: Trial) -> Finding:

@@ -51,7 +51,7 @@ STOP = 0.3  # s from done or tripped to the last state
 
 def conform(
     experiment: Experiment,
-    tell: Callable[[Finding], None],
+    show: Callable[[Finding], None],
     *,
     start_rig: bool,
     amplitude: float | None,
@@ -65,7 +65,7 @@ def conform(
     ----------
     experiment : Experiment
         Rate, axes and limits of its tests; with the section of the rig if that is started here.
-    tell : callable
+    show : callable
         Called with each finding.
     start_rig : bool
         Start the simulated rig; else a rig runs already.
@@ -91,7 +91,7 @@ def conform(
         with closing(TestDriver(experiment, Guard(experiment, travel, force), processes)) as driver:
             for finding in Suite(driver, experiment, amplitude).run(moves_only):
                 findings.append(finding)
-                tell(finding)
+                show(finding)
     return findings
 
 
@@ -159,7 +159,7 @@ class Suite:
         elif len(samples.steps) > drive.bell.start + drive.step_at(ABORTED):
             finding = motion_checks.check_units(samples, drive, specimen)[0]  # may be the cause
             if finding.verdict == "failed":
-                yield replace(finding, mend=f"{finding.mend}; roughly: the motion was aborted")
+                yield replace(finding, remedy=f"{finding.remedy}; roughly: the motion was aborted")
 
     def _moved(self) -> tuple[Trial, list[tuple[float, float]]]:
         """Run the test that moves; again if this host was too slow to answer in time.

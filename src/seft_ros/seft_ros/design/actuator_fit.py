@@ -4,14 +4,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import scipy.fft
 from scipy.optimize import least_squares, nnls
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Complexes, Floats
 
 from seft_ros.force_controller.valve_model import ValveModel
-
-Complexes = npt.NDArray[np.complex128]
 
 MEMORY = 0.2
 """Time after which the flow of a command is complete, s."""

@@ -5,11 +5,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import eig
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Complexes, Floats
 
 from seft_ros.design.controller import Controller
 from seft_ros.design.plant import Plant, SampledPlant
@@ -23,8 +22,6 @@ from seft_ros.protection.detectors import LARGEST_DELAY_ERROR, LARGEST_GAIN_ERRO
 from seft_ros.reference_force.linear_filter import LinearFilter
 from seft_ros.reference_force.target_motion import TargetMotion
 from seft_ros.reference_force.target_step import begin_target, target_step
-
-Complexes = npt.NDArray[np.complex128]
 
 LARGE = 60
 """Number of states from which on it pays to split a loop."""

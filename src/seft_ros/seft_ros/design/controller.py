@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import write_parameter_file
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.lti import TransferFunction, bilinear, ratio
@@ -17,8 +17,6 @@ from seft_ros.force_controller.parameters import (
     is_one_controller,
     one_controller,
 )
-
-Complexes = npt.NDArray[np.complex128]
 
 LIGHTLY_DAMPED = 0.5
 """Damping ratio up to which a pair counts as lightly damped: it shows in the magnitude."""
@@ -139,9 +137,8 @@ class Controller(TransferFunction):
         """
         if not is_one_controller(section):
             raise InputError(
-                "force_controller: method, per_axis or gain make it something else than one "
-                f"{TRANSFER_FUNCTION} for all axes, the only kind that can be judged; give one as "
-                "options"
+                "force_controller: method, per_axis or gain are set, but seft design needs one "
+                f"{TRANSFER_FUNCTION} for all axes; give one by options"
             )
         gain = float(np.ravel(section.get("gain", 1.0))[0])
         return cls.from_coefficients(section["numerator"], section["denominator"]).scaled(gain)

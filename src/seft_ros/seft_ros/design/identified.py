@@ -248,7 +248,7 @@ def write_model(identified: Identified, path: Path, source: str, specimen: bool)
     comments = [f"Identified by seft identify from {source}", f"Axes: {identified.axes}"]
     if identified.valves:
         comments += [
-            "actuator: of the actuators alone; another specimen needs no new identification",
+            "actuator: of the actuators, for any specimen",
             f"plant and tracking: with this specimen, of axis {identified.axes[0]}",
         ]
     write_parameter_file(path, model_parameters(identified, specimen), comments)
@@ -275,8 +275,8 @@ def _response(prefix: str, model: TransferFunction) -> dict[str, Any]:
 LISTED_HZ = (1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
 """Frequencies of the table of delays."""
 ANY_SPECIMEN = (
-    "actuator.* is of the actuators alone: another specimen needs no new identification (plant.* "
-    "and tracking.* are with this specimen)"
+    "actuator.* describes the actuators and holds for any specimen (plant.* and tracking.* hold "
+    "for this specimen)"
 )
 
 _MATRICES = ("mass", "damping", "stiffness")
@@ -384,7 +384,7 @@ def notes(identified: Identified) -> list[str]:
     if identified.valves:
         found.append(ANY_SPECIMEN)
     else:
-        found.append("without a good test of a valve, actuators and margins are not known")
+        found.append("no good test of a valve, so actuators and margins are not known")
     for axis, valve in zip(identified.axes, identified.valves, strict=False):
         actuator = valve.actuator
         if actuator.unsure:
@@ -397,11 +397,11 @@ def notes(identified: Identified) -> list[str]:
         if valve.controller_known and not valve.loop.stable:
             found.append(f"axis {axis}: by this model the loop is unstable with its controller")
     if identified.valves and not identified.valves[0].controller_known:
-        found.append("margins are known of one transfer function for all axes alone")
+        found.append("margins are known only for one transfer function on all axes")
     if not identified.closed_loops:
         found.append("no good closed-loop test: tracking.*, which other methods need, is not known")
     if len(identified.axes) > 1:
-        found.append("margins are of each axis by itself, the valves of the others closed")
+        found.append("margins are those of each axis alone, with the valves of the others closed")
     return found
 
 

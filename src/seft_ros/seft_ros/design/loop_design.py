@@ -6,9 +6,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from rich.table import Table
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.errors import InputError
 
 from seft_ros.design.closed_loop import force_loop
@@ -16,8 +15,6 @@ from seft_ros.design.controller import Controller, Root, lightly_damped
 from seft_ros.design.loop_margins import LoopMargins, Tracking, loop_margins, tracking_measures
 from seft_ros.design.plant import Plant, SampledPlant
 from seft_ros.drawing.style import CENTRED, Number, make_table, rows_of
-
-Complexes = npt.NDArray[np.complex128]
 
 LOWEST_HZ = 0.1
 _COMPARED = ("crossover_hz", "phase_margin_deg", "gain_margin_db", "sensitivity_peak")

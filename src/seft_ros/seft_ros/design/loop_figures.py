@@ -3,22 +3,19 @@
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PathCollection
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Complexes, Floats
 
 from seft_ros.design.actuator_fit import ActuatorFit
 from seft_ros.design.identified import ClosedLoop, Identified, ValveResponse
 from seft_ros.design.loop_design import LoopDesign
 from seft_ros.design.loop_margins import BAND_HZ, FLATNESS_DB
 from seft_ros.drawing.style import FIRST, MARK, REFERENCE, SECOND, TEXT, legend_below, tidy
-
-Complexes = npt.NDArray[np.complex128]
 
 MOST_AXES = 3
 _SHOWN_DEG = 720.0

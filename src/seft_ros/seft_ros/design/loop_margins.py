@@ -3,12 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import median_filter
 from scipy.signal import find_peaks
-from seft_msgs_py.arrays import Floats
-
-Complexes = npt.NDArray[np.complex128]
+from seft_msgs_py.arrays import Complexes, Floats
 
 FLATNESS_DB = 1.0
 BANDWIDTH_DB = -3.0

@@ -291,7 +291,7 @@ class Plan:
             if isinstance(made, VelocityFeedforward):
                 if not self.follows:
                     raise InputError(
-                        f"force_controller: {VELOCITY_FEEDFORWARD} needs the coming motion: set "
+                        f"force_controller: {VELOCITY_FEEDFORWARD} needs a target motion: set "
                         f"reference_force: compensation.method to {TARGET_MOTION}"
                     )
                 frozen = [frozen_feedforward(made, errors) for errors in ((0.0, 0.0), *BOUNDS)]

@@ -5,9 +5,8 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import block_diag
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.actuator import Hydraulics
@@ -23,8 +22,6 @@ from seft_plant_sim.specimen import Specimen
 
 from seft_ros.design import Source
 from seft_ros.design.controller import Root, lightly_damped, roots_of, uncancelled
-
-Complexes = npt.NDArray[np.complex128]
 
 
 @dataclass(frozen=True)

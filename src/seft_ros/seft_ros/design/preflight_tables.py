@@ -183,10 +183,10 @@ def _margin_rows(plan: Plan, found: Preflight) -> Iterator[list[str]]:
         ("actuator's gain", margins.gain, ""),
         (sure, margins.sure_gain, ""),
         ("local stiffness / assumed", margins.stiffness, ""),
-        ("likewise, followed", margins.followed, ""),
+        ("the same, once identified", margins.followed, ""),
         ("error in the assumed delay", margins.delay_error, " ms"),
     ]
-    left_out = {sure: not plan.follows_valves, "likewise, followed": not plan.follows}
+    left_out = {sure: not plan.follows_valves, "the same, once identified": not plan.follows}
     for label, margin, unit in rows:
         if left_out.get(label):
             continue
@@ -314,8 +314,8 @@ def limit_warning(experiment: Experiment, peaks: dict[str, float]) -> str:
     low = [f"{text} (expected: {peak:.3g})" for limit, peak, text in rows if peak > limit]
     far = [f"{text} (expected: {peak:.3g})" for limit, peak, text in rows if limit > FAR * peak > 0]
     kinds = (
-        (low, "limits are below what this test is expected to reach, and may end it"),
-        (far, f"limits are more than {FAR:g} times what this test is expected to reach"),
+        (low, "limits are below the expected peaks, and may end the test"),
+        (far, f"limits are more than {FAR:g} times the expected peaks"),
     )
     parts = [f"{what}: {', '.join(which)}" for which, what in kinds if which]
     if not parts:
@@ -336,7 +336,7 @@ def write_limits(file: Path, limits: dict[str, float]) -> None:
         If it can't be written, or there are none.
     """
     if not limits:
-        raise InputError(f"{file}: no limits to write: a node that runs elsewhere has the motion")
+        raise InputError(f"{file}: no limits to write: a node of the test runs elsewhere")
     section: Section = {f"limits.{name}": value for name, value in limits.items()}
     comments = [
         "by seft preflight: 1.5 times the expected peaks of displacement and force, 2 times",

@@ -4,16 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import least_squares
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Complexes, Floats
 from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.specimen import Specimen
 
 from seft_ros.design.controller import Root, roots_of
 from seft_ros.design.rig_tests import Response
-
-Complexes = npt.NDArray[np.complex128]
 
 _FLOOR = 0.003  # of each term: accuracy of a calibrated sensor
 

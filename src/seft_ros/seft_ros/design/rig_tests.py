@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy.signal
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import group, mass_matrix
 from seft_msgs_py.errors import InputError
@@ -25,8 +24,6 @@ from seft_ros.ground_motion.synthetic_motion import excitation, shortest_duratio
 from seft_ros.protection.detectors import MODEL_BASED
 from seft_ros.reference_force.force_command import FORCE_DRIVEN
 from seft_ros.reference_force.reference_force_block import ReferenceForce
-
-Complexes = npt.NDArray[np.complex128]
 
 _HANN_OVERLAP_GAIN = 0.947  # independent averages for each half-overlapped Hann segment
 

@@ -6,7 +6,6 @@ from shlex import quote
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import eigh
 from scipy.optimize import linear_sum_assignment
 from seft_msgs_py.config.parameter_table import mass_matrix
@@ -18,8 +17,6 @@ from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import Margins, Progress, find_margins
 from seft_ros.force_controller.parameters import VELOCITY_FEEDFORWARD
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
-
-Complexes = npt.NDArray[np.complex128]
 
 NEAR = 2.0
 """A mode of the loop is matched with one of the structure within this factor in frequency."""
@@ -217,14 +214,14 @@ def _thin(plan: Plan, margins: Margins) -> Iterator[str]:
 
 @dataclass(frozen=True)
 class Step:
-    """What a preflight found, and the commands that mend it or lead on."""
+    """What a preflight found, and the commands that fix it or come next."""
 
     found: str
     commands: list[str]
 
 
 def next_steps(plan: Plan, found: Preflight, peaks: dict[str, float], again: str) -> list[Step]:
-    """Say what is amiss with a plan, and which command mends it; if nothing is, what comes next.
+    """Name the problems of a plan with the commands that fix them, or the next commands.
 
     Parameters
     ----------
@@ -238,7 +235,7 @@ def next_steps(plan: Plan, found: Preflight, peaks: dict[str, float], again: str
     steps = [*_wrong_mass(plan, again), *_unstable(plan, found, again)]
     if not steps:
         steps += _too_large(plan, peaks, again)
-    return steps or [Step("nothing is amiss", [f"seft simulate {again}", f"seft run {again}"])]
+    return steps or [Step("no problem was found", [f"seft simulate {again}", f"seft run {again}"])]
 
 
 def _wrong_mass(plan: Plan, again: str) -> Iterator[Step]:
@@ -249,7 +246,7 @@ def _wrong_mass(plan: Plan, again: str) -> Iterator[Step]:
     assumed, true = (mass_matrix(value, plan.axes, "mass") for value in (known, rig[_MASS]))
     if np.abs(assumed - true).max() > SAME_MASS * np.abs(true).max():
         yield Step(
-            f"the method takes the specimen's mass for {known} kg, but it is {rig[_MASS]} kg on "
+            f"the method assumes a specimen's mass of {known} kg, but it is {rig[_MASS]} kg on "
             "the simulated rig",
             [f"seft preflight {again} -p {quote(f'reference_force:model.mass:={rig[_MASS]}')}"],
         )
@@ -274,9 +271,9 @@ def _unstable(plan: Plan, found: Preflight, again: str) -> Iterator[Step]:
             if known
             else [identify[0], f"{identify[1]} {words}"]
         )
-        yield Step("the recommended method makes up for the actuator's delay", recommended)
+        yield Step("the recommended method compensates the actuator's delay", recommended)
     elif by_valve:
-        yield Step("the actuator may be another than the one that is assumed", identify)
+        yield Step("the actuator may differ from the assumed one", identify)
     critical = found.margins.mass_ratio
     if critical and plan.mass_ratio > 0:
         lower = float(f"{critical.value / MASS_RATIO_RESERVE:.2g}")

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.arrays import Floats
-from seft_plant_sim.lti import LEAST_SAMPLES, Complexes, noncausal_inverse
+from seft_msgs_py.arrays import Complexes, Floats
+from seft_plant_sim.lti import LEAST_SAMPLES, noncausal_inverse
 
 INVERTED_TO = 0.85
 """Highest inverted frequency over the valve's own: higher ones need too much drive."""

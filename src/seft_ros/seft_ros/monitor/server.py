@@ -63,7 +63,7 @@ class Watch:
 
     def poll(self) -> list[Frame]:
         """Take the messages that have arrived; give the news, for pages that have the rest."""
-        self._hear_nodes()
+        self._receive_statuses()
         intake = self.intake
         if intake is None:
             return self._news()  # samples wait in the middleware until they can be read
@@ -100,7 +100,7 @@ class Watch:
             return f"the test is now {self.session.summary()['state']}; check that, and press again"
         return ""
 
-    def _hear_nodes(self) -> None:
+    def _receive_statuses(self) -> None:
         session = self.session
         session.poll()
         for node, description in self._decoded(DESCRIPTION, decode_description):

@@ -50,7 +50,7 @@ from seft_ros.test_run.peers import (
     RUNS,
     SILENT,
     UNFIT,
-    Heard,
+    LastStatus,
     judge,
     missing,
     silence,
@@ -92,7 +92,7 @@ class SupervisorNode(NodeBody):
         self._now = self._awake.time()
         self._looked_at, self._woke_at = time.monotonic(), -STOOD_STILL
         self._test_s = 0.0
-        self._heard: dict[str, Heard] = {}
+        self._statuses: dict[str, LastStatus] = {}
         self._descriptions: dict[str, dict[str, Any]] = {}
         self._publish = shell.publisher(EXPERIMENT_STATE)
         self._state, self._since = State.IDLE, self._now  # at the last poll
@@ -153,7 +153,7 @@ class SupervisorNode(NodeBody):
         if self._now - self._reported_at < AGES_PERIOD:
             return
         self._reported_at = self._now
-        ages = {n: self._now - self._heard[n].at for n in self._peers if n in self._heard}
+        ages = {n: self._now - self._statuses[n].at for n in self._peers if n in self._statuses}
         oldest = max(ages.values(), default=0.0)
         level = ERROR if oldest > self._timeout else WARN if oldest > self._timeout / 2 else OK
         self.report("watching", {f"age {n} s": f"{age:.2f}" for n, age in ages.items()}, level)
@@ -175,9 +175,9 @@ class SupervisorNode(NodeBody):
             return
         self._polled_graph_at = self._now
         own = Status("supervisor", OK, "watching", values=self._shell.matched())
-        self._heard["supervisor"] = Heard(own, self._now)
-        heard, described = self._heard, self._descriptions
-        lack = missing(self._peers, heard, described, self._now, self._timeout, self._rigs)
+        self._statuses["supervisor"] = LastStatus(own, self._now)
+        statuses, described = self._statuses, self._descriptions
+        lack = missing(self._peers, statuses, described, self._now, self._timeout, self._rigs)
         self._is_unfit = False
         self._machine.peers(lack or self._rehearsal())
 
@@ -196,12 +196,12 @@ class SupervisorNode(NodeBody):
 
     def _watch_peers(self) -> None:
         """Trip if a peer becomes silent: softly, if the loop can continue without it."""
-        gone = silent(self._peers, self._heard, self._now, self._timeout)
+        gone = silent(self._peers, self._statuses, self._now, self._timeout)
         self._lost.update(gone)
         for node in sorted(gone, key=SOFT_PEERS.__contains__):
             soft = node in SOFT_PEERS
             trip = self._machine.soft_trip if soft else self._machine.hard_trip
-            trip(silence(node, self._heard), self._step())
+            trip(silence(node, self._statuses), self._step())
         ramped_for = self._now - self._since if self._state is State.RAMPING_DOWN else 0.0
         if self._machine.state is State.RAMPING_DOWN and ramped_for > self._ramp_patience():
             self._machine.hard_trip(
@@ -217,13 +217,14 @@ class SupervisorNode(NodeBody):
 
     def _find_the_silent(self) -> None:
         """Find the nodes that were silent when the test tripped: they send nothing after that."""
-        unheard = [n for n in self._peers if n in self._heard and self._heard[n].at < self._since]
-        gone = silent(unheard, self._heard, self._now, self._timeout)
+        known = [n for n in self._peers if n in self._statuses]
+        unheard = [n for n in known if self._statuses[n].at < self._since]
+        gone = silent(unheard, self._statuses, self._now, self._timeout)
         if unheard == gone:
             self._silent = gone
             self._lost.update(gone)
             for node in gone:
-                self._machine.note(silence(node, self._heard))
+                self._machine.note(silence(node, self._statuses))
 
     def _reset(self) -> Answer:
         """Make the next test possible; if a rehearsal prevents it, request another one."""
@@ -270,8 +271,8 @@ class SupervisorNode(NodeBody):
             values |= {"step": str(machine.step), "time_s": f"{time_s:.9g}"}
         if self._silent is not None:
             values[SILENT] = " ".join(self._silent)
-        if "ground_motion" in self._heard:
-            values["steps"] = self._heard["ground_motion"].status.values.get("steps", "0")
+        if "ground_motion" in self._statuses:
+            values["steps"] = self._statuses["ground_motion"].status.values.get("steps", "0")
         rig = self._parameters(self._rig_nodes[0])
         if PACE in rig:
             values[PACE] = str(rig[PACE])
@@ -302,7 +303,7 @@ class SupervisorNode(NodeBody):
 
     def _on_diagnostics(self, raw: bytes, _: int) -> None:
         for status in decode_diagnostics(raw)[1]:
-            self._heard[status.name] = Heard(status, self._awake.time(), self._test_s)
+            self._statuses[status.name] = LastStatus(status, self._awake.time(), self._test_s)
             with self._lock:
                 self._follow(status)
                 self._publish_if_due()
@@ -337,7 +338,7 @@ class SupervisorNode(NodeBody):
         self._test_s = decode_clock(raw) / NANOSECONDS_PER_SECOND
 
     def _phase(self, node: str) -> str:
-        return self._heard[node].phase if node in self._heard else ""
+        return self._statuses[node].phase if node in self._statuses else ""
 
     def _parameters(self, node: str) -> dict[str, Any]:
         parameters: dict[str, Any] = self._descriptions.get(node, {}).get("parameters", {})

@@ -5,16 +5,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy.signal
 from scipy.ndimage import median_filter
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Complexes, Floats
 
 from seft_ros.design.loop_margins import BAND_HZ
 from seft_ros.paper.findings import Findings
 from seft_ros.paper.paper_tests import DELAY, SEGMENT, VIBRATION_HZ, Outcome, whole_delay
 
-Complexes = npt.NDArray[np.complex128]
 Values = dict[str, Any]
 
 _OUTLIERS = 5  # points of the running median over a measured magnitude

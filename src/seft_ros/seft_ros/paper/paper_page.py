@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from bokeh.models import Range1d
 from bokeh.plotting import figure
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Complexes, Floats
 
 from seft_ros.design.loop_margins import BAND_HZ
 from seft_ros.drawing.page import (
@@ -43,7 +42,6 @@ from seft_ros.paper.claims import Claim, read_rows
 from seft_ros.paper.findings import BEYOND, COMPUTED, Findings
 from seft_ros.paper.paper_tests import BEYOND_SHARE, Outcome
 
-Complexes = npt.NDArray[np.complex128]
 Response = tuple[Floats, Complexes, str]  # Hz, values, label
 Curve = tuple[Floats, dict[str, Floats], str, str]  # time, signals, label, colour
 

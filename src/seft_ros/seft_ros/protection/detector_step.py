@@ -20,6 +20,7 @@ A deviation of a few samples is a spike, so each detector has a persistence.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
@@ -139,10 +140,8 @@ def look_at_work(p: DetectorParameters, state: DetectorState, measured: Floats) 
     )
 
 
-CHANNEL, OTHER = (0, 1, 3), (1, 2, 1)
-"""For each relation: the channel whose change is compared, and the channel that is integrated."""
-ACCELERATION, FORCE = 2, 3
-"""Rows of these channels."""
+DISPLACEMENT, VELOCITY, ACCELERATION, FORCE = range(4)
+"""Rows of the channels."""
 OF_SENSORS = (0, 1, 3, 4, SECOND_ORDER_WORK, JUMP)
 """Detectors that make a sample suspect."""
 SOUND, SUSPECT = -1, -2
@@ -317,6 +316,25 @@ def hold(flows: Floats, newest: float) -> tuple[float, float]:
     return least, largest
 
 
+class Sides(NamedTuple):
+    """The sides of a relation over one period, and what may make them differ."""
+
+    one: float
+    other: float
+    least: float
+    """Least and largest value of the first side if the rig holds a command."""
+    largest: float
+    in_sums: float
+    """Difference that the times of the samples cause in the sums, and in one period."""
+    in_step: float
+    part: float
+    """Relative error of the first side."""
+    resolution: float
+    """Of the first side."""
+    missed: float
+    """Difference that missed commands cause."""
+
+
 @compiled
 def look_at_sides(
     p: DetectorParameters,
@@ -349,67 +367,104 @@ def look_at_sides(
 
 
 @compiled
+def _resolution(state: DetectorState, row: int, i: int) -> float:
+    """Resolution of a change of a channel; 0 as long as it is not known."""
+    resolution = 2.0 * state.resolution[row, i]
+    return resolution if resolution < np.inf else 0.0
+
+
+@compiled
+def _displacement_sides(
+    p: DetectorParameters, state: DetectorState, measured: Floats, i: int
+) -> Sides:
+    """Relation (1)."""
+    last = state.last
+    one, other = measured[0, i] - last[0, i], 0.5 * p.dt * (measured[1, i] + last[1, i])
+    late = p.late * abs(measured[1, i] - last[1, i])  # of a derived velocity
+    part = p.tolerance[DISPLACEMENT_VELOCITY]
+    return Sides(one, other, one, one, late, late, part, _resolution(state, 0, i), 0.0)
+
+
+@compiled
+def _velocity_sides(p: DetectorParameters, state: DetectorState, measured: Floats, i: int) -> Sides:
+    """Relation (2); a force may jump at any time between two samples."""
+    last, rise = state.last, measured[2, i] - state.last[2, i]
+    one, other = measured[1, i] - last[1, i], 0.5 * p.dt * (measured[2, i] + last[2, i])
+    state.rise[i] = p.fade * state.rise[i] + rise
+    at = 0.5 * p.dt + p.late
+    in_sums, in_step = at * max(abs(rise), abs(state.rise[i])), at * abs(rise)
+    part = p.tolerance[VELOCITY_ACCELERATION]
+    return Sides(one, other, one, one, in_sums, in_step, part, _resolution(state, 1, i), 0.0)
+
+
+@compiled
+def _oil_sides(p: DetectorParameters, state: DetectorState, measured: Floats, i: int) -> Sides:
+    """Relation (3), with the valve as it was found so far."""
+    dt, last, errors, covariance = p.dt, state.last, state.errors[i], state.covariance[i]
+    oil, leakage = p.actuator[i, 1], p.actuator[i, 2]
+    flow = 0.5 * (state.flow[0, i] + state.flow[1, i])
+    later = 0.5 * (state.later[0, i] + state.later[1, i])
+    moved = 0.5 * dt * (measured[1, i] + last[1, i])
+    leaked = 0.5 * dt * leakage * (measured[3, i] + last[3, i])
+    other = moved + (measured[3, i] - last[3, i] + leaked) / oil
+    one = dt * (flow + errors[0] * flow + errors[1] * later)
+    least, largest = hold(state.flows[i], one)
+    if state.counts[NOISE + OIL, i] == 0 and state.counts[CHANGE + OIL, i] == 0:
+        follow_valve(errors, covariance, flow, later, other / dt, p.doubt[i])
+    part = min(p.tolerance[OIL], FOLLOWED + SIGMAS * math.sqrt(covariance[0]))
+    change = abs(state.flow[1, i] - state.flow[0, i])
+    state.largest[8, i] = max(change, p.fade * state.largest[8, i])
+    missed = MISSED * dt * state.largest[8, i]
+    resolution = _resolution(state, FORCE, i) / oil
+    return Sides(one, other, least, largest, 0.0, 0.0, part, resolution, missed)
+
+
+@compiled
+def _compare(
+    p: DetectorParameters, state: DetectorState, relation: int, n: int, i: int, sides: Sides
+) -> int:
+    """Compare the sides of a relation, less their bias, over a period and as sums."""
+    recent, bias, found, one = state.largest, state.bias[relation], -1, sides.one
+    other = sides.other + bias[0, i]
+    if state.counts[NOISE + relation, i] == 0 and state.counts[CHANGE + relation, i] == 0:
+        constant = bias[0, i] + (1.0 - p.memory) * (one - other)
+        bias[0, i] = min(max(constant, -p.bias[relation, i]), p.bias[relation, i])
+        bias[1, i] *= p.memory
+    now, sums = (one, other, sides.least, sides.largest), state.sums[relation]
+    for row in range(4):
+        sums[row, i] = p.fade * sums[row, i] + now[row]
+    summed = (sums[0, i], sums[1, i], sums[2, i], sums[3, i])
+    whole = max(abs(sums[0, i]), abs(sums[1, i]), p.memory * recent[relation, i])
+    single = max(abs(one), abs(other), p.fade * recent[3 + relation, i])
+    recent[relation, i], recent[3 + relation, i] = whole, single
+    unknown = p.bias[relation, i] * bias[1, i] / (1.0 - p.fade)
+    known, missed = sides.resolution, sides.missed
+    threshold = p.sums[relation, i] + unknown + p.tolerance[relation] * whole + known
+    threshold += sides.in_sums
+    if look_at_sides(p, state, CHANGE + relation, i, summed, threshold, missed) and found < 0:
+        found = (CHANGE + relation) * n + i
+    threshold = p.steps[relation, i] + sides.part * single + known + sides.in_step
+    if look_at_sides(p, state, NOISE + relation, i, now, threshold, missed) and found < 0:
+        found = (NOISE + relation) * n + i
+    return found
+
+
+@compiled
 def _relations(
     p: DetectorParameters, state: DetectorState, step: int, measured: Floats, i: int
 ) -> int:
     """Relations (1) to (3) of an axis."""
-    n, dt, last, found = measured.shape[1], p.dt, state.last, -1
-    oil, leakage, recent = p.actuator[i, 1], p.actuator[i, 2], state.largest
-    moved = 0.5 * dt * (measured[1, i] + last[1, i])
-    for relation in range(3):
-        if not (sees(state, step, CHANNEL[relation]) and sees(state, step, OTHER[relation])):
-            continue
-        tolerance, missed, in_sums, in_step = p.tolerance[relation], 0.0, 0.0, 0.0
-        part, coarse = tolerance, 2.0 * state.resolution[CHANNEL[relation], i]
-        coarse = coarse if coarse < np.inf else 0.0
-        if relation == DISPLACEMENT_VELOCITY:
-            one, other = measured[0, i] - last[0, i], moved
-            least = largest = one
-            in_sums = in_step = p.late * abs(measured[1, i] - last[1, i])  # of a derived velocity
-        elif relation == VELOCITY_ACCELERATION:
-            one = measured[1, i] - last[1, i]
-            other = 0.5 * dt * (measured[2, i] + last[2, i])
-            least = largest = one
-            rise = measured[2, i] - last[2, i]
-            state.rise[i] = p.fade * state.rise[i] + rise
-            # a force may jump at any time between two samples
-            in_sums = (0.5 * dt + p.late) * max(abs(rise), abs(state.rise[i]))
-            in_step = (0.5 * dt + p.late) * abs(rise)
-        else:
-            flow = 0.5 * (state.flow[0, i] + state.flow[1, i])
-            later = 0.5 * (state.later[0, i] + state.later[1, i])
-            other = 0.5 * dt * leakage * (measured[3, i] + last[3, i])
-            other = moved + (measured[3, i] - last[3, i] + other) / oil
-            errors, covariance = state.errors[i], state.covariance[i]
-            one = dt * (flow + errors[0] * flow + errors[1] * later)
-            least, largest = hold(state.flows[i], one)
-            if state.counts[NOISE + OIL, i] == 0 and state.counts[CHANGE + OIL, i] == 0:
-                follow_valve(errors, covariance, flow, later, other / dt, p.doubt[i])
-            part = min(tolerance, FOLLOWED + SIGMAS * math.sqrt(covariance[0]))
-            coarse /= oil
-            change = abs(state.flow[1, i] - state.flow[0, i])
-            recent[8, i] = max(change, p.fade * recent[8, i])
-            missed = MISSED * dt * recent[8, i]
-        bias = state.bias[relation]
-        other += bias[0, i]
-        if state.counts[NOISE + relation, i] == 0 and state.counts[CHANGE + relation, i] == 0:
-            constant = bias[0, i] + (1.0 - p.memory) * (one - other)
-            bias[0, i] = min(max(constant, -p.bias[relation, i]), p.bias[relation, i])
-            bias[1, i] *= p.memory
-        now, sums = (one, other, least, largest), state.sums[relation]
-        for row in range(4):
-            sums[row, i] = p.fade * sums[row, i] + now[row]
-        summed = (sums[0, i], sums[1, i], sums[2, i], sums[3, i])
-        whole = max(abs(sums[0, i]), abs(sums[1, i]), p.memory * recent[relation, i])
-        single = max(abs(one), abs(other), p.fade * recent[3 + relation, i])
-        recent[relation, i], recent[3 + relation, i] = whole, single
-        unknown = p.bias[relation, i] * bias[1, i] / (1.0 - p.fade)
-        threshold = p.sums[relation, i] + unknown + tolerance * whole + coarse + in_sums
-        if look_at_sides(p, state, CHANGE + relation, i, summed, threshold, missed) and found < 0:
-            found = (CHANGE + relation) * n + i
-        threshold = p.steps[relation, i] + part * single + coarse + in_step
-        if look_at_sides(p, state, NOISE + relation, i, now, threshold, missed) and found < 0:
-            found = (NOISE + relation) * n + i
+    n, found = measured.shape[1], -1
+    sees_velocity = sees(state, step, VELOCITY)
+    if sees_velocity and sees(state, step, DISPLACEMENT):
+        sides = _displacement_sides(p, state, measured, i)
+        found = _compare(p, state, DISPLACEMENT_VELOCITY, n, i, sides)
+    if sees_velocity and sees(state, step, ACCELERATION):
+        sides = _velocity_sides(p, state, measured, i)
+        found = worse(found, _compare(p, state, VELOCITY_ACCELERATION, n, i, sides))
+    if sees_velocity and sees(state, step, FORCE):
+        sides = _oil_sides(p, state, measured, i)
+        found = worse(found, _compare(p, state, OIL, n, i, sides))
     return found
 
 

@@ -14,10 +14,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.compiled import compiled
-from seft_plant_sim.lti import LEAST_SAMPLES, Complexes, noncausal_inverse
+from seft_plant_sim.lti import LEAST_SAMPLES, noncausal_inverse
 
 from seft_ros.reference_force.compensator import Knowledge
 from seft_ros.reference_force.restoring_model import THRESHOLDS

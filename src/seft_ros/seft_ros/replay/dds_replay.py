@@ -28,7 +28,7 @@ Progress = Callable[[str, int], None]
 def replay_over_dds(replay: Replay, experiment: Experiment, progress: Progress) -> Answers:
     """Start a node with an experiment's parameters, send it a recorded test, and end it.
 
-    ``progress`` receives what goes on, and the number of steps answered.
+    ``progress`` is called with the present stage and the number of steps answered.
 
     Raises
     ------
@@ -59,11 +59,11 @@ class _Session:
         self._raws: list[bytes] = []
         self._answered = -1
         self._estimates = EstimatesGatherer(experiment)
-        hears = {
+        receives = {
             replay.answer: self._on_answer,
             ESTIMATES: lambda raw, *_: self._estimates.take(raw),
         }
-        self.player = Player("seft_replay", replay.sends, hears)
+        self.player = Player("seft_replay", replay.sends, receives)
 
     def answers(self, progress: Progress) -> Answers:
         """Send the steps one by one, each when the one before is answered."""

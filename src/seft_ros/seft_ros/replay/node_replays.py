@@ -28,9 +28,9 @@ from seft_ros.reference_force.reference_force_parameters import reference_force_
 from seft_ros.replay.recorded_test import Input, Recorded, Replay
 
 FAR = 20.0  # s that ground motion is sent ahead of its step
-PATIENCE = 60.0  # s that the rig waits for the replay on a slow machine
+PATIENCE = 60.0  # s; patience of the rig with the replay on a slow machine
 BY_TIME = "force_controller: no "
-"""Start of the reason of a trip that was caused by a clock, not by a sample."""
+"""Start of the reason of a trip that a timeout caused, not a sample."""
 
 
 class ReferenceForceReplay(Replay):
@@ -137,7 +137,7 @@ class ForceControllerReplay(Replay):
         self.expected = recorded.series(VALVE_COMMAND)
         if trip is not None and trip.reason.startswith(BY_TIME):
             self.expected = self.expected.until(trip.step)
-            self.notes.append(f"replayed until step {trip.step}, where a clock tripped it")
+            self.notes.append(f"replayed until step {trip.step}, where a timeout tripped it")
         states, self._points = recorded.series(RIG_STATE), recorded.points
         looks_ahead = section["method"] == VELOCITY_FEEDFORWARD
         if looks_ahead and all(len(points) == 1 for points in self._points.values()):

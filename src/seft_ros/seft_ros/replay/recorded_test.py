@@ -92,8 +92,8 @@ def read_recorded(path: str | Path) -> Recorded:
         raise InputError(f"{path}: the bag has no rig/state; record that topic, too")
     if states[0] != 0:
         raise InputError(
-            f"{path}: the bag begins at step {states[0]}: what the nodes remember of the steps "
-            "before is not in it; record from before the start on"
+            f"{path}: the bag begins at step {states[0]}: it lacks the steps before, which the "
+            "nodes depend on; start recording before the test"
         )
     forces = reference_force_topic(experiment.sections.get("reference_force", {}))
     motion_codec, force_codec = (

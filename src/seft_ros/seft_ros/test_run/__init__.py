@@ -1,1 +1,1 @@
-"""A test as a whole: parameter tables, blocks, offline loop, states."""
+"""A whole test: its blocks, the offline loop, the node processes, and its states."""

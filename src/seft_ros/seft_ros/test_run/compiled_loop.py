@@ -98,7 +98,7 @@ def build_blocks(experiment: Experiment, known: dict[str, Any] | None = None) ->
 
     def shared(node: str, make: Callable[..., Any], *arguments: Any) -> Any:
         section, made = experiment[node], known.setdefault(node, [])
-        for parameters, block in made:  # few: to write a key out takes as long as hundreds of them
+        for parameters, block in made:  # few: writing out a key takes as long as hundreds of them
             if parameters == section:
                 return block
         made.append((dict(section), make(*arguments)))

@@ -259,11 +259,11 @@ ECHO_PERIOD = 0.2  # s
 class _LinkNode:
     """A node that publishes one topic and subscribes to another."""
 
-    def __init__(self, name: str, sends: Topic, hears: Topic) -> None:
+    def __init__(self, name: str, sends: Topic, receives: Topic) -> None:
         self.node = command_node(name)
         self.publisher = raw_publisher(self.node, sends)
         self.send = sender(self.publisher)
-        self.subscription = raw_subscription(self.node, hears, reliable=False)
+        self.subscription = raw_subscription(self.node, receives, reliable=False)
         self._take = taker(self.subscription)
         self._wait_set = WaitSet(self.node.context, [self.subscription])
 
@@ -339,7 +339,7 @@ def measure(
                     if name == own:
                         back.append((int(number), now - sent[int(number)]))
                 except (WireError, ValueError):
-                    continue  # of someone else
+                    continue  # of another node
 
     def send(number: int) -> None:
         raw = encode_string(f"{own} {number} {'.' * size}"[:size])
@@ -350,7 +350,7 @@ def measure(
         progress("looking for the other side", 0)
         _find_echo(link, pong)
         deadline = time.monotonic() + FIRST
-        while not back and time.monotonic() < deadline:  # it may not have found this side yet
+        while not back and time.monotonic() < deadline:  # this side may not be discovered there yet
             send(first - 1)
             listen_until(time.monotonic() + POLL_PERIOD)
         start = time.monotonic() - first / rate
@@ -378,7 +378,7 @@ def _find_echo(link: _LinkNode, pong: Topic) -> None:
         echoes = link.node.get_publishers_info_by_topic(pong.name)
         if len(echoes) > 1:
             names = ", ".join(sorted(echo.node_name for echo in echoes))
-            raise InputError(f"several nodes echo on this ROS domain: {names}; let one do so")
+            raise InputError(f"several nodes echo on this ROS domain: {names}; end all but one")
         if link.publisher.get_subscription_count() and link.subscription.get_publisher_count():
             return
         if time.monotonic() > deadline:

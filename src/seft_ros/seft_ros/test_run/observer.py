@@ -69,7 +69,7 @@ class Observer:
         self.recorder_bag = ""
         self.running: set[str] = set()
         self._awake = AwakeClock()
-        self._heard_at = self._awake.time()
+        self._received_at = self._awake.time()
         self._since = time.monotonic()
         self._node = command_node("seft")
         states = raw_subscription(self._node, EXPERIMENT_STATE)
@@ -88,13 +88,13 @@ class Observer:
         while True:
             self._executor.spin_once(timeout_sec=max(0.0, deadline - time.monotonic()))
             self._awake.time()
-            self._hear_states()
+            self._receive_states()
             if time.monotonic() >= deadline:
                 return
 
     def silence(self) -> float:
         """Time since the supervisor was last heard, s."""
-        return self._awake.time() - self._heard_at
+        return self._awake.time() - self._received_at
 
     def call(self, service: str, patience: float = SERVICE_TIMEOUT) -> tuple[bool, str]:
         """Call a service of the supervisor; return whether it was accepted, and its answer.
@@ -110,7 +110,7 @@ class Observer:
                 raise ExperimentError(f"service {service} is not there; is supervisor running?")
             future = client.call_async(Trigger.Request())
             self._executor.spin_until_future_complete(future, patience)
-            self._hear_states()
+            self._receive_states()
             response = future.result()
             if response is None:
                 raise ExperimentError(f"supervisor did not answer {service}")
@@ -138,7 +138,7 @@ class Observer:
     def refuse_twins(self, topics: Iterable[Topic]) -> None:
         """Check again that there is no other test, and no other publisher of this test's topics.
 
-        A node that runs already may be found only when it announces itself the next time.
+        Discovery may find a node that runs already only at its next announcement.
 
         Raises
         ------
@@ -161,8 +161,8 @@ class Observer:
     def _refuse(self, nodes: Sequence[str]) -> None:
         if nodes:
             raise InputError(
-                f"ROS domain {_domain()} already has a node {', '.join(nodes)}: another test's; "
-                "end it, set ROS_DOMAIN_ID to another number, or let a test have it with --external"
+                f"ROS domain {_domain()} already has a node {', '.join(nodes)}: of another test; "
+                "end it, set another ROS_DOMAIN_ID, or use it with --external"
             )
 
     def _of_other_namespaces(self, found: Sequence[str]) -> list[str]:
@@ -180,7 +180,7 @@ class Observer:
         self._executor.shutdown()
         leave_graph(self._node)
 
-    def _hear_states(self) -> None:
+    def _receive_states(self) -> None:
         while (taken := self._take_state()) is not None:
             self._on_state(taken[0], taken[2])
 
@@ -192,7 +192,7 @@ class Observer:
             status = decode_status(raw)
         except WireError:
             return
-        self._heard_at = self._awake.time()
+        self._received_at = self._awake.time()
         self.state, self.values = status.message, dict(status.values)
         self._senders.follow(self.state in MOVING)
 
@@ -227,7 +227,7 @@ def alone_on_the_graph(external: Collection[str] = ()) -> None:
 
 
 HEARTBEAT = 0.2  # s between two repeats of the test's state
-HEARD = 2.0  # s for a reader to acknowledge the test's state
+ACKNOWLEDGED_WITHIN = 2.0  # s for a reader to acknowledge the test's state
 Receive = Callable[[bytes, float, float], None]
 """Takes a message, and the times of its reception and sending, s, monotonic."""
 
@@ -241,7 +241,7 @@ class Player:
         Of the node.
     sends : sequence of Topic
         Topics it publishes besides experiment/state.
-    hears : mapping of Topic to callable
+    receives : mapping of Topic to callable
         Topics it subscribes to, with the functions that take their messages.
 
     Attributes
@@ -250,14 +250,16 @@ class Player:
         Node -> the last status of its diagnostics.
     """
 
-    def __init__(self, name: str, sends: Sequence[Topic], hears: Mapping[Topic, Receive]) -> None:
+    def __init__(
+        self, name: str, sends: Sequence[Topic], receives: Mapping[Topic, Receive]
+    ) -> None:
         self.status: dict[str, Status] = {}
         self.node = command_node(name)
         self._publishers: dict[Topic, Publisher] = {}
         self._senders: dict[Topic, Callable[[bytes], None]] = {}
         for topic in (EXPERIMENT_STATE, *sends):
             self.publish_on(topic)
-        takers = {**hears, DIAGNOSTICS: self._on_diagnostics}
+        takers = {**receives, DIAGNOSTICS: self._on_diagnostics}
         self._takers: dict[Subscription, Receive] = {}
         self._topics: dict[Topic, Subscription] = {}
         for topic, take in takers.items():
@@ -289,8 +291,10 @@ class Player:
         shown = {**values, **({} if steps is None else {"steps": str(steps)})}
         self._state = encode_status(Status("experiment", 0, state, values=shown))
         self._repeat()
-        if not is_acknowledged(self._publishers[EXPERIMENT_STATE], HEARD):
-            raise ExperimentError(f"the state {state} of the test was not heard within {HEARD:g} s")
+        if not is_acknowledged(self._publishers[EXPERIMENT_STATE], ACKNOWLEDGED_WITHIN):
+            raise ExperimentError(
+                f"the state {state} was not acknowledged within {ACKNOWLEDGED_WITHIN:g} s"
+            )
 
     def be_silent(self) -> None:
         """Stop repeating the state, as a supervisor that has died."""
@@ -315,8 +319,8 @@ class Player:
         while (left := deadline - time.monotonic()) > 0:
             self.listen(min(left, HEARTBEAT / 2))
 
-    def is_matched(self, node: str, sends: Iterable[Topic], hears: Iterable[Topic]) -> bool:
-        """Tell whether a node has this one's state and these topics, also by its own status."""
+    def is_matched(self, node: str, sends: Iterable[Topic], receives: Iterable[Topic]) -> bool:
+        """Whether a node has received this one's state and is connected to these topics."""
         reported = self.status[node].values if node in self.status else {}
         for topic in (EXPERIMENT_STATE, *sends):
             there = self.node.get_subscriptions_info_by_topic(topic.name)
@@ -324,7 +328,7 @@ class Player:
             hears_us = reported.get(f"senders {topic.name}") != "0"
             if not (found and hears_us and node in {info.node_name for info in there}):
                 return False
-        for topic in hears:
+        for topic in receives:
             there = self.node.get_publishers_info_by_topic(topic.name)
             found, own = self._topics[topic].get_publisher_count(), self.node.get_name()
             matched = reported.get(f"matched {topic.name}", own)  # a driver need not report it

@@ -142,7 +142,7 @@ def run_plain(blocks: Blocks, samples: LoopSamples, loop_delay: int, period: int
 
 
 def loop_series(motion: Floats, samples: LoopSamples, steps: int) -> dict[str, Series]:
-    """Sort the samples of the first steps of a test by topic."""
+    """Arrange the samples of the first steps of a test by topic."""
     numbers = np.arange(steps, dtype=np.int64)
     values = {
         GROUND_MOTION.name: motion[:steps, np.newaxis],

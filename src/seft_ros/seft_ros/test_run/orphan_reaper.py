@@ -1,4 +1,4 @@
-"""Ends the processes that a run leaves behind, also a run that is killed: from a separate process.
+"""Ends, from a separate process, the processes that a run leaves behind, even a killed run.
 
 A pipe names the processes of the run, and its end shows that the run has ended, for whatever
 reason. Nodes end with the run that started them, except those that a signal has stopped.

@@ -12,14 +12,14 @@ from seft_msgs_py.wire.topics import RigAxes, bare, topics_of, with_rigs
 PARAMETERS = parameter_rows(
     """
     rehearsal.duration | float | 2.0 | s | 0 .. 60 |
-        for how long the loop is rehearsed in realtime before a test, with the valve at its safe
-        value and the ground at rest; 0: not at all. A loop that does not keep its rate is refused
+        duration of the rehearsal before a test in realtime, with the valve at its safe value and
+        the ground at rest; 0: none. A loop that does not keep its rate is refused
     """
 )
 UNFIT = "a loop that keeps its rate: "
-"""Begin of what is missing if the rehearsal failed."""
+"""Start of the text if the rehearsal failed."""
 RUNS = "the rehearsal of the loop"
-"""What is missing while it goes on."""
+"""What is missing while the rehearsal runs."""
 
 LOOP = ("rig", "reference_force", "force_controller")
 REFUSED = 0.1  # of the steps missed: a test of such a loop is another
@@ -30,9 +30,9 @@ _RATES = (5000.0, 2000.0, 1000.0, 500.0, 250.0, 200.0, 100.0, 50.0)  # Hz
 
 @dataclass(frozen=True)
 class Rehearsed:
-    """What a rehearsal says: reasons to refuse a test, and to warn of it; empty if there are none.
+    """Result of a rehearsal: reasons to refuse a test, and to warn; empty if there are none.
 
-    Without a rehearsal, ``asked`` is for how many s the rig shall rehearse; else 0.
+    If there was no rehearsal yet, ``asked`` is its duration, s; else 0.
     """
 
     refusal: str = ""
@@ -60,7 +60,7 @@ def judge(duration: float, nodes: Mapping[str, Mapping[str, Any]]) -> Rehearsed:
         steps, missed, rate = (float(found[key]) for key in ("steps", "missed", "rate_hz"))
         slowest = float(found["round_trip_s"].get("p99", 0.0))
     except (KeyError, TypeError, ValueError, AttributeError):
-        return Rehearsed("the rig tells a rehearsal that can't be read; see docs/hardware.md")
+        return Rehearsed("the rig reports a rehearsal that can't be read; see docs/hardware.md")
     if missed <= WARNED * steps:
         return Rehearsed()
     share = f"{missed:.0f} of {steps:.0f} steps without a command in time"
@@ -68,8 +68,8 @@ def judge(duration: float, nodes: Mapping[str, Mapping[str, Any]]) -> Rehearsed:
     if missed < REFUSED * steps:
         return Rehearsed(warning=f"{rate:g} Hz is hard to keep here: {trip}, {share}")
     fits = [f"{r:g} Hz does" for r in _RATES if slowest and r < rate and slowest <= ROOM / r]
-    mend = [*fits[:1], "seft run --composed, --priority or another host may (docs/realtime.md)"]
-    return Rehearsed(f"{rate:g} Hz does not fit here: {trip}, {share}; {'; '.join(mend)}")
+    remedy = [*fits[:1], "seft run --composed, --priority or another host may (docs/realtime.md)"]
+    return Rehearsed(f"{rate:g} Hz does not fit here: {trip}, {share}; {'; '.join(remedy)}")
 
 
 RAMPING_DOWN, AT_REST = "ramping_down", "at_rest"  # phases of the reference force
@@ -82,12 +82,12 @@ RECORDING = "recording"
 WAITS = "waits"
 """Key of the recorder's values: why it can't record a test now; empty if it can."""
 CONFLICT = "one "
-"""Begin of what is missing if nodes were started with parameters that contradict."""
+"""Start of the text if nodes were started with contradictory parameters."""
 _IN_A_TEST = ("running", FINISHED, TRIPPED)  # phases of the rig
 
 
 @dataclass(frozen=True)
-class Heard:
+class LastStatus:
     """The last status of a node, and when it came: s of an `AwakeClock`, and s of the test."""
 
     status: Status
@@ -102,7 +102,7 @@ class Heard:
 
 def missing(
     peers: Sequence[str],
-    heard: Mapping[str, Heard],
+    statuses: Mapping[str, LastStatus],
     descriptions: Mapping[str, Mapping[str, Any]],
     now: float,
     timeout: float,
@@ -114,18 +114,18 @@ def missing(
     ----------
     peers : sequence of str
         Nodes that the test needs, each rig's own among them.
-    heard : mapping
+    statuses : mapping
         Node name -> last status; holds the supervisor's own too.
     descriptions : mapping
         Node name -> description with the node's parameters.
     now : float
-        Time on the clock of `Heard.at`, s.
+        Time on the clock of `LastStatus.at`, s.
     timeout : float
         Silence after which a node counts as absent, s.
     rigs : sequence of RigAxes
         The test's.
     """
-    absent = [n for n in peers if n not in heard] + silent(peers, heard, now, timeout)
+    absent = [n for n in peers if n not in statuses] + silent(peers, statuses, now, timeout)
     if absent:
         return "node " + ", ".join(sorted(absent, key=list(peers).index))
     undescribed = [node for node in peers if node not in descriptions]
@@ -139,7 +139,7 @@ def missing(
         for topic in topics:
             if topic.publisher not in (publisher, ""):
                 continue
-            known = heard[publisher].status.values.get(f"matched {topic.name}", "").split()
+            known = statuses[publisher].status.values.get(f"matched {topic.name}", "").split()
             wanted = {node for node in topic.subscribers if node in (*peers, "supervisor")}
             wanted.update(n for n in rig_nodes if descriptions[n].get("drive") == topic.name)
             if topic.recorded and "recorder" in peers:
@@ -147,39 +147,39 @@ def missing(
             lost = sorted(wanted - set(known) - {publisher})
             if lost:
                 return f"{publisher} to reach {', '.join(lost)} on {topic.name}"
-            for node in sorted(wanted & set(heard)):
-                if heard[node].status.values.get(f"senders {topic.name}") == "0":
-                    return f"{node} to hear {publisher} on {topic.name}"
+            for node in sorted(wanted & set(statuses)):
+                if statuses[node].status.values.get(f"senders {topic.name}") == "0":
+                    return f"{node} to receive from {publisher} on {topic.name}"
     for node in rig_nodes:
-        if heard[node].phase in _IN_A_TEST:
+        if statuses[node].phase in _IN_A_TEST:
             return f"the {node} to leave the last test"  # its end would count for the next one
-    phases = {node: heard[node].phase for node in heard}
+    phases = {node: statuses[node].phase for node in statuses}
     if phases.get("reference_force") in (RAMPING_DOWN, AT_REST, ALL_ANSWERED):
         return "the reference force to leave the last test"
     if "recorder" in peers:
         if phases["recorder"] == RECORDING:
             return "the recorder to save the last test"
-        if why := heard["recorder"].status.values.get(WAITS):
+        if why := statuses["recorder"].status.values.get(WAITS):
             return f"the recorder, as {why}"
     return "" if phases.get("ground_motion") == "primed" else "the first of the ground motion"
 
 
 def silent(
-    peers: Sequence[str], heard: Mapping[str, Heard], now: float, timeout: float
+    peers: Sequence[str], statuses: Mapping[str, LastStatus], now: float, timeout: float
 ) -> list[str]:
-    """List nodes that have been heard, but not for longer than ``timeout`` seconds."""
-    return [node for node in peers if node in heard and now - heard[node].at > timeout]
+    """List nodes that have been heard from, but not for longer than ``timeout`` seconds."""
+    return [node for node in peers if node in statuses and now - statuses[node].at > timeout]
 
 
-def silence(node: str, heard: Mapping[str, Heard]) -> str:
+def silence(node: str, statuses: Mapping[str, LastStatus]) -> str:
     """Say since when a node has been silent, by the time of the test."""
-    return f"node {node} has been silent since {heard[node].test_s:.2f} s"
+    return f"node {node} has been silent since {statuses[node].test_s:.2f} s"
 
 
 def _conflict(
     peers: Sequence[str], descriptions: Mapping[str, Mapping[str, Any]], rig_nodes: Sequence[str]
 ) -> str:
-    """Say which parameters contradict, so that the nodes can't work together; empty if none."""
+    """Name parameters of nodes that contradict each other; empty if none do."""
 
     def parameter(node: str, name: str, default: Any = None) -> Any:
         return descriptions[node]["parameters"].get(name, default)

@@ -89,11 +89,11 @@ class Placement:
             _hurry(pid)
 
     def settle(self, pid: int, *, lockstep: bool) -> None:
-        """Prepare a process of the loop for a test, whose pace is known by now.
+        """Prepare a process of the loop for a test; the pace is known by now.
 
         Threads through which no message of the loop passes are moved off the loop's cores.
         """
-        with contextlib.suppress(OSError):  # it has ended, which others report
+        with contextlib.suppress(OSError):  # it has ended; `check` reports that
             for thread in side_threads(pid):
                 os.sched_setaffinity(thread, self.others)
             if self._lockstep and not lockstep:

@@ -73,7 +73,7 @@ class RunMonitor:
     Parameters
     ----------
     observer : Observer
-        What is heard of the test.
+        Receives the state of the test.
     processes : NodeProcesses
         The nodes that were started here.
     progress : callable
@@ -130,7 +130,7 @@ class RunMonitor:
                 return
             if observer.state == State.TRIPPED:
                 raise ExperimentError(f"the test tripped before its start: {detail}")
-            if detail.startswith(f"waiting for {CONFLICT}"):  # waiting does not mend it
+            if detail.startswith(f"waiting for {CONFLICT}"):  # waiting does not help
                 raise InputError(f"the nodes must have {detail.removeprefix('waiting for ')}")
             if detail.startswith(f"waiting for {UNFIT}"):
                 raise ExperimentError(detail.removeprefix(f"waiting for {UNFIT}"))
@@ -162,7 +162,7 @@ class RunMonitor:
             self._poll()
         silent = {*observer.values.get(SILENT, "").split()} - {*self._processes.stopped()}
         while silent and not self._broken and time.monotonic() < deadline:
-            self._poll()  # a silent node may be about to end, and then says why
+            self._poll()  # a silent node may be ending, and its log then has the cause
         return self._broken or self._ending()
 
     def bring_down(self) -> None:
@@ -204,7 +204,7 @@ class RunMonitor:
         return self._observer.silence() > self._timeout and not self._observer.running
 
     def _ending(self) -> str:
-        """Say how the test ended if the bag does not say it, or may not exist."""
+        """Say how the test ended if the bag may lack it."""
         observer = self._observer
         step, values = observer.time_ns // self._period_ns, observer.values
         detail = values.get("detail", "")
@@ -235,9 +235,9 @@ def bag_path(experiment: Experiment, out: Path | None) -> Path:
 
 
 class Ending(NamedTuple):
-    """How a run ended: what broke it (empty: the bag has it all), and the folder of its bag.
+    """How a run ended: the fault (empty if the bag has it), and the folder of its bag.
 
-    That is another than planned, if the recorder lost the planned one.
+    The folder is not the planned one if the recorder lost that.
     """
 
     fault: str
@@ -301,7 +301,7 @@ def run_experiment(
                 raise
             monitor.wait_until_saved()
             saved = observer.recorder_bag
-            if saved and Path(saved).resolve() != bag.resolve():  # its own place was lost
+            if saved and Path(saved).resolve() != bag.resolve():  # its own folder was lost
                 bag = processes.bag = Path(saved)
     if not bag.exists():
         raise ExperimentError(fault or "the recorder made no bag")

@@ -222,7 +222,7 @@ class SampleOrder:
             self.may_begin = True
 
     def begins(self, step: int) -> bool:
-        """Tell whether a sample of this step begins a test, and begin it."""
+        """Begin a test if a sample of this step does so; return whether it does."""
         if step != 0 or not (self.may_begin if self._state else self.last != 0):
             return False
         self.may_begin = False

@@ -99,7 +99,7 @@ class DriverNode(NodeBody):
         shell.subscribe(commands.topic, lambda raw, _: self._command.take(raw), reliable=False)
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
         self._awake = AwakeClock()
-        self._heard_at = self._awake.time()
+        self._received_at = self._awake.time()
         self._told = ""  # state of the test, as the supervisor says
         self._armed = False  # it was ready, and no trip has been since
         self._steps = 0  # of a test that is to begin; 0: none is
@@ -169,7 +169,7 @@ class DriverNode(NodeBody):
         found = rehearsal.run(self._rehearses_for, sample, stopped)
         if self._rehearses_for:
             self._rehearsed = True
-            self._shell.tell({REHEARSED: found})
+            self._shell.add_facts({REHEARSED: found})
 
     def _begin(self, sample: Floats) -> None:
         self._total, self._steps = self._steps, 0
@@ -182,7 +182,7 @@ class DriverNode(NodeBody):
         self._started = time.monotonic()
         self._clock_at = -CLOCK_PERIOD
         self._step = 0
-        self._tell("running")
+        self._report("running")
         if conflict := self._shell.several_senders():
             self._step = 0
             self._end(conflict)
@@ -210,7 +210,7 @@ class DriverNode(NodeBody):
         patience = section["watchdog.supervisor_timeout"]
         if self._told not in MOVING:
             self._end(STOPPED)
-        elif self._awake.time() - self._heard_at > patience:
+        elif self._awake.time() - self._received_at > patience:
             self._end(f"node supervisor has been silent for {patience:g} s")
         elif step + 1 == self._total:
             self._end(None)
@@ -236,7 +236,7 @@ class DriverNode(NodeBody):
         self._resting = False
         step = max(self._step, 0)
         trip = Trip(reason, step, self._timebase.stamp_ns(step) / 1e9) if reason else None
-        self._tell(self._phase, trip)
+        self._report(self._phase, trip)
 
     def _follow_to_rest(self, sample: Floats) -> None:
         if self._resting is not False:
@@ -256,7 +256,7 @@ class DriverNode(NodeBody):
         self._status = replace(self._status, values={**self._status.values, **values})
         self._shell.report(self._status)
 
-    def _tell(self, phase: str, trip: Trip | None = None) -> None:
+    def _report(self, phase: str, trip: Trip | None = None) -> None:
         wall = time.monotonic() - self._started
         count, missed = self._missed_count, self._missed
         self._status = rig_status(
@@ -267,7 +267,7 @@ class DriverNode(NodeBody):
     def _on_experiment_state(self, raw: bytes, _: int) -> None:
         """Follow the supervisor; a test that was not ready before does not move this rig."""
         status = decode_status(raw)
-        self._heard_at = self._awake.time()
+        self._received_at = self._awake.time()
         self._rehearses_for = status.number(REHEARSE) or 0.0
         self._rehearsed &= self._rehearses_for > 0  # who asks anew gets a new one
         if status.message == self._told:

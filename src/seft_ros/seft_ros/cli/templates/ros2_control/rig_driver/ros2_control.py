@@ -40,18 +40,18 @@ class Ros2Control:
 
     def __init__(self, shell: NodeShell, safe: Floats, longest: float) -> None:
         self._axes, self._safe, self._longest = shell.rig.axes, safe, longest
-        self._sample, self._heard_at = np.full((4, len(self._axes)), np.nan), -np.inf
+        self._sample, self._received_at = np.full((4, len(self._axes)), np.nan), -np.inf
         self._publish = shell.publisher(COMMANDS)
         shell.subscribe(STATES, self._take, reliable=False)
 
     @property
-    def is_heard(self) -> bool:
+    def has_sample(self) -> bool:
         """Whether joint states have come."""
-        return bool(np.isfinite(self._heard_at))
+        return bool(np.isfinite(self._received_at))
 
     def read_sample(self) -> Floats:
         """Give the newest joint states, m, m/s, m/s^2 and N, shape (4, n)."""
-        silence = time.monotonic() - self._heard_at
+        silence = time.monotonic() - self._received_at
         if silence > self._longest:
             raise OSError(f"no {STATES.name} for {silence:.3g} s; is controller_manager running?")
         return self._sample.copy()
@@ -86,7 +86,7 @@ class Ros2Control:
             raise WireError(f"{STATES.name}: no joint {error}; it has {[*place]}") from None
         except IndexError:
             raise WireError(f"{STATES.name}: a position, velocity or effort is missing") from None
-        self._heard_at = time.monotonic()
+        self._received_at = time.monotonic()
 
 
 def ros2_control(shell: NodeShell) -> Ros2Control:
@@ -95,7 +95,7 @@ def ros2_control(shell: NodeShell) -> Ros2Control:
     safe = per_axis(section["safe.valve_command"], shell.rig.axes, "rig: safe.valve_command")
     hardware = Ros2Control(shell, np.asarray(safe), section["watchdog.command_timeout"])
     deadline = time.monotonic() + FOUND
-    while not hardware.is_heard:
+    while not hardware.has_sample:
         shell.spin_once(0.05)
         if shell.stopping or time.monotonic() > deadline:
             raise InputError(

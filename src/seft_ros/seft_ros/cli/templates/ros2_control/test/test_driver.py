@@ -54,7 +54,7 @@ def test_silent_or_wrong_joint_states_are_no_sample(rig):
         rig.take(joint_states(["y"], [0.0], [0.0], [0.0]))
     with pytest.raises(WireError, match="is missing"):
         rig.take(joint_states(["x", "x_accelerometer"], [0.0, 0.0], [], [0.0, 0.0]))
-    assert not rig.hardware.is_heard
+    assert not rig.hardware.has_sample
 
 
 def test_the_safe_position_is_a_command(rig):

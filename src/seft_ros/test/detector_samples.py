@@ -1,0 +1,87 @@
+"""Detectors of a rig of two axes, and samples for them."""
+
+import numpy as np
+from scipy.signal import lfilter
+from seft_ros.protection.detector_step import SOUND, begin_detectors, detect, take_command
+from seft_ros.protection.detectors import DETECTORS, detector_arrays
+
+DT, N = 0.002, 2
+NOISE = np.array([[1e-5, 2e-5], [2e-3, 1e-3], [0.1, 0.2], [5.0, 3.0]])
+LIMITS = np.array([0.1, 1.0, 50.0, 2e4])
+ACTUATOR = np.array([[0.02, 1e7, 2.0, 2e4], [0.03, 2e7, 3.0, 3e4]])
+"""Flow gain, oil stiffness, leakage, capacity."""
+PAST = np.array([[[0.7, 0.2, 0.1], [0.5, 0.4, 0.1]], [[-90.0, 80.0, 10.0], [-70.0, 50.0, 20.0]]])
+MASS = np.array([[60.0, 5.0], [5.0, 40.0]])
+STIFFNESS = np.array([[2e5, -3e4], [-3e4, 1e5]])
+COMPUTED = np.array([[90.0, 0.0], [0.0, 70.0]])
+
+
+def detectors(warn_only=(), **changes):
+    """Detectors that have begun, of two axes of which everything is known."""
+    known = {
+        **{"noise": NOISE, "limits": LIMITS, "ranges": np.zeros((4, N))},
+        **{"velocity_is_derived": False, "actuator": ACTUATOR, "past": PAST, "mass": MASS},
+        **{"stiffness": STIFFNESS, "computed_mass": COMPUTED, "warn_only": warn_only},
+        **{"longest_hold": 0.0, "dt": DT, **changes},
+    }
+    p, state = detector_arrays(**known)
+    begin_detectors(state)
+    return p, state
+
+
+def noise_of_a_rig(samples, seed=3, size=1.0):
+    """Samples of sensors that see nothing but noise, and commands that are as small."""
+    rng = np.random.default_rng(seed)
+    return size * NOISE * rng.normal(size=(samples, 4, N)), 0.05 * rng.normal(size=(samples, N))
+
+
+NO_TARGET = np.zeros((1, 1, N))
+
+
+def shares_of(p, state, samples, commands, steps=None, points=NO_TARGET):
+    """Part of its threshold that each detector sees at each sample, shape (N, D, n)."""
+    found = []
+    for place, step in enumerate(range(len(samples)) if steps is None else steps):
+        state.shares[:] = 0.0
+        assert detect(p, state, step, points, samples[place]) == SOUND
+        take_command(p, state, commands[place], False)
+        found.append(state.shares.copy())
+    return np.array(found)
+
+
+def faded(values, factor):
+    return lfilter([1.0], [1.0, -factor], values, axis=0)
+
+
+def largest_recent(values, factor):
+    scale = factor ** np.arange(len(values))[:, np.newaxis]
+    return np.maximum.accumulate(np.abs(values) / scale) * scale
+
+
+def mean(values):
+    return 0.5 * (values[1:] + values[:-1])
+
+
+ALL = [one.name for one in DETECTORS]
+
+
+def of_what(detector, axis):
+    """Samples, and what is wrong in them from sample 60 on, that this detector alone should see."""
+    samples, commands = noise_of_a_rig(100, size=0.3)
+    wrong = np.zeros((100, 4))
+    to_and_fro = (-1.0) ** np.arange(40)
+    what = {
+        "displacement_velocity": (0, 2e-3),
+        "velocity_acceleration": (1, 0.5),
+        "oil_balance": (3, 3e4),
+        "displacement_noise": (0, 1e-3 * to_and_fro),
+        "velocity_noise": (1, 0.5 * to_and_fro),
+        "oil_noise": (3, 5e3 * to_and_fro),
+        "force_noise": (3, 500.0 * to_and_fro),
+        "force_jump": (3, 500.0),
+        "force_response": (2, 50.0 * to_and_fro),
+    }
+    row, off = what[detector]
+    wrong[60:, row] = off
+    samples[:, :, axis] += wrong
+    return samples, commands
