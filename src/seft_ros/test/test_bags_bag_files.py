@@ -163,7 +163,7 @@ def test_a_file_without_a_whole_message_is_left_as_it_is(tmp_path, whole, size):
 def test_what_is_no_bag_is_an_input_error(tmp_path):
     (tmp_path / "folder").mkdir()
     (tmp_path / "file.txt").write_text("no bag")
-    for name, reason in [("none", "no such bag"), ("folder", "no bag"), ("file.txt", "no bag")]:
+    for name, reason in [("none", "no such bag"), ("folder", "no bag"), ("file.txt", "not a bag")]:
         with pytest.raises(InputError, match=reason):
             recover(tmp_path / name)
 
