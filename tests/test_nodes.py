@@ -248,7 +248,7 @@ def test_an_implausible_force_brings_the_test_down_as_offline(seft_json):
     assert "is beyond the limit of 500 N" in lockstep["trip"]["reason"]
     compared = seft_json("compare", "simulated", "run", status=None)
     for topic in ("rig/state", "reference_force", "valve_command"):
-        # the rig goes on until it receives that it may end
+        # the rig goes on until it learns that it may end
         assert compared["topics"][topic]["max_abs"] == 0.0
 
 

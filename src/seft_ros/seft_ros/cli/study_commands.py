@@ -239,8 +239,8 @@ def uncertainty(
     The page shows the distribution of the error, the share of tests that trip, and the rank
     correlation of each drawn quantity with the error. --json has every test.
 
-    Results do not depend on the number or kind of workers. After an interruption the same command,
-    in the same folder, goes on with the tests that are finished.
+    Results do not depend on the number or kind of workers. After an interruption the same command
+    in the same folder continues.
 
     Exit status 0: the page was made. 1: interrupted. 2: wrong input.
 

@@ -149,9 +149,9 @@ def check_timing(samples: Samples, dt: float, stalls: Stalls) -> list[Finding]:
     """Check that the rig's clock has the experiment's rate, and states meet their deadlines.
 
     The deadlines of a window are those of its earliest state: a single overrun of the clock, after
-    which it continues from there, counts once. A rig may wait for the answer to its
-    first state before its time begins. If this host stalled often, the best windows count, and of
-    these the typical one.
+    which it continues from there, counts once. A rig may wait for the answer to its first state
+    before its time begins. If this host stalled often, the best windows count, and of these the
+    typical one.
     """
     times = samples.times[1:]
     count = len(times) // WINDOW

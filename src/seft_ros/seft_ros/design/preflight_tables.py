@@ -175,7 +175,7 @@ def _margin_rows(plan: Plan, found: Preflight) -> Iterator[list[str]]:
     """Rows of each margin: of the lower and the upper end, as far as they were searched."""
     margins, alpha, dead_time = found.margins, plan.mass_ratio, plan.dead_time
     longest = float(added_delays(plan)[-1] + dead_time)
-    sure = "with any assumed valve"
+    sure, followed = "with any assumed valve", "the same, once identified"
     rows = [
         ("mass ratio", Range(alpha, None, margins.mass_ratio, (alpha, HIGHEST_MASS_RATIO)), ""),
         ("actuator's dead time", _longest(dead_time, margins.dead_time, longest), " ms"),
@@ -183,10 +183,10 @@ def _margin_rows(plan: Plan, found: Preflight) -> Iterator[list[str]]:
         ("actuator's gain", margins.gain, ""),
         (sure, margins.sure_gain, ""),
         ("local stiffness / assumed", margins.stiffness, ""),
-        ("the same, once identified", margins.followed, ""),
+        (followed, margins.followed, ""),
         ("error in the assumed delay", margins.delay_error, " ms"),
     ]
-    left_out = {sure: not plan.follows_valves, "the same, once identified": not plan.follows}
+    left_out = {sure: not plan.follows_valves, followed: not plan.follows}
     for label, margin, unit in rows:
         if left_out.get(label):
             continue

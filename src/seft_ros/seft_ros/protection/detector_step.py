@@ -424,8 +424,8 @@ def _compare(
     p: DetectorParameters, state: DetectorState, relation: int, n: int, i: int, sides: Sides
 ) -> int:
     """Compare the sides of a relation, less their bias, over a period and as sums."""
-    recent, bias, found, one = state.largest, state.bias[relation], -1, sides.one
-    other = sides.other + bias[0, i]
+    recent, bias, found = state.largest, state.bias[relation], -1
+    one, other = sides.one, sides.other + bias[0, i]
     if state.counts[NOISE + relation, i] == 0 and state.counts[CHANGE + relation, i] == 0:
         constant = bias[0, i] + (1.0 - p.memory) * (one - other)
         bias[0, i] = min(max(constant, -p.bias[relation, i]), p.bias[relation, i])
@@ -441,7 +441,7 @@ def _compare(
     known, missed = sides.resolution, sides.missed
     threshold = p.sums[relation, i] + unknown + p.tolerance[relation] * whole + known
     threshold += sides.in_sums
-    if look_at_sides(p, state, CHANGE + relation, i, summed, threshold, missed) and found < 0:
+    if look_at_sides(p, state, CHANGE + relation, i, summed, threshold, missed):
         found = (CHANGE + relation) * n + i
     threshold = p.steps[relation, i] + sides.part * single + known + sides.in_step
     if look_at_sides(p, state, NOISE + relation, i, now, threshold, missed) and found < 0:

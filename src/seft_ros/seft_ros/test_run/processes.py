@@ -93,7 +93,7 @@ class Placement:
 
         Threads through which no message of the loop passes are moved off the loop's cores.
         """
-        with contextlib.suppress(OSError):  # it has ended; `check` reports that
+        with contextlib.suppress(OSError):  # it has ended; `ended` says how
             for thread in side_threads(pid):
                 os.sched_setaffinity(thread, self.others)
             if self._lockstep and not lockstep:
