@@ -136,7 +136,8 @@ def test_a_model_that_fails_in_its_node_alone_trips_the_test(seft_json, model, t
 
 
 def test_a_model_that_becomes_slow_in_a_test_trips_it(seft_json, model, tmp_path):
-    text = MODELS.replace("if t > 1.5:", 'if t > 1.5 and "reference_force" in sys.argv[0]:')
+    # while the specimen hardly moves: later the held forces may reach a limit first
+    text = MODELS.replace("if t > 1.5:", 'if t > 0.1 and "reference_force" in sys.argv[0]:')
     text = text.replace('raise ValueError("it broke")', "time.sleep(0.08)")
     (tmp_path / "models.py").write_text(f"import sys\nimport time\n{text}")
     words = (*SHORT, *model("Breaking"), *STALLS_ALLOWED, *MISSES_ALLOWED)
