@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.wire.messages import typestore
+from seft_msgs_py.wire.messages import nanoseconds, typestore
 from seft_msgs_py.wire.topics import (
     GROUND_MOTION,
     JOINT_TRAJECTORY,
@@ -345,10 +345,10 @@ def test_a_message_is_taken_apart_without_judging_it():
     codec = TrajectoryCodec(RIG_STATE, ("größe", "y"), TIMEBASE)
     values = np.arange(16.0).reshape(2, 4, 2)
     message = parse_trajectory(cdr(codec, 501, values, pad=b"\xff", frame_id="lab"))
-    assert (message.stamp_ns, message.frame_id) == (1_002_000_000, "lab")
+    assert message.stamp_ns == 1_002_000_000
     assert message.axes == ("größe", "y")
-    assert [point.time_from_start_ns for point in message.points] == [0, 2_000_000]
-    assert message.points[1].accelerations == (12.0, 13.0)
+    assert [nanoseconds(point.time_from_start) for point in message.points] == [0, 2_000_000]
+    assert message.points[1].accelerations.tolist() == [12.0, 13.0]
 
 
 def test_every_truncation_is_refused():

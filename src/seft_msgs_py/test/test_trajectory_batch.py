@@ -104,12 +104,11 @@ def test_padding_and_trailing_bytes_are_ignored_as_in_a_single_message(pad):
     codec = TrajectoryCodec(RIG_STATE, ("abc",), TIMEBASE)
     raws = [codec.encode(step, np.full((4, 1), float(step))) for step in range(5)]
     layout = codec.layout_of(raws[0])
-    known = bytes(4) + layout.mask.tobytes() + bytes(len(layout.tail))
-    values = set((4 + 8 * layout.values.ravel()).tolist())
+    known, values = layout.known, set((4 + 8 * layout.values.ravel()).tolist())
     padded = []
     for raw in raws:
         changed = bytearray(raw)
-        for at in range(12, layout.size - len(layout.tail)):
+        for at in range(12, len(known)):
             if not known[at] and not any(start <= at < start + 8 for start in values):
                 changed[at : at + 1] = pad
         padded.append(bytes(changed) + b"past the end")

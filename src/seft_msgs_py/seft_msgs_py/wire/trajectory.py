@@ -3,16 +3,14 @@
 With known axis names a message has a fixed layout: each double lies on a whole 64-bit word,
 counted from the end of the 4-byte encapsulation header, and word 0 is the stamp. `encode` fills
 the values into the constant bytes; `decode` compares the constant bytes, except padding, and reads
-the values. Messages of one point, which the loop sends, are handled as one long integer; those of
-several points word by word. All other messages are parsed field by field and either understood or
-refused with a reason. `decode_batch` reads many messages of equal layout, as a bag holds them, by a
-few array operations.
+the values; both handle a message as one long integer. All other messages are parsed field by field
+and either understood or refused with a reason. `decode_batch` reads many messages of equal layout,
+as a bag holds them, by a few array operations.
 """
 
 import math
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,35 +32,34 @@ ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR, little endian, no options
 STAMP = struct.Struct("<iI")
 
 
-@dataclass(frozen=True)
-class Layout:
-    """A message of given axes, quantities and number of points, in 64-bit words.
-
-    Words are counted from the end of the encapsulation header; word 0 is the stamp.
+class Layout(NamedTuple):
+    """A message of given axes, quantities and number of points.
 
     Attributes
     ----------
     template : bytes
         The message at time 0, all values zero.
-    size, words : int
-        Its bytes, and its whole words.
-    tail : bytes
-        Bytes after the last whole word.
+    known : bytes
+        Ones where bits are constant.
+    mask, fixed : int
+        `known`, and the constant bits, as one number each.
     values : ndarray of intp
         Shape (p, q, n): words that hold the values of points, quantities, axes.
-    mask, fixed : ndarray of uint64
-        Shape (words,): ones where bits are constant, and these bits.
+    shapes : tuple
+        Shapes of arrays from which it can be filled, that of ``values`` first.
+    numbers : struct.Struct
+        The stamp and, in a message of one point, the values.
     points_at : int
         Byte offset of the number of points.
     """
 
     template: bytes
-    size: int
-    words: int
-    tail: bytes
+    known: bytes
+    mask: int
+    fixed: int
     values: npt.NDArray[np.intp]
-    mask: npt.NDArray[np.uint64]
-    fixed: npt.NDArray[np.uint64]
+    shapes: tuple[tuple[int, ...], ...]
+    numbers: struct.Struct
     points_at: int
 
     @classmethod
@@ -78,10 +75,10 @@ class Layout:
 
         Its points have the quantities ``carried``: those of the topic, and perhaps others.
         """
-        message, known = bytearray(ENCAPSULATION), bytearray(4)
+        message, known = bytearray(ENCAPSULATION), bytearray(b"\xff" * len(ENCAPSULATION))
 
         def put(data: bytes, align: int = 4, fixed: bool = True) -> int:
-            padding = -(len(message) - 4) % align
+            padding = -(len(message) - len(ENCAPSULATION)) % align
             message.extend(bytes(padding) + data)
             known.extend(bytes(padding) + (b"\xff" if fixed else b"\x00") * len(data))
             return len(message) - len(data)
@@ -91,84 +88,59 @@ class Layout:
             put(struct.pack("<I", len(data)))
             put(data, align=1)
 
-        put(bytes(8), fixed=False)
+        put(bytes(STAMP.size), fixed=False)
         put_string("")
         put(struct.pack("<I", len(axes)))
         for axis in axes:
             put_string(axis)
         points_at = put(struct.pack("<I", count))
-        values = np.empty((count, len(topic.quantities), len(axes)), np.intp)
+        values, form, end = [], "<4xiI", 12
         for point in range(count):
             for quantity in QUANTITIES:
-                if quantity not in carried:
-                    put(struct.pack("<I", 0))
+                put(struct.pack("<I", len(axes) if quantity in carried else 0))
+                at = [put(bytes(8), align=8, fixed=False) for _ in axes if quantity in carried]
+                if quantity not in topic.quantities:
                     continue
-                put(struct.pack("<I", len(axes)))
-                at = [put(bytes(8), align=8, fixed=False) for _ in axes]
-                if quantity in topic.quantities:
-                    row = topic.quantities.index(quantity)
-                    values[point, row] = (np.array(at) - 4) // 8
+                values += at
+                if count == 1:
+                    form += f"{at[0] - end}x{len(at)}d"
+                    end = at[-1] + 8
             put(STAMP.pack(*divmod(point * timebase.period_ns, NANOSECONDS_PER_SECOND)))
-        size = len(message)
-        words = (size - 4) // 8
-        mask = np.frombuffer(bytes(known), "<u8", words, 4)
-        fixed_words = np.frombuffer(bytes(message), "<u8", words, 4) & mask
+        mask, q, n = int.from_bytes(known, "little"), len(topic.quantities), len(axes)
+        single = ((q, n),) if count == 1 else ()
+        flat = ((count, n), (n,)) if count == q == 1 else ((count, n),) if q == 1 else ()
         return cls(
             template=bytes(message),
-            size=size,
-            words=words,
-            tail=bytes(message[4 + 8 * words :]),
-            values=values,
+            known=bytes(known),
             mask=mask,
-            fixed=fixed_words,
+            fixed=int.from_bytes(message, "little") & mask,
+            values=(np.array(values).reshape(count, q, n) - 4) // 8,
+            shapes=((count, q, n), *single, *flat),
+            numbers=struct.Struct(f"{form}{len(message) - end}x"),
             points_at=points_at,
         )
 
 
-@dataclass(frozen=True)
-class TrajectoryPoint:
-    """One point as it is on the wire; arrays hold as many values as were sent."""
-
-    positions: tuple[float, ...]
-    velocities: tuple[float, ...]
-    accelerations: tuple[float, ...]
-    effort: tuple[float, ...]
-    time_from_start_ns: int
-
-
-@dataclass(frozen=True)
-class Trajectory:
-    """All fields of a JointTrajectory message, not yet checked against a test."""
+class Trajectory(NamedTuple):
+    """A JointTrajectory message, not yet checked against a test; its points are rosbags'."""
 
     stamp_ns: int
-    frame_id: str
     axes: tuple[str, ...]
-    points: tuple[TrajectoryPoint, ...]
+    points: Sequence[Any]
 
 
 def parse_trajectory(raw: bytes, topic: str = "trajectory") -> Trajectory:
-    """Read all fields of a JointTrajectory message; errors name the topic.
+    """Read a JointTrajectory message; errors name the topic.
 
     Bytes past the end are ignored, because middlewares round sizes up.
 
     Raises
     ------
     WireError
-        If the bytes end early, are not little-endian CDR, or hold impossible sizes or text.
+        If the bytes end early, are no CDR, or hold impossible sizes or text.
     """
-    if raw[:2] != ENCAPSULATION[:2] or len(raw) < 4:
-        raise WireError(
-            f"{topic}: {len(raw)} bytes that start with {bytes(raw[:4]).hex() or 'nothing'} "
-            "are no little-endian CDR message"
-        )
     message = decode_message(JOINT_TRAJECTORY, raw, topic)
-    points = []
-    for point in message.points:
-        fields: dict[str, Any] = {name: tuple(getattr(point, name).tolist()) for name in QUANTITIES}
-        fields["time_from_start_ns"] = nanoseconds(point.time_from_start)
-        points.append(TrajectoryPoint(**fields))
-    header, axes = message.header, tuple(message.joint_names)
-    return Trajectory(nanoseconds(header.stamp), header.frame_id, axes, tuple(points))
+    return Trajectory(nanoseconds(message.header.stamp), tuple(message.joint_names), message.points)
 
 
 Steps = npt.NDArray[np.int64]
@@ -176,7 +148,6 @@ Bytes = npt.NDArray[np.uint8]
 Flags = npt.NDArray[np.bool_]
 
 _COUNTS = struct.Struct("<II")  # of points, and of the first's positions
-_FLOAT64 = np.dtype(np.float64)
 
 
 class TrajectoryCodec:
@@ -189,20 +160,8 @@ class TrajectoryCodec:
         self.topic = topic
         self.axes = tuple(axes)
         self.timebase = timebase
-        self._period_ns = timebase.period_ns
         self._layouts: dict[tuple[int, tuple[str, ...]], Layout] = {}
-        self._single = single = self._layout(1)
-        shape = single.values.shape
-        self._single_shapes = _shapes(*shape)
-        # one point as a long integer: its constant bits, and their mask
-        fixed = b"\xff" * 4 + single.mask.tobytes() + b"\xff" * len(single.tail)
-        self._mask = int.from_bytes(fixed, "little")
-        self._fixed = int.from_bytes(single.template, "little") & self._mask
-        self._numbers = _struct_of_numbers(single)  # and the stamp before them
-        rows = (4 + 8 * single.values[0, :, 0]).tolist()
-        self._first_row = rows[0]
-        stride = rows[1] - rows[0] if len(rows) > 1 else 8 * len(self.axes)
-        self._single_strides = (stride * len(rows), stride, 8)
+        self._single = self._layout(1)
 
     def encode(self, step: int, values: Floats) -> bytes:
         """Make the message of a sample, of shape (q, n), or (n,) where q is 1.
@@ -212,16 +171,7 @@ class TrajectoryCodec:
         WireError
             If shape or type do not fit, or a value is not finite.
         """
-        if (
-            values.__class__ is not np.ndarray
-            or values.dtype is not _FLOAT64
-            or values.shape not in self._single_shapes
-            or not math.hypot(*(numbers := values.ravel().tolist())) < math.inf
-        ):
-            return self._encode(self._single, step, values)
-        stamp = divmod(step * self._period_ns, NANOSECONDS_PER_SECOND)
-        varying = int.from_bytes(self._numbers.pack(*stamp, *numbers), "little")
-        return (varying | self._fixed).to_bytes(self._single.size, "little")
+        return self._encode(self._single, step, values)
 
     def encode_points(self, step: int, values: Floats) -> bytes:
         """Make the message of a sample and its known future, one point a step, see `encode`.
@@ -241,27 +191,16 @@ class TrajectoryCodec:
         WireError
             If the bytes are no such message, or not of these axes, quantities and steps.
         """
-        single = self._single
-        if len(raw) == single.size and int.from_bytes(raw, "little") & self._mask == self._fixed:
-            seconds, nanoseconds, *numbers = self._numbers.unpack(raw)
-            if math.hypot(*numbers) < math.inf:
-                shape, strides = self._single_shapes[0], self._single_strides
-                values = np.ndarray(shape, _FLOAT64, raw, self._first_row, strides)
-                stamp = seconds * NANOSECONDS_PER_SECOND + nanoseconds
-                return self.timebase.step(stamp), values
-        return self._decode_any(raw)
-
-    def _decode_any(self, raw: bytes) -> tuple[int, Floats]:
         layout = self.layout_of(raw)
-        if len(raw) < layout.size or raw[:4] != ENCAPSULATION:
+        size = len(layout.template)
+        if len(raw) < size or int.from_bytes(raw[:size], "little") & layout.mask != layout.fixed:
             return self._decode_slowly(raw)
-        body = np.frombuffer(raw, "<u8", layout.words, 4)
-        tail = raw[4 + body.nbytes : layout.size]
-        if tail != layout.tail or np.count_nonzero((body & layout.mask) ^ layout.fixed):
-            return self._decode_slowly(raw)
-        seconds, nanoseconds = STAMP.unpack_from(raw, 4)
-        values = body.view(np.float64)[layout.values]
-        self._check_finite(values)
+        seconds, nanoseconds, *numbers = layout.numbers.unpack_from(raw)
+        if numbers:
+            values = np.array(numbers).reshape(layout.values.shape)
+        else:
+            values = np.frombuffer(raw, "<f8", (size - 4) // 8, 4)[layout.values]
+        self._check_finite(numbers, values)
         return self.timebase.step(seconds * NANOSECONDS_PER_SECOND + nanoseconds), values
 
     def _encode(self, layout: Layout, step: int, values: Floats) -> bytes:
@@ -269,17 +208,21 @@ class TrajectoryCodec:
             kind, of = type(values).__name__, getattr(values, "dtype", None)
             found = kind if of is None else f"{kind} of {of}"
             raise WireError(f"{self.topic.name}: values must be a float64 array, not {found}")
-        shape = layout.values.shape
-        if values.shape not in _shapes(*shape):
+        if values.shape not in layout.shapes:
             raise WireError(
-                f"{self.topic.name}: values have shape {values.shape}, not {shape} "
+                f"{self.topic.name}: values have shape {values.shape}, not {layout.shapes[0]} "
                 f"(points, {'/'.join(self.topic.quantities)}, axes)"
             )
-        values = values.reshape(shape)
-        self._check_finite(values)
+        values = values.reshape(layout.shapes[0])
+        numbers = values.ravel().tolist() if layout is self._single else []
+        self._check_finite(numbers, values)
+        stamp = divmod(step * self.timebase.period_ns, NANOSECONDS_PER_SECOND)
+        if numbers:
+            varying = int.from_bytes(layout.numbers.pack(*stamp, *numbers), "little")
+            return (varying | layout.fixed).to_bytes(len(layout.template), "little")
         message = bytearray(layout.template)
-        STAMP.pack_into(message, 4, *divmod(step * self.timebase.period_ns, NANOSECONDS_PER_SECOND))
-        np.frombuffer(message, "<f8", layout.words, 4)[layout.values] = values
+        STAMP.pack_into(message, 4, *stamp)
+        np.frombuffer(message, "<f8", (len(message) - 4) // 8, 4)[layout.values] = values
         return bytes(message)
 
     def _layout(self, count: int, carried: tuple[str, ...] = ()) -> Layout:
@@ -308,7 +251,10 @@ class TrajectoryCodec:
             return self._layout(count, TARGET.quantities)
         return single if count == 1 else self._layout(count)
 
-    def _check_finite(self, values: Floats) -> None:
+    def _check_finite(self, numbers: Sequence[float], values: Floats) -> None:
+        """Check values of shape (p, q, n), faster if they are also given as numbers."""
+        if numbers and math.hypot(*numbers) < math.inf:
+            return
         if not np.isfinite(values).all():
             point, row, column = np.argwhere(~np.isfinite(values))[0]
             raise WireError(
@@ -327,9 +273,10 @@ class TrajectoryCodec:
             raise WireError(f"{name}: the message holds no point")
         values = np.empty((len(message.points), len(self.topic.quantities), len(self.axes)))
         for index, point in enumerate(message.points):
-            if point.time_from_start_ns != index * self.timebase.period_ns:
+            after = nanoseconds(point.time_from_start)
+            if after != index * self.timebase.period_ns:
                 raise WireError(
-                    f"{name}: point {index} is {point.time_from_start_ns} ns after the stamp, "
+                    f"{name}: point {index} is {after} ns after the stamp, "
                     f"not {index} periods of {self.timebase.period_ns} ns"
                 )
             for row, quantity in enumerate(self.topic.quantities):
@@ -340,25 +287,8 @@ class TrajectoryCodec:
                         f"{list(self.axes)}"
                     )
                 values[index, row] = given
-        self._check_finite(values)
+        self._check_finite([], values)
         return self.timebase.step(message.stamp_ns), values
-
-
-def _shapes(p: int, q: int, n: int) -> tuple[tuple[int, ...], ...]:
-    """List the allowed shapes of p points of q quantities over n axes, the full one first."""
-    single = ((q, n),) if p == 1 else ()
-    flat = ((p, n), (n,)) if p == q == 1 else ((p, n),) if q == 1 else ()
-    return ((p, q, n), *single, *flat)
-
-
-def _struct_of_numbers(layout: Layout) -> struct.Struct:
-    """Struct of the stamp and the doubles of a message, in their order."""
-    form, end = f"<{len(ENCAPSULATION)}x{STAMP.format.lstrip('<')}", len(ENCAPSULATION) + STAMP.size
-    for word in layout.values.ravel().tolist():
-        at = 4 + 8 * word
-        form += f"{at - end}xd"
-        end = at + 8
-    return struct.Struct(f"{form}{layout.size - end}x")
 
 
 class Batch(NamedTuple):
@@ -396,59 +326,46 @@ def decode_batch(codec: TrajectoryCodec, rows: Bytes) -> Batch:
     Those with the layout of the first one differ only in stamp and doubles; all others are decoded
     one by one. The memory needed is a small multiple of theirs.
     """
-    count, length = rows.shape
-    layout = codec.layout_of(rows[0].tobytes() if count else b"")
+    layout = codec.layout_of(rows[0].tobytes() if len(rows) else b"")
+    steps, values, fits = _of_layout(codec.timebase.period_ns, rows, layout)
     points, *shape = layout.values.shape
-    values = np.empty((count, layout.values.size))
-    steps, fits = np.zeros(count, np.int64), np.zeros(count, bool)
-    if length >= layout.size and count:
-        steps, fits = _steps(codec, rows)
-        words = np.ndarray((count, layout.words), "<u8", rows, 4, (length, 8))
-        values = words[:, layout.values.ravel()].view(np.float64)
-        fits &= np.isfinite(values).all(axis=1) & _as_laid_out(rows, words, layout)
     every = steps[:, np.newaxis] + np.arange(points)
-    nothing = np.empty((0, len(codec.topic.quantities), len(codec.axes)))
+    kept = np.flatnonzero(fits)
     parts: list[tuple[Steps, Floats, Steps]] = [
-        (np.empty(0, np.int64), nothing, np.empty(0, np.int64))
+        (every[kept].ravel(), values[kept].reshape(-1, *shape), np.repeat(kept, points))
     ]
-    refused, start = 0, 0
-    for end in [*np.flatnonzero(~fits).tolist(), count]:
-        if start < end:
-            messages = np.repeat(np.arange(start, end), points)
-            points_of = values[start:end].reshape(-1, *shape)
-            parts.append((every[start:end].ravel(), points_of, messages))
-        if end < count:
-            try:
-                step, single = codec.decode(rows[end].tobytes())
-            except WireError:
-                refused += 1
-            else:
-                number = len(single)
-                parts.append((step + np.arange(number), single, np.full(number, end)))
-        start = end + 1
-    if len(parts) == 2:  # the usual case: all messages have the layout
-        return Batch(*parts[1], refused)
-    found, points_of, messages_of = map(np.concatenate, zip(*parts, strict=True))
-    return Batch(found, points_of, messages_of, refused)
+    refused = 0
+    for number in np.flatnonzero(~fits).tolist():
+        try:
+            step, single = codec.decode(rows[number].tobytes())
+        except WireError:
+            refused += 1
+        else:
+            count = len(single)
+            parts.append((step + np.arange(count), single, np.full(count, number)))
+    if len(parts) == 1:  # the usual case: all messages have the layout
+        return Batch(*parts[0], refused)
+    found, points_of, messages = map(np.concatenate, zip(*parts, strict=True))
+    order = np.argsort(messages, kind="stable")
+    return Batch(found[order], points_of[order], messages[order], refused)
 
 
-def _as_laid_out(rows: Bytes, words: npt.NDArray[np.uint64], layout: Layout) -> Flags:
-    """Whether each message has the constant bits of a layout."""
-    checked = np.flatnonzero(layout.mask)
-    differing = words[:, checked]
-    differing &= layout.mask[checked]
-    differing ^= layout.fixed[checked]
-    headed = rows[:, : len(ENCAPSULATION)] == np.frombuffer(ENCAPSULATION, np.uint8)
-    tail = rows[:, layout.size - len(layout.tail) : layout.size] == list(layout.tail)
-    found: Flags = np.bitwise_or.reduce(differing, axis=1) == 0
-    return found & headed.all(axis=1) & tail.all(axis=1)
-
-
-def _steps(codec: TrajectoryCodec, rows: Bytes) -> tuple[Steps, Flags]:
-    """Read the stamps of messages: their steps, and which of them are on the grid."""
+def _of_layout(period_ns: int, rows: Bytes, layout: Layout) -> tuple[Steps, Floats, Flags]:
+    """Read messages as if they had a layout: steps, values, and which of them are valid so."""
+    (count, length), size = rows.shape, len(layout.template)
+    if not count or length < size:
+        return (
+            np.zeros(count, np.int64),
+            np.empty((count, layout.values.size)),
+            np.zeros(count, bool),
+        )
     seconds = rows[:, 4:8].copy().view("<i4")[:, 0].astype(np.int64)
     nanoseconds = rows[:, 8:12].copy().view("<u4")[:, 0]
-    steps, rest = np.divmod(
-        seconds * NANOSECONDS_PER_SECOND + nanoseconds, codec.timebase.period_ns
-    )
-    return steps, (rest == 0) & (steps >= 0)
+    steps, rest = np.divmod(seconds * NANOSECONDS_PER_SECOND + nanoseconds, period_ns)
+    words = np.ndarray((count, (size - 4) // 8), "<f8", rows, 4, (length, 8))
+    values = words[:, layout.values.ravel()]
+    known = np.frombuffer(layout.known, np.uint8)
+    differing = rows[:, :size] & known
+    differing ^= np.frombuffer(layout.template, np.uint8) & known
+    fits = (rest == 0) & (steps >= 0) & ~differing.any(axis=1) & np.isfinite(values).all(axis=1)
+    return steps, values, fits

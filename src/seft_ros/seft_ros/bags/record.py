@@ -24,6 +24,7 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import InputError, WireError
+from seft_msgs_py.wire.messages import nanoseconds
 from seft_msgs_py.wire.outcome import LinkRecord, Saturation, Trip
 from seft_msgs_py.wire.topics import LOOP_TOPICS, NANOSECONDS_PER_SECOND, RIG_STATE, RigAxes, bare
 from seft_msgs_py.wire.trajectory import Trajectory, parse_trajectory
@@ -135,7 +136,7 @@ def infer_experiment(raws: Iterable[bytes]) -> Experiment:
         raise InputError("no message of the loop can be understood")
     axes = Counter(message.axes for message in messages).most_common(1)[0][0]
     stamps = sorted({message.stamp_ns for message in messages})
-    known = Counter(m.points[1].time_from_start_ns for m in messages if len(m.points) > 1)
+    known = Counter(nanoseconds(m.points[1].time_from_start) for m in messages if len(m.points) > 1)
     spacings = known or Counter(late - early for early, late in pairwise(stamps))
     if not spacings:
         raise InputError("one sample alone does not give the rate")
@@ -349,7 +350,7 @@ class Record:
     missed_steps: list[int] = field(default_factory=list)
     held_steps: list[int] = field(default_factory=list)
     overruns: int | None = 0
-    saturation: Saturation = field(default_factory=Saturation)
+    saturation: Saturation = field(default_factory=dict)
     round_trips: dict[str, float] = field(default_factory=dict)
     link: LinkRecord | None = None
     events: list[Event] = field(default_factory=list)

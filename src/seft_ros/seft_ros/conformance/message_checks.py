@@ -86,7 +86,7 @@ def _fault(message: Trajectory, axes: Sequence[str]) -> str:
         if len(values) != len(axes):
             return f"{len(values)} {quantity} for {len(axes)} axes"
         if not np.isfinite(values).all():
-            return f"{quantity} are {list(values)}"
+            return f"{quantity} are {values.tolist()}"
     return ""
 
 
