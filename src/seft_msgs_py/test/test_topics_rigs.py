@@ -5,7 +5,7 @@ import time
 import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.outcome import Outcome, Saturation, Trip
+from seft_msgs_py.wire.outcome import Outcome, Trip, all_saturated
 from seft_msgs_py.wire.topics import (
     CLOCK_TOPIC,
     RIG_STATE,
@@ -75,13 +75,13 @@ def test_rigs_start_together_if_their_clocks_agree():
 
 def test_how_a_test_ended_is_put_together():
     stopped = Outcome("tripped", 9, 2, [3, 4], 1.0, Trip("stopped", 8, 0.016), 1)
-    at_its_end = Saturation({"valve": 2}, {"valve": 5})
+    at_its_end = {"valve": {"samples": 2, "first_step": 5}}
     tripped = Outcome("tripped", 8, 1, [3], 2.0, Trip("velocity", 9, 0.018), 0, at_its_end)
     both = Outcome.of_all([stopped, tripped])
     assert both.trip == tripped.trip  # the cause
     assert (both.steps, both.missed, both.missed_steps, both.overruns) == (8, 3, [3, 4], 1)
     assert both.wall_s == 2.0
-    twice = Saturation.of_all([Saturation({"valve": 1}, {"valve": 2}), tripped.saturation])
-    assert twice == Saturation({"valve": 3}, {"valve": 2})
+    twice = all_saturated([{"valve": {"samples": 1, "first_step": 2}}, tripped.saturation])
+    assert twice == {"valve": {"samples": 3, "first_step": 2}}
     finished = Outcome("finished", 9, 0, [], None, None)
     assert Outcome.of_all([finished, finished]) == finished

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.parameter_table import group, per_axis
-from seft_msgs_py.wire.outcome import Saturation
+from seft_msgs_py.wire.outcome import Saturation, all_saturated, count_saturated
 from seft_msgs_py.wire.topics import VALVE_COMMAND, RigAxes, Timebase
 
 from seft_plant_sim.actuator import Hydraulics
@@ -100,7 +100,7 @@ class Rig:
         )
         self.step_index = 0
         self.violation: str | None = None
-        self.saturation = Saturation()
+        self.saturation: Saturation = {}
         self._model, self._saturated_time, self._safe = model, saturated_time, safe
         self._command = np.zeros(model.b.shape[1])
         noise, measured = np.zeros((2, *self.state.measured.shape))
@@ -149,7 +149,7 @@ class Rig:
 
     def reset(self) -> Floats:
         """Bring the rig to rest and take the sample of step 0, shape (4, n)."""
-        self.saturation = Saturation()
+        self.saturation = {}
         return self._sample(0)
 
     def step(self, command: Floats) -> Floats:
@@ -206,18 +206,16 @@ class Rig:
         self.violation = None
         if found:
             self.violation = self.violation_of(found)
-            self.saturation.add(step, [name for name, bit in ENDS.items() if found & bit])
+            for name, bit in ENDS.items():
+                if found & bit:
+                    count_saturated(self.saturation, name, 1, step)
         return measured
 
 
 def saturation_of(found: Ints) -> Saturation:
     """Count saturated samples; ``found`` are the results of `rig_step` by step, shape (N,)."""
-    saturation, ever = Saturation(), int(np.bitwise_or.reduce(found))
-    for name, bit in ENDS.items():
-        if ever & bit:
-            steps = np.flatnonzero(found & bit)
-            saturation.count(name, len(steps), int(steps[0]))
-    return saturation
+    steps = {name: np.flatnonzero(found & bit).tolist() for name, bit in ENDS.items()}
+    return {name: {"samples": len(at), "first_step": at[0]} for name, at in steps.items() if at}
 
 
 def continuous_model(
@@ -277,7 +275,7 @@ class Rigs:
     @property
     def saturation(self) -> Saturation:
         """Saturation of any of them."""
-        return Saturation.of_all([rig.saturation for _, rig in self._rigs])
+        return all_saturated(rig.saturation for _, rig in self._rigs)
 
     def reset(self) -> Floats:
         """Bring the rigs to rest and take the sample of step 0, shape (4, n)."""

@@ -20,6 +20,7 @@ from seft_msgs_py.wire.outcome import (
     REHEARSED,
     REHEARSES,
     TRIPPED,
+    Outcome,
     Trip,
     rig_status,
 )
@@ -245,18 +246,19 @@ class RigNode(NodeBody):
         self, phase: str, trip: Trip | None = None, stopped: Stopped | None = None
     ) -> Status:
         self._reported_at = time.monotonic()
-        status = rig_status(
+        outcome = Outcome(
             phase,
             self._rig.step_index + 1,
             self._missed_count,
             self._missed,
             self._reported_at - self._started,
             trip,
-            overruns=self._clock.overruns if self._clock else 0,
-            saturation=self._rig.saturation,
-            round_trips=self._round_trip.numbers(),
-            held_steps=self._held,
+            self._clock.overruns if self._clock else 0,
+            self._rig.saturation,
+            self._round_trip.numbers(),
+            self._held,
         )
+        status = rig_status(outcome)
         values, message = dict(status.values), status.message
         if stopped is not None:
             values["stop peak force (N)"] = f"{stopped.peak_force:.1f}"

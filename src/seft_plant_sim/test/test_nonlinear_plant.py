@@ -27,7 +27,7 @@ def plant(axes=("x",), **values):
 def run(one, commands):
     """Samples, shape (N + 1, 4, n), and what was named as saturated."""
     samples = np.array([one.reset(), *(one.step(command) for command in commands)])
-    return samples, set(one.saturation.samples)
+    return samples, set(one.saturation)
 
 
 def difference(amplitude, **values):

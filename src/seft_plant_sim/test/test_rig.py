@@ -113,7 +113,9 @@ def test_values_that_make_no_rig_are_refused_by_name(values, told):
 
 
 def counts(one):
-    return one.saturation.samples, one.saturation.first_step
+    """Samples and first step of each part."""
+    found = one.saturation.items()
+    return {name: c["samples"] for name, c in found}, {name: c["first_step"] for name, c in found}
 
 
 def test_what_is_at_the_end_of_its_range_is_counted_from_its_first_step():
@@ -154,7 +156,7 @@ def test_reset_forgets_what_was_at_the_end_and_leaves_the_last_report_alone():
     before = one.saturation
     one.reset()
     assert counts(one) == ({}, {})
-    assert before.samples == {"force_range": 1}
+    assert before == {"force_range": {"samples": 1, "first_step": 1}}
 
 
 def test_a_test_that_is_blind_for_long_ends_with_the_reason():

@@ -10,7 +10,7 @@ from matplotlib.image import imread
 from rich.console import Console
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.outcome import Saturation, Trip
+from seft_msgs_py.wire.outcome import Trip
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis import figures
@@ -201,7 +201,10 @@ def test_lost_steps_are_counted_and_the_others_compared():
 
 def test_what_was_at_the_end_of_its_range_is_told_by_name():
     assert summarise(make_record())["saturated"] == {}
-    saturation = Saturation({"valve": 12, "force_range": 3}, {"valve": 40, "force_range": 500})
+    saturation = {
+        "valve": {"samples": 12, "first_step": 40},
+        "force_range": {"samples": 3, "first_step": 500},
+    }
     summary = summarise(make_record(saturation=saturation))
     assert summary["saturated"] == {
         "force_range": {"samples": 3, "first_step": 500},

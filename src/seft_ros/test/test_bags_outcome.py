@@ -23,30 +23,30 @@ def test_what_the_rig_tells_of_the_end_is_read_back(steps, missed_steps, wall_s,
     phase = "tripped" if trip else "finished"
     missed = len(missed_steps)
     held = [step - 1 for step in missed_steps]
-    status = rig_status(phase, steps, missed, missed_steps, wall_s, trip, held_steps=held)
+    status = rig_status(Outcome(phase, steps, missed, missed_steps, wall_s, trip, held_steps=held))
     outcome = read_outcome(decode_status(encode_status(status)), TIMEBASE)
     expected = trip and Trip(trip.reason, trip.step, trip.step * 2_000_000 / 1e9)
     assert outcome == Outcome(phase, steps, missed, missed_steps, wall_s, expected, held_steps=held)
 
 
 def test_all_missed_steps_are_counted_and_the_first_are_listed():
-    outcome = read_outcome(rig_status("finished", 9000, 5000, range(5000), 1.0), TIMEBASE)
+    outcome = read_outcome(rig_status(Outcome("finished", 9000, 5000, range(5000), 1.0)), TIMEBASE)
     assert outcome.missed == 5000
     assert outcome.missed_steps == list(range(LISTED_STEPS))
 
 
 def test_the_level_is_ok_warn_when_steps_were_missed_and_error_when_tripped():
     trip = Trip("force 900 N on axis x is beyond the limit of 800 N", 7, 0.014)
-    assert rig_status("finished", 9, 0, [], 1.0).level == OK
-    assert rig_status("running", 9, 1, [3], 1.0).level == WARN
-    assert rig_status("tripped", 9, 1, [3], 1.0, trip).level == ERROR
+    assert rig_status(Outcome("finished", 9, 0, [], 1.0)).level == OK
+    assert rig_status(Outcome("running", 9, 1, [3], 1.0)).level == WARN
+    assert rig_status(Outcome("tripped", 9, 1, [3], 1.0, trip)).level == ERROR
 
 
 @pytest.mark.parametrize(
     "status",
     [
-        rig_status("running", 5, 0, [], 0.1),
-        rig_status("idle", 0, 0, [], None),
+        rig_status(Outcome("running", 5, 0, [], 0.1)),
+        rig_status(Outcome("idle", 0, 0, [], None)),
         Status("supervisor", OK, "", values={"phase": "finished"}),
         Status("rig", OK, "no phase"),
     ],
@@ -57,14 +57,14 @@ def test_a_status_before_the_end_or_of_another_node_is_no_outcome(status):
 
 @pytest.mark.parametrize("key", ["steps", "missed", "missed_steps", "reason", "step"])
 def test_a_missing_value_is_named(key):
-    status = rig_status("tripped", 9, 0, [], 1.0, Trip("limit", 7, 0.014))
+    status = rig_status(Outcome("tripped", 9, 0, [], 1.0, Trip("limit", 7, 0.014)))
     del status.values[key]
     with pytest.raises(WireError, match=f"{key} is missing"):
         read_outcome(status, TIMEBASE)
 
 
 def test_a_value_that_is_no_number_is_refused():
-    status = rig_status("finished", 9, 0, [], 1.0)
+    status = rig_status(Outcome("finished", 9, 0, [], 1.0))
     status.values["steps"] = "many"
     with pytest.raises(WireError, match="many"):
         read_outcome(status, TIMEBASE)
@@ -72,7 +72,7 @@ def test_a_value_that_is_no_number_is_refused():
 
 def test_round_trips_are_read_back_and_of_several_rigs_the_longest_are_told():
     trips = {"p50": 2e-4, "p99.9": 1.5e-3, "largest": 2e-3}
-    status = rig_status("finished", 9, 0, [], 1.0, round_trips=trips)
+    status = rig_status(Outcome("finished", 9, 0, [], 1.0, round_trips=trips))
     outcome = read_outcome(decode_status(encode_status(status)), TIMEBASE)
     assert outcome.round_trips == pytest.approx(trips)
     other = dataclasses.replace(outcome, round_trips={"p50": 3e-4, "largest": 1e-3})
@@ -85,6 +85,6 @@ def test_round_trips_are_read_back_and_of_several_rigs_the_longest_are_told():
 
 def test_a_trip_belongs_to_the_phase_tripped_and_to_no_other():
     with pytest.raises(ValueError, match="tripped"):
-        rig_status("tripped", 1, 0, [], 1.0, None)
+        rig_status(Outcome("tripped", 1, 0, [], 1.0, None))
     with pytest.raises(ValueError, match="finished"):
-        rig_status("finished", 1, 0, [], 1.0, Trip("limit", 0, 0.0))
+        rig_status(Outcome("finished", 1, 0, [], 1.0, Trip("limit", 0, 0.0)))

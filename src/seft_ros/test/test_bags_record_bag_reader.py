@@ -14,7 +14,7 @@ from seft_msgs_py.wire.messages import (
     encode_status,
     encode_string,
 )
-from seft_msgs_py.wire.outcome import Trip, rig_status
+from seft_msgs_py.wire.outcome import Outcome, Trip, rig_status
 from seft_msgs_py.wire.topics import (
     CLOCK,
     DESCRIPTION,
@@ -69,7 +69,7 @@ def loop(steps):
 
 
 def ending(phase="finished", trip=None, steps=10):
-    status = rig_status(phase, steps, 2, [4, 6], 1.25, trip)
+    status = rig_status(Outcome(phase, steps, 2, [4, 6], 1.25, trip))
     return DIAGNOSTICS, encode_diagnostics(0, [status])
 
 
@@ -192,7 +192,7 @@ def test_estimates_that_do_not_fit_the_test_are_left_out_and_counted(tmp_path):
 
 
 def test_without_the_rigs_last_word_the_end_is_unknown(tmp_path):
-    running = (DIAGNOSTICS, encode_diagnostics(0, [rig_status("running", 3, 1, [2], 0.1)]))
+    running = (DIAGNOSTICS, encode_diagnostics(0, [rig_status(Outcome("running", 3, 1, [2], 0.1))]))
     record = read_bag(write(tmp_path / "bag", [*TEST[:-1], running]))
     assert not record.complete
     assert record.missed is None

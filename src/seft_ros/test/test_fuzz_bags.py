@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import SeftError
 from seft_msgs_py.wire.messages import encode_diagnostics, encode_string
-from seft_msgs_py.wire.outcome import rig_status
+from seft_msgs_py.wire.outcome import Outcome, rig_status
 from seft_msgs_py.wire.topics import DESCRIPTION, DIAGNOSTICS, RIG_STATE
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.bags.bag_files import recover
@@ -38,7 +38,7 @@ def whole(request, tmp_path_factory):
             bag.write(DESCRIPTION, encode_string(text), 1)
         for step in range(5):
             bag.write(RIG_STATE, codec.encode(step, np.ones((4, 1))), 2 + step)
-        status = rig_status("finished", 5, 0, [], 1.0)
+        status = rig_status(Outcome("finished", 5, 0, [], 1.0))
         bag.write(DIAGNOSTICS, encode_diagnostics(0, [status]), 9)
     return path
 

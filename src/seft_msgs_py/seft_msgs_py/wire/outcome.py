@@ -61,49 +61,26 @@ class Trip:
     time_s: float
 
 
-@dataclass(frozen=True)
-class Saturation:
-    """Saturated parts (stroke, valve, a sensor...): number of samples, and first step."""
+Saturation = dict[str, dict[str, int]]
+"""Saturated parts (stroke, valve, a sensor...): number of ``samples``, and ``first_step``."""
 
-    samples: dict[str, int] = field(default_factory=dict)
-    first_step: dict[str, int] = field(default_factory=dict)
 
-    def add(self, step: int, names: Iterable[str]) -> None:
-        """Count one sample of each name."""
-        for name in set(names):
-            self.count(name, 1, step)
+def count_saturated(found: Saturation, name: str, samples: int, first_step: int) -> None:
+    """Add samples of one part, and the step of the first of them."""
+    known = found.get(name, {"samples": 0, "first_step": first_step})
+    found[name] = {
+        "samples": known["samples"] + samples,
+        "first_step": min(known["first_step"], first_step),
+    }
 
-    def count(self, name: str, samples: int, first: int) -> None:
-        """Add samples of one name, and the step of the first of them."""
-        self.samples[name] = self.samples.get(name, 0) + samples
-        self.first_step[name] = min(self.first_step.get(name, first), first)
 
-    @classmethod
-    def of_all(cls, parts: Iterable["Saturation"]) -> "Saturation":
-        """Add up the samples of several rigs."""
-        found = cls()
-        for part in parts:
-            for name, samples in part.samples.items():
-                found.count(name, samples, part.first_step[name])
-        return found
-
-    def to_json(self) -> str:
-        """Text: name -> samples and first_step."""
-        named = sorted(self.samples)
-        return json.dumps(
-            {n: {"samples": self.samples[n], "first_step": self.first_step[n]} for n in named}
-        )
-
-    @classmethod
-    def from_json(cls, text: str) -> "Saturation":
-        """Read a text of `to_json`; ValueError if it is something else."""
-        found = cls()
-        try:
-            for name, counts in json.loads(text).items():
-                found.count(str(name), int(counts["samples"]), int(counts["first_step"]))
-        except (AttributeError, KeyError, TypeError, OverflowError, RecursionError) as error:
-            raise ValueError(f"saturated: {error}") from None
-        return found
+def all_saturated(parts: Iterable[Saturation]) -> Saturation:
+    """Add up the samples of several rigs."""
+    found: Saturation = {}
+    for part in parts:
+        for name, counts in part.items():
+            count_saturated(found, name, **counts)
+    return found
 
 
 @dataclass(frozen=True)
@@ -121,7 +98,7 @@ class Outcome:
     missed_steps : list of int
         The first of them, at most `LISTED_STEPS`.
     wall_s : float or None
-        Wall-clock duration of the test.
+        Wall-clock duration of the test, s; None if it has not begun.
     trip : Trip or None
         Reason and time of an early end; None if finished.
     overruns : int
@@ -140,9 +117,9 @@ class Outcome:
     missed: int
     missed_steps: list[int]
     wall_s: float | None
-    trip: Trip | None
+    trip: Trip | None = None
     overruns: int = 0
-    saturation: Saturation = field(default_factory=Saturation)
+    saturation: Saturation = field(default_factory=dict)
     round_trips: dict[str, float] = field(default_factory=dict)
     held_steps: list[int] = field(default_factory=list)
 
@@ -167,7 +144,7 @@ class Outcome:
             wall_s=max(walls, default=None),
             trip=min(causes, key=lambda trip: trip.step, default=None),
             overruns=sum(outcome.overruns for outcome in outcomes),
-            saturation=Saturation.of_all([outcome.saturation for outcome in outcomes]),
+            saturation=all_saturated(outcome.saturation for outcome in outcomes),
             round_trips={
                 key: max(found)
                 for key in ROUND_TRIPS
@@ -176,54 +153,33 @@ class Outcome:
         )
 
 
-def rig_status(
-    phase: str,
-    steps: int,
-    missed: int,
-    missed_steps: Sequence[int],
-    wall_s: float | None,
-    trip: Trip | None = None,
-    *,
-    overruns: int = 0,
-    saturation: Saturation | None = None,
-    round_trips: Mapping[str, float] | None = None,
-    held_steps: Sequence[int] = (),
-) -> Status:
+def rig_status(outcome: Outcome) -> Status:
     """Status of the rig in any phase; `read_outcome` reads it at the end of a test.
 
-    Parameters
-    ----------
-    phase : str
-        ``finished``, ``tripped``, or a phase before the end.
-    wall_s : float or None
-        Wall-clock time since the test began, s; None if it has not.
-    trip : Trip, optional
-        Required if the phase is ``tripped``, and only then; otherwise ValueError.
-    steps, missed, missed_steps, overruns, saturation, round_trips
-        As in `Outcome`; only the first `LISTED_STEPS` missed steps are sent.
-    held_steps : sequence of int, optional
-        Step of the command applied at each of the missed steps, -1 for none.
+    Only the first `LISTED_STEPS` missed steps are sent. Before the end the outcome is that so far,
+    with the phase. ValueError if there is a trip in another phase than ``tripped``, or none in it.
     """
+    phase, trip = outcome.phase, outcome.trip
     if (phase == TRIPPED) != (trip is not None):
         raise ValueError(f"phase {phase} with trip {trip}")
     values = {
         "phase": phase,
-        "steps": str(int(steps)),
-        "missed": str(int(missed)),
-        "overruns": str(int(overruns)),
-        "missed_steps": _listed(missed_steps),
-        "saturated": (saturation or Saturation()).to_json(),
+        "steps": str(outcome.steps),
+        "missed": str(outcome.missed),
+        "overruns": str(outcome.overruns),
+        "missed_steps": _listed(outcome.missed_steps),
+        "saturated": json.dumps(dict(sorted(outcome.saturation.items()))),
     }
-    if held_steps:
-        values["held_steps"] = _listed(held_steps)
-    for key, seconds in (round_trips or {}).items():
+    if outcome.held_steps:
+        values["held_steps"] = _listed(outcome.held_steps)
+    for key, seconds in outcome.round_trips.items():
         values[ROUND_TRIPS[key]] = f"{seconds * 1e3:.3f}"
-    if wall_s is not None:
-        values["wall_s"] = repr(float(wall_s))
-    message = f"{phase}: {steps} steps, {missed} missed"
-    level = WARN if missed else OK
+    if outcome.wall_s is not None:
+        values["wall_s"] = repr(float(outcome.wall_s))
+    message = f"{phase}: {outcome.steps} steps, {outcome.missed} missed"
+    level = WARN if outcome.missed else OK
     if trip is not None:
-        values.update(reason=trip.reason, step=str(int(trip.step)))
+        values.update(reason=trip.reason, step=str(trip.step))
         message = f"{phase} at step {trip.step} ({trip.time_s:g} s): {trip.reason}"
         level = ERROR
     return Status(name=RIG, level=level, message=message, values=values)
@@ -261,7 +217,10 @@ def read_outcome(status: Status, timebase: Timebase) -> Outcome | None:
             held_steps=_steps(values.get("held_steps", "")),
             wall_s=float(values["wall_s"]) if "wall_s" in values else None,
             trip=trip,
-            saturation=Saturation.from_json(values.get("saturated", "{}")),
+            saturation={
+                name: {key: int(counts[key]) for key in ("samples", "first_step")}
+                for name, counts in json.loads(values.get("saturated", "{}")).items()
+            },
             round_trips={
                 key: _finite(values[name]) * 1e-3
                 for key, name in ROUND_TRIPS.items()
@@ -270,12 +229,12 @@ def read_outcome(status: Status, timebase: Timebase) -> Outcome | None:
         )
     except KeyError as error:
         raise WireError(f"status of the {phase} rig: {error.args[0]} is missing") from None
-    except ValueError as error:
+    except (AttributeError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise WireError(f"status of the {phase} rig: {error}") from None
 
 
 def _listed(steps: Sequence[int]) -> str:
-    return ",".join(str(int(step)) for step in steps[:LISTED_STEPS])
+    return ",".join(map(str, steps[:LISTED_STEPS]))
 
 
 def _steps(text: str) -> list[int]:

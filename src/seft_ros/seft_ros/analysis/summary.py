@@ -231,16 +231,13 @@ def energy_numbers(balance: EnergyBalance | None) -> dict[str, float] | None:
 
 def _outcome(record: Record) -> dict[str, Any]:
     """How far a test came, and how it ended."""
-    trip, counts = record.trip, record.saturation
+    trip = record.trip
     finite = all(np.isfinite(series.values).all() for series in record.series.values())
     return {
         "steps": _steps(record),
         "stable": trip is None and finite,
         "trip": trip and {"reason": trip.reason, "step": trip.step, "time_s": trip.time_s},
-        "saturated": {
-            name: {"samples": samples, "first_step": counts.first_step[name]}
-            for name, samples in sorted(counts.samples.items())
-        },
+        "saturated": dict(sorted(record.saturation.items())),
     }
 
 

@@ -21,7 +21,7 @@ from seft_msgs_py.wire.messages import (
     encode_diagnostics,
     encode_string,
 )
-from seft_msgs_py.wire.outcome import FINISHED, RIG, TRIPPED, rig_status
+from seft_msgs_py.wire.outcome import FINISHED, RIG, TRIPPED, Outcome, rig_status
 from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
@@ -355,18 +355,19 @@ def write_record(
                 bag.write(codec.topic, raw, time_ns)
         if record.complete and record.missed is not None:
             sampled = record.series[RIG_STATE.name].steps
-            status = rig_status(
+            outcome = Outcome(
                 TRIPPED if record.trip else FINISHED,
                 int(sampled[-1]) + 1 if len(sampled) else 0,
                 record.missed,
                 record.missed_steps,
                 record.wall_s,
                 record.trip,
-                overruns=record.overruns or 0,
-                saturation=record.saturation,
-                round_trips=record.round_trips,
-                held_steps=record.held_steps,
+                record.overruns or 0,
+                record.saturation,
+                record.round_trips,
+                record.held_steps,
             )
+            status = rig_status(outcome)
             # totals of all rigs are reported by the first
             statuses = [replace(status, name=rig.node(RIG)) for rig in rigs]
             quiet = {"missed": "0", "missed_steps": "", "overruns": "0", "saturated": "{}"}

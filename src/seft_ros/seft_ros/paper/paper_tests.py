@@ -248,7 +248,7 @@ def run_test(experiment: Experiment) -> Outcome:
         {name: states[:, row, 0] for name, row in COMPARED.items()},
         {name: getattr(reference, name)[:, 0] for name in COMPARED},
         record.trip,
-        tuple(sorted(record.saturation.samples)),
+        tuple(sorted(record.saturation)),
         mass * float(np.abs(motion).max()),
     )
 

@@ -25,6 +25,7 @@ from seft_msgs_py.wire.outcome import (
     REHEARSES,
     STOPPED,
     TRIPPED,
+    Outcome,
     Trip,
     rig_status,
 )
@@ -259,9 +260,8 @@ class DriverNode(NodeBody):
     def _report(self, phase: str, trip: Trip | None = None) -> None:
         wall = time.monotonic() - self._started
         count, missed = self._missed_count, self._missed
-        self._status = rig_status(
-            phase, self._step + 1, count, missed, wall, trip, overruns=self._overruns
-        )
+        outcome = Outcome(phase, self._step + 1, count, missed, wall, trip, self._overruns)
+        self._status = rig_status(outcome)
         self._shell.report(self._status)
 
     def _on_experiment_state(self, raw: bytes, _: int) -> None:
