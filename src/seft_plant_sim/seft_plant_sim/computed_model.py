@@ -3,10 +3,10 @@
 import re
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
@@ -65,6 +65,28 @@ class ModelError(InputError):
     """A computed model can't be used, or has failed."""
 
 
+class Probed(NamedTuple):
+    """Properties of a model of m degrees of freedom, measured by small motions from rest.
+
+    Attributes
+    ----------
+    places : tuple of int
+        The degrees of freedom.
+    stiffness, damping : ndarray
+        Shape (m, m), N/m and N s/m.
+    is_static : bool
+        Whether its force depends on the path alone, except for linear dampers.
+    is_apart : bool
+        Whether it computes while the loop continues, by ``ask`` and ``answer``.
+    """
+
+    places: tuple[int, ...]
+    stiffness: Floats
+    damping: Floats
+    is_static: bool
+    is_apart: bool
+
+
 @dataclass(frozen=True)
 class ModelSource:
     """Makes a model from its parameters.
@@ -90,49 +112,26 @@ class ModelSource:
     every: int
     change: Floats
 
-    def make(self) -> "ComputedModel":
-        """Make a model of its own, which must be started; ModelError if that is not possible."""
-        return ComputedModel(self)
-
     @cached_property
     def tangents(self) -> tuple[Floats, Floats]:
         """Stiffness and damping at rest in these coordinates, each of shape (N, N)."""
-        found = self._probed
-        rows = self.change[list(found.places)]
-        stiffness, damping = (rows.T @ matrix @ rows for matrix in (found.stiffness, found.damping))
-        return stiffness, damping
+        rows = self.change[list(self.probed.places)]
+        return rows.T @ self.probed.stiffness @ rows, rows.T @ self.probed.damping @ rows
 
-    @property
-    def own_tangents(self) -> tuple[Floats, Floats]:
-        """Stiffness and damping at rest of the model's own axes, each of shape (m, m)."""
-        return self._probed.stiffness, self._probed.damping
-
-    @property
-    def is_apart(self) -> bool:
-        """Whether the model computes while the loop continues."""
-        return self._probed.is_apart
-
-    @property
-    def is_static(self) -> bool:
-        """Whether the force depends on the path alone, except for linear dampers."""
-        return self._probed.is_static
-
-    @property
-    def _probed(self) -> "Probed":
+    @cached_property
+    def probed(self) -> Probed:
+        """Properties of the model over its own axes."""
         words = (self.name.rpartition(":")[0], *re.split(r"[\s=]+", self.settings))
         files = [Path(word) for word in words if word]
         versions = tuple(file.stat().st_mtime_ns for file in files if file.is_file())
         return _probe(self.name, self.settings, self.dofs, self.influence.shape[1], versions)
 
-    def changed(self, change: Floats) -> "ModelSource":
-        """Give the source for other coordinates, shape (N, N)."""
-        return replace(self, change=self.change @ change)
-
 
 class ComputedModel:
     """A model in a test, in the coordinates of its source; all its results are checked.
 
-    If a method of the model fails, the `ModelError` names the model's file and line.
+    It must be started. If it can't be made, or one of its methods fails, the `ModelError` names the
+    model's file and line.
 
     Attributes
     ----------
@@ -192,13 +191,11 @@ class ComputedModel:
         ``displacement`` and ``velocity`` are those of the coordinates, ``ground`` is the ground
         acceleration of the degrees of freedom; shape (N,) each.
         """
-        motion = self._motion(displacement, velocity, ground)
-        return self._taken("step", self._call("step", self._own.step, t, *motion))
+        return self._taken("step", self._tell("step", t, displacement, velocity, ground))
 
     def ask(self, t: float, displacement: Floats, velocity: Floats, ground: Floats) -> None:
         """Begin a step of a model that `is_apart`."""
-        motion = self._motion(displacement, velocity, ground)
-        self._call("ask", self._own.ask, t, *motion)
+        self._tell("ask", t, displacement, velocity, ground)
 
     def answer(self) -> Floats:
         """Wait for the end of the step; the result is that of `step`."""
@@ -224,7 +221,7 @@ class ComputedModel:
         if hasattr(self._own, "close"):
             self._own.close()
 
-    def probe(self) -> "Probed":
+    def probe(self) -> Probed:
         """Measure small motions from rest; the model must be started again."""
         size = len(self.places)
         rest = np.zeros(size)
@@ -258,10 +255,9 @@ class ComputedModel:
             matrix[:] = 0.5 * (matrix + matrix.T) if own is None else own
         return Probed(self.places, columns[0], columns[1], is_static, self.is_apart)
 
-    def _motion(
-        self, displacement: Floats, velocity: Floats, ground: Floats
-    ) -> tuple[Floats, Floats, Floats]:
-        return self.rows @ displacement, self.rows @ velocity, ground[list(self.places)]
+    def _tell(self, what: str, t: float, x: Floats, v: Floats, ground: Floats) -> Any:
+        own = self.rows @ x, self.rows @ v, ground[list(self.places)]
+        return self._call(what, getattr(self._own, what), t, *own)
 
     def _taken(self, what: str, force: Any) -> Floats:
         if hasattr(self._own, "commit"):
@@ -319,29 +315,6 @@ class ComputedModel:
         return ModelError(f"{WHERE}: {self._source.name}{line}: {what} {text}")
 
 
-@dataclass(frozen=True)
-class Probed:
-    """Properties of a model of m degrees of freedom, measured by small motions from rest.
-
-    Attributes
-    ----------
-    places : tuple of int
-        The degrees of freedom.
-    stiffness, damping : ndarray
-        Shape (m, m), N/m and N s/m.
-    is_static : bool
-        Whether its force depends on displacements alone, except for linear dampers.
-    is_apart : bool
-        Whether it has ``ask`` and ``answer``.
-    """
-
-    places: tuple[int, ...]
-    stiffness: Floats
-    damping: Floats
-    is_static: bool
-    is_apart: bool
-
-
 def _equal(one: Floats, other: Floats) -> bool:
     """Say whether forces are equal, except for rounding."""
     return bool(np.abs(one - other).max() <= SAME_FORCE * max(np.abs(other).max(), 1e-300))
@@ -354,7 +327,7 @@ def _probe(
     """Probe a new model; again only if its files have changed."""
     del versions
     unit = np.eye(len(dofs))
-    model = ModelSource(name, settings, dofs, unit[:, :axes], 1, unit).make()
+    model = ComputedModel(ModelSource(name, settings, dofs, unit[:, :axes], 1, unit))
     try:
         return model.probe()
     finally:

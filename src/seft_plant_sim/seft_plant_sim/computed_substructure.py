@@ -142,7 +142,7 @@ class ComputedSubstructure:
             change.T @ matrix @ change for matrix in (self.mass, self.damping, self.stiffness)
         )
         mass[:n, n:] = mass[n:, :n] = 0.0
-        model = None if self.model is None else self.model.changed(change)
+        model = self.model and replace(self.model, change=self.model.change @ change)
         influence = self.influence - (shift if self.on_axes is None else shift @ self.on_axes)
         return ComputedSubstructure(mass, damping, stiffness, influence, self.on_axes, model)
 

@@ -6,9 +6,7 @@ on the other masses, and the reactions are the model's force. See docs/computed_
 """
 
 import itertools
-import json
 import os
-import struct
 import subprocess
 import sys
 import tempfile
@@ -26,7 +24,6 @@ START_TIME = 60.0  # s, for the worker to import OpenSees and run the script
 STEP_TIME = 5.0  # s, after which a step hangs
 ENDING_TIME = 2.0  # s
 _MANY = 900_000  # first tag of nodes and elements that are added to the script's model
-_OK, _FAILED = b"+", b"-"
 Place = tuple[int, int]
 _runs_script = False
 
@@ -98,15 +95,12 @@ class OpenSees:
             env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
         )
         other.close()
-        self._is_new = False
-        found = json.loads(self._ask(b"s" + struct.pack("d", 1e-3), START_TIME))
-        self.axes: int | list[str] = found["axes"]
-        self._is_new = True
+        self.axes: int | list[str] = self._ask(START_TIME, "start", 1e-3)
 
     def start(self, dt: float, axes: Sequence[str]) -> None:
         """Build the model again."""
         del axes
-        self._ask(b"s" + struct.pack("d", dt), START_TIME)
+        self._ask(START_TIME, "start", dt)
 
     def step(
         self, t: float, displacement: Floats, velocity: Floats, ground_acceleration: Floats
@@ -119,16 +113,17 @@ class OpenSees:
         self, t: float, displacement: Floats, velocity: Floats, ground_acceleration: Floats
     ) -> None:
         """Begin a step."""
-        numbers = np.concatenate([[t], displacement, velocity, ground_acceleration])
-        self._send(b"t" + numbers.tobytes())
+        motion = np.concatenate([displacement, velocity, ground_acceleration])
+        self._send("step", t, motion.tolist())
 
     def answer(self) -> Floats:
         """Wait for its end; give the reactions, N."""
-        return np.frombuffer(self._receive(STEP_TIME))
+        reactions: Floats = self._receive(STEP_TIME)
+        return reactions
 
     def responses(self) -> dict[str, float]:
         """Give the script's responses to record."""
-        found: dict[str, float] = json.loads(self._ask(b"r", STEP_TIME))
+        found: dict[str, float] = self._ask(STEP_TIME, "responses")
         return found
 
     def close(self) -> None:
@@ -146,26 +141,27 @@ class OpenSees:
         if hasattr(self, "_worker") and not self._own.closed:
             self.close()
 
-    def _ask(self, request: bytes, patience: float) -> bytes:
-        self._send(request)
+    def _ask(self, patience: float, *request: Any) -> Any:
+        self._send(*request)
         return self._receive(patience)
 
-    def _send(self, request: bytes) -> None:
+    def _send(self, *request: Any) -> None:
+        """Send the name of one of the methods of `_Worker`, and its arguments."""
         try:
-            self._own.send_bytes(request)
+            self._own.send(request)
         except OSError:
             self._fail(": the process of OpenSees has ended")
 
-    def _receive(self, patience: float) -> bytes:
+    def _receive(self, patience: float) -> Any:
         try:
             if not self._own.poll(patience):
                 self._fail(f": OpenSees did not answer within {patience:g} s")
-            reply = self._own.recv_bytes()
+            is_done, reply = self._own.recv()
         except EOFError:
             self._fail(": the process of OpenSees has ended")
-        if reply[:1] == _FAILED:
-            self._fail(reply[1:].decode())
-        return reply[1:]
+        if not is_done:
+            self._fail(reply)
+        return reply
 
     def _fail(self, why: str) -> NoReturn:
         """Raise an error with the last output of OpenSees."""
@@ -184,24 +180,21 @@ def serve(descriptor: int, script: str, substeps: int, tolerance: float) -> None
     try:
         import openseespy.opensees as ops
     except Exception as error:
-        connection.send_bytes(
-            _FAILED
-            + f": OpenSeesPy can't be imported ({reason_of(error)}): pip install 'seft_plant_sim"
-            "[opensees]'".encode()
-        )
+        why = f": OpenSeesPy can't be imported ({reason_of(error)})"
+        connection.send((False, f"{why}: pip install 'seft_plant_sim[opensees]'"))
         return
     worker = _Worker(ops, script, substeps, tolerance)
     while True:
         try:
-            request = connection.recv_bytes()
+            method, *arguments = connection.recv()
         except (EOFError, OSError):
             os._exit(0)  # OpenSees prints when it ends in order
         try:
-            reply = _OK + worker.answer(request)
+            reply = True, getattr(worker, method)(*arguments)
         except Exception as error:
             sys.stderr.flush()
-            reply = _FAILED + f"{line_in(error, script)}: {reason_of(error)}".encode()
-        connection.send_bytes(reply)
+            reply = False, f"{line_in(error, script)}: {reason_of(error)}"
+        connection.send(reply)
 
 
 class _Worker:
@@ -212,21 +205,13 @@ class _Worker:
         self._substeps, self._tolerance = substeps, tolerance
         sys.path.insert(0, str(Path(script).parent))
 
-    def answer(self, request: bytes) -> bytes:
-        """Carry out a request."""
-        if request[:1] == b"s":
-            (self._dt,) = struct.unpack("d", request[1:])
-            return self._start()
-        if request[:1] == b"r":
-            return json.dumps(
-                {name: float(get()) for name, get in self._responses.items()}
-            ).encode()
-        t, *motion = np.frombuffer(request[1:]).tolist()
-        count = len(motion) // 3
-        return self._step(t, motion[:count], motion[count : 2 * count], motion[2 * count :])
+    def responses(self) -> dict[str, float]:
+        """Give the script's responses to record."""
+        return {name: float(get()) for name, get in self._responses.items()}
 
-    def _start(self) -> bytes:
-        ops = self._ops
+    def start(self, dt: float) -> int | list[str]:
+        """Build the model; give the number of its axes, or their names."""
+        ops, self._dt = self._ops, dt
         ops.wipe()
         code = compile(Path(self._script).read_text(encoding="utf-8"), self._script, "exec")
         try:
@@ -265,7 +250,7 @@ class _Worker:
         self._last = [0.0] * (3 * len(self._axes))
         self._standing = np.zeros(len(self._axes))
         self._standing = self._reactions()
-        return json.dumps({"axes": list(names) if names else len(self._axes)}).encode()
+        return list(names) if names else len(self._axes)
 
     def _free(self, node: int) -> set[int]:
         """Give the directions in which the analysis moves a node."""
@@ -273,8 +258,8 @@ class _Worker:
         directions = range(1, len(self._ops.nodeDisp(node)) + 1)
         return set(directions) - held - set(self._ops.getFixedDOFs(node))
 
-    def _step(self, t: float, x: list[float], v: list[float], ground: list[float]) -> bytes:
-        now = [*x, *v, *ground]
+    def step(self, t: float, now: list[float]) -> Floats:
+        """Go to the time t and its motion: displacements, velocities, ground accelerations."""
         if t > 0.0:
             for step in range(1, self._substeps + 1):
                 part = step / self._substeps
@@ -282,7 +267,7 @@ class _Worker:
                 self._impose(between)
                 self._analyse(t)
         self._last = now
-        return self._reactions().tobytes()
+        return self._reactions()
 
     def _impose(self, motion: list[float]) -> None:
         """Make the loads of the end of a step."""

@@ -1,12 +1,13 @@
 """The simulated rig: actuator, specimen, sensors and limits, stepped by commands."""
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import group, per_axis
 from seft_msgs_py.wire.outcome import Saturation, all_saturated, count_saturated
 from seft_msgs_py.wire.topics import VALVE_COMMAND, RigAxes, Timebase
@@ -29,8 +30,7 @@ AT_REST = 1e-4  # m/s
 RESTS = 10  # steps below that, so that the turning point of a vibration does not count as rest
 
 
-@dataclass(frozen=True)
-class Safe:
+class Safe(NamedTuple):
     """The safe position, and how the rig gets there at the end of a test.
 
     Attributes
@@ -47,17 +47,8 @@ class Safe:
     closing: int
     longest: int
 
-    @classmethod
-    def from_parameters(
-        cls, group: dict[str, Any], axes: Sequence[str], dt: float, places: Sequence[int]
-    ) -> "Safe":
-        """Make it from ``safe.*`` for the axes at some places; InputError if sizes do not fit."""
-        command = per_axis(group["valve_command"], axes, "rig: safe.valve_command")[list(places)]
-        return cls(command, round(group["close_time"] / dt), round(group["settle_time"] / dt))
 
-
-@dataclass(frozen=True)
-class Stopped:
+class Stopped(NamedTuple):
     """Number of steps until the rig was at rest, and the largest force of any actuator, N."""
 
     steps: int
@@ -125,14 +116,16 @@ class Rig:
         another rig.
         """
         own = rig or RigAxes.whole(axes)
-        sensors, dt = group(section, "sensors"), timebase.dt
+        sensors, dt, safe = group(section, "sensors"), timebase.dt, group(section, "safe")
+        command = per_axis(safe["valve_command"], axes, "rig: safe.valve_command")
+        closing, longest = (round(safe[name] / dt) for name in ("close_time", "settle_time"))
         return cls(
             continuous_model(section, axes, own),
             Sensors.from_parameters(sensors, section["seed"], dt, axes, "rig: sensors", own.places),
             Limits(group(section, "limits"), own.axes, dt),
             SaturatedTime(section["limits.saturated_time"], dt),
             dt,
-            Safe.from_parameters(group(section, "safe"), axes, dt, own.places),
+            Safe(command[list(own.places)], closing, longest),
         )
 
     @property
@@ -245,22 +238,15 @@ def continuous_model(
 
 
 class Rigs:
-    """Several rigs with their own axes, stepped together; the bits are those of their nodes."""
+    """The rigs of an experiment, stepped together; the bits are those of their nodes."""
 
-    def __init__(self, rigs: Sequence[tuple[RigAxes, Rig]]) -> None:
-        self._rigs = [(list(of.places), rig) for of, rig in rigs]
-        self._axes = sum(len(places) for places, _ in self._rigs)
-
-    @classmethod
-    def from_parameters(
-        cls,
-        section: dict[str, Any],
-        axes: tuple[str, ...],
-        timebase: Timebase,
-        rigs: Sequence[RigAxes],
-    ) -> "Rigs":
-        """Make them from the rig's section of an experiment, see `Rig.from_parameters`."""
-        return cls([(one, Rig.from_parameters(section, axes, timebase, one)) for one in rigs])
+    def __init__(self, experiment: Experiment) -> None:
+        section, axes, timebase = experiment["rig"], experiment.axes, experiment.timebase
+        self._axes = len(axes)
+        self._rigs = [
+            (list(of.places), Rig.from_parameters(section, axes, timebase, of))
+            for of in experiment.rigs
+        ]
 
     @property
     def drive(self) -> Drive:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.node.node_shell import NodeShell
@@ -255,8 +256,8 @@ class RoundTrip:
 
     Attributes
     ----------
-    last, largest : float
-        s; nan if there was none.
+    last : float
+        The last time, s; nan if there was none.
     """
 
     def __init__(self) -> None:
@@ -266,8 +267,7 @@ class RoundTrip:
     def reset(self) -> None:
         """Forget the test so far."""
         self._bins = [0] * (PER_DECADE * DECADES)
-        self.count = 0
-        self.last = self.largest = math.nan
+        self.last, self._largest = math.nan, -math.inf
 
     def published(self, step: int, at: float) -> None:
         """Note the time at which a state is published, s."""
@@ -281,28 +281,19 @@ class RoundTrip:
     def add(self, time: float) -> None:
         """Count a time in seconds."""
         self._bins[bisect_right(EDGES, time)] += 1
-        self.count += 1
-        self.last = time
-        self.largest = time if self.count == 1 else max(self.largest, time)
-
-    def quantile(self, share: float) -> float:
-        """Middle of the bin of a quantile, s; nan if there was no time.
-
-        At most the largest time.
-        """
-        seen = 0
-        for at, count in enumerate(self._bins):
-            seen += count
-            if seen >= share * self.count and seen:
-                return float(min(SHORTEST * 10 ** ((at + 0.5) / PER_DECADE), self.largest))
-        return math.nan
+        self.last, self._largest = time, max(self._largest, time)
 
     def numbers(self) -> dict[str, float]:
-        """Give quantiles and the largest, s, by the keys of `ROUND_TRIPS`; empty without a time."""
-        if not self.count:
+        """Give quantiles and the largest, s, by the keys of `ROUND_TRIPS`; empty without a time.
+
+        A quantile is the middle of its bin, and at most the largest time.
+        """
+        if math.isnan(self.last):
             return {}
-        quantiles = {key: self.quantile(share) for key, share in QUANTILES.items()}
-        return {**quantiles, "largest": self.largest}
+        seen = np.cumsum(self._bins)
+        bins = np.searchsorted(seen, [share * seen[-1] for share in QUANTILES.values()])
+        middles = np.minimum(SHORTEST * 10 ** ((bins + 0.5) / PER_DECADE), self._largest)
+        return {**dict(zip(QUANTILES, middles.tolist(), strict=True)), "largest": self._largest}
 
 
 UNCOUNTED = 0.25  # of the steps: in this time the host adapts to the load of the loop

@@ -8,7 +8,7 @@ mass, damping and restoring force are consistent.
 """
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -230,7 +230,8 @@ def energy_balance(
     work, damped = np.empty((2, count - 1))
     per_sample = PATH_POINTS if specimen.springs else 1
     path = np.empty((per_sample * (count - 1) + 1, displacement.shape[1]))
-    for first, last in _pieces(count):
+    for first in range(0, count - 1, _PIECE):  # splines need many times the memory of a record
+        last = min(first + _PIECE, count - 1)
         known = slice(max(0, first - _OVERLAP), last + 1 + _OVERLAP)
         within = slice(first, last)
         motion, damping = (CubicSpline(time[known], y[known]) for y in (displacement, viscous))
@@ -253,12 +254,6 @@ def energy_balance(
         damped=_so_far(damped),
         hysteretic=hysteretic,
     )
-
-
-def _pieces(count: int) -> Iterator[tuple[int, int]]:
-    """Cut a record into pieces, because its splines need many times its memory."""
-    for first in range(0, count - 1, _PIECE):
-        yield first, min(first + _PIECE, count - 1)
 
 
 def _integral(power: Floats, dt: float) -> Floats:

@@ -16,7 +16,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import as_matrix, group
 
 from seft_plant_sim.compiled import compiled, multiply
-from seft_plant_sim.computed_model import ModelSource
+from seft_plant_sim.computed_model import ComputedModel, ModelSource
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_plant_sim.continuous_model import (
     ContinuousModel,
@@ -136,7 +136,7 @@ class ModelledStructure:
         self._step, self._steps = dt / steps, steps
         self._shaken = ShakenStructure(structure, self._step, inner)
         self._inverse = np.linalg.inv(structure.mass)
-        self._tangents, self._model = model.tangents, model.make()
+        self._tangents, self._model = model.tangents, ComputedModel(model)
         self._model.start(self._step)
         self._last: Floats | None = None
         self._acts, self._rises = np.zeros((2, structure.axes))  # m/s^2, and m/s^2 in a step
@@ -306,8 +306,6 @@ class WholeStructure:
     @classmethod
     def of(cls, specimen: Specimen, computed: ComputedSubstructure) -> "WholeStructure":
         """Put them together at the axes."""
-        if computed.is_lumped:  # exactly the numbers of a structure without internal dofs
-            return cls(replace(specimen, mass=specimen.mass + computed.mass), computed)
         inside = [(0, computed.internal)] * 2
         return cls(
             replace(
@@ -315,9 +313,7 @@ class WholeStructure:
                 mass=np.pad(specimen.mass, inside) + computed.mass,
                 damping=np.pad(specimen.damping, inside) + computed.damping,
                 stiffness=np.pad(specimen.stiffness, inside) + computed.stiffness,
-                deformation=np.pad(specimen.deformation, [(0, 0), inside[1]])
-                if specimen.springs
-                else specimen.deformation,
+                deformation=np.pad(specimen.deformation, [(0, 0), inside[1]]),
             ),
             computed,
         )

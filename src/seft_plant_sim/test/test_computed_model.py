@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
+from seft_plant_sim.computed_model import ComputedModel
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_plant_sim.whole_structure import reference_response
 
@@ -195,7 +196,7 @@ def test_the_tangents_are_found_by_small_motions_or_told(file):
 def test_a_force_that_depends_on_displacement_alone_is_known_as_such(
     file, name, settings, is_static
 ):
-    assert model_of(file, name, settings).is_static is is_static
+    assert model_of(file, name, settings).probed.is_static is is_static
 
 
 def test_a_model_acts_on_the_internal_degree_of_freedom_that_it_names(file):
@@ -205,7 +206,7 @@ def test_a_model_acts_on_the_internal_degree_of_freedom_that_it_names(file):
     own = whole.without_inertial_coupling()
     # the base goes by -M / 3M of the axis's displacement, where the centre of mass rests
     assert np.allclose(own.stiffness, 1e5 * np.array([[1 / 9, -1 / 3], [-1 / 3, 1.0]]))
-    model = own.model.make()
+    model = ComputedModel(own.model)
     model.start(0.002)
     assert np.allclose(
         model.step(0.0, np.array([0.03, 0.02]), np.zeros(2), np.zeros(2)), [-1000 / 3, 1000]
@@ -242,7 +243,7 @@ def test_what_is_wrong_with_a_model_is_told_in_one_line(file, name, settings, wh
 )
 def test_a_step_that_fails_is_told_with_its_line(file, wrong, why):
     file.write_text(MODELS.replace("WRONG", wrong))
-    model = model_of(file, "Late").make()
+    model = ComputedModel(model_of(file, "Late"))
     model.start(0.002)
     zero = np.zeros(1)
     line = MODELS[: MODELS.index("return WRONG")].count("\n") + 1

@@ -297,24 +297,22 @@ def of(*times):
 def test_last_and_largest_are_exact_and_the_median_is_near(times):
     round_trip = of(*times)
     assert round_trip.last == times[-1]
-    assert round_trip.largest == max(times)
-    assert round_trip.quantile(0.5) == pytest.approx(statistics.median_low(times), rel=0.06)
     numbers = round_trip.numbers()
+    assert numbers["largest"] == max(times)
+    assert numbers["p50"] == pytest.approx(statistics.median_low(times), rel=0.06)
     assert list(numbers) == list(ROUND_TRIPS)
     assert sorted(numbers.values()) == list(numbers.values())
-    assert round_trip.quantile(1.0) == pytest.approx(max(times), rel=0.06)
 
 
 def test_each_quantile_is_within_its_bin():
     found = of(*(1e-3 * n for n in range(1, 10_001))).numbers()
     assert list(found.values()) == pytest.approx([5.0, 9.0, 9.9, 9.99, 10.0], rel=0.06)
-    assert math.isnan(of().quantile(0.5))
 
 
 @pytest.mark.parametrize("time", [0.0, -1.0, 1e-9, 1e9])
 def test_any_time_has_its_bin(time):
-    assert of(time).count == 1
-    assert of(time).quantile(0.5) <= time
+    numbers = of(time).numbers()
+    assert numbers["p50"] <= numbers["largest"] == time
 
 
 def test_margins_age_and_round_trip_are_told_by_name():

@@ -47,7 +47,7 @@ FILTERED = ("rig:sensors.velocity:=derived", "rig:sensors.anti_alias:=100.0")
 @pytest.mark.parametrize("more", [(), YIELDING, FILTERED])
 def test_rigs_together_do_what_one_with_all_axes_does(more):
     test = plan(*more)
-    together = Rigs.from_parameters(test["rig"], test.axes, test.timebase, test.rigs)
+    together = Rigs(test)
     found, _ = driven(together, 3)
     whole, _ = driven(made(test), 3)
     scale = np.abs(whole).max(axis=0)
@@ -57,7 +57,7 @@ def test_rigs_together_do_what_one_with_all_axes_does(more):
 
 def test_each_has_the_bits_of_its_node():
     test = plan()
-    together = Rigs.from_parameters(test["rig"], test.axes, test.timebase, test.rigs)
+    together = Rigs(test)
     found, commands = driven(together, 3)
     for rig in test.rigs:
         places = list(rig.places)
@@ -68,7 +68,7 @@ def test_each_has_the_bits_of_its_node():
 
 def test_a_limit_that_one_breaks_is_the_violation_of_all():
     test = plan("rig:limits.displacement:=1.0e-4")
-    together = Rigs.from_parameters(test["rig"], test.axes, test.timebase, test.rigs)
+    together = Rigs(test)
     together.reset()
     assert together.violation is None
     for _ in range(200):

@@ -108,12 +108,13 @@ def model_time(experiment: Experiment) -> ModelTime | None:
     motion = GroundMotion.from_parameters(
         experiment["ground_motion"], experiment.axes, experiment.timebase
     ).samples[: STEPS * model.every : model.every]
-    share = SHARE * dt * (model.every if model.is_apart else 1)
+    is_apart = model.probed.is_apart
+    share = SHARE * dt * (model.every if is_apart else 1)
     times = np.full(len(motion), np.inf)
     for _ in range(LOOKS):
         times = np.minimum(times, model_times(whole, motion, model.every * dt))
         median, p999 = np.percentile(times, [50.0, 99.9]).tolist()
-        found = ModelTime(median, p999, share, dt, model.every, model.is_apart)
+        found = ModelTime(median, p999, share, dt, model.every, is_apart)
         if found.fits or median > share:  # half of the steps: no stalls of the host
             break
     return found

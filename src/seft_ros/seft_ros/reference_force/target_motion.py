@@ -93,7 +93,7 @@ class ModelLine:
         self._asked: deque[Floats] = deque()
         self._line = np.zeros_like(self.values)  # the line from the last answer on
         self._at: Floats | None = None  # the motion of the last answer
-        self._tangent = self._source.own_tangents[0]  # of the model's own axes, updated
+        self._tangent = self._source.probed.stiffness  # of the model's own axes, updated
         self._own = np.zeros(0), np.zeros(0)  # their displacement and force
 
     def step(self, motion: Floats, ground: Floats) -> None:
@@ -129,7 +129,7 @@ class ModelLine:
     def _model(self) -> ComputedModel:
         """Give the model, started for this test."""
         if self._made is None:
-            self._made = self._source.make()
+            self._made = ComputedModel(self._source)
         if not self._is_started:
             self._made.start(self._every * self._dt)
             self._is_started = True
@@ -140,7 +140,7 @@ class ModelLine:
         at, size, span = self._asked.popleft(), len(force), self._every * self._dt
         acts = -self._inverse @ (force - self._rest @ at)
         line, before = np.zeros_like(self._line), self._line
-        follows, own = self._source.is_static, self._model().tangents()
+        follows, own = self._source.probed.is_static, self._model().tangents()
         for part, tangent in zip((slice(size), slice(size, 2 * size)), own, strict=True):
             if tangent is not None:
                 line[:, part] = -self._inverse @ (tangent - self._rest[:, part])
@@ -167,7 +167,7 @@ class ModelLine:
         """Update the tangent of a static model; give accelerations per displacement, (N, N)."""
         size, rows = len(force), self._model().rows
         own, own_force = rows @ at[:size], np.linalg.lstsq(rows.T, force, rcond=None)[0]
-        own_force = own_force - self._source.own_tangents[1] @ (rows @ at[size:])
+        own_force = own_force - self._source.probed.damping @ (rows @ at[size:])
         if self._at is not None:
             before, force_before = self._own
             moved = own - before

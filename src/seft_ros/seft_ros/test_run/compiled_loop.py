@@ -118,10 +118,9 @@ def build_blocks(experiment: Experiment, known: dict[str, Any] | None = None) ->
 
 
 def _rigs(experiment: Experiment) -> Rig | Rigs:
-    section, axes, timebase = experiment["rig"], experiment.axes, experiment.timebase
-    if len(experiment.rigs) == 1:
-        return Rig.from_parameters(section, axes, timebase)
-    return Rigs.from_parameters(section, axes, timebase, experiment.rigs)
+    if len(experiment.rigs) > 1:
+        return Rigs(experiment)
+    return Rig.from_parameters(experiment["rig"], experiment.axes, experiment.timebase)
 
 
 def check_target(experiment: Experiment, blocks: Blocks) -> None:
