@@ -9,8 +9,8 @@ PROGRAM = """
 from seft_msgs_py.node.node_process import NodeProcess
 process = NodeProcess([], ["somebody"])
 called = []
-process.every_turn(lambda: called.append("look"))
-process.now_and_then(lambda: called.append("chore"))
+process.polls.append(lambda: called.append("look"))
+process.chores.append(lambda: called.append("chore"))
 process.spin_once(0.0)
 for _ in range(50):
     process.spin_once(0.0)
@@ -71,14 +71,14 @@ from seft_msgs_py.errors import ExperimentError, WireError
 from seft_msgs_py.node.node_process import NodeProcess
 process = NodeProcess([], ["somebody"])
 heard = []
-process.on_fault(heard.append)
-process.on_fault(lambda reason: heard.missing)  # who can't be told
+process.fault_listeners.append(heard.append)
+process.fault_listeners.append(lambda reason: heard.missing)  # who can't be told
 def fails():
     raise KeyError("name")
-process.every_turn(fails)
+process.polls.append(fails)
 process.spin_once(0.0)
 print(process.faults, len(heard), heard[-1])
-process._polls.clear()
+process.polls.clear()
 process._take_turn = fails  # whatever the middleware may raise
 process.spin_once(0.0)
 print(process.faults, len(heard))

@@ -47,6 +47,8 @@ from seft_plant_sim.rig_watch import (
     SampleClock,
     Supervision,
     elapsed,
+    wait_for_command,
+    wait_for_sample,
     with_health,
 )
 
@@ -305,23 +307,16 @@ class RigNode(NodeBody):
 
         Gives the reason if the test must end.
         """
-        shell, drive, clock = self._shell, self._drive, self._clock
+        drive, clock = self._drive, self._clock
         assert clock is not None
-        period, timeout = self._timebase.dt, self._section["watchdog.command_timeout"]
+        timeout = self._section["watchdog.command_timeout"]
         if step == 0 and self._is_alone:
             clock.fall_back(self._wait_for_answer(0, timeout) + BREATH)
         if step == 0:
             self._watch.begin(elapsed() + clock.deadline(0) - time.monotonic())
-        deadline = clock.deadline(step + 1)
-        while (left := deadline - time.monotonic()) > 0:
-            if shell.spin_once(left) and drive.step >= step:
-                self._report_if_due()
-        clock.awake(-left)
-        late = time.monotonic() + period
-        while drive.step < step and time.monotonic() < late and shell.spin_once(0.0):
-            pass  # messages that arrived during a stall are in time; a flood must not block
+        wait_for_sample(self._shell, drive, step, clock, self._report_if_due)
         if self._waits and drive.step < step:
-            clock.fall_back(self._wait_for_answer(step - 1, timeout) + FALL_BACK * period)
+            clock.fall_back(self._wait_for_answer(step - 1, timeout) + FALL_BACK * clock.period)
         if (why := self._reason_to_end()) is not None or is_last or self._rig.violation is not None:
             return why
         if drive.step < step:
@@ -335,13 +330,11 @@ class RigNode(NodeBody):
 
     def _wait_for_answer(self, step: int, longest: float) -> float:
         """Wait for the command of a step; return for how long, s."""
-        drive, begun = self._drive, time.monotonic()
-        while drive.step < step and time.monotonic() - begun < longest:
-            self._shell.spin_once(self._timebase.dt)
-            if self._reason_to_end() is not None:
-                break
-        self._waited_in_vain = drive.step < step
-        return time.monotonic() - begun
+        waited = wait_for_command(
+            self._shell, self._drive, step, longest, lambda: self._reason_to_end() is not None
+        )
+        self._waited_in_vain = self._drive.step < step
+        return waited
 
     def _publish(self, step: int, state: Floats) -> bool:
         """Publish a sample; False if it is not finite, because messages must be finite."""

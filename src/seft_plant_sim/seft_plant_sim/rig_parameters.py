@@ -45,8 +45,8 @@ def limit_rows(default_from: str = "") -> list[Parameter]:
         rows.append(Parameter(f"limits.{name}", "float", default, text, unit, positive=True))
     rows += parameter_rows(
         """
-        saturated_time | float | 0.05 | s | 0 .. | longest time within one second that sensors may
-            be saturated, before the test trips
+        saturated_time | float | 0.05 | s | 0 .. |
+            longest time within one second that sensors may be saturated, before the test trips
         """,
         "limits",
     )
@@ -57,14 +57,14 @@ def limit_rows(default_from: str = "") -> list[Parameter]:
 
 PACE = parameter_rows(
     """
-    pace             | string | realtime |   | realtime, lockstep |
-        realtime: absolute deadlines, a missing command holds the last; lockstep: each step
-        waits for its command
-    lockstep_timeout | float  | 5.0      | s | > 0       | longest wait for a command in lockstep
-    loop_delay       | int    | reference_force:loop_delay or 0 |   | -1 .. 100 |
-        for an idealised actuator, which obeys reference_force: steps from a state to the
-        first use of the force that is computed from it
-    seed             | int    | 0        |   | 0 ..      | seed of the sensor noise
+    pace | string | realtime |  | realtime, lockstep |
+        realtime: absolute deadlines, a missing command holds the last; lockstep: each step waits
+        for its command
+    lockstep_timeout | float | 5.0 | s | > 0  | longest wait for a command in lockstep
+    loop_delay | int | reference_force:loop_delay or 0 |  | -1 .. 100 |
+        for an idealised actuator, which obeys reference_force: steps from a state to the first use
+        of the force that is computed from it
+    seed             | int   | 0   |   | 0 .. | seed of the sensor noise
     """
 )
 
@@ -75,8 +75,8 @@ SPECIMEN = parameter_rows(
     stiffness | floats |     | N/m   |  |
         initial elastic stiffness, likewise; without friction, and with open gaps
     springs   | floats | 0.0 |       |  |
-        nonlinear springs: deformation of each per displacement of each axis, spring by
-        spring; 0: one between each axis and the ground
+        nonlinear springs: deformation of each per displacement of each axis, spring by spring; 0:
+        one between each axis and the ground
     """,
     "specimen",
 )
@@ -102,36 +102,34 @@ SPRINGS = (
         bouc_wen.beta           | float  | 0.5  |       |            | shape of unloading, beta
         bouc_wen.gamma          | float  | 0.5  |       |            | shape of unloading, gamma
         bouc_wen.amplitude_loss | float  | 0.0  |       | 0 ..       |
-            degradation of amplitude per work of yield force times yield displacement
-            (Baber & Wen 1981, delta_A)
+            degradation of amplitude per work of yield force times yield displacement (Baber & Wen
+            1981, delta_A)
         bouc_wen.strength_loss  | float  | 0.0  |       | 0 ..       |
-            degradation of strength per work of yield force times yield displacement
-            (Baber & Wen 1981, delta_nu)
+            degradation of strength per work of yield force times yield displacement (Baber & Wen
+            1981, delta_nu)
         bouc_wen.stiffness_loss | float  | 0.0  |       | 0 ..       |
-            degradation of stiffness per work of yield force times yield displacement
-            (Baber & Wen 1981, delta_eta)
+            degradation of stiffness per work of yield force times yield displacement (Baber & Wen
+            1981, delta_eta)
         pinching.slip           | float  | 1.0  |       | 0 ..       |
-            half of the fully developed slip at each passage through zero force, over the
-            yield displacement; the other parameters are those of bouc_wen
+            half of the fully developed slip at each passage through zero force, over the yield
+            displacement; the other parameters are those of bouc_wen
         pinching.growth         | float  | 0.1  |       | > 0        |
             growth of the slip per work of yield force times yield displacement
         pinching.width          | float  | 0.15 |       | > 0        |
             force range in which it slips, over the yield force
         flag.dissipation        | floats | 0.5  |       | 0 .. 1     |
-            height of the flag over the yield force, for all or per spring; 0: no
-            dissipation
+            height of the flag over the yield force, for all or per spring; 0: no dissipation
         friction.force          | floats | 0.0  | N     | 0 ..       |
             friction parallel to each spring, for all or per spring
         friction.presliding     | float  | 2e-5 | m     | > 0        |
             elastic displacement before it slides
         gap.width               | floats | 0.0  | m     | 0 ..       |
-            deformation in both directions at which the second spring engages, for all or per
-            spring
+            deformation in both directions at which the second spring engages, for all or per spring
         gap.stiffness           | floats | 0.0  | N/m   | 0 ..       |
             stiffness of the second spring, likewise
         duffing.cubic           | floats | 0.0  | N/m^3 |            |
-            coefficient of the deformation's cube, likewise; below 0 the spring softens up to
-            its largest force
+            coefficient of the deformation's cube, likewise; below 0 the spring softens up to its
+            largest force
         """,
         "specimen",
     ),
@@ -140,46 +138,39 @@ SPRINGS = (
 ACTUATOR = parameter_rows(
     """
     kind | string | servo_hydraulic |  | ideal, delay, servo_hydraulic, servo_hydraulic_linear |
-        ideal and delay (Eq. 5.2) apply the reference force; servo_hydraulic obeys its
-        valve, servo_hydraulic_linear is its small-signal limit
-    delay                | float  | 0.0             | s        | 0 .. 10 | delay of kind delay
-    oil_stiffness        | floats | 0.0             | N/m      | 0 ..    |
+        ideal and delay (Eq. 5.2) apply the reference force; servo_hydraulic obeys its valve,
+        servo_hydraulic_linear is its small-signal limit
+    delay                | float  | 0.0       | s        | 0 .. 10 | delay of kind delay
+    oil_stiffness        | floats | 0.0       | N/m      | 0 ..    |
         stiffness of the oil column; 0: 4 beta A^2 / V
-    oil_column_frequency | floats | 0.0             | Hz       | 0 ..    |
-        resonance of the specimen's mass on the oil column, in place of oil_stiffness; 0:
-        not given
-    flow_gain            | floats | 0.0             | m/s/V    | 0 ..    |
+    oil_column_frequency | floats | 0.0       | Hz       | 0 ..    |
+        resonance of the specimen's mass on the oil column, in place of oil_stiffness; 0: not given
+    flow_gain            | floats | 0.0       | m/s/V    | 0 ..    |
         piston velocity for one volt; 0: from the rated flow
-    leakage              | floats | 0.0             | 1/s      | 0 ..    |
-        leakage rate; 0: 4 beta C / V
-    force_capacity       | floats | 0.0             | N        | 0 ..    |
+    leakage              | floats | 0.0       | 1/s      | 0 ..    | leakage rate; 0: 4 beta C / V
+    force_capacity       | floats | 0.0       | N        | 0 ..    |
         force without flow; 0: supply_pressure * piston_area
-    piston_area          | floats | 1.1836e-3       | m^2      | > 0     | net area of the piston, A
-    supply_pressure      | floats | 20.7e6          | Pa       | > 0     | supply pressure
-    rated_flow           | floats | 2.754e-4        | m^3/s    | > 0     |
+    piston_area          | floats | 1.1836e-3 | m^2      | > 0     | net area of the piston, A
+    supply_pressure      | floats | 20.7e6    | Pa       | > 0     | supply pressure
+    rated_flow           | floats | 2.754e-4  | m^3/s    | > 0     |
         flow of the open valve at rated_pressure_drop
-    rated_pressure_drop  | floats | 6.9e6           | Pa       | > 0     |
-        pressure drop of rated_flow
-    rated_voltage        | floats | 10.0            | V        | > 0     |
+    rated_pressure_drop  | floats | 6.9e6     | Pa       | > 0     | pressure drop of rated_flow
+    rated_voltage        | floats | 10.0      | V        | > 0     |
         drive at which the valve is fully open
-    bulk_modulus         | floats | 0.7e9           | Pa       | > 0     |
+    bulk_modulus         | floats | 0.7e9     | Pa       | > 0     |
         effective bulk modulus of oil, air and hoses, beta
-    oil_volume           | floats | 2.357e-4        | m^3      | > 0     |
+    oil_volume           | floats | 2.357e-4  | m^3      | > 0     |
         oil under compression, both chambers, V
-    leakage_coefficient  | floats | 4.2e-12         | m^3/s/Pa | 0 ..    |
+    leakage_coefficient  | floats | 4.2e-12   | m^3/s/Pa | 0 ..    |
         leakage flow per load pressure, C
-    valve_frequency      | floats | 70.0            | Hz       | > 0     |
-        natural frequency of the valve
-    valve_damping        | floats | 0.6             |          | > 0     |
-        damping ratio of the valve
-    dead_time            | float  | 0.001           | s        | 0 .. 1  | dead time of the valve
-    friction             | floats | 0.0             | N        | 0 ..    |
-        Coulomb friction of the piston
-    friction_velocity    | floats | 0.005           | m/s      | > 0     |
+    valve_frequency      | floats | 70.0      | Hz       | > 0     | natural frequency of the valve
+    valve_damping        | floats | 0.6       |          | > 0     | damping ratio of the valve
+    dead_time            | float  | 0.001     | s        | 0 .. 1  | dead time of the valve
+    friction             | floats | 0.0       | N        | 0 ..    | Coulomb friction of the piston
+    friction_velocity    | floats | 0.005     | m/s      | > 0     |
         velocity over which Coulomb friction builds up
-    viscous_friction     | floats | 0.0             | N s/m    | 0 ..    |
-        viscous friction of the piston
-    stroke               | floats | 0.076           | m        | > 0     |
+    viscous_friction     | floats | 0.0       | N s/m    | 0 ..    | viscous friction of the piston
+    stroke               | floats | 0.076     | m        | > 0     |
         displacement in both directions at which the piston meets its stops
     """,
     "actuator",
@@ -189,51 +180,51 @@ paper's rig (docs/rig.md)."""
 
 SENSORS = parameter_rows(
     """
-    position_noise     | floats | 0.0      | m     | 0 ..    | RMS noise of displacement
-    velocity_noise     | floats | 0.0      | m/s   | 0 ..    | RMS noise of velocity
-    acceleration_noise | floats | 0.0      | m/s^2 | 0 ..    | RMS noise of acceleration
-    force_noise        | floats | 0.0      | N     | 0 ..    | RMS noise of force
-    position_bias      | floats | 0.0      | m     |         | constant error of displacement
-    velocity_bias      | floats | 0.0      | m/s   |         | constant error of velocity
-    acceleration_bias  | floats | 0.0      | m/s^2 |         | constant error of acceleration
-    force_bias         | floats | 0.0      | N     |         | constant error of force
-    position_range     | floats | 0.0      | m     | 0 ..    |
+    position_noise     | floats | 0.0   | m     | 0 ..    | RMS noise of displacement
+    velocity_noise     | floats | 0.0   | m/s   | 0 ..    | RMS noise of velocity
+    acceleration_noise | floats | 0.0   | m/s^2 | 0 ..    | RMS noise of acceleration
+    force_noise        | floats | 0.0   | N     | 0 ..    | RMS noise of force
+    position_bias      | floats | 0.0   | m     |         | constant error of displacement
+    velocity_bias      | floats | 0.0   | m/s   |         | constant error of velocity
+    acceleration_bias  | floats | 0.0   | m/s^2 |         | constant error of acceleration
+    force_bias         | floats | 0.0   | N     |         | constant error of force
+    position_range     | floats | 0.0   | m     | 0 ..    |
         displacement in both directions at which the sensor saturates; 0: never
-    velocity_range     | floats | 0.0      | m/s   | 0 ..    |
+    velocity_range     | floats | 0.0   | m/s   | 0 ..    |
         velocity in both directions at which the sensor saturates; 0: never
-    acceleration_range | floats | 0.0      | m/s^2 | 0 ..    |
+    acceleration_range | floats | 0.0   | m/s^2 | 0 ..    |
         acceleration in both directions at which the sensor saturates; 0: never
-    force_range        | floats | 0.0      | N     | 0 ..    |
+    force_range        | floats | 0.0   | N     | 0 ..    |
         force in both directions at which the sensor saturates; 0: never
-    adc_bits           | int    | 0        |       | 0 .. 32 |
+    adc_bits           | int    | 0     |       | 0 .. 32 |
         bits of the analog-digital converter over each range; 0: exact
-    anti_alias         | float  | 0.0      | Hz    | 0 ..    |
+    anti_alias         | float  | 0.0   | Hz    | 0 ..    |
         cut-off of the anti-aliasing filters (Butterworth, second order); 0: none
-    velocity           | string | measured |       | measured, derived |
+    velocity | string | measured |  | measured, derived |
         measured, or derived from the measured displacement by a filtered derivative
-    velocity_cutoff    | float  | 100.0    | Hz    | > 0     | cut-off of that derivative
+    velocity_cutoff    | float  | 100.0 | Hz    | > 0     | cut-off of that derivative
     """,
     "sensors",
 )
 
 SAFETY = parameter_rows(
     """
-    limits.command              | float  | force_controller:voltage_limit or 10.0 | V | > 0     |
-        largest valve command, in both directions, that the rig applies; a larger one is
-        refused. Idealised actuators refuse a reference force beyond limits.force instead
-    safe.valve_command          | floats | 0.0 | V |         |
+    limits.command | float | force_controller:voltage_limit or 10.0 | V | > 0 |
+        largest valve command, in both directions, that the rig applies; a larger one is refused.
+        Idealised actuators refuse a reference force beyond limits.force instead
+    safe.valve_command          | floats | 0.0  | V |         |
         valve command after the end of a test; an idealised actuator removes its force instead
-    safe.close_time              | float  | 0.02 | s | 0 .. 1  |
+    safe.close_time             | float  | 0.02 | s | 0 .. 1  |
         time in which the valve goes from the last command to safe.valve_command. Longer than a
         period of the oil column, because a valve that closes at once on a mass M with velocity v
         makes a force peak of v sqrt(k_oil M); shorter than a sixth of the specimen's period,
         because the specimen still moves
-    safe.settle_time            | float  | 0.2 | s | 0 .. 60 |
-        longest time for which the simulated rig continues after that, until it is at rest; 0:
-        not at all
+    safe.settle_time            | float  | 0.2  | s | 0 .. 60 |
+        longest time for which the simulated rig continues after that, until it is at rest; 0: not
+        at all
     watchdog.command_timeout | float | supervisor:watchdog.command_timeout or 0.02 | s | > 0 |
         in realtime: longest time without a new command before the rig trips
-    watchdog.supervisor_timeout | float  | 1.0 | s | > 0     |
+    watchdog.supervisor_timeout | float  | 1.0  | s | > 0     |
         longest silence of the supervisor before the rig trips
     """
 )

@@ -84,6 +84,7 @@ class CommandWatch:
 
 OVERRUN = 0.5  # of a period: after it the rest of the period is too short for an answer
 HURRY = 0.05  # of a period, by which steps are shorter while a rig makes up for lost time
+POLL = 0.002  # s, longest wait until it is asked again whether to stop
 
 
 class SampleClock:
@@ -95,25 +96,48 @@ class SampleClock:
     """
 
     def __init__(self, period: float, start: float, *, makes_up: bool) -> None:
-        self._period, self._makes_up = period, makes_up
+        self.period, self._makes_up = period, makes_up
         self._start = self._on_time = start
         self.overruns = 0
 
     def deadline(self, step: int) -> float:
         """Time of a step, s, monotonic."""
-        return self._start + step * self._period
+        return self._start + step * self.period
 
     def awake(self, late: float) -> None:
         """Process the time in s by which a deadline was missed."""
-        if late > OVERRUN * self._period:
+        if late > OVERRUN * self.period:
             self.overruns += 1
             self.fall_back(late)
         if self._makes_up and self._start > self._on_time:
-            self._start -= min(HURRY * self._period, self._start - self._on_time)
+            self._start -= min(HURRY * self.period, self._start - self._on_time)
 
     def fall_back(self, time: float) -> None:
         """Shift all later deadlines by a time in s."""
         self._start += time
+
+
+def wait_for_command(
+    shell: NodeShell, command: Command, step: int, longest: float, stop: Callable[[], bool]
+) -> float:
+    """Wait at most ``longest`` s for the command of a step, or until ``stop``; give the time, s."""
+    begun = time.monotonic()
+    while command.step < step and time.monotonic() - begun < longest and not stop():
+        shell.spin_once(POLL)
+    return time.monotonic() - begun
+
+
+def wait_for_sample(
+    shell: NodeShell, command: Command, step: int, clock: SampleClock, answered: Callable[[], None]
+) -> None:
+    """Wait until the sample after a step is due; ``answered`` is called if there is time left."""
+    while (left := clock.deadline(step + 1) - time.monotonic()) > 0:
+        if shell.spin_once(left) and command.step >= step:
+            answered()
+    clock.awake(-left)
+    late = time.monotonic() + clock.period
+    while command.step < step and time.monotonic() < late and shell.spin_once(0.0):
+        pass  # messages that arrived during a stall are in time; a flood must not block
 
 
 MOST = 3072
@@ -361,16 +385,9 @@ class Rehearsal:
             self._round_trip.published(step, time.monotonic())
             self._publish(raw)
             if step == 0:  # other nodes prepare at the first sample
-                begun = time.monotonic()
-                while command.step < 0 and time.monotonic() - begun < FIRST_ANSWER and not stop():
-                    shell.spin_once(period)
+                wait_for_command(shell, command, 0, FIRST_ANSWER, stop)
                 clock.fall_back(time.monotonic())
-            while (left := clock.deadline(step + 1) - time.monotonic()) > 0:
-                shell.spin_once(left)
-            clock.awake(-left)
-            late = time.monotonic() + period
-            while command.step < step and time.monotonic() < late and shell.spin_once(0.0):
-                pass  # as in a test: messages that arrived during a stall are in time
+            wait_for_sample(shell, command, step, clock, lambda: None)
             missed += self._counts and command.step < step
             if stop():
                 break

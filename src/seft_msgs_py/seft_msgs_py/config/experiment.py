@@ -230,8 +230,10 @@ def parse_override(text: str) -> Override:
     return node, name, _parse_yaml(value, f"-p {text}")
 
 
-def split_ros_arguments(argv: Sequence[str]) -> tuple[list[str], list[Override]]:
-    """Parameter files and overrides in a node's command line (``--ros-args ... --``).
+def split_ros_arguments(argv: Sequence[str]) -> tuple[list[str], list[Override], list[str]]:
+    """Parameter files, overrides, and all other words of a node's command line.
+
+    Only words between ``--ros-args`` and ``--`` are parameters.
 
     Raises
     ------
@@ -240,22 +242,22 @@ def split_ros_arguments(argv: Sequence[str]) -> tuple[list[str], list[Override]]
     """
     files: list[str] = []
     overrides: list[Override] = []
+    others: list[str] = []
     words = iter(argv)
     inside = False
     for word in words:
-        if word == "--ros-args":
-            inside = True
-        elif word == "--":
-            inside = False
-        elif inside and word in PARAMETER_OPTIONS:
-            value = next(words, None)
-            if value is None:
-                raise InputError(f"{word} needs a value")
-            if word == "--params-file":
-                files.append(value)
-            else:
-                overrides.append(parse_override(value))
-    return files, overrides
+        if not inside or word not in PARAMETER_OPTIONS:
+            inside = word == "--ros-args" or (inside and word != "--")
+            others.append(word)
+            continue
+        value = next(words, None)
+        if value is None:
+            raise InputError(f"{word} needs a value")
+        if word == "--params-file":
+            files.append(value)
+        else:
+            overrides.append(parse_override(value))
+    return files, overrides, others
 
 
 def _flatten(tree: Mapping[Any, Any], path: str, node: str, prefix: str = "") -> Section:

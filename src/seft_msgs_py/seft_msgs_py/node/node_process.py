@@ -22,7 +22,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
-from seft_msgs_py.config.experiment import PARAMETER_OPTIONS
+from seft_msgs_py.config.experiment import split_ros_arguments
 from seft_msgs_py.errors import InputError, SeftError, WireError
 from seft_msgs_py.node.process import on_ending, prepare_middleware
 from seft_msgs_py.node.rclpy_interface import WaitSet, taker
@@ -119,6 +119,12 @@ class NodeProcess:
         Set by SIGINT, SIGTERM and SIGHUP.
     faults : int
         Unexpected exceptions of the nodes' program.
+    fault_listeners : list of callable
+        Called, in the main thread, with the reason of each fault.
+    polls : list of callable
+        Called after each turn, when all due messages have been answered.
+    chores : list of callable
+        Called after some turns; nothing may wait for them.
 
     Raises
     ------
@@ -131,23 +137,22 @@ class NodeProcess:
         self.faults = 0
         self._new_faults: deque[str] = deque()
         self._fault_logged_at = -LOG_PERIOD
-        self._fault_listeners: list[Callable[[str], None]] = []
+        self.fault_listeners: list[Callable[[str], None]] = []
         wake_on_time()
         self.bus = IntraProcessBus(nodes)
         prepare_middleware()
         on_ending(self._stop)
+        _, _, arguments = split_ros_arguments(argv)  # parameters are read by `Experiment.load`
         try:
-            rclpy.init(
-                args=_without_parameters(argv), signal_handler_options=SignalHandlerOptions.NO
-            )
+            rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         except Exception as error:  # rclpy has several kinds, most of them private
             raise InputError(
                 f"ROS arguments not understood: {str(error).splitlines()[0]}"
             ) from None
         self._waking: dict[Subscription, ReadOne] = {}
         self._quiet: list[ReadOne] = []
-        self._polls: list[Callable[[], None]] = []
-        self._chores: list[Callable[[], None]] = []
+        self.polls: list[Callable[[], None]] = []
+        self.chores: list[Callable[[], None]] = []
         self._wait_set: WaitSet | None = None
         self._polled_outside_at = self._chores_at = 0.0
         self._executor = SingleThreadedExecutor()
@@ -178,18 +183,6 @@ class NodeProcess:
         else:
             self._quiet.append(read_one)
         return read_one
-
-    def every_turn(self, poll: Callable[[], None]) -> None:
-        """Call ``poll`` after each turn, when all due messages have been answered."""
-        self._polls.append(poll)
-
-    def now_and_then(self, chore: Callable[[], None]) -> None:
-        """Call ``chore`` after some turns; nothing may wait for it."""
-        self._chores.append(chore)
-
-    def on_fault(self, listener: Callable[[str], None]) -> None:
-        """Call ``listener``, in the main thread, with the reason of each fault."""
-        self._fault_listeners.append(listener)
 
     def attempt(self, what: str, call: Callable[..., Any], *arguments: Any) -> Any:
         """Call a function; an unexpected exception is a fault, after which the process continues.
@@ -238,16 +231,16 @@ class NodeProcess:
         next call takes the rest. Returns whether such a message was handled.
         """
         handled = bool(self.attempt("the turn", self._take_turn, timeout))
-        for poll in self._polls:
+        for poll in self.polls:
             self.attempt("a poll", poll)
         pause = CHORE_PERIOD if handled else IDLE_CHORE_PERIOD
         if (now := time.monotonic()) - self._chores_at >= pause:
             self._chores_at = now
-            for chore in self._chores:
+            for chore in self.chores:
                 self.attempt("a chore", chore)
         while self._new_faults:
             reason = self._new_faults.popleft()
-            for listener in self._fault_listeners:
+            for listener in self.fault_listeners:
                 try:
                     listener(reason)
                 except Exception as error:  # a listener's own fault is not reported to listeners
@@ -323,15 +316,3 @@ def drain(read_one: ReadOne, most: int = MOST_AT_ONCE) -> None:
     for _ in range(most):
         if read_one() is None:
             return
-
-
-def _without_parameters(argv: Sequence[str]) -> list[str]:
-    """Command line without the parameters, because `Experiment.load` has read them already."""
-    words = iter(argv)
-    kept = []
-    for word in words:
-        if word in PARAMETER_OPTIONS:
-            next(words, None)
-        else:
-            kept.append(word)
-    return kept

@@ -70,7 +70,7 @@ class NodeShell:
     def __init__(
         self, process: NodeProcess, table: Table, tables: Iterable[Table], argv: Sequence[str]
     ) -> None:
-        files, overrides = split_ros_arguments(argv)
+        files, overrides, _ = split_ros_arguments(argv)
         self.experiment = Experiment.load(tables, files, overrides, nodes=[table.node])
         self.refused = 0
         self._warning, self._warned_at = "", -WARN_PERIOD  # first reason since the last warning
@@ -166,7 +166,7 @@ class NodeShell:
             self._facts["realtime"] = realtime.granted()
         self._describe()
         self.node.get_logger().info("started; the supervisor starts and ends tests")
-        self._process.now_and_then(self._renew_status)
+        self._process.chores.append(self._renew_status)
 
     def add_facts(self, facts: dict[str, Any]) -> None:
         """Add facts about the node (JSON values) to its description."""
@@ -184,10 +184,6 @@ class NodeShell:
     def fault(self, what: str, error: Exception) -> str:
         """Count and log a fault of this node's program, see `NodeProcess.fault`."""
         return self._process.fault(f"{self.name}, {what}", error)
-
-    def on_fault(self, listener: Callable[[str], None]) -> None:
-        """Call ``listener`` with the reason of each fault in this process."""
-        self._process.on_fault(listener)
 
     def refuse(self, reason: str) -> None:
         """Count a message that was not acted upon; a warning follows, at most once a second.
@@ -439,10 +435,9 @@ def run_nodes(*kinds: NodeKind) -> int:
             node = kind.make(shell)
             shell.start(node.facts)
             node.begin()
-            shell.on_fault(node.fault)
+            process.fault_listeners.append(node.fault)
             nodes.append(node)
-        for node in nodes[1:]:
-            process.every_turn(node.poll)
+        process.polls += [node.poll for node in nodes[1:]]
         process.start()
         name = kinds[0].table.node
         nodes[0].run()

@@ -26,7 +26,7 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
-from rclpy.callback_groups import CallbackGroup
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
@@ -145,19 +145,12 @@ def rig_of_node(node: Node, experiment: Experiment) -> tuple[RigAxes, str]:
     return rigs[last], above
 
 
-class LoopCallbackGroup(CallbackGroup):
+class LoopCallbackGroup(ReentrantCallbackGroup):
     """Group of subscriptions that no executor handles, only a `WaitSet`."""
 
     def can_execute(self, entity: Any) -> bool:
         """No executor may wait for these."""
         return False
-
-    def beginning_execution(self, entity: Any) -> bool:
-        """No executor may take from these."""
-        return False
-
-    def ending_execution(self, entity: Any) -> None:
-        """Nothing was started."""
 
 
 def raw_subscription(
@@ -180,8 +173,6 @@ class WaitSet:
     def __init__(self, context: Context, subscriptions: Sequence[Subscription]) -> None:
         self._subscriptions = {each.handle.pointer: each for each in subscriptions}
         self._handles = [each.handle for each in subscriptions]
-        if not self._handles:
-            raise ValueError("a wait set needs something to wait for")
         self._wait_set = _rclpy.WaitSet(len(self._handles), 0, 0, 0, 0, 0, context.handle)
 
     def wait(self, timeout: float) -> list[Subscription]:
