@@ -27,8 +27,6 @@ LARGEST_FILE = 1_000_000
 
 Override = tuple[str, str, Value]  # node, parameter, value
 
-_COMMON_TABLE = Table(EVERY_NODE, ())
-
 
 class Experiment:
     """All parameters of a test, checked and complete: node name -> parameter name -> value.
@@ -104,9 +102,6 @@ class Experiment:
                 _merge(given, node, sections[node], by_node, str(file))
         for node, name, value in overrides:
             _merge(given, node, {name: value}, by_node, "-p")
-        everywhere = given.pop(EVERY_NODE, {})
-        for node in (*by_node, *given):
-            given[node] = {**everywhere, **given.get(node, {})}
         return cls(resolve(by_node, given, nodes))
 
     def __getitem__(self, node: str) -> Section:
@@ -125,20 +120,19 @@ class Experiment:
 def _merge(
     given: dict[str, Section], node: str, section: Section, tables: dict[str, Table], where: str
 ) -> None:
-    table = _COMMON_TABLE if node == EVERY_NODE else tables.get(node)
     at = f"{where}: {node}"
-    if node == EVERY_NODE:
-        # ROS permits a wildcard parameter of one node only; it goes to the nodes that know it
-        for name in [name for name in section if name not in _COMMON_TABLE.rows]:
-            owners = [other for other, rows in tables.items() if name in rows.rows]
-            if not owners:
-                known = {row for rows in tables.values() for row in rows.rows}
-                raise InputError(f"{at}: there is no parameter {name}{nearest(name, known)}")
-            for owner in owners:
-                _merge(given, owner, {name: section[name]}, tables, where)
-        section = {name: v for name, v in section.items() if name in _COMMON_TABLE.rows}
-    checked = table.check(section, at) if table else section
-    given.setdefault(node, {}).update(checked)
+    if node != EVERY_NODE:
+        checked = tables[node].check(section, at) if node in tables else section
+        given.setdefault(node, {}).update(checked)
+        return
+    # ROS permits a wildcard parameter of one node only; it goes to the nodes that know it
+    for name, value in section.items():
+        owners = [table for table in tables.values() if name in table.rows]
+        if not owners:
+            known = {row for table in tables.values() for row in table.rows}
+            raise InputError(f"{at}: there is no parameter {name}{nearest(name, known)}")
+        for owner in owners:
+            given.setdefault(owner.node, {})[name] = owner.rows[name].check(value, at)
 
 
 def read_parameter_file(path: str | Path) -> dict[str, Section]:

@@ -27,14 +27,12 @@ def per_axis(value: float | Sequence[float], axes: Sequence[str], where: str) ->
         If there are neither 1 nor n values; ``where`` names the parameter.
     """
     array = np.array(value, dtype=np.float64, ndmin=1)
-    if array.size == len(axes):
-        return array
-    if array.size == 1:
-        return np.full(len(axes), array[0])
-    raise InputError(
-        f"{where}: {array.size} values for {len(axes)} axes [{', '.join(axes)}]; "
-        "give one, or one for each axis"
-    )
+    if array.size not in (1, len(axes)):
+        raise InputError(
+            f"{where}: {array.size} values for {len(axes)} axes [{', '.join(axes)}]; "
+            "give one, or one for each axis"
+        )
+    return np.broadcast_to(array, len(axes)).copy()
 
 
 def as_matrix(value: float | Sequence[float], axes: Sequence[str], where: str) -> Floats:
@@ -80,7 +78,6 @@ Kind = Literal["float", "int", "bool", "string", "floats", "ints", "strings"]
 Value = Any
 Section = dict[str, Value]
 
-_SCALAR_KIND: dict[str, Kind] = {"floats": "float", "ints": "int", "strings": "string"}
 _WORDS: dict[str, str] = {
     "float": "a number",
     "int": "a whole number",
@@ -138,10 +135,8 @@ class Parameter:
 
     def check(self, value: Value, where: str) -> Value:
         """Return the value in this parameter's type; InputError with ``where`` if it is invalid."""
-        scalar = _SCALAR_KIND.get(self.kind)
-        if scalar is None:
-            return self._check_one(value, self.kind, where)
-        if isinstance(value, list | tuple):
+        scalar = self.kind.removesuffix("s")
+        if scalar != self.kind and isinstance(value, list | tuple):
             if not value:
                 raise self._error(where, value, "must not be empty")
             return [self._check_one(item, scalar, where) for item in value]
