@@ -13,23 +13,12 @@ import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.errors import InputError
 
+from seft_plant_sim import springs
 from seft_plant_sim.actuator import COLUMNS as PISTON
 from seft_plant_sim.actuator import FASTEST, Hydraulics, holding_force, lost_opening, piston_rows
 from seft_plant_sim.compiled import compiled, multiply
 from seft_plant_sim.lti import first_order_hold
 from seft_plant_sim.specimen import Specimen
-from seft_plant_sim.springs import (
-    BESIDE,
-    GAP,
-    HYSTERETIC,
-    KIND,
-    MEMORY,
-    SLIDER,
-    STIFFNESS,
-    WIDTH,
-    Spring,
-    spring_force,
-)
 
 Drive = Literal["valve_command", "reference_force"]
 
@@ -74,7 +63,7 @@ class ContinuousModel:
     inputs: Floats
     outputs: Floats
     pistons: Floats
-    springs: tuple[Spring, ...]
+    springs: tuple[springs.Spring, ...]
     deformation: Floats
     drive_limit: Floats
 
@@ -295,8 +284,8 @@ def dynamics_of(
 def at_rest(dynamics: Dynamics) -> Motion:
     """Motion of a model that has not been driven."""
     p, (_, r, s) = len(dynamics.laws), dynamics.correct.shape
-    work = np.zeros(len(dynamics.output))
-    return Motion(work, np.zeros((p, MEMORY)), np.zeros(s), np.zeros(r), np.zeros((p, MEMORY)))
+    work, (memory, trial) = np.zeros(len(dynamics.output)), np.zeros((2, p, springs.MEMORY))
+    return Motion(work, memory, np.zeros(s), np.zeros(r), trial)
 
 
 @compiled
@@ -312,7 +301,7 @@ def integrate(dynamics: Dynamics, stretch: int, motion: Motion) -> None:
             multiply(predict, work, state)
             memory = motion.trial
             for j in range(len(memory)):
-                for i in range(MEMORY):
+                for i in range(springs.MEMORY):
                     memory[j, i] = motion.springs[j, i]
         else:  # the next state with the residuals' change
             for j in range(r):
@@ -345,13 +334,13 @@ def _residuals(dynamics: Dynamics, period: float, motion: Motion, memory: Floats
             v_1 += factor * z[n + i]
         if v_0 * v_1 < 0.0:  # it turns where the velocity, taken as linear, is 0
             turn = memory[j, 0] + 0.5 * period * v_0 * v_0 / (v_0 - v_1)
-            spring_force(dynamics.laws, j, memory, turn)
-        force = spring_force(dynamics.laws, j, memory, e)
-        residuals[2 * m + j] = force - dynamics.laws[j, STIFFNESS] * e
+            springs.spring_force(dynamics.laws, j, memory, turn)
+        force = springs.spring_force(dynamics.laws, j, memory, e)
+        residuals[2 * m + j] = force - dynamics.laws[j, springs.STIFFNESS] * e
 
 
 def _laws(model: ContinuousModel) -> Floats:
-    return np.array([spring.law for spring in model.springs]).reshape(-1, WIDTH)
+    return np.array([spring.law for spring in model.springs]).reshape(-1, springs.WIDTH)
 
 
 def _fastest(model: ContinuousModel) -> float:
@@ -359,8 +348,8 @@ def _fastest(model: ContinuousModel) -> float:
     rates = model.pistons[:, FASTEST].tolist()
     n, first = model.b.shape[1], 2 * len(model.pistons)
     for j, law in enumerate(_laws(model)):
-        if law[KIND] in (SLIDER, GAP):
-            stiffer = law[BESIDE] + law[HYSTERETIC] - law[STIFFNESS]
+        if law[springs.KIND] in (springs.SLIDER, springs.GAP):
+            stiffer = law[springs.BESIDE] + law[springs.HYSTERETIC] - law[springs.STIFFNESS]
             per_force = -model.deformation[j] @ model.inputs[n : 2 * n, first + j]
             rates.append(math.sqrt(max(0.0, stiffer * per_force)))
     return max(rates, default=0.0)

@@ -16,7 +16,6 @@ from seft_msgs_py.node.node_shell import WARM_UP_STEPS, NodeBody, NodeKind, Node
 from seft_msgs_py.wire.messages import Status, encode_clock, restamp
 from seft_msgs_py.wire.outcome import (
     FINISHED,
-    LISTED_STEPS,
     REHEARSED,
     REHEARSES,
     TRIPPED,
@@ -36,21 +35,10 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
+from seft_plant_sim import rig_watch
 from seft_plant_sim.command import Command
 from seft_plant_sim.rig import Rig, Stopped
 from seft_plant_sim.rig_parameters import TABLE
-from seft_plant_sim.rig_watch import (
-    CommandWatch,
-    RecorderLag,
-    Rehearsal,
-    RoundTrip,
-    SampleClock,
-    Supervision,
-    elapsed,
-    wait_for_command,
-    wait_for_sample,
-    with_health,
-)
 
 CLOCK_PERIOD = 0.1  # s of the test's time
 BREATH = 0.005  # s from the first answer in realtime to the time of step 0
@@ -81,7 +69,7 @@ class RigNode(NodeBody):
             self._publish_time = shell.publisher(CLOCK_TOPIC)
         self._time_message = bytearray(encode_clock(0))
         self._is_alone = len(experiment.rigs) == 1
-        self._round_trip = RoundTrip()
+        self._round_trip = rig_watch.RoundTrip()
         valve = VALVE_COMMAND.of(shell.rig)
         self._valve = self._drive = self._command(valve, shell.rig.axes, "limits.command")
         if self._rig.drive == REFERENCE_FORCE.name:
@@ -89,19 +77,19 @@ class RigNode(NodeBody):
             axes = experiment.axes
             self._drive = self._command(REFERENCE_FORCE, axes, "limits.force", delay)
         self.facts: dict[str, Any] = {"drive": self._drive.codec.topic.name}
-        self._rehearsal: Rehearsal | None = None
+        self._rehearsal: rig_watch.Rehearsal | None = None
         is_realtime = self._section["pace"] == "realtime"
         if self._is_alone and is_realtime and not self._section["loop_delay"]:
             topic, limit = self._drive.codec.topic, self._drive.limit
-            self._rehearsal = Rehearsal(shell, self._timebase, topic, limit)
+            self._rehearsal = rig_watch.Rehearsal(shell, self._timebase, topic, limit)
             self.facts[REHEARSES] = True
-        self._supervision = Supervision(self._section["watchdog.supervisor_timeout"])
+        self._supervision = rig_watch.Supervision(self._section["watchdog.supervisor_timeout"])
         shell.subscribe(EXPERIMENT_STATE, self._supervision.receive, depth=16)
-        self._recorder_lag = RecorderLag(self._section["lockstep_timeout"])
+        self._recorder_lag = rig_watch.RecorderLag(self._section["lockstep_timeout"])
         if self._section["pace"] == "lockstep":
             shell.subscribe(DIAGNOSTICS, self._recorder_lag.receive)
-        self._clock: SampleClock | None = None  # of a test in realtime
-        self._watch = CommandWatch(
+        self._clock: rig_watch.SampleClock | None = None  # of a test in realtime
+        self._watch = rig_watch.CommandWatch(
             self._drive.codec.topic, self._timebase.dt, self._section["watchdog.command_timeout"]
         )
         self._clock_steps = max(1, round(CLOCK_PERIOD * self._timebase.rate))
@@ -132,7 +120,7 @@ class RigNode(NodeBody):
                 ended = False  # by now others know how the test ended
                 self.report("idle")
 
-    def _rehearse(self, rehearsal: Rehearsal, seconds: float) -> None:
+    def _rehearse(self, rehearsal: rig_watch.Rehearsal, seconds: float) -> None:
         """Run the loop with the valve at its safe value, and publish the result."""
         rig, supervision = self._rig, self._supervision
 
@@ -173,7 +161,6 @@ class RigNode(NodeBody):
         self._drive.reset()
         self._missed: list[int] = []
         self._held: list[int] = []  # step of the command applied at each of them
-        self._missed_count = 0
         self._clock = None
         self._recorder_lag.reset()
         self._round_trip.reset()
@@ -251,7 +238,7 @@ class RigNode(NodeBody):
         outcome = Outcome(
             phase,
             self._rig.step_index + 1,
-            self._missed_count,
+            len(self._missed),
             self._missed,
             self._reported_at - self._started,
             trip,
@@ -267,7 +254,7 @@ class RigNode(NodeBody):
             values["stop time (s)"] = f"{stopped.steps * self._timebase.dt:g}"
         status = replace(status, values=values, message=phase if phase == "running" else message)
         margins = self._rig.limits.margins()
-        return with_health(status, margins, self._answered_at, self._round_trip.last)
+        return rig_watch.with_health(status, margins, self._answered_at, self._round_trip.last)
 
     def _lockstep(self, step: int, is_last: bool) -> str | None:
         """Wait for the commands of a step, and for the recorder; give a reason to end the test."""
@@ -300,7 +287,7 @@ class RigNode(NodeBody):
         self._waits = not self._is_alone and not self._section["loop_delay"]
         start = time.monotonic() if self._is_alone else self._start
         makes_up = not self._is_alone and not self._waits
-        self._clock = SampleClock(self._timebase.dt, start, makes_up=makes_up)
+        self._clock = rig_watch.SampleClock(self._timebase.dt, start, makes_up=makes_up)
 
     def _realtime(self, step: int, is_last: bool) -> str | None:
         """Wait for the deadline of the next step, and count a missing command.
@@ -313,24 +300,22 @@ class RigNode(NodeBody):
         if step == 0 and self._is_alone:
             clock.fall_back(self._wait_for_answer(0, timeout) + BREATH)
         if step == 0:
-            self._watch.begin(elapsed() + clock.deadline(0) - time.monotonic())
-        wait_for_sample(self._shell, drive, step, clock, self._report_if_due)
+            self._watch.begin(rig_watch.elapsed() + clock.deadline(0) - time.monotonic())
+        rig_watch.wait_for_sample(self._shell, drive, step, clock, self._report_if_due)
         if self._waits and drive.step < step:
             clock.fall_back(self._wait_for_answer(step - 1, timeout) + FALL_BACK * clock.period)
         if (why := self._reason_to_end()) is not None or is_last or self._rig.violation is not None:
             return why
         if drive.step < step:
-            self._missed_count += 1
-            if len(self._missed) < LISTED_STEPS:
-                self._missed.append(step)
-                self._held.append(drive.step)
+            self._missed.append(step)
+            self._held.append(drive.step)
         in_vain = self._waited_in_vain and drive.step < step
-        fault = self._watch.fault(elapsed(), step, drive.step, in_vain=in_vain)
+        fault = self._watch.fault(rig_watch.elapsed(), step, drive.step, in_vain=in_vain)
         return fault + self._shell.foreign_publishers(self._refused_before) if fault else None
 
     def _wait_for_answer(self, step: int, longest: float) -> float:
         """Wait for the command of a step; return for how long, s."""
-        waited = wait_for_command(
+        waited = rig_watch.wait_for_command(
             self._shell, self._drive, step, longest, lambda: self._reason_to_end() is not None
         )
         self._waited_in_vain = self._drive.step < step
