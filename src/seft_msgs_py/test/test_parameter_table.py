@@ -216,15 +216,9 @@ def test_a_value_comes_from_a_node_without_a_table_and_is_checked():
 
 
 def test_a_parameter_that_must_be_given_is_named_with_its_meaning():
-    for tables in (chained(""), chained("elsewhere:x"), chained("b:x", "a:x")):
+    for tables in (chained(""), chained("elsewhere:x"), chained("b:x", "")):
         with pytest.raises(InputError, match=r"a: x must be given \(an x, kg\)"):
             resolve(tables, {})
-
-
-def test_a_chain_that_bites_its_tail_ends_in_the_default():
-    tables = chained("b:x", "a:x", default=5.0)
-    assert [section["x"] for section in resolve(tables, {}).values()] == [5.0, 5.0]
-    assert resolve(tables, {"b": {"x": 1.0}})["a"]["x"] == 1.0
 
 
 def test_common_parameters_have_the_documented_defaults():

@@ -9,6 +9,7 @@ import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import group, per_axis
+from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import Saturation, all_saturated, count_saturated
 from seft_msgs_py.wire.topics import VALVE_COMMAND, RigAxes, Timebase
 
@@ -17,15 +18,20 @@ from seft_plant_sim.compiled import compiled, entry_point, kind_of
 from seft_plant_sim.continuous_model import (
     ContinuousModel,
     Drive,
+    at_rest,
     delayed_force,
+    dynamics_of,
     servo_hydraulic,
     with_low_pass,
 )
 from seft_plant_sim.limits import Limits, SaturatedTime
-from seft_plant_sim.rig_step import BLIND, ENDS, LIMIT, move, rig_arrays, rig_step
+from seft_plant_sim.lti import split_dead_time
+from seft_plant_sim.rig_step import BLIND, ENDS, LIMIT, RigParameters, RigState, move, rig_step
 from seft_plant_sim.sensors import Sensors
 from seft_plant_sim.specimen import Specimen
 
+LONGEST_DELAY_STEPS = 1_000_000
+"""Largest dead time of a rig, in samples."""
 AT_REST = 1e-4  # m/s
 RESTS = 10  # steps below that, so that the turning point of a vibration does not count as rest
 
@@ -86,14 +92,33 @@ class Rig:
         self.drive: Drive = model.drive
         self.sensors = sensors
         self.limits = limits
-        self.parameters, self.state = rig_arrays(
-            model, sensors.channels, limits, saturated_time, dt
+        whole, part = split_dead_time(model.delay, dt)
+        if whole > LONGEST_DELAY_STEPS:
+            raise InputError(f"actuator: a delay of {model.delay:g} s is {whole} samples long")
+        dynamics, n = dynamics_of(model, part, dt - part), model.b.shape[1]
+        self.parameters = RigParameters(
+            dynamics,
+            np.ascontiguousarray(model.drive_limit),
+            part > 0,
+            sensors.channels,
+            limits.values,
+            saturated_time.window,
+        )
+        self.state = RigState(
+            at_rest(dynamics),
+            np.zeros(4 * n),
+            np.zeros((whole + 2, n)),
+            np.zeros(2, dtype=np.int64),
+            np.zeros((4, n)),
+            np.zeros((4, n)),
+            limits.largest,
+            saturated_time.times(),
         )
         self.step_index = 0
         self.violation: str | None = None
         self.saturation: Saturation = {}
         self._model, self._saturated_time, self._safe = model, saturated_time, safe
-        self._command = np.zeros(model.b.shape[1])
+        self._command = np.zeros(n)
         noise, measured = np.zeros((2, *self.state.measured.shape))
         both = self.parameters, self.state
         self.kind = kind_of(both)

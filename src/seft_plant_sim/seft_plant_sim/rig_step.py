@@ -2,27 +2,15 @@
 
 from typing import NamedTuple
 
-import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
-from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.actuator import OPENING, PER_CAPACITY
 from seft_plant_sim.actuator import STROKE as STROKE_COLUMN
 from seft_plant_sim.compiled import compiled, multiply
-from seft_plant_sim.continuous_model import (
-    ContinuousModel,
-    Dynamics,
-    Motion,
-    at_rest,
-    dynamics_of,
-    integrate,
-)
-from seft_plant_sim.limits import Limits, SaturatedTime, exceeds, is_exceeded
-from seft_plant_sim.lti import split_dead_time
+from seft_plant_sim.continuous_model import Dynamics, Motion, integrate
+from seft_plant_sim.limits import exceeds, is_exceeded
 from seft_plant_sim.sensors import CHANNELS, Channels, measure
 
-LONGEST_DELAY_STEPS = 1_000_000
-"""Largest dead time of a rig, in samples."""
 STROKE, FORCE_CAPACITY, VALVE = 16, 32, 64
 LIMIT, BLIND = 128, 256
 """Bits of a step's result: 1 to 8 for saturated sensors, then other saturated parts, then the
@@ -88,36 +76,6 @@ class RigState(NamedTuple):
     change: Floats
     largest: Floats
     blind: Ints
-
-
-def rig_arrays(
-    model: ContinuousModel,
-    channels: Channels,
-    limits: Limits,
-    saturated_time: SaturatedTime,
-    dt: float,
-) -> tuple[RigParameters, RigState]:
-    """Put a rig with a sampling period of ``dt`` s into arrays; InputError if it can't be run."""
-    whole, part = split_dead_time(model.delay, dt)
-    if whole > LONGEST_DELAY_STEPS:
-        raise InputError(f"actuator: a delay of {model.delay:g} s is {whole} samples long")
-    dynamics = dynamics_of(model, part, dt - part)
-    n = model.b.shape[1]
-    drive_limit = np.ascontiguousarray(model.drive_limit)
-    parameters = RigParameters(
-        dynamics, drive_limit, part > 0, channels, limits.values, saturated_time.window
-    )
-    state = RigState(
-        at_rest(dynamics),
-        np.zeros(4 * n),
-        np.zeros((whole + 2, n)),
-        np.zeros(2, dtype=np.int64),
-        np.zeros((4, n)),
-        np.zeros((4, n)),
-        limits.largest,
-        saturated_time.times(),
-    )
-    return parameters, state
 
 
 @compiled

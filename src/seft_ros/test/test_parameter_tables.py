@@ -66,6 +66,15 @@ def test_a_default_is_a_value_its_own_row_accepts(node, row):
     }
 
 
+@pytest.mark.parametrize(("node", "row"), ROWS, ids=[f"{node} {row.name}" for node, row in ROWS])
+def test_a_default_that_comes_from_other_parameters_comes_from_a_last_one(node, row):
+    sources = {f"{owner}:{other.name}": other.default_from for owner, other in ROWS}
+    passed = [f"{node}:{row.name}"]
+    while source := sources[passed[-1]]:
+        assert source not in passed
+        passed.append(source)
+
+
 @pytest.mark.parametrize("path", sorted(CONFIG.glob("*.yaml")), ids=lambda path: path.name)
 def test_shipped_experiments_are_complete_and_survive_writing(path, tmp_path):
     experiment = load(files=[path])

@@ -317,25 +317,20 @@ def resolve(
         If a required parameter is not given.
     """
 
-    def value_of(node: str, name: str, seen: tuple[str, ...]) -> Value:
-        here = f"{node}:{name}"
+    def value_of(node: str, name: str) -> Value:
         if name in given.get(node, {}):
             return given[node][name]
         row = tables[node].rows.get(name) if node in tables else None
-        if row is None or here in seen:
+        if row is None:
             return None
-        if row.default_from:
-            other, _, parameter = row.default_from.partition(":")
-            value = value_of(other, parameter, (*seen, here))
-            if value is not None:
-                return value
-        return row.default
+        value = value_of(*row.default_from.split(":")) if row.default_from else None
+        return row.default if value is None else value
 
     resolved: dict[str, Section] = {}
     for node in tables if nodes is None else nodes:
         resolved[node] = {}
         for name, row in tables[node].rows.items():
-            value = value_of(node, name, ())
+            value = value_of(node, name)
             if value is None:
                 meaning = f"{row.description}, {row.unit}" if row.unit else row.description
                 raise InputError(f"{node}: {name} must be given ({meaning})")

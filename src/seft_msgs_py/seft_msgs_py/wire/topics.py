@@ -257,13 +257,13 @@ class LoopTopic(Topic):
     Quantities and their units are in the order of the wire.
     """
 
+    type: str = JOINT_TRAJECTORY
     quantities: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
 
 
 GROUND_MOTION = LoopTopic(
     "ground_motion",
-    JOINT_TRAJECTORY,
     publisher="ground_motion",
     subscribers=("reference_force",),
     latched=True,
@@ -273,7 +273,6 @@ GROUND_MOTION = LoopTopic(
 )
 RIG_STATE = LoopTopic(
     "rig/state",
-    JOINT_TRAJECTORY,
     publisher="rig",
     subscribers=("reference_force", "force_controller"),
     quantities=QUANTITIES,
@@ -281,7 +280,6 @@ RIG_STATE = LoopTopic(
 )
 REFERENCE_FORCE = LoopTopic(
     "reference_force",
-    JOINT_TRAJECTORY,
     publisher="reference_force",
     subscribers=("force_controller",),  # and a rig that it drives
     quantities=("effort",),
@@ -293,7 +291,6 @@ TARGET = replace(
 """The reference force with the target's motion, of this step and future ones."""
 VALVE_COMMAND = LoopTopic(
     "valve_command",
-    JOINT_TRAJECTORY,
     publisher="force_controller",
     subscribers=("rig",),
     quantities=("effort",),
