@@ -83,7 +83,11 @@ def statuses(north, east, names=AXES):
         (0, statuses({"a": "1"}, {"a": "2"}, ("east", "north")), "statuses are"),
         (0, statuses({}, {}), "at least one"),
         (0, statuses({"a": "1"}, {"b": "2"}), "the same estimates"),
-        (0, statuses({"a": "1"}, {"a": "2 ms"}), "a of reference_force: east is '2 ms', no number"),
+        (
+            0,
+            statuses({"a": "1"}, {"a": "2 ms"}),
+            "a of reference_force: east is 2 ms, but must be a finite",
+        ),
         (0, statuses({"a": "inf"}, {"a": "2"}), "a of reference_force: north is inf"),
     ],
 )

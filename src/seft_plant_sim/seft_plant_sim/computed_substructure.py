@@ -100,11 +100,6 @@ class ComputedSubstructure:
         nothing = np.zeros_like(mass)
         return cls(mass, nothing, nothing, nothing[:0])
 
-    @classmethod
-    def none(cls, axes: int) -> "ComputedSubstructure":
-        """Make an empty one."""
-        return cls.lumped(np.zeros((axes, axes)))
-
     @property
     def internal(self) -> int:
         """Number of internal degrees of freedom q."""

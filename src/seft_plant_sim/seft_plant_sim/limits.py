@@ -94,22 +94,7 @@ def is_exceeded(times: Ints, count: int, step: int, window: int) -> bool:
     return count + 1 >= len(times) and times[(count + 1) % len(times)] > step - window
 
 
-class SaturatedTime:
-    """How long, in s, sensors may be saturated within the last second, of ``window`` steps."""
-
-    def __init__(self, longest: float, dt: float) -> None:
-        self._longest = longest
-        self._allowed = int(longest / dt * (1 + 1e-9))
-        self.window = round(1.0 / dt)
-
-    def times(self) -> Ints:
-        """Array for the steps that `is_exceeded` counts."""
-        return np.zeros(min(self._allowed, self.window) + 1, dtype=np.int64)
-
-    def describe(self, sensors: Sequence[str]) -> str:
-        """Say that sensors, one at least, have been saturated for too long."""
-        names = " and ".join(sorted(sensors))
-        return (
-            f"{names} at the end of the sensor's range for more than {self._longest:g} s within "
-            "one second: their channels are unknown"
-        )
+def event_ring(longest: float, dt: float) -> tuple[Ints, int]:
+    """Array and window for `is_exceeded`: ``longest`` s of events within a second are allowed."""
+    allowed, window = int(longest / dt * (1 + 1e-9)), round(1.0 / dt)
+    return np.zeros(min(allowed, window) + 1, dtype=np.int64), window

@@ -24,10 +24,10 @@ from seft_plant_sim.continuous_model import (
     servo_hydraulic,
     with_low_pass,
 )
-from seft_plant_sim.limits import Limits, SaturatedTime
+from seft_plant_sim.limits import Limits, event_ring
 from seft_plant_sim.lti import split_dead_time
 from seft_plant_sim.rig_step import BLIND, ENDS, LIMIT, RigParameters, RigState, move, rig_step
-from seft_plant_sim.sensors import Sensors
+from seft_plant_sim.sensors import CHANNELS, Sensors
 from seft_plant_sim.specimen import Specimen
 
 LONGEST_DELAY_STEPS = 1_000_000
@@ -64,6 +64,8 @@ class Stopped(NamedTuple):
 class Rig:
     """Simulates a laboratory's rig: it measures with a period of ``dt`` s, and obeys commands.
 
+    Within a second its sensors may be saturated for ``saturated_time`` s.
+
     Attributes
     ----------
     drive : str
@@ -85,7 +87,7 @@ class Rig:
         model: ContinuousModel,
         sensors: Sensors,
         limits: Limits,
-        saturated_time: SaturatedTime,
+        saturated_time: float,
         dt: float,
         safe: Safe | None = None,
     ) -> None:
@@ -96,13 +98,14 @@ class Rig:
         if whole > LONGEST_DELAY_STEPS:
             raise InputError(f"actuator: a delay of {model.delay:g} s is {whole} samples long")
         dynamics, n = dynamics_of(model, part, dt - part), model.b.shape[1]
+        blind, window = event_ring(saturated_time, dt)
         self.parameters = RigParameters(
             dynamics,
             np.ascontiguousarray(model.drive_limit),
             part > 0,
             sensors.channels,
             limits.values,
-            saturated_time.window,
+            window,
         )
         self.state = RigState(
             at_rest(dynamics),
@@ -112,7 +115,7 @@ class Rig:
             np.zeros((4, n)),
             np.zeros((4, n)),
             limits.largest,
-            saturated_time.times(),
+            blind,
         )
         self.step_index = 0
         self.violation: str | None = None
@@ -148,7 +151,7 @@ class Rig:
             continuous_model(section, axes, own),
             Sensors.from_parameters(sensors, section["seed"], dt, axes, "rig: sensors", own.places),
             Limits(group(section, "limits"), own.axes, dt),
-            SaturatedTime(section["limits.saturated_time"], dt),
+            section["limits.saturated_time"],
             dt,
             Safe(command[list(own.places)], closing, longest),
         )
@@ -212,8 +215,11 @@ class Rig:
                 spring.check()
             return self.limits.describe(self.state.measured, self.state.change)
         if found & BLIND:
-            names = [name for name, bit in ENDS.items() if found & bit and bit < 16]
-            return self._saturated_time.describe([name.replace("_range", "") for name in names])
+            blind = sorted(name for row, name in enumerate(CHANNELS) if found & 1 << row)
+            return (
+                f"{' and '.join(blind)} at the end of the sensor's range for more than "
+                f"{self._saturated_time:g} s within one second: their channels are unknown"
+            )
         return None
 
     def _sample(self, step: int) -> Floats:

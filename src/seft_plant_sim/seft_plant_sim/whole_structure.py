@@ -300,7 +300,7 @@ class WholeStructure:
         if section["method"] == "eft":
             model_mass = as_matrix(section["model.mass"], axes, "reference_force: model.mass")
             carried = replace(specimen, mass=(1.0 + section["mass_ratio"]) * model_mass)
-            return cls(carried, ComputedSubstructure.none(len(axes)))
+            return cls(carried, ComputedSubstructure.lumped(np.zeros_like(model_mass)))
         return cls.of(specimen, ComputedSubstructure.from_parameters(section, axes))
 
     @classmethod

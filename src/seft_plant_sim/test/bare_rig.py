@@ -2,7 +2,7 @@
 
 import numpy as np
 from seft_plant_sim.continuous_model import ContinuousModel
-from seft_plant_sim.limits import Limits, SaturatedTime
+from seft_plant_sim.limits import Limits
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import LIMIT_NAMES
 from seft_plant_sim.sensors import Channels, Sensors
@@ -20,7 +20,7 @@ class BareRig(Rig):
         nothing, no_end = np.zeros((4, n)), np.full((4, n), np.inf)
         sensors = Sensors(Channels(nothing, nothing, no_end, nothing), 0)
         limits = Limits(dict.fromkeys(LIMIT_NAMES, np.inf), [str(i) for i in range(n)], dt)
-        super().__init__(model, sensors, limits, SaturatedTime(1e9, dt), dt)
+        super().__init__(model, sensors, limits, 1e9, dt)
 
     def reset(self):
         super().reset()

@@ -167,10 +167,21 @@ def test_a_test_that_is_blind_for_long_ends_with_the_reason():
         one.step(np.full(1, 99.0))
         told.append(one.violation)
     assert told[:5] == [None] * 5
-    assert told[5].startswith("force at the end of the sensor's range for more than 0.01 s")
+    assert told[5] == (
+        "force at the end of the sensor's range for more than 0.01 s within one second: "
+        "their channels are unknown"
+    )
     one.reset()
     one.step(np.full(1, 99.0))
     assert one.violation is None
+
+
+def test_each_blind_sensor_is_named():
+    ranges = {"sensors__force_range": 10.0, "sensors__acceleration_range": 0.1}
+    one = rig(actuator__kind="ideal", limits__saturated_time=0.0, **ranges)
+    one.reset()
+    one.step(np.full(1, 99.0))
+    assert one.violation.startswith("acceleration and force at the end of the sensor's range")
 
 
 JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"  # wherever it runs, as by colcon test

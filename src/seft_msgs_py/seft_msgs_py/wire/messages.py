@@ -9,6 +9,7 @@ import json
 import math
 import struct
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from typing import Any
@@ -251,7 +252,8 @@ class EstimatesCodec:
                     f"not ({len(statuses)},) (axes)"
                 )
             for status, value in zip(statuses, estimate, strict=True):
-                status.values[name] = repr(_finite(float(value), name, status.name))
+                status.values[name] = text = repr(float(value))
+                _number(text, name, status.name)
         return encode_diagnostics(self._timebase.stamp_ns(step), statuses)
 
     def decode(self, raw: bytes) -> tuple[int, dict[str, Floats]]:
@@ -274,13 +276,7 @@ class EstimatesCodec:
 
 
 def _number(text: str, name: str, status: str) -> float:
-    try:
-        return _finite(float(text), name, status)
-    except ValueError:
-        raise WireError(f"{ESTIMATES.name}: {name} of {status} is {text!r}, no number") from None
-
-
-def _finite(value: float, name: str, status: str) -> float:
-    if not math.isfinite(value):
-        raise WireError(f"{ESTIMATES.name}: {name} of {status} is {value}, but must be finite")
-    return value
+    with suppress(ValueError):
+        if math.isfinite(number := float(text)):
+            return number
+    raise WireError(f"{ESTIMATES.name}: {name} of {status} is {text}, but must be a finite number")

@@ -12,7 +12,7 @@ from seft_msgs_py.config.parameter_table import mass_matrix, per_axis, symmetric
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import entry_point, kind_of
-from seft_plant_sim.limits import SaturatedTime
+from seft_plant_sim.limits import event_ring
 from seft_plant_sim.rig_parameters import LIMIT_NAMES
 from seft_plant_sim.sensors import CHANNELS
 
@@ -198,13 +198,13 @@ class Interlock:
         self.controller = controller
         self._axes, n = tuple(axes), len(axes)
         dt = detectors[0].dt
-        self._longest, saturated = longest_saturation, SaturatedTime(longest_saturation, dt)
+        self._longest, (saturated, window) = longest_saturation, event_ring(longest_saturation, dt)
         self.parameters = InterlockParameters(
-            float(largest_force), saturated.window, close_time / dt, detectors[0]
+            float(largest_force), window, close_time / dt, detectors[0]
         )
         self.state = InterlockState(
             flags=np.zeros(4, dtype=np.int64),
-            saturated=saturated.times(),
+            saturated=saturated,
             force=np.zeros(n),
             measured=np.zeros((4, n)),
             odd=np.zeros(n),
