@@ -272,7 +272,7 @@ def knowledge(section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
         )
     if section["method"] == "eft":  # the specimen carries all of the mass (Eq. 2.2)
         mass = mass + section["mass_ratio"] * mass
-        computed = ComputedSubstructure.none(n)
+        computed = ComputedSubstructure.lumped(np.zeros_like(mass))
     else:
         computed = ComputedSubstructure.from_parameters(section, axes).without_inertial_coupling()
     total = mass + computed.mass[:n, :n]
