@@ -13,6 +13,7 @@ from typing import Any
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.node.node_shell import WARM_UP_STEPS, NodeBody, NodeKind, NodeShell
+from seft_msgs_py.wire import topics
 from seft_msgs_py.wire.messages import Status, encode_clock, restamp
 from seft_msgs_py.wire.outcome import (
     FINISHED,
@@ -22,16 +23,6 @@ from seft_msgs_py.wire.outcome import (
     Outcome,
     Trip,
     rig_status,
-)
-from seft_msgs_py.wire.topics import (
-    CLOCK_TOPIC,
-    DIAGNOSTICS,
-    EXPERIMENT_STATE,
-    REFERENCE_FORCE,
-    RIG_STATE,
-    VALVE_COMMAND,
-    LoopTopic,
-    until_start,
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
@@ -61,21 +52,22 @@ class RigNode(NodeBody):
         self._timebase = experiment.timebase
         self._section = experiment["rig"]
         self._rig = Rig.from_parameters(self._section, experiment.axes, self._timebase, shell.rig)
-        self._state_codec = TrajectoryCodec(RIG_STATE.of(shell.rig), shell.rig.axes, self._timebase)
-        self._publish_state = shell.publisher(RIG_STATE.of(shell.rig))
+        state = topics.RIG_STATE.of(shell.rig)
+        self._state_codec = TrajectoryCodec(state, shell.rig.axes, self._timebase)
+        self._publish_state = shell.publisher(state)
         # with several rigs, one is the test's clock, and all start together
         self._publish_time: Callable[[bytes], None] | None = None
         if shell.rig.axes[0] == experiment.axes[0]:
-            self._publish_time = shell.publisher(CLOCK_TOPIC)
+            self._publish_time = shell.publisher(topics.CLOCK_TOPIC)
         self._time_message = bytearray(encode_clock(0))
         self._is_alone = len(experiment.rigs) == 1
         self._round_trip = rig_watch.RoundTrip()
-        valve = VALVE_COMMAND.of(shell.rig)
+        valve = topics.VALVE_COMMAND.of(shell.rig)
         self._valve = self._drive = self._command(valve, shell.rig.axes, "limits.command")
-        if self._rig.drive == REFERENCE_FORCE.name:
+        if self._rig.drive == topics.REFERENCE_FORCE.name:
             delay = max(self._section["loop_delay"], 0)
             axes = experiment.axes
-            self._drive = self._command(REFERENCE_FORCE, axes, "limits.force", delay)
+            self._drive = self._command(topics.REFERENCE_FORCE, axes, "limits.force", delay)
         self.facts: dict[str, Any] = {"drive": self._drive.codec.topic.name}
         self._rehearsal: rig_watch.Rehearsal | None = None
         is_realtime = self._section["pace"] == "realtime"
@@ -84,10 +76,10 @@ class RigNode(NodeBody):
             self._rehearsal = rig_watch.Rehearsal(shell, self._timebase, topic, limit)
             self.facts[REHEARSES] = True
         self._supervision = rig_watch.Supervision(self._section["watchdog.supervisor_timeout"])
-        shell.subscribe(EXPERIMENT_STATE, self._supervision.receive, depth=16)
+        shell.subscribe(topics.EXPERIMENT_STATE, self._supervision.receive, depth=16)
         self._recorder_lag = rig_watch.RecorderLag(self._section["lockstep_timeout"])
         if self._section["pace"] == "lockstep":
-            shell.subscribe(DIAGNOSTICS, self._recorder_lag.receive)
+            shell.subscribe(topics.DIAGNOSTICS, self._recorder_lag.receive)
         self._clock: rig_watch.SampleClock | None = None  # of a test in realtime
         self._watch = rig_watch.CommandWatch(
             self._drive.codec.topic, self._timebase.dt, self._section["watchdog.command_timeout"]
@@ -96,10 +88,10 @@ class RigNode(NodeBody):
         self._reported_at = self._answered_at = 0.0
         self._refused_before = 0  # messages, until the newest command came
         self._rehearsed = False
-        state = self._rig.reset()
+        sample = self._rig.reset()
         for step in range(WARM_UP_STEPS):
-            self._state_codec.decode(self._state_codec.encode(step, state))
-            state = self._rig.step(self._drive.value)
+            self._state_codec.decode(self._state_codec.encode(step, sample))
+            sample = self._rig.step(self._drive.value)
 
     def run(self) -> None:
         """Run a test each time the supervisor starts one, until the process ends."""
@@ -140,7 +132,7 @@ class RigNode(NodeBody):
         self._supervision.fault = reason
 
     def _command(
-        self, topic: LoopTopic, axes: tuple[str, ...], limit: str, loop_delay: int = 0
+        self, topic: topics.LoopTopic, axes: tuple[str, ...], limit: str, loop_delay: int = 0
     ) -> Command:
         codec = TrajectoryCodec(topic, axes, self._timebase)
         rig = None if axes == self._shell.rig.axes else self._shell.rig
@@ -213,7 +205,7 @@ class RigNode(NodeBody):
         if self._is_alone or self._section["pace"] == "lockstep":
             return None
         try:
-            ahead = until_start(wanted.values)
+            ahead = topics.until_start(wanted.values)
         except InputError as error:
             return str(error)
         self._start = time.monotonic() + ahead

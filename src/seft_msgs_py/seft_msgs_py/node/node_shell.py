@@ -15,16 +15,9 @@ from rclpy.publisher import Publisher
 from seft_msgs_py.config.experiment import Experiment, split_ros_arguments
 from seft_msgs_py.config.parameter_table import Table
 from seft_msgs_py.errors import SeftError, WireError
-from seft_msgs_py.node import realtime
+from seft_msgs_py.node import rclpy_interface, realtime
 from seft_msgs_py.node.node_process import NodeProcess, ReadOne, Receive, drain
 from seft_msgs_py.node.process import exit_watchdog, single_instance
-from seft_msgs_py.node.rclpy_interface import (
-    declare_parameters,
-    raw_publisher,
-    raw_subscription,
-    rig_of_node,
-    sender,
-)
 from seft_msgs_py.node.senders import Senders, connected_listeners
 from seft_msgs_py.wire.messages import (
     OK,
@@ -80,13 +73,13 @@ class NodeShell:
             table.node,
             parameter_overrides=[RosParameter(name, value=v) for name, v in section.items()],
         )
-        self.rig, self._test_namespace = rig_of_node(self.node, self.experiment)
+        self.rig, self._test_namespace = rclpy_interface.rig_of_node(self.node, self.experiment)
         self.name = self.rig.node(table.node)
         process.add_node(self.node)
         domain, full_name = self.node.context.get_domain_id(), self.node.get_fully_qualified_name()
         self._single_instance = single_instance(domain, full_name)
         self._facts: dict[str, Any] | None = None  # none before it has described itself
-        declare_parameters(self.node, table, section, self._describe)
+        rclpy_interface.declare_parameters(self.node, table, section, self._describe)
         self._publishers: dict[str, Publisher] = {}
         self._readers: dict[str, ReadOne] = {}
         self._senders = Senders(self.node)
@@ -106,11 +99,13 @@ class NodeShell:
 
     def publisher(self, topic: Topic) -> Callable[[bytes], None]:
         """Make the publisher of a topic; return the function that publishes message bytes."""
-        publisher = raw_publisher(self.node, replace(topic, name=self._full_name(topic)))
+        here = replace(topic, name=self._full_name(topic))
+        publisher = rclpy_interface.raw_publisher(self.node, here)
         self._publishers[topic.name] = publisher
+        send = rclpy_interface.sender(publisher)
         if not isinstance(topic, LoopTopic):
-            return sender(publisher)
-        return self._process.bus.sender(publisher.topic_name, sender(publisher))
+            return send
+        return self._process.bus.sender(publisher.topic_name, send)
 
     def subscribe(
         self,
@@ -147,7 +142,7 @@ class NodeShell:
             self._process.bus.subscribe(full_name, self.name, receive)
             read_one = _nothing
         else:
-            subscription = raw_subscription(self.node, here, depth, reliable)
+            subscription = rclpy_interface.raw_subscription(self.node, here, depth, reliable)
             self._senders.add(topic, subscription.topic_name, subscription)
             read_one = self._process.add_subscription(subscription, receive, wake)
         self._readers[topic.name] = read_one

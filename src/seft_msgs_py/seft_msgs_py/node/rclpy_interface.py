@@ -20,12 +20,7 @@ from seft_msgs_py.wire.topics import RIG_NODES, RigAxes, Topic
 check_shared_memory()  # before rclpy is imported
 
 import rclpy
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
+from rcl_interfaces import msg
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.context import Context
 from rclpy.duration import Duration
@@ -69,21 +64,21 @@ def raw_publisher(node: Node, topic: Topic) -> Publisher:
     return node.create_publisher(message_class(topic), topic.name, qos_profile(topic))
 
 
-def parameter_descriptor(row: Parameter) -> ParameterDescriptor:
+def parameter_descriptor(row: Parameter) -> msg.ParameterDescriptor:
     """ROS description of a parameter; most are read-only once the node runs."""
     unit = f" [{row.unit}]" if row.unit else ""
-    descriptor = ParameterDescriptor(description=row.description + unit, read_only=not row.live)
+    descriptor = msg.ParameterDescriptor(description=row.description + unit, read_only=not row.live)
     if row.choices:
         choices = (choice or '""' for choice in row.choices)
         descriptor.additional_constraints = f"one of: {', '.join(choices)}"
     if row.kind == "float" and (row.minimum is not None or row.maximum is not None):
         low = float("-inf") if row.minimum is None else float(row.minimum)
         high = float("inf") if row.maximum is None else float(row.maximum)
-        descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+        descriptor.floating_point_range = [msg.FloatingPointRange(from_value=low, to_value=high)]
     if row.kind == "int" and row.minimum is not None:
         high_int = 2**63 - 1 if row.maximum is None else int(row.maximum)
         descriptor.integer_range = [
-            IntegerRange(from_value=int(row.minimum), to_value=high_int, step=0)
+            msg.IntegerRange(from_value=int(row.minimum), to_value=high_int, step=0)
         ]
     return descriptor
 
@@ -107,7 +102,7 @@ def declare_parameters(
     for row in table.rows.values():
         node.declare_parameter(row.name, section[row.name], parameter_descriptor(row))
 
-    def take(parameters: Sequence[RosParameter]) -> SetParametersResult:
+    def take(parameters: Sequence[RosParameter]) -> msg.SetParametersResult:
         try:
             for p in parameters:
                 if p.name not in table.rows:  # rclpy's own, such as use_sim_time
@@ -116,10 +111,10 @@ def declare_parameters(
                 p.name: table.rows[p.name].check(p.value, node.get_name()) for p in parameters
             }
         except InputError as error:
-            return SetParametersResult(successful=False, reason=str(error))
+            return msg.SetParametersResult(successful=False, reason=str(error))
         section.update(values)
         changed()
-        return SetParametersResult(successful=True)
+        return msg.SetParametersResult(successful=True)
 
     node.add_on_set_parameters_callback(take)
 
