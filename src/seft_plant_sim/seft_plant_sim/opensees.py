@@ -113,8 +113,7 @@ class OpenSees:
         self, t: float, displacement: Floats, velocity: Floats, ground_acceleration: Floats
     ) -> None:
         """Begin a step."""
-        motion = np.concatenate([displacement, velocity, ground_acceleration])
-        self._send("step", t, motion.tolist())
+        self._send("step", t, np.array([displacement, velocity, ground_acceleration]))
 
     def answer(self) -> Floats:
         """Wait for its end; give the reactions, N."""
@@ -247,7 +246,7 @@ class _Worker:
         self._directions = sorted({axis[0][1] for axis in self._axes})
         self._shaken = False
         self._origin = [[ops.nodeDisp(*place) for place in axis] for axis in self._axes]
-        self._last = [0.0] * (3 * len(self._axes))
+        self._last = np.zeros((3, len(self._axes)))
         self._standing = np.zeros(len(self._axes))
         self._standing = self._reactions()
         return list(names) if names else len(self._axes)
@@ -258,20 +257,19 @@ class _Worker:
         directions = range(1, len(self._ops.nodeDisp(node)) + 1)
         return set(directions) - held - set(self._ops.getFixedDOFs(node))
 
-    def step(self, t: float, now: list[float]) -> Floats:
-        """Go to the time t and its motion: displacements, velocities, ground accelerations."""
+    def step(self, t: float, now: Floats) -> Floats:
+        """Go to the time t and its displacements, velocities and ground accelerations, (3, m)."""
         if t > 0.0:
             for step in range(1, self._substeps + 1):
                 part = step / self._substeps
-                between = [a + part * (b - a) for a, b in zip(self._last, now, strict=True)]
-                self._impose(between)
+                self._impose(*(self._last + part * (now - self._last)).tolist())
                 self._analyse(t)
         self._last = now
         return self._reactions()
 
-    def _impose(self, motion: list[float]) -> None:
+    def _impose(self, x: list[float], v: list[float], ground: list[float]) -> None:
         """Make the loads of the end of a step."""
-        ops, m = self._ops, len(self._axes)
+        ops = self._ops
         if self._shaken:
             ops.remove("loadPattern", _MANY)
             for direction in self._directions:
@@ -279,7 +277,8 @@ class _Worker:
                 ops.remove("timeSeries", _MANY + direction)
         self._shaken = True
         for direction in self._directions:
-            found = {motion[2 * m + i] for i in range(m) if self._axes[i][0][1] == direction}
+            axes = zip(self._axes, ground, strict=True)
+            found = {shaken for axis, shaken in axes if axis[0][1] == direction}
             if len(found) > 1:
                 raise ValueError(
                     f"axes in direction {direction} have different ground motions; the ground of "
@@ -291,8 +290,8 @@ class _Worker:
         ops.pattern("Plain", _MANY, _MANY)
         for i, (axis, origins) in enumerate(zip(self._axes, self._origin, strict=True)):
             for place, origin in zip(axis, origins, strict=True):
-                ops.setNodeVel(*place, motion[m + i], "-commit")
-                ops.sp(*place, origin + motion[i])
+                ops.setNodeVel(*place, v[i], "-commit")
+                ops.sp(*place, origin + x[i])
 
     def _analyse(self, t: float) -> None:
         """Take a step; if Newton's method does not converge, try other methods."""
