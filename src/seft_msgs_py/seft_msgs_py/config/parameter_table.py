@@ -6,7 +6,7 @@ with it, and the README's tables are printed from it.
 
 import ast
 import difflib
-import math
+import sys
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -145,6 +145,12 @@ class Parameter:
         return self._check_one(value, scalar, where)
 
     def _check_one(self, value: Value, kind: str, where: str) -> Value:
+        if rule := self._broken_rule(value, kind):
+            raise self._error(where, value, rule)
+        return float(value) if kind == "float" else value
+
+    def _broken_rule(self, value: Value, kind: str) -> str:
+        """Rule that a value breaks; empty if none."""
         number = isinstance(value, int | float) and not isinstance(value, bool)
         fits = {
             "float": number,
@@ -152,33 +158,23 @@ class Parameter:
             "bool": isinstance(value, bool),
             "string": isinstance(value, str),
         }[kind]
-        if not fits:
-            raise self._error(where, value, f"must be {_WORDS[self.kind]}")
-        if kind == "float":
-            try:
-                value = float(value)
-            except OverflowError:
-                value = math.inf
-            if not math.isfinite(value):
-                raise self._error(where, value, "must be finite")
-        if number:
-            self._check_range(value, where)
-        if self.kind == "string" and (rule := _refusal(value, self.file_name)):
-            raise self._error(where, value, rule)
-        if self.choices and value not in self.choices:
-            hint = nearest(str(value), self.choices)
-            allowed = ", ".join(choice or '""' for choice in self.choices)
-            raise self._error(where, value, f"must be one of {allowed}{hint}")
-        return value
-
-    def _check_range(self, value: float, where: str) -> None:
         unit = f" {self.unit}" if self.unit else ""
+        if not fits:
+            return f"must be {_WORDS[self.kind]}"
+        if kind == "float" and not abs(value) <= sys.float_info.max:
+            return "must be finite"
         if self.positive and value <= 0:
-            raise self._error(where, value, "must be greater than zero")
+            return "must be greater than zero"
         if self.minimum is not None and value < self.minimum:
-            raise self._error(where, value, f"must be at least {self.minimum:g}{unit}")
+            return f"must be at least {self.minimum:g}{unit}"
         if self.maximum is not None and value > self.maximum:
-            raise self._error(where, value, f"must be at most {self.maximum:g}{unit}")
+            return f"must be at most {self.maximum:g}{unit}"
+        if self.kind == "string" and (rule := _refusal(value, self.file_name)):
+            return rule
+        if self.choices and value not in self.choices:
+            allowed = ", ".join(choice or '""' for choice in self.choices)
+            return f"must be one of {allowed}{nearest(value, self.choices)}"
+        return ""
 
     def _error(self, where: str, value: Value, rule: str) -> InputError:
         return InputError(f"{where}: {self.name} is {_shown(value)}, but {rule}")
