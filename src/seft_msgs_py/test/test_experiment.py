@@ -111,7 +111,7 @@ def test_dotted_and_nested_names_are_the_same(load):
         (in_rig("specimen.mass: 1" + "0" * 400), "must be finite"),
         (in_rig("specimen.mass: .nan"), "specimen.mass is nan, but must be finite"),
         (in_rig("specimen.mass: -.inf"), "specimen.mass is -inf, but must be finite"),
-        (in_rig("specimen.mass: 0"), "specimen.mass is 0.0, but must be greater than zero"),
+        (in_rig("specimen.mass: 0"), "specimen.mass is 0, but must be greater than zero"),
         (in_rig("specimen.mass: []"), "must not be empty"),
         (in_rig("specimen.mass: 2024-01-01"), "must be a number"),
         (in_rig("specimen: 3"), "there is no parameter specimen"),
