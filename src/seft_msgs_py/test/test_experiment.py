@@ -222,7 +222,7 @@ def test_later_files_win_and_overrides_win_over_files(load):
         (["reference_force:mass_ratio:=x"], 'mass_ratio is "x", but must be a number'),
         (["reference_force:mass_ratio:=true"], "mass_ratio is true, but must be a number"),
         (["reference_force:mass_ratio:="], "mass_ratio is empty, but must be a number"),
-        (["reference_force:mass_ratio:=-1"], "mass_ratio is -1.0, but must be at least 0"),
+        (["reference_force:mass_ratio:=-1"], "mass_ratio is -1, but must be at least 0"),
         (["reference_force:method:=sefft"], "must be one of eft, seft; did you mean seft?"),
         (["rate:=333"], "320 and 400"),
     ],

@@ -173,7 +173,7 @@ def test_limits_of_another_node_stand_in():
 
 
 def test_a_limit_must_be_positive():
-    with pytest.raises(InputError, match=r"limits\.force is 0.0, but must be greater than zero"):
+    with pytest.raises(InputError, match=r"limits\.force is 0, but must be greater than zero"):
         Table("supervisor", limit_rows()).check({"limits.force": 0})
 
 
