@@ -77,17 +77,18 @@ class Hydraulics:
         InputError
             If sizes do not fit the axes, or values contradict each other.
         """
-
-        def value(name: str) -> Floats:
-            return per_axis(group[name], axes, f"{where}.{name}")
-
-        area, supply, bulk = (value(n) for n in ("piston_area", "supply_pressure", "bulk_modulus"))
-        volume, voltage = value("oil_volume"), value("rated_voltage")
-        compliance = volume / (4.0 * bulk)  # m^3/Pa: volume flow that raises the load pressure
-        no_load = np.sqrt(supply / value("rated_pressure_drop"))  # rated flow is at that drop
-        oil_stiffness = value("oil_stiffness")
-        frequency = value("oil_column_frequency")
-        if (oil_stiffness > 0).any() and (frequency > 0).any():
+        v = {
+            name: per_axis(value, axes, f"{where}.{name}")
+            for name, value in group.items()
+            if name not in ("kind", "delay", "dead_time")
+        }
+        area, supply = v["piston_area"], v["supply_pressure"]
+        # m^3/Pa: volume flow that raises the load pressure
+        compliance = v["oil_volume"] / (4.0 * v["bulk_modulus"])
+        no_load = np.sqrt(supply / v["rated_pressure_drop"])  # rated flow is at that drop
+        rated_gain = v["rated_flow"] * no_load / (area * v["rated_voltage"])
+        frequency = v["oil_column_frequency"]
+        if (v["oil_stiffness"] > 0).any() and (frequency > 0).any():
             raise InputError(
                 f"{where}: oil_stiffness and oil_column_frequency are both given; give one"
             )
@@ -98,17 +99,15 @@ class Hydraulics:
                 f"{where}.oil_column_frequency is {group['oil_column_frequency']}, but must be "
                 "above the specimen's own frequency, because oil and specimen act in parallel"
             )
-        oil_stiffness = np.where(frequency > 0, of_frequency, oil_stiffness)
+        oil_stiffness = np.where(frequency > 0, of_frequency, v["oil_stiffness"])
         return cls(
             oil_stiffness=_given_or(oil_stiffness, area**2 / compliance),
-            leakage=_given_or(value("leakage"), value("leakage_coefficient") / compliance),
-            flow_gain=_given_or(
-                value("flow_gain"), value("rated_flow") * no_load / (area * voltage)
-            ),
-            opening_limit=voltage,
-            force_capacity=_given_or(value("force_capacity"), supply * area),
+            leakage=_given_or(v["leakage"], v["leakage_coefficient"] / compliance),
+            flow_gain=_given_or(v["flow_gain"], rated_gain),
+            opening_limit=v["rated_voltage"],
+            force_capacity=_given_or(v["force_capacity"], supply * area),
             dead_time=float(group["dead_time"]),
-            **{name: value(name) for name in _AS_GIVEN},
+            **{name: v[name] for name in _AS_GIVEN},
         )
 
     def part(self, places: Sequence[int]) -> "Hydraulics":

@@ -168,18 +168,13 @@ class ComputedModel:
                     f"{len(self._source.influence.T)}: {', '.join(dofs)}"
                 )
             return tuple(range(axes))
-        if isinstance(axes, str) or not isinstance(axes, Sequence) or not axes:
+        named = list(axes) if isinstance(axes, Sequence) and not isinstance(axes, str) else []
+        if not named or any(axis not in dofs or named.count(axis) > 1 for axis in named):
             raise ModelError(
-                f"{WHERE}: {name} has no axes: give their number, or their names among "
-                f"{', '.join(dofs)}"
+                f"{WHERE}: axes of {name} are {axes!r}, but must be their number, or different "
+                f"ones of {', '.join(dofs)}"
             )
-        for axis in axes:
-            if axis not in dofs or list(axes).count(axis) > 1:
-                raise ModelError(
-                    f"{WHERE}: axes of {name} are {list(axes)}, but must be different ones of "
-                    f"{', '.join(dofs)}"
-                )
-        return tuple(dofs.index(axis) for axis in axes)
+        return tuple(map(dofs.index, named))
 
     def start(self, dt: float) -> None:
         """Begin a test, with steps of ``dt`` s."""

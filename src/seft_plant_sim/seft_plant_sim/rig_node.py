@@ -181,11 +181,18 @@ class RigNode(NodeBody):
         self._report(TRIPPED, trip, self._rig.stop())
 
     def _run_steps(self, wanted: Status, state: Floats) -> str | None:
-        """Take the samples of a test at its pace; say why it ended early, if it did."""
+        """Take the samples of a test at its pace; say why it ended early, if it did.
+
+        Several rigs in realtime begin together; one waits for another that is behind, because
+        their steps are answered together. Over links they can't see each other: each makes up for
+        lost time.
+        """
         rig, wait, last = self._rig, self._lockstep, (wanted.number("steps") or 0) - 1
+        self._waits = not self._is_alone and not self._section["loop_delay"]
         if self._section["pace"] == "realtime":
-            self._start_clock()
-            wait = self._realtime
+            wait, makes_up = self._realtime, not self._is_alone and not self._waits
+            start = time.monotonic() if self._is_alone else self._start
+            self._clock = rig_watch.SampleClock(self._timebase.dt, start, makes_up=makes_up)
         while self._publish(step := rig.step_index, state):
             why = wait(step, step == last)
             if why is not None or rig.violation is not None:
@@ -269,18 +276,6 @@ class RigNode(NodeBody):
                 return f"{text}; is {topic.publisher} running?{foreign}"
         return None
 
-    def _start_clock(self) -> None:
-        """Begin the time of a test in realtime.
-
-        It begins soon after the first answer, because the other nodes prepare at the first sample.
-        Several rigs begin together; one waits for another that is behind, because their steps are
-        answered together. Over links they can't see each other: each makes up for lost time.
-        """
-        self._waits = not self._is_alone and not self._section["loop_delay"]
-        start = time.monotonic() if self._is_alone else self._start
-        makes_up = not self._is_alone and not self._waits
-        self._clock = rig_watch.SampleClock(self._timebase.dt, start, makes_up=makes_up)
-
     def _realtime(self, step: int, is_last: bool) -> str | None:
         """Wait for the deadline of the next step, and count a missing command.
 
@@ -289,7 +284,7 @@ class RigNode(NodeBody):
         drive, clock = self._drive, self._clock
         assert clock is not None
         timeout = self._section["watchdog.command_timeout"]
-        if step == 0 and self._is_alone:
+        if step == 0 and self._is_alone:  # the other nodes prepare at the first sample
             clock.fall_back(self._wait_for_answer(0, timeout) + BREATH)
         if step == 0:
             self._watch.begin(rig_watch.elapsed() + clock.deadline(0) - time.monotonic())

@@ -217,8 +217,16 @@ def test_a_model_acts_on_the_internal_degree_of_freedom_that_it_names(file):
     ("name", "settings", "why"),
     [
         ("Spring", "axes=2", "has 2 axes, but the test has 1: x"),
-        ("Spring", "axes=null", "has no axes: give their number, or their names among x"),
-        ("Nameless", "", "axes of .*Nameless are .'roof'., but must be different ones of x"),
+        (
+            "Spring",
+            "axes=null",
+            "axes of .*Spring are None, but must be their number, or different ones of x",
+        ),
+        (
+            "Nameless",
+            "",
+            "axes of .*Nameless are .'roof'., but must be their number, or different ones of x",
+        ),
         ("Stepless", "", "has no step.t, displacement, velocity, ground_acceleration."),
         ("Unmade", "", "models.py:Unmade line [0-9]+, made: no such thing"),
         ("Spring", "k=null", "models.py:Spring line 15, step: "),
