@@ -391,15 +391,11 @@ def make_springs(
     if kind == "duffing":
         cubic = each("duffing.cubic")
         # deformation at the largest force of a softening spring: k + 3 k_3 e^2 = 0
-        peak = [
-            math.sqrt(-k / (3.0 * c)) if c < 0.0 else math.inf
-            for k, c in zip(stiffness, cubic.tolist(), strict=True)
-        ]
-        return springs(DUFFING, k, cubic, np.array(peak))
-    z_y, a = (
-        each("yield_displacement", "yields: give the displacement in m"),
-        each("hardening_ratio"),
-    )
+        with np.errstate(divide="ignore", invalid="ignore"):
+            peak = np.where(cubic < 0.0, np.sqrt(-k / (3.0 * cubic)), np.inf)
+        return springs(DUFFING, k, cubic, peak)
+    z_y = each("yield_displacement", "yields: give the displacement in m")
+    a = each("hardening_ratio")
     if kind in KINDS:
         rows = np.column_stack([k, z_y, a]).tolist()
         return tuple(Spring.of(_registered(kind, section, where, *row)) for row in rows)

@@ -134,7 +134,10 @@ def on_ending(handler: Handler) -> dict[signal.Signals, Any]:
 
     def on_signal(number: int, frame: FrameType | None) -> None:
         if number == signal.SIGHUP:
-            _write_nowhere(terminals)
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            for file in terminals:
+                os.dup2(nowhere, file)
+            os.close(nowhere)
         handler(number, frame)
 
     before = {number: signal.getsignal(number) for number in SIGNALS}
@@ -148,13 +151,6 @@ def as_before(handlers: dict[signal.Signals, Any]) -> None:
     """Restore the handlers that `on_ending` has returned."""
     for number, handler in handlers.items():
         signal.signal(number, handler)
-
-
-def _write_nowhere(files: list[int]) -> None:
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    for file in files:
-        os.dup2(nowhere, file)
-    os.close(nowhere)
 
 
 _Handler = ctypes.CFUNCTYPE(None, ctypes.c_int)

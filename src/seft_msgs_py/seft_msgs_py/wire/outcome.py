@@ -265,12 +265,9 @@ class LinkRecord:
     @classmethod
     def of_all(cls, records: Iterable["LinkRecord"]) -> "LinkRecord":
         """Add up the records of several rigs' force controllers."""
-        ages: Counter[int] = Counter()
-        held = 0
-        for record in records:
-            ages.update(record.ages)
-            held += record.held
-        return cls(dict(sorted(ages.items())), held)
+        parts = list(records)
+        ages = sum((Counter(part.ages) for part in parts), Counter())
+        return cls(dict(sorted(ages.items())), sum(part.held for part in parts))
 
     def older_than(self, loop_delay: int) -> int:
         """Count the forces whose messages were older than the loop's delay: bridged ones."""
