@@ -65,7 +65,7 @@ class Hydraulics:
 
     @classmethod
     def from_parameters(
-        cls, group: dict[str, Any], specimen: Specimen, axes: Sequence[str], where: str
+        cls, group: dict[str, Any], specimen: Specimen, axes: Sequence[str]
     ) -> "Hydraulics":
         """Make it from the parameters ``actuator.*``.
 
@@ -77,6 +77,7 @@ class Hydraulics:
         InputError
             If sizes do not fit the axes, or values contradict each other.
         """
+        where = "rig: actuator"
         v = {
             name: per_axis(value, axes, f"{where}.{name}")
             for name, value in group.items()

@@ -144,12 +144,12 @@ class Rig:
         another rig.
         """
         own = rig or RigAxes.whole(axes)
-        sensors, dt, safe = group(section, "sensors"), timebase.dt, group(section, "safe")
+        dt, safe = timebase.dt, group(section, "safe")
         command = per_axis(safe["valve_command"], axes, "rig: safe.valve_command")
         closing, longest = (round(safe[name] / dt) for name in ("close_time", "settle_time"))
         return cls(
             continuous_model(section, axes, own),
-            Sensors.from_parameters(sensors, section["seed"], dt, axes, "rig: sensors", own.places),
+            Sensors.from_parameters(section, axes, dt, own.places),
             Limits(group(section, "limits"), own.axes, dt),
             section["limits.saturated_time"],
             dt,
@@ -261,7 +261,7 @@ def continuous_model(
     if kind in ("ideal", "delay"):
         model = delayed_force(specimen, actuator["delay"] if kind == "delay" else 0.0)
     else:
-        everywhere = Hydraulics.from_parameters(actuator, whole, axes, "rig: actuator")
+        everywhere = Hydraulics.from_parameters(actuator, whole, axes)
         hydraulics = everywhere.part(own.places)
         model = servo_hydraulic(specimen, hydraulics, linear=kind == "servo_hydraulic_linear")
     cutoff = section["sensors.anti_alias"]

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
-from seft_msgs_py.config.parameter_table import per_axis
+from seft_msgs_py.config.parameter_table import group, per_axis
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.compiled import compiled
@@ -91,48 +91,42 @@ class Sensors:
 
     @classmethod
     def from_parameters(
-        cls,
-        group: dict[str, Any],
-        seed: int,
-        dt: float,
-        axes: tuple[str, ...],
-        where: str,
-        places: Sequence[int] | None = None,
+        cls, section: dict[str, Any], axes: Sequence[str], dt: float, places: Sequence[int]
     ) -> "Sensors":
-        """Make them from the parameters ``sensors.*``, for the axes at some places, or all.
+        """Make those of the axes at some places from the rig's section of an experiment.
 
         Raises
         ------
         InputError
             If sizes do not fit the axes, or a converter has bits but no range.
         """
+        where, sensors = "rig: sensors", group(section, "sensors")
 
         def values(what: str) -> Floats:
             names = [f"{channel}_{what}" for channel in CHANNELS]
-            return np.array([per_axis(group[name], axes, f"{where}.{name}") for name in names])
+            return np.array([per_axis(sensors[name], axes, f"{where}.{name}") for name in names])
 
         noise, bias, ranges = values("noise"), values("bias"), values("range")
-        own = list(range(len(axes)) if places is None else places)
-        derived = group["velocity"] == "derived"
+        derived = sensors["velocity"] == "derived"
         if derived:  # there is no velocity sensor
             for rows in (noise, bias, ranges):
                 rows[CHANNELS.index("velocity")] = 0.0
         resolution = np.zeros_like(ranges)
-        if group["adc_bits"]:
-            resolution = 2.0 * ranges / 2.0 ** group["adc_bits"]
+        if sensors["adc_bits"]:
+            resolution = 2.0 * ranges / 2.0 ** sensors["adc_bits"]
             for channel, row in zip(CHANNELS, ranges, strict=True):
                 if not row.all() and not (derived and channel == "velocity"):
                     raise InputError(
-                        f"{where}.adc_bits is {group['adc_bits']}, but {channel}_range is 0: "
+                        f"{where}.adc_bits is {sensors['adc_bits']}, but {channel}_range is 0: "
                         f"a converter needs a range; give {where}.{channel}_range"
                     )
             resolution[resolution == 0] = 1.0  # of the derived velocity: not used
         ranges[ranges == 0] = np.inf
-        noise, bias, ranges, resolution = (
-            np.ascontiguousarray(rows[:, own]) for rows in (noise, bias, ranges, resolution)
-        )
-        cutoff = float(group["velocity_cutoff"]) if derived else 0.0
-        return cls(Channels(noise, bias, ranges, resolution, cutoff, dt), seed, own)
+        own = np.array([noise, bias, ranges, resolution])[:, :, list(places)]
+        noise, bias, ranges, resolution = np.ascontiguousarray(own)
+        cutoff = float(sensors["velocity_cutoff"]) if derived else 0.0
+        channels = Channels(noise, bias, ranges, resolution, cutoff, dt)
+        return cls(channels, section["seed"], places)
 
     def noise_of(self, step: int) -> Floats:
         """Noise of a step, RMS 1, shape (4, n)."""

@@ -301,22 +301,16 @@ class WholeStructure:
             model_mass = as_matrix(section["model.mass"], axes, "reference_force: model.mass")
             carried = replace(specimen, mass=(1.0 + section["mass_ratio"]) * model_mass)
             return cls(carried, ComputedSubstructure.lumped(np.zeros_like(model_mass)))
-        return cls.of(specimen, ComputedSubstructure.from_parameters(section, axes))
-
-    @classmethod
-    def of(cls, specimen: Specimen, computed: ComputedSubstructure) -> "WholeStructure":
-        """Put them together at the axes."""
+        computed = ComputedSubstructure.from_parameters(section, axes)
         inside = [(0, computed.internal)] * 2
-        return cls(
-            replace(
-                specimen,
-                mass=np.pad(specimen.mass, inside) + computed.mass,
-                damping=np.pad(specimen.damping, inside) + computed.damping,
-                stiffness=np.pad(specimen.stiffness, inside) + computed.stiffness,
-                deformation=np.pad(specimen.deformation, [(0, 0), inside[1]]),
-            ),
-            computed,
+        structure = replace(
+            specimen,
+            mass=np.pad(specimen.mass, inside) + computed.mass,
+            damping=np.pad(specimen.damping, inside) + computed.damping,
+            stiffness=np.pad(specimen.stiffness, inside) + computed.stiffness,
+            deformation=np.pad(specimen.deformation, [(0, 0), inside[1]]),
         )
+        return cls(structure, computed)
 
     def motion(self, ground_motion: Floats) -> Floats:
         """Ground acceleration of every degree of freedom from that of the axes; (N, n + q)."""

@@ -27,7 +27,7 @@ def hydraulics(specimen=SPECIMEN, axes=("x",), **values):
     given = {"specimen.mass": 1.0, "specimen.stiffness": 1.0}
     given |= {f"actuator.{name}": value for name, value in (SHEET | values).items()}
     section = resolve({"rig": TABLE}, {"rig": TABLE.check(given)})["rig"]
-    return Hydraulics.from_parameters(group(section, "actuator"), specimen, axes, "rig: actuator")
+    return Hydraulics.from_parameters(group(section, "actuator"), specimen, axes)
 
 
 def test_data_sheets_give_the_identified_values():
@@ -63,7 +63,7 @@ def test_an_oil_column_frequency_is_the_pole_of_actuator_and_specimen():
 def test_the_default_data_sheets_put_the_oil_column_at_90_hz():
     given = {"specimen.mass": 1.0, "specimen.stiffness": 1.0}
     section = resolve({"rig": TABLE}, {"rig": TABLE.check(given)})["rig"]
-    made = Hydraulics.from_parameters(group(section, "actuator"), SPECIMEN, ("x",), "rig: actuator")
+    made = Hydraulics.from_parameters(group(section, "actuator"), SPECIMEN, ("x",))
     resonance = np.sqrt((made.oil_stiffness.item() + 2.11e5) / 52.7) / (2 * np.pi)
     assert resonance == pytest.approx(90.0, abs=0.1)
 

@@ -18,7 +18,7 @@ def hydraulics(specimen=SPECIMEN, axes=("x",), **changes):
     given = {"specimen.mass": M, "specimen.stiffness": K}
     given |= {f"actuator.{name}": value for name, value in changes.items()}
     section = resolve({"rig": TABLE}, {"rig": TABLE.check(given)})["rig"]
-    return Hydraulics.from_parameters(group(section, "actuator"), specimen, axes, "rig: actuator")
+    return Hydraulics.from_parameters(group(section, "actuator"), specimen, axes)
 
 
 MODEL = servo_hydraulic(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from seft_msgs_py.config.parameter_table import group, resolve
+from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig_parameters import TABLE
 from seft_plant_sim.sensors import CHANNELS, Channels, Sensors, measure
@@ -47,10 +47,8 @@ def from_parameters(seed=1, axes=("x", "y"), **values):
     """Sensors of the table's defaults with changes."""
     given = {"specimen.mass": 1.0, "specimen.stiffness": 1.0}
     given |= {f"sensors.{name}": value for name, value in values.items()}
-    section = resolve({"rig": TABLE}, {"rig": TABLE.check(given)})["rig"]
-    return Measured(
-        Sensors.from_parameters(group(section, "sensors"), seed, DT, axes, "rig: sensors")
-    )
+    section = resolve({"rig": TABLE}, {"rig": TABLE.check(given | {"seed": seed})})["rig"]
+    return Measured(Sensors.from_parameters(section, axes, DT, range(len(axes))))
 
 
 def noise(steps, rms=RMS, seed=1):
