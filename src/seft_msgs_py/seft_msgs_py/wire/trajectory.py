@@ -137,8 +137,13 @@ def parse_trajectory(raw: bytes, topic: str = "trajectory") -> Trajectory:
     Raises
     ------
     WireError
-        If the bytes end early, are no CDR, or hold impossible sizes or text.
+        If the bytes end early, are not little-endian CDR, or hold impossible sizes or text.
     """
+    if raw[:2] != ENCAPSULATION[:2] or len(raw) < 4:
+        raise WireError(
+            f"{topic}: {len(raw)} bytes that start with {bytes(raw[:4]).hex() or 'nothing'} "
+            "are no little-endian CDR message"
+        )
     message = decode_message(JOINT_TRAJECTORY, raw, topic)
     return Trajectory(nanoseconds(message.header.stamp), tuple(message.joint_names), message.points)
 
