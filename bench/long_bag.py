@@ -79,9 +79,11 @@ def main() -> int:
         ]
         if not all(Path(bag).exists() for bag in bags):
             record = long_record(minutes)
+            ground = record.series["ground_motion"].values[:, 0]
+            motion = [(at, ground[at : at + 100]) for at in range(0, len(ground), 100)]
             for bag, storage in zip(bags, STORAGES, strict=True):
-                write_record(record, bag, storage)
-            del record
+                write_record(record, bag, storage, motion)
+            del record, ground, motion
         print(f"{minutes} minutes at 1 kHz; wanted: {WANTED_TIMES_REAL_TIME} times real time for")
         print(f"each bag that is read, and at most {WANTED_BYTES / 1e6:.0f} MB")
         for bag, storage in zip(bags, STORAGES, strict=True):

@@ -111,7 +111,6 @@ def test_a_bag_that_was_cut_off_is_whole_again(tmp_path, whole):
         assert contents(path) == expected, where
         assert not recovery.intact
         assert recovery.messages == len(expected)
-        assert sum(recovery.topics.values()) == len(expected)
         assert recovery.original == path.with_name(path.name + ".cut")
         assert (recovery.original / f"{path.name}.mcap").read_bytes() == data[:size]
         assert {entry.name for entry in path.iterdir()} == {f"{path.name}.mcap", "metadata.yaml"}

@@ -249,9 +249,10 @@ def test_a_writer_that_is_killed_while_idle_loses_nothing_once_the_flush_was_due
 def test_writing_flushes_once_in_a_period_and_no_more(tmp_path, monkeypatch):
     now = 100.0
     monkeypatch.setattr(bag_writer.time, "monotonic", lambda: now)
-    flushes = []
+    flushes, flush_file = [], bag_writer.flush_file
+    monkeypatch.setattr(bag_writer, "flush_file", lambda w: (flush_file(w), flushes.append(now))[0])
     with BagWriter(tmp_path / "bag") as bag:
-        monkeypatch.setattr(bag._storage, "flush", lambda: flushes.append(now))
+        flushes.clear()
         for step in range(1000):
             now += 0.001
             bag.write(VALVE_COMMAND, sample(step), step)

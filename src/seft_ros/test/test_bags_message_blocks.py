@@ -46,10 +46,11 @@ def expected(path, topics):
 def found(path, topics):
     reader = open_bag(path)
     wanted = [item for item in reader.connections if item.topic in topics]
+    numbers = {(item.topic, item.msgtype): k for k, item in enumerate(wanted)}
     try:
         return [
             (wanted[source].topic, time, raw)
-            for block in read_blocks(reader, wanted, path)
+            for block in read_blocks(reader, numbers, path)
             for source, time, raw in block.messages()
         ]
     finally:

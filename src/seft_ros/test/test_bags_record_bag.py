@@ -9,10 +9,11 @@ from rosbags.rosbag2 import Reader
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.outcome import Trip
-from seft_msgs_py.wire.topics import LOOP_TOPICS, Timebase
+from seft_msgs_py.wire.topics import LOOP_TOPICS, VALVE_COMMAND, Timebase
 from seft_msgs_py.wire.trajectory import TrajectoryCodec, parse_trajectory
-from seft_ros.bags.gathering import EstimatesGatherer, SampleBuffer
-from seft_ros.bags.record import Estimates, Record, Series, consecutive_runs
+from seft_ros.bags.gathering import EstimatesGatherer, SeriesGatherer
+from seft_ros.bags.message_blocks import MessageBlock
+from seft_ros.bags.record import Estimates, Record, Series
 from seft_ros.bags.record_bag import read_bag, write_record
 
 AXES = ("x", "y")
@@ -124,7 +125,7 @@ def test_messages_come_in_the_order_of_time_and_at_the_wall_clock_of_their_step(
         found = [(t, parse_trajectory(raw).stamp_ns) for name, t, raw in messages if name == topic]
         assert found == [(START + k * 1_000_000, k * 1_000_000) for k in range(250)]
     at_seven = [name for name, time_ns, _ in messages if time_ns == START + 7_000_000]
-    assert at_seven == ["/rig/state", "/reference_force", "/valve_command"]
+    assert at_seven == ["/ground_motion", "/rig/state", "/reference_force", "/valve_command"]
 
 
 def test_ground_motion_is_sent_ahead_in_the_messages_that_were_given(tmp_path):
@@ -172,15 +173,19 @@ def test_a_second_generation_is_the_same_as_the_first(tmp_path):
     assert np.array_equal(second.series["rig/state"].values, first.series["rig/state"].values)
 
 
-@given(st.lists(st.tuples(st.integers(0, 30), st.integers(0, 5)), max_size=20))
-def test_a_buffer_keeps_the_first_sample_of_each_step(messages):
-    buffer = SampleBuffer(1, 1, 0)
-    expected = {}
+@given(st.lists(st.tuples(st.integers(0, 30), st.integers(1, 5)), max_size=20))
+def test_the_first_sample_of_each_step_is_kept(messages):
+    (rig,) = EXPERIMENT.rigs
+    codec = TrajectoryCodec(VALVE_COMMAND, AXES, EXPERIMENT.timebase)
+    gatherer = SeriesGatherer(VALVE_COMMAND, EXPERIMENT, rig, 0)
+    expected, raws = {}, []
     for number, (step, count) in enumerate(messages):
-        buffer.append(step + np.arange(count), np.full((count, 1, 1), float(number)))
+        raws.append(codec.encode_points(step, np.full((count, 2), float(number))))
         for k in range(count):
             expected.setdefault(step + k, float(number))
-    series = buffer.series()
+    none = [0] * len(raws)
+    assert gatherer.take(MessageBlock.of(none, none, raws)) == 0
+    series = gatherer.series()
     assert (
         dict(zip(series.steps.tolist(), series.values[:, 0, 0].tolist(), strict=True)) == expected
     )
@@ -200,16 +205,6 @@ def test_estimates_are_ordered_by_step_and_all_have_the_names_of_the_first():
     assert estimates.names == ("delay", "gain")
     assert estimates.steps.tolist() == [0, 50, 100]
     assert estimates.values[:, :, 1].tolist() == [[0, 0], [50, -50], [100, -100]]
-
-
-@given(st.sets(st.integers(0, 60)), st.integers(1, 9))
-def test_runs_are_consecutive_bounded_and_complete(steps, longest):
-    ordered = np.array(sorted(steps), dtype=np.int64)
-    series = Series(ordered, ordered.astype(float)[:, np.newaxis, np.newaxis])
-    runs = consecutive_runs(series, longest)
-    assert all(1 <= len(values) <= longest for _, values in runs)
-    assert [first + k for first, values in runs for k in range(len(values))] == sorted(steps)
-    assert [v for _, values in runs for v in values[:, 0, 0].tolist()] == sorted(steps)
 
 
 def test_a_series_is_cut_after_a_step():

@@ -69,11 +69,10 @@ def test_every_message_of_a_test_goes_by_once(bag, monkeypatch):
     seen = Counter()
     read_blocks = record_bag.read_blocks
 
-    def counted(reader, connections, path):
-        for block in read_blocks(reader, connections, path):
-            seen.update(
-                (connections[message[0]].topic, *message[1:]) for message in block.messages()
-            )
+    def counted(reader, numbers, path):
+        topics = {number: topic for topic, number in numbers.items()}
+        for block in read_blocks(reader, numbers, path):
+            seen.update((topics[message[0]], *message[1:]) for message in block.messages())
             yield block
 
     monkeypatch.setattr(record_bag, "read_blocks", counted)

@@ -60,12 +60,8 @@ def record(experiment, blocks):
     return simulate(experiment, blocks)
 
 
-def motion_of(blocks):
-    return [blocks.ground_motion.chunk(index) for index in range(blocks.ground_motion.chunks)]
-
-
 def write(path, record, blocks):
-    write_record(record, path, ground_motion=motion_of(blocks))
+    write_record(record, path, ground_motion=blocks.ground_motion.chunks)
     return path
 
 

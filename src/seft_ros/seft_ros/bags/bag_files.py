@@ -7,12 +7,10 @@ from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from seft_msgs_py.errors import InputError
 
-from seft_ros.bags.bag_storage import Source, add_source, file_messages
-from seft_ros.bags.message_blocks import reason_of
+from seft_ros.bags.bag_storage import Connections, append, file_messages, reason_of
 
 SUFFIXES = (".mcap", ".db3")
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
@@ -81,7 +79,7 @@ def storage_files(path: str | Path) -> list[Path]:
         if not path.exists():
             raise InputError(f"{path}: there is no such bag")
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from None
+        raise InputError(f"{path}: {reason_of(error)}") from None
     if storage_suffix(path) not in SUFFIXES:
         raise InputError(f"{path}: not a bag; give a bag's folder, or an mcap or db3 file")
     return [path]
@@ -98,11 +96,8 @@ def is_cut_off(file: Path) -> bool:
         return False
     with file.open("rb") as stream:
         head = stream.read(len(_MCAP_MAGIC))
-        size = stream.seek(0, 2)
-        if head != _MCAP_MAGIC[: len(head)]:
-            return False
-        stream.seek(max(0, size - len(_MCAP_MAGIC)))
-        return stream.read() != _MCAP_MAGIC or size == len(_MCAP_MAGIC)
+        stream.seek(max(len(head), file.stat().st_size - len(_MCAP_MAGIC)))
+        return _MCAP_MAGIC.startswith(head) and stream.read() != _MCAP_MAGIC
 
 
 def _natural_order(file: Path) -> list[tuple[int, str]]:
@@ -118,7 +113,6 @@ class Recovery:
     path: Path
     intact: bool
     messages: int  # in it now
-    topics: dict[str, int]  # topic -> messages
     original: Path | None  # where the cut-off original is kept; None if intact
 
     def __str__(self) -> str:
@@ -157,9 +151,7 @@ def recover(path: str | Path) -> Recovery:
             built.rename(place)
             shutil.rmtree(fresh)
             return _summary(path, cut)
-        if not place.exists():
-            raise InputError(f"{path}: there is no such bag")
-        files = storage_files(place)
+        files = storage_files(path)
         with suppress(InputError):
             open_bag(place).close()
             return _summary(path, None)
@@ -179,16 +171,15 @@ def recover(path: str | Path) -> Recovery:
             if place.exists():
                 shutil.rmtree(fresh, ignore_errors=True)
     except (OSError, sqlite3.Error) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{path}: it can't be recovered ({reason}); it is as it was") from None
+        raise InputError(
+            f"{path}: it can't be recovered ({reason_of(error)}); it is as it was"
+        ) from None
     return _summary(path, cut)
 
 
 def _summary(path: Path, original: Path | None) -> Recovery:
     with closing(open_bag(path)) as reader:
-        topics = {connection.topic: connection.msgcount for connection in reader.connections}
-        shown = path.with_name(original.name) if original and path.name else original
-        return Recovery(path, original is None, reader.message_count, topics, shown)
+        return Recovery(path, original is None, reader.message_count, original)
 
 
 def _build(files: list[Path], fresh: Path, built: Path, shown: Path, single: bool) -> None:
@@ -200,12 +191,10 @@ def _build(files: list[Path], fresh: Path, built: Path, shown: Path, single: boo
     plugin = StoragePlugin.MCAP if kinds == {".mcap"} else StoragePlugin.SQLITE3
     with Writer(folder, version=9, storage_plugin=plugin) as writer:
         writer.set_custom_data("recovered", "true")
-        connections: dict[Source, Connection] = {}
+        connections: Connections = {}
         for file in files:
-            for source, time_ns, data in file_messages(file, file.name, fresh):
-                if source not in connections:
-                    connections[source] = add_source(writer, source)
-                writer.write(connections[source], time_ns, data)
+            for found in file_messages(file, file.name, fresh):
+                append(writer, connections, found)
         if not connections:
             raise InputError(f"{shown}: no whole message is in it; there is nothing to recover")
         whole = writer.storage.path if single and writer.storage else folder

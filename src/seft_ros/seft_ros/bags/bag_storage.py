@@ -12,12 +12,14 @@ import sqlite3
 import struct
 import tempfile
 import weakref
+from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 import zstandard
 from lz4.frame import LZ4FrameDecompressor
@@ -25,9 +27,10 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Message, Schema
-from rosbags.interfaces import Connection
+from rosbags.interfaces import Connection, Qos
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.metadata import parse_qos
+from rosbags.rosbag2.storage_mcap import PendingChunk
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from seft_msgs_py.wire.messages import typestore
@@ -37,6 +40,7 @@ _MAGIC_SIZE = 8
 _HEAD = struct.Struct("<BQ")  # of a record: opcode, length
 _DAMAGE = (McapError, struct.error, ValueError, OverflowError, MemoryError, RuntimeError)
 """What parsers raise at the end of a file, or for garbage; RuntimeError is lz4's."""
+_NO_SCHEMA = Schema(id=0, name="", encoding="", data=b"")
 _QOS = """
 - history: keep_last
   depth: {depth}
@@ -96,59 +100,54 @@ def file_messages(file: Path, name: str, scratch: Path | None = None) -> Iterato
 
 def mcap_messages(path: Path) -> Iterator[Found]:
     """Read the complete messages of an mcap file that may end anywhere, as in mid-record."""
-    schemas: dict[int, Schema] = {}
-    sources: dict[int, Source] = {}
     with path.open("rb") as file:
         file.seek(_MAGIC_SIZE)
-        for record in _records(file):
-            if isinstance(record, Schema):
-                schemas[record.id] = record
-            elif isinstance(record, Channel):
-                schema = schemas.get(record.schema_id)
-                sources[record.id] = Source(
-                    topic=record.topic,
-                    type=schema.name if schema else "",
-                    definition=schema.data.decode(errors="replace") if schema else "",
-                    serialization=record.message_encoding,
-                    qos=record.metadata.get("offered_qos_profiles", ""),
-                )
-            elif record.channel_id in sources:
-                yield sources[record.channel_id], record.log_time, _plain(record.data)
+        yield from _record_messages(file, path.stat().st_size, {}, {})
 
 
-def _records(stream: IO[bytes]) -> Iterator[Schema | Channel | Message]:
-    """Read complete records in their order, also those inside a chunk that is cut off."""
-    start = stream.tell()
-    left = stream.seek(0, 2) - start
-    stream.seek(start)
+def _record_messages(
+    stream: IO[bytes], size: int, schemas: dict[int, Schema], sources: dict[int, Source]
+) -> Iterator[Found]:
+    """Read complete messages in their order, also those inside a chunk that is cut off.
+
+    ``schemas`` and ``sources`` are those of the records before, by their numbers.
+    """
     while len(head := stream.read(_HEAD.size)) == _HEAD.size:
         opcode, length = _HEAD.unpack(head)
-        left -= _HEAD.size
-        body = stream.read(min(length, left))  # a garbled length would reserve that much memory
-        left -= len(body)
+        body = stream.read(min(length, size))  # a garbled length would reserve that much memory
+        record = ReadDataStream(BytesIO(body))
         if opcode == Opcode.CHUNK:
-            yield from _records(BytesIO(_chunk_data(body)))
-        elif len(body) < length:
+            chunk = _chunk_data(record)
+            yield from _record_messages(BytesIO(chunk), len(chunk), schemas, sources)
+            continue
+        if len(body) < length:
             return
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
-            try:
-                record = _parsed(opcode, body)
-            except _DAMAGE:
-                return
-            yield record
+        try:
+            if opcode == Opcode.SCHEMA:
+                schema = Schema.read(record)
+                schemas[schema.id] = schema
+            elif opcode == Opcode.CHANNEL:
+                channel = Channel.read(record)
+                schema = schemas.get(channel.schema_id, _NO_SCHEMA)
+                sources[channel.id] = Source(
+                    topic=channel.topic,
+                    type=schema.name,
+                    definition=schema.data.decode(errors="replace"),
+                    serialization=channel.message_encoding,
+                    qos=channel.metadata.get("offered_qos_profiles", ""),
+                )
+            elif opcode == Opcode.MESSAGE:
+                message = Message.read(record, length)
+                if message.channel_id in sources:
+                    yield sources[message.channel_id], message.log_time, _plain(message.data)
+        except _DAMAGE:
+            return
 
 
-def _parsed(opcode: int, body: bytes) -> Schema | Channel | Message:
-    stream = ReadDataStream(BytesIO(body))
-    if opcode == Opcode.MESSAGE:
-        return Message.read(stream, len(body))
-    return Schema.read(stream) if opcode == Opcode.SCHEMA else Channel.read(stream)
-
-
-def _chunk_data(body: bytes) -> bytes:
+def _chunk_data(record: ReadDataStream) -> bytes:
     """Decompress the records of a chunk that may be cut off."""
     try:
-        chunk = Chunk.read(ReadDataStream(BytesIO(body)))  # its data may be short
+        chunk = Chunk.read(record)  # its data may be short
         if chunk.compression == "zstd":
             return zstandard.ZstdDecompressor().decompressobj().decompress(chunk.data)
         if chunk.compression == "lz4":
@@ -178,25 +177,25 @@ def sqlite_messages(path: Path) -> Iterator[Found]:
             for topic, time_ns, data in rows:
                 if topic in sources and isinstance(time_ns, int) and isinstance(data, bytes):
                     yield sources[topic], time_ns, _plain(data)
-    except (sqlite3.DatabaseError, UnicodeDecodeError, IndexError, TypeError):
+    except (sqlite3.DatabaseError, UnicodeDecodeError, KeyError, TypeError):
         return  # a damaged file has any names, and values of any type
 
 
 def _sqlite_sources(database: sqlite3.Connection) -> dict[int, Source]:
     definitions: dict[str, str] = {}
-    if database.execute("PRAGMA table_info(message_definitions)").fetchall():
-        rows = "SELECT topic_type, encoded_message_definition FROM message_definitions"
+    rows = "SELECT topic_type, encoded_message_definition FROM message_definitions"
+    with suppress(sqlite3.OperationalError):  # old recorders have no such table
         definitions = dict(database.execute(rows).fetchall())
-    return {
-        row["id"]: Source(
+    sources = {}
+    for row in map(dict, database.execute("SELECT * FROM topics")):
+        sources[row["id"]] = Source(
             topic=row["name"],
             type=row["type"],
             definition=definitions.get(row["type"], ""),
             serialization=row["serialization_format"],
-            qos=row["offered_qos_profiles"] if "offered_qos_profiles" in row.keys() else "",  # noqa: SIM118
+            qos=row.get("offered_qos_profiles", ""),
         )
-        for row in database.execute("SELECT * FROM topics")
-    }
+    return sources
 
 
 def _plain(data: bytes) -> bytes:
@@ -209,6 +208,7 @@ def _plain(data: bytes) -> bytes:
         return data
 
 
+@lru_cache
 def source_of(topic: Topic) -> Source:
     """Describe a topic of a test, with the quality of service of its publisher."""
     durability = "transient_local" if topic.latched else "volatile"
@@ -216,7 +216,19 @@ def source_of(topic: Topic) -> Source:
     return Source("/" + topic.name.lstrip("/"), topic.type, "", "cdr", qos)
 
 
-def add_source(writer: Writer, source: Source) -> Connection:
+Connections = dict[tuple[str, str], Connection]  # topic, type
+
+
+def append(writer: Writer, connections: Connections, found: Found) -> None:
+    """Write a message; ``connections`` are those that were made so, and gets a new one."""
+    source, time_ns, data = found
+    name = source.topic, source.type
+    if name not in connections:
+        connections[name] = _add_source(writer, source)
+    writer.write(connections[name], time_ns, data)
+
+
+def _add_source(writer: Writer, source: Source) -> Connection:
     """Add a topic to a bag, of whatever type."""
     definition = source.definition
     if source.type in typestore().fielddefs:
@@ -227,11 +239,9 @@ def add_source(writer: Writer, source: Source) -> Connection:
         with suppress(Exception):  # the definition is foreign text, and its hash dispensable
             store.register(get_types_from_msg(definition, source.type))
             digest = store.hash_rihs01(source.type)
-    qos: Any = source.qos
-    try:
-        qos = parse_qos(qos)
-    except Exception:  # likewise
-        qos = []
+    qos: list[Qos] = []
+    with suppress(Exception):  # likewise
+        qos = parse_qos(source.qos)
     return writer.add_connection(
         source.topic,
         source.type,
@@ -265,185 +275,104 @@ class UnsyncedWriter(Writer):
     STORAGE_PLUGINS = {**Writer.STORAGE_PLUGINS, StoragePlugin.SQLITE3: _UnsyncedSqlite}  # noqa: RUF012
 
 
-class _Storage:
-    """The open file of a rosbags writer."""
+class Flushed(NamedTuple):
+    """State of a writer when all that it had written was flushed."""
 
-    def __init__(self, writer: Writer) -> None:
-        self._writer = writer
-        self._storage: Any = writer.storage
-
-    def _forget_connections(self, kept: int, counts: dict[int, int]) -> None:
-        writer = self._writer
-        del writer.connections[kept:]
-        writer.counts = dict(counts)
-        writer.added_types = {connection.msgtype for connection in writer.connections}
+    connections: int
+    counts: dict[int, int]
+    chunks: int = 0  # of an mcap file
+    size: int = 0  # of it, bytes
 
 
-class McapStorage(_Storage):
-    """An mcap file: closed chunks in the file, an open one in memory."""
-
-    def __init__(self, writer: Writer) -> None:
-        super().__init__(writer)
-        self._storage.bio.flush()
-
-    def mark(self) -> tuple[Any, ...]:
-        """Give the present state of the file, for `undo`."""
-        storage, writer = self._storage, self._writer
-        chunk = storage.chunk
-        return (
-            chunk,
-            chunk.bio.tell(),
-            storage.bio.tell(),
-            len(storage.chunks),
-            len(writer.connections),
-            dict(writer.counts),
-        )
-
-    def undo(self, mark: tuple[Any, ...]) -> bool:
-        """Remove all that was written after the mark; returns True, for nothing else is lost."""
-        chunk, chunk_size, file_size, chunks, connections, counts = mark
-        storage, writer = self._storage, self._writer
-        if storage.bio.tell() != file_size:
-            storage.bio.seek(file_size)
-            storage.bio.truncate()
-        del storage.chunks[chunks:]
-        chunk.bio.seek(chunk_size)
-        chunk.bio.truncate()
-        for identifier, messages in chunk.msgs.items():
-            chunk.msgs[identifier] = [item for item in messages if item[1] < chunk_size]
-        storage.chunk = chunk
-        storage.channel_stats = dict(counts)
-        self._forget_connections(connections, counts)
-        storage.schemas[:] = [s for s in storage.schemas if s.name in writer.added_types]
-        del storage.channels[connections:]
-        return True
-
-    def flush(self) -> None:
-        """Give everything to the operating system, in a form that can be recovered."""
-        if self._storage.chunk.bio.tell():
-            mark = self.mark()
-            try:
-                self._storage.close_chunk()
-            except OSError:
-                raise
-            except BaseException:
-                self.undo(mark)
-                raise
-        self._storage.bio.flush()
+def flush_file(writer: Writer) -> Flushed:
+    """Give everything to the operating system, in a form that can be recovered."""
+    storage: Any = writer.storage
+    state = len(writer.connections), dict(writer.counts)
+    if isinstance(storage, Sqlite3Writer):
+        storage.conn.commit()
+        return Flushed(*state)
+    if storage.chunk.bio.tell():
+        storage.close_chunk()
+    storage.bio.flush()
+    return Flushed(*state, len(storage.chunks), storage.bio.tell())
 
 
-class SqliteStorage(_Storage):
-    """An sqlite3 file: committed messages survive."""
-
-    def __init__(self, writer: Writer) -> None:
-        super().__init__(writer)
-        self.flush()
-
-    def mark(self) -> tuple[int, dict[int, int]]:
-        """Give the present state of the file, for `undo`."""
-        return len(self._writer.connections), dict(self._writer.counts)
-
-    def undo(self, mark: tuple[int, dict[int, int]]) -> bool:
-        """Remove all that was written after the mark.
-
-        Returns False if all that was not committed is lost, too.
-        """
-        # on a full disk sqlite itself has rolled back what was not committed
-        holds = self._storage.conn.in_transaction or mark == self._committed
-        connections, counts = mark if holds else self._committed
-        execute = self._storage.cursor.execute
-        execute("DELETE FROM messages WHERE id > ?", (sum(counts.values()),))
-        execute("DELETE FROM topics WHERE id > ?", (connections,))
+def undo(writer: Writer, last: Flushed) -> None:
+    """Remove all that was written after a flush."""
+    storage: Any = writer.storage
+    del writer.connections[last.connections :]
+    writer.counts = dict(last.counts)
+    writer.added_types = {connection.msgtype for connection in writer.connections}
+    if isinstance(storage, Sqlite3Writer):
+        storage.conn.rollback()  # and undo what was committed, too
+        execute = storage.cursor.execute
+        execute("DELETE FROM messages WHERE id > ?", (sum(last.counts.values()),))
+        execute("DELETE FROM topics WHERE id > ?", (last.connections,))
         execute("DELETE FROM message_definitions WHERE topic_type NOT IN (SELECT type FROM topics)")
-        self._forget_connections(connections, counts)
-        return bool(holds)
+        return
+    storage.bio.seek(last.size)
+    storage.bio.truncate()
+    del storage.chunks[last.chunks :]
+    del storage.channels[last.connections :]
+    storage.schemas[:] = [item for item in storage.schemas if item.name in writer.added_types]
+    storage.channel_stats = dict(last.counts)
+    storage.chunk = PendingChunk(2**63 - 1, 0, BytesIO(), defaultdict(list))
 
-    def flush(self) -> None:
-        """Give everything to the operating system, in a form that can be recovered."""
-        self._storage.conn.commit()
-        self._committed = self.mark()
 
+def reserved_room(folder: Path, size: int) -> IO[bytes]:
+    """Reserve room on a disk, bytes, in which a bag on a full disk can still be closed.
 
-class Reserve:
-    """Reserved room on a disk, bytes, in which a bag on a full disk can still be closed.
-
-    It is a file without a name: a process that is killed leaves none. Raises OSError without
-    enough room.
+    It is a file without a name, which frees the room when it is closed: a process that is killed
+    leaves none. Raises OSError without enough room.
     """
-
-    def __init__(self, folder: Path, size: int) -> None:
-        self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  it is kept open
-        try:
-            os.posix_fallocate(self._file.fileno(), 0, size)
-        except OSError:
-            self._file.close()
-            raise
-
-    def beside(self) -> int:
-        """Free room on the same disk, bytes."""
-        system = os.fstatvfs(self._file.fileno())
-        return system.f_bavail * system.f_frsize
-
-    def release(self) -> None:
-        """Free the room."""
-        self._file.close()
+    file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  it is kept open
+    try:
+        os.posix_fallocate(file.fileno(), 0, size)
+    except OSError:
+        file.close()
+        raise
+    return file
 
 
-class BagPlace:
-    """Open handles of the folder and file of a bag that is being written.
+def reason_of(error: Exception) -> str:
+    """Say in one line why a file can't be read or written."""
+    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return text.splitlines()[0].rstrip(".")
 
-    A deleted file exists as long as it is open, and a moved folder is found.
+
+class OpenFile:
+    """An open handle of the file of a bag that is being written.
+
+    A file that was deleted or moved can be read as long as it is open.
 
     Parameters
     ----------
     path : Path
-        The folder, as it was named.
-    writer : Writer
-        Open; it will write its metadata into the folder wherever that is by then.
+        The file, in the bag's folder.
     """
 
-    def __init__(self, path: Path, writer: Writer) -> None:
-        assert writer.storage is not None
-        self._path, self._name = path, writer.storage.path.name
-        self._folder = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
-        weakref.finalize(self, os.close, self._folder)
-        self._file = os.open(writer.storage.path, os.O_RDONLY)
-        weakref.finalize(self, os.close, self._file)
-        writer.metapath = _HANDLES / str(self._folder) / writer.metapath.name
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._handle = os.open(path, os.O_RDONLY)
+        weakref.finalize(self, os.close, self._handle)
 
     def size(self) -> int:
         """Size of the file, bytes."""
-        return os.fstat(self._file).st_size
-
-    def folder(self) -> Path:
-        """Where the folder is now: where it was made, or where it was moved."""
-        try:
-            if os.path.samestat(self._path.stat(), os.fstat(self._folder)):
-                return self._path
-        except OSError:
-            pass
-        return (_HANDLES / str(self._folder)).readlink()
-
-    def has_file(self) -> bool:
-        """Tell whether the file is still in the folder under its name."""
-        try:
-            there = os.stat(self._name, dir_fd=self._folder)
-        except OSError:
-            return False
-        return os.path.samestat(there, os.fstat(self._file))
+        return os.fstat(self._handle).st_size
 
     def displaced(self) -> str:
-        """Say whether folder or file was deleted or moved; empty if both are in place."""
-        if not self.has_file():
-            is_gone = os.fstat(self._file).st_nlink == 0
-            what = "was deleted" if is_gone else "is not in its folder any more"
-            return f"{self._path}: the bag {what}"
-        folder = self.folder()
-        return "" if folder == self._path else f"{self._path}: the bag was moved to {folder}"
+        """Say whether the file was deleted or moved; empty if it is in its place."""
+        status = os.fstat(self._handle)
+        with suppress(OSError):
+            if os.path.samestat(self._path.stat(), status):
+                return ""
+        place = (_HANDLES / str(self._handle)).readlink()
+        what = f"moved: its file is {place}" if status.st_nlink else "deleted"
+        return f"{self._path.parent}: the bag was {what}"
 
     def messages(self) -> Iterator[Found]:
         """Read the messages of the file, in the order in which they were written.
 
         Raises OSError if the disk fails.
         """
-        return file_messages(_HANDLES / str(self._file), self._name)
+        return file_messages(_HANDLES / str(self._handle), self._path.name)

@@ -7,12 +7,11 @@ import sqlite3
 import time
 from collections.abc import Iterator
 from contextlib import suppress
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
-from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, WriterError
 from seft_msgs_py.errors import ExperimentError, InputError, SeftError
 from seft_msgs_py.wire.topics import Topic
@@ -20,21 +19,21 @@ from seft_msgs_py.wire.topics import Topic
 from seft_ros.bags.bag_storage import (
     RESERVED,
     SPARE,
-    BagPlace,
+    Connections,
     Found,
-    McapStorage,
-    Reserve,
-    SqliteStorage,
+    OpenFile,
     UnsyncedWriter,
-    add_source,
+    append,
+    flush_file,
+    reason_of,
+    reserved_room,
     source_of,
+    undo,
 )
 
 FLUSH_PERIOD = 0.25  # s of wall time
 LONGEST_END = 10.0  # s for which there must be room, to record the end of a test
 STORAGES = ("mcap", "sqlite3")
-
-Message = tuple[Topic, bytes, int]  # with the time in ns at which it was received
 
 
 class BagWriter:
@@ -55,7 +54,7 @@ class BagWriter:
     Attributes
     ----------
     path : Path
-        The bag's folder; once the bag is closed, its present place if it was moved.
+        The bag's folder.
     running_out : str
         A warning that the disk is nearly full; empty while there is room for a test's end.
     is_whole : bool
@@ -75,30 +74,27 @@ class BagWriter:
             raise InputError(f"storage is {storage}, but must be one of {', '.join(STORAGES)}")
         there = self.path.exists()
         try:
-            self._writer = UnsyncedWriter(
-                self.path, version=9, storage_plugin=StoragePlugin[storage.upper()]
-            )
+            plugin = StoragePlugin[storage.upper()]
+            self._writer = UnsyncedWriter(self.path, version=9, storage_plugin=plugin)
             self._writer.open()
-            make = McapStorage if storage == "mcap" else SqliteStorage
-            self._storage: McapStorage | SqliteStorage = make(self._writer)
-            self._place = BagPlace(self.path, self._writer)
-            self._reserve = Reserve(self.path, RESERVED)
-            self._spare: Reserve | None = Reserve(self.path, SPARE)
+            self._last = flush_file(self._writer)
+            assert self._writer.storage is not None
+            self._file = OpenFile(self._writer.storage.path)
+            self._rooms = [reserved_room(self.path, size) for size in (RESERVED, SPARE)]
         except WriterError:
             raise InputError(f"{self.path} exists already; name another with --out") from None
         except (OSError, sqlite3.Error) as error:
             if not there:
                 shutil.rmtree(self.path, ignore_errors=True)
             raise InputError(
-                f"{self.path}: no bag can be made there ({_reason(error)}); "
+                f"{self.path}: no bag can be made there ({reason_of(error)}); "
                 "name another folder with --out"
             ) from None
-        self._connections: dict[str, Connection] = {}
-        self._safe = 0  # number of messages that are in the file
-        self._unsafe: list[Message] = []  # those that may not be in it yet
+        self._connections: Connections = {}
+        self._unsafe: list[Found] = []  # messages since the last flush
         self._error: ExperimentError | None = None
         self._open = True
-        self._flushed = self._began = time.monotonic()
+        self._flushed_at = self._began = time.monotonic()
 
     def write(self, topic: Topic, raw: bytes, time_ns: int) -> None:
         """Append a message.
@@ -117,36 +113,26 @@ class BagWriter:
         ExperimentError
             If the file can't be written any more, as on a full disk; then at every later call.
         """
+        self.add((source_of(topic), time_ns, raw))
+
+    def add(self, found: Found) -> None:
+        """Append a message as another bag had it; raises as `write`."""
         if self._error is not None:
             raise self._error
-        mark, unsafe = self._storage.mark(), len(self._unsafe)
-        self._unsafe.append((topic, raw, time_ns))
+        self._unsafe.append(found)
         try:
-            self._append(topic, raw, time_ns)
+            append(self._writer, self._connections, found)
         except (OSError, sqlite3.Error) as error:
-            self._mend(error, mark, unsafe)
+            self._mend(error)
         except BaseException:
-            self._undo(mark)
-            del self._unsafe[unsafe:]
+            self._unsafe.pop()
+            self._rewrite()
             raise
         self.flush_if_due()
 
-    def copy(self, found: Found) -> None:
-        """Append a message as another bag had it; raises as `write`."""
-        source, time_ns, raw = found
-        name = source.topic.lstrip("/")
-        connection = self._connections.get(name)
-        try:
-            if connection is None:
-                connection = add_source(self._writer, source)
-                self._connections[name] = connection
-            self._writer.write(connection, time_ns, raw)
-        except (OSError, sqlite3.Error) as error:
-            raise self._broken(error) from None
-
     def flush_if_due(self) -> None:
         """Flush if `FLUSH_PERIOD` has passed; to be called also when nothing is written."""
-        if time.monotonic() - self._flushed >= FLUSH_PERIOD:
+        if time.monotonic() - self._flushed_at >= FLUSH_PERIOD:
             self.flush()
 
     def flush(self) -> None:
@@ -155,21 +141,21 @@ class BagWriter:
             raise self._error
         if not self._open:
             return
-        mark = self._storage.mark()
         try:
-            self._storage.flush()
+            self._flush_now()
         except (OSError, sqlite3.Error) as error:
-            self._mend(error, mark, len(self._unsafe))
-        self._now_safe()
-        self._flushed = time.monotonic()
-        room = self._reserve.beside()
+            self._mend(error)
+        except BaseException:
+            self._rewrite()
+            raise
+        self._flushed_at = time.monotonic()
+        room = shutil.disk_usage(self._rooms[0].fileno()).free
         # a test's end takes as much room as the bag has taken so far in that time
-        growth = self._place.size() / max(1.0, time.monotonic() - self._began)
+        growth = self._file.size() / max(1.0, time.monotonic() - self._began)
         if room < RESERVED + growth * LONGEST_END:
             self.running_out = f"{self.path}: the disk is nearly full, {room >> 20} MiB are left"
         if room < RESERVED:  # before a write fails, which may lose earlier messages, too
-            full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            self._mend(full, self._storage.mark(), 0)
+            self._mend(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
 
     def close(self) -> None:
         """Write index and metadata; raises as `write`.
@@ -179,9 +165,8 @@ class BagWriter:
         if not self._open or self._error is not None:
             return
         self.flush()
-        for reserve in (self._spare, self._reserve):
-            if reserve is not None:
-                reserve.release()
+        for room in self._rooms:
+            room.close()
         try:
             self._close_writer()
         except (OSError, sqlite3.Error) as error:
@@ -192,16 +177,13 @@ class BagWriter:
             raise
 
     def displaced(self) -> str:
-        """Say whether folder or file was deleted or moved; empty if both are in place."""
-        return self._place.displaced()
+        """Say whether the bag was deleted or moved; empty if it is in its place."""
+        return self._file.displaced()
 
-    def written(self) -> Iterator[Found]:
-        """Read the messages that are in the file, wherever it is, even if it was deleted."""
-        return islice(self._place.messages(), self._safe)
-
-    def unwritten(self) -> list[Message]:
-        """List the messages after those; some of them may be in the file, too."""
-        return list(self._unsafe)
+    def messages(self) -> Iterator[Found]:
+        """Read all messages so far, also from a file that was moved or deleted."""
+        flushed = sum(self._last.counts.values())
+        return chain(islice(self._file.messages(), flushed), self._unsafe)
 
     def __enter__(self) -> Self:
         return self
@@ -218,71 +200,47 @@ class BagWriter:
             if error is None:  # else the reason for leaving counts
                 raise
 
-    def _append(self, topic: Topic, raw: bytes, time_ns: int) -> None:
-        connection = self._connections.get(topic.name)
-        if connection is None:
-            connection = add_source(self._writer, source_of(topic))
-        self._writer.write(connection, time_ns, raw)
-        self._connections[topic.name] = connection
+    def _flush_now(self) -> None:
+        # in one statement: an interrupt finds messages in the file or in the list, not in both
+        self._last, self._unsafe = flush_file(self._writer), []
 
-    def _undo(self, mark: Any) -> bool:
-        holds = self._storage.undo(mark)
-        known = {item.id for item in self._writer.connections}
-        self._connections = {k: c for k, c in self._connections.items() if c.id in known}
-        return holds
+    def _rewrite(self) -> None:
+        """Write all messages since the last flush again, for the file may hold half of one."""
+        undo(self._writer, self._last)
+        known = self._writer.connections
+        self._connections = {name: c for name, c in self._connections.items() if c in known}
+        for found in self._unsafe:
+            append(self._writer, self._connections, found)
 
-    def _now_safe(self) -> None:
-        self._unsafe.clear()
-        self._safe = sum(self._writer.counts.values())
-
-    def _mend(self, error: Exception, mark: Any, again: int) -> None:
-        """Write what did not fit into the spare room; if that is used up, end the bag.
-
-        The first ``again`` of the unsafe messages were written before the mark.
-        """
-        if self._spare is not None:
-            self._spare.release()
-            self._spare = None
-            self.running_out = f"{self.path}: {_reason(error)}"
+    def _mend(self, error: Exception) -> None:
+        """Write what did not fit into the spare room; if that is used up, end the bag."""
+        self.running_out = f"{self.path}: {reason_of(error)}"
+        while self._rooms:
+            self._rooms.pop().close()
             with suppress(OSError, sqlite3.Error):
-                self._redo(mark, again)
-                return
-        self._reserve.release()
-        try:
-            self._redo(mark, again)
-            self._close_writer()
-        except (OSError, sqlite3.Error):
-            raise self._broken(error) from None
-        self._error = ExperimentError(
-            f"{self.path}: the bag ends here ({_reason(error)}); what was recorded can be read. "
-            "Make room before the next test"
-        )
-        raise self._error from None
-
-    def _redo(self, mark: Any, again: int) -> None:
-        holds = self._undo(mark)
-        for message in self._unsafe[again if holds else 0 :]:
-            self._append(*message)
-        self._storage.flush()
-        self._now_safe()
+                self._rewrite()
+                if self._rooms:
+                    self._flush_now()
+                    return
+                self._close_writer()
+                self._error = ExperimentError(
+                    f"{self.path}: the bag ends here ({reason_of(error)}); what was recorded can "
+                    "be read. Make room before the next test"
+                )
+        raise (self._error or self._broken(error)) from None
 
     def _close_writer(self) -> None:
-        if not self._place.has_file():
+        if self._file.displaced():
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
         self._writer.close()
         self._open, self.is_whole = False, True
-        self.path = self._place.folder()
 
     def _broken(self, error: Exception) -> ExperimentError:
         self._open = False
         with suppress(OSError, sqlite3.Error):
             self._writer.abort()
         self._error = ExperimentError(
-            f"{self.path}: the bag can't be written any more ({_reason(error)}); fix that, then "
+            f"{self.path}: the bag can't be written any more ({reason_of(error)}); fix that, then "
             f"recover what was recorded with: seft recover {self.path}"
         )
         return self._error
-
-
-def _reason(error: Exception) -> str:
-    return getattr(error, "strerror", None) or str(error)

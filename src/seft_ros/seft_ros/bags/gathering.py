@@ -1,6 +1,6 @@
 """Collect what the topics of a test hold while the messages of its bag are read.
 
-Each collector counts the messages that it can't decode.
+Collectors raise `WireError` or ValueError for a message that they can't decode.
 """
 
 from collections.abc import Mapping
@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import (
     ERROR,
     OK,
@@ -36,7 +35,7 @@ from seft_msgs_py.wire.topics import (
 from seft_msgs_py.wire.trajectory import TrajectoryCodec, decode_batch
 
 from seft_ros.bags.message_blocks import MessageBlock
-from seft_ros.bags.record import Estimates, Event, Series, require_names
+from seft_ros.bags.record import Estimates, Event, Series, require_names, series_of
 
 _MOST_EVENTS = 1000
 _LEVELS = {OK: "ok", WARN: "warn", ERROR: "error", STALE: "stale"}
@@ -44,36 +43,57 @@ _LEVELS = {OK: "ok", WARN: "warn", ERROR: "error", STALE: "stale"}
 Steps = npt.NDArray[np.int64]
 
 
-class SampleBuffer:
-    """Arrays of samples that grow in place; memory is that of the samples.
+def points_ahead(topic: LoopTopic, experiment: Experiment) -> float:
+    """Give how many points of a message count, beside the first.
+
+    Over a link, a message holds the reference force of later steps, too. Of a target, which is
+    revised from step to step, the first point of each message counts.
+    """
+    if topic == REFERENCE_FORCE:
+        return max(experiment.sections.get("reference_force", {}).get("loop_delay", 0), 0)
+    return 0 if topic == TARGET else inf
+
+
+class SeriesGatherer:
+    """Samples of a topic of the loop, in arrays that grow in place; memory is that of the samples.
 
     Parameters
     ----------
-    quantities, axes : int
-        Sizes q and n of a sample.
-    capacity : int
+    topic : LoopTopic
+        The topic.
+    experiment : Experiment
+        The test's.
+    rig : RigAxes
+        The axes of the messages.
+    expected : int
         Number of samples to expect; the part that is not filled takes no memory.
     """
 
-    def __init__(self, quantities: int, axes: int, capacity: int) -> None:
-        size = max(1, capacity)
+    def __init__(
+        self, topic: LoopTopic, experiment: Experiment, rig: RigAxes, expected: int
+    ) -> None:
+        self._codec = TrajectoryCodec(topic, rig.axes, experiment.timebase)
+        self._ahead = points_ahead(topic, experiment)
+        self._times_count = topic is not GROUND_MOTION  # which is sent ahead
+        size = max(1, expected)
         self._steps, self._received = np.empty(size, np.int64), np.empty(size, np.int64)
-        self._values = np.empty((size, quantities, axes))
-        self._timed = True
+        self._values = np.empty((size, len(topic.quantities), len(rig.axes)))
         self._count = 0
 
-    def append(self, steps: Steps, values: Floats, received_ns: Steps | None = None) -> None:
-        """Add samples, of shapes (p,) and (p, q, n), and when each was received, shape (p,)."""
-        end = self._count + len(steps)
-        if end > len(self._steps):
-            self._resize(max(end, 2 * len(self._steps)))
-        new = slice(self._count, end)
-        self._steps[new], self._values[new] = steps, values
-        if received_ns is None:
-            self._timed = False
-        else:
-            self._received[new] = received_ns
-        self._count = end
+    def take(self, block: MessageBlock) -> int:
+        """Take the next messages of the topic; give the number of those that can't be decoded."""
+        refused = 0
+        for rows, received in block.alike():
+            batch = decode_batch(self._codec, rows).up_to(self._ahead)
+            end = self._count + len(batch.steps)
+            if end > len(self._steps):
+                self._resize(max(end, 2 * len(self._steps)))
+            new = slice(self._count, end)
+            self._steps[new], self._values[new] = batch.steps, batch.values
+            self._received[new] = received[batch.messages]
+            self._count = end
+            refused += batch.refused
+        return refused
 
     def series(self) -> Series:
         """Give them ordered by step, of duplicates the first; nothing may be added any more.
@@ -81,7 +101,7 @@ class SampleBuffer:
         Samples that came in order, as they mostly do, are not copied.
         """
         self._resize(self._count)
-        steps, received = self._steps, self._received if self._timed else None
+        steps, received = self._steps, self._received if self._times_count else None
         series = Series(steps, self._values, received_ns=received)
         if (steps[1:] > steps[:-1]).all():
             return series
@@ -93,56 +113,17 @@ class SampleBuffer:
             array.resize((count, *array.shape[1:]), refcheck=False)
 
 
-class SeriesGatherer(SampleBuffer):
-    """Samples of a topic of the loop, with all axes or those of one rig.
-
-    Over a link, a message holds the reference force of later steps, too. Of a target, which is
-    revised from step to step, the first point of each message counts.
-    """
-
-    def __init__(
-        self,
-        topic: LoopTopic,
-        experiment: Experiment,
-        expected: int,
-        rig: RigAxes | None = None,
-    ) -> None:
-        axes = rig.axes if rig else experiment.axes
-        super().__init__(len(topic.quantities), len(axes), expected)
-        self.undecodable = 0
-        self._codec = TrajectoryCodec(topic, axes, experiment.timebase)
-        self._times_count = topic is not GROUND_MOTION  # which is sent ahead
-        self._ahead = inf
-        if topic == REFERENCE_FORCE:
-            section = experiment.sections.get("reference_force", {})
-            self._ahead = max(section.get("loop_delay", 0), 0)
-        elif topic == TARGET:
-            self._ahead = 0
-
-    def take(self, block: MessageBlock) -> None:
-        """Take the next messages of the topic."""
-        for rows, received in block.alike():
-            batch = decode_batch(self._codec, rows).up_to(self._ahead)
-            times = received[batch.messages] if self._times_count else None
-            self.append(batch.steps, batch.values, times)
-            self.undecodable += batch.refused
-
-
 class EstimatesGatherer:
     """Estimates of a compensation method, all with the names of the first."""
 
     def __init__(self, experiment: Experiment) -> None:
-        self.undecodable = 0
         self._codec = EstimatesCodec(experiment.axes, experiment.timebase)
         self._names: tuple[str, ...] = ()
         self._samples: dict[int, Floats] = {}
 
-    def take(self, raw: bytes, _received_ns: int = 0) -> None:
+    def take(self, raw: bytes, _received_ns: int) -> None:
         """Take the next message."""
-        try:
-            self.append(*self._codec.decode(raw))
-        except WireError:
-            self.undecodable += 1
+        self.append(*self._codec.decode(raw))
 
     def append(self, step: int, estimates: Mapping[str, Floats]) -> None:
         """Add the estimates of a step, name -> shape (n,); an empty mapping adds nothing.
@@ -161,9 +142,8 @@ class EstimatesGatherer:
         """Give them ordered by step, of duplicates the first; None if there are none."""
         if not self._samples:
             return None
-        steps = sorted(self._samples)
-        values = np.stack([self._samples[step] for step in steps])
-        return Estimates(np.array(steps, np.int64), values, self._names)
+        series = series_of(self._samples, len(self._names), axes=-1)
+        return Estimates(series.steps, series.values, self._names)
 
 
 class ReportGatherer:
@@ -176,7 +156,6 @@ class ReportGatherer:
     """
 
     def __init__(self, timebase: Timebase) -> None:
-        self.undecodable = 0
         self.ending: Status | None = None
         self._outcomes: dict[str, Outcome] = {}  # of the rigs
         self._links: dict[str, LinkRecord] = {}  # of the force controllers
@@ -187,28 +166,17 @@ class ReportGatherer:
 
     def take_diagnostics(self, raw: bytes, received_ns: int) -> None:
         """Take the next message of diagnostics."""
-        try:
-            _, statuses = self._decode(raw[:4] + bytes(8) + raw[12:])  # without the stamp
-        except WireError:
-            self.undecodable += 1
-            return
+        _, statuses = self._decode(raw[:4] + bytes(8) + raw[12:])  # without the stamp
         for status in statuses:
+            self._log(received_ns, status, status.message)
             if (outcome := read_outcome(status, self._timebase)) is not None:
                 self._outcomes[status.name] = outcome
             if bare(status.name) == "force_controller" and "link" in status.values:
-                try:
-                    self._links[status.name] = LinkRecord.from_json(status.values["link"])
-                except ValueError:
-                    self.undecodable += 1
-            self._log(received_ns, status, status.message)
+                self._links[status.name] = LinkRecord.from_json(status.values["link"])
 
     def take_state(self, raw: bytes, received_ns: int) -> None:
         """Take the next message of the supervisor."""
-        try:
-            status = decode_status(raw)
-        except WireError:
-            self.undecodable += 1
-            return
+        status = decode_status(raw)
         if status.message in ENDED:
             self.ending = status
         detail, text = status.values.get("detail", ""), status.message
@@ -230,9 +198,8 @@ class ReportGatherer:
 
     def outcome(self, rigs: int) -> Outcome | None:
         """How the test ended, once all of so many rigs have reported it; else None."""
-        return (
-            Outcome.of_all(list(self._outcomes.values())) if len(self._outcomes) >= rigs else None
-        )
+        found = list(self._outcomes.values())
+        return Outcome.of_all(found) if len(found) >= rigs else None
 
     def link(self) -> LinkRecord | None:
         """How messages arrived over links; None if no force controller reported it."""
@@ -250,11 +217,9 @@ def trip_of(outcome: Outcome | None, ending: Status | None, timebase: Timebase) 
         return trip
     if ending.message != State.TRIPPED and (trip is None or trip.reason != STOPPED):
         return trip
-    text = ending.values.get("step", "")
-    if text.isdecimal():
-        step = int(text)
-    elif trip is not None:
+    step = ending.number("step")
+    if step is None and trip is not None:
         step = trip.step
-    else:
+    elif step is None:
         step = max(0, outcome.steps - 1) if outcome else 0
     return Trip(ending.values.get("detail", ""), step, timebase.stamp_ns(step) / 1e9)

@@ -11,7 +11,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Iterator
-from itertools import count
+from itertools import chain, count
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +20,8 @@ from seft_msgs_py.errors import ExperimentError, SeftError
 from seft_msgs_py.wire.topics import RIG_STATE, TARGET, VALVE_COMMAND, Timebase, Topic
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-from seft_ros.bags.bag_storage import RESERVED, SPARE
-from seft_ros.bags.bag_writer import FLUSH_PERIOD, BagWriter, Message
+from seft_ros.bags.bag_storage import RESERVED, SPARE, Found, reason_of, source_of
+from seft_ros.bags.bag_writer import FLUSH_PERIOD, BagWriter
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 
 MOST_IN_MEMORY = 1 << 30  # bytes, of a test that goes on without its bag
@@ -54,7 +54,7 @@ class LastingBag:
         self._place, self._storage = place, storage
         self._writer: BagWriter | None = None
         self._writes = True  # else messages are kept in memory
-        self._kept: list[Message] = []
+        self._kept: list[Found] = []
         self._kept_bytes = 0
         self._polled_at = time.monotonic()
         try:
@@ -67,10 +67,10 @@ class LastingBag:
         if self._writer is not None and self._writes:
             try:
                 self._writer.write(topic, raw, time_ns)
-            except ExperimentError as error:  # the message is in it, or among its unwritten ones
+            except ExperimentError as error:  # which has kept the message
                 self._lose(str(error))
         else:
-            self._kept.append((topic, raw, time_ns))
+            self._kept.append((source_of(topic), time_ns, raw))
             self._kept_bytes += len(raw)
             self.is_full = self._kept_bytes > MOST_IN_MEMORY
 
@@ -132,15 +132,11 @@ class LastingBag:
     def _build(self, place: Path) -> None:
         """Write a whole bag of all messages; leave nothing if that fails."""
         bag = BagWriter(place, self._storage)
+        written = self._writer.messages() if self._writer is not None else ()
         try:
             with bag:
-                if self._writer is not None:
-                    for found in self._writer.written():
-                        bag.copy(found)
-                    for message in self._writer.unwritten():
-                        bag.write(*message)
-                for message in self._kept:
-                    bag.write(*message)
+                for found in chain(written, self._kept):
+                    bag.add(found)
         except BaseException:
             shutil.rmtree(place, ignore_errors=True)
             raise
@@ -187,17 +183,17 @@ def obstacle(place: Path, expected: int = 0) -> str:
     except (FileNotFoundError, NotADirectoryError):
         pass
     except OSError as error:
-        return f"{place} can't be made ({error.strerror or error})"
+        return f"{place} can't be made ({reason_of(error)})"
     folder = place.absolute().parent
     while not os.path.lexists(folder) and folder != folder.parent:
         folder = folder.parent
     try:
         with tempfile.TemporaryFile(dir=folder) as file:  # without a name
-            system = os.fstatvfs(file.fileno())
+            free = shutil.disk_usage(file.fileno()).free
     except OSError as error:
-        return f"nothing can be written in {folder} ({error.strerror or error})"
+        return f"nothing can be written in {folder} ({reason_of(error)})"
     # as much as the bag reserves for its end must stay free beside that, or the bag ends at once
-    free, needed = system.f_bavail * system.f_frsize, 2 * RESERVED + SPARE + expected
+    needed = 2 * RESERVED + SPARE + expected
     if free < needed:
         return f"{folder} has room for {free / 1e6:.0f} MB, and the bag needs {needed / 1e6:.0f} MB"
     return ""

@@ -4,7 +4,7 @@ rosbags takes 4 us for each message of an mcap file, arrays 0.2 us.
 """
 
 import struct
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import batched, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import zstandard
-from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.rosbag2.storage_mcap import ChunkInfo, McapReader, decompress
-from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.compiled import compiled
+
+from seft_ros.bags.bag_storage import reason_of
 
 Bytes = npt.NDArray[np.uint8]
 Flags = npt.NDArray[np.bool_]
@@ -28,7 +28,7 @@ BATCH = 1 << 20
 _ROWS = 2048  # messages that are joined to a block where there are no chunks
 
 PLACES = np.dtype([(name, "<i8") for name in ("time", "source", "start", "length", "chunk")])
-"""Of a message: log time in ns, number of its connection, position and number of its bytes, and
+"""Of a message: log time in ns, number of its topic, position and number of its bytes, and
 where in the file its chunk starts."""
 
 _MESSAGE = 0x05  # opcode
@@ -53,14 +53,14 @@ class MessageBlock(NamedTuple):
 
     @classmethod
     def of(
-        cls, times: Sequence[int], sources: Sequence[int], raws: Sequence[bytes]
+        cls, times: npt.ArrayLike, sources: npt.ArrayLike, raws: Sequence[bytes]
     ) -> "MessageBlock":
         """Join single messages."""
         places = np.zeros(len(raws), PLACES)
         places["time"], places["source"] = times, sources
         places["length"] = np.fromiter(map(len, raws), np.int64, len(raws))
         places["start"] = np.cumsum(places["length"]) - places["length"]
-        return cls(_bytes_of(raws), places)
+        return cls(np.frombuffer(b"".join(raws), np.uint8), places)
 
     def only(self, which: Flags) -> "MessageBlock":
         """Keep some of the messages, in their order; the bytes are not copied."""
@@ -68,12 +68,13 @@ class MessageBlock(NamedTuple):
 
     def copied(self) -> "MessageBlock":
         """Copy the messages' bytes, and nothing else of the block."""
-        places = self.places.copy()
-        places["start"] = np.cumsum(places["length"]) - places["length"]
-        return MessageBlock(_bytes_of(raw for *_, raw in self.messages()), places)
+        raws = [raw for *_, raw in self.messages()]
+        block = MessageBlock.of(self.places["time"], self.places["source"], raws)
+        block.places["chunk"] = self.places["chunk"]
+        return block
 
     def messages(self) -> Iterator[tuple[int, int, bytes]]:
-        """Give them one by one: number of the connection, log time in ns, bytes."""
+        """Give them one by one: number of the topic, log time in ns, bytes."""
         columns = (self.places[name].tolist() for name in ("time", "source", "start", "length"))
         for time, source, start, length in zip(*columns, strict=True):
             yield source, time, self.data[start : start + length].tobytes()
@@ -94,24 +95,20 @@ class MessageBlock(NamedTuple):
             yield rows, run["time"]
 
 
-def _bytes_of(raws: Iterable[bytes]) -> Bytes:
-    return np.frombuffer(b"".join(raws), np.uint8)
-
-
 def read_blocks(
-    reader: Reader, connections: Sequence[Connection], path: str | Path
+    reader: Reader, numbers: Mapping[tuple[str, str], int], path: str | Path
 ) -> Iterator[MessageBlock]:
-    """Read the messages of some connections, file by file, each file in the order of time.
+    """Read the messages of some topics, file by file, each file in the order of time.
 
-    Topics of a file are matched by name and type. rosbags compares the quality of service too,
-    and silently leaves out topics for which metadata and file disagree.
+    ``numbers`` are those that blocks give as the messages' sources, by name and type of the topic.
+    rosbags compares the quality of service too, and silently leaves out topics for which metadata
+    and file disagree.
 
     Raises
     ------
     InputError
         If the bag is damaged inside.
     """
-    numbers = {(item.topic, item.msgtype): k for k, item in reversed([*enumerate(connections)])}
     try:
         for storage in getattr(reader.storage, "storages", [reader.storage]):
             sources = {
@@ -123,36 +120,16 @@ def read_blocks(
             if sources and isinstance(storage, McapReader) and storage.chunks and not packed:
                 yield from _chunk_blocks(storage, sources)
             elif sources:
-                for rows in batched(_rows(storage, sources, packed), _ROWS):
+                wanted = [item for item in storage.connections if item.id in sources]
+                for rows in batched(storage.messages(wanted), _ROWS):
                     items, times, raws = zip(*rows, strict=True)
-                    yield MessageBlock.of(times, [sources[item] for item in items], raws)
+                    plain = list(map(_unpacked, raws)) if packed else raws
+                    yield MessageBlock.of(times, [sources[item.id] for item in items], plain)
     except Exception as error:  # rosbags' parsers raise what garbage makes them raise
         raise InputError(
             f"{path}: the bag is damaged inside ({reason_of(error)}); no message after that place "
             "can be read"
         ) from None
-
-
-def reason_of(error: Exception) -> str:
-    """Say in one line why a library can't read a file."""
-    return (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
-
-
-def _rows(storage: Any, sources: Mapping[int, int], packed: bool) -> Iterable[Any]:
-    """Read connection, log time in ns and bytes, message by message."""
-    if isinstance(storage, Sqlite3Reader) and not packed:  # rosbags' own loop takes 15 % longer
-        assert storage.dbconn
-        marks = ",".join("?" * len(sources))
-        return storage.dbconn.execute(
-            "SELECT topic_id, timestamp, data FROM messages "
-            f"WHERE topic_id IN ({marks}) ORDER BY timestamp",
-            tuple(sources),
-        )
-    wanted = [item for item in storage.connections if item.id in sources]
-    return (
-        (item.id, time, _unpacked(raw) if packed else raw)
-        for item, time, raw in storage.messages(wanted)
-    )
 
 
 def _unpacked(raw: bytes) -> bytes:
@@ -165,7 +142,7 @@ def _unpacked(raw: bytes) -> bytes:
 
 
 def _chunk_blocks(reader: McapReader, sources: Mapping[int, int]) -> Iterator[MessageBlock]:
-    """Read the messages of some channels (channel -> connection) from an mcap file's chunks."""
+    """Read the messages of some channels (channel -> number of its topic) from chunks."""
     numbers = np.full(1 << 16, -1, np.int64)  # by channel
     numbers[list(sources)] = list(sources.values())
     chunks = [c for c in reader.chunks if any(c.channel_count.get(i, 0) for i in sources)]
@@ -227,7 +204,7 @@ def message_places(data: Bytes, numbers: Integers) -> npt.NDArray[np.void]:
     data : ndarray of uint8
         The chunk.
     numbers : ndarray of int64
-        Shape (65536,): channel -> number of its connection, -1 for a channel that is not wanted.
+        Shape (65536,): channel -> number of its topic, -1 for a channel that is not wanted.
 
     Raises
     ------

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from functools import cache
+from functools import cache, reduce
 from importlib.metadata import PackageNotFoundError, version
 from itertools import islice, pairwise
 from pathlib import Path
@@ -183,14 +183,12 @@ def git_state(file: Path) -> dict[str, Any] | None:
     None if git does not track the file: one that was installed into another project's folder
     does not belong to that project. Git runs once in a process (some 20 ms).
     """
-    top = _git(file.parent, "rev-parse", "--show-toplevel")
-    if top is None or _git(file.parent, "ls-files", "--error-unmatch", file.name) is None:
+    found = _git(file.parent, "rev-parse", "--show-toplevel", "HEAD")
+    if found is None or _git(file.parent, "ls-files", "--error-unmatch", file.name) is None:
         return None
-    revision = _git(file.parent, "rev-parse", "HEAD")
+    top, revision = found.splitlines()
     changes = _git(Path(top), "status", "--porcelain", "--", "*.py")
-    if revision is None or changes is None:
-        return None
-    return {"revision": revision, "dirty": bool(changes)}
+    return None if changes is None else {"revision": revision, "dirty": bool(changes)}
 
 
 def _git(folder: Path, *arguments: str) -> str | None:
@@ -214,8 +212,6 @@ def _version(package: str) -> str | None:
     except PackageNotFoundError:
         return None
 
-
-__all__ = ["Estimates", "Event", "Record", "Series", "Trip"]
 
 Steps = npt.NDArray[np.int64]
 
@@ -257,6 +253,16 @@ class Series:
     def of_steps(self, steps: Steps) -> Self:
         """Keep the samples of some steps."""
         return self.rows(np.isin(self.steps, steps))
+
+
+def series_of(samples: Mapping[int, Floats], quantities: int, axes: int) -> Series:
+    """Make a series of samples by step, each of shape (q, n), or (n,) where q is 1.
+
+    If there are samples, ``axes`` may be -1.
+    """
+    steps = sorted(samples)
+    values = np.array([samples[step] for step in steps])
+    return Series(np.array(steps, np.int64), values.reshape(len(steps), quantities, axes))
 
 
 @dataclass(frozen=True)
@@ -370,9 +376,7 @@ def of_all_rigs(parts: Sequence[Series], rigs: Sequence[RigAxes]) -> Series:
     """Join the series of several rigs: the steps that all have, received when all were."""
     if len(parts) == 1:
         return parts[0]
-    steps = parts[0].steps
-    for part in parts[1:]:
-        steps = np.intersect1d(steps, part.steps, assume_unique=True)
+    steps = reduce(np.intersect1d, (part.steps for part in parts))
     kept = [part.rows(np.searchsorted(part.steps, steps)) for part in parts]
     axes = sum(len(rig.axes) for rig in rigs)
     values = np.empty((len(steps), parts[0].values.shape[1], axes))
@@ -381,17 +385,6 @@ def of_all_rigs(parts: Sequence[Series], rigs: Sequence[RigAxes]) -> Series:
     times = [part.received_ns for part in kept if part.received_ns is not None]
     received = np.max(times, axis=0) if len(times) == len(parts) else None
     return Series(steps, values, received_ns=received)
-
-
-def consecutive_runs(series: Series, longest: int) -> list[tuple[int, Floats]]:
-    """Cut a series where steps are missing, and every ``longest`` steps: first step, values."""
-    ends = (np.flatnonzero(np.diff(series.steps) != 1) + 1).tolist()
-    runs = zip([0, *ends], [*ends, len(series.steps)], strict=True)
-    return [
-        (int(series.steps[at]), series.values[at : min(at + longest, end)])
-        for start, end in runs
-        for at in range(start, end, longest)
-    ]
 
 
 def require_names(step: int, estimates: Iterable[str], names: Sequence[str]) -> None:

@@ -28,12 +28,12 @@ from seft_msgs_py.wire.topics import (
     ESTIMATES,
     EXPERIMENT_STATE,
     GROUND_MOTION,
-    NANOSECONDS_PER_SECOND,
     REFERENCE_FORCE,
     RIG_STATE,
     RIG_TOPICS,
     STEP_TOPICS,
     VALVE_COMMAND,
+    LoopTopic,
     RigAxes,
     Topic,
 )
@@ -47,11 +47,10 @@ from seft_ros.bags.gathering import (
     SeriesGatherer,
     trip_of,
 )
-from seft_ros.bags.message_blocks import read_blocks
+from seft_ros.bags.message_blocks import MessageBlock, read_blocks
 from seft_ros.bags.record import (
     Description,
     Record,
-    consecutive_runs,
     infer_experiment,
     of_all_rigs,
     read_description,
@@ -64,15 +63,6 @@ UNDECODABLE = "undecodable"
 
 _LOOP = (RIG_STATE, REFERENCE_FORCE, VALVE_COMMAND, GROUND_MOTION)
 """Topics that give a test's namespace, axes and rate, the most reliable first."""
-_OF_OUTCOME = (
-    "missed",
-    "missed_steps",
-    "held_steps",
-    "overruns",
-    "saturation",
-    "round_trips",
-    "wall_s",
-)
 
 
 def read_bag(path: str | Path, *, described: bool = True) -> Record:
@@ -101,15 +91,12 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         description = bag.description()
         known = described or bool(description.sections)
         experiment = bag.experiment(description) if known else bag.inferred_experiment()
-        rigs = experiment.rigs
-        forces = reference_force_topic(experiment.sections.get("reference_force", {}))
+        parts = _loop_of(experiment)
         loop: dict[Topic, SeriesGatherer] = {
-            topic.of(rig): SeriesGatherer(topic, experiment, bag.count(topic.of(rig)), rig)
-            for topic in RIG_TOPICS
+            topic.of(rig): SeriesGatherer(topic, experiment, rig, bag.count(topic.of(rig)))
+            for topic, rigs in parts
             for rig in rigs
         }
-        for topic in (GROUND_MOTION, forces):
-            loop[topic] = SeriesGatherer(topic, experiment, bag.count(topic))
         estimates, reports = EstimatesGatherer(experiment), ReportGatherer(experiment.timebase)
         bag.gather(
             loop,
@@ -120,14 +107,11 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
             },
         )
         start_ns = reader.start_time
-    undecodable = bag.undecodable + estimates.undecodable + reports.undecodable
-    undecodable += sum(one.undecodable for one in loop.values())
     series = {  # given out once, for memory
         topic.name: of_all_rigs([loop.pop(topic.of(rig)).series() for rig in rigs], rigs)
-        for topic in RIG_TOPICS
+        for topic, rigs in parts
     }
-    series |= {topic.name: loop.pop(topic).series() for topic in (GROUND_MOTION, forces)}
-    outcome = reports.outcome(len(rigs))
+    outcome = reports.outcome(len(experiment.rigs))
     if outcome is not None and outcome.steps > 0:  # the rig never sampled later stamps
         series = {name: one.until(outcome.steps - 1) for name, one in series.items()}
     states = series[RIG_STATE.name]
@@ -143,7 +127,8 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
             series[name] = replace(one, steps=steps)
     end: dict[str, Any] = {"missed": None, "overruns": None, "complete": False}
     if outcome is not None:
-        end = {name: getattr(outcome, name) for name in _OF_OUTCOME}
+        others = ("phase", "steps", "trip")
+        end = {name: value for name, value in vars(outcome).items() if name not in others}
     return Record(
         experiment=experiment,
         series=series,
@@ -153,7 +138,7 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         events=reports.events(start_ns),
         described=known,
         facts=description.facts,
-        environment={**description.environment, UNDECODABLE: undecodable},
+        environment={**description.environment, UNDECODABLE: bag.undecodable},
         **end,
     )
 
@@ -176,11 +161,15 @@ def read_messages(path: str | Path, topics: Sequence[Topic]) -> Iterator[tuple[T
         If there is no bag, or it is damaged or cut off.
     """
     with closing(open_bag(path)) as reader:
-        bag = _Bag(Path(path), reader)
-        found = [(topic, item) for topic in topics for item in bag.connections_of(topic)]
-        for block in read_blocks(reader, [item for _, item in found], path):
-            for source, received_ns, raw in block.messages():
-                yield found[source][0], received_ns, raw
+        yield from _Bag(Path(path), reader).messages(topics)
+
+
+def _loop_of(experiment: Experiment) -> list[tuple[LoopTopic, tuple[RigAxes, ...]]]:
+    """List the topics of the loop, each with the rigs that have their own, or one for all."""
+    forces = reference_force_topic(experiment.sections.get("reference_force", {}))
+    whole = (RigAxes.whole(experiment.axes),)
+    topics = (GROUND_MOTION, RIG_STATE, forces, VALVE_COMMAND)
+    return [(topic, experiment.rigs if topic in RIG_TOPICS else whole) for topic in topics]
 
 
 class _Bag:
@@ -201,14 +190,9 @@ class _Bag:
             )
         self.prefix = prefixes.pop() if prefixes else "/"
 
-    def connections_of(self, topic: Topic) -> list[Connection]:
-        """List the connections of a topic that carry its type."""
-        named = self.prefix + topic.name, topic.type
-        return [item for item in self.reader.connections if (item.topic, item.msgtype) == named]
-
     def description(self) -> Description:
         texts = []
-        for raw in self._raws(self.connections_of(DESCRIPTION)):
+        for *_, raw in self.messages([DESCRIPTION]):
             try:
                 texts.append(decode_string(raw))
             except WireError:
@@ -228,11 +212,10 @@ class _Bag:
 
     def inferred_experiment(self) -> Experiment:
         for topic in _LOOP:
-            connections = self.connections_of(topic)
-            if not sum(connection.msgcount for connection in connections):
+            if not self.count(topic):
                 continue
             try:
-                return infer_experiment(self._raws(connections))
+                return infer_experiment(raw for *_, raw in self.messages([topic]))
             except InputError as error:
                 raise InputError(
                     f"{self.path}: the bag holds no test that can be read: {error} on {topic.name}"
@@ -242,7 +225,8 @@ class _Bag:
 
     def count(self, topic: Topic) -> int:
         """Count the messages of a topic, as the bag claims."""
-        return sum(connection.msgcount for connection in self.connections_of(topic))
+        name = self._name(topic)
+        return sum(c.msgcount for c in self.reader.connections if (c.topic, c.msgtype) == name)
 
     def gather(
         self,
@@ -253,27 +237,35 @@ class _Bag:
 
         Those of the loop are many and go block by block, the others one by one.
         """
-        found = [(n, c) for n, t in enumerate([*loop, *others]) for c in self.connections_of(t)]
-        number = np.array([n for n, _ in found], np.int64)  # of the gatherer, by connection
-        singly = list(others.values())
-        for block in read_blocks(self.reader, [c for _, c in found], self.path):
-            taker = number[block.places["source"]]
-            for at, gatherer in enumerate(loop.values()):
-                gatherer.take(block.only(taker == at))
-            for source, received_ns, raw in block.only(taker >= len(loop)).messages():
-                singly[number[source] - len(loop)](raw, received_ns)
+        topics, takers = [*loop, *others], list(others.values())
+        for block in self._blocks(topics):
+            numbers = block.places["source"]
+            for number, gatherer in enumerate(loop.values()):
+                self.undecodable += gatherer.take(block.only(numbers == number))
+            for number, received_ns, raw in block.only(numbers >= len(loop)).messages():
+                try:
+                    takers[number - len(loop)](raw, received_ns)
+                except (WireError, ValueError):
+                    self.undecodable += 1
 
-    def _raws(self, connections: list[Connection]) -> Iterator[bytes]:
-        for block in read_blocks(self.reader, connections, self.path):
-            for _, _, raw in block.messages():
-                yield raw
+    def messages(self, topics: Sequence[Topic]) -> Iterator[tuple[Topic, int, bytes]]:
+        """Read the messages of some topics, see `read_messages`."""
+        for block in self._blocks(topics):
+            for number, received_ns, raw in block.messages():
+                yield topics[number], received_ns, raw
+
+    def _blocks(self, topics: Sequence[Topic]) -> Iterator[MessageBlock]:
+        numbers = {self._name(topic): number for number, topic in enumerate(topics)}
+        return read_blocks(self.reader, numbers, self.path)
+
+    def _name(self, topic: Topic) -> tuple[str, str]:
+        return self.prefix + topic.name, topic.type
 
 
 def _is(topic: Topic, connection: Connection) -> bool:
     return connection.msgtype == topic.type and connection.topic.endswith("/" + topic.name)
 
 
-CHUNK_STEPS = 100
 NOT_FINITE = "not_finite"
 """Key of the environment: number of samples that are NaN or infinite, and fit in no message."""
 
@@ -305,7 +297,7 @@ def write_record(
         ``mcap`` or ``sqlite3``.
     ground_motion : iterable of (first step, ndarray), optional
         Messages of ground motion, each of shape (p, n), m/s^2; they may go beyond the
-        record's end. Default: the record's, in messages of `CHUNK_STEPS`.
+        record's end. Default: a message for each of the record's steps.
 
     Raises
     ------
@@ -315,23 +307,17 @@ def write_record(
         If the disk is full.
     """
     timebase, axes = record.experiment.timebase, record.experiment.axes
-    start_ns, rigs = _start_ns(record), record.experiment.rigs
-    whole = RigAxes.whole(axes)
-    forces = reference_force_topic(record.experiment.sections.get("reference_force", {}))
+    start_ns = _start_ns(record)
     codecs = {
         topic.name: [
-            (rig.places, TrajectoryCodec(topic.of(rig), rig.axes, timebase))
-            for rig in (rigs if topic in RIG_TOPICS else [whole])
+            (rig.places, TrajectoryCodec(topic.of(rig), rig.axes, timebase)) for rig in rigs
         ]
-        for topic in (GROUND_MOTION, RIG_STATE, forces, VALVE_COMMAND)
+        for topic, rigs in _loop_of(record.experiment)
     }
     ((_, motion_codec),) = codecs[GROUND_MOTION.name]
     estimates_codec = EstimatesCodec(axes, timebase)
-    if ground_motion is None:
-        motion = consecutive_runs(record.series[GROUND_MOTION.name], CHUNK_STEPS)
-    else:
-        motion = [(first, np.ascontiguousarray(v)[:, np.newaxis, :]) for first, v in ground_motion]
-    events, not_finite = _events(record)
+    motion = [(first, np.ascontiguousarray(v)[:, np.newaxis]) for first, v in ground_motion or ()]
+    events, not_finite = _events(record, STEP_TOPICS[1:] if motion else STEP_TOPICS)
     environment = {k: v for k, v in record.environment.items() if k != UNDECODABLE}
     if not_finite:
         environment[NOT_FINITE] = not_finite
@@ -369,14 +355,14 @@ def write_record(
             )
             status = rig_status(outcome)
             # totals of all rigs are reported by the first
-            statuses = [replace(status, name=rig.node(RIG)) for rig in rigs]
+            statuses = [replace(status, name=rig.node(RIG)) for rig in record.experiment.rigs]
             quiet = {"missed": "0", "missed_steps": "", "overruns": "0", "saturated": "{}"}
             statuses[1:] = [replace(s, values={**s.values, **quiet}) for s in statuses[1:]]
             bag.write(DIAGNOSTICS, encode_diagnostics(time_ns, statuses), time_ns)
 
 
-def _events(record: Record) -> tuple[npt.NDArray[np.int64], int]:
-    """List the samples to be written, in their order, and count those that are left out.
+def _events(record: Record, topics: Sequence[Topic]) -> tuple[npt.NDArray[np.int64], int]:
+    """List the samples of some topics, in their order, and count those that are left out.
 
     Returns
     -------
@@ -388,7 +374,7 @@ def _events(record: Record) -> tuple[npt.NDArray[np.int64], int]:
     parts, not_finite = [], 0
     for which, topic in enumerate(STEP_TOPICS):
         series = record.estimates if topic is ESTIMATES else record.series[topic.name]
-        if topic is GROUND_MOTION or series is None:
+        if topic not in topics or series is None:
             continue
         (kept,) = np.nonzero(np.isfinite(series.values).all(axis=(1, 2)))
         not_finite += len(series.steps) - len(kept)
@@ -403,5 +389,4 @@ def _start_ns(record: Record) -> int:
         start = datetime.fromisoformat(record.environment["start"])
     except (KeyError, TypeError, ValueError):
         return time.time_ns()
-    seconds = int(start.replace(microsecond=0).timestamp())
-    return seconds * NANOSECONDS_PER_SECOND + start.microsecond * 1000
+    return round(start.timestamp() * 1e6) * 1000

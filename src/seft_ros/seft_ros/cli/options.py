@@ -211,8 +211,8 @@ def offline_test(experiment: Experiment, bag: Path | None, label: str = "") -> R
         if bag is not None:
             from seft_ros.bags.record_bag import write_record
 
-            chunks = [motion.chunk(index) for index in range(motion.chunks)]
-            write_record(record, bag, record.experiment["recorder"]["storage"], chunks)
+            storage = record.experiment["recorder"]["storage"]
+            write_record(record, bag, storage, motion.chunks)
     return record
 
 

@@ -49,8 +49,9 @@ class Columns:
         Number of the line of each row, or of each value of AT2.
     names : tuple of str
         Column names from the line above the data; empty if it does not name c columns.
-    header_line : int
-        Number of that line; 0: there is none, or it is an AT2 file.
+    header : str
+        Number of that line in brackets, as errors name it; empty: there is none, or it is an AT2
+        file.
     own_dt : float or None
         Sampling period in the header, s; None: a column of time may give it.
     own_unit : str or None
@@ -61,7 +62,7 @@ class Columns:
     values: npt.NDArray[np.float64]
     lines: list[int]
     names: tuple[str, ...] = ()
-    header_line: int = 0
+    header: str = ""
     own_dt: float | None = None
     own_unit: str | None = None
 
@@ -80,25 +81,25 @@ class Columns:
         for index, found in enumerate(named):
             if found and found.group(1).lower() in _SECONDS:
                 return index, _SECONDS[found.group(1).lower()]
-        if self.values.shape[1] > 1 and not any(named):
-            for index in range(self.values.shape[1]):
-                if (step := self.rise(index)) and step <= _LONGEST_STEP:
-                    return index, 1.0
-        return None
+        if any(named):
+            return None
+        rises = [self.rise(index) for index in range(self.values.shape[1])]
+        return next(((k, 1.0) for k, step in enumerate(rises) if 0 < step <= _LONGEST_STEP), None)
 
-    def rise(self, column: int) -> float | None:
-        """Usual step of a column that rises from line to line, like time; None: it does not."""
+    def rise(self, column: int) -> float:
+        """Give the usual step of one of several columns that rises like time; 0: it does not."""
         steps = np.diff(self.values[:, column])
-        rises = len(steps) >= _FEWEST_TIMES - 1 and bool((steps > 0).all())
-        return float(np.median(steps)) if rises else None
+        few = len(steps) < _FEWEST_TIMES - 1 or self.values.shape[1] == 1
+        return 0.0 if few or not (steps > 0).all() else float(np.median(steps))
 
-    def first_motion(self) -> int:
-        """Index of the first column that is not the time and does not rise like time."""
-        time, several = self.time(), self.values.shape[1] > 1
-        for index in range(self.values.shape[1]):
-            if (time is None or index != time[0]) and not (several and self.rise(index)):
-                return index
-        return 0
+    def objection(self, column: int) -> str:
+        """Say why a column holds no accelerations; empty if it may."""
+        time = self.time()
+        if time and column == time[0]:
+            return f"is the time{self.header}"
+        if step := self.rise(column):
+            return f"rises from line to line in steps of {step:g}, as time or a count does"
+        return ""
 
     def dt(self) -> float | None:
         """Find the sampling period in the header or the column of time, s; None: in neither.
@@ -116,9 +117,9 @@ class Columns:
         times = self.values[:, column]
         steps = np.diff(times)
         typical = float(np.median(steps))
-        uneven = np.flatnonzero(np.abs(steps - typical) > _UNEVEN * abs(typical))
-        if typical <= 0 or uneven.size:
-            row = int(uneven[0]) + 1 if uneven.size else 1
+        uneven = np.flatnonzero((steps <= 0) | (np.abs(steps - typical) > _UNEVEN * typical))
+        if uneven.size:
+            row = int(uneven[0]) + 1
             raise InputError(
                 f"{self.path}: line {self.lines[row]}: time goes from {times[row - 1]:g} to "
                 f"{times[row]:g}, but its usual step is {typical:g}; resample the record evenly"
@@ -237,7 +238,7 @@ def read_columns(path: Path, lines: list[str]) -> Columns:
             )
         rows.append([to_float(field, path, number) for field in fields])
     names: tuple[str, ...] = ()
-    header = 0
+    header = ""
     for number, line in enumerate(lines[:start], start=1):
         fields = _fields(line, separator)
         suspect = any(_is_number(field) or _LIKE_A_NUMBER.match(field) for field in fields)
@@ -245,7 +246,7 @@ def read_columns(path: Path, lines: list[str]) -> Columns:
             for field in fields:
                 to_float(field, path, number)
         if line.strip():
-            header, names = number, _names(line, separator, count)
+            header, names = f" (line {number})", _names(line, separator, count)
     units = [read_unit(word) for line in lines[:start] for word in _IN_UNIT.findall(line)]
     periods = [
         to_float(number, path, 1) * (1e-3 if milli else 1.0)

@@ -34,48 +34,46 @@ MOTION = "motion"
 _SNAP = 1e-9  # of a record's step: rounding in k * dt must not move a sample off its knot
 _CHUNKS_PER_LEAD = 4
 
-TABLE = Table(
-    "ground_motion",
-    parameter_rows(
-        """
-    file                       | string |       |       |             |
+_ROWS = """
+    file       | string |     |       |             |
         record to read; empty: make a synthetic motion
-    column                     | ints   | -1    |       | -1 ..       |
+    column     | ints   | -1  |       | -1 ..       |
         column of the file, counted from 0; one for all axes, or one per axis; -1: the first that
         is not the time
-    unit                       | string |       |       | "", g, m/s2, cm/s2 |
+    unit       | string |     |       | "", g, m/s2, cm/s2 |
         unit of the accelerations in the file; empty: the unit that the file states
-    dt                         | float  | 0.0   | s     | 0 ..        |
+    dt         | float  | 0.0 | s     | 0 ..        |
         sampling period of the file; 0: the period that the file states (header, column of time)
-    peak_force                 | float  | 0.0   | N     | 0 ..        |
+    peak_force | float  | 0.0 | N     | 0 ..        |
         scale the motion so that this is the largest |mass * acceleration|; 0: as recorded
-    mass                       | floats | reference_force:model.mass or 0.0 | kg    |             |
+    mass       | floats | reference_force:model.mass or 0.0 | kg | |
         mass to which peak_force refers: one for every axis, one per axis, or a matrix row
         by row
-    time_scale                 | float  | 1.0   |       | > 0         |
+    time_scale | float  | 1.0 |       | > 0         |
         factor on the motion's duration: 0.5 is twice as fast
-    influence                  | floats | 1.0   |       |             |
+    influence  | floats | 1.0 |       |             |
         influence vector: factor on the ground acceleration, for all axes or per axis
-    tail                       | float  | 2.0   | s     | 0 ..        |
-        free vibration after the motion
-    lead                       | float  | 2.0   | s     | > 0 .. 3600 |
+    tail       | float  | 2.0 | s     | 0 ..        | free vibration after the motion
+    lead       | float  | 2.0 | s     | > 0 .. 3600 |
         how far ahead of the rig's time the motion is published
-    synthetic.seed             | int    | 0     |       | 0 ..        | seed of the synthetic motion
-    synthetic.duration         | float  | 20.0  | s     | > 0         | its duration
-    synthetic.dt               | float  | 0.005 | s     | > 0         | its sampling period
-    synthetic.peak             | float  | 3.0   | m/s^2 | > 0         | its peak acceleration
-    synthetic.ground_frequency | float  | 2.5   | Hz    | > 0         |
-        frequency of the ground layer (Kanai-Tajimi)
-    synthetic.ground_damping   | float  | 0.6   |       | > 0         | its damping ratio
-    synthetic.filter_frequency | float  | 0.25  | Hz    | > 0         |
-        frequency of the high-pass (Clough-Penzien)
-    synthetic.filter_damping   | float  | 0.6   |       | > 0         | its damping ratio
-    synthetic.rise             | float  | 2.0   | s     | 0 ..        | end of the envelope's rise
-    synthetic.plateau_end      | float  | 8.0   | s     | 0 ..        |
-        end of the envelope's plateau
-    synthetic.decay            | float  | 0.35  | 1/s   | 0 ..        | rate of the envelope's decay
-    """
-    ),
+"""
+_SYNTHETIC_ROWS = """
+    seed             | int   | 0     |       | 0 .. | seed of the synthetic motion
+    duration         | float | 20.0  | s     | > 0  | its duration
+    dt               | float | 0.005 | s     | > 0  | its sampling period
+    peak             | float | 3.0   | m/s^2 | > 0  | its peak acceleration
+    ground_frequency | float | 2.5   | Hz    | > 0  | frequency of the ground layer (Kanai-Tajimi)
+    ground_damping   | float | 0.6   |       | > 0  | its damping ratio
+    filter_frequency | float | 0.25  | Hz    | > 0  | frequency of the high-pass (Clough-Penzien)
+    filter_damping   | float | 0.6   |       | > 0  | its damping ratio
+    rise             | float | 2.0   | s     | 0 .. | end of the envelope's rise
+    plateau_end      | float | 8.0   | s     | 0 .. | end of the envelope's plateau
+    decay            | float | 0.35  | 1/s   | 0 .. | rate of the envelope's decay
+"""
+
+TABLE = Table(
+    "ground_motion",
+    (*parameter_rows(_ROWS), *parameter_rows(_SYNTHETIC_ROWS, group="synthetic")),
 )
 """Parameters of the node ground_motion."""
 
@@ -87,10 +85,8 @@ class GroundMotion:
     ----------
     samples : array_like
         Shape (N, n): steps, axes; m/s^2.
-    timebase : Timebase
-        Of the loop.
     chunk_steps : int
-        Steps to a chunk.
+        Steps to a chunk; the last may have less.
     lead_steps : int
         Steps of rest that are known beyond the end.
     facts : dict, optional
@@ -104,16 +100,14 @@ class GroundMotion:
         The samples and then the rest, shape (N + lead_steps, n), read-only.
     steps : int
         N, the tail of free vibration included.
-    chunk_steps : int
-        Steps to a chunk; the last may have less.
-    chunks : int
-        Number of chunks of ``known``.
+    chunks : list of (int, ndarray)
+        The pieces in which ``known`` is published: step of the first sample, and values of shape
+        (p, n), m/s^2, read-only.
     """
 
     def __init__(
         self,
         samples: npt.ArrayLike,
-        timebase: Timebase,
         chunk_steps: int,
         lead_steps: int = 0,
         facts: dict[str, Any] | None = None,
@@ -123,9 +117,8 @@ class GroundMotion:
         self.known: Floats = np.pad(given, ((0, lead_steps), (0, 0)))
         self.known.flags.writeable = False
         self.samples = self.known[: self.steps]
-        self.timebase = timebase
-        self.chunk_steps = chunk_steps
-        self.chunks = -(-len(self.known) // chunk_steps)
+        firsts = range(0, len(self.known), chunk_steps)
+        self.chunks = [(first, self.known[first : first + chunk_steps]) for first in firsts]
         self.facts = facts or {}
 
     @classmethod
@@ -180,22 +173,7 @@ class GroundMotion:
         lead_steps = max(1, round(section["lead"] * timebase.rate))
         chunk_steps = max(1, round(lead_steps / _CHUNKS_PER_LEAD))
         facts = motion_facts(section, record, samples, scale)
-        return cls(samples, timebase, min(chunk_steps, len(samples)), lead_steps, facts)
-
-    def chunk(self, index: int) -> tuple[int, Floats]:
-        """One of the pieces in which the motion is published, from 0 to ``chunks - 1``.
-
-        Returns
-        -------
-        first_step : int
-            Step of the first sample.
-        values : ndarray
-            Shape (p, n), m/s^2, read-only; p is `chunk_steps`, in the last chunk maybe less.
-        """
-        if not 0 <= index < self.chunks:
-            raise IndexError(f"there is no chunk {index}; the motion has {self.chunks}")
-        first = index * self.chunk_steps
-        return first, self.known[first : first + self.chunk_steps]
+        return cls(samples, min(chunk_steps, len(samples)), lead_steps, facts)
 
 
 def motion_facts(

@@ -27,12 +27,6 @@ from seft_ros.ground_motion.column_file import (
 
 _HEADER_LINES = 50
 _NPTS = re.compile(r"\bNPTS\b", re.IGNORECASE)
-_NAME_FIRST = re.compile(
-    rf"\bNPTS\s*[=:]?\s*(\d+)[\s,;]*DT\s*[=:]?\s*({NUMBER.pattern})", re.IGNORECASE | re.ASCII
-)
-_NUMBER_FIRST = re.compile(
-    rf"^\s*(\d+)[\s,;]+({NUMBER.pattern})[\s,;]*NPTS[\s,;]*DT\b", re.IGNORECASE | re.ASCII
-)
 _UNIT = re.compile(
     r"\bUNITS?\s*(?:OF\b|IN\b|:|=|[\[(])\s*[\[(]?\s*([A-Z][^\s,;()\[\]]*)", re.IGNORECASE
 )
@@ -72,7 +66,8 @@ def read_agency_file(path: Path, lines: list[str]) -> Columns | None:
         return _read_cosmos(path, lines)
     if _SMC.match(lines[0]):
         return _read_smc(path, lines)
-    end = _header_end(lines)
+    header = enumerate(lines[:_HEADER_LINES])
+    end = next((n for n, line in header if _NPTS.search(line) and not is_comment(line)), None)
     if end is not None or path.suffix.lower() == ".at2":
         return _read_at2(path, lines, end)
     return None
@@ -85,36 +80,24 @@ def _read_at2(path: Path, lines: list[str], end: int | None) -> Columns:
             f"{path}: no header line gives NPTS and DT; an AT2 record needs one, "
             "a file of plain columns must not be named .at2"
         )
-    found = _NAME_FIRST.search(lines[end]) or _NUMBER_FIRST.search(lines[end])
-    if found is None:
+    numbers = NUMBER.findall(lines[end])
+    if len(numbers) < 2 or not numbers[0].isdigit():
         raise InputError(
             f"{path}: line {end + 1}: NPTS without a count and a DT; "
             'expected "NPTS= 4096, DT= .0100 SEC" or "4096 0.0100 NPTS, DT"'
         )
-    count, dt = int(found.group(1)), to_float(found.group(2), path, end + 1)
+    count, dt = int(numbers[0]), to_float(numbers[1], path, end + 1)
     if count < 1 or not 0 < dt < np.inf:
         raise InputError(
             f"{path}: line {end + 1}: NPTS is {count} and DT is {dt:g} s; both must be positive"
         )
-    unit = _header_unit(path, lines[: end + 1])
-    return _one_column(path, lines, end, count, dt, unit)
-
-
-def _header_end(lines: list[str]) -> int | None:
-    """Index of the line with NPTS, which is the header's last."""
-    for index, line in enumerate(lines[:_HEADER_LINES]):
-        if _NPTS.search(line) and not is_comment(line):
-            return index
-    return None
-
-
-def _header_unit(path: Path, header: list[str]) -> str | None:
-    for number, line in enumerate(header, start=1):
-        if other := _OTHER_QUANTITY.search(line):
+    unit = None
+    for number, line in enumerate(lines[: end + 1], start=1):
+        if unit is None and (other := _OTHER_QUANTITY.search(line)):
             raise _other_quantity(path, number, other.group(1))
-        if found := _UNIT.search(line):
-            return _known_unit(path, number, found.group(1))
-    return None
+        if unit is None and (stated := _UNIT.search(line)):
+            unit = _known_unit(path, number, stated.group(1))
+    return _one_column(path, lines, end, count, dt, unit)
 
 
 def _read_smc(path: Path, lines: list[str]) -> Columns:
@@ -296,16 +279,10 @@ def read_record(
     path = Path(path)
     lines = read_lines(path)
     file = read_agency_file(path, lines) or read_columns(path, lines)
-    columns = [file.first_motion() if column == FIRST_MOTION else column for column in columns]
-    _check_columns(file, columns, unit)
-    units = [unit or file.unit(column) for column in columns]
-    for column, found in zip(columns, units, strict=True):
-        if found is None:
-            largest = float(np.abs(file.values[:, column]).max())
-            raise InputError(
-                f"{path}: does not say the unit of its accelerations, of which the largest is "
-                f"{largest:.4g}; set ground_motion unit (--unit) to {', '.join(UNITS)}"
-            )
+    first = next((c for c in range(file.values.shape[1]) if not file.objection(c)), 0)
+    columns = [first if column == FIRST_MOTION else column for column in columns]
+    _check_columns(file, columns)
+    units = [_unit_of(file, column, unit) for column in columns]
     own_dt = file.dt()
     if own_dt is None and not dt:
         raise InputError(f"{path}: states no sampling period; set ground_motion dt (--dt), in s")
@@ -315,36 +292,40 @@ def read_record(
             "leave dt out to take the file's"
         )
     with np.errstate(over="ignore"):
-        sizes = [UNITS[found] for found in units if found]
-        accelerations = np.ascontiguousarray(file.values[:, columns]) * np.array(sizes)
-    return RecordedMotion(accelerations, float(dt or own_dt or 0), str(path), units[0] or "")
+        sizes = np.array([UNITS[found] for found in units])
+        accelerations = np.ascontiguousarray(file.values[:, columns]) * sizes
+    return RecordedMotion(accelerations, float(dt or own_dt or 0), str(path), units[0])
 
 
-def _check_columns(file: Columns, columns: Sequence[int], unit: str) -> None:
-    """Refuse columns that do not exist, are not finite, have another unit, or contain the time."""
+def _check_columns(file: Columns, columns: Sequence[int]) -> None:
+    """Refuse columns that do not exist, are not finite, or contain the time."""
     rows, count = file.values.shape
     if not columns or not all(0 <= column < count for column in columns):
         holds = f"{count} columns, 0 to {count - 1}" if count > 1 else "one column, 0"
         raise InputError(f"ground_motion: column is {list(columns)}, but {file.path} has {holds}")
     if rows < 2:
         raise InputError(f"{file.path}: holds one sample only; a record needs two at least")
-    line = f" (line {file.header_line})" if file.header_line else ""
-    time = file.time()
     for column in columns:
         file.check_finite(column)
-        found = file.unit(column)
-        if unit and found not in (None, unit):
+        if why := file.objection(column):
             raise InputError(
-                f"ground_motion: unit is {unit}, but the header{line} of {file.path} says {found}; "
-                f"set unit to {found}"
+                f"ground_motion: column is {column}, but that column of {file.path} {why}; "
+                f"choose another, 0 to {count - 1}"
             )
-        if time and column == time[0]:
-            why = f"is the time{line}"
-        elif count > 1 and (step := file.rise(column)):
-            why = f"rises from line to line in steps of {step:g}, as time or a count does"
-        else:
-            continue
+
+
+def _unit_of(file: Columns, column: int, unit: str) -> str:
+    """Give the unit of a column; the file's and the given one must agree, and one be there."""
+    stated = file.unit(column)
+    if unit and stated not in (None, unit):
         raise InputError(
-            f"ground_motion: column is {column}, but that column of {file.path} {why}; "
-            f"choose another, 0 to {count - 1}"
+            f"ground_motion: unit is {unit}, but the header{file.header} of {file.path} says "
+            f"{stated}; set unit to {stated}"
         )
+    if found := unit or stated:
+        return found
+    largest = float(np.abs(file.values[:, column]).max())
+    raise InputError(
+        f"{file.path}: does not say the unit of its accelerations, of which the largest is "
+        f"{largest:.4g}; set ground_motion unit (--unit) to {', '.join(UNITS)}"
+    )

@@ -12,35 +12,32 @@ _LONGEST_RAMP = 2.0  # s
 _FEWEST_PERIODS = 4  # of the band's lowest frequency
 
 
-def motion_spectrum(frequencies: npt.ArrayLike, **filters: float) -> Floats:
-    """Shape of the one-sided power spectrum of synthetic motions.
-
-    The Kanai-Tajimi spectrum times the high-pass of Clough and Penzien (Dynamics of
-    Structures, section 28-3), relative to that of the white noise.
-
-    Parameters
-    ----------
-    frequencies : array_like
-        Shape (F,), in Hz.
-    **filters : float
-        ``ground_frequency`` (Hz) and ``ground_damping`` of the ground layer, and
-        ``filter_frequency`` (Hz) and ``filter_damping`` of the high-pass.
-
-    Returns
-    -------
-    ndarray
-        Shape (F,), without unit; 0 at 0 Hz.
-    """
-    return np.abs(_frequency_response(np.asarray(frequencies, dtype=float), **filters)) ** 2
-
-
-def _frequency_response(
+def motion_filter(
     f: Floats,
     ground_frequency: float,
     ground_damping: float,
     filter_frequency: float,
     filter_damping: float,
 ) -> npt.NDArray[np.complex128]:
+    """Frequency response of the filter that makes synthetic motions of white noise.
+
+    That of Kanai and Tajimi times the high-pass of Clough and Penzien (Dynamics of Structures,
+    section 28-3). Its squared magnitude is the shape of their one-sided power spectrum.
+
+    Parameters
+    ----------
+    f : ndarray
+        Shape (F,), frequencies in Hz.
+    ground_frequency, ground_damping : float
+        Of the ground layer; Hz.
+    filter_frequency, filter_damping : float
+        Of the high-pass; Hz.
+
+    Returns
+    -------
+    ndarray
+        Shape (F,), without unit; 0 at 0 Hz.
+    """
     ground = 2j * ground_damping * ground_frequency * f  # s = 2 pi i f; factors (2 pi)^2 cancel
     high = 2j * filter_damping * filter_frequency * f
     kanai_tajimi = (ground_frequency**2 + ground) / (ground_frequency**2 - f**2 + ground)
@@ -49,11 +46,11 @@ def _frequency_response(
 
 
 def stationary_motion(seed: int, steps: int, dt: float, **filters: float) -> Floats:
-    """Make stationary noise whose expected periodogram is `motion_spectrum`.
+    """Make stationary noise whose expected periodogram is that of `motion_filter`.
 
     White noise of unit variance is filtered in the frequency domain, exactly and without a
     transient: the motion is periodic over its length. ``abs(rfft(.))**2 / steps`` is
-    `motion_spectrum` on average.
+    ``abs(motion_filter(.))**2`` on average.
 
     Parameters
     ----------
@@ -62,10 +59,10 @@ def stationary_motion(seed: int, steps: int, dt: float, **filters: float) -> Flo
     dt : float
         Sampling period in s.
     **filters : float
-        As for `motion_spectrum`.
+        As for `motion_filter`.
     """
     noise = np.random.Generator(np.random.PCG64(seed)).standard_normal(steps)
-    response = _frequency_response(np.fft.rfftfreq(steps, dt), **filters)
+    response = motion_filter(np.fft.rfftfreq(steps, dt), **filters)
     return np.fft.irfft(np.fft.rfft(noise) * response, steps)
 
 
@@ -116,7 +113,7 @@ def synthetic_motion(
     rise, plateau_end, decay : float
         As for `envelope`.
     **filters : float
-        As for `motion_spectrum`.
+        As for `motion_filter`.
 
     Returns
     -------

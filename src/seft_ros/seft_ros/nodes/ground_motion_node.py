@@ -47,10 +47,10 @@ class GroundMotionNode(NodeBody):
         if self._phase in ENDED:
             return
         while (
-            self._next_chunk < self.motion.chunks
+            self._next_chunk < len(self.motion.chunks)
             and self._published_until <= self._rig_step + self._lead_steps
         ):
-            first, values = self.motion.chunk(self._next_chunk)
+            first, values = self.motion.chunks[self._next_chunk]
             self._publish(self._codec.encode_points(first, values))
             self._next_chunk += 1
             self._published_until = first + len(values)

@@ -18,7 +18,7 @@ from seft_msgs_py.wire.topics import (
 from seft_plant_sim.rig import Rig
 
 from seft_ros.bags.gathering import EstimatesGatherer
-from seft_ros.bags.record import Estimates, Series
+from seft_ros.bags.record import Estimates, Series, series_of
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.methods import force_control
 from seft_ros.force_controller.parameters import VELOCITY_FEEDFORWARD
@@ -49,19 +49,19 @@ class ReferenceForceReplay(Replay):
         self.answer = reference_force_topic(section)
         self.expected = recorded.series(self.answer)
         self.ramp_step = recorded.ramp_step
-        if not recorded.ramp_told:
+        if recorded.ramp_unknown:
             self.notes.append(
-                f"the supervisor's ramp begins at step {self.ramp_step} by the times of "
-                "recording; reference_force does not report it exactly"
+                "reference_force does not report the step at which the supervisor ramped it down: "
+                "it is replayed without that ramp"
             )
         self._motion, moved = MotionBuffer(len(self.experiment.axes)), 0
-        self._pieces: list[tuple[int, Floats]] = []  # of the motion, without duplicates
+        self._chunks: list[tuple[int, Floats]] = []  # of the motion, without duplicates
         for first, values in recorded.chunks:
             if first <= moved < first + len(values):
-                self._pieces.append((moved, values[moved - first :]))
+                self._chunks.append((moved, values[moved - first :]))
                 moved = first + len(values)
-        if self._pieces:
-            self._motion.add(0, np.concatenate([values for _, values in self._pieces]))
+        if moved:
+            self._motion.add(0, np.concatenate([values for _, values in self._chunks]))
         answered = np.array(list(recorded.points), np.int64)
         if not section["loop_delay"]:  # each command follows a reference force, recorded or not
             unrecorded = np.setdiff1d(recorded.series(VALVE_COMMAND).steps, answered)
@@ -83,8 +83,8 @@ class ReferenceForceReplay(Replay):
         far, sent = round(FAR * self.experiment.timebase.rate), 0
         for step, state in self._states.samples():
             inputs: list[Input] = []
-            while sent < len(self._pieces) and self._pieces[sent][0] <= step + far:
-                inputs.append((GROUND_MOTION, *self._pieces[sent]))
+            while sent < len(self._chunks) and self._chunks[sent][0] <= step + far:
+                inputs.append((GROUND_MOTION, *self._chunks[sent]))
                 sent += 1
             yield step, [*inputs, (RIG_STATE, step, state[np.newaxis])]
 
@@ -111,8 +111,8 @@ class ReferenceForceReplay(Replay):
             last = step
             if step >= sampler.due:
                 estimates.append(step, sampler.sample(step))
-        values = np.array(list(forces.values())).reshape(len(forces), -1, len(axes))
-        return Series(np.array(list(forces), np.int64), values), estimates.series()
+        quantities = reference_force_topic(section).quantities
+        return series_of(forces, len(quantities), len(axes)), estimates.series()
 
 
 class ForceControllerReplay(Replay):
@@ -169,15 +169,14 @@ class ForceControllerReplay(Replay):
         axes, timebase = self.experiment.axes, self.experiment.timebase
         block = force_control(dict(section), axes, timebase)
         interlock = Interlock.from_parameters(block, dict(section), axes, timebase)
-        steps, commands, none = [], [], np.zeros((1, 1, len(axes)))
+        commands: dict[int, Floats] = {}
+        none = np.zeros((1, 1, len(axes)))
         for step in self.expected.steps.tolist():
             if step not in self._points and not interlock.reason:
                 break  # the node would wait for it
-            steps.append(step)
             points = self._points.get(step, none)
-            commands.append(interlock.step(step, points, self._states[step]).copy())
-        values = np.array(commands).reshape(len(steps), 1, len(axes))
-        return Series(np.array(steps, np.int64), values), None
+            commands[step] = interlock.step(step, points, self._states[step]).copy()
+        return series_of(commands, 1, len(axes)), None
 
 
 class RigReplay(Replay):

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -23,11 +23,9 @@ from seft_msgs_py.wire.topics import (
     ESTIMATES,
     EXPERIMENT_STATE,
     GROUND_MOTION,
-    LOOP_TOPICS,
     REFERENCE_FORCE,
     RIG_STATE,
     LoopTopic,
-    Topic,
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
@@ -59,16 +57,15 @@ class Recorded:
         Step -> points of the message of reference_force that answers its state, shape (p, q, n).
     ramp_step : int or None
         First step whose force was ramped down on the supervisor's command; None without one.
-    ramp_told : bool
-        False where reference_force did not report that step: it follows from the times of
-        recording.
+    ramp_unknown : bool
+        Whether the supervisor commanded a ramp, but reference_force did not report that step.
     """
 
     record: Record
     chunks: list[tuple[int, Floats]]
     points: dict[int, Floats]
     ramp_step: int | None = None
-    ramp_told: bool = True
+    ramp_unknown: bool = False
 
     def series(self, topic: LoopTopic) -> Series:
         """Give the samples of a topic, by step."""
@@ -103,10 +100,10 @@ def read_recorded(path: str | Path) -> Recorded:
     chunks: list[tuple[int, Floats]] = []
     points: dict[int, Floats] = {}
     tests, state = 0, ""
-    ramped_ns: int | None = None
+    is_ramped = False
     ramp_step: int | None = None
     topics = [EXPERIMENT_STATE, GROUND_MOTION, REFERENCE_FORCE, DIAGNOSTICS]
-    for topic, received_ns, raw in read_messages(path, topics):
+    for topic, _, raw in read_messages(path, topics):
         with suppress(WireError, ValueError):  # the nodes skip such messages, too
             if topic is GROUND_MOTION:
                 first, values = motion_codec.decode(raw)
@@ -116,8 +113,7 @@ def read_recorded(path: str | Path) -> Recorded:
             elif topic is EXPERIMENT_STATE:
                 last, state = state, decode_status(raw).message
                 tests += state == State.RUNNING and state != last
-                if state == State.RAMPING_DOWN and ramped_ns is None:
-                    ramped_ns = received_ns
+                is_ramped |= state == State.RAMPING_DOWN
             else:
                 for status in decode_diagnostics(raw)[1]:
                     if status.name == "reference_force":  # its last report counts
@@ -126,23 +122,7 @@ def read_recorded(path: str | Path) -> Recorded:
     if tests > 1:
         raise InputError(f"{path}: the bag holds {tests} tests; record one in a bag")
     points = {step: points[step] for step in sorted(points) if step <= states[-1]}
-    if ramped_ns is None:
-        return Recorded(record, chunks, points)
-    if ramp_step is not None:
-        return Recorded(record, chunks, points, ramp_step)
-    series = record.series[REFERENCE_FORCE.name]
-    if series.received_ns is not None:  # the first force that came after the supervisor's command
-        after = series.steps[series.received_ns > ramped_ns]
-        ramp_step = int(after[0]) if len(after) else None
-    return Recorded(record, chunks, points, ramp_step, ramp_told=ramp_step is None)
-
-
-class ReplayStep(NamedTuple):
-    """What a node is sent before it answers a step."""
-
-    step: int
-    messages: list[tuple[Topic, bytes]]
-    ramps: bool  # whether the supervisor first commands to ramp the force down
+    return Recorded(record, chunks, points, ramp_step, is_ramped and ramp_step is None)
 
 
 @dataclass(frozen=True)
@@ -208,20 +188,6 @@ class Replay(ABC):
     def computed(self, section: dict[str, Any]) -> tuple[Series, Estimates | None]:
         """Compute the answers of the node's block without ROS, with a node's parameters."""
 
-    def replay_steps(self) -> Iterator[ReplayStep]:
-        """Give the messages that the node is sent, step by step."""
-        codecs = {topic: self.codec(topic) for topic in self.sends}
-        for step, inputs in self.inputs():
-            messages: list[tuple[Topic, bytes]] = [
-                (topic, codecs[topic].encode_points(first, points))
-                for topic, first, points in inputs
-            ]
-            yield ReplayStep(step, messages, ramps=step == self.ramp_step)
-
-    def codec(self, topic: LoopTopic) -> TrajectoryCodec:
-        """Make the codec of a topic of this test."""
-        return TrajectoryCodec(topic, self.experiment.axes, self.experiment.timebase)
-
     def note_steps(self, what: str, steps: npt.ArrayLike) -> None:
         """Note for how many steps something holds, and name the first; nothing if for none."""
         if len(listed := np.asarray(steps).tolist()):
@@ -266,10 +232,8 @@ def experiment_of(replay: Replay, overrides: Sequence[Override], fixed: bool = T
     given = [(replay.node, name, value) for name, value in section.items() if name not in common]
     given += [(EVERY_NODE, name, section[name]) for name in sorted(common)]
     if fixed:
-        known = next(table for table in TABLES if table.node == replay.node).rows
-        untimed = {row.name: row.default for row in realtime.PARAMETERS}
-        values = {**untimed, **replay.fixed}
-        given += [(replay.node, name, value) for name, value in values.items() if name in known]
+        values = {row.name: row.default for row in realtime.PARAMETERS} | replay.fixed
+        given += [(replay.node, name, value) for name, value in values.items()]
     for node, name, _ in overrides:
         if name in common:
             raise InputError(f"-p {name}: the recorded samples have their own {name}")
@@ -302,14 +266,13 @@ def replay_verdict(replay: Replay, recorded: Recorded, answers: Answers) -> dict
     -------
     dict
         JSON values: ``node``, ``topic``, ``identical``, ``first_difference`` (None, or topic,
-        step, time_s, field, axis, recorded, replayed), ``steps`` (of the recorded answers),
+        step, field, axis, time_s, recorded, replayed), ``steps`` (of the recorded answers),
         ``answered``, ``ended`` (why some are missing; else None), ``max_abs``, ``nrmse``,
         ``fields``, ``estimates`` (likewise; None where there are none), ``wall_s``, ``notes``.
     """
     record, topic = recorded.record, replay.answer.name
     # answers beyond the recorded steps have no counterpart
     given = answers.series.of_steps(replay.expected.steps)
-    names = {one.name: record.series[one.name] for one in LOOP_TOPICS}
     estimates: tuple[Estimates | None, ...] = (None, None)
     if replay.node == "reference_force":
         mine, theirs = answers.estimates, record.estimates
@@ -317,20 +280,15 @@ def replay_verdict(replay: Replay, recorded: Recorded, answers: Answers) -> dict
             mine = mine.until(int(theirs.steps[-1]))
         estimates = theirs, mine
     one, other = (
-        replace(record, series={**names, topic: series}, estimates=some)
+        replace(record, series={**record.series, topic: series}, estimates=some)
         for series, some in zip((replay.expected, given), estimates, strict=True)
     )
     found = compare(one, other)
     first = found["first_difference"]
     if first is not None:
         stamp_ns = record.experiment.timebase.stamp_ns(first["step"])
-        first = {
-            **{key: first[key] for key in ("topic", "step")},
-            "time_s": stamp_ns / 1e9,
-            **{key: first[key] for key in ("field", "axis")},
-            "recorded": first["a"],
-            "replayed": first["b"],
-        }
+        first["time_s"] = stamp_ns / 1e9
+        first["recorded"], first["replayed"] = first.pop("a"), first.pop("b")
     of_estimates = found["topics"].get(ESTIMATES.name)
     keys = ("max_abs", "nrmse", "fields")
     return {
