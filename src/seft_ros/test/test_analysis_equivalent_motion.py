@@ -24,7 +24,7 @@ from seft_ros.analysis.metrics import delayed
 from seft_ros.analysis.report_numbers import report_numbers
 from seft_ros.analysis.report_page import write_report
 from seft_ros.analysis.summary import summarise
-from seft_ros.analysis.tracking import tracked_of, tracking_error, tracking_error_of, tracking_of
+from seft_ros.analysis.tracking import tracked_of, tracking_error_of, tracking_of
 from seft_ros.bags.record import (
     Record,
     Series,
@@ -256,8 +256,11 @@ def test_the_force_that_was_meant_is_that_of_theory():
 
 
 def test_the_tracking_error_is_of_the_target_s_displacement():
-    x = np.sin(np.arange(1000) * 0.1)[:, np.newaxis]
-    found = tracking_error(x, 1.1 * x)
+    test = experiment(reference_force__compensation__method="none")
+    states = states_of(test, ground(test))
+    x = states[:, 0]
+    targets = np.stack([1.1 * x, states[:, 1], states[:, 3]], axis=1)
+    found = tracking_error_of(make_record(test, ground(test), states, targets))
     assert found["nrmse"] == pytest.approx(0.1)
     assert found["peak"] == pytest.approx(0.1 * np.abs(x).max())
     assert found["rms"] == pytest.approx(0.1 * np.sqrt(np.mean(x**2)))

@@ -43,12 +43,11 @@ def test_a_wave_packet_delayed_by_3_7_ms_is_3_7_ms_late():
     assert found.frequency_hz == pytest.approx(9.0, rel=1e-3)
 
 
-@pytest.mark.parametrize("power", [1.0, 2.0, 3.0])
-def test_two_sines_are_weighted_by_a_power_of_their_amplitudes(power):
+def test_two_sines_are_weighted_by_the_squares_of_their_amplitudes():
     command = sine(2.0, amplitude=3.0) + sine(10.0, amplitude=1.0)
     measured = sine(2.0, 0.01, 3.3) + sine(10.0, 0.02, 0.5)
-    found = frequency_evaluation_index(command, measured, DT, power)
-    a, b = 3.0**power, 1.0
+    found = frequency_evaluation_index(command, measured, DT)
+    a, b = 9.0, 1.0
     index = (
         1.1 * a * np.exp(-2j * np.pi * 2.0 * 0.01) + 0.5 * b * np.exp(-2j * np.pi * 10.0 * 0.02)
     ) / (a + b)
@@ -122,8 +121,6 @@ def test_nothing_measured_is_amplitude_zero():
     assert frequency_evaluation_index(sine(4.0), np.zeros(COUNT), DT).amplitude == 0.0
 
 
-def test_shapes_that_differ_and_a_power_of_zero_are_refused():
+def test_shapes_that_differ_are_refused():
     with pytest.raises(ValueError, match="same shape"):
         frequency_evaluation_index(np.ones((5, 1)), np.ones(5), DT)
-    with pytest.raises(ValueError, match="not positive"):
-        frequency_evaluation_index(np.ones(5), np.ones(5), DT, 0.0)

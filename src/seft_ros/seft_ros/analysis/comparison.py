@@ -5,8 +5,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import (
     ESTIMATES,
@@ -19,14 +17,9 @@ from seft_msgs_py.wire.topics import (
 
 from seft_ros.analysis.metrics import Alignment, common_steps, nrmse, peak
 from seft_ros.analysis.result_text import title_of
-from seft_ros.bags.record import (
-    Record,
-    Series,
-)
+from seft_ros.bags.record import Estimates, Record, Series
 from seft_ros.bags.record_bag import UNDECODABLE
 from seft_ros.drawing.style import json_safe
-
-First = dict[str, Any] | None
 
 
 def compare(a: Record, b: Record) -> dict[str, Any]:
@@ -62,27 +55,25 @@ def compare(a: Record, b: Record) -> dict[str, Any]:
     """
     alignment = Alignment.of(a, b)
     topics: dict[str, Any] = {}
-    values: list[First] = []
-    missing: list[First] = []
+    differences: list[dict[str, Any]] = []
     for topic, fields, one, other in _pairs(a, b):
-        pair = alignment.on_grid(one, other)
-        figures, value = _compare_values(fields, alignment.axes, *pair)
-        lacking = _first_missing(*pair)
+        figures, found = _compare_topic(fields, alignment, *alignment.on_grid(one, other))
         counts = {"samples_a": len(one.steps), "samples_b": len(other.steps)}
-        topics[topic] = {**counts, "identical": value is None and lacking is None, **figures}
-        values.append(value and {"topic": topic, **value})
-        # a missing sample comes before a value that differs in the same step
-        missing += [lacking and {"topic": topic, **lacking}, values[-1]]
+        topics[topic] = {**counts, "identical": not found, **figures}
+        differences += ({"topic": topic, **difference} for difference in found)
+    of_values = [difference for difference in differences if difference["field"] is not None]
     first, first_value = (
-        min((one for one in differences if one), key=lambda one: one["step"], default=None)
-        for differences in (missing, values)
+        min(some, key=lambda difference: difference["step"], default=None)
+        for some in (differences, of_values)
     )
-    only_a, only_b = alignment.only
-    found: dict[str, Any] = json_safe(
+    only_a, only_b = (
+        [axis for axis in record.experiment.axes if axis not in alignment.axes] for record in (a, b)
+    )
+    return json_safe(
         {
             "identical": first is None and not (only_a or only_b or alignment.by_time),
-            "first_difference": _in_own_steps(first, alignment),
-            "first_value_difference": _in_own_steps(first_value, alignment),
+            "first_difference": first,
+            "first_value_difference": first_value,
             "missed": {"a": a.missed, "b": b.missed},
             "aligned_by": "time" if alignment.by_time else "step",
             "rate_hz": {"a": a.experiment.timebase.rate, "b": b.experiment.timebase.rate},
@@ -91,7 +82,6 @@ def compare(a: Record, b: Record) -> dict[str, Any]:
             "topics": topics,
         }
     )
-    return found
 
 
 def compare_all(names: Sequence[str], records: Sequence[Record]) -> dict[str, Any]:
@@ -155,21 +145,29 @@ def _pairs(a: Record, b: Record) -> Iterator[tuple[str, Sequence[str], Series, S
 
 def _estimates(record: Record, names: Sequence[str]) -> Series:
     """Estimates by these names; NaN where there is none of a name."""
-    estimates, axes = record.estimates, len(record.experiment.axes)
-    if estimates is None:
-        return Series(np.empty(0, np.int64), np.empty((0, len(names), axes)))
-    values = np.full((len(estimates.steps), len(names), axes), np.nan)
-    values[:, [names.index(name) for name in estimates.names]] = estimates.values
-    return Series(estimates.steps, values)
+    axes = len(record.experiment.axes)
+    found = record.estimates or Estimates(np.empty(0, np.int64), np.empty((0, 0, axes)), ())
+    values = np.full((len(found.steps), len(names), axes), np.nan)
+    values[:, [names.index(name) for name in found.names]] = found.values
+    return Series(found.steps, values)
 
 
-def _compare_values(
-    fields: Sequence[str], axes: Sequence[str], one: Series, other: Series
-) -> tuple[dict[str, Any], First]:
-    """Errors of the samples that both series have, by field, and the first that differs."""
+def _compare_topic(
+    fields: Sequence[str], alignment: Alignment, one: Series, other: Series
+) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Errors of the samples that both series have, by field, and where they first differ.
+
+    That is at most the first sample that one lacks, and the first value that differs.
+    """
     common, in_a, in_b = common_steps(one.steps, other.steps)
     a, b = one.values[in_a], other.values[in_b]
-    errors = {field: _errors(a[:, row], b[:, row]) for row, field in enumerate(fields)}
+    differing = np.ascontiguousarray(a).view(np.uint64) != np.ascontiguousarray(b).view(np.uint64)
+    errors = {field: {"max_abs": 0.0, "nrmse": 0.0} for field in fields}
+    for row, field in enumerate(fields):
+        if differing[:, row].any():
+            with np.errstate(invalid="ignore", over="ignore"):
+                x, y = a[:, row], b[:, row]
+                errors[field] = {"max_abs": peak(x - y), "nrmse": nrmse(y, x)}
     figures = {
         "compared": len(common),
         "missing_a": len(other.steps) - len(common),
@@ -177,41 +175,15 @@ def _compare_values(
         **{key: float(np.max([e[key] for e in errors.values()])) for key in ("max_abs", "nrmse")},
         "fields": errors,
     }
-    differing = _bits(a) != _bits(b)
-    if not differing.any():
-        return figures, None
-    sample, row, column = np.unravel_index(differing.argmax(), differing.shape)
-    return figures, {
-        "step": int(common[sample]),
-        "field": fields[row],
-        "axis": axes[column],
-        "a": float(a[sample, row, column]),
-        "b": float(b[sample, row, column]),
-    }
-
-
-def _errors(a: Floats, b: Floats) -> dict[str, float]:
-    """Largest and normalised error of a field; zero where all bits are equal."""
-    if np.array_equal(_bits(a), _bits(b)):
-        return {"max_abs": 0.0, "nrmse": 0.0}
-    with np.errstate(invalid="ignore", over="ignore"):
-        return {"max_abs": peak(a - b), "nrmse": nrmse(b, a)}
-
-
-def _bits(values: Floats) -> npt.NDArray[np.uint64]:
-    return np.ascontiguousarray(values).view(np.uint64)
-
-
-def _first_missing(one: Series, other: Series) -> First:
-    if np.array_equal(one.steps, other.steps):
-        return None
-    step = int(np.setxor1d(one.steps, other.steps, assume_unique=True)[0])
-    words = ("present", "missing") if step in one.steps else ("missing", "present")
-    return {"step": step, "field": None, "axis": None, "a": words[0], "b": words[1]}
-
-
-def _in_own_steps(first: First, alignment: Alignment) -> First:
-    if first is None or not alignment.by_time:
-        return first
-    step_a, step_b = (first["step"] * every for every in alignment.every)
-    return first | {"step": step_a, "step_b": step_b}
+    # a missing sample comes before a value that differs in the same step
+    found: list[tuple[int, dict[str, Any]]] = []
+    if len(common) < max(len(one.steps), len(other.steps)):
+        step = int(np.setxor1d(one.steps, other.steps, assume_unique=True)[0])
+        words = ("present", "missing") if step in one.steps else ("missing", "present")
+        found.append((step, {"field": None, "axis": None, "a": words[0], "b": words[1]}))
+    if differing.any():
+        at = np.unravel_index(differing.argmax(), differing.shape)
+        sample, row, column = at
+        place = {"field": fields[row], "axis": alignment.axes[column]}
+        found.append((int(common[sample]), place | {"a": float(a[at]), "b": float(b[at])}))
+    return figures, [alignment.own_steps(step) | difference for step, difference in found]

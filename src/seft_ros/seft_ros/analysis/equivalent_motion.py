@@ -11,11 +11,7 @@ from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import GROUND_MOTION, RIG_STATE
-from seft_plant_sim.whole_structure import (
-    WholeStructure,
-    reference_response,
-    whole_structure,
-)
+from seft_plant_sim.whole_structure import WholeStructure, reference_response, whole_structure
 
 from seft_ros.analysis.metrics import every_step, nrmse
 from seft_ros.bags.record import Record
@@ -113,15 +109,11 @@ class EquivalentMotion:
         b = np.vstack([np.zeros((q, 3 * n)), np.hstack([-k[:, :n], -c[:, :n], driven])])
         inputs = given if self._last is None else np.vstack([self._last, given])
         system = (a, b, pull, np.zeros((n, 3 * n)))
-        if len(inputs) > 1:
-            times = self._dt * np.arange(len(inputs))
-            _, force, internal = lsim(system, inputs, times, self._internal)
-            self._internal = np.atleast_2d(internal.reshape(len(inputs), -1))[-1]
-            force = force.reshape(len(inputs), n)
-        else:
-            force = (pull @ self._internal)[np.newaxis]
+        times = self._dt * np.arange(len(inputs))
+        _, force, internal = lsim(system, inputs, times, self._internal)
+        self._internal = internal.reshape(len(inputs), -1)[-1]
         self._last = given[-1:].copy()
-        return force[len(inputs) - len(given) :]
+        return force.reshape(len(inputs), n)[len(inputs) - len(given) :]
 
 
 @dataclass(frozen=True)
@@ -260,9 +252,8 @@ def _factors(whole: WholeStructure, states: Floats, mass: Floats) -> Floats:
     n = len(mass)
     stiffness = (whole.structure.stiffness[:n, :n] - whole.computed.stiffness[:n, :n]).copy()
     seen = secant_stiffness(states, mass, stiffness)
-    if not len(seen):
-        seen = np.ones(1)
-    low, high = np.clip([seen.min(), seen.max()], *_FACTORS) * [1 / MARGIN, MARGIN]
+    ends = [seen.min(), seen.max()] if len(seen) else [1.0, 1.0]
+    low, high = np.clip(ends, *_FACTORS) * [1 / MARGIN, MARGIN]
     return np.geomspace(low, high, 1 + math.ceil(math.log(high / low) / math.log(_FACTOR_STEP)))
 
 
@@ -280,12 +271,11 @@ def secant_stiffness(states: Floats, mass: Floats, stiffness: Floats) -> Floats:
         M_e and K of the specimen's model, shape (n, n).
     """
     x, _, a, f = np.moveaxis(states, 1, 0)
-    pairs = []
+    pairs: list[tuple[int, int]] = []
     for column in x.T:
         least = _SMALLEST * (column.max() - column.min())
-        turning = [peaks(sign * column, least) for sign in (1.0, -1.0)]
-        at = np.sort(np.concatenate(turning))
-        pairs += list(pairwise(at))
+        turning = np.concatenate([peaks(column, least), peaks(-column, least)])
+        pairs += pairwise(np.sort(turning))
     if not pairs:
         return np.empty(0)
     begin, end = np.array(pairs).T

@@ -1,7 +1,7 @@
 """Figures of tests: one against its reference response, or several on one another."""
 
-from collections.abc import Sequence
-from itertools import cycle
+from collections.abc import Iterable, Sequence
+from itertools import chain, cycle, repeat
 from textwrap import wrap
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from seft_msgs_py.arrays import Ints
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RIG_STATE
 from seft_plant_sim.whole_structure import ReferenceResponse
@@ -17,26 +18,9 @@ from seft_ros.analysis.metrics import Alignment, common_steps, nrmse
 from seft_ros.analysis.result_text import title_of
 from seft_ros.analysis.summary import AFTER, COMPARED, judged_part, strong_part
 from seft_ros.bags.record import Record
-from seft_ros.drawing.style import (
-    DISPLAY_UNITS,
-    FIRST,
-    MARK,
-    OTHERS,
-    REFERENCE,
-    RESPONSES,
-    SECOND,
-    TEXT,
-    axis_label,
-    finish,
-    new_figure,
-    percent,
-    thinned,
-    tidy,
-)
+from seft_ros.drawing import style
+from seft_ros.drawing.style import Floats, axis_label, percent, thinned, tidy
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
-
-Floats = npt.NDArray[np.floating[Any]]
-Steps = npt.NDArray[np.int64]
 
 MOST_AXES = 3
 _PER_INCH = 11  # characters of a title
@@ -55,45 +39,45 @@ def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
     judged = len(judged_part(record)[0].series[RIG_STATE.name].steps)
     names = estimates.names if estimates else ()
     estimated = [name for name in names if not name.startswith(OF_MODEL)]
-    heights = [2.4] * len(RESPONSES) + [1.3] * len(estimated)  # inches
+    heights = [2.4] * len(style.RESPONSES) + [1.3] * len(estimated)  # inches
     width = 9.5 if len(axes) == 1 else 5.5 * len(axes)
     figure, panels = _panels(width, heights, len(axes))
-    for row, name in enumerate((*RESPONSES, *estimated)):
-        _, scale = DISPLAY_UNITS.get(name, ("", 1.0))
+    for row, name in enumerate(style.RESPONSES):
+        _, scale = style.DISPLAY_UNITS[name]
         for column, panel in enumerate(panels[row]):
-            if estimates is not None and row >= len(RESPONSES):
-                values = estimates.values[:, names.index(name), column]
-                panel.plot(estimates.steps * dt, values * scale, color=SECOND, lw=1.2)
-            else:
-                y = states.values[:, COMPARED[name], column]
-                if reference is not None:
-                    exact = getattr(reference, name)[:, column]
-                    at, look = thinned(exact), {"color": REFERENCE, "lw": 2.2}
-                    panel.plot(at * dt, exact[at] * scale, label="reference response", **look)
-                    error = nrmse(y[:judged], exact[states.steps[:judged]])
-                    text = f"NRMSE {percent(error)}" if np.isfinite(error) else "NRMSE undefined"
-                    panel.set_title(text, loc="right", fontsize=9, color=TEXT)
-                at = thinned(y)
-                panel.plot(states.steps[at] * dt, y[at] * scale, color=FIRST, lw=0.9, label="test")
-            if record.trip is not None:
-                panel.axvline(record.trip.time_s, color=MARK, lw=1.2, ls="--", label="trip")
-            panel.margins(x=0.01)
-            tidy(panel)
-        panels[row, 0].set_ylabel(axis_label(name), color=TEXT, parse_math=False)
+            y = states.values[:, COMPARED[name], column]
+            if reference is not None:
+                exact = getattr(reference, name)[:, column]
+                at, look = thinned(exact), {"color": style.REFERENCE, "lw": 2.2}
+                panel.plot(at * dt, exact[at] * scale, label="reference response", **look)
+                error = nrmse(y[:judged], exact[states.steps[:judged]])
+                text = f"NRMSE {percent(error)}" if np.isfinite(error) else "NRMSE undefined"
+                panel.set_title(text, loc="right", fontsize=9, color=style.TEXT)
+            at, look = thinned(y), {"color": style.FIRST, "lw": 0.9}
+            panel.plot(states.steps[at] * dt, y[at] * scale, label="test", **look)
+    if estimates is not None:
+        for row, name in zip(panels[len(style.RESPONSES) :], estimated, strict=True):
+            _, scale = style.DISPLAY_UNITS.get(name, ("", 1.0))
+            for column, panel in enumerate(row):
+                y = estimates.values[:, names.index(name), column]
+                panel.plot(estimates.steps * dt, y * scale, color=style.SECOND, lw=1.2)
+    for panel, name in zip(panels[:, 0], (*style.RESPONSES, *estimated), strict=True):
+        panel.set_ylabel(axis_label(name), color=style.TEXT, parse_math=False)
+    _frame(panels.flat, None if record.trip is None else record.trip.time_s, "trip")
     start, end = strong_part(record)
     panels[0, 0].set_xlim(start, end)  # all panels share their time
     for column, axis in enumerate(axes):
         if len(record.experiment.axes) > 1:
-            text = f"axis {axis}"
-            panels[0, column].set_title(text, loc="left", fontsize=11, color=TEXT, parse_math=False)
-        panels[-1, column].set_xlabel("time / s", color=TEXT)
+            look = {"loc": "left", "fontsize": 11, "color": style.TEXT, "parse_math": False}
+            panels[0, column].set_title(f"axis {axis}", **look)
+        panels[-1, column].set_xlabel("time / s", color=style.TEXT)
     title = title_of(record)
     if (duration := len(states.steps) * dt) > end - start + AFTER:
         title += f"\nstrong part, of {duration:.3g} s"
     if record.trip is not None:
         trip = f"tripped at {record.trip.time_s:.3f} s: {record.trip.reason}"
         title = "\n".join([title, *wrap(trip, round(_PER_INCH * width))])
-    finish(figure, panels[:1, 0], title)
+    style.finish(figure, panels[:1, 0], title)
     return figure
 
 
@@ -124,74 +108,77 @@ def comparison_figure(
     if not common:
         raise InputError("no axis is in all of these tests, so there is no figure of them")
     axis = common[0]
-    figure, grid = _panels(9.5, [1.9, 1.1] * len(RESPONSES), margin=0.6)
+    figure, grid = _panels(9.5, [1.9, 1.1] * len(style.RESPONSES), margin=0.6)
     panels = grid[:, 0]
-    for name, overlay, difference in zip(RESPONSES, panels[::2], panels[1::2], strict=True):
+    for name, overlay, difference in zip(style.RESPONSES, panels[::2], panels[1::2], strict=True):
         _draw_overlay(overlay, records, names, name, axis)
         _draw_differences(difference, records, name, axis)
-        overlay.set_ylabel(axis_label(name), color=TEXT)
-        difference.set_ylabel(f"difference\n/ {DISPLAY_UNITS[name][0]}", color=TEXT)
+        overlay.set_ylabel(axis_label(name), color=style.TEXT)
+        difference.set_ylabel(f"difference\n/ {style.DISPLAY_UNITS[name][0]}", color=style.TEXT)
     firsts = [c["first_difference"] for c in comparisons if c["first_difference"] is not None]
+    if firsts:
+        first = min(firsts, key=lambda first: first["step"])
+        time = first["step"] * records[0].experiment.timebase.dt
+        _frame(panels, time, f"first difference: {first['topic']}, {time:g} s")
+    else:
+        _frame(panels)
+    panels[-1].set_xlabel("time / s", color=style.TEXT)
+    style.finish(figure, panels[:2], f"axis {axis}: difference from {names[0]}")
+    return figure
+
+
+def _frame(panels: Iterable[Axes], marked: float | None = None, label: str = "") -> None:
+    """Finish panels, with a dashed line at a time where there is one to be marked."""
     for panel in panels:
-        if firsts:
-            first = min(firsts, key=lambda first: first["step"])
-            time = first["step"] * records[0].experiment.timebase.dt
-            label = f"first difference: {first['topic']}, {time:g} s"
-            panel.axvline(time, color=MARK, lw=1.2, ls="--", label=label)
+        if marked is not None:
+            panel.axvline(marked, color=style.MARK, lw=1.2, ls="--", label=label)
         panel.margins(x=0.01)
         tidy(panel)
-    panels[-1].set_xlabel("time / s", color=TEXT)
-    finish(figure, panels[:2], f"axis {axis}: difference from {names[0]}")
-    return figure
 
 
 def _draw_overlay(
     panel: Axes, records: Sequence[Record], names: Sequence[str], name: str, axis: str
 ) -> None:
-    row, (_, scale) = COMPARED[name], DISPLAY_UNITS[name]
-    colours = cycle(OTHERS)
-    for index, record in enumerate(records):
+    row, (_, scale) = COMPARED[name], style.DISPLAY_UNITS[name]
+    looks = chain([(style.REFERENCE, 2.4)], zip(cycle(style.OTHERS), repeat(0.9)))
+    for record, label, (color, width) in zip(records, names, looks, strict=False):
         states, column = record.series[RIG_STATE.name], record.experiment.axes.index(axis)
         time = states.steps * record.experiment.timebase.dt
-        look: dict[str, Any] = (
-            {"color": next(colours), "lw": 0.9} if index else {"color": REFERENCE, "lw": 2.4}
-        )
-        panel.plot(*_broken(time, states.values[:, row, column] * scale, states.steps), **look)
-        panel.plot([], [], label=names[index], **look)
+        curve = _broken(time, states.values[:, row, column] * scale, states.steps)
+        panel.plot(*curve, color=color, lw=width, label=label)
 
 
 def _draw_differences(panel: Axes, records: Sequence[Record], name: str, axis: str) -> None:
-    row, (_, scale) = COMPARED[name], DISPLAY_UNITS[name]
-    colours = cycle(OTHERS)
+    row, (_, scale) = COMPARED[name], style.DISPLAY_UNITS[name]
     a, differ, common = records[0], False, False
-    for b in records[1:]:
+    for b, color in zip(records[1:], cycle(style.OTHERS), strict=False):
         alignment = Alignment.of(a, b)
         column = alignment.axes.index(axis)
         dt = a.experiment.timebase.dt * alignment.every[0]
         one, other = alignment.on_grid(a.series[RIG_STATE.name], b.series[RIG_STATE.name])
         steps, in_a, in_b = common_steps(one.steps, other.steps)
         apart = other.values[in_b][:, row, column] - one.values[in_a][:, row, column]
-        panel.plot(*_broken(steps * dt, apart * scale, steps), color=next(colours), lw=0.9)
+        panel.plot(*_broken(steps * dt, apart * scale, steps), color=color, lw=0.9)
         differ, common = differ or bool(np.any(apart != 0)), common or len(steps) > 0
         missing = np.setxor1d(one.steps, other.steps)
         if len(missing):
             ends = np.flatnonzero(np.diff(missing) != 1)
             starts, stops = missing[[0, *(ends + 1)]] * dt, missing[[*ends, -1]] * dt
             foot, heights = panel.get_xaxis_transform(), np.full(len(starts), 0.05)
-            panel.hlines(heights, starts, stops, transform=foot, color=MARK, lw=4)
-            panel.plot(starts, heights, "|", transform=foot, color=MARK, ms=7)
-            panel.plot([], [], color=MARK, lw=4, label="samples missing")
+            look: dict[str, Any] = {"transform": foot, "color": style.MARK}
+            panel.hlines(heights, starts, stops, lw=4, label="samples missing", **look)
+            panel.plot(starts, heights, "|", ms=7, **look)
     if not differ:
         panel.set_ylim(-1, 1)
         panel.set_yticks([0])
         text = "no difference" if common else "no common samples"
-        panel.text(0.01, 0.75, text, transform=panel.transAxes, fontsize=9, color=TEXT)
+        panel.text(0.01, 0.75, text, transform=panel.transAxes, fontsize=9, color=style.TEXT)
     else:
         panel.ticklabel_format(axis="y", style="sci", scilimits=(-3, 4))
-        panel.yaxis.offsetText.set(fontsize=8, color=TEXT)
+        panel.yaxis.offsetText.set(fontsize=8, color=style.TEXT)
 
 
-def _broken(time: Floats, values: Floats, steps: Steps) -> tuple[Floats, Floats]:
+def _broken(time: Floats, values: Floats, steps: Ints) -> tuple[Floats, Floats]:
     """Break a line where many steps are missing; where few are it would vanish."""
     gaps = np.flatnonzero(np.diff(steps) > _MOST_BRIDGED) + 1
     return np.insert(time, gaps, np.nan), np.insert(values, gaps, np.nan)
@@ -201,6 +188,6 @@ def _panels(
     width: float, heights: Sequence[float], columns: int = 1, margin: float = 0.0
 ) -> tuple[Figure, npt.NDArray[np.object_]]:
     """Make a figure of panels that share their time, row by row; sizes in inches."""
-    figure = new_figure(width, sum(heights) + margin)
+    figure = style.new_figure(width, sum(heights) + margin)
     options: dict[str, Any] = {"squeeze": False, "height_ratios": heights}
     return figure, figure.subplots(len(heights), columns, sharex=True, sharey="row", **options)

@@ -57,10 +57,8 @@ def judge(summary: dict[str, Any]) -> Judgement:
     found = (*_beginning(summary), *_errors(summary), *_loop(summary), *losses(summary))
     findings = sorted(found, key=lambda finding: order.index(finding.verdict))
     worst = findings[0].verdict
-    text = _WORDS[worst]
-    if worst is not Mark.GOOD:
-        reasons = [f.text for f in findings if f.verdict is worst]
-        text += f": {'; '.join(reasons)}."
+    reasons = "; ".join(finding.text for finding in findings if finding.verdict is worst)
+    text = _WORDS[worst] + ("" if worst is Mark.GOOD else f": {reasons}.")
     return Judgement(worst, text, findings)
 
 
@@ -88,9 +86,8 @@ def worst_response(summary: dict[str, Any]) -> float | None:
 def ramp_note(summary: dict[str, Any]) -> str:
     """Say where a test's numbers leave out its ramp-down; empty if there is none."""
     judged, steps = summary["judged_steps"], summary["steps"]
-    if judged == steps:
-        return ""
-    return f"numbers are of its first {judged} steps and leave out the ramp-down"
+    note = f"numbers are of its first {judged} steps and leave out the ramp-down"
+    return "" if judged == steps else note
 
 
 def _early_ending(summary: dict[str, Any]) -> tuple[str, str] | None:
@@ -115,7 +112,8 @@ def _beginning(summary: dict[str, Any]) -> Iterator[Finding]:
             "there, against the reference response from step 0 on"
         )
         yield Finding("beginning", Mark.BAD, text)
-    if (ending := _early_ending(summary)) is not None:
+    ending = _early_ending(summary)
+    if ending is not None:
         yield Finding("ending", Mark.BAD, "".join(ending), ramp_note(summary))
     else:
         text = f"it ran to its end, {summary['steps']} steps, {summary['duration_s']:g} s"
@@ -214,9 +212,8 @@ def losses(summary: dict[str, Any]) -> Iterator[Finding]:
         text = f"samples lost: {', '.join(lost)}" if lost else "no sample is lost from the record"
         yield Finding("lost", Mark.DOUBT if lost else Mark.GOOD, text)
     if summary["overruns"]:
-        yield Finding(
-            "overruns", Mark.DOUBT, f"sampling overruns of the rig: {summary['overruns']}"
-        )
+        text = f"sampling overruns of the rig: {summary['overruns']}"
+        yield Finding("overruns", Mark.DOUBT, text)
     saturated = [
         f"{name.replace('_', ' ')} in {row['samples']} samples from "
         f"{row['first_step'] * (1.0 / summary['rate_hz']):.3f} s"

@@ -13,17 +13,16 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.fft import irfft, next_fast_len, rfft
-from seft_msgs_py.arrays import Complexes, Floats
+from seft_msgs_py.arrays import Complexes, Floats, Ints
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 
 from seft_ros.bags.record import Record, Series
 
-Steps = npt.NDArray[np.int64]
 Where = slice | npt.NDArray[np.intp]
 
 
-def common_steps(one: Steps, other: Steps) -> tuple[Steps, Where, Where]:
+def common_steps(one: Ints, other: Ints) -> tuple[Ints, Where, Where]:
     """Find the steps that are in both, and their indices in each; both strictly increase.
 
     Where both are the same, as they mostly are, indices are slices: they copy nothing.
@@ -34,7 +33,7 @@ def common_steps(one: Steps, other: Steps) -> tuple[Steps, Where, Where]:
     return common, in_one, in_other
 
 
-def every_step(series: Series, every: Steps) -> Floats:
+def every_step(series: Series, every: Ints) -> Floats:
     """Values at every one of these consecutive steps, shape (N, q, n); lost ones interpolated."""
     if len(every) == 0 or np.array_equal(series.steps[: len(every)], every):
         return series.values[: len(every)]
@@ -51,8 +50,6 @@ class Alignment:
     ----------
     axes : tuple of str
         Common axes, in the order of the first record.
-    only : pair of tuple of str
-        Axes that one record has and the other has not.
     columns : pair of list of int
         Indices of the common axes in each record.
     every : pair of int
@@ -60,7 +57,6 @@ class Alignment:
     """
 
     axes: tuple[str, ...]
-    only: tuple[tuple[str, ...], ...]
     columns: tuple[list[int], ...]
     every: tuple[int, ...]
 
@@ -82,13 +78,12 @@ class Alignment:
             )
         grid = math.lcm(one.timebase.period_ns, other.timebase.period_ns)
         both = (one, other)
-        alignment = cls(
-            axes,
-            tuple(tuple(axis for axis in test.axes if axis not in axes) for test in both),
-            tuple([test.axes.index(axis) for axis in axes] for test in both),
-            tuple(grid // test.timebase.period_ns for test in both),
-        )
-        if alignment.by_time and not alignment._meet(a, b):
+        columns = tuple([test.axes.index(axis) for axis in axes] for test in both)
+        alignment = cls(axes, columns, tuple(grid // test.timebase.period_ns for test in both))
+        pairs = (alignment.on_grid(a.series[t.name], b.series[t.name]) for t in LOOP_TOPICS)
+        # the start alone is no common instant
+        meet = (np.intersect1d(one.steps, other.steps).any() for one, other in pairs)
+        if alignment.by_time and not any(meet):
             raise InputError(
                 f"the tests can't be compared: at {one.timebase.rate:g} Hz in the first and "
                 f"{other.timebase.rate:g} Hz in the second they have no samples at the same "
@@ -101,26 +96,28 @@ class Alignment:
         """Whether the rates differ, so that steps do not coincide."""
         return self.every[0] != self.every[1]
 
-    def on_grid(self, one: Series, other: Series) -> tuple[Series, Series]:
-        """Keep of both the samples at instants of the grid, and the common axes.
+    def own_steps(self, step: int) -> dict[str, int]:
+        """Give a step of the grid as ``step`` of the first record, if by time with ``step_b``."""
+        step_a, step_b = (step * every for every in self.every)
+        return {"step": step_a, "step_b": step_b} if self.by_time else {"step": step_a}
 
-        One is of the first record, the other of the second; their steps are of the grid then.
+    def on_grid(self, *pair: Series) -> list[Series]:
+        """Keep of a series of each record the instants of the grid, and the common axes.
+
+        Their steps are of the grid then.
         """
-        return self._thinned(one, 0), self._thinned(other, 1)
-
-    def _thinned(self, series: Series, record: int) -> Series:
-        every, columns = self.every[record], self.columns[record]
-        if every == 1 and columns == list(range(series.values.shape[2])):
-            return series
-        kept = series.steps % every == 0
-        return Series(series.steps[kept] // every, series.values[kept][:, :, columns])
-
-    def _meet(self, a: Record, b: Record) -> bool:
-        pairs = (self.on_grid(a.series[t.name], b.series[t.name]) for t in LOOP_TOPICS)
-        # the start alone is none
-        return any(np.intersect1d(one.steps, other.steps).any() for one, other in pairs)
+        found = []
+        for series, every, columns in zip(pair, self.every, self.columns, strict=True):
+            kept = series
+            if every > 1 or columns != list(range(series.values.shape[2])):
+                at = series.steps % every == 0
+                kept = Series(series.steps[at] // every, series.values[at][:, :, columns])
+            found.append(kept)
+        return found
 
 
+SEGMENT = 4.0
+"""Length of the segments from which spectra are averaged, s; its inverse is their resolution."""
 _ITERATIONS = 30
 _RESOLUTION = 1e-9  # of a sample
 _BLOCK = 1 << 16  # of a long record's elements that are worked on at a time
@@ -149,7 +146,7 @@ class Agreement:
     delay_s: float = math.nan
 
 
-def agreement(y: Floats, reference: Floats, dt: float, steps: Steps | None = None) -> Agreement:
+def agreement(y: Floats, reference: Floats, dt: float, steps: Ints | None = None) -> Agreement:
     """Compare a response with its reference.
 
     Parameters
@@ -165,18 +162,15 @@ def agreement(y: Floats, reference: Floats, dt: float, steps: Steps | None = Non
         missing steps are interpolated; errors count the recorded ones.
     """
     y, reference = columns(y), columns(reference)
-    if steps is None or len(steps) == len(reference):  # no step is missing
-        steps, at_steps = np.arange(len(reference)), reference
-    else:
-        at_steps = reference[steps]
-    delay, aligned = math.nan, math.nan
+    if steps is None:
+        steps = np.arange(len(reference))
+    missing = len(steps) < len(reference)
+    at_steps = reference[steps] if missing else reference
+    delay = aligned = math.nan
     if len(steps) and np.isfinite(y).all() and np.isfinite(reference).all():
-        if at_steps is reference:
-            delay, aligned = _best_fit(y, reference, dt)
-        else:
-            every = np.arange(len(reference))
-            filled = np.stack([np.interp(every, steps, column) for column in y.T], axis=1)
-            delay, _ = _best_fit(filled, reference, dt)
+        filled = every_step(Series(steps, y), np.arange(len(reference))) if missing else y
+        delay, aligned = _best_fit(filled, reference, dt)
+        if missing:
             aligned = nrmse_aligned(y, reference, dt, delay, steps)
     return Agreement(nrmse(y, at_steps), aligned, peak(y), peak(at_steps), delay)
 
@@ -188,7 +182,7 @@ def nrmse(y: Floats, reference: Floats) -> float:
 
 
 def nrmse_aligned(
-    y: Floats, reference: Floats, dt: float, delay: float, steps: Steps | None = None
+    y: Floats, reference: Floats, dt: float, delay: float, steps: Ints | None = None
 ) -> float:
     """Normalised RMS error after the reference is shifted by a delay (s).
 
@@ -202,10 +196,9 @@ def nrmse_aligned(
         return math.nan
     last = len(reference) - 1 + math.floor(delay / dt + 1e-6)
     known = int(np.searchsorted(steps, last, side="right"))
-    whole = len(steps) == len(reference)
-    shifted = delayed(reference, delay, dt)[slice(known) if whole else steps[:known]]
+    shifted = delayed(reference, delay, dt)[steps[:known]]
     error = _rms(y[:known] - shifted) * math.sqrt(known / len(steps)) if known else 0.0
-    return _ratio(error, _rms(reference if whole else reference[steps]))
+    return _ratio(error, _rms(reference[steps]))
 
 
 def peak(y: Floats) -> float:
@@ -270,8 +263,7 @@ def delayed(y: Floats, delay: float, dt: float) -> Floats:
     for block in _blocks(len(spectrum)):
         turns = np.arange(block.start, block.stop)[:, np.newaxis] * (shift / size)
         spectrum[block] *= np.exp(-2j * np.pi * turns)
-    shifted: Floats = irfft(spectrum, size, axis=0, overwrite_x=True)[:count]
-    return shifted.reshape(y.shape)
+    return irfft(spectrum, size, axis=0, overwrite_x=True)[:count].reshape(y.shape)
 
 
 def _faded(y: Floats, size: int) -> Floats:
@@ -349,6 +341,11 @@ def _ratio(error: float, reference: float) -> float:
     return ratio if math.isfinite(ratio) else math.nan
 
 
+def segment_size(count: int, dt: float) -> int:
+    """Give the samples of a `SEGMENT`; of a shorter record all of them."""
+    return min(count, max(2, round(SEGMENT / dt)))
+
+
 def cross_spectrum(x: Floats, y: Floats, dt: float, size: int) -> tuple[Floats, Complexes]:
     """Estimate one-sided cross spectral densities (Welch 1967), as `scipy.signal.csd` does.
 
@@ -358,7 +355,7 @@ def cross_spectrum(x: Floats, y: Floats, dt: float, size: int) -> tuple[Floats, 
     Parameters
     ----------
     x, y : ndarray
-        Shape (N, n); where both are the same, the power spectral density is found.
+        Shape (N,) or (N, n); where both are the same, the power spectral density is found.
     dt : float
         Sampling period, s.
     size : int
@@ -369,7 +366,7 @@ def cross_spectrum(x: Floats, y: Floats, dt: float, size: int) -> tuple[Floats, 
     frequency : ndarray
         Shape (F,), from 0 to Nyquist's, Hz.
     density : ndarray
-        Shape (F, n), product of both units per Hz.
+        Shape (F,) or (F, n), product of both units per Hz.
     """
     hann = 0.5 - 0.5 * np.cos(2 * np.pi / size * np.arange(size))
 

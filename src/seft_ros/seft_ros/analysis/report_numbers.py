@@ -1,12 +1,10 @@
 """All numbers of a report, as ``seft report --json`` prints them, and the arrays it draws."""
 
-import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RIG_STATE
 from seft_plant_sim.specimen import EnergyBalance
@@ -14,7 +12,7 @@ from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
 from seft_ros.analysis.judgement import Judgement, judge
-from seft_ros.analysis.metrics import cross_spectrum, every_step
+from seft_ros.analysis.metrics import cross_spectrum, every_step, segment_size
 from seft_ros.analysis.summary import (
     COMPARED,
     ENERGIES,
@@ -56,7 +54,7 @@ class Spectrum:
         return float(np.sqrt(self.power[inside].sum() * width))
 
 
-def spectrum_of(y: Floats, dt: float, segment_s: float = 4.0) -> Spectrum:
+def spectrum_of(y: Floats, dt: float) -> Spectrum:
     """Estimate a power spectral density from averaged segments (Welch 1967).
 
     Hann windows that overlap by half, and no mean; a record shorter than a segment is one. What is
@@ -66,23 +64,27 @@ def spectrum_of(y: Floats, dt: float, segment_s: float = 4.0) -> Spectrum:
     ----------
     y : ndarray
         Shape (N,).
-    dt, segment_s : float
-        Sampling period and length of a segment, s; the inverse of that is the resolution.
+    dt : float
+        Sampling period, s.
     """
-    size = min(len(y), max(2, round(segment_s / dt)))
+    size = segment_size(len(y), dt)
     if size < 2:
         return Spectrum(np.empty(0), np.empty(0))
     with np.errstate(all="ignore"):
-        column = y[:, np.newaxis]
-        frequency, power = cross_spectrum(column, column, dt, size)
-    return Spectrum(frequency, power[:, 0].real)
+        frequency, power = cross_spectrum(y, y, dt, size)
+    return Spectrum(frequency, power.real)
 
 
-def vibration(measured: Spectrum, exact: Spectrum, band: tuple[float, float]) -> float:
+def vibration(
+    measured: Spectrum, exact: Spectrum | None, band: tuple[float, float] | None
+) -> float:
     """RMS that a signal has in a band (Hz) beyond its reference, over the whole reference's RMS.
 
-    0 where it has no more than the reference; NaN where that is zero throughout.
+    0 where it has no more than the reference; NaN where that is zero throughout, or where
+    reference or band are not known.
     """
+    if exact is None or band is None:
+        return float("nan")
     beyond = measured.rms(*band) ** 2 - exact.rms(*band) ** 2
     whole = exact.rms()
     if not whole > 0 or np.isnan(beyond):
@@ -123,7 +125,7 @@ class Report:
 
     record: Record
     reference: ReferenceResponse | None
-    energies: dict[str, tuple[npt.NDArray[np.int64], Floats]]
+    energies: dict[str, tuple[Ints, Floats]]
     spectra: dict[str, Spectra]
     band_note: str
     difference: MotionDifference | None
@@ -140,21 +142,18 @@ def report_numbers(record: Record) -> Report:
     energies = _thinned(balance)
     del balance  # as long as the record, and drawn from a few points
     spectra = {name: _spectra(judged, exact, name) for name in ("force", "acceleration")}
-    band, note = None, ""
+    band = None
     try:
         band = instability_band(Plan(record.experiment))
         note = "" if band else "none: the loop stays stable as far as was looked"
     except (InputError, KeyError) as error:
         note = f"not known: {error}"
-    ratios = [
-        vibration(test, of_exact, band) if band and of_exact else math.nan
-        for test, of_exact in spectra["acceleration"]
-    ]
+    ratios = json_safe([vibration(*pair, band) for pair in spectra["acceleration"]])
     summary |= {
         "instability_band_hz": band and list(band),
         "vibration": {
-            "ratio": max((ratio for ratio in ratios if not math.isnan(ratio)), default=None),
-            "axes": dict(zip(record.experiment.axes, json_safe(ratios), strict=True)),
+            "ratio": max((ratio for ratio in ratios if ratio is not None), default=None),
+            "axes": dict(zip(record.experiment.axes, ratios, strict=True)),
         },
         "uncompensated_delay_s": _uncompensated_delay(record, summary),
         "events": [asdict(event) for event in record.events],
@@ -164,9 +163,7 @@ def report_numbers(record: Record) -> Report:
     return Report(record, reference, energies, spectra, note, difference, judgement, summary)
 
 
-def _thinned(
-    balance: EnergyBalance | None,
-) -> dict[str, tuple[npt.NDArray[np.int64], Floats]]:
+def _thinned(balance: EnergyBalance | None) -> dict[str, tuple[Ints, Floats]]:
     energies = {} if balance is None else {name: getattr(balance, name) for name in ENERGIES}
     places = {name: thinned(energy) for name, energy in energies.items() if np.any(energy)}
     return {name: (at, energies[name][at]) for name, at in places.items()}

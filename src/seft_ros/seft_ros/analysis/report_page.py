@@ -8,57 +8,36 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.errors import InputError
 
+from seft_ros.analysis import report_sections
 from seft_ros.analysis.judgement import ramp_note
 from seft_ros.analysis.report_numbers import Report
-from seft_ros.analysis.report_sections import (
-    energy_section,
-    ground_motion_section,
-    history_sections,
-    hysteresis_section,
-    model_sections,
-    spectra_section,
-    tracking_section,
-)
 from seft_ros.analysis.result_text import AGREEMENT, agreement_rows, motion_lines, title_of
 from seft_ros.analysis.timing import GAP, timing_of
 from seft_ros.analysis.tracking import tracked_of
 from seft_ros.bags.record import Record
-from seft_ros.drawing.page import (
-    Block,
-    Cell,
-    Plot,
-    Section,
-    Table,
-    Text,
-    Verdict,
-    bars,
-    line,
-    mark,
-    plot,
-    write_page,
-)
-from seft_ros.drawing.style import (
-    DISPLAY_UNITS,
-    OTHERS,
-    SECOND,
-    TEXT,
-    Mark,
-    Number,
-    axis_label,
-    new_figure,
-    percent,
-    rows_of,
-)
+from seft_ros.drawing import page, style
+from seft_ros.drawing.page import Cell, Section, Table, Text
+from seft_ros.drawing.style import Mark, Number, percent, rows_of
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
 _BINS = 80
 _WIDE, _LONG = 106, 74  # characters and lines of a printed page
+_MACHINE = ("python", "platform", "cpus")
 _MARKS = {"ok": Mark.NONE, "warn": Mark.DOUBT, "error": Mark.BAD, "stale": Mark.BAD}
-_SOFTWARE = ("python", "platform", "cpus")
 _MODEL = (
     "The reference response is that of the linear model in the parameters of reference_force: "
     "these numbers include how the specimen differs from it."
 )
+_OFFLINE = "The offline loop has no messages that could be late."
+_WITHOUT_TIMES = "The record does not say when its messages were received."
+_OF_TRIPS = (
+    "From a step's state to the command that answers it, as the recorder received them, which may "
+    "have to wait for its core longer than the loop does; dashed: one period."
+)
+_ROUND_TRIPS = {
+    "round trip at the rig": "round_trip_at_the_rig_s",
+    "round trip, recorded": "round_trip_s",
+}
 _LINK = (
     Number("delay of the loop over the link", "loop_delay", "steps", form=str),
     Number(
@@ -87,7 +66,7 @@ _GAPS = (
 
 def write_report(report: Report, name: str, path: Path) -> None:
     """Write the page of a test of this name; an InputError says that it can't be written."""
-    write_page(path, f"Test {name}", title_of(report.record), list(_sections(report)))
+    page.write_page(path, f"Test {name}", title_of(report.record), list(_sections(report)))
 
 
 def write_pdf(report: Report, name: str, path: Path) -> None:
@@ -105,20 +84,19 @@ def write_pdf(report: Report, name: str, path: Path) -> None:
         lines += wrap(f"{finding.verdict}: {finding.whole}", _WIDE, subsequent_indent="    ")
     for rows in (_test_rows(report), _software_rows(report.record.environment)):
         lines += ["", *(f"{label:24}{text}" for label, text in rows)]
-    headings = ["", *(column.label.replace("\n", " ") for column in AGREEMENT)]
+    headings = ["", *(heading.replace("\n", " ") for heading in AGREEMENT)]
     lines += ["", *("".join(f"{cell:>17}" for cell in row) for row in (headings, *_rows(report)))]
     figures = []
     for start in range(0, len(lines), _LONG):
-        page = new_figure(8.27, 11.69)
+        sheet = style.new_figure(8.27, 11.69)
         text = "\n".join(lines[start : start + _LONG])
         look: dict[str, Any] = {"family": "monospace", "fontsize": 7.5, "linespacing": 1.4}
-        page.text(0.06, 0.96, text, va="top", color=TEXT, parse_math=False, **look)
-        figures.append(page)
-    figures.append(test_figure(report.record, report.reference))
+        sheet.text(0.06, 0.96, text, va="top", color=style.TEXT, parse_math=False, **look)
+        figures.append(sheet)
     try:
         with PdfPages(path) as pages:
-            for page in figures:
-                pages.savefig(page)
+            for sheet in (*figures, test_figure(report.record, report.reference)):
+                pages.savefig(sheet)
     except OSError as error:
         raise InputError(f"{path}: the pages can't be written ({error.strerror})") from None
 
@@ -127,20 +105,22 @@ def _sections(report: Report) -> Iterator[Section]:
     judgement, record = report.judgement, report.record
     axes, signals = record.experiment.axes, tracked_of(record)
     cells = [Cell(finding.whole, finding.verdict) for finding in judgement.findings]
-    yield Section("Verdict", [Verdict(judgement.verdict, judgement.text, cells)])
+    yield Section("Verdict", [page.Verdict(judgement.verdict, judgement.text, cells)])
     tested = [_test_rows(report), _software_rows(record.environment)]
     yield Section("What was tested", [Table((), rows, numbers=False) for rows in tested])
     yield _agreement(report)
-    yield ground_motion_section(report)
+    yield Section("The equivalent ground motion", list(report_sections.ground_motion(report)))
     for column, axis in enumerate(axes):
         title = f" of {axis}" if len(axes) > 1 else ""
-        yield from history_sections(report, column, title)
-        yield tracking_section(report, signals, column, title)
-        yield hysteresis_section(report, column, title)
-        yield spectra_section(report, column, title)
-    yield energy_section(report, signals)
+        yield from report_sections.history_sections(report, column, title)
+        tracking = report_sections.tracking(report, signals, column)
+        yield Section(f"Force tracking{title}", list(tracking))
+        yield Section(f"Hysteresis{title}", list(report_sections.hysteresis(report, column)))
+        yield Section(f"Spectra{title}", list(report_sections.spectra(report, column)))
+    yield Section("Energy", list(report_sections.energy(report, signals)))
     yield Section("Timing", list(_timing(report)))
-    yield from model_sections(record)
+    if blocks := list(report_sections.computed_model(record)):
+        yield Section("Computed model", blocks)
     yield Section("Estimates", list(_estimates(record)))
     yield Section("Interlock and events", list(_events(record)))
     yield Section("Parameters", _parameters(record))
@@ -149,11 +129,9 @@ def _sections(report: Report) -> Iterator[Section]:
 def _rows(report: Report) -> list[list[str]]:
     """Peaks, errors and delays of each quantity, on each axis."""
     by_axis = report.summary["axes"]
-    return [
-        row
-        for axis, part in by_axis.items()
-        for row in agreement_rows(part, f"{axis} " if len(by_axis) > 1 else "")
-    ]
+    prefixes = [f"{axis} " if len(by_axis) > 1 else "" for axis in by_axis]
+    parts = zip(by_axis.values(), prefixes, strict=True)
+    return [row for part, prefix in parts for row in agreement_rows(part, prefix)]
 
 
 def _agreement(report: Report) -> Section:
@@ -162,8 +140,8 @@ def _agreement(report: Report) -> Section:
     note = [Text(_MODEL)] if summary["reference_specimen"] == "model" else []
     if left_out := ramp_note(summary):
         note.append(Text(f"{left_out[0].upper()}{left_out[1:]}."))
-    headings = ["", *(column.label for column in AGREEMENT)]
-    return Section("Agreement with the reference response", [*note, Table(headings, _rows(report))])
+    table = Table(["", *AGREEMENT], _rows(report))
+    return Section("Agreement with the reference response", [*note, table])
 
 
 def _test_rows(report: Report) -> list[tuple[str, str]]:
@@ -196,7 +174,7 @@ def _software_rows(environment: dict[str, Any]) -> list[tuple[str, str]]:
         ("started", str(environment.get("start", "unknown"))),
         ("mode", str(environment.get("mode", "unknown"))),
         ("revision", f"{git['revision'][:12]}{dirty}" if git.get("revision") else "unknown"),
-        *((key, str(environment[key])) for key in _SOFTWARE if key in environment),
+        *((key, str(environment[key])) for key in _MACHINE if key in environment),
         *((name, str(version or "not installed")) for name, version in versions.items()),
     ]
 
@@ -213,71 +191,57 @@ def _value(value: Any) -> str:
     return str(value) if value != "" else '""'
 
 
-def _parameters(record: Record) -> list[Block]:
+def _parameters(record: Record) -> list[page.Block]:
     """Every parameter of every node, as resolved."""
     if not record.described:
         return [Text("The record does not hold the nodes' parameters.")]
-    return [
-        Table(
-            (node, ""),
-            [(name, _value(value)) for name, value in sorted(section.items())],
-            numbers=False,
-        )
+    tables = {
+        node: [(name, _value(value)) for name, value in sorted(section.items())]
         for node, section in sorted(record.experiment.sections.items())
-    ]
+    }
+    return [Table((node, ""), rows, numbers=False) for node, rows in tables.items()]
 
 
-def _timing(report: Report) -> Iterator[Block]:
+def _timing(report: Report) -> Iterator[page.Block]:
     """Missed deadlines, round trips as a histogram, gaps by topic."""
     summary, record = report.summary, report.record
     timing, rows = timing_of(record), _loss_rows(summary, record)
     if timing is None:
-        why = "The offline loop has no messages that could be late."
-        if record.environment.get("mode") != "simulate":
-            why = "The record does not say when its messages were received."
         yield Table((), rows)
-        yield Text(why)
+        offline = record.environment.get("mode") == "simulate"
+        yield Text(_OFFLINE if offline else _WITHOUT_TIMES)
         return
     numbers, trips = timing.numbers, timing.round_trip_s * 1e3
-    at_the_rig, recorded = numbers["round_trip_at_the_rig_s"], numbers["round_trip_s"]
-    for label, found in (("round trip at the rig", at_the_rig), ("round trip, recorded", recorded)):
-        keys = [key for key in found if key not in ("over_a_period", "steps")]
-        rows += rows_of((Number(f"{label}, {k}", k, "ms", 1e3, ".3f") for k in keys), found)
-    rows.append(["of these longer than a period", str(recorded["over_a_period"])])
+    for label, key in _ROUND_TRIPS.items():
+        times = [name for name in numbers[key] if name not in ("over_a_period", "steps")]
+        columns = (Number(f"{label}, {name}", name, "ms", 1e3, ".3f") for name in times)
+        rows += rows_of(columns, numbers[key])
+    rows.append(["of these longer than a period", str(numbers["round_trip_s"]["over_a_period"])])
     if numbers["rehearsal"] is not None:
         rows += rows_of(_REHEARSAL, numbers["rehearsal"])
     yield Table((), rows, numbers=False)
     if len(trips):
-        panel = plot("round trip / ms", "steps", log_y=True)
+        panel = page.plot("round trip / ms", "steps", log_y=True)
         counts, edges = np.histogram(trips, _BINS)
-        bars(panel, edges, counts.astype(float))
-        mark(panel, numbers["period_s"] * 1e3)
-        caption = (
-            "From a step's state to the command that answers it, as the recorder received them, "
-            "which may have to wait for its core longer than the loop does; dashed: one period."
-        )
-        yield Plot(panel, caption)
+        page.bars(panel, edges, counts.astype(float))
+        page.mark(panel, numbers["period_s"] * 1e3)
+        yield page.Plot(panel, _OF_TRIPS)
     if not numbers["paced"]:
         yield Text("The rig was in lockstep: it waited for each command.")
-    gaps = [
-        [topic, *(column.text(gap) for column in _GAPS)] for topic, gap in numbers["gaps"].items()
-    ]
-    yield Table(("topic", *(column.label for column in _GAPS)), gaps)
+    gaps = numbers["gaps"].items()
+    rows = [[topic, *(column.text(gap) for column in _GAPS)] for topic, gap in gaps]
+    yield Table(("topic", *(column.label for column in _GAPS)), rows)
 
 
 def _loss_rows(summary: dict[str, Any], record: Record) -> list[list[str]]:
     missed, steps, overruns = summary["missed"], summary["steps"], summary["overruns"]
-    rows = [
-        ["steps that missed the command deadline", "unknown"],
-        ["sampling overruns of the rig", "unknown" if overruns is None else str(overruns)],
-    ]
-    if missed is not None:
-        share = f" ({percent(missed / steps)})" if missed and steps else ""
-        rows[0][1] = f"{missed} of {steps}{share}"
+    share = f" ({percent(missed / steps)})" if missed and steps else ""
+    count = "unknown" if missed is None else f"{missed} of {steps}{share}"
+    rows = [["steps that missed the command deadline", count]]
     if missed:
-        listed = record.missed_steps
-        more = ["..."] if missed > len(listed) else []
-        rows.insert(1, ["these steps", ", ".join([*map(str, listed), *more])])
+        more = ["..."] if missed > len(record.missed_steps) else []
+        rows.append(["these steps", ", ".join([*map(str, record.missed_steps), *more])])
+    rows.append(["sampling overruns of the rig", "unknown" if overruns is None else str(overruns)])
     if summary["link"]:
         rows += rows_of(_LINK, summary["link"])
     stalls = summary["timing"] and summary["timing"]["stalls"]
@@ -294,26 +258,25 @@ def _loss_rows(summary: dict[str, Any], record: Record) -> list[list[str]]:
     return rows
 
 
-def _estimates(record: Record) -> Iterator[Block]:
+def _estimates(record: Record) -> Iterator[page.Block]:
     """Show what the compensation method identified, over time."""
     estimates, axes = record.estimates, record.experiment.axes
     if estimates is None:
         yield Text("The compensation method identified nothing on line.")
         return
     time = estimates.steps * record.experiment.timebase.dt
-    looks = list(zip(axes, OTHERS, strict=False)) if len(axes) > 1 else [("", SECOND)]
+    looks = list(zip(axes, style.OTHERS, strict=False)) if len(axes) > 1 else [("", style.SECOND)]
     for row, name in enumerate(estimates.names):
-        if name.startswith(OF_MODEL):
-            continue
-        _, scale = DISPLAY_UNITS.get(name, ("", 1.0))
-        panel = plot("time / s", axis_label(name), height=200)
-        for column, (axis, color) in enumerate(looks):
-            y = estimates.values[:, row, column] * scale
-            line(panel, time, y, axis or name, color=color)
-        yield Plot(panel)
+        if not name.startswith(OF_MODEL):
+            _, scale = style.DISPLAY_UNITS.get(name, ("", 1.0))
+            panel = page.plot("time / s", style.axis_label(name), height=200)
+            for column, (axis, color) in enumerate(looks):
+                y = estimates.values[:, row, column] * scale
+                page.line(panel, time, y, axis or name, color=color)
+            yield page.Plot(panel)
 
 
-def _events(record: Record) -> Iterator[Block]:
+def _events(record: Record) -> Iterator[page.Block]:
     """States of the test, warnings and trips, as reported by the nodes."""
     trip, events = record.trip, record.events
     if trip is not None:

@@ -1,12 +1,10 @@
 """Sections of a report on the responses: histories, tracking, specimen, spectra, ground motion."""
 
-import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import numpy.typing as npt
 from bokeh.models import Range1d
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Ints
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RIG_STATE
 from seft_plant_sim.whole_structure import tested_specimen
@@ -16,30 +14,9 @@ from seft_ros.analysis.report_numbers import Report
 from seft_ros.analysis.summary import COMPARED, strong_part
 from seft_ros.analysis.tracking import Tracked, delay_by_frequency, energy_error
 from seft_ros.bags.record import Record
-from seft_ros.drawing.page import (
-    Block,
-    Plot,
-    Section,
-    Table,
-    Text,
-    against,
-    band,
-    level,
-    line,
-    mark,
-    plot,
-    time_range,
-)
-from seft_ros.drawing.style import (
-    DISPLAY_UNITS,
-    OTHERS,
-    REFERENCE,
-    RESPONSES,
-    Number,
-    axis_label,
-    percent,
-    rows_of,
-)
+from seft_ros.drawing import page, style
+from seft_ros.drawing.page import Block, Plot, Section, Table, Text, against, line, plot
+from seft_ros.drawing.style import Number, axis_label, percent, rows_of
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
 COHERENT = 0.9
@@ -60,6 +37,7 @@ _TESTED = (
     "the specimen and no reference response. A test is as right as that motion is the one asked "
     "for. Errors of the sensors themselves are not seen."
 )
+_UNKNOWN = "Not known: samples, ground motion, or the structure's description are missing."
 _STRONG = (
     "The strong part of the ground motion, 5 to 95 % of its Arias intensity; zoom out with the "
     "wheel for the whole test. The three quantities zoom together."
@@ -91,41 +69,35 @@ _TARGET = (
 )
 
 
-def ground_motion_section(report: Report) -> Section:
+def ground_motion(report: Report) -> Iterator[Block]:
     """Numbers of a test's own ground motion, and its response spectrum for each axis."""
-    title, difference = "The equivalent ground motion", report.difference
+    difference, axes = report.difference, report.record.experiment.axes
     if difference is None:
-        text = Text(
-            "Not known: samples, ground motion, or the structure's description are missing."
-        )
-        return Section(title, [text])
+        yield Text(_UNKNOWN)
+        return
     numbers, target = (report.summary[key] for key in ("equivalent_motion", "tracking_error"))
-    structure = numbers["structure"]
     modes = [
         f"{hz:.3g} Hz ({percent(ratio)} damping)"
-        for hz, ratio in zip(structure["frequency_hz"], structure["damping_ratio"], strict=True)
+        for hz, ratio in zip(difference.natural_hz, difference.damping, strict=True)
     ]
     some = ", ".join(modes[:_FEW] + ["..."] * (len(modes) > _FEW))
     rows = rows_of(_GROUND_MOTION, numbers | {"modes": some})
-    rows += rows_of(_TARGET, target) if target is not None else []
-    blocks: list[Block] = [Text(_TESTED), Table((), rows)]
-    axes = report.record.experiment.axes
-    for column, axis in enumerate(axes):
+    yield Text(_TESTED)
+    yield Table((), rows + (rows_of(_TARGET, target) if target is not None else []))
+    frequency = difference.frequency_hz
+    for axis, asked, tested in zip(axes, difference.asked.T, difference.tested.T, strict=True):
         panel = plot("frequency / Hz", "pseudo-acceleration / (m/s²)", log_x=True, log_y=True)
-        asked = difference.frequency_hz, difference.asked[:, column]
-        tested = difference.frequency_hz, difference.tested[:, column]
-        against(panel, asked, tested, ("asked for", "tested"))
-        band(panel, *difference.band_hz, color=REFERENCE)
+        against(panel, (frequency, asked), (frequency, tested), ("asked for", "tested"))
+        page.band(panel, *difference.band_hz, color=style.REFERENCE)
         for natural in difference.natural_hz:
-            mark(panel, natural)
+            page.mark(panel, natural)
         caption = (
             f"Response spectrum (5 % damping){f' of {axis}' if len(axes) > 1 else ''}. Dashed: "
             f"natural frequencies of the whole structure. Shaded: from 1/{MARGIN:g} of the "
             f"smallest to {MARGIN:g} times the largest secant stiffness of the specimen in this "
             "test; there both must agree."
         )
-        blocks.append(Plot(panel, caption))
-    return Section(title, blocks)
+        yield Plot(panel, caption)
 
 
 def history_sections(report: Report, column: int, title: str) -> Iterator[Section]:
@@ -135,35 +107,37 @@ def history_sections(report: Report, column: int, title: str) -> Iterator[Sectio
     if not len(states.steps):
         return
     time = states.steps * dt
-    shared = time_range([0.0, time[-1]])
+    shared = page.time_range([0.0, time[-1]])
     shared.start, shared.end = strong_part(record)
-    for name in RESPONSES:
-        _, scale = DISPLAY_UNITS[name]
+    for name in style.RESPONSES:
+        _, scale = style.DISPLAY_UNITS[name]
         y, exact = states.values[:, COMPARED[name], column] * scale, None
         if report.reference is not None:
             exact = getattr(report.reference, name)[:, column] * scale
         windows = [(shared, _STRONG)]
         for step, caption in _places(y, exact, states.steps, dt):
-            middle = step * dt
-            windows.append((Range1d(middle - WINDOW / 2, middle + WINDOW / 2), caption))
+            windows.append((Range1d(step * dt - WINDOW / 2, step * dt + WINDOW / 2), caption))
         blocks = []
         for x_range, caption in windows:
             panel = plot("time / s", axis_label(name), x_range=x_range)
-            begin, end = x_range.bounds or (x_range.start, x_range.end)
-            inside = slice(np.searchsorted(time, begin), np.searchsorted(time, end, side="right"))
-            reference = None
-            if exact is not None:
-                first, last = max(0, int(begin / dt)), min(len(exact), math.ceil(end / dt) + 1)
-                reference = np.arange(first, last) * dt, exact[first:last]
-            against(panel, reference, (time[inside], y[inside]))
+            ends = x_range.bounds or (x_range.start, x_range.end)
+            known = None if exact is None else _within(ends, dt * np.arange(len(exact)), exact)
+            against(panel, known, _within(ends, time, y))
             if x_range is shared and record.trip is not None:
-                mark(panel, record.trip.time_s)
+                page.mark(panel, record.trip.time_s)
             blocks.append(Plot(panel, caption, wide=x_range is shared))
         yield Section(f"{name.capitalize()}{title}", blocks)
 
 
+def _within(
+    ends: tuple[float, float], x: style.Floats, y: style.Floats
+) -> tuple[style.Floats, style.Floats]:
+    first, last = np.searchsorted(x, ends[0]), np.searchsorted(x, ends[1], side="right")
+    return x[first:last], y[first:last]
+
+
 def _places(
-    y: Floats, exact: Floats | None, steps: npt.NDArray[np.int64], dt: float
+    y: style.Floats, exact: style.Floats | None, steps: Ints, dt: float
 ) -> list[tuple[int, str]]:
     """Choose steps to look at more closely, and say why."""
     if exact is None:
@@ -177,29 +151,25 @@ def _places(
     ]
 
 
-def tracking_section(report: Report, signals: Tracked, column: int, title: str) -> Section:
+def tracking(report: Report, signals: Tracked, column: int) -> Iterator[Block]:
     """Tracking of an axis: numbers, time history, synchronisation plot, delay by frequency."""
     experiment = report.record.experiment
     row = report.summary["tracking"][experiment.axes[column]]
     names = [name for name in row["J"] if name not in ("J1", "J2", "J3")]
     of_structure = [Number(f"{name}, of the structure", f"J.{name}", "%") for name in names]
-    table = Table((), rows_of((*_TRACKING, *of_structure), row))
-    plots = _tracking_plots(signals, column, experiment.timebase.dt)
-    return Section(f"Force tracking{title}", [Text(_INTENDED[signals.derived]), table, *plots])
-
-
-def _tracking_plots(signals: Tracked, column: int, dt: float) -> Iterator[Block]:
+    yield Text(_INTENDED[signals.derived])
+    yield Table((), rows_of((*_TRACKING, *of_structure), row))
     if len(signals.steps) < 2:
         return
     command, force = signals.command[:, column], signals.force[:, column]
     panel = plot("time / s", "force / N")
-    time = signals.steps * dt
+    time = signals.steps * experiment.timebase.dt
     against(panel, (time, command), (time, force), ("intended force", "measured force"))
     yield Plot(panel, "The intended force, and the force that the load cell measured.")
 
     panel = plot("intended force / N", "measured force / N", height=380)
     ends = np.array([command.min(), command.max()])
-    line(panel, ends, ends, color=REFERENCE, width=2.0)
+    line(panel, ends, ends, color=style.REFERENCE, width=2.0)
     against(panel, None, (command, force), loop=True)
     caption = (
         "Synchronisation: on the diagonal the force is right; a loop that opens is delay, a slope "
@@ -207,7 +177,7 @@ def _tracking_plots(signals: Tracked, column: int, dt: float) -> Iterator[Block]
     )
     yield Plot(panel, caption)
 
-    found = delay_by_frequency(command, force, dt)
+    found = delay_by_frequency(command, force, experiment.timebase.dt)
     means = np.nan_to_num(found.coherence) >= COHERENT
     if not means.any():
         yield Text("No frequency at which the intended force explains the measured force.")
@@ -220,21 +190,22 @@ def _tracking_plots(signals: Tracked, column: int, dt: float) -> Iterator[Block]
         panel = plot("frequency / Hz", f"{label}{unit}", log_x=True, x_range=shared)
         shared = panel.x_range
         line(panel, found.frequency_hz, np.where(means, y, np.nan), label)
-        level(panel, right)
+        page.level(panel, right)
         note = f"by frequency, where the coherence is {COHERENT:g} or more."
         yield Plot(panel, f"{caption} {note}")
 
 
-def hysteresis_section(report: Report, column: int, title: str) -> Section:
+def hysteresis(report: Report, column: int) -> Iterator[Block]:
     """Restoring force over displacement of an axis, test and reference."""
     states, exact = report.record.series[RIG_STATE.name], report.reference
-    heading = f"Hysteresis{title}"
     try:
         mass = tested_specimen(report.record.experiment).mass
     except (InputError, KeyError):
-        return Section(heading, [Text("The specimen's mass is not known.")])
+        yield Text("The specimen's mass is not known.")
+        return
     if not len(states.steps):
-        return Section(heading, [Text("There are no samples.")])
+        yield Text("There are no samples.")
+        return
 
     panel = plot("displacement / mm", "restoring force / N", height=380)
     reference = None
@@ -244,20 +215,16 @@ def hysteresis_section(report: Report, column: int, title: str) -> Section:
     x, _, a, f = np.moveaxis(states.values, 1, 0)
     against(panel, reference, (x[:, column] * 1e3, (f - a @ mass.T)[:, column]), loop=True)
     caption = "Restoring force f - m a: its width is what damping and yielding dissipate."
-    return Section(heading, [Plot(panel, caption, wide=True)])
+    yield Plot(panel, caption, wide=True)
 
 
-def model_sections(record: Record) -> Iterator[Section]:
-    """Give what was recorded of a computed model: its hysteresis, and all that it tells over time.
-
-    None where there was no model.
-    """
+def computed_model(record: Record) -> Iterator[Block]:
+    """Give what a computed model recorded: its hysteresis, and all that it tells over time."""
     found, axes = record.estimates, record.experiment.axes
-    names = [name for name in (found.names if found else ()) if name.startswith(OF_MODEL)]
-    if found is None or not names:
+    if found is None:
         return
-    time, blocks = found.steps * record.experiment.timebase.dt, []
-    for name in names:
+    time = found.steps * record.experiment.timebase.dt
+    for name in (name for name in found.names if name.startswith(OF_MODEL)):
         values = found.values[:, found.names.index(name)]
         shared = bool((values == values[:, :1]).all())  # of no axis, or the only one
         for column, axis in enumerate(axes[:1] if shared else axes):
@@ -267,15 +234,14 @@ def model_sections(record: Record) -> Iterator[Section]:
                 panel = plot(f"{label} / mm", f"{force} / N", height=380)
                 y = found.values[:, found.names.index(force), column]
                 against(panel, None, (values[:, column] * 1e3, y), loop=True)
-                blocks.append(Plot(panel, "Force of the model over its displacement.", wide=True))
+                yield Plot(panel, "Force of the model over its displacement.", wide=True)
             elif not name.startswith(f"{OF_MODEL}force"):
                 panel = plot("time / s", label, height=200)
                 against(panel, None, (time, values[:, column]))
-                blocks.append(Plot(panel))
-    yield Section("Computed model", blocks)
+                yield Plot(panel)
 
 
-def spectra_section(report: Report, column: int, title: str) -> Section:
+def spectra(report: Report, column: int) -> Iterator[Block]:
     """Amplitude spectral densities of an axis, test against reference response."""
     limits = report.summary["instability_band_hz"]
     note = f"Band where instability would start: {report.band_note}."
@@ -284,46 +250,44 @@ def spectra_section(report: Report, column: int, title: str) -> Section:
             "Shaded: where instability would start, {:.3g} to {:.3g} Hz. Vibration beyond the "
             "reference response there grows first when a test loses its margins.".format(*limits)
         )
-    blocks: list[Block] = []
     for name, by_axis in report.spectra.items():
         test, exact = by_axis[column]
         if len(test.frequency_hz) < 2:
-            continue
-        unit, scale = DISPLAY_UNITS[name]
+            yield Text("The record is too short for spectra.")
+            return
+        unit, scale = style.DISPLAY_UNITS[name]
         panel = plot("frequency / Hz", f"{name} / ({unit}/√Hz)", log_x=True, log_y=True)
         if limits is not None:
-            band(panel, *limits)
+            page.band(panel, *limits)
         reference = None
         if exact is not None:
             reference = exact.frequency_hz[1:], exact.amplitude[1:] * scale
         against(panel, reference, (test.frequency_hz[1:], test.amplitude[1:] * scale))
-        blocks.append(Plot(panel, f"Amplitude spectral density of the {name}. {note}"))
-    return Section(f"Spectra{title}", blocks or [Text("The record is too short for spectra.")])
+        yield Plot(panel, f"Amplitude spectral density of the {name}. {note}")
 
 
-def energy_section(report: Report, signals: Tracked) -> Section:
+def energy(report: Report, signals: Tracked) -> Iterator[Block]:
     """Energy balance of the specimen, and what the actuators' force error adds to it."""
-    experiment, blocks = report.record.experiment, list[Block]()
-    dt, axes = experiment.timebase.dt, experiment.axes
+    dt, axes = report.record.experiment.timebase.dt, report.record.experiment.axes
     if report.energies:
         panel = plot("time / s", "energy / J")
-        for (name, (steps, energy)), color in zip(report.energies.items(), OTHERS, strict=False):
-            line(panel, steps * dt, energy, name, color=color)
+        parts = zip(report.energies.items(), style.OTHERS, strict=False)
+        for (name, (steps, part)), color in parts:
+            line(panel, steps * dt, part, name, color=color)
         closure = report.summary["energy"]["closure"]
         left = "" if closure is None else f" At most {closure:.2%} of the input is unexplained."
-        blocks.append(Plot(panel, f"Work of the actuators' force, and where it went.{left}"))
+        yield Plot(panel, f"Work of the actuators' force, and where it went.{left}")
     else:
-        blocks.append(Text("No energy balance: the specimen is unknown, or samples are missing."))
+        yield Text("No energy balance: the specimen is unknown, or samples are missing.")
     if len(signals.steps) > 1:
         panel = plot("time / s", "energy error / J")
         work = energy_error(signals.force - signals.command, signals.velocity, dt)
         labels: Sequence[str] = axes if len(axes) > 1 else ("force loop",)
-        for label, y, color in zip(labels, work.T, OTHERS, strict=False):
+        for label, y, color in zip(labels, work.T, style.OTHERS, strict=False):
             line(panel, signals.steps * dt, y, label, color=color)
-        level(panel, 0.0)
+        page.level(panel, 0.0)
         caption = (
             "Work of measured less intended force: where it grows, the force loop's error adds "
             "energy (as damping taken away); where it falls, it takes energy out."
         )
-        blocks.append(Plot(panel, caption))
-    return Section("Energy", blocks)
+        yield Plot(panel, caption)

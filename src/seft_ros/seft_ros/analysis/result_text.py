@@ -1,6 +1,5 @@
 """Summaries and comparisons of tests for people: tables, verdicts, where records differ."""
 
-from dataclasses import replace
 from typing import Any
 
 from rich.console import Group
@@ -14,7 +13,6 @@ from seft_ros.drawing.style import (
     DISPLAY_UNITS,
     GOOD_ERROR,
     RESPONSES,
-    Number,
     make_table,
     number,
     percent,
@@ -23,14 +21,8 @@ from seft_ros.drawing.style import (
 from seft_ros.ground_motion.column_file import STANDARD_GRAVITY
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
-AGREEMENT = (
-    Number("peak", "peak"),
-    Number("reference\npeak", "reference_peak"),
-    Number("NRMSE", "nrmse", form=percent),
-    Number("NRMSE\naligned", "nrmse_aligned", form=percent),
-    Number("delay", "delay_s", "ms", 1e3, ".2f"),
-)
-"""Agreement of a quantity with its reference, by column; the peaks are in the quantity's unit."""
+AGREEMENT = ("peak", "reference\npeak", "NRMSE", "NRMSE\naligned", "delay")
+"""Headings of `agreement_rows`."""
 
 FIELD_UNITS = {
     (topic.name, quantity): unit
@@ -44,10 +36,14 @@ def agreement_rows(part: dict[str, Any], prefix: str = "") -> list[list[str]]:
     """Make a row of each measured quantity in a summary, or in the part of it on an axis."""
     rows = []
     for quantity in RESPONSES:
-        unit, scale = DISPLAY_UNITS[quantity]
-        peaks = [replace(column, unit=unit, scale=scale) for column in AGREEMENT[:2]]
-        columns = (*peaks, *AGREEMENT[2:])
-        rows.append([f"{prefix}{quantity}", *(column.text(part[quantity]) for column in columns)])
+        measures, (unit, scale) = part[quantity], DISPLAY_UNITS[quantity]
+        row = [
+            f"{prefix}{quantity}",
+            *(number(measures[key], scale, unit) for key in ("peak", "reference_peak")),
+            *(percent(measures[key]) for key in ("nrmse", "nrmse_aligned")),
+            number(measures["delay_s"], 1e3, "ms", ".2f"),
+        ]
+        rows.append(row)
     return rows
 
 
@@ -57,12 +53,9 @@ def summary_table(record: Record, summary: dict[str, Any]) -> Table:
     if len(summary["axes"]) > 1:
         for axis, part in summary["axes"].items():
             rows += [None, *agreement_rows(part, f"{axis} ")]
-    return make_table(
-        ["", *(column.label for column in AGREEMENT)],
-        rows,
-        title=Text("\n".join([title_of(record), *_notes(summary)])),
-        caption=Text(verdict(summary), style=f"bold {_colour(summary)}"),
-    )
+    title = Text("\n".join([title_of(record), *_notes(summary)]))
+    caption = Text(verdict(summary), style=f"bold {_colour(summary)}")
+    return make_table(["", *AGREEMENT], rows, title=title, caption=caption)
 
 
 def title_of(record: Record) -> str:
@@ -83,8 +76,7 @@ def motion_lines(facts: dict[str, Any]) -> list[str]:
     ``facts`` are those of `seft_ros.ground_motion.ground_motion_block.motion_facts`.
     """
     unit = f" in {facts['unit']}" if facts["unit"] else ""
-    peak_force = facts["peak_force_n"]
-    why = f" (peak_force {peak_force:g} N)" if peak_force else ""
+    why = f" (peak_force {facts['peak_force_n']:g} N)" if facts["peak_force_n"] else ""
     largest = [f"{peak:.4g}" for peak in facts["peak_acceleration"]]
     shown = largest if len(set(largest)) > 1 else largest[:1]
     in_g = max(facts["peak_acceleration"]) / STANDARD_GRAVITY
@@ -165,18 +157,10 @@ def comparison_table(comparison: dict[str, Any], a: str = "a", b: str = "b") -> 
     rows = []
     for topic, row in comparison["topics"].items():
         counts = [row[key] for key in ("samples_a", "samples_b", "missing_a", "missing_b")]
-        largest = error = "-"
-        if row["compared"]:
-            error = small_percent(row["nrmse"])
-        if row["compared"] and row["max_abs"] is not None:
-            differing = (
-                field
-                for field, errors in row["fields"].items()
-                if errors["max_abs"] == row["max_abs"] != 0
-            )
-            unit = FIELD_UNITS.get((topic, next(differing, "")), "")
-            largest = f"{row['max_abs']:.2g} {unit}"
-        rows.append([topic, *map(str, counts), largest, error])
+        largest = row["max_abs"] if row["compared"] else None
+        fields = [name for name, e in row["fields"].items() if e["max_abs"] == largest != 0]
+        unit = FIELD_UNITS.get((topic, fields[0]), "") if fields else ""
+        rows.append([topic, *map(str, counts), number(largest, 1.0, unit, ".2g"), _error(row)])
     first, *more = _differences(comparison, a, b)
     table = make_table(("topic", *headings), rows, title=f"{b} against {a}")
     return Group(table, _coloured(first, comparison), *map(Text, more))
@@ -192,16 +176,19 @@ def comparisons_table(comparisons: list[dict[str, Any]], labels: list[str]) -> G
     rows, lines = [], []
     for label, comparison in zip(others, comparisons, strict=True):
         topics = comparison["topics"]
-        errors = []
-        for topic in (topics[name] for name in names):
-            equal = all(field["max_abs"] == 0 for field in topic["fields"].values())
-            error = "same" if equal else small_percent(topic["nrmse"])
-            errors.append(error if topic["compared"] else "-")
+        errors = [_error(topics[name], "same") for name in names]
         missing = sum(row["missing_b"] for row in topics.values())
         rows.append([label, *errors, str(missing)])
         lines.append(_coloured(f"{label}: {_verdict(comparison, first, label)}", comparison))
     title = f"NRMSE against {first}"
     return Group(make_table(("", *names, "missing"), rows, wrap=True, title=title), *lines)
+
+
+def _error(row: dict[str, Any], none: str = "") -> str:
+    """Write the error of a topic's samples, if any; ``none`` where all are equal."""
+    if not row["compared"]:
+        return "-"
+    return none if none and row["max_abs"] == 0 else small_percent(row["nrmse"])
 
 
 def _coloured(text: str, comparison: dict[str, Any]) -> Text:
@@ -210,19 +197,18 @@ def _coloured(text: str, comparison: dict[str, Any]) -> Text:
 
 def _differences(comparison: dict[str, Any], a: str, b: str) -> list[str]:
     """Say how two records differ, the verdict first."""
-    names = {"a": a, "b": b}
-    first, value = (comparison[key] for key in ("first_difference", "first_value_difference"))
-    counts = comparison["missed"]
-    missed = ", ".join(f"{counts[key]} in {names[key]}" for key in names if counts[key])
-    text = _verdict(comparison, a, b)
-    lines = [f"{text}; steps that missed the command deadline: {missed}" if missed else text]
+    first, value = comparison["first_difference"], comparison["first_value_difference"]
+    sides = {"a": a, "b": b}
+    counts, rates, lengths, axes = (
+        comparison[key] for key in ("missed", "rate_hz", "length_s", "axes")
+    )
+    missed = ", ".join(f"{counts[key]} in {name}" for key, name in sides.items() if counts[key])
+    lines = [_verdict(comparison, a, b)]
+    if missed:
+        lines[0] += f"; steps that missed the command deadline: {missed}"
     if first is not None and first["field"] is None:
-        lines.append(
-            "all samples that both have are equal, bit for bit"
-            if value is None
-            else f"first value that differs, {_where(value, names)}"
-        )
-    rates, lengths = comparison["rate_hz"], comparison["length_s"]
+        where = value and f"first value that differs, {_where(value, a, b)}"
+        lines.append(where or "all samples that both have are equal, bit for bit")
     if comparison["aligned_by"] == "time":
         lines.append(
             f"rates differ ({rates['a']:g} Hz in {a}, {rates['b']:g} Hz in {b}): compared are the "
@@ -230,13 +216,8 @@ def _differences(comparison: dict[str, Any], a: str, b: str) -> list[str]:
         )
     if lengths["a"] != lengths["b"]:
         lines.append(f"lengths differ: {lengths['a']:g} s in {a}, {lengths['b']:g} s in {b}")
-    axes = comparison["axes"]
-    alone = [
-        f"{', '.join(axes[f'only_{key}'])} only in {name}"
-        for key, name in names.items()
-        if axes[f"only_{key}"]
-    ]
-    if alone:
+    only = {name: ", ".join(axes[f"only_{key}"]) for key, name in sides.items()}
+    if alone := [f"{some} only in {name}" for name, some in only.items() if some]:
         lines.append(f"axes differ: {'; '.join(alone)}; compared: {', '.join(axes['compared'])}")
     return lines
 
@@ -248,16 +229,13 @@ def _verdict(comparison: dict[str, Any], a: str, b: str) -> str:
         return "identical, bit for bit"
     if first is None:
         return "not the same test, but equal, bit for bit, where both have samples"
-    return f"first difference {_where(first, {'a': a, 'b': b})}"
+    return f"first difference {_where(first, a, b)}"
 
 
-def _where(first: dict[str, Any], names: dict[str, str]) -> str:
-    where = f"at step {first['step']}"
-    if "step_b" in first:
-        where += f" of {names['a']} ({first['step_b']} of {names['b']})"
-    where += f", {first['topic']}"
+def _where(first: dict[str, Any], a: str, b: str) -> str:
+    also = f" of {a} ({first['step_b']} of {b})" if "step_b" in first else ""
+    where = f"at step {first['step']}{also}, {first['topic']}"
     if first["field"] is None:
-        lacking = "a" if first["a"] == "missing" else "b"
-        return f"{where}: the sample is missing in {names[lacking]}"
-    values = f"{first['a']!r} in {names['a']}, {first['b']!r} in {names['b']}"
+        return f"{where}: the sample is missing in {a if first['a'] == 'missing' else b}"
+    values = f"{first['a']!r} in {a}, {first['b']!r} in {b}"
     return f"{where}, {first['field']} of axis {first['axis']}: {values}"

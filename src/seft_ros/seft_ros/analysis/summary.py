@@ -4,7 +4,6 @@ from dataclasses import asdict, fields, replace
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import (
@@ -17,20 +16,13 @@ from seft_msgs_py.wire.topics import (
 from seft_plant_sim.computed_model import ModelError
 from seft_plant_sim.lti import split_dead_time
 from seft_plant_sim.specimen import EnergyBalance, energy_balance
-from seft_plant_sim.whole_structure import (
-    ReferenceResponse,
-    reference_response,
-    tested_specimen,
-)
+from seft_plant_sim.whole_structure import ReferenceResponse, reference_response, tested_specimen
 
 from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
 from seft_ros.analysis.metrics import Agreement, agreement, common_steps, every_step, peak
 from seft_ros.analysis.timing import link_numbers, timing_of
 from seft_ros.analysis.tracking import tracking_error_of, tracking_of
-from seft_ros.bags.record import (
-    Estimates,
-    Record,
-)
+from seft_ros.bags.record import Estimates, Record
 from seft_ros.drawing.style import json_safe
 from seft_ros.force_controller.interlock import detector_shares
 from seft_ros.ground_motion.ground_motion_block import MOTION
@@ -91,7 +83,7 @@ def summarise(
     }
     difference = difference or motion_difference(judged)
     simulated = "specimen.mass" in record.experiment.sections.get("rig", {})
-    found: dict[str, Any] = {
+    found = {
         **_outcome(record),
         "judged_steps": _steps(judged),
         "first_step": int(recorded[0]) if len(recorded) else None,
@@ -119,8 +111,7 @@ def summarise(
         **(by_axis[axes[0]] if len(axes) == 1 else _responses(judged, reference, slice(None))),
         "axes": by_axis,
     }
-    summary: dict[str, Any] = json_safe(found)
-    return summary
+    return json_safe(found)
 
 
 def summarise_briefly(record: Record, reference: ReferenceResponse) -> dict[str, Any]:
@@ -129,10 +120,7 @@ def summarise_briefly(record: Record, reference: ReferenceResponse) -> dict[str,
     For many tests of which no more is wanted: the rest takes most of the time.
     """
     judged, known = judged_part(record, reference)
-    summary: dict[str, Any] = json_safe(
-        {**_outcome(record), **_responses(judged, known, slice(None))}
-    )
-    return summary
+    return json_safe({**_outcome(record), **_responses(judged, known, slice(None))})
 
 
 def judged_part(
@@ -209,11 +197,10 @@ def balance_of(record: Record) -> EnergyBalance | None:
 def _held(experiment: Experiment) -> float | None:
     """Part of a period after which an idealised actuator's force changes; None: it has none."""
     rig = experiment.sections.get("rig", {})
-    if rig.get("actuator.kind") not in ("ideal", "delay") or rig.get("sensors.anti_alias"):
+    kind, dt = rig.get("actuator.kind"), experiment.timebase.dt
+    if kind not in ("ideal", "delay") or rig.get("sensors.anti_alias"):
         return None
-    delay = rig["actuator.delay"] if rig["actuator.kind"] == "delay" else 0.0
-    dt = experiment.timebase.dt
-    _, part = split_dead_time(delay, dt)
+    _, part = split_dead_time(rig["actuator.delay"] if kind == "delay" else 0.0, dt)
     return part / dt if part else 1.0
 
 
@@ -248,12 +235,11 @@ def _responses(
     states, dt = record.series[RIG_STATE.name], record.experiment.timebase.dt
     found = {}
     for name, row in COMPARED.items():
-        y: Floats = states.values[:, row, columns]
-        if reference is None:
-            found[name] = asdict(Agreement(peak=peak(y)))
-        else:
-            exact = getattr(reference, name)[:, columns]
-            found[name] = asdict(agreement(y, exact, dt, states.steps))
+        y = states.values[:, row, columns]
+        measures = Agreement(peak=peak(y))
+        if reference is not None:
+            measures = agreement(y, getattr(reference, name)[:, columns], dt, states.steps)
+        found[name] = asdict(measures)
     return found
 
 
@@ -261,16 +247,17 @@ def _estimates(
     estimates: Estimates | None, axes: tuple[str, ...]
 ) -> dict[str, dict[str, dict[str, float]]]:
     """How each estimate changed on each axis; empty if nothing was identified."""
-    found: dict[str, dict[str, dict[str, float]]] = {}
-    if estimates is not None:
-        for row, name in enumerate(estimates.names):
-            values = estimates.values[:, row]
-            ends = (values[0], values[-1], values.min(axis=0), values.max(axis=0))
-            found[name] = {
-                axis: dict(zip(("first", "last", "least", "largest"), four, strict=True))
-                for axis, four in zip(axes, np.transpose(ends).tolist(), strict=True)
-            }
-    return found
+    if estimates is None:
+        return {}
+    y = estimates.values
+    parts = {"first": y[0], "last": y[-1], "least": y.min(axis=0), "largest": y.max(axis=0)}
+    return {
+        name: {
+            axis: {part: float(values[row, column]) for part, values in parts.items()}
+            for column, axis in enumerate(axes)
+        }
+        for row, name in enumerate(estimates.names)
+    }
 
 
 def shares_of(record: Record) -> dict[str, float] | None:

@@ -112,27 +112,20 @@ def stalls_of(record: Record) -> dict[str, Any] | None:
         return None
     states = record.series[RIG_STATE.name]
     intervals = np.array(seen["intervals_ns"], dtype=np.int64).reshape(-1, 2)
-    attributed = listed = 0
+    listed = attributed = 0
     if states.received_ns is not None:
-        period_ns = record.experiment.timebase.period_ns
-        known = np.isin(record.missed_steps, states.steps)
-        steps = np.asarray(record.missed_steps, dtype=np.int64)[known]
-        received = np.asarray(states.received_ns)
+        period_ns, received = record.experiment.timebase.period_ns, states.received_ns
+        steps = np.array(record.missed_steps, dtype=np.int64)
+        steps = steps[np.isin(steps, states.steps)]
         at = np.searchsorted(states.steps, steps)
         end = received[at] + period_ns
         follows = (at > 0) & (states.steps[at - 1] == steps - 1)
-        due = np.where(follows, received[at - 1] + period_ns, received[at])
-        begin = np.minimum(due, received[at])
+        begin = np.where(follows, received[at - 1] + period_ns, received[at])
+        begin = np.minimum(begin, received[at])
         overlaps = (intervals[:, 0] < end[:, np.newaxis]) & (intervals[:, 1] > begin[:, np.newaxis])
         listed, attributed = len(steps), int(overlaps.any(axis=1).sum())
-    return {
-        "beats": int(seen["beats"]),
-        "count": int(seen["count"]),
-        "late_s": float(seen["late_s"]),
-        "longest_s": float(seen["longest_s"]),
-        "missed_listed": listed,
-        "missed_in_a_stall": attributed,
-    }
+    told = {name: seen[name] for name in ("beats", "count", "late_s", "longest_s")}
+    return told | {"missed_listed": listed, "missed_in_a_stall": attributed}
 
 
 def link_numbers(record: Record) -> dict[str, Any] | None:
@@ -145,15 +138,13 @@ def link_numbers(record: Record) -> dict[str, Any] | None:
     """
     link, section = record.link, record.experiment.sections.get("reference_force", {})
     loop_delay = section.get("loop_delay", 0)
-    total = sum(link.ages.values()) if link is not None else 0
-    if link is None or not loop_delay or not total:
+    if link is None or not loop_delay or not (total := sum(link.ages.values())):
         return None
-    ages = sorted(link.ages)
-    below = np.cumsum([link.ages[age] for age in ages])
-    places = {name: np.searchsorted(below, q * total) for name, q in (("p50", 0.5), ("p99", 0.99))}
+    every = np.repeat(list(link.ages), list(link.ages.values()))
+    median, late = np.percentile(every, (50, 99), method="inverted_cdf").tolist()
     return {
         "loop_delay": loop_delay,
-        "age": {**{name: ages[at] for name, at in places.items()}, "largest": ages[-1]},
+        "age": {"p50": median, "p99": late, "largest": int(every.max())},
         "late": link.older_than(loop_delay),
         "held": link.held,
         "forces": total,

@@ -9,27 +9,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.fft import next_fast_len, rfft
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, TARGET
 from seft_plant_sim.whole_structure import ReferenceResponse, whole_structure
 
+from seft_ros.analysis import metrics
 from seft_ros.analysis.equivalent_motion import EquivalentMotion, assumed_structure
-from seft_ros.analysis.metrics import (
-    best_fit_delay,
-    columns,
-    common_steps,
-    cross_spectrum,
-    delayed,
-    every_step,
-    nrmse,
-    paired,
-    peak,
-)
 from seft_ros.bags.record import Record
-
-Steps = npt.NDArray[np.int64]
 
 FLOORS = 3
 LONG = 100_000
@@ -42,7 +29,7 @@ def benchmark_criteria(
     reference_displacement: Floats,
     displacement: Floats,
     dt: float,
-    steps: Steps | None = None,
+    steps: Ints | None = None,
 ) -> list[dict[str, float]]:
     """Evaluate a test by J1 to J9 of the RTHS benchmark (Silva et al. 2020).
 
@@ -66,28 +53,29 @@ def benchmark_criteria(
         ``J4``, RMS(x_ref - x) / RMS(x_ref), and ``J7``, max|x_ref - x| / max|x_ref|, %; the second
         these as J5 and J8, the third as J6 and J9.
     """
-    c, m = map(columns, paired(commanded, measured))
-    reference, x = map(columns, paired(reference_displacement, displacement))
+    c, m = map(metrics.columns, metrics.paired(commanded, measured))
+    reference, x = map(metrics.columns, metrics.paired(reference_displacement, displacement))
     steps = np.arange(len(c)) if steps is None else steps
     found = []
     for axis, (y, command) in enumerate(zip(m.T, c.T, strict=True)):
-        row = {"J2": 100 * nrmse(y, command), "J3": 100 * _peak_error(y, command)}
         delay = np.nan
         if len(steps) and np.isfinite(y).all() and np.isfinite(command).all():
             every = np.arange(steps[0], steps[-1] + 1)
             filled, wanted = (np.interp(every, steps, signal) for signal in (y, command))
-            delay = best_fit_delay(filled, wanted, dt)
-        row = {"J1": 1e3 * delay} | row
+            delay = metrics.best_fit_delay(filled, wanted, dt)
+        errors = metrics.nrmse(y, command), _peak_error(y, command)
+        row = {"J1": 1e3 * delay, "J2": 100 * errors[0], "J3": 100 * errors[1]}
         if axis < FLOORS:
             floor = x[:, axis], reference[:, axis]
-            row |= {f"J{4 + axis}": 100 * nrmse(*floor), f"J{7 + axis}": 100 * _peak_error(*floor)}
+            rms, most = metrics.nrmse(*floor), _peak_error(*floor)
+            row |= {f"J{4 + axis}": 100 * rms, f"J{7 + axis}": 100 * most}
         found.append(row)
     return found
 
 
 def _peak_error(y: Floats, reference: Floats) -> float:
     with np.errstate(invalid="ignore", over="ignore"):
-        error, most = peak(y - reference), peak(reference)
+        error, most = metrics.peak(y - reference), metrics.peak(reference)
         ratio = error / most if most > 0 else np.nan
     return ratio if np.isfinite(ratio) else np.nan
 
@@ -115,25 +103,21 @@ class FrequencyEvaluation:
 
 
 def frequency_evaluation_index(
-    commanded: Floats, measured: Floats, dt: float, power: float = 2.0
+    commanded: Floats, measured: Floats, dt: float
 ) -> FrequencyEvaluation:
     """Evaluate tracking by the frequency evaluation index (FEI) of Guo et al. 2014.
 
-    F = sum_j (Y_j / C_j) |C_j|^l / sum_j |C_j|^l over the discrete Fourier spectra C of the
-    command and Y of the measured signal, from 0 to below Nyquist's frequency. Amplitude and delay
-    follow from F and from the equivalent frequency f = sum_j f_j |C_j|^l / sum_j |C_j|^l. The
-    phase is that of atan2: delays are distinct up to half a period of f.
+    F = sum_j (Y_j / C_j) |C_j|^2 / sum_j |C_j|^2 over the discrete Fourier spectra C of the
+    command and Y of the measured signal, from 0 to below Nyquist's frequency: the complex gain
+    that fits best by least squares. Amplitude and delay follow from F and from the equivalent
+    frequency f = sum_j f_j |C_j|^2 / sum_j |C_j|^2. The phase is that of atan2: delays are distinct
+    up to half a period of f.
 
     The record is taken to be periodic: it should begin and end at rest. Of one longer than
     `LONG` samples the few at the end are left out that would make its transform slow. Of a
     constant command the delay is NaN.
-
-    ``power`` is l, positive, else a ValueError; at 2 F is the complex gain that fits best by least
-    squares.
     """
-    c, m = paired(commanded, measured)
-    if not power > 0:
-        raise ValueError(f"the power is {power}, not positive")
+    c, m = metrics.paired(commanded, measured)
     if not len(c):
         return FrequencyEvaluation(*(np.full(c.shape[1:], np.nan) for _ in range(4)))
     if len(c) > LONG:
@@ -145,8 +129,7 @@ def frequency_evaluation_index(
         command = rfft(c / most_c, axis=0)[:bins]
         answer = rfft(m / np.where(most_m == 0, 1.0, most_m), axis=0)[:bins]
         magnitude = np.abs(command)
-        weight = magnitude**power
-        weight = weight / weight.sum(axis=0)
+        weight = magnitude**2 / (magnitude**2).sum(axis=0)
         ratio = np.divide(answer, command, out=np.zeros_like(answer), where=magnitude > 0)
         index = (weight * ratio).sum(axis=0)
         frequency = (np.arange(bins) / (len(c) * dt)) @ weight
@@ -159,19 +142,19 @@ def frequency_evaluation_index(
 
 @dataclass(frozen=True)
 class DelayByFrequency:
-    """Tracking in each of F bands; of one signal of shape (N,), without the axes.
+    """Tracking in each of F bands, arrays of shape (F,).
 
     Attributes
     ----------
     frequency_hz : ndarray
-        Centres of the bands, shape (F,), from the first above zero to Nyquist's.
+        Centres of the bands, from the first above zero to Nyquist's.
     amplitude : ndarray
-        Measured over commanded, |H1|, shape (F, n).
+        Measured over commanded, |H1|.
     delay_s : ndarray
-        Phase delay, shape (F, n); positive where the measured signal lags.
+        Phase delay; positive where the measured signal lags.
     coherence : ndarray
-        Magnitude squared, 0 to 1, shape (F, n): how far the command explains what was measured.
-        Where it is low the rest means little. With one segment it is 1 and says nothing.
+        Magnitude squared, 0 to 1: how far the command explains what was measured. Where it is low
+        the rest means little. With one segment it is 1 and says nothing.
     """
 
     frequency_hz: Floats
@@ -180,10 +163,8 @@ class DelayByFrequency:
     coherence: Floats
 
 
-def delay_by_frequency(
-    commanded: Floats, measured: Floats, dt: float, segment_s: float = 4.0
-) -> DelayByFrequency:
-    """Estimate amplitude and delay in each band from averaged cross spectra.
+def delay_by_frequency(commanded: Floats, measured: Floats, dt: float) -> DelayByFrequency:
+    """Estimate amplitude and delay in each band from averaged cross spectra of an axis.
 
     H1 = S_cm / S_cc by Welch's method (Welch 1967; Bendat & Piersol, Random Data), with Hann
     windows that overlap by half. The record's best-fit delay (`best_fit_delay`) is taken out first
@@ -193,27 +174,25 @@ def delay_by_frequency(
     Parameters
     ----------
     commanded, measured : ndarray
-        Of the same shape, (N, n) or (N,), else a ValueError.
-    dt, segment_s : float
-        Sampling period and length of a segment, s.
+        Shape (N,), else a ValueError.
+    dt : float
+        Sampling period, s; segments are `SEGMENT` long.
     """
-    c, m = map(columns, paired(commanded, measured))
-    size = min(len(c), max(2, round(segment_s / dt)))
-    shape = np.shape(commanded)[1:]
+    c, m = metrics.paired(commanded, measured)
+    size = metrics.segment_size(len(c), dt)
     if size < 2:
-        return DelayByFrequency(np.empty(0), *(np.empty((0, *shape)) for _ in range(3)))
-    delays = [best_fit_delay(*pair, dt) for pair in zip(m.T, c.T, strict=True)]
-    common = np.where(np.isfinite(delays), delays, 0.0)
-    aligned = np.stack([delayed(y, -tau, dt) for y, tau in zip(m.T, common, strict=True)], axis=1)
+        return DelayByFrequency(*(np.empty(0) for _ in range(4)))
+    best = metrics.best_fit_delay(m, c, dt)
+    common = best if np.isfinite(best) else 0.0
+    aligned = metrics.delayed(m, -common, dt)
     with np.errstate(all="ignore"):
-        frequency, cross = cross_spectrum(c, aligned, dt, size)
-        power, answer = (cross_spectrum(y, y, dt, size)[1].real for y in (c, aligned))
+        frequency, cross = metrics.cross_spectrum(c, aligned, dt, size)
+        power, answer = (metrics.cross_spectrum(y, y, dt, size)[1].real for y in (c, aligned))
         response = (cross / np.where(power > 0, power, np.nan))[1:]
         coherence = np.abs(cross) ** 2 / np.where(answer > 0, power * answer, np.nan)
     frequency = frequency[1:]
-    delay = common - np.angle(response) / (2 * np.pi * frequency[:, np.newaxis])
-    found = (np.abs(response), delay, coherence[1:])
-    return DelayByFrequency(frequency, *(y.reshape(-1, *shape) for y in found))
+    delay = common - np.angle(response) / (2 * np.pi * frequency)
+    return DelayByFrequency(frequency, np.abs(response), delay, coherence[1:])
 
 
 def tracking_indicator(commanded: Floats, measured: Floats) -> Floats:
@@ -223,7 +202,7 @@ def tracking_indicator(commanded: Floats, measured: Floats) -> Floats:
     by (m' + m) / 2 (c' - c). Given is TI so far at each sample, of the signals' shape, in the
     square of their unit; 0 at the first.
     """
-    c, m = paired(commanded, measured)
+    c, m = metrics.paired(commanded, measured)
     indicator = np.zeros_like(c)
     with np.errstate(invalid="ignore", over="ignore"):
         # A and TA have the products c' m' and c m in common, which this leaves out
@@ -233,7 +212,7 @@ def tracking_indicator(commanded: Floats, measured: Floats) -> Floats:
 
 def relative_tracking_indicator(commanded: Floats, measured: Floats) -> Floats:
     """TI at the end over the square of the command's peak."""
-    c, m = paired(commanded, measured)
+    c, m = metrics.paired(commanded, measured)
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         most = _peaks(c)
         return _end(tracking_indicator(c / most, m / most))
@@ -257,7 +236,7 @@ def energy_error(force_error: Floats, velocity: Floats, dt: float) -> Floats:
     ndarray
         Work so far at each sample, of the signals' shape, J; 0 at the first.
     """
-    error, v = paired(force_error, velocity)
+    error, v = metrics.paired(force_error, velocity)
     work = np.zeros_like(error)
     with np.errstate(invalid="ignore", over="ignore"):
         power = error * v
@@ -269,7 +248,7 @@ def relative_energy_error(
     reference_force: Floats, force: Floats, velocity: Floats, dt: float
 ) -> Floats:
     """Energy error at the end over the largest input energy, that of the measured force."""
-    reference, measured = paired(reference_force, force)
+    reference, measured = metrics.paired(reference_force, force)
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         largest = _peaks(energy_error(measured, velocity, dt))
         return _end(energy_error(measured - reference, velocity, dt) / largest)
@@ -302,6 +281,8 @@ class Tracked:
     ----------
     steps : ndarray of int64
         Shape (N,), consecutive.
+    counted : ndarray of int64
+        Indices of those that both topics have, increasing.
     command, force, velocity : ndarray
         Intended and measured force (N), velocity (m/s), shape (N, n); lost samples are
         interpolated.
@@ -309,7 +290,8 @@ class Tracked:
         Whether the intended force is derived from measurements, and not the one sent.
     """
 
-    steps: Steps
+    steps: Ints
+    counted: Ints
     command: Floats
     force: Floats
     velocity: Floats
@@ -327,22 +309,23 @@ def tracked_of(record: Record) -> Tracked:
     commands, states, motion = (
         record.series[topic.name] for topic in (REFERENCE_FORCE, RIG_STATE, GROUND_MOTION)
     )
-    steps, _, _ = common_steps(commands.steps, states.steps)
+    steps, _, _ = metrics.common_steps(commands.steps, states.steps)
     every = np.arange(steps[0], steps[-1] + 1) if len(steps) else steps
-    measured = every_step(states, every)
+    counted = steps - every[:1]
+    measured = metrics.every_step(states, every)
     force, velocity = measured[:, _FORCE], measured[:, _VELOCITY]
     section = record.experiment.sections.get("reference_force", {})
     assumed = assumed_structure(record.experiment)
     ahead = section.get("compensation.method", "none") not in SENT_AS_MEANT
-    derived = ahead and len(motion.steps) > 0 and len(every) > 0
-    if not derived or assumed is None:
-        command = every_step(commands, every)[:, -1]  # the effort, with a target's motion or not
-        return Tracked(every, command, force, velocity, derived=False)
-    equivalent = EquivalentMotion(whole_structure(assumed), record.experiment.timebase.dt)
-    with np.errstate(over="ignore", invalid="ignore"):  # of a test that went unstable
-        difference = equivalent.advance(measured) - every_step(motion, every)[:, 0]
-        command = force + difference @ equivalent.mass.T
-    return Tracked(every, command, force, velocity, derived=True)
+    sent = metrics.every_step(commands, every)
+    command = sent[:, -1]  # the effort, with a target's motion or not
+    derived = bool(ahead and assumed and len(motion.steps) and len(every))
+    if derived and assumed:
+        equivalent = EquivalentMotion(whole_structure(assumed), record.experiment.timebase.dt)
+        with np.errstate(over="ignore", invalid="ignore"):  # of a test that went unstable
+            difference = equivalent.advance(measured) - metrics.every_step(motion, every)[:, 0]
+            command = force + difference @ equivalent.mass.T
+    return Tracked(every, counted, command, force, velocity, derived)
 
 
 def tracking_of(record: Record, reference: ReferenceResponse | None) -> dict[str, dict[str, Any]]:
@@ -361,19 +344,15 @@ def tracking_of(record: Record, reference: ReferenceResponse | None) -> dict[str
         ``energy_error`` (over the largest input energy), ``energy_error_j`` (J), and ``J``: J1
         (ms), J2, J3 and the axis's displacement criteria (%), NaN without a reference response.
     """
-    commands, states = record.series[REFERENCE_FORCE.name], record.series[RIG_STATE.name]
-    dt = record.experiment.timebase.dt
-    steps, _, _ = common_steps(commands.steps, states.steps)
-    signals = tracked_of(record)
-    counted = steps - steps[0] if len(steps) else steps
+    signals, dt = tracked_of(record), record.experiment.timebase.dt
     command, force, velocity = signals.command, signals.force, signals.velocity
+    states, counted = record.series[RIG_STATE.name], signals.counted
     displacement = states.values[:, _DISPLACEMENT]
     exact = np.full_like(displacement, np.nan)
     if reference is not None:
-        exact = reference.displacement
-        if len(states.steps) != len(exact):
-            exact = exact[states.steps]
-    criteria = benchmark_criteria(command[counted], force[counted], exact, displacement, dt, steps)
+        exact = reference.displacement[states.steps]
+    forces = command[counted], force[counted]
+    criteria = benchmark_criteria(*forces, exact, displacement, dt, signals.steps[counted])
     fei = frequency_evaluation_index(command, force, dt)
     with np.errstate(invalid="ignore", over="ignore"):
         work = energy_error(force - command, velocity, dt)
@@ -383,7 +362,7 @@ def tracking_of(record: Record, reference: ReferenceResponse | None) -> dict[str
         "fei_frequency_hz": fei.frequency_hz,
         "tracking_indicator_end": relative_tracking_indicator(command, force),
         "energy_error": relative_energy_error(command, force, velocity, dt),
-        "energy_error_j": work[-1] if len(work) > 1 else np.full(work.shape[1:], np.nan),
+        "energy_error_j": _end(work),
     }
     return {
         axis: {name: float(values[column]) for name, values in by_axis.items()}
@@ -393,16 +372,7 @@ def tracking_of(record: Record, reference: ReferenceResponse | None) -> dict[str
 
 
 def tracking_error_of(record: Record) -> dict[str, float] | None:
-    """Tracking error of a test whose reference force has a target's motion before it, else None."""
-    targets, states = record.series[REFERENCE_FORCE.name], record.series[RIG_STATE.name]
-    if targets.values.shape[1] < len(TARGET.quantities):
-        return None
-    _, at_targets, at_states = common_steps(targets.steps, states.steps)
-    return tracking_error(states.values[at_states, _DISPLACEMENT], targets.values[at_targets, 0])
-
-
-def tracking_error(displacement: Floats, target: Floats) -> dict[str, float]:
-    """Compare a displacement with its target, m.
+    """Compare the displacement of a test with its target; None: the reference force has none.
 
     Returns
     -------
@@ -410,8 +380,12 @@ def tracking_error(displacement: Floats, target: Floats) -> dict[str, float]:
         ``rms`` and ``peak`` of x - x_target, m, over all axes, and ``nrmse``, that RMS over the
         RMS of x.
     """
-    wanted, x = paired(target, displacement)
+    targets, states = record.series[REFERENCE_FORCE.name], record.series[RIG_STATE.name]
+    if targets.values.shape[1] < len(TARGET.quantities):
+        return None
+    _, at_targets, at_states = metrics.common_steps(targets.steps, states.steps)
+    wanted, x = targets.values[at_targets, 0], states.values[at_states, _DISPLACEMENT]
     with np.errstate(invalid="ignore", over="ignore"):
         error = wanted - x
         rms = float(np.sqrt(np.mean(np.square(error)))) if error.size else np.nan
-    return {"rms": rms, "peak": peak(error), "nrmse": nrmse(wanted, x)}
+    return {"rms": rms, "peak": metrics.peak(error), "nrmse": metrics.nrmse(wanted, x)}

@@ -2,34 +2,21 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from bokeh.document import Document
 from bokeh.embed import components
 from bokeh.model import Model
-from bokeh.models import BoxAnnotation, HoverTool, NumeralTickFormatter, Range1d, Span
+from bokeh.models import BoxAnnotation, DataRange1d, HoverTool, NumeralTickFormatter, Range1d, Span
 from bokeh.plotting import figure
 from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from seft_msgs_py.errors import InputError
 
-from seft_ros.drawing.style import (
-    FIRST,
-    GRID,
-    MARK,
-    MOST_POINTS,
-    REFERENCE,
-    TEXT,
-    Mark,
-    check_folder,
-    thinned,
-)
-
-Floats = npt.NDArray[np.floating[Any]]
+from seft_ros.drawing import style
+from seft_ros.drawing.style import FIRST, MARK, MOST_POINTS, TEXT, Floats, Mark, check_file
 
 SUFFIX = ".html"
 _HEIGHT = 260  # pixels
@@ -50,7 +37,6 @@ class Text:
     """A paragraph."""
 
     text: str
-    kind: str = "text"
 
 
 @dataclass(frozen=True)
@@ -60,7 +46,6 @@ class Verdict:
     mark: Mark
     text: str
     findings: Sequence[Cell] = ()
-    kind: str = "verdict"
 
 
 @dataclass(frozen=True)
@@ -74,7 +59,6 @@ class Table:
     rows: Sequence[Sequence[str | Cell]]
     numbers: bool = True
     wide: bool = False
-    kind: str = "table"
 
     def cells(self) -> list[list[Cell]]:
         """All cells, those without a mark too."""
@@ -91,7 +75,6 @@ class Plot:
     figure: Model
     caption: str = ""
     wide: bool = False
-    kind: str = "plot"
 
 
 @dataclass(frozen=True)
@@ -100,7 +83,6 @@ class Grid:
 
     plots: Sequence[Plot]
     columns: int = 3
-    kind: str = "grid"
 
 
 Block = Text | Verdict | Table | Plot | Grid
@@ -111,7 +93,7 @@ class Section:
     """A heading and the blocks under it."""
 
     title: str
-    blocks: Sequence[Block] = field(default_factory=tuple)
+    blocks: Sequence[Block]
 
 
 def write_page(path: Path, title: str, subtitle: str, sections: Sequence[Section]) -> None:
@@ -119,14 +101,10 @@ def write_page(path: Path, title: str, subtitle: str, sections: Sequence[Section
 
     An InputError says why it can't be written.
     """
-    figures = {}  # by the name under which the template looks for them
-    for place, section in enumerate(sections):
-        for index, block in enumerate(section.blocks):
-            if isinstance(block, Plot):
-                figures[f"{place}-{index}"] = block.figure
-            elif isinstance(block, Grid):
-                own = {f"{place}-{index}-{n}": p.figure for n, p in enumerate(block.plots)}
-                figures.update(own)
+    blocks = [block for section in sections for block in section.blocks]
+    grids = [plot for block in blocks if isinstance(block, Grid) for plot in block.plots]
+    plots = [*(block for block in blocks if isinstance(block, Plot)), *grids]
+    figures = {plot.figure.id: plot.figure for plot in plots}
     document = Document()
     with document.models.freeze():  # one look at all models, not one for each figure
         for one in figures.values():
@@ -148,6 +126,7 @@ def write_page(path: Path, title: str, subtitle: str, sections: Sequence[Section
         library=library,
         script=script,
         places=places,
+        kind=lambda block: type(block).__name__,
     )
     try:
         path.write_text(text, encoding="utf-8")
@@ -160,10 +139,7 @@ def check_page(path: Path) -> Path:
 
     An InputError says that there is no such folder, or that the suffix is of another kind of file.
     """
-    path = path if path.suffix else path.with_suffix(SUFFIX)
-    if path.suffix.lower() not in (SUFFIX, ".htm"):
-        raise InputError(f"{path}: pages end in {SUFFIX}")
-    return check_folder(path)
+    return check_file(path, "pages", SUFFIX, (SUFFIX, ".htm"))
 
 
 def plot(
@@ -179,7 +155,6 @@ def plot(
 
     Labels have units: ``time / s``. Figures with the same ``x_range`` zoom together.
     """
-    shared = {} if x_range is None else {"x_range": x_range}
     found = figure(
         height=height,
         sizing_mode="stretch_width",
@@ -189,14 +164,13 @@ def plot(
         y_axis_label=y_label,
         x_axis_type="log" if log_x else "linear",
         y_axis_type="log" if log_y else "linear",
-        **shared,
+        x_range=x_range or DataRange1d(),
     )
     found.toolbar.logo = None
     found.toolbar.autohide = True
     found.outline_line_color = None
     found.min_border_right = 12
-    for grid in found.grid:
-        grid.grid_line_color = GRID
+    found.grid.grid_line_color = style.GRID
     for axis in found.axis:
         axis.axis_label_text_font_style = "normal"
         axis.axis_label_text_color = axis.major_label_text_color = TEXT
@@ -222,7 +196,7 @@ def line(
     The label is in the legend and under the pointer; empty: in neither. A line is over increasing
     x; a ``loop``, such as a hysteresis, is one of which neither coordinate increases.
     """
-    at = thinned(y)
+    at = style.thinned(y)
     if loop:
         at = np.arange(0, len(x), max(1, -(-len(x) // (2 * MOST_POINTS))))
     renderer = panel.line(
@@ -234,8 +208,7 @@ def line(
         **({"legend_label": label} if label else {}),
     )
     if label and not loop:
-        tips = [(label, "@y{0.0000a}"), (str(panel.xaxis.axis_label), "@x{0.000}")]
-        panel.add_tools(HoverTool(renderers=[renderer], tooltips=tips, visible=False))
+        _hover(panel, renderer, (label, "@y{0.0000a}"), (str(panel.xaxis.axis_label), "@x{0.000}"))
     if label:
         _place_legend(panel)
 
@@ -250,7 +223,7 @@ def against(
 ) -> None:
     """Draw a test, (x, y), over its reference, if there is one."""
     if exact is not None:
-        line(panel, *exact, labels[0], color=REFERENCE, width=3.0, loop=loop)
+        line(panel, *exact, labels[0], color=style.REFERENCE, width=3.0, loop=loop)
     line(panel, *test, labels[1], width=0.9 if loop else 1.3, loop=loop)
 
 
@@ -258,11 +231,8 @@ def dots(panel: figure, x: Floats, y: Floats, label: str = "", *, color: str = F
     """Draw points; the label is in the legend, empty: it is not."""
     legend = {"legend_label": label} if label else {}
     renderer = panel.scatter(x, y, size=5, color=color, alpha=0.6, **legend)
-    tips = [
-        (str(panel.xaxis.axis_label), "@x{0.0000a}"),
-        (str(panel.yaxis.axis_label), "@y{0.000}"),
-    ]
-    panel.add_tools(HoverTool(renderers=[renderer], tooltips=tips, visible=False))
+    x_tip = str(panel.xaxis.axis_label), "@x{0.0000a}"
+    _hover(panel, renderer, x_tip, (str(panel.yaxis.axis_label), "@y{0.000}"))
     if label:
         _place_legend(panel)
 
@@ -273,8 +243,7 @@ def bars(panel: figure, edges: Floats, counts: Floats) -> None:
     renderer = panel.quad(
         left=edges[:-1], right=edges[1:], bottom=low, top=counts, color=FIRST, line_color="white"
     )
-    tips = [("from", "@left{0.000}"), ("to", "@right{0.000}"), ("count", "@top{0}")]
-    panel.add_tools(HoverTool(renderers=[renderer], tooltips=tips, visible=False))
+    _hover(panel, renderer, ("from", "@left{0.000}"), ("to", "@right{0.000}"), ("count", "@top{0}"))
 
 
 def band(panel: figure, low: float, high: float, color: str = MARK) -> None:
@@ -298,6 +267,10 @@ def time_range(times: Sequence[float] | Floats) -> Range1d:
     low, high = (float(times[0]), float(times[-1])) if len(times) else (0.0, 1.0)
     high = high if high > low else low + 1.0
     return Range1d(low, high, bounds=(low, high))
+
+
+def _hover(panel: figure, renderer: Model, *tips: tuple[str, str]) -> None:
+    panel.add_tools(HoverTool(renderers=[renderer], tooltips=list(tips), visible=False))
 
 
 def _place_legend(panel: figure) -> None:

@@ -94,15 +94,18 @@ def check_figure(path: Path) -> Path:
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    path = path if path.suffix else path.with_suffix(".png")
-    known = FigureCanvasAgg.filetypes
-    if path.suffix[1:].lower() not in known:
-        raise InputError(f"{path}: figures end in {', '.join(f'.{name}' for name in known)}")
-    return check_folder(path)
+    known = [f".{name}" for name in FigureCanvasAgg.filetypes]
+    return check_file(path, "figures", ".png", known)
 
 
-def check_folder(path: Path) -> Path:
-    """Refuse a file whose folder does not exist, or that is a folder itself."""
+def check_file(path: Path, what: str, suffix: str, known: Sequence[str]) -> Path:
+    """Complete the name of a file by a suffix, before the work is done that it holds.
+
+    An InputError says that there is no such folder, or that such files have no such suffix.
+    """
+    path = path if path.suffix else path.with_suffix(suffix)
+    if path.suffix.lower() not in known:
+        raise InputError(f"{path}: {what} end in {', '.join(known)}")
     if not path.parent.is_dir() or path.is_dir():
         what = "is a folder" if path.is_dir() else f"there is no folder {path.parent}"
         raise InputError(f"{path}: {what}; name a file in a folder that exists")
@@ -111,8 +114,6 @@ def check_folder(path: Path) -> Path:
 
 def save_figure(figure: "Figure", path: str | Path) -> None:
     """Save a figure in the format of the suffix, png without one; an InputError says why not."""
-    path = Path(path)
-    path = path if path.suffix else path.with_suffix(".png")
     try:
         figure.savefig(path, dpi=150)
     except (OSError, ValueError) as error:

@@ -4,6 +4,7 @@ import math
 import operator
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,8 @@ from ruamel.yaml import YAML
 
 from seft_ros.drawing.style import CENTRED, json_safe, make_table
 from seft_ros.paper import measures
-from seft_ros.paper.findings import BEYOND, Findings
+from seft_ros.paper.findings import Findings
+from seft_ros.paper.paper_tests import BEYOND
 
 Values = Mapping[str, Any]
 
@@ -80,17 +82,19 @@ def judge_claims(found: Findings, rows: Iterable[Statement] | None = None) -> li
     facts = measures.facts(found)
     claims = []
     for row in statements() if rows is None else rows:
-        measure = getattr(measures, row.measure)
         own = {key: row.each[key] for key in ("kind", "ratio", "name") if key in row.each}
-        arguments = {**row.of, **own}
+        measure = partial(getattr(measures, row.measure), found, **row.of, **own)
         if row.rises:
-            ratios = {f"at {ratio:g}": ratio for ratio in row.rises}
-            values = {at: measure(found, **arguments, ratio=ratios[at]) for at in ratios}
+            values = {f"at {ratio:g}": _named(measure(ratio=ratio)) for ratio in row.rises}
+            measured: Values = {at: named["value"] for at, named in values.items()}
         else:
-            values = measure(found, **arguments)
-        measured = values if isinstance(values, dict) else {"value": values}
+            measured = _named(measure())
         claims.append(verdict(row, measured, facts))
     return claims
+
+
+def _named(values: Any) -> Values:
+    return values if isinstance(values, dict) else {"value": values}
 
 
 def statements() -> list[Statement]:
@@ -100,8 +104,7 @@ def statements() -> list[Statement]:
 
 def read_rows(name: str) -> list[dict[str, Any]]:
     """Read a list of mappings from a file beside this one."""
-    rows: list[dict[str, Any]] = YAML(typ="safe", pure=True).load(Path(__file__).with_name(name))
-    return rows
+    return YAML(typ="safe", pure=True).load(Path(__file__).with_name(name))
 
 
 def _spread(rows: Iterable[dict[str, Any]], outer: Values) -> Iterator[Statement]:
@@ -132,15 +135,13 @@ def verdict(row: Statement, measured: Values, facts: Values) -> Claim:
         (keeps, measured[name], limit)
         for sign, keeps in _CRITERIA.items()
         if (given := getattr(row, sign)) is not None
-        for name, limit in (given if isinstance(given, dict) else {"value": given}).items()
+        for name, limit in _named(given).items()
     ]
-    judged = [value for _, value, _ in limits]
     if row.within is not None:
-        judged.append(measured["value"])
-    known = all(value is not None and math.isfinite(value) for value in judged)
+        value = math.nan if measured["value"] is None else measured["value"]
+        limits.append((operator.le, abs(value - float(row.paper)), row.within * (1 + 1e-9)))
+    known = all(value is not None and math.isfinite(value) for _, value, _ in limits)
     agrees = known and all(bool(keeps(value, limit)) for keeps, value, limit in limits)
-    if known and row.within is not None:
-        agrees = bool(abs(measured["value"] - row.paper) <= row.within * (1 + 1e-9))
     if row.rises:
         agrees = all(a < b for a, b in pairwise(measured.values()))
     row = _worded(row, measured, known)
@@ -148,9 +149,9 @@ def verdict(row: Statement, measured: Values, facts: Values) -> Claim:
         row = replace(row, **row.otherwise)
     if row.against:
         row = replace(row, note="" if agrees else row.against)
-    texts = (row.where, row.claim, row.paper, row.ours, row.criterion)
     names = {k: v.format(**facts) if isinstance(v, str) else v for k, v in row.each.items()}
     names = {**facts, **names, **measured}
+    texts = (row.where, row.claim, row.paper, row.ours, row.criterion)
     where, claim, paper, ours, criterion = (str(text).format(**names) for text in texts)
     note = measured.get("note") or row.note.format(**names)
     return Claim(where, claim, paper, ours, agrees, criterion, note)

@@ -10,48 +10,26 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError
 
 from seft_ros.bags.record import Record
-from seft_ros.design import Source
+from seft_ros.design import Source, rig_tests
 from seft_ros.design.controller import Controller
 from seft_ros.design.identified import ClosedLoop, Identified, ValveResponse, identify
 from seft_ros.design.plan import Plan
-from seft_ros.design.rig_tests import (
-    PILOT_DURATION,
-    Levels,
-    Motions,
-    closed_loop,
-    default_force,
-    open_loop,
-    pilot_voltage,
-    voltage_after,
-)
 from seft_ros.ensemble.workers import parallel_map
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
 from seft_ros.paper.paper_tests import (
-    BEYOND_SHARE,
-    DELAY,
+    BEYOND,
+    COMPUTED,
+    Key,
     Outcome,
-    changed,
-    conventional,
-    delayed,
-    model_compensated,
-    recommended,
+    planned_tests,
     run_test,
+    simulations_within,
     uncompensated,
-    whole_delay,
 )
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
 
 Progress = Callable[[str, int], None]
-
-COMPUTED = (0.5, 1.0)
-"""Mass ratios at which the paper shows tests with a computed mass."""
-
-BEYOND = (0.5, 1.0, 1.5)
-"""Mass ratios of the tests beyond the paper."""
-
-Key = tuple[str, float]
-"""A kind of test and its mass ratio."""
 
 CALCULATIONS = 1 + 5 + 3 * len(COMPUTED) + 3 * len(BEYOND) + 2 * len(COMPUTED)
 """Identification, tests on the rig, with the delay and with compensation, beyond the paper, and
@@ -160,7 +138,7 @@ def find(experiment: Experiment, workers: int, progress: Progress) -> Findings:
     )
     mass = float(np.atleast_1d(experiment["reference_force"]["model.mass"])[0])
     peak_force = mass * float(np.abs(motion.samples).max())
-    planned = _planned(experiment, peak_force)
+    planned = planned_tests(experiment, peak_force)
     tests: dict[Key, Outcome] = {}
 
     with parallel_map(workers) as map_:
@@ -177,42 +155,17 @@ def find(experiment: Experiment, workers: int, progress: Progress) -> Findings:
         run(planned, 0)
         ((_, identified),) = identifying
         progress("identification", len(tests) + 1)
-        planned |= (banded := _banded(experiment, identified.closed_loops[0]))
-        run(banded, 1)
+        tracking = identified.closed_loops[0].tracking
+        # what was identified, from f_r of a step to f of the same, has the sampling period in it
+        own = max((tracking.delay_s or 0.0) - experiment.timebase.dt, 0.0)
+        within = simulations_within(experiment, tracking.bandwidth_hz or 0.0, own)
+        planned |= within
+        run(within, 1)
     growths = {
         key: _growth(plan) for key, plan in planned.items() if key[0] in ("rig", "delay", "banded")
     }
     plain = uncompensated(experiment, 0.0)
     return Findings(plain, motion.facts["source"], peak_force, identified, tests, growths)
-
-
-def _planned(experiment: Experiment, peak_force: float) -> dict[Key, Experiment]:
-    """Plan what needs nothing of the identification."""
-    lower = BEYOND_SHARE * peak_force
-    less = changed(experiment, {"ground_motion": {"peak_force": lower}})
-    planned = {("rig", ratio): uncompensated(experiment, ratio) for ratio in (0.0, 0.5, 1.0, 1.5)}
-    planned["eft", 0.0] = conventional(experiment)
-    for ratio in COMPUTED:
-        planned["delay", ratio] = delayed(experiment, ratio, DELAY)
-        planned["model", ratio] = model_compensated(experiment, ratio, whole_delay(experiment))
-        planned["model_tau", ratio] = model_compensated(experiment, ratio, DELAY)
-    for ratio in BEYOND:
-        planned["plain", ratio] = uncompensated(less, ratio)
-        planned["target", ratio] = recommended(experiment, ratio, lower)
-        planned["target_full", ratio] = recommended(experiment, ratio, peak_force)
-    return planned
-
-
-def _banded(experiment: Experiment, closed: ClosedLoop) -> dict[Key, Experiment]:
-    """Plan simulations with a delay within the identified bandwidth of the force loop."""
-    bandwidth = closed.tracking.bandwidth_hz or 0.0
-    # what was identified, from f_r of a step to f of the same step, has the sampling period in it
-    own = max((closed.tracking.delay_s or 0.0) - experiment.timebase.dt, 0.0)
-    return {
-        (kind, ratio): delayed(experiment, ratio, delay, bandwidth)
-        for ratio in COMPUTED
-        for kind, delay in (("banded", DELAY), ("own", own))
-    }
 
 
 def _growth(experiment: Experiment) -> Growth:
@@ -231,15 +184,17 @@ def identify_rig(experiment: Experiment) -> Identified:
     """
     controller = Controller.from_parameters(experiment["force_controller"])
     band = (_BAND[0], min(0.45 * experiment.timebase.rate, _BAND[1]))
-    levels = Levels(pilot_voltage(experiment), default_force(experiment, "random"))
-    motions = Motions(experiment, levels.force, "random", band, _SEED)
+    voltage = rig_tests.pilot_voltage(experiment)
+    force = rig_tests.default_force(experiment, "random")
+    motions = rig_tests.Motions(experiment, force, "random", band, _SEED)
     with TemporaryDirectory() as folder:
-        short = motions.write(Path(folder) / "pilot.csv", PILOT_DURATION)
-        pilot = _identification(open_loop(experiment, short, levels), "pilot")
-        levels = Levels(voltage_after(pilot, levels.voltage), levels.force)
+        short = motions.write(Path(folder) / "pilot.csv", rig_tests.PILOT_DURATION)
+        levels = rig_tests.Levels(voltage, force)
+        pilot = _identification(rig_tests.open_loop(experiment, short, levels), "pilot")
+        levels = rig_tests.Levels(rig_tests.voltage_after(pilot, voltage), force)
         motion = motions.write(Path(folder) / "excitation.csv", DURATION)
-        opened = _identification(open_loop(experiment, motion, levels), "open loop")
-        closed = _identification(closed_loop(experiment, motion), "closed loop")
+        opened = _identification(rig_tests.open_loop(experiment, motion, levels), "open loop")
+        closed = _identification(rig_tests.closed_loop(experiment, motion), "closed loop")
     found = identify(opened, closed, band, controller)
     if found.unusable:
         raise ExperimentError(f"identification: {found.unusable[0]}")

@@ -118,28 +118,27 @@ def error(
     ratio: float,
     name: str,
     *,
+    from_rig: bool = False,
     aligned: bool = False,
     controlled: bool = False,
-) -> float:
-    """NRMSE of a test; ``aligned``: after the best-fit delay, ``controlled``: no vibration."""
-    agreement = found.tests[kind, ratio].agreement(name, controlled=controlled)
-    return agreement.nrmse_aligned if aligned else agreement.nrmse
-
-
-def error_from_rig(
-    found: Findings, kind: str, ratio: float, name: str, *, controlled: bool = False
 ) -> Values:
-    """NRMSE of a simulation against the test on the rig, and why that may depart from it."""
-    rig = found.tests["rig", ratio]
-    note = f"under this motion the rig was at the end of a range ({', '.join(rig.saturated)})"
+    """NRMSE of a test against its reference, or a simulation's against the test on the rig.
+
+    ``aligned``: after the best-fit delay, ``controlled``: no vibration. The note says why a
+    simulation may depart from the rig.
+    """
+    rig = found.tests["rig", ratio] if from_rig else None
+    note = ""
+    if rig is not None and rig.saturated:
+        note = f"under this motion the rig was at the end of a range ({', '.join(rig.saturated)})"
     agreement = found.tests[kind, ratio].agreement(name, rig, controlled=controlled)
-    return {"value": agreement.nrmse, "note": note if rig.saturated else ""}
+    return {"value": agreement.nrmse_aligned if aligned else agreement.nrmse, "note": note}
 
 
 def error_of_pure_delay(found: Findings, ratio: float) -> Values:
     """NRMSE of the displacement by Eq. 5.4; none where it is unstable, and how it grows."""
     if found.tests["delay", ratio].stable:
-        return error_from_rig(found, "delay", ratio, "displacement")
+        return error(found, "delay", ratio, "displacement", from_rig=True)
     return {"value": None, **growth(found, "delay", ratio)}
 
 
@@ -173,31 +172,27 @@ def resonance(found: Findings) -> Values:
     return {"magnitude": magnitude, "departure": departure, "phase": phase, "hz": natural}
 
 
-def vibration(found: Findings, kind: str, ratio: float, name: str, times: float) -> Values:
-    """Share of vibration, and what it has beyond some times the reference's."""
-    test = found.tests[kind, ratio]
-    ours, exact = test.vibrations(name)
+def vibration(
+    found: Findings, kind: str, ratio: float, name: str = "acceleration", times: float = 0.0
+) -> Values:
+    """Vibration of a test, of its reference, and on the rig.
+
+    Level over the reference's, NaN where that has none; shares, and what the test's has beyond
+    some times the reference's; levels of the test and on the rig, and how much smaller that is.
+    """
+    test, rig = found.tests[kind, ratio], found.tests["rig", ratio]
+    (ours, exact), (on_rig, _) = test.vibrations(name), rig.vibrations(name)
     return {
+        "value": ours.rms / exact.rms if exact.rms > 0 else float("nan"),
         "share": ours.share,
         "exact_share": exact.share,
         "excess": ours.share - times * exact.share,
         "hz": ours.peak_hz,
+        "simulated": ours.rms,
+        "measured": on_rig.rms,
+        "fewer": on_rig.rms - ours.rms,
         "stable": test.stable,
     }
-
-
-def vibration_ratio(found: Findings, kind: str, ratio: float, name: str) -> float:
-    """Level of the vibration over that of the reference response; NaN where that has none."""
-    ours, exact = found.tests[kind, ratio].vibrations(name)
-    return ours.rms / exact.rms if exact.rms > 0 else float("nan")
-
-
-def vibration_levels(found: Findings, kind: str, ratio: float) -> Values:
-    """Levels of the acceleration's vibration in a simulation and on the rig, m/s^2."""
-    test, rig = found.tests[kind, ratio], found.tests["rig", ratio]
-    ours, theirs = (part.vibrations("acceleration")[0].rms for part in (test, rig))
-    difference = theirs - ours
-    return {"simulated": ours, "measured": theirs, "fewer": difference, "stable": test.stable}
 
 
 def vibration_and_growth(found: Findings) -> Values:

@@ -11,36 +11,13 @@ from bokeh.plotting import figure
 from seft_msgs_py.arrays import Complexes, Floats
 
 from seft_ros.design.loop_margins import BAND_HZ
-from seft_ros.drawing.page import (
-    Block,
-    Cell,
-    Grid,
-    Plot,
-    Section,
-    Table,
-    Text,
-    Verdict,
-    band,
-    level,
-    line,
-    mark,
-    plot,
-    time_range,
-    write_page,
-)
-from seft_ros.drawing.style import (
-    DISPLAY_UNITS,
-    FIRST,
-    GOOD_ERROR,
-    OTHERS,
-    REFERENCE,
-    RESPONSES,
-    Mark,
-)
+from seft_ros.drawing import page, style
+from seft_ros.drawing.page import Cell, Grid, Plot, Section, Table, Text, line, mark, plot
+from seft_ros.drawing.style import FIRST, OTHERS, REFERENCE, Mark
 from seft_ros.paper import measures
 from seft_ros.paper.claims import Claim, read_rows
-from seft_ros.paper.findings import BEYOND, COMPUTED, Findings
-from seft_ros.paper.paper_tests import BEYOND_SHARE, Outcome
+from seft_ros.paper.findings import Findings
+from seft_ros.paper.paper_tests import BEYOND, BEYOND_SHARE, COMPUTED, Outcome
 
 Response = tuple[Floats, Complexes, str]  # Hz, values, label
 Curve = tuple[Floats, dict[str, Floats], str, str]  # time, signals, label, colour
@@ -54,7 +31,7 @@ _MEASURED, _MODEL = "experiment", "analysis"
 _RANGE_HZ = (0.5, 200.0)
 _CLOSED_TO_HZ = 60.0
 _HEIGHT, _SMALL = 250, 230  # pixels
-_UNITS = DISPLAY_UNITS | {"force": ("kN", 1e-3)}
+_UNITS = style.DISPLAY_UNITS | {"force": ("kN", 1e-3)}
 _SIMULATED, _COMPENSATED = OTHERS[2], OTHERS[1]
 _STRONG = (0.1, 0.9)  # of the energy: the part that is in view at first
 _MARGIN = 0.3  # s before and after
@@ -66,7 +43,7 @@ def write_paper(found: Findings, claims: Sequence[Claim], config: str, path: Pat
     facts = measures.facts(found)
     sections = [Section("Claims", _overview(found, claims))]
     for row in read_rows("paper_page.yaml"):
-        blocks: list[Block] = [Text(row["text"].format(**facts))] if "text" in row else []
+        blocks: list[page.Block] = [Text(row["text"].format(**facts))] if "text" in row else []
         for chosen in row.get("figures", ()):
             blocks.append(FIGURES[chosen.pop("name")](found, **chosen))
         own = [claim for claim in claims if claim.where.startswith(tuple(row["claims"]))]
@@ -75,10 +52,10 @@ def write_paper(found: Findings, claims: Sequence[Claim], config: str, path: Pat
         sections.append(Section(row["title"], blocks))
     sections.append(Section("Beyond the paper", _beyond(found)))
     subtitle = f"{PAPER}; here with {config} under {facts['source']}"
-    write_page(path, "The paper's figures and claims, reproduced", subtitle, sections)
+    page.write_page(path, "The paper's figures and claims, reproduced", subtitle, sections)
 
 
-def _overview(found: Findings, claims: Sequence[Claim]) -> list[Block]:
+def _overview(found: Findings, claims: Sequence[Claim]) -> list[page.Block]:
     against = [
         Cell(f"{_placed(c)}: paper {c.paper}, ours {c.ours}.{_sentence(c.note)}", Mark.BAD)
         for c in claims
@@ -90,12 +67,12 @@ def _overview(found: Findings, claims: Sequence[Claim]) -> list[Block]:
     text = f"{len(claims) - len(against)} of {len(claims)} claims agree. {record}."
     rows = [_cells(claim) for claim in claims]
     return [
-        Verdict(Mark.DOUBT if against else Mark.GOOD, text, against),
+        page.Verdict(Mark.DOUBT if against else Mark.GOOD, text, against),
         Table(_HEADINGS, rows, numbers=False, wide=True),
     ]
 
 
-def _beyond(found: Findings) -> list[Block]:
+def _beyond(found: Findings) -> list[page.Block]:
     full = found.peak_force
     lower = BEYOND_SHARE * full
     text = (
@@ -124,7 +101,7 @@ def _error(test: Outcome) -> Cell:
         return Cell(f"unstable, trips{at}", Mark.BAD)
     error = test.agreement("displacement").nrmse
     full = " (valve saturated)" if "valve" in test.saturated else ""
-    return Cell(f"{error:.1%}{full}", Mark.GOOD if error < GOOD_ERROR else Mark.DOUBT)
+    return Cell(f"{error:.1%}{full}", Mark.GOOD if error < style.GOOD_ERROR else Mark.DOUBT)
 
 
 def _cells(claim: Claim) -> list[str | Cell]:
@@ -145,8 +122,7 @@ def open_loop_figure(found: Findings) -> Grid:
     measured, model = found.valve.measured, found.valve.loop
     f, own, sampled = measured.frequencies_hz, model.frequencies_hz, model.sampled
     controller = model.controller.sampled_response(f, found.experiment.timebase.dt)
-    zero, pole = found.zero_hz, found.pole_hz
-    crossover = model.margins.crossover_hz
+    zero, pole, crossover = found.zero_hz, found.pole_hz, model.margins.crossover_hz
     columns: list[tuple[str, list[Response], list[float], str]] = [
         ("(a) valve to force, N/V",
          [(f, measured.response, _MEASURED), (own, sampled.plant, _MODEL)], [zero, pole],
@@ -167,7 +143,7 @@ def open_loop_figure(found: Findings) -> Grid:
         ]
         _draw_responses(panels, curves, _RANGE_HZ[1])
         if title.startswith("(c)"):
-            level(panels[0], 0.0)
+            page.level(panels[0], 0.0)
         for hz in marks:
             mark(panels[0], hz)
         magnitudes.append(Plot(panels[0], caption))
@@ -184,9 +160,9 @@ def closed_loop_figure(found: Findings) -> Grid:
     own = measured.frequencies_hz, measured.response, _MEASURED
     modelled = model.frequencies_hz, model.sampled.tracking, _MODEL
     _draw_responses(panels, [own, modelled], _CLOSED_TO_HZ)
-    level(panels[0], 0.0)
+    page.level(panels[0], 0.0)
     for panel in panels:
-        band(panel, 0.0, BAND_HZ, color=FIRST)
+        page.band(panel, 0.0, BAND_HZ, color=FIRST)
     if found.closed.tracking.dip_hz is not None:
         mark(panels[0], found.closed.tracking.dip_hz)
     captions = (
@@ -210,7 +186,7 @@ def _draw_responses(panels: Sequence[figure], curves: Sequence[Response], to_hz:
 def histories_figure(found: Findings) -> Grid:
     """Draw Figure 6: displacement, force and acceleration at three mass ratios."""
     cells = []
-    for name, ratio in product(RESPONSES, (0.0, *COMPUTED)):
+    for name, ratio in product(style.RESPONSES, (0.0, *COMPUTED)):
         test, (unit, factor) = found.tests["rig", ratio], _UNITS[name]
         error = test.agreement(name)
         caption = (
@@ -257,7 +233,7 @@ def pure_delay_figure(found: Findings) -> Plot:
     beyond = np.flatnonzero(np.abs(test.measured[name]) > most)
     count = int(beyond[0]) if len(beyond) else len(test.time)
     end = min(len(rig.time), max(count + count // 4, 2))
-    panel = plot("time / s", f"{name}, alpha = 1 / (m/s²)", x_range=time_range(rig.time[:end]))
+    panel = plot("time / s", f"{name}, alpha = 1 / (m/s²)", x_range=page.time_range(rig.time[:end]))
     line(panel, rig.time[:end], rig.exact[name][:end], "reference", color=REFERENCE)
     signal = test.measured[name][:count]
     line(panel, test.time[:count], signal, "Eq. 5.4 as printed", color=_SIMULATED)
@@ -286,7 +262,7 @@ def _grid(
 ) -> Grid:
     """Draw time histories that zoom together, and begin at the motion's strong part."""
     test = found.tests["rig", 0.0]
-    shared = time_range(test.time)
+    shared = page.time_range(test.time)
     energy = np.cumsum(test.exact["acceleration"] ** 2)
     start, end = np.interp(_STRONG, energy / energy[-1], test.time) if energy[-1] > 0 else (0, 0)
     if end > start:

@@ -24,6 +24,15 @@ from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 from seft_ros.test_run.compiled_loop import build_blocks, with_method
 from seft_ros.test_run.offline import simulate
 
+COMPUTED = (0.5, 1.0)
+"""Mass ratios at which the paper shows tests with a computed mass."""
+
+BEYOND = (0.5, 1.0, 1.5)
+"""Mass ratios of the tests beyond the paper."""
+
+Key = tuple[str, float]
+"""A kind of test and its mass ratio."""
+
 DELAY = 0.01
 """Delay of the actuator that the paper identified and simulates with (section 5.2), s."""
 
@@ -166,6 +175,35 @@ def recommended(experiment: Experiment, mass_ratio: float, peak_force: float) ->
     return changed(with_method(experiment, TARGET_MOTION), changes)
 
 
+def planned_tests(experiment: Experiment, peak_force: float) -> dict[Key, Experiment]:
+    """Plan all tests that need nothing of the identification; ``peak_force`` is the motion's, N."""
+    lower = BEYOND_SHARE * peak_force
+    less = changed(experiment, {"ground_motion": {"peak_force": lower}})
+    planned = {("rig", ratio): uncompensated(experiment, ratio) for ratio in (0.0, 0.5, 1.0, 1.5)}
+    planned["eft", 0.0] = conventional(experiment)
+    for ratio in COMPUTED:
+        planned["delay", ratio] = delayed(experiment, ratio, DELAY)
+        planned["model", ratio] = model_compensated(experiment, ratio, whole_delay(experiment))
+        planned["model_tau", ratio] = model_compensated(experiment, ratio, DELAY)
+    for ratio in BEYOND:
+        planned["plain", ratio] = uncompensated(less, ratio)
+        planned["target", ratio] = recommended(experiment, ratio, lower)
+        planned["target_full", ratio] = recommended(experiment, ratio, peak_force)
+    return planned
+
+
+def simulations_within(
+    experiment: Experiment, bandwidth_hz: float, own_delay: float
+) -> dict[Key, Experiment]:
+    """Plan simulations with the paper's and the rig's own delay (s) within a bandwidth."""
+    delays = {"banded": DELAY, "own": own_delay}
+    return {
+        (kind, ratio): delayed(experiment, ratio, delay, bandwidth_hz)
+        for ratio in COMPUTED
+        for kind, delay in delays.items()
+    }
+
+
 class Vibration(NamedTuple):
     """What of a signal lies above `VIBRATION_HZ`.
 
@@ -270,5 +308,4 @@ def without_vibration(y: Floats, rate: float) -> Floats:
     """Keep what lies below `VIBRATION_HZ`, without shifting it; shape (N,) as given."""
     low_pass = scipy.signal.butter(_ORDER, VIBRATION_HZ, fs=rate, output="sos")
     edge = min(6 * _ORDER, len(y) - 1)  # what a test that tripped at once has room for
-    kept: Floats = scipy.signal.sosfiltfilt(low_pass, y, padlen=edge)
-    return kept
+    return scipy.signal.sosfiltfilt(low_pass, y, padlen=edge)
