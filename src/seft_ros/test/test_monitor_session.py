@@ -178,13 +178,3 @@ def test_events_are_bounded(session):
     for number in range(3 * EVENTS):
         session.on_state(state("idle", f"waiting for {number}"))
     assert len(session.events) == EVENTS
-
-
-def test_parameters_that_tell_the_test_are_text(session):
-    session.on_description("reference_force", {"mass_ratio": float("nan"), "method": "seft"})
-    session.on_description("rig", {"pace": "<b>lockstep</b>"})
-    assert session.summary()["parameters"] == {
-        "reference_force: method": "seft",
-        "reference_force: mass_ratio": "nan",
-        "rig: pace": "<b>lockstep</b>",
-    }

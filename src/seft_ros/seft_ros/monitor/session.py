@@ -18,13 +18,6 @@ ENDED_WITH_TEST = 0.5  # s before a test's end: a node that sent then was shut d
 NOT_BEGUN = (State.IDLE, State.READY)
 EVENTS = 200
 MARGIN, ROUND_TRIP = "margin ", "round trip "
-SHOWN = {
-    "ground_motion": ("file", "peak_force", "time_scale"),
-    "reference_force": ("method", "mass_ratio", "compensation.method", "loop_delay"),
-    "rig": ("pace",),
-    "recorder": ("name",),
-}
-"""Parameters that identify a test."""
 
 
 class Session:
@@ -113,25 +106,23 @@ class Session:
 
     def summary(self) -> dict[str, Any]:
         """Give the values for the page, JSON values."""
-        state, values = self._experiment.message, self._experiment.values
-        rig = self._of_all_rigs()
+        test, rig = self._experiment, self._of_all_rigs()
         return {
             "heard": "" in self._nodes,
             "number": self.number,
             "name": self._name(),
             "silent": self._silent,
-            "state": state,
-            "detail": values.get("detail", ""),
-            "step": _number(values.get("step")),
-            "time_s": _number(values.get("time_s")),
-            "steps": _number(values.get("steps")),
-            "ended": state in ENDED,
+            "state": test.message,
+            "detail": test.values.get("detail", ""),
+            "step": test.number("step"),
+            "time_s": _number(test.values.get("time_s")),
+            "steps": test.number("steps"),
+            "ended": test.message in ENDED,
             "missed": rig.get("missed"),
             "overruns": rig.get("overruns"),
             "margins": _of(rig, MARGIN),
             "round_trip": _of(rig, ROUND_TRIP),
             "nodes": [self._node(name) for name in sorted(self._nodes, key=_order) if name],
-            "parameters": self._parameters(),
         }
 
     def _node(self, name: str) -> dict[str, Any]:
@@ -142,7 +133,7 @@ class Session:
             "name": name,
             "level": (4 if ended else 3) if silent else status.level,
             "text": status.message,
-            "refused": _number(status.values.get("refused")),
+            "refused": status.number("refused"),
         }
 
     def _name(self) -> str:
@@ -158,14 +149,6 @@ class Session:
         if bag := self.sections.get("recorder", {}).get("name"):
             words.append(f"bag {bag}")
         return ", ".join(words)
-
-    def _parameters(self) -> dict[str, str]:
-        return {
-            f"{node}: {name}": str(self.sections[node][name])
-            for node, names in SHOWN.items()
-            for name in names
-            if self.sections.get(node, {}).get(name) not in (None, "", 0)
-        }
 
     def _of_all_rigs(self) -> dict[str, float]:
         """Combine the numbers of all rigs: the sum of missed commands, otherwise the worst."""
