@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from seft_msgs_py.node.node_shell import NodeBody, NodeKind, NodeShell
@@ -22,15 +23,7 @@ from seft_msgs_py.wire.messages import (
     decode_diagnostics,
     encode_status,
 )
-from seft_msgs_py.wire.outcome import (
-    FINISHED,
-    MOVING,
-    REHEARSED,
-    RIG,
-    STOPPED,
-    TRIPPED,
-    State,
-)
+from seft_msgs_py.wire.outcome import FINISHED, MOVING, REHEARSED, RIG, STOPPED, TRIPPED, State
 from seft_msgs_py.wire.topics import (
     CLOCK_TOPIC,
     DESCRIPTION,
@@ -56,11 +49,7 @@ from seft_ros.test_run.peers import (
     silence,
     silent,
 )
-from seft_ros.test_run.state_machine import (
-    PACE,
-    Answer,
-    StateMachine,
-)
+from seft_ros.test_run.state_machine import PACE, Answer, StateMachine
 
 HEARTBEAT = 0.2  # s between two publications of the state
 AGES_PERIOD = 1.0  # s
@@ -108,13 +97,9 @@ class SupervisorNode(NodeBody):
         shell.subscribe(DESCRIPTION, self._on_description, depth=64)
         shell.subscribe(CLOCK_TOPIC, self._on_clock, wake=False)
         machine = self._machine
-        for name, request in (
-            ("start", self._in_time(machine.start, "start")),
-            ("stop", machine.stop),
-            ("estop", machine.estop),
-            ("reset", self._in_time(self._reset, "reset")),
-        ):
-            shell.node.create_service(Trigger, name, self._service(request))
+        requests = {"start": machine.start, "stop": machine.stop, "estop": machine.estop}
+        for name, request in {**requests, "reset": self._reset}.items():
+            shell.node.create_service(Trigger, name, partial(self._serve, name, request))
 
     def run(self) -> None:
         """Supervise until the process ends."""
@@ -195,19 +180,22 @@ class SupervisorNode(NodeBody):
         return f"{UNFIT}{found.refusal}" if found.refusal else ""
 
     def _watch_peers(self) -> None:
-        """Trip if a peer becomes silent: softly, if the loop can continue without it."""
+        """Trip if a peer becomes silent, or if a ramp does not end."""
         gone = silent(self._peers, self._statuses, self._now, self._timeout)
         self._lost.update(gone)
         for node in sorted(gone, key=SOFT_PEERS.__contains__):
-            soft = node in SOFT_PEERS
-            trip = self._machine.soft_trip if soft else self._machine.hard_trip
-            trip(silence(node, self._statuses), self._step())
+            self._trip(node, silence(node, self._statuses), self._step())
         ramped_for = self._now - self._since if self._state is State.RAMPING_DOWN else 0.0
         if self._machine.state is State.RAMPING_DOWN and ramped_for > self._ramp_patience():
             self._machine.hard_trip(
                 f"the reference force has not become zero within {self._ramp_patience():g} s",
                 self._step(),
             )
+
+    def _trip(self, node: str, reason: str, step: int | None) -> None:
+        """Trip because of a node: softly, if the loop can continue without it."""
+        trip = self._machine.soft_trip if node in SOFT_PEERS else self._machine.hard_trip
+        trip(reason, step)
 
     def _ramp_patience(self) -> float:
         margin = self._section["watchdog.ramp_margin"]
@@ -233,31 +221,22 @@ class SupervisorNode(NodeBody):
             return Answer(True, "the loop is rehearsed again")
         return self._machine.reset(moving=any(self._phase(n) == "running" for n in self._rig_nodes))
 
-    def _in_time(self, request: Callable[[], Answer], what: str) -> Callable[[], Answer]:
-        """Refuse requests that may have waited while this process stalled."""
+    def _serve(self, name: str, request: Callable[[], Answer], _: Any, response: Any) -> Any:
+        found = self._shell.attempt("a service", self._answer, name, request) or FAULTY
+        response.success, response.message = found.accepted, found.text
+        return response
 
-        def answer() -> Answer:
+    def _answer(self, name: str, request: Callable[[], Answer]) -> Answer:
+        """Act on a request, unless it may have waited while this process stalled; a stop may."""
+        with self._lock:
             now = time.monotonic()
-            if now - self._looked_at > STOOD_STILL or now - self._woke_at < STOOD_STILL:
-                return Answer(False, f"can't {what}: the supervisor has stalled; try again")
-            return request()
-
-        return answer
-
-    def _service(self, request: Callable[[], Answer]) -> Callable[[Any, Any], Any]:
-        def answer() -> Answer:
-            with self._lock:
-                found = request()
-                self._follow_state()
-                self._publish_if_due()
-            return found
-
-        def serve(_: Any, response: Any) -> Any:
-            found = self._shell.attempt("a service", answer) or FAULTY
-            response.success, response.message = found.accepted, found.text
-            return response
-
-        return serve
+            stalled = now - self._looked_at > STOOD_STILL or now - self._woke_at < STOOD_STILL
+            if stalled and name in ("start", "reset"):
+                return Answer(False, f"can't {name}: the supervisor has stalled; try again")
+            found = request()
+            self._follow_state()
+            self._publish_if_due()
+        return found
 
     def _publish_if_due(self) -> None:
         """Publish the state when it has changed, and as a heartbeat."""
@@ -313,12 +292,11 @@ class SupervisorNode(NodeBody):
         phase, reason = status.values.get("phase"), status.values.get("reason")
         is_rig = status.name in self._rig_nodes
         if phase == TRIPPED:
-            reason, machine = reason or status.message, self._machine
-            trip = machine.soft_trip if status.name in SOFT_PEERS else machine.hard_trip
+            reason = reason or status.message
             cause = reason if is_rig else f"{status.name}: {reason}"
-            trip(cause, status.number("step"))
+            self._trip(status.name, cause, status.number("step"))
             if status.name in self._lost and reason != STOPPED:
-                machine.note(cause)  # its trip while the link was cut
+                self._machine.note(cause)  # its trip while the link was cut
         elif is_rig and phase == FINISHED:
             if all(self._phase(rig) == FINISHED for rig in self._rig_nodes):
                 self._machine.finish(f"{status.values.get('steps')} steps done")
