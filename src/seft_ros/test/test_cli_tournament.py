@@ -56,9 +56,6 @@ def test_none_is_unstable_at_mass_ratio_1_5(tournament):
 def test_two_processes_find_what_one_finds(tournament, tmp_path):
     words = ("--method", "none", "--rigs", "3", "--mass-ratio", "0.5", "--mass-ratio", "0")
     one, two = (tournament(*words, "--workers", count, "--figure", "f") for count in "12")
-    for found in (one, two):
-        for row in found["standings"]:
-            assert 0 < row.pop("cost_s") < 1
     assert one == two
     assert [rig["rig"] for rig in one["rigs"]] == [0, 1, 2]
     assert one["rigs"][0]["specimen.stiffness"] == 2.11e5
@@ -85,7 +82,7 @@ def test_for_people_there_is_a_table_and_why_methods_are_missing(seft, monkeypat
     words = (*HERE, "--rigs", "1", "--method", "none", "--method", "impossible")
     status, out, _ = seft("tournament", JHU, *SHORT, *words, "--mass-ratio", "0.5")
     assert status == 0
-    for told in ("mass ratio 0.5", "none", "NRMSE", "µs", "impossible: not possible: it lacks"):
+    for told in ("mass ratio 0.5", "none", "NRMSE", "impossible: not possible: it lacks"):
         assert told in out
 
 

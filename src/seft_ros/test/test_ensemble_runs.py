@@ -1,6 +1,5 @@
 """A tournament's tests are those of `seft simulate`, whoever calculates them."""
 
-import time
 from pathlib import Path
 
 import pytest
@@ -9,7 +8,7 @@ from seft_msgs_py.errors import ExperimentError, InputError
 from seft_ros.analysis.summary import summarise
 from seft_ros.ensemble import runs as runs_module
 from seft_ros.ensemble.entries import Entry, make_tournament
-from seft_ros.ensemble.runs import Place, run_all, step_cost
+from seft_ros.ensemble.runs import Place, run_tests
 from seft_ros.reference_force.compensation_methods import METHODS
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
@@ -28,6 +27,10 @@ def load(*words):
 def simulated(experiment):
     summary = summarise(simulate(experiment, build_blocks(experiment)))
     return {key: summary[key] for key in KEYS}
+
+
+def run_all(tournament, place=None, progress=None):
+    return run_tests(tournament.tests(), place or Place(), progress, "tournament")
 
 
 def alike(found, wanted):
@@ -240,23 +243,3 @@ def test_a_method_that_breaks_is_told_with_its_test(monkeypatch):
     with pytest.raises(ExperimentError) as caught:
         run_all(tournament)
     assert str(caught.value) == "mass ratio 0.5, rig 0, broken: ZeroDivisionError: division by zero"
-
-
-def test_the_cost_is_that_of_the_compensator_alone(monkeypatch):
-    def slow(known):
-        compensator = METHODS["none"](known)
-        quick = compensator.step
-
-        def step(*arguments):
-            end = time.perf_counter() + 200e-6
-            while time.perf_counter() < end:
-                pass
-            return quick(*arguments)
-
-        compensator.step = step
-        return compensator
-
-    monkeypatch.setitem(METHODS, "slow", slow)
-    tournament = make_tournament(load(), ["none", "slow"], [1.0])
-    assert step_cost(tournament, 1.0, "slow") >= 200e-6
-    assert step_cost(tournament, 1.0, "none") > 0

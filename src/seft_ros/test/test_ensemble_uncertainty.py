@@ -13,14 +13,12 @@ from seft_msgs_py.errors import InputError
 from seft_ros.ensemble.entries import perturbed_rig
 from seft_ros.ensemble.runs import Run
 from seft_ros.ensemble.uncertainty import (
-    Draw,
     Uncertainty,
     draw_tests,
     drawn_motion,
     of_files,
     quantiles,
     sensitivity,
-    share_interval,
     summarise_uncertainty,
 )
 from seft_ros.test_run.parameter_tables import TABLES
@@ -44,7 +42,7 @@ def made_up(errors, files=(), values=None):
     experiments = [{"ground_motion": {"file": file}} for file in files or [""] * len(errors)]
     runs = [
         Run(
-            Draw(number),
+            f"test {number}",
             {name: part(error) for name in ("displacement", "force", "acceleration")}
             | {"stable": error is None or math.isfinite(error), "trip": None},
         )
@@ -151,10 +149,14 @@ def test_equal_errors_correlate_with_nothing():
 
 
 def test_the_interval_of_a_share_is_wilsons():
-    # Newcombe 1998, table I: 81 of 263, 15 of 148, 0 of 20
-    assert share_interval(81, 263) == pytest.approx((0.2553, 0.3662), abs=5e-5)
-    assert share_interval(15, 148) == pytest.approx((0.0624, 0.1605), abs=5e-5)
-    assert share_interval(0, 20) == pytest.approx((0.0, 0.1611), abs=5e-5)
+    def interval(count, total):
+        errors = [0.01] + [math.inf] * count + [0.01] * (total - count)
+        return summarise_uncertainty(*made_up(errors))["unstable"]["interval_95"]
+
+    # Newcombe 1998, table I
+    assert interval(81, 263) == pytest.approx([0.2553, 0.3662], abs=5e-5)
+    assert interval(15, 148) == pytest.approx([0.0624, 0.1605], abs=5e-5)
+    assert interval(0, 20) == pytest.approx([0.0, 0.1611], abs=5e-5)
 
 
 def test_a_summary_counts_what_tripped():
@@ -175,6 +177,6 @@ def test_a_summary_counts_what_tripped():
 
 def test_tests_are_grouped_by_their_ground_motion():
     plan, runs = made_up([0.01, 0.02, 0.03, 0.04], files=["", "a/one", "two", "a/one"])
-    groups = {name: [run.entry.number for run in own] for name, own in of_files(runs, plan)}
-    assert groups == {"one": [1, 3], "two": [2]}
+    groups = {name: [run.entry for run in own] for name, own in of_files(runs, plan)}
+    assert groups == {"one": ["test 1", "test 3"], "two": ["test 2"]}
     assert of_files(*reversed(made_up([0.01, 0.02]))) == []

@@ -6,10 +6,11 @@ import json
 import pytest
 from seft_msgs_py.errors import InputError
 from seft_ros.monitor.access import (
+    CONTROL,
     FIRST_WAIT,
     LONGEST_WAIT,
     MOST_ADDRESSES,
-    Access,
+    WATCH,
     Tokens,
     TooEarlyError,
     is_loopback,
@@ -22,7 +23,7 @@ from tornado.httpserver import HTTPServer
 from tornado.websocket import websocket_connect
 
 
-def serving(scenario, token="", local_only=True, everything=lambda: ["all"], watch=""):
+def serving(scenario, rights=None, local_only=True, everything=lambda: ["all"]):
     """Serve, and do what ``scenario(ask, pages, calls)`` does."""
     calls = []
 
@@ -34,7 +35,7 @@ def serving(scenario, token="", local_only=True, everything=lambda: ["all"], wat
         socket = listen("127.0.0.1", 0)
         port = socket.getsockname()[1]
         pages = Pages(everything)
-        tokens = Tokens(token, watch)
+        tokens = Tokens(rights or {})
         late = lambda state, at_ms: "" if (state, at_ms) == (3, 500.0) else "late"  # noqa: E731
         server = HTTPServer(application(tokens, local_only, port, pages, call, late))
         server.add_socket(socket)
@@ -144,7 +145,7 @@ def test_without_the_token_there_is_nothing():
         assert not calls
         assert b"<form" in (await ask("/")).body
 
-    serving(scenario, token="a secret", local_only=False)
+    serving(scenario, {"a secret": CONTROL}, local_only=False)
 
 
 def test_a_token_in_the_address_becomes_a_cookie():
@@ -161,47 +162,47 @@ def test_a_token_in_the_address_becomes_a_cookie():
         assert (await ask(**asked)).code == 200
         assert calls == ["stop"]
 
-    serving(scenario, token="secret", local_only=False)
+    serving(scenario, {"secret": CONTROL}, local_only=False)
 
 
-def test_a_wrong_token_is_told_and_the_next_has_to_wait():
+def test_a_wrong_token_is_told_and_the_next_has_to_wait_but_not_who_has_a_cookie():
     async def scenario(ask, *_):
         assert b"wrong" not in (await ask("/")).body
+        cookie = (await ask("/?token=secret")).headers["Set-Cookie"].split(";")[0]
         wrong = await ask("/?token=guess")
         assert (wrong.code, b"this token is wrong." in wrong.body) == (401, True)
         early = await ask("/?token=secret")
         assert (early.code, early.headers["Retry-After"]) == (429, "1")
         assert b"wait 1 s" in early.body and b"<form" in early.body
+        assert (await ask("/", headers={"Cookie": cookie})).code == 200
         while (answer := await ask("/?token=secret")).code == 429:
             await asyncio.sleep(0.05)
         assert answer.code == 302
 
-    serving(scenario, token="secret", local_only=False)
+    serving(scenario, {"secret": CONTROL}, local_only=False)
 
 
 def test_who_guesses_waits_longer_each_time_and_holds_up_nobody_else():
     now = 0.0
-    access = Access(Tokens("secret", "look"), lambda: now)
-    key = access.new_key(controls=True)
+    tokens = Tokens({"secret": CONTROL, "look": WATCH}, lambda: now)
     waits = []
     for _ in range(10):
-        assert access.of_token("guess", "10.0.0.1") is None
+        assert tokens.right_of("guess", "10.0.0.1") is None
         with pytest.raises(TooEarlyError) as caught:
-            access.of_token("secret", "10.0.0.1")
+            tokens.right_of("secret", "10.0.0.1")
         waits.append(caught.value.wait)
-        assert access.of_key(key)  # of the same address
-        assert access.of_token("look", "10.0.0.2") is False
+        assert tokens.right_of("look", "10.0.0.2") == WATCH
         now += waits[-1]
     assert waits[:3] == [FIRST_WAIT, 2 * FIRST_WAIT, 4 * FIRST_WAIT]
     assert waits[-1] == LONGEST_WAIT
-    assert access.of_token("secret", "10.0.0.1") is True
-    assert access.of_token("guess", "10.0.0.1") is None  # all is forgiven
+    assert tokens.right_of("secret", "10.0.0.1") == CONTROL
+    assert tokens.right_of("guess", "10.0.0.1") is None  # all is forgiven
     with pytest.raises(TooEarlyError) as caught:
-        access.of_token("guess", "10.0.0.1")
+        tokens.right_of("guess", "10.0.0.1")
     assert caught.value.wait == FIRST_WAIT
     for number in range(2 * MOST_ADDRESSES):
-        access.of_token("guess", f"of many {number}")
-    assert len(access._failures) == MOST_ADDRESSES
+        tokens.right_of("guess", f"of many {number}")
+    assert len(tokens._failures) == MOST_ADDRESSES
 
 
 def test_the_cookie_is_not_the_token():
@@ -210,7 +211,7 @@ def test_the_cookie_is_not_the_token():
         name = cookie.split("=")[0]
         assert (await ask("/", headers={"Cookie": f"{name}=secret"})).code == 401
 
-    serving(scenario, token="secret", local_only=False)
+    serving(scenario, {"secret": CONTROL}, local_only=False)
 
 
 def test_a_token_to_watch_shows_all_and_presses_nothing():
@@ -233,7 +234,7 @@ def test_a_token_to_watch_shows_all_and_presses_nothing():
         while len(pages):
             await asyncio.sleep(0.01)
 
-    serving(scenario, token="secret", local_only=False, watch="look")
+    serving(scenario, {"secret": CONTROL, "look": WATCH}, local_only=False)
 
 
 @pytest.mark.parametrize("service", ["start", "reset"])

@@ -36,10 +36,10 @@ from rclpy.subscription import Subscription
 __all__ = ["Node", "Publisher", "SingleThreadedExecutor", "Subscription"]
 
 
-def command_node(name: str) -> Node:
+def command_node(name: str, namespace: str | None = None) -> Node:
     """Start rclpy and make the node of a command, which has no parameters."""
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    return Node(name, start_parameter_services=False)
+    return Node(name, namespace=namespace, start_parameter_services=False)
 
 
 def message_class(topic: Topic) -> Any:

@@ -245,20 +245,22 @@ LONGEST_GAP = 0.25  # s
 
 
 class AwakeClock:
-    """Monotonic time in which a gap between two polls counts as at most `LONGEST_GAP`.
+    """Monotonic time in which a gap between two polls counts as at most ``longest_gap`` seconds.
 
     A process that stalls, usually with its whole machine, reads the messages of that time only
     later: it must not mistake its own stall for the silence of others. Poll the clock often.
     """
 
-    def __init__(self, monotonic: Callable[[], float] = time.monotonic) -> None:
-        self._monotonic = monotonic
+    def __init__(
+        self, monotonic: Callable[[], float] = time.monotonic, longest_gap: float = LONGEST_GAP
+    ) -> None:
+        self._monotonic, self._longest_gap = monotonic, longest_gap
         self._polled_at = monotonic()
         self._now = 0.0
 
     def time(self) -> float:
         """Time awake since the clock was made, s."""
         now = self._monotonic()
-        self._now += min(now - self._polled_at, LONGEST_GAP)
+        self._now += min(now - self._polled_at, self._longest_gap)
         self._polled_at = now
         return self._now

@@ -63,7 +63,7 @@ def monitor(
 
         seft monitor --host 0.0.0.0 --token "$(openssl rand -hex 16)"
     """
-    from seft_ros.monitor.access import Tokens, is_loopback, page_address
+    from seft_ros.monitor.access import CONTROL, WATCH, Tokens, is_loopback, page_address
     from seft_ros.monitor.server import keep_off_the_loop, listen, serve
 
     for name, text in (("--token", token), ("--watch-token", watch_token)):
@@ -87,7 +87,8 @@ def monitor(
         if open_page:
             webbrowser.open(address)
 
-    serve(listening, host, Tokens(token, watch_token), namespace, ready)
+    rights = {text: right for text, right in ((token, CONTROL), (watch_token, WATCH)) if text}
+    serve(listening, host, Tokens(rights), namespace, ready)
     return 0
 
 

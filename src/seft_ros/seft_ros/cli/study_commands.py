@@ -172,7 +172,7 @@ def tournament(
     """
     from seft_ros.drawing.style import check_figure, save_figure
     from seft_ros.ensemble.entries import make_tournament
-    from seft_ros.ensemble.runs import run_all, step_cost
+    from seft_ros.ensemble.runs import run_tests
     from seft_ros.ensemble.standings import (
         notes,
         standings,
@@ -186,12 +186,9 @@ def tournament(
     plan = make_tournament(
         experiment, method or (), mass_ratio or (), rigs=rigs, seed=seed, spread=spread
     )
-    total = len(plan.entries())
-    with step_progress(total, _LOST) as progress:
-        runs = run_all(plan, _place(workers, scheduler), progress)
-        progress("cost of a step", total)
-        costs = {key: step_cost(plan, *key) for key in plan.pairs()}
-    ranked = standings(plan, runs, costs)
+    with step_progress(len(plan.entries()), _LOST) as progress:
+        runs = run_tests(plan.tests(), _place(workers, scheduler), progress, "tournament")
+    ranked = standings(plan, runs)
     section = experiment["ground_motion"]
     motion = Path(section["file"]).name or "synthetic motion"
     if section["peak_force"]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -91,9 +92,9 @@ class Tournament:
             if (ratio, method) not in self.not_possible
         ]
 
-    def pairs(self) -> list[tuple[float, str]]:
-        """List mass ratios with the methods that are possible there."""
-        return [(entry.mass_ratio, entry.method) for entry in self.entries() if entry.rig == 0]
+    def tests(self) -> list[tuple[Entry, Experiment]]:
+        """List them for `seft_ros.ensemble.runs.run_tests`."""
+        return [(entry, self.experiment_of(entry)) for entry in self.entries()]
 
     def experiment_of(self, entry: Entry) -> Experiment:
         """Give the complete experiment of one test."""
@@ -150,13 +151,12 @@ def make_tournament(
         check_rig(section, axes, timebase, number)
     chosen = tuple(dict.fromkeys(methods or METHODS))
     tournament = Tournament(experiment, chosen, tuple(dict.fromkeys(ratios)), tuple(sections), {})
-    pairs = tournament.pairs()
-    for ratio, method in pairs:
+    for ratio, method in product(tournament.mass_ratios, tournament.methods):
         try:
             build_blocks(tournament.experiment_of(Entry(ratio, 0, method)))
         except InputError as error:  # all else is in order: the method lacks something
             tournament.not_possible[ratio, method] = str(error)
-    if len(tournament.not_possible) == len(pairs):
+    if not tournament.entries():
         raise InputError(f"no method is possible: {next(iter(tournament.not_possible.values()))}")
     return tournament
 

@@ -2,26 +2,22 @@
 
 import hashlib
 import json
-import timeit
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from itertools import repeat
 from pathlib import Path
-from statistics import median
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, mkdtemp
 from typing import Any
 
-import numpy as np
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError, SeftError
 from seft_msgs_py.wire.topics import RIG_STATE
-from seft_plant_sim.whole_structure import ReferenceResponse, reference_response
+from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.summary import summarise_briefly
 from seft_ros.bags.record import Record
-from seft_ros.ensemble.entries import Entry, Tournament
 from seft_ros.ensemble.workers import parallel_map, software
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import Workshop, simulate
@@ -32,7 +28,6 @@ Test = tuple[Any, Experiment]
 Outcome = tuple[dict[str, Any], str]
 """Summary and obstacle of a `Run`."""
 
-_COST_STEPS, _COST_REPEATS = 500, 7
 _SHOP = Workshop()
 
 
@@ -88,10 +83,6 @@ class Place:
     workers: int = 1
     scheduler: str = ""
     keep: Path | None = None
-
-
-HERE = Place()
-"""This process."""
 
 
 def run_tests(
@@ -174,10 +165,9 @@ def _records(experiments: Iterable[Experiment]) -> dict[str, bytes]:
 @lru_cache(maxsize=64)
 def _at_hand(name: str, content: bytes) -> str:
     """Write a ground motion that came from another machine into a file."""
-    folder = Path(_folder().name, hashlib.sha256(content).hexdigest()[:16])
-    folder.mkdir(exist_ok=True)
-    (folder / name).write_bytes(content)
-    return str(folder / name)
+    file = Path(mkdtemp(dir=_folder().name), name)
+    file.write_bytes(content)
+    return str(file)
 
 
 @lru_cache
@@ -235,39 +225,3 @@ class Kept:
                 f"{self._file}: finished tests can't be kept there ({error.strerror}); start in a "
                 "folder that can be written to"
             ) from None
-
-
-def run_all(
-    tournament: Tournament, place: Place = HERE, progress: Progress | None = None
-) -> list[Run]:
-    """Run all tests of a tournament in the order of its entries, see `run_tests`."""
-    tests = [(entry, tournament.experiment_of(entry)) for entry in tournament.entries()]
-    return run_tests(tests, place, progress, "tournament")
-
-
-def step_cost(tournament: Tournament, mass_ratio: float, method: str) -> float:
-    """Time a step of the reference force alone: the median of some passes, s.
-
-    Its input is the reference response of the configured rig, beginning with the strongest shaking,
-    so that methods which identify have something to identify. A first pass warms up and does not
-    count.
-    """
-    experiment = tournament.experiment_of(Entry(mass_ratio, 0, method))
-    blocks = build_blocks(experiment)
-    motion, block = blocks.ground_motion, blocks.reference_force
-    strongest = int(np.abs(motion.samples).max(axis=1).argmax())
-    start = max(0, min(strongest - _COST_STEPS // 4, motion.steps - _COST_STEPS))
-    stop = min(start + _COST_STEPS, motion.steps)
-    exact = reference_response(experiment, motion.samples[:stop])
-    measured = (exact.displacement, exact.velocity, exact.acceleration, exact.force)
-    states = np.stack(measured, axis=1)[start:stop]
-    windows = [motion.known[at : at + 1 + block.preview] for at in range(start, stop)]
-    step = block.step
-
-    def one_pass() -> None:
-        block.reset()
-        for window, state in zip(windows, states, strict=True):
-            step(window, state)
-
-    one_pass()
-    return median(timeit.repeat(one_pass, number=1, repeat=_COST_REPEATS)) / len(states)

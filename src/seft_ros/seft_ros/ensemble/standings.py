@@ -1,7 +1,7 @@
 """How the methods of a tournament did, best first: ranking, tables, figure, JSON values."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from statistics import median
 from typing import Any
@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
-from matplotlib.ticker import FixedLocator, LogLocator, NullLocator
+from matplotlib.ticker import LogLocator, NullLocator
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
+from seft_msgs_py.arrays import Floats
 
 from seft_ros.drawing.style import (
     FIRST,
@@ -35,8 +35,6 @@ from seft_ros.ensemble.runs import Run
 RANKING = "ranked by share unstable, then worst NRMSE of the displacement"
 
 _SMALLEST = 1e-4  # %: below, an error is drawn here
-_EDGE = 0.92  # share of the width, beyond which unstable tests are marked
-_DIAMOND, _CROSSES = 0.943, 0.976
 _ROW = 0.36  # inch
 _STRIP = 0.56  # of a row, over which the rigs are spread
 _NOTE: dict[str, Any] = {"fontsize": 8, "va": "center"}
@@ -44,7 +42,6 @@ _STYLES: dict[str, dict[str, Any]] = {
     "perturbed rig": {"color": FIRST, "marker": "o", "ms": 4, "mew": 0, "alpha": 0.65, "ls": ""},
     "configured rig": {"color": "white", "marker": "D", "ms": 6, "mec": TEXT, "mew": 1.2, "ls": ""},
     "median": {"color": TEXT, "marker": "|", "ms": 15, "mew": 2.0, "ls": ""},
-    "unstable": {"color": MARK, "marker": "x", "ms": 4, "mew": 1.1, "ls": ""},
 }
 
 
@@ -72,8 +69,6 @@ class Standing:
         Median of the best-fit delays of the displacement, s.
     unstable_share : float or None
         Share of the tests that tripped or have samples that are not finite.
-    cost_s : float or None
-        Time of a step, s.
     not_possible : str or None
         Why the method could not be set up.
     """
@@ -87,7 +82,6 @@ class Standing:
     peak_error: float | None = None
     delay_s: float | None = None
     unstable_share: float | None = None
-    cost_s: float | None = None
     not_possible: str | None = None
 
 
@@ -99,21 +93,17 @@ _COLUMNS = (
     Number("peak\nerror", "peak_error", form=lambda value: percent(value, "+")),
     Number("delay", "delay_s", "ms", 1e3, ".1f"),
     Number("unstable", "unstable_share", "%", 100.0, ".3g"),
-    Number("cost", "cost_s", "µs", 1e6, ".2g"),
 )
 
 
-def standings(
-    tournament: Tournament, runs: Sequence[Run], costs: Mapping[tuple[float, str], float]
-) -> list[Standing]:
+def standings(tournament: Tournament, runs: Sequence[Run]) -> list[Standing]:
     """Rank the methods of each mass ratio by their worst case.
 
     The fewer tests of a method were unstable the better; of those with as many, the smaller
     largest error is better, or, where some were unstable, the smaller median. Methods that are
     not possible come last.
 
-    ``runs`` is every test of the tournament, ``costs`` maps (mass ratio, method) to the time of a
-    step, s.
+    ``runs`` is every test of the tournament.
     """
     found: list[Standing] = []
     for ratio in tournament.mass_ratios:
@@ -123,8 +113,7 @@ def standings(
             if reason is not None:
                 left_out.append(Standing(ratio, method, not_possible=reason))
                 continue
-            own = [run for run in runs if run.entry[::2] == (ratio, method)]
-            ranked.append(_standing(own, costs.get((ratio, method))))
+            ranked.append(_standing([run for run in runs if run.entry[::2] == (ratio, method)]))
         ranked.sort(key=_badness)
         badness = [_badness(row) for row in ranked]
         found += [replace(row, rank=1 + badness.index(_badness(row))) for row in ranked]
@@ -132,7 +121,7 @@ def standings(
     return found
 
 
-def _standing(runs: Sequence[Run], cost: float | None) -> Standing:
+def _standing(runs: Sequence[Run]) -> Standing:
     """Sum the tests of one method at one mass ratio up."""
     stable = [run.summary["displacement"] for run in runs if run.stable]
     errors, delays = (
@@ -150,7 +139,6 @@ def _standing(runs: Sequence[Run], cost: float | None) -> Standing:
         peak_error=max(peaks, key=abs, default=None),
         delay_s=median(delays) if delays else None,
         unstable_share=1.0 - len(stable) / len(runs),
-        cost_s=cost,
     )
 
 
@@ -226,86 +214,57 @@ def summarise_tournament(
 
 
 def tournament_figure(standings: Sequence[Standing], runs: Sequence[Run], title: str) -> Figure:
-    """Draw the displacement error of every run by method; ``standings`` are best first."""
+    """Draw the displacement error of every stable run by method; ``standings`` are best first."""
     ratios = list(dict.fromkeys(row.mass_ratio for row in standings))
-    columns = 1 if len(ratios) <= 3 else 2
-    rows = -(-len(ratios) // columns)
-    methods = max(sum(row.mass_ratio == ratio for row in standings) for ratio in ratios)
-    width = 9.0 if columns == 1 else 13.0
-    figure = new_figure(width, 1.3 + rows * (0.9 + _ROW * methods))
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    # the axis holds all errors, in %, and to the right of them the unstable tests
-    errors = [_percent(run.nrmse) for run in runs if run.nrmse is not None] or [1.0]
-    low, edge = np.log10(min(errors)) - 0.12, np.log10(max(errors)) + 0.12
-    lost = any(not run.stable for run in runs)
-    high = low + (edge - low) / _EDGE if lost else edge
-    locator = LogLocator(subs=(1.0,) if edge - low > 3 else (1.0, 2.0, 5.0))
-    ticks = [tick for tick in locator.tick_values(10**low, 10**edge) if tick <= 10**edge]
-    for panel, ratio in zip(panels, ratios, strict=False):
-        tidy(panel)
+    figure = new_figure(9.0, 1.3 + 0.9 * len(ratios) + _ROW * len(standings))
+    panels = figure.subplots(len(ratios), squeeze=False).ravel()
+    errors = _percents(runs)
+    errors = errors[np.isfinite(errors)] if np.isfinite(errors).any() else np.ones(1)
+    low, high = 0.75 * errors.min(), 1.3 * errors.max()
+    for panel, ratio in zip(panels, ratios, strict=True):
         own = [row for row in standings if row.mass_ratio == ratio]
+        tidy(panel)
+        panel.set_title(f"mass ratio {ratio:g}", loc="left", fontsize=11, color=TEXT)
+        panel.set_xlabel("NRMSE of displacement / %", color=TEXT)
         panel.set_xscale("log")
-        panel.set_xlim(10**low, 10**high)
-        panel.xaxis.set_major_locator(FixedLocator(ticks))
+        panel.set_xlim(low, high)
+        panel.xaxis.set_major_locator(LogLocator(subs=(1,) if high > 1e3 * low else (1, 2, 5)))
         panel.xaxis.set_minor_locator(NullLocator())
         panel.xaxis.set_major_formatter("{x:g}")
-        _draw_rows(panel, own)
-        panel.set_title(f"mass ratio {ratio:g}", loc="left", fontsize=11, color=TEXT)
-        if lost:
-            inside: dict[str, Any] = {"transform": panel.transAxes, "color": MARK}
-            panel.add_patch(Rectangle((_EDGE, 0.0), 1.0 - _EDGE, 1.0, alpha=0.06, lw=0, **inside))
-            panel.text((1.0 + _EDGE) / 2, 1.0, "unstable", ha="center", fontsize=8, **inside)
+        panel.set_ylim(len(own) - 0.5, -0.5)
+        panel.set_yticks(range(len(own)), [row.method for row in own])
+        panel.grid(visible=False, axis="y")
+        panel.tick_params(axis="y", length=0)
         for place, row in enumerate(own):
             key = row.mass_ratio, row.method
             _draw(panel, place, row, [run for run in runs if run.entry[::2] == key])
-    for panel in panels[len(ratios) :]:
-        panel.remove()
-    for panel in panels[: len(ratios)][-columns:]:
-        panel.set_xlabel("NRMSE of displacement / %", color=TEXT)
     for name, style in _STYLES.items():
         panels[0].plot([], [], label=name, **style)
     finish(figure, panels[:1], title)
     return figure
 
 
-def _draw_rows(panel: Axes, standings: Sequence[Standing]) -> None:
-    """Name the methods, best on top."""
-    panel.set_ylim(len(standings) - 0.5, -0.5)
-    panel.set_yticks(range(len(standings)), [row.method for row in standings])
-    panel.grid(visible=False, axis="y")
-    panel.tick_params(axis="y", length=0)
-    for label, row in zip(panel.get_yticklabels(), standings, strict=True):
-        label.set_color(TEXT if row.not_possible is None else REFERENCE)
-
-
 def _draw(panel: Axes, place: int, standing: Standing, runs: Sequence[Run]) -> None:
     """Draw all tests of a method in its row, the configured rig in the middle of it."""
-    last = max((run.entry.rig for run in runs), default=0)
-    others = np.linspace(-0.5, 0.5, last) if last > 1 else np.zeros(last)
-    heights = place + _STRIP * np.concatenate([[0.0], others])
-    errors = {run.entry.rig: _percent(run.nrmse) for run in runs if run.nrmse is not None}
-    if errors:
-        span = min(errors.values()), max(errors.values())
-        panel.plot(span, (place, place), color=REFERENCE, lw=5, alpha=0.35, solid_capstyle="round")
-    rigs = [rig for rig in errors if rig]
-    panel.plot([errors[rig] for rig in rigs], heights[rigs], **_STYLES["perturbed rig"])
-    if 0 in errors:
-        panel.plot(errors[0], place, **_STYLES["configured rig"])
-    if standing.nrmse_median is not None:
-        panel.plot(_percent(standing.nrmse_median), place, **_STYLES["median"])
     edge = panel.get_yaxis_transform()
-    lost = [run.entry.rig for run in runs if not run.stable]
-    if lost:
-        rigs = [rig for rig in lost if rig]
-        crosses = np.full(len(rigs), _CROSSES)
-        panel.plot(crosses, heights[rigs], transform=edge, **_STYLES["unstable"])
-        if 0 in lost:
-            panel.plot(_DIAMOND, place, transform=edge, **_STYLES["configured rig"] | {"mec": MARK})
-        share = f"{len(lost)} of {len(runs)}"
-        panel.text(1.01, place, share, transform=edge, color=MARK, **_NOTE)
     if standing.not_possible is not None:
         panel.text(0.01, place, "not possible", transform=edge, color=REFERENCE, **_NOTE)
+        return
+    rigs, errors = np.array([run.entry.rig for run in runs]), _percents(runs)
+    heights = place + _STRIP * np.where(rigs == 0, 0.0, rigs / (rigs.max() + 1) - 0.5)
+    known = np.isfinite(errors)
+    if known.any():
+        span = errors[known].min(), errors[known].max()
+        panel.plot(span, (place, place), color=REFERENCE, lw=5, alpha=0.35, solid_capstyle="round")
+        for shown, style in ((rigs > 0, "perturbed rig"), (rigs == 0, "configured rig")):
+            panel.plot(errors[known & shown], heights[known & shown], **_STYLES[style])
+        panel.plot(np.median(errors[known]), place, **_STYLES["median"])
+    unstable = sum(not run.stable for run in runs)
+    if unstable:
+        share = f"{unstable} of {len(runs)} unstable"
+        panel.text(1.01, place, share, transform=edge, color=MARK, **_NOTE)
 
 
-def _percent(nrmse: float) -> float:
-    return max(100.0 * nrmse, _SMALLEST)
+def _percents(runs: Sequence[Run]) -> Floats:
+    """Errors of tests, %; NaN where there is none."""
+    return np.maximum(100.0 * np.array([run.nrmse for run in runs], dtype=float), _SMALLEST)

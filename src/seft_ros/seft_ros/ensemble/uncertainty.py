@@ -5,12 +5,12 @@ import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from bokeh.plotting import figure
 from rich.table import Table as TerminalTable
-from scipy.stats import rankdata
+from scipy.stats import binomtest, rankdata
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Section
@@ -32,9 +32,7 @@ from seft_ros.drawing.page import (
     plot,
     write_page,
 )
-from seft_ros.drawing.page import (
-    Section as PageSection,
-)
+from seft_ros.drawing.page import Section as PageSection
 from seft_ros.drawing.style import (
     GOOD_ERROR,
     MARK,
@@ -67,15 +65,6 @@ CORRELATIONS = ("value", "deviation")
 _Z95 = 1.959964  # of the normal distribution: 95 % are within
 
 
-class Draw(NamedTuple):
-    """A test, by its number; 0: as configured."""
-
-    number: int
-
-    def __str__(self) -> str:
-        return f"test {self.number}"
-
-
 @dataclass(frozen=True)
 class Uncertainty:
     """Tests that differ at random.
@@ -93,7 +82,7 @@ class Uncertainty:
 
     def tests(self) -> list[Test]:
         """List the tests for `seft_ros.ensemble.runs.run_tests`."""
-        return [(Draw(number), one) for number, one in enumerate(self.experiments)]
+        return [(f"test {number}", one) for number, one in enumerate(self.experiments)]
 
 
 def draw_tests(
@@ -186,16 +175,12 @@ def _effective(
     def simulated(section: Section) -> bytes:
         return pickle.dumps(Rig.from_parameters(section, axes, timebase).parameters)
 
-    values = np.atleast_1d(np.asarray(base[name], dtype=float))
-    separate = len(axes) > 1 and name.startswith("actuator.") and len(values) == len(axes)
-    found = []
-    for place in range(len(axes)) if separate else [int(np.abs(values).argmax())]:
-        changed = values.copy()
-        changed[place if separate else slice(None)] *= 1.01
-        other = changed.tolist() if isinstance(base[name], list) else float(changed[0])
-        if values[place] and simulated(base | {name: other}) != simulated(base):
-            found.append((f"{name}, axis {axes[place]}" if separate else name, place))
-    return found
+    if simulated(base | {name: np.multiply(base[name], 1.01).tolist()}) == simulated(base):
+        return []
+    values = np.ravel(base[name])
+    if len(axes) > 1 and name.startswith("actuator.") and len(values) == len(axes):
+        return [(f"{name}, axis {axis}", n) for n, axis in enumerate(axes) if values[n]]
+    return [(name, int(np.abs(values).argmax()))]
 
 
 def summarise_uncertainty(plan: Uncertainty, runs: Sequence[Run]) -> dict[str, Any]:
@@ -211,27 +196,23 @@ def summarise_uncertainty(plan: Uncertainty, runs: Sequence[Run]) -> dict[str, A
     Returns
     -------
     dict
-        ``tests`` (N), ``unstable`` (count, share and its 95 % interval), ``configured`` (of the
-        configured test, as of ``runs``), ``nrmse`` and ``peak_error`` of displacement,
-        acceleration and force (`SHARES`; an unstable test counts as infinitely wrong, and what is
-        not finite is None), ``sensitivity`` (see there), ``chance`` (rank correlations up to this
-        come about by chance alone, 95 %), and ``runs`` (number, factors, engine, the test's
-        summary).
+        ``tests`` (N), ``unstable`` (count, share and its 95 % interval by Wilson 1927),
+        ``configured`` (of the configured test, as of ``runs``), ``nrmse`` and ``peak_error`` of
+        displacement, acceleration and force (`SHARES`; an unstable test counts as infinitely
+        wrong, and what is not finite is None), ``sensitivity`` (see there), ``chance`` (rank
+        correlations up to this come about by chance alone, 95 %), and ``runs`` (number, factors,
+        engine, the test's summary).
     """
     drawn = runs[1:]
     lost = sum(not run.stable for run in drawn)
     errors = errors_of(drawn)
-    factors = [
-        {name: float(values[index]) for name, values in plan.factors.items()}
-        for index in range(len(drawn))
-    ]
     found: dict[str, Any] = json_safe(
         {
             "tests": len(drawn),
             "unstable": {
                 "count": lost,
                 "share": lost / len(drawn),
-                "interval_95": share_interval(lost, len(drawn)),
+                "interval_95": binomtest(lost, len(drawn)).proportion_ci(method="wilson"),
             },
             "configured": {"engine": runs[0].engine} | runs[0].summary,
             "nrmse": {name: quantiles(errors_of(drawn, name)) for name in RESPONSES},
@@ -239,8 +220,13 @@ def summarise_uncertainty(plan: Uncertainty, runs: Sequence[Run]) -> dict[str, A
             "sensitivity": sensitivity(plan, errors),
             "chance": _Z95 / math.sqrt(max(len(drawn) - 1, 1)),
             "runs": [
-                {"number": run.entry.number, "factors": own, "engine": run.engine} | run.summary
-                for run, own in zip(drawn, factors, strict=True)
+                {
+                    "number": 1 + index,
+                    "factors": {name: float(own[index]) for name, own in plan.factors.items()},
+                    "engine": run.engine,
+                }
+                | run.summary
+                for index, run in enumerate(drawn)
             ],
         }
     )
@@ -269,15 +255,6 @@ def quantiles(errors: Floats) -> dict[str, float]:
         return dict.fromkeys(SHARES, math.nan)
     places = {name: math.ceil(share * len(known)) - 1 for name, share in SHARES.items()}
     return {name: float(known[max(place, 0)]) for name, place in places.items()}
-
-
-def share_interval(count: int, total: int) -> tuple[float, float]:
-    """95 % interval of a share (Wilson 1927)."""
-    share, z = count / total, _Z95
-    middle = share + z**2 / (2 * total)
-    half = z * math.sqrt(share * (1 - share) / total + z**2 / (4 * total**2))
-    scale = 1 + z**2 / total
-    return max((middle - half) / scale, 0.0), min((middle + half) / scale, 1.0)
 
 
 def sensitivity(plan: Uncertainty, errors: Floats) -> list[dict[str, Any]]:
@@ -312,15 +289,14 @@ def _spearman(x: Floats, y: Floats) -> float:
 def of_files(runs: Sequence[Run], plan: Uncertainty) -> list[tuple[str, list[Run]]]:
     """Group drawn tests by the file of their ground motion; none where there is one alone."""
     groups: dict[str, list[Run]] = {}
-    for run in runs[1:]:
-        file = plan.experiments[run.entry.number]["ground_motion"]["file"]
+    for run, experiment in zip(runs[1:], plan.experiments[1:], strict=True):
+        file = experiment["ground_motion"]["file"]
         groups.setdefault(Path(file).name, []).append(run)
     return sorted(groups.items()) if len(groups) > 1 else []
 
 
 _SCATTERED = 6  # quantities whose tests are drawn
 _WORST = 10  # tests that are listed
-_FACTOR = "over the configured value"
 _CORRELATED = ("its value", "its deviation")
 CHANCE = "Up to ±{:.2f} comes about by chance alone (95 %)"
 
@@ -376,17 +352,16 @@ def _mark(summary: dict[str, Any]) -> Mark:
 
 
 def _error_rows(summary: dict[str, Any]) -> list[list[str]]:
-    def cell(value: float | None) -> str:
-        return "unstable" if value is None else percent(value)
-
-    own = summary["configured"]
+    own, peaks = summary["configured"], summary["peak_error"]["displacement"]
     rows = []
     for name in RESPONSES:
-        configured = cell(own[name]["nrmse"] if own["stable"] else None)
-        values = [cell(summary["nrmse"][name][share]) for share in SHARES]
-        rows.append([name, configured, *values])
-    peaks = [cell(summary["peak_error"]["displacement"][share]) for share in SHARES]
-    return [*rows, ["peak displacement", "", *peaks]]
+        configured = _error(own[name]["nrmse"] if own["stable"] else None)
+        rows.append([name, configured, *map(_error, summary["nrmse"][name].values())])
+    return [*rows, ["peak displacement", "", *map(_error, peaks.values())]]
+
+
+def _error(value: float | None) -> str:
+    return "unstable" if value is None or not math.isfinite(value) else percent(value)
 
 
 def _signed(row: dict[str, Any]) -> list[str]:
@@ -427,23 +402,21 @@ def _dependence(summary: dict[str, Any], plan: Uncertainty, runs: Sequence[Run])
     blocks: list[Block] = [Text(text), Table(("quantity", *_CORRELATED), rows)]
     files = of_files(runs, plan)
     if files:
-        table = []
-        for name, own in files:
-            values = quantiles(errors_of(own))
-            table.append([name, str(len(own)), *(_percent(values[share]) for share in SHARES)])
+        table = [
+            [name, str(len(own)), *map(_error, quantiles(errors_of(own)).values())]
+            for name, own in files
+        ]
         blocks.append(Table(("ground motion", "tests", *SHARES), table))
     names = [row["quantity"] for row in found[:_SCATTERED]]
     blocks.append(Grid([_scatter(name, plan, runs) for name in names], columns=3))
     return blocks
 
 
-def _percent(value: float) -> str:
-    return percent(value) if math.isfinite(value) else "unstable"
-
-
 def _scatter(name: str, plan: Uncertainty, runs: Sequence[Run]) -> Plot:
     errors, values = errors_of(runs[1:]), plan.factors[name]
-    panel: figure = plot(f"{name}, {_FACTOR}", "NRMSE of displacement / %", log_y=True, height=230)
+    panel: figure = plot(
+        f"{name}, over the configured value", "NRMSE of displacement / %", log_y=True, height=230
+    )
     stable = np.isfinite(errors) & (errors > 0)
     dots(panel, values[stable], 100 * errors[stable])
     lost = np.isinf(errors)
@@ -462,9 +435,10 @@ def _worst(summary: dict[str, Any]) -> Table:
 
     rows = []
     for run in sorted(summary["runs"], key=badness, reverse=True)[:_WORST]:
-        error, trip = percent(run["displacement"]["nrmse"]), run["trip"]
+        error = percent(run["displacement"]["nrmse"]) if run["stable"] else "unstable"
+        trip = run["trip"]
         how = trip["reason"] if trip else "" if run["stable"] else "not finite"
         furthest = sorted(run["factors"].items(), key=lambda one: -abs(math.log(one[1])))[:3]
         differs = ", ".join(f"{name} times {value:.3g}" for name, value in furthest)
-        rows.append([str(run["number"]), error if run["stable"] else "unstable", differs, how])
+        rows.append([str(run["number"]), error, differs, how])
     return Table(("test", "NRMSE", "furthest from configured", "trip"), rows, False, wide=True)

@@ -97,44 +97,40 @@ class _Pool:
     def spread(self, function: Callable[..., Any], *arguments: Any) -> Iterator[tuple[int, Any]]:
         """Begin to calculate, see `Map`."""
         left = dict(enumerate(zip(*arguments, strict=False)))
-        processes = self.processes
-        return self._results(function, left, processes, self._submit(function, left))
 
-    def _submit(
-        self, function: Callable[..., Any], left: dict[int, tuple[Any, ...]]
-    ) -> dict[Future[Any], int]:
-        # what is started here inherits the mask: Ctrl-C is for the parent alone to deal with
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, _STOP})
-        try:
-            submit = partial(self.processes.submit, _calculate, function)
-            return {submit(*arguments): place for place, arguments in left.items()}
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-    def _results(
-        self,
-        function: Callable[..., Any],
-        left: dict[int, tuple[Any, ...]],
-        processes: ProcessPoolExecutor,
-        futures: dict[Future[Any], int],
-    ) -> Iterator[tuple[int, Any]]:
-        while left:
+        def submit() -> dict[Future[Any], int]:
+            # what is started here inherits the mask: Ctrl-C is for the parent alone to deal with
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, _STOP})
             try:
-                for future in as_completed(futures):
-                    result = future.result()
-                    del left[futures[future]]
-                    yield futures[future], result
-            except BrokenProcessPool:
-                if processes is self.processes:  # nobody else has replaced them
-                    self._deaths += 1
-                    if self._deaths >= _MOST_DEATHS:
-                        raise ExperimentError(
-                            f"workers died {self._deaths} times, maybe for want of memory; take "
-                            "fewer workers"
-                        ) from None
-                    processes.shutdown(cancel_futures=True)
-                    self.processes = self._start()
-                processes, futures = self.processes, self._submit(function, left)
+                call = partial(self.processes.submit, _calculate, function)
+                return {call(*own): place for place, own in left.items()}
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+        def results(
+            processes: ProcessPoolExecutor, futures: dict[Future[Any], int]
+        ) -> Iterator[tuple[int, Any]]:
+            while left:
+                try:
+                    for future in as_completed(futures):
+                        result = future.result()
+                        del left[futures[future]]
+                        yield futures[future], result
+                except BrokenProcessPool:
+                    if processes is self.processes:  # nobody else has replaced them
+                        self._replace()
+                    processes, futures = self.processes, submit()
+
+        return results(self.processes, submit())
+
+    def _replace(self) -> None:
+        self._deaths += 1
+        if self._deaths >= _MOST_DEATHS:
+            raise ExperimentError(
+                f"workers died {self._deaths} times, maybe for want of memory; take fewer workers"
+            ) from None
+        self.processes.shutdown(cancel_futures=True)
+        self.processes = self._start()
 
 
 class _Worker:

@@ -8,13 +8,10 @@ import hmac
 import ipaddress
 import math
 import re
-import secrets
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 from tornado.web import HTTPError, RequestHandler
 
@@ -22,6 +19,8 @@ ASSETS = Path(__file__).with_name("assets")
 FIRST_WAIT, LONGEST_WAIT = 0.5, 30.0
 """s, wait of an address after its first wrong token; each further one doubles it."""
 MOST_ADDRESSES = 1000
+CONTROL, WATCH = "control", "watch"
+"""Rights of a page: to see all and press buttons; to see all."""
 
 _AUTHORITY = re.compile(r"(\[[0-9A-Fa-f:.%]+\]|[A-Za-z0-9._-]+)(:\d{1,5})?")
 _HEADERS = {
@@ -49,64 +48,37 @@ def page_address(host: str, port: int) -> str:
     if host in ("", "0.0.0.0", "::"):
         host = "127.0.0.1"
     text = f"[{host}]" if ":" in host else host
-    assert urlsplit(f"http://{text}").hostname
     return f"http://{text}:{port}/"
 
 
-class TooEarlyError(Exception):
-    """A token is offered too early; the argument is the remaining wait of its address, s."""
+class TooEarlyError(HTTPError):
+    """A token is offered too early; ``wait`` is the remaining wait of its address, s."""
 
     def __init__(self, wait: float) -> None:
-        super().__init__(wait)
+        seconds = math.ceil(wait)
+        super().__init__(429, reason=f"after a wrong token wait {seconds} s, then try again")
         self.wait = wait
 
 
-@dataclass(frozen=True)
 class Tokens:
-    """Tokens that give a request its rights.
-
-    Attributes
-    ----------
-    control : str
-        Permits to see all and to press buttons; empty: no token is needed.
-    watch : str
-        Permits to see all, without buttons; empty: there is no such token.
-    """
-
-    control: str = ""
-    watch: str = ""
-
-
-class Access:
-    """Checks tokens and keys, and delays guessing.
-
-    A token is exchanged for a random key, which the browser keeps. Keys are checked without delay,
-    also while somebody else guesses tokens from the same address.
+    """Checks tokens, and delays guessing.
 
     Parameters
     ----------
-    tokens : Tokens
-        The accepted tokens.
+    rights : mapping of str to str
+        Token -> its right, `CONTROL` or `WATCH`; empty: no token is needed.
     monotonic : callable, optional
         Time, s.
     """
 
-    def __init__(self, tokens: Tokens, monotonic: Callable[[], float] = time.monotonic) -> None:
-        self._tokens, self._monotonic = tokens, monotonic
-        self._keys: dict[str, bool] = {}  # key -> whether it controls
+    def __init__(
+        self, rights: Mapping[str, str], monotonic: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.rights, self._monotonic = rights, monotonic
         self._failures: dict[str, tuple[int, float]] = {}  # address -> number, blocked until
 
-    @property
-    def is_open(self) -> bool:
-        """Whether no token is needed."""
-        return not self._tokens.control
-
-    def of_key(self, key: str) -> bool | None:
-        """Say whether a key controls; None if it is not valid."""
-        return self._keys.get(key)
-
-    def of_token(self, given: str, address: str) -> bool | None:
-        """Say whether a token controls; None if it is wrong.
+    def right_of(self, given: str, address: str) -> str | None:
+        """Look up the right of a token; None if it is wrong.
 
         Raises
         ------
@@ -117,39 +89,34 @@ class Access:
         now = self._monotonic()
         if now < until:
             raise TooEarlyError(until - now)
-        for token, controls in ((self._tokens.control, True), (self._tokens.watch, False)):
-            if token and hmac.compare_digest(given.encode(), token.encode()):
-                self._failures.pop(address, None)
-                return controls
-        wait = min(FIRST_WAIT * 2.0 ** min(number, 30), LONGEST_WAIT)
         self._failures.pop(address, None)  # the newest is last
+        for token, right in self.rights.items():
+            if hmac.compare_digest(given.encode(), token.encode()):
+                return right
+        wait = min(FIRST_WAIT * 2.0 ** min(number, 30), LONGEST_WAIT)
         self._failures[address] = (number + 1, now + wait)
         if len(self._failures) > MOST_ADDRESSES:
             del self._failures[next(iter(self._failures))]
         return None
 
-    def new_key(self, controls: bool) -> str:
-        """Make a key for a browser that has sent a token."""
-        key = secrets.token_urlsafe(24)
-        self._keys[key] = controls
-        return key
-
 
 class Guarded(RequestHandler):
     """Checks of every request, and headers of every answer.
 
-    The application's settings have ``access``, an `Access`; ``local_only``, whether the page is
-    served on this host alone; and ``port``. With ``local_only`` the only name is localhost; another
-    name points here by DNS rebinding.
+    The application's settings have ``tokens``, a `Tokens`; ``local_only``, whether the page is
+    served on this host alone; and ``cookie``, the name of the cookie. With ``local_only`` the only
+    name is localhost; another name points here by DNS rebinding.
+
+    A token is exchanged for a signed cookie with its right. Cookies are checked without delay, also
+    while somebody else guesses tokens from the same address.
 
     Attributes
     ----------
-    controls : bool
-        Whether the request may press buttons.
+    right : str
+        Of the request: `CONTROL` or `WATCH`.
     """
 
-    controls = False
-    _wait = 0  # s
+    right = ""
 
     def set_default_headers(self) -> None:
         """Allow the page its own files only; forbid frames and caches."""
@@ -171,31 +138,28 @@ class Guarded(RequestHandler):
         acts = self.request.method != "GET" or "Upgrade" in self.request.headers
         if acts and not self.is_own_page(self.request.headers.get("Origin", "")):
             raise HTTPError(403, reason="a request of another page")
-        rights = True if self.access.is_open else self._rights()
-        if rights is None:
-            raise HTTPError(401, reason="a token is needed")
-        self.controls = rights
+        self.right = self._right()
 
-    def _rights(self) -> bool | None:
-        """Say whether the request may control; None without a valid key or token."""
+    def _right(self) -> str:
+        """Look up the right of the request; refuse it without a valid cookie or token."""
+        tokens: Tokens = self.settings["tokens"]
+        if not tokens.rights:
+            return CONTROL
         bearer = self.request.headers.get("Authorization", "").removeprefix("Bearer ")
         offered = self.get_query_argument("token", "") or bearer
-        if not offered:
-            return self.access.of_key(self.get_cookie(self.cookie, "") or "")
-        try:
-            rights = self.access.of_token(offered, self.request.remote_ip or "")
-        except TooEarlyError as error:
-            self._wait = math.ceil(error.wait)
-            text = f"after a wrong token wait {self._wait} s, then try again"
-            raise HTTPError(429, reason=text) from None
-        if rights is None:
-            raise HTTPError(401, reason="this token is wrong")
-        return rights
+        if offered:
+            right = tokens.right_of(offered, self.request.remote_ip or "")
+        else:
+            right = (self.get_signed_cookie(self.settings["cookie"]) or b"").decode()
+        if not right:
+            raise HTTPError(401, reason="this token is wrong" if offered else "a token is needed")
+        return right
 
-    def write_error(self, status_code: int, **_: Any) -> None:
+    def write_error(self, status_code: int, **details: Any) -> None:
         """Say in plain text what is wrong; without a token, offer to enter one."""
-        if self._wait:
-            self.set_header("Retry-After", str(self._wait))
+        _, error, _ = details.get("exc_info", (None, None, None))
+        if isinstance(error, TooEarlyError):
+            self.set_header("Retry-After", str(math.ceil(error.wait)))
         wants_page = self.request.method == "GET" and self.request.path == "/"
         if status_code in (401, 429) and wants_page:
             page = (ASSETS / "token.html").read_text(encoding="utf-8")
@@ -211,20 +175,9 @@ class Guarded(RequestHandler):
         return origin.lower() in (f"http://{host}", f"https://{host}")
 
     @property
-    def access(self) -> Access:
-        """The access control."""
-        found: Access = self.settings["access"]
-        return found
-
-    @property
     def host(self) -> str:
         """Requested host name; Tornado's own attribute may have a default."""
         return self.request.headers.get("Host", "")
-
-    @property
-    def cookie(self) -> str:
-        """Name of the key's cookie, with the port: a host's cookies are shared by its ports."""
-        return f"seft_monitor_{self.settings['port']}"
 
     def _is_host(self) -> bool:
         """Whether the header Host is one under which the page is served."""

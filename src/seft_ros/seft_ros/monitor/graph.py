@@ -11,13 +11,10 @@ import threading
 from typing import Any
 
 import rclpy
-from rclpy.client import Client
 from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from seft_msgs_py.node.process import leave_graph, prepare_on_this_host
-from seft_msgs_py.node.rclpy_interface import raw_subscription, take_all
+from seft_msgs_py.node.rclpy_interface import command_node, raw_subscription, take_all
 from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
@@ -32,8 +29,7 @@ from std_srvs.srv import Trigger
 
 from seft_ros.monitor.intake import Messages
 
-SERVICES = ("start", "stop", "estop", "reset")
-PATIENCE = {"start": 1.0, "stop": 3.0, "estop": 3.0, "reset": 1.0}  # s for an answer
+PATIENCE = {"start": 1.0, "stop": 3.0, "estop": 3.0, "reset": 1.0}  # s, service -> for an answer
 READ_DEPTH = 4096
 MOST_AT_ONCE = 8192
 _TOPICS = (EXPERIMENT_STATE, DESCRIPTION, DIAGNOSTICS, GROUND_MOTION, RIG_STATE, REFERENCE_FORCE)
@@ -56,20 +52,14 @@ class Graph:
 
     def __init__(self, namespace: str = "") -> None:
         prepare_on_this_host()
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self._node = Node(
-            f"seft_monitor_{os.getpid()}",
-            namespace=namespace or None,
-            start_parameter_services=False,
-            enable_rosout=False,
-        )
+        self._node = command_node(f"seft_monitor_{os.getpid()}", namespace or None)
         self.domain: int = self._node.context.get_domain_id()
         self._subscriptions: dict[str, Subscription] = {}
         for topic in _TOPICS:
             self._subscribe(topic)
         # made now, so that discovery is complete when a stop is requested
-        self._clients: dict[str, Client] = {
-            name: self._node.create_client(Trigger, name) for name in SERVICES
+        self._clients: dict[str, Any] = {
+            name: self._node.create_client(Trigger, name) for name in PATIENCE
         }
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
@@ -97,19 +87,9 @@ class Graph:
         client = self._clients[service]
         if not client.service_is_ready():
             return False, f"{service} was not delivered: there is no supervisor on the graph"
-        loop = asyncio.get_running_loop()
-        answered: asyncio.Future[Any] = loop.create_future()
-
-        def answer(response: Any) -> None:
-            if not answered.done():
-                answered.set_result(response)
-
-        pending = client.call_async(Trigger.Request())
-        pending.add_done_callback(lambda done: loop.call_soon_threadsafe(answer, done.result()))
-        try:
-            response = await asyncio.wait_for(answered, PATIENCE[service])
-        except TimeoutError:
-            client.remove_pending_request(pending)
+        # on a thread of its own: it waits until the executor's thread has the answer
+        response = await asyncio.to_thread(client.call, Trigger.Request(), PATIENCE[service])
+        if response is None:
             return False, f"the supervisor did not answer {service} within {PATIENCE[service]:g} s"
         return response.success, response.message
 

@@ -10,16 +10,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.arrays import Floats
-from seft_msgs_py.wire.topics import RIG_STATE, RigAxes
+from seft_msgs_py.wire.topics import RigAxes
+
+from seft_ros.analysis.summary import COMPARED
 
 Steps = npt.NDArray[np.int64]
 Batch = tuple[Steps, Floats, Steps]
 """Steps, values of shape (N, 4, axes), and the time of sending of each, ns."""
 MOST_WAITING = 2**14
 """Number of steps of a rig that are kept while another is silent."""
-MEASURED = {"displacement": "positions", "acceleration": "accelerations", "force": "effort"}
-ROWS = {name: RIG_STATE.quantities.index(quantity) for name, quantity in MEASURED.items()}
-"""Displayed rows of a sample of rig/state."""
 FOLLOWED = ("displacement", "force")
 """Quantities with a displayed error."""
 
@@ -32,7 +31,7 @@ class Signals:
     axes : tuple of str
         Names of the n axes.
     measured, reference : dict of str to slice
-        Columns of a quantity in `ROWS`, one for each axis; m, m/s^2, N.
+        Columns of a quantity in `COMPARED`, one for each axis; m, m/s^2, N.
     error : dict of str to slice
         Columns of measured minus reference, of the quantities in `FOLLOWED`.
     answer : slice
@@ -43,23 +42,21 @@ class Signals:
 
     def __init__(self, axes: tuple[str, ...]) -> None:
         n, self.axes = len(axes), axes
-        starts = {name: 2 * number * n for number, name in enumerate(ROWS)}
-        self.measured = {name: slice(start, start + n) for name, start in starts.items()}
-        self.reference = {name: slice(start + n, start + 2 * n) for name, start in starts.items()}
-        errors = {name: (2 * len(ROWS) + number) * n for number, name in enumerate(FOLLOWED)}
-        self.error = {name: slice(start, start + n) for name, start in errors.items()}
-        self.count = (2 * len(ROWS) + len(FOLLOWED)) * n + 1
+        columns = [slice(start, start + n) for start in range(0, n * (2 * len(COMPARED) + 2), n)]
+        self.measured = dict(zip(COMPARED, columns[0:-2:2], strict=True))
+        self.reference = dict(zip(COMPARED, columns[1:-2:2], strict=True))
+        self.error = dict(zip(FOLLOWED, columns[-2:], strict=True))
+        self.count = columns[-1].stop + 1
         self.answer = slice(self.count - 1, self.count)
 
     def layout(self) -> dict[str, Any]:
         """Give the first column of each signal, for the page."""
-        return {
-            "axes": list(self.axes),
-            "measured": {name: part.start for name, part in self.measured.items()},
-            "reference": {name: part.start for name, part in self.reference.items()},
-            "error": {name: part.start for name, part in self.error.items()},
-            "answer": self.answer.start,
+        parts = {"measured": self.measured, "reference": self.reference, "error": self.error}
+        starts = {
+            part: {name: columns.start for name, columns in own.items()}
+            for part, own in parts.items()
         }
+        return {"axes": list(self.axes), **starts, "answer": self.answer.start}
 
 
 class RigBatches:
@@ -73,41 +70,32 @@ class RigBatches:
 
     def __init__(self, rigs: Sequence[RigAxes]) -> None:
         self._rigs = tuple(rigs)
-        self._waiting: list[Batch] = [_none(len(rig.axes)) for rig in rigs]
+        # of each rig: step -> state and time of sending, the oldest first
+        self._waiting: list[dict[int, tuple[Floats, int]]] = [{} for _ in rigs]
 
     def take(self, rig: int, batch: Batch) -> None:
         """Add states of a rig; a step before its last one begins a new test for it."""
-        steps, before = batch[0], self._waiting[rig]
-        (back,) = np.nonzero(np.diff(np.concatenate([before[0][-1:], steps])) <= 0)
-        if len(back):
-            first = int(back[-1]) + (0 if len(before[0]) else 1)
-            before, batch = _none(len(self._rigs[rig].axes)), _rows(batch, slice(first, None))
-        joined = [np.concatenate(pair) for pair in zip(before, batch, strict=True)]
-        self._waiting[rig] = _rows((joined[0], joined[1], joined[2]), slice(-MOST_WAITING, None))
+        waiting = self._waiting[rig]
+        for step, state, sent in zip(batch[0].tolist(), batch[1], batch[2].tolist(), strict=True):
+            if waiting and step <= next(reversed(waiting)):
+                waiting.clear()
+            waiting[step] = state, sent
+        for passed in list(waiting)[:-MOST_WAITING]:
+            del waiting[passed]
 
     def complete(self) -> Batch:
         """Give the steps that all rigs have sent; each step once."""
-        steps = self._waiting[0][0]
-        for other, _, _ in self._waiting[1:]:
-            steps = np.intersect1d(steps, other, assume_unique=True)
+        steps = sorted(set.intersection(*map(set, self._waiting)))
         values = np.empty((len(steps), 4, sum(len(rig.axes) for rig in self._rigs)))
         sent = np.zeros(len(steps), np.int64)
-        for number, (rig, batch) in enumerate(zip(self._rigs, self._waiting, strict=True)):
-            at = np.searchsorted(batch[0], steps)
-            values[:, :, list(rig.places)] = batch[1][at]
-            np.maximum(sent, batch[2][at], out=sent)
-            if len(steps):
-                passed = int(np.searchsorted(batch[0], steps[-1], side="right"))
-                self._waiting[number] = _rows(batch, slice(passed, None))
-        return steps, values, sent
-
-
-def _none(axes: int) -> Batch:
-    return np.zeros(0, np.int64), np.zeros((0, 4, axes)), np.zeros(0, np.int64)
-
-
-def _rows(batch: Batch, rows: slice) -> Batch:
-    return batch[0][rows], batch[1][rows], batch[2][rows]
+        for rig, waiting in zip(self._rigs, self._waiting, strict=True):
+            for place, step in enumerate(steps):
+                state, at = waiting[step]
+                values[place][:, list(rig.places)] = state
+                sent[place] = max(sent[place], at)
+            for passed in [step for step in waiting if steps and step <= steps[-1]]:
+                del waiting[passed]
+        return np.array(steps, np.int64), values, sent
 
 
 Samples = npt.NDArray[np.float32]

@@ -19,34 +19,13 @@ from seft_ros.analysis.equivalent_motion import (
     natural_frequencies,
     spectrum_frequencies,
 )
+from seft_ros.analysis.summary import COMPARED
 from seft_ros.ground_motion.response_spectrum import RunningSpectrum
-from seft_ros.monitor.history import ROWS, Batch, History, RigBatches, Signals, Steps, Stretch
+from seft_ros.monitor.history import Batch, History, RigBatches, Signals, Steps, Stretch
+from seft_ros.reference_force.reference_force_block import MotionBuffer
 
 MOST_AT_ONCE = 4000
 """Steps: some milliseconds of work, also while it catches up with a test."""
-
-
-class _Motion:
-    """Published ground motion from step 0 on; used steps are forgotten."""
-
-    def __init__(self) -> None:
-        self._pending: list[Floats] = []
-        self._known = self.used = 0  # steps
-
-    def add(self, first: int, values: Floats) -> None:
-        if first == self._known:  # without the first chunks the rest can't be used
-            self._pending.append(values)
-            self._known += len(values)
-
-    def take(self, until: int) -> Floats | None:
-        """Take the next steps, up to a step."""
-        count = min(until, self._known) - self.used
-        if count <= 0:
-            return None
-        self.used += count
-        found, rest = np.split(np.concatenate(self._pending), [count])
-        self._pending = [rest]
-        return found
 
 
 class LiveReference:
@@ -63,28 +42,23 @@ class LiveReference:
 
     def __init__(self) -> None:
         self.response: RunningResponse | None = None
-        self._now: _Motion | None = None
-        self._next: _Motion | None = None
-        self._running = False
+        self._now: MotionBuffer | None = None
+        self._next: MotionBuffer | None = None  # of the next test, or of one without any yet
+        self._used = 0  # steps of the running test's
 
     def begin(self, response: RunningResponse | None) -> None:
         """Begin a test."""
         self.response = response
-        if self._next is not None or (self._now is not None and self._now.used):
-            self._now, self._next = self._next, None
-        self._running = True
+        if self._used:
+            self._now, self._used = None, 0
 
     def motion(self, first: int, values: Floats) -> None:
         """Add ground motion from a step on, shape (N, n), m/s^2."""
         if first == 0:
-            if self._running and (self._now is None or not self._now.used):
-                self._now = _Motion()
-            else:
-                self._next = _Motion()
-        target = self._next or self._now
-        hopeless = target is self._now and self._running and self.response is None
-        if target is not None and not hopeless:
-            target.add(first, values)
+            self._next = MotionBuffer(values.shape[1])
+        newest = self._next or self._now
+        if newest is not None:
+            newest.add(first, values)
 
     def advance(self, until: int) -> tuple[int, Floats, Floats, Floats] | None:
         """Continue to a step, as far as the motion is known and time allows.
@@ -97,11 +71,20 @@ class LiveReference:
             Ground motion and response to it, shape (N, n), m and m/s^2; None if there is nothing
             new.
         """
-        if self._now is None or self.response is None:
+        if self.response is None:
             return None
-        first = self._now.used
-        motion = self._now.take(min(until, first + MOST_AT_ONCE))
-        return None if motion is None else (first, motion, *self.response.advance(motion))
+        if self._now is None:
+            self._now, self._next = self._next, None
+        if self._now is None:
+            return None
+        first = self._used
+        until = min(until, first + MOST_AT_ONCE, self._now.end)
+        motion = self._now.window(first, until - first) if until > first else None
+        if motion is None:
+            return None
+        self._now.drop_before(until)
+        self._used = until
+        return first, motion, *self.response.advance(motion)
 
 
 class LiveMotion:
@@ -121,12 +104,6 @@ class LiveMotion:
         self._frequency = spectrum_frequencies((self._natural[0], self._natural[-1]), dt)
         self._spectra = RunningSpectrum(1 / self._frequency, dt, DAMPING)
         self._squares = np.zeros(2)  # of the response, and of the difference
-
-    @classmethod
-    def of(cls, experiment: Experiment) -> "LiveMotion | None":
-        """Make one, if the structure is known."""
-        assumed = assumed_structure(experiment)
-        return None if assumed is None else cls(assumed)
 
     def advance(self, asked: Floats, states: Floats) -> None:
         """Continue over the next N steps.
@@ -231,11 +208,8 @@ class Intake:
     def describe(self, sections: dict[str, dict[str, Any]]) -> None:
         """Use the parameters of the nodes from the next test on."""
         self._sections = sections
-        if self.number and self._reference.response is None:
-            self._reference.response = (
-                self._response()
-            )  # the monitor started in the middle of a test
-            self._follow_motion()
+        if self.number and self._reference.response is None:  # it started in the middle of a test
+            self._reference.response = self._response()
 
     def clear(self) -> None:
         """Forget the last test; the next sample is the first of another."""
@@ -312,7 +286,7 @@ class Intake:
             self._release(0)
             self.history.begin(first)
         self._expected = False
-        for name, row in ROWS.items():
+        for name, row in COMPARED.items():
             self.history.write(steps, self.signals.measured[name], values[:, row])
         slots = steps % len(self._steps)
         self._steps[slots], self._recent[slots], self._sent[slots] = steps, values, sent
@@ -335,20 +309,17 @@ class Intake:
         self._new = []
         self._steps[:] = -1
         self._reference.begin(self._response())
-        self._follow_motion()
-
-    def _follow_motion(self) -> None:
-        self.own_motion, self._next_told = {}, 0
-        known = self._reference.response is not None
-        self._live_motion = LiveMotion.of(Experiment(self._sections)) if known else None
 
     def _response(self) -> RunningResponse | None:
-        """Make the model of the whole structure from the nodes' descriptions."""
+        """Make the models of the whole structure from the nodes' descriptions."""
+        self.own_motion, self._next_told, self._live_motion = {}, 0, None
         if "reference_force" not in self._sections:
             reason = "reference_force has not described itself"
         else:
             try:
-                response = RunningResponse(Experiment(self._sections))
+                experiment = Experiment(self._sections)
+                response, assumed = RunningResponse(experiment), assumed_structure(experiment)
+                self._live_motion = None if assumed is None else LiveMotion(assumed)
                 note = "The specimen yields: its response is near the exact one."
                 self.reference_note = "" if response.exact else note
                 return response

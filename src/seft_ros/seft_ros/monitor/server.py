@@ -159,7 +159,7 @@ class Watch:
         messages: dict[str, dict[str, Any]] = {
             "test": test,
             "status": {**session.summary(), "refused": refused},
-            "events": {"events": session.events()},
+            "events": {"events": list(session.events)},
             "motion": {"motion": intake.own_motion if intake else {}},
             "round_trips": {"round_trips": session.round_trips},
         }

@@ -1,8 +1,10 @@
 """State of the test and its nodes, from their messages, for the page."""
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +18,6 @@ ENDED_WITH_TEST = 0.5  # s before a test's end: a node that sent then was shut d
 NOT_BEGUN = (State.IDLE, State.READY)
 EVENTS = 200
 MARGIN, ROUND_TRIP = "margin ", "round trip "
-SHOWN = {
-    "ground_motion": ("file", "peak_force", "time_scale"),
-    "reference_force": ("method", "mass_ratio", "compensation.method", "loop_delay"),
-    "rig": ("pace",),
-    "recorder": ("name",),
-}
-"""Parameters that identify a test."""
 
 
 class Session:
@@ -41,6 +36,8 @@ class Session:
         Node -> its parameters.
     round_trips : list
         Of the running test, by the rig: (test time in s, median, largest in ms, missed).
+    events : deque
+        The newest events, oldest first: time (s), event, reason, and level.
     number : int
         Counts the states; a request of another state is not carried out.
     """
@@ -51,14 +48,14 @@ class Session:
         self._wall, self._awake = wall, awake or AwakeClock()
         self._now = self._awake.time()
         self.sections: dict[str, dict[str, Any]] = {}
-        self.round_trips: list[tuple[float, float | None, float | None, int]] = []
+        self.round_trips: list[tuple[float, float | None, float | None, float]] = []
         self._experiment = Status("", 0, "", values={})  # no message yet
         self._silent = False
         self.number = 0
         self._ended_at = 0.0
         self._nodes: dict[str, tuple[Status, float]] = {}
-        self._rigs: dict[str, dict[str, str]] = {}
-        self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS)
+        self._rigs: dict[str, dict[str, float]] = {}  # rig -> its numbers
+        self.events: deque[dict[str, Any]] = deque(maxlen=EVENTS)
 
     def poll(self) -> None:
         """Read the clock; a supervisor that has become silent is an event."""
@@ -109,30 +106,24 @@ class Session:
 
     def summary(self) -> dict[str, Any]:
         """Give the values for the page, JSON values."""
-        state, values = self._experiment.message, self._experiment.values
-        rig = self._of_all_rigs()
+        test, rig = self._experiment, self._of_all_rigs()
         return {
             "heard": "" in self._nodes,
             "number": self.number,
             "name": self._name(),
             "silent": self._silent,
-            "state": state,
-            "detail": values.get("detail", ""),
-            "step": _whole(values.get("step")),
-            "time_s": _number(values.get("time_s")),
-            "steps": _whole(values.get("steps")),
-            "ended": state in ENDED,
-            "missed": _whole(rig.get("missed")),
-            "overruns": _whole(rig.get("overruns")),
-            "margins": _named(rig, MARGIN),
-            "round_trip": _named(rig, ROUND_TRIP),
+            "state": test.message,
+            "detail": test.values.get("detail", ""),
+            "step": test.number("step"),
+            "time_s": _number(test.values.get("time_s")),
+            "steps": test.number("steps"),
+            "ended": test.message in ENDED,
+            "missed": rig.get("missed"),
+            "overruns": rig.get("overruns"),
+            "margins": _of(rig, MARGIN),
+            "round_trip": _of(rig, ROUND_TRIP),
             "nodes": [self._node(name) for name in sorted(self._nodes, key=_order) if name],
-            "parameters": self._parameters(),
         }
-
-    def events(self) -> list[dict[str, Any]]:
-        """Give the events, oldest first: time (s), event, reason, and level."""
-        return list(self._events)
 
     def _node(self, name: str) -> dict[str, Any]:
         status, at = self._nodes[name]
@@ -142,7 +133,7 @@ class Session:
             "name": name,
             "level": (4 if ended else 3) if silent else status.level,
             "text": status.message,
-            "refused": _whole(status.values.get("refused")),
+            "refused": status.number("refused"),
         }
 
     def _name(self) -> str:
@@ -159,49 +150,34 @@ class Session:
             words.append(f"bag {bag}")
         return ", ".join(words)
 
-    def _parameters(self) -> dict[str, str]:
-        return {
-            f"{node}: {name}": str(self.sections[node][name])
-            for node, names in SHOWN.items()
-            for name in names
-            if self.sections.get(node, {}).get(name) not in (None, "", 0)
-        }
-
-    def _of_all_rigs(self) -> dict[str, str]:
-        """Combine the values of all rigs: the sum of missed commands, otherwise the worst."""
-        first, *others = list(self._rigs.values()) or [{}]
-        found = dict(first)
-        for other in others:
-            for name, text in other.items():
-                ours, theirs = _number(found.get(name)), _number(text)
-                if ours is None or theirs is None:
-                    continue
-                if name in ("missed", "overruns"):
-                    found[name] = str(round(ours + theirs))
-                elif name.startswith(MARGIN):
-                    found[name] = str(min(ours, theirs))
-                elif name.startswith(ROUND_TRIP):
-                    found[name] = str(max(ours, theirs))
+    def _of_all_rigs(self) -> dict[str, float]:
+        """Combine the numbers of all rigs: the sum of missed commands, otherwise the worst."""
+        rigs, found = self._rigs.values(), {}
+        for name in dict.fromkeys(chain(*rigs)):
+            values = [rig[name] for rig in rigs if name in rig]
+            worst = min(values) if name.startswith(MARGIN) else max(values)
+            found[name] = sum(values) if name in ("missed", "overruns") else worst
         return found
 
     def _follow_rig(self, status: Status, dt: float) -> None:
         before = self._rigs.get(status.name, {})
-        self._rigs[status.name] = values = dict(status.values)
+        numbers = {name: _number(text) for name, text in status.values.items()}
+        self._rigs[status.name] = own = {n: v for n, v in numbers.items() if v is not None}
         if status.name != next(iter(self._rigs)):
             return  # round trips of the first rig are shown
-        steps, last = (_whole(each.get("steps")) or 0 for each in (values, before))
+        steps, last = own.get("steps", 0.0), before.get("steps", 0.0)
         if steps < last:
             self.round_trips = []  # those of another test
         if steps == last:
             return
-        trip, missed = _named(values, ROUND_TRIP), _whole(values.get("missed")) or 0
+        trip = _of(own, ROUND_TRIP)
         times = trip.get("median (ms)"), trip.get("largest (ms)")
-        self.round_trips.append((steps * dt, *times, missed))
+        self.round_trips.append((steps * dt, *times, own.get("missed", 0.0)))
         if len(self.round_trips) > 2 * EVENTS:
             del self.round_trips[1::2]  # every second one: memory is bounded
 
     def _note(self, what: str, detail: str, level: int) -> None:
-        self._events.append(
+        self.events.append(
             {"at": round(self._wall(), 3), "what": what, "detail": detail, "level": level}
         )
 
@@ -210,12 +186,8 @@ def _order(node: str) -> tuple[int, str]:
     return (NODES.index(bare(node)) if node else 0, node)
 
 
-def _named(values: dict[str, str], start: str) -> dict[str, float]:
-    return {
-        name.removeprefix(start): value
-        for name, text in values.items()
-        if name.startswith(start) and (value := _number(text)) is not None
-    }
+def _of(numbers: dict[str, float], start: str) -> dict[str, float]:
+    return {n.removeprefix(start): value for n, value in numbers.items() if n.startswith(start)}
 
 
 def _number(text: str | None) -> float | None:
@@ -223,8 +195,4 @@ def _number(text: str | None) -> float | None:
         value = float(text or "")
     except ValueError:
         return None
-    return value if abs(value) < float("inf") else None
-
-
-def _whole(text: str | None) -> int | None:
-    return int(text) if text and text.isdecimal() and len(text) < 19 else None
+    return value if math.isfinite(value) else None

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import secrets
 from collections.abc import Awaitable, Callable
 from functools import partial
 from pathlib import Path
@@ -15,7 +16,7 @@ from tornado.web import Application, HTTPError, StaticFileHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from seft_ros.drawing.page import plot
-from seft_ros.monitor.access import ASSETS, Access, Guarded, Missing, Tokens
+from seft_ros.monitor.access import ASSETS, CONTROL, Guarded, Missing, Tokens
 from seft_ros.monitor.history import Frame
 
 LIBRARY = Path(bokeh.__file__).parent / "server" / "static" / "js"
@@ -46,13 +47,14 @@ Lateness = Callable[[int, float], str]
 
 
 class Page(Guarded):
-    """The page itself; a token in its address becomes a key in a cookie, and is hidden."""
+    """The page itself; a token in its address becomes a cookie, and is hidden."""
 
     def get(self) -> None:
         """Answer with the page."""
-        if self.get_query_argument("token", "") and not self.access.is_open:
-            key = self.access.new_key(self.controls)
-            self.set_cookie(self.cookie, key, httponly=True, samesite="Strict", path="/")
+        if self.get_query_argument("token", "") and self.settings["tokens"].rights:
+            options: dict[str, Any] = {"httponly": True, "samesite": "Strict"}
+            name = self.settings["cookie"]
+            self.set_signed_cookie(name, self.right, expires_days=None, **options)
             self.redirect("/")
             return
         self.set_header("Content-Type", "text/html; charset=utf-8")
@@ -86,7 +88,7 @@ class Service(Guarded):
 
     async def post(self, name: str) -> None:
         """Call the supervisor; answer with its answer."""
-        if not self.controls:
+        if self.right != CONTROL:
             raise HTTPError(403, reason="this token may watch, but not control")
         why = "" if name in STOPS else self._lateness()
         done, text = (False, why) if why else await self.settings["call"](name)
@@ -115,7 +117,7 @@ class Live(Guarded, WebSocketHandler):
     def open(self, *_: str, **__: str) -> None:
         """Begin to send."""
         self.set_nodelay(True)
-        self.send(json.dumps({"kind": "rights", "controls": self.controls}))
+        self.send(json.dumps({"kind": "rights", "controls": self.right == CONTROL}))
         if not self.settings["pages"].add(self):
             self.close(1013, "too many pages")
 
@@ -187,16 +189,11 @@ class Pages:
                 self._open[page] = True
 
 
-def figures() -> dict[str, Any]:
-    """Make all figures by name, for ``Bokeh.embed.embed_item``; still empty.
-
-    The page's script adds the lines: each has a data source with its name, with columns x in s and
-    y in the unit of the axis.
-    """
-    return {name: json_item(_figure(name, *LINES[name])) for name in LINES}
-
-
 def _figure(name: str, label: str, lines: tuple[str, ...]) -> figure:
+    """Make a figure; the page's script adds the data.
+
+    Each line has a data source with its name, with columns x in s and y in the unit of the axis.
+    """
     spectrum = name == "spectrum"
     panel = plot(
         "frequency / Hz" if spectrum else "time / s",
@@ -225,7 +222,8 @@ def application(
     tokens: Tokens, local_only: bool, port: int, pages: Pages, call: Call, lateness: Lateness
 ) -> Application:
     """Make the web application; see `Guarded` for local_only, `Watch.lateness` for lateness."""
-    drawn = json.dumps(figures())  # now: it takes a second, and a stop would have to wait
+    # now: it takes a second, and a stop would have to wait
+    figures = json.dumps({name: json_item(_figure(name, *LINES[name])) for name in LINES})
     return Application(
         [
             (r"/", Page),
@@ -236,13 +234,14 @@ def application(
             (r"/library/(bokeh\.min\.js)", File, {"path": str(LIBRARY)}),
         ],
         default_handler_class=Missing,
-        access=Access(tokens),
+        tokens=tokens,
+        cookie_secret=secrets.token_hex(),
         lateness=lateness,
         local_only=local_only,
-        port=port,
+        cookie=f"seft_monitor_{port}",  # a host's cookies are shared by its ports
         pages=pages,
         call=call,
-        figures=drawn,
+        figures=figures,
         log_function=lambda _: None,
         websocket_ping_interval=20,
         websocket_max_message_size=4096,

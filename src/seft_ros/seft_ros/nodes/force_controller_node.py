@@ -4,12 +4,14 @@ import math
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.node.node_process import MOST_AT_ONCE
 from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeBody, NodeKind, NodeShell
+from seft_msgs_py.node.realtime import AwakeClock
 from seft_msgs_py.wire.messages import OK, WARN, Status, decode_status
 from seft_msgs_py.wire.outcome import MOVING, REHEARSES, tripped_status
 from seft_msgs_py.wire.topics import (
@@ -30,51 +32,7 @@ from seft_ros.force_controller.parameters import TABLE, VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.received_forces import PENDING, MatchedForces, NewestPreview
 from seft_ros.protection.detectors import WARNING
 from seft_ros.test_run.parameter_tables import TABLES
-from seft_ros.test_run.state_machine import (
-    SampleOrder,
-    check_magnitude,
-)
-
-
-class Silence:
-    """Time since the last state of a running test.
-
-    A stall of this process counts as one look, because it could not read the messages of that time.
-
-    Parameters
-    ----------
-    longest : float
-        Silence after which the test can't continue, s; infinite: never.
-    """
-
-    def __init__(self, longest: float) -> None:
-        self.longest = longest
-        self.pause = longest / 8
-        """Longest time between two looks, s."""
-        self._age = 0.0
-        self._looked_at = math.inf  # no test runs
-
-    @property
-    def is_watching(self) -> bool:
-        """Whether a test runs, and states are expected."""
-        return self._looked_at < math.inf
-
-    def end(self) -> None:
-        """Expect no more states."""
-        self._looked_at = math.inf
-
-    def received(self, now: float) -> None:
-        """Note a state at ``now``, s, monotonic; more are expected."""
-        self._age, self._looked_at = 0.0, now
-
-    def is_too_long(self, now: float) -> bool:
-        """Look at the clock; say whether states have been missing for too long."""
-        if not self.is_watching:
-            return False
-        self._age += min(max(now - self._looked_at, 0.0), 2 * self.pause)
-        self._looked_at = now
-        return self._age > self.longest
-
+from seft_ros.test_run.state_machine import SampleOrder, check_magnitude
 
 REPORT_PERIOD = 1.0  # s between two reports of link and valves while a test runs
 STATE_WAIT = 0.0005  # s between polls for a state that is later than its reference force
@@ -107,7 +65,9 @@ class ForceControllerNode(NodeBody):
         self._reported_at = 0.0
         self._moving = False  # by the supervisor's state
         self._order = SampleOrder(timebase)
-        self._silence = Silence(section["watchdog.state_timeout"])
+        self._timeout: float = section["watchdog.state_timeout"]
+        self._awake = AwakeClock(longest_gap=self._timeout / 4)
+        self._heard_at = math.inf  # time of the last state, s; no more are expected
         self._refused_before = 0  # messages, until the last state arrived
         self._warm_up()
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
@@ -126,25 +86,21 @@ class ForceControllerNode(NodeBody):
         if len(experiment.rigs) == 1 and self._previews is None:
             # a separate controller, so that a rehearsal does not influence a test
             self._rehearsing: Interlock | None = None
-            self._rehearsed_force: tuple[int, Floats] = -1, np.empty(0)
-            self._rehearsed_state: tuple[int, Floats] = -1, np.empty(0)
+            nothing: tuple[int, Floats] = -1, np.empty(0)
+            self._rehearsed = {self._force_codec: nothing, self._state_codec: nothing}
             self.facts = {REHEARSES: True}
             self._publish_rehearsed = shell.publisher(rehearsed(VALVE_COMMAND))
-            shell.subscribe(rehearsed(topic), self._on_rehearsed_force, reliable=False)
-            shell.subscribe(rehearsed(RIG_STATE), self._on_rehearsed_state, reliable=False)
+            for codec, sent in ((self._force_codec, topic), (self._state_codec, RIG_STATE)):
+                receive = partial(self._on_rehearsed, codec)
+                shell.subscribe(rehearsed(sent), receive, reliable=False)
         wake = self._previews is not None
         states = self._state_codec.topic
         self._read_state = shell.subscribe(states, self._on_state, wake=wake, reliable=False)
 
     def _interlock(self) -> Interlock:
         experiment, rig = self._shell.experiment, self._shell.rig
-        section, axes, timebase = (
-            experiment["force_controller"],
-            experiment.axes,
-            experiment.timebase,
-        )
-        controller = force_control(section, axes, timebase, rig)
-        return Interlock.from_parameters(controller, section, axes, timebase, rig)
+        configured = experiment["force_controller"], experiment.axes, experiment.timebase, rig
+        return Interlock.from_parameters(force_control(*configured), *configured)
 
     def _warm_up(self) -> None:
         axes = len(self._shell.rig.axes)
@@ -160,10 +116,10 @@ class ForceControllerNode(NodeBody):
 
     def poll(self) -> None:
         """Trip if states are missing."""
-        if self._silence.is_too_long(time.monotonic()):
+        if self._awake.time() - self._heard_at > self._timeout:
             foreign = self._shell.foreign_publishers(self._refused_before)
             self._trip(
-                f"no rig/state for {self._silence.longest:g} s (the last is of step "
+                f"no rig/state for {self._timeout:g} s (the last is of step "
                 f"{self._order.last}); is rig running?{foreign}"
             )
 
@@ -175,14 +131,14 @@ class ForceControllerNode(NodeBody):
         """Poll soon while a force waits for its state, and for the watchdog."""
         if isinstance(self._forces, MatchedForces) and self._forces.pending:
             return STATE_WAIT
-        return min(IDLE_WAIT, self._silence.pause) if self._silence.is_watching else IDLE_WAIT
+        return min(IDLE_WAIT, self._timeout / 8) if self._heard_at < math.inf else IDLE_WAIT
 
     def _on_experiment_state(self, raw: bytes, _: int) -> None:
         status = decode_status(raw)
         self._order.follow(status)
         moving, self._moving = self._moving, status.message in MOVING
         if not self._moving:
-            self._silence.end()
+            self._heard_at = math.inf
             if moving:
                 self._report()  # the complete result
         if status.message == "idle" and self._controller.reason:  # after a reset by the operator
@@ -198,15 +154,15 @@ class ForceControllerNode(NodeBody):
         if step in self._states:
             raise WireError(f"{RIG_STATE.name} of step {step} a second time")
         if step + 1 < self._order.steps and not self._order.in_lockstep:
-            self._silence.received(time.monotonic())
+            self._heard_at = self._awake.time()
             self._refused_before = self._shell.refused
         else:
-            self._silence.end()  # the test is over, not known to run, or in lockstep
+            self._heard_at = math.inf  # the test is over, not known to run, or in lockstep
         if self._controller.reason:  # after a trip no reference force is needed
             self._answer(step, np.zeros((1, 1, state.shape[1])), state)
             return
         self._states[step] = state
-        self._answer_if_complete(step)
+        self._answer_complete()
         if len(self._states) > PENDING:
             self._states.pop(min(self._states))
 
@@ -226,8 +182,7 @@ class ForceControllerNode(NodeBody):
         self._forces.take(step, points)
         if self._previews is None:
             self._fetch_state(step)
-        for waiting in sorted(self._states):
-            self._answer_if_complete(waiting)
+        self._answer_complete()
 
     def _fetch_state(self, step: int) -> None:
         """Read states until that of a step, which is answered when it arrives."""
@@ -235,25 +190,17 @@ class ForceControllerNode(NodeBody):
             if step <= self._order.last or step in self._states or self._read_state() is None:
                 return
 
-    def _on_rehearsed_force(self, raw: bytes, _: int) -> None:
-        self._rehearsed_force = self._force_codec.decode(raw)
-        self._answer_rehearsed()
-
-    def _on_rehearsed_state(self, raw: bytes, _: int) -> None:
-        step, values = self._state_codec.decode(raw)
-        self._rehearsed_state = step, values[0]
-        self._answer_rehearsed()
-
-    def _answer_rehearsed(self) -> None:
+    def _on_rehearsed(self, codec: TrajectoryCodec, raw: bytes, _: int) -> None:
         """Answer a step of a rehearsal; the rig does not obey, so detectors must not trip."""
-        (step, points), (other, state) = self._rehearsed_force, self._rehearsed_state
+        self._rehearsed[codec] = codec.decode(raw)
+        (step, points), (other, states) = self._rehearsed.values()
         if step != other:
             return
         if self._rehearsing is None:
             self._rehearsing = self._interlock()
         if step == 0 or self._rehearsing.reason:
             self._rehearsing.reset()
-        command = self._rehearsing.step(step, points, state)
+        command = self._rehearsing.step(step, points, states[0])
         self._publish_rehearsed(self._command_codec.encode(step, command))
 
     def _begin_with(self, step: int) -> None:
@@ -272,12 +219,12 @@ class ForceControllerNode(NodeBody):
         elif was_tripped:
             self._report()
 
-    def _answer_if_complete(self, step: int) -> None:
-        if step not in self._states:
-            return
-        points = self._forces.points(step)
-        if points is not None:
-            self._answer(step, points, self._states[step])
+    def _answer_complete(self) -> None:
+        """Answer the steps, in their order, of which state and force have arrived."""
+        for step in sorted(self._states):
+            points = self._forces.points(step)
+            if points is not None:
+                self._answer(step, points, self._states[step])
 
     def _answer(self, step: int, points: Floats, state: Floats) -> None:
         was_tripped = bool(self._controller.reason)
@@ -298,7 +245,7 @@ class ForceControllerNode(NodeBody):
             self._report()  # after the answer there is time
 
     def _trip(self, reason: str) -> None:
-        self._silence.end()
+        self._heard_at = math.inf
         self._controller.trip(max(self._order.last, 0), reason)
         self._report_trip()
 

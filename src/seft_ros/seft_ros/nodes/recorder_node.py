@@ -25,13 +25,7 @@ from seft_msgs_py.wire.messages import (
     decode_status,
     encode_string,
 )
-from seft_msgs_py.wire.outcome import (
-    ENDED,
-    MOVING,
-    RECORDED,
-    RIG,
-    State,
-)
+from seft_msgs_py.wire.outcome import ENDED, MOVING, RECORDED, RIG, State
 from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
@@ -65,10 +59,9 @@ class RecorderNode(NodeBody):
     def __init__(self, shell: NodeShell) -> None:
         super().__init__(shell)
         self._section = shell.experiment["recorder"]
-        self._motion_codec = TrajectoryCodec(
-            GROUND_MOTION, shell.experiment.axes, shell.experiment.timebase
-        )
-        self._descriptions: dict[str, tuple[Topic, bytes, int]] = {}
+        axes, timebase = shell.experiment.axes, shell.experiment.timebase
+        self._motion_codec = TrajectoryCodec(GROUND_MOTION, axes, timebase)
+        self._descriptions: dict[str, bytes] = {}
         self._before: deque[tuple[Topic, bytes, int]] = deque(maxlen=20_000)
         self._bag: LastingBag | None = None
         self._reason = self._unsaved = ""  # to ramp the test down; why its bag can't be saved
@@ -90,8 +83,7 @@ class RecorderNode(NodeBody):
         self._paced_by = rigs[0].node(RIG)
         self._topics = [topic for topic in topics_of(rigs) if topic.recorded]
         for topic in self._topics:
-            depth = 64 if topic.latched and topic != GROUND_MOTION else READ_DEPTH
-            shell.subscribe(topic, self._receiver(topic), depth=depth, wake=False)
+            shell.subscribe(topic, self._receiver(topic), depth=READ_DEPTH, wake=False)
 
     def run(self) -> None:
         """Record until the process ends; then close an open bag."""
@@ -148,7 +140,7 @@ class RecorderNode(NodeBody):
                 self._step_message_at = time.monotonic()
             if topic == DESCRIPTION:
                 node, _ = decode_description(raw)
-                self._descriptions[node] = (topic, raw, now)
+                self._descriptions[node] = raw
             if topic == EXPERIMENT_STATE:
                 self._follow(decode_status(raw))
             if topic == GROUND_MOTION and self._is_of_the_next_test(raw):
@@ -204,8 +196,8 @@ class RecorderNode(NodeBody):
         now = time.time_ns()
         self._environment = describe_environment("run")
         self._write_environment(self._bag)
-        for topic, raw, _ in self._descriptions.values():
-            self._bag.write(topic, raw, now)
+        for raw in self._descriptions.values():
+            self._bag.write(DESCRIPTION, raw, now)
         self._watch_the_machine()
         self._samples = Counter(topic.name for topic, _, _ in self._before)
         while self._before:
@@ -242,7 +234,7 @@ class RecorderNode(NodeBody):
         """Watch for stalls of the loop's core, if the rig runs in realtime on this host."""
         if self._watch is None or self._paced_by not in self._descriptions:
             return
-        _, rig = decode_description(self._descriptions[self._paced_by][1])
+        _, rig = decode_description(self._descriptions[self._paced_by])
         there = rig.get("realtime", {})
         if rig["parameters"].get("pace") == "realtime" and there.get("boot") == boot():
             period = self._shell.experiment.timebase.dt
@@ -276,7 +268,7 @@ class RecorderNode(NodeBody):
         if not steps or "reference_force" not in self._descriptions:
             return 0
         experiment = self._shell.experiment
-        _, force = decode_description(self._descriptions["reference_force"][1])
+        _, force = decode_description(self._descriptions["reference_force"])
         return expected_size(force["parameters"], experiment.axes, experiment.timebase, steps)
 
     def _recorded(self) -> int:

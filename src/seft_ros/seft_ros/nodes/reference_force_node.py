@@ -32,10 +32,7 @@ from seft_ros.reference_force.reference_force_block import (
 from seft_ros.reference_force.reference_force_parameters import TABLE, reference_force_topic
 from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.peers import ALL_ANSWERED, AT_REST, RAMPING_DOWN
-from seft_ros.test_run.state_machine import (
-    SampleOrder,
-    check_magnitude,
-)
+from seft_ros.test_run.state_machine import SampleOrder, check_magnitude
 
 RIG_POLL = 0.002  # s between polls for the state of a late rig
 LONGEST_MODEL_STEP = 0.05  # s, of a computed model: by then the rig has held its command too long
@@ -47,32 +44,27 @@ class ReferenceForceNode(NodeBody):
     def __init__(self, shell: NodeShell) -> None:
         super().__init__(shell)
         experiment = shell.experiment
-        self._block = ProtectedForce.from_parameters(
-            experiment["reference_force"], experiment.axes, experiment.timebase
-        )
         section = experiment["reference_force"]
+        axes, timebase = experiment.axes, experiment.timebase
+        self._block = self._protected_force()
         self._window = 1 + self._block.preview
         self._delay = max(section["loop_delay"], 0)
         topic = reference_force_topic(section)
-        self._motion_codec, self._force_codec = (
-            TrajectoryCodec(topic, experiment.axes, experiment.timebase)
-            for topic in (GROUND_MOTION, topic)
-        )
+        self._motion_codec = TrajectoryCodec(GROUND_MOTION, axes, timebase)
+        self._force_codec = TrajectoryCodec(topic, axes, timebase)
         self._state_codecs = [
-            TrajectoryCodec(RIG_STATE.of(rig), rig.axes, experiment.timebase)
-            for rig in experiment.rigs
+            TrajectoryCodec(RIG_STATE.of(rig), rig.axes, timebase) for rig in experiment.rigs
         ]
         self._gathering: StateGathering | None = None
         if len(experiment.rigs) > 1:
-            timeout = section["watchdog.rig_timeout"]
-            self._gathering = StateGathering(experiment.rigs, timeout)
-        self._sampler = EstimateSampler(self._block, experiment.timebase)
-        self._estimates_codec = EstimatesCodec(experiment.axes, experiment.timebase)
+            self._gathering = StateGathering(experiment.rigs, section["watchdog.rig_timeout"])
+        self._sampler = EstimateSampler(self._block, timebase)
+        self._estimates_codec = EstimatesCodec(axes, timebase)
         self._publish = shell.publisher(topic)
         self._publish_estimates = shell.publisher(ESTIMATES)
-        self._motion = MotionBuffer(len(experiment.axes))
+        self._motion = MotionBuffer(len(axes))
         self._waiting: dict[int, Floats] = {}
-        self._order = SampleOrder(experiment.timebase, self._delay)
+        self._order = SampleOrder(timebase, self._delay)
         self._conflict = ""  # why this test is not answered
         self._test = ""  # state of the test, from the supervisor
         self._phase = ""
@@ -110,6 +102,11 @@ class ReferenceForceNode(NodeBody):
         """Poll soon while the state of a rig is late."""
         waiting = self._gathering is not None and self._gathering.is_waiting
         return RIG_POLL if waiting else IDLE_WAIT
+
+    def _protected_force(self) -> ProtectedForce:
+        experiment = self._shell.experiment
+        section = experiment["reference_force"]
+        return ProtectedForce.from_parameters(section, experiment.axes, experiment.timebase)
 
     def _warm_up(self) -> None:
         axes = len(self._shell.experiment.axes)
@@ -170,10 +167,7 @@ class ReferenceForceNode(NodeBody):
         """Answer a state of a rehearsal, with the ground at rest; it can't trip."""
         step, values = self._state_codecs[0].decode(raw)
         if self._rehearsing is None:
-            experiment = self._shell.experiment
-            self._rehearsing = ProtectedForce.from_parameters(
-                experiment["reference_force"], experiment.axes, experiment.timebase
-            )
+            self._rehearsing = self._protected_force()
         elif step == 0:
             self._rehearsing.reset()
         ground = np.zeros((self._window, values.shape[-1]))

@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from seft_msgs_py.node.node_shell import NodeBody, NodeKind, NodeShell
@@ -22,15 +23,7 @@ from seft_msgs_py.wire.messages import (
     decode_diagnostics,
     encode_status,
 )
-from seft_msgs_py.wire.outcome import (
-    FINISHED,
-    MOVING,
-    REHEARSED,
-    RIG,
-    STOPPED,
-    TRIPPED,
-    State,
-)
+from seft_msgs_py.wire.outcome import FINISHED, MOVING, REHEARSED, RIG, STOPPED, TRIPPED, State
 from seft_msgs_py.wire.topics import (
     CLOCK_TOPIC,
     DESCRIPTION,
@@ -51,19 +44,15 @@ from seft_ros.test_run.peers import (
     SILENT,
     UNFIT,
     LastStatus,
+    Rehearsed,
     judge,
     missing,
     silence,
     silent,
 )
-from seft_ros.test_run.state_machine import (
-    PACE,
-    Answer,
-    StateMachine,
-)
+from seft_ros.test_run.state_machine import PACE, Answer, StateMachine
 
 HEARTBEAT = 0.2  # s between two publications of the state
-AGES_PERIOD = 1.0  # s
 GRAPH_PERIOD = 0.2  # s between two polls of the graph
 STOOD_STILL = 1.0  # s without a poll; requests to start or reset expire after that time
 MOST_AT_ONCE = 1000  # messages between two polls, in a flood
@@ -100,21 +89,19 @@ class SupervisorNode(NodeBody):
         self._lost: set[str] = set()  # nodes that have become silent in this test
         self._published: Status | None = None
         self._logged = self._warned = ""  # the last line of the log, and of a rehearsal
-        self._is_unfit = False  # a rehearsal prevents a test
-        self._asked = 0.0  # s, requested duration of a rehearsal
-        self._message = b""
-        self._published_at = self._polled_graph_at = self._reported_at = self._now - AGES_PERIOD
+        self._rehearsed = Rehearsed()
+        self._published_at = self._polled_graph_at = self._now - GRAPH_PERIOD
         shell.subscribe(DIAGNOSTICS, self._on_diagnostics)
         shell.subscribe(DESCRIPTION, self._on_description, depth=64)
         shell.subscribe(CLOCK_TOPIC, self._on_clock, wake=False)
         machine = self._machine
-        for name, request in (
-            ("start", self._in_time(machine.start, "start")),
-            ("stop", machine.stop),
-            ("estop", machine.estop),
-            ("reset", self._in_time(self._reset, "reset")),
-        ):
-            shell.node.create_service(Trigger, name, self._service(request))
+        requests = {"start": machine.start, "stop": machine.stop, "estop": machine.estop}
+        for name, request in {**requests, "reset": self._reset}.items():
+            shell.node.create_service(Trigger, name, partial(self._serve, name, request))
+
+    def begin(self) -> None:
+        """Report that it watches."""
+        self.report("watching")
 
     def run(self) -> None:
         """Supervise until the process ends."""
@@ -146,17 +133,6 @@ class SupervisorNode(NodeBody):
             elif self._state is State.TRIPPED and self._silent is None:
                 self._find_the_silent()
             self._publish_if_due()
-        self._report_ages()
-
-    def _report_ages(self) -> None:
-        """Report the age of each node's last status in the supervisor's own."""
-        if self._now - self._reported_at < AGES_PERIOD:
-            return
-        self._reported_at = self._now
-        ages = {n: self._now - self._statuses[n].at for n in self._peers if n in self._statuses}
-        oldest = max(ages.values(), default=0.0)
-        level = ERROR if oldest > self._timeout else WARN if oldest > self._timeout / 2 else OK
-        self.report("watching", {f"age {n} s": f"{age:.2f}" for n, age in ages.items()}, level)
 
     def _follow_state(self) -> None:
         """Note when a state began; skip a ramp if there is no node for it."""
@@ -178,36 +154,36 @@ class SupervisorNode(NodeBody):
         self._statuses["supervisor"] = LastStatus(own, self._now)
         statuses, described = self._statuses, self._descriptions
         lack = missing(self._peers, statuses, described, self._now, self._timeout, self._rigs)
-        self._is_unfit = False
         self._machine.peers(lack or self._rehearsal())
 
     def _rehearsal(self) -> str:
         """Rehearse the loop, and say what a test still needs; empty if nothing."""
         nodes = {name: self._descriptions.get(name, {}) for name in self._peers}
-        found = judge(self._section["rehearsal.duration"], nodes)
-        self._asked = found.asked
+        self._rehearsed = found = judge(self._section["rehearsal.duration"], nodes)
         if found.warning and found.warning != self._warned:
             self._warned = found.warning
             self._shell.node.get_logger().warning(found.warning)
-        self._is_unfit = bool(found.refusal)
         if found.asked:
             return RUNS
         return f"{UNFIT}{found.refusal}" if found.refusal else ""
 
     def _watch_peers(self) -> None:
-        """Trip if a peer becomes silent: softly, if the loop can continue without it."""
+        """Trip if a peer becomes silent, or if a ramp does not end."""
         gone = silent(self._peers, self._statuses, self._now, self._timeout)
         self._lost.update(gone)
         for node in sorted(gone, key=SOFT_PEERS.__contains__):
-            soft = node in SOFT_PEERS
-            trip = self._machine.soft_trip if soft else self._machine.hard_trip
-            trip(silence(node, self._statuses), self._step())
+            self._trip(node, silence(node, self._statuses), self._step())
         ramped_for = self._now - self._since if self._state is State.RAMPING_DOWN else 0.0
         if self._machine.state is State.RAMPING_DOWN and ramped_for > self._ramp_patience():
             self._machine.hard_trip(
                 f"the reference force has not become zero within {self._ramp_patience():g} s",
                 self._step(),
             )
+
+    def _trip(self, node: str, reason: str, step: int | None) -> None:
+        """Trip because of a node: softly, if the loop can continue without it."""
+        trip = self._machine.soft_trip if node in SOFT_PEERS else self._machine.hard_trip
+        trip(reason, step)
 
     def _ramp_patience(self) -> float:
         margin = self._section["watchdog.ramp_margin"]
@@ -228,44 +204,34 @@ class SupervisorNode(NodeBody):
 
     def _reset(self) -> Answer:
         """Make the next test possible; if a rehearsal prevents it, request another one."""
-        is_unfit = self._machine.state is State.IDLE and self._is_unfit
+        is_unfit = self._machine.state is State.IDLE and self._rehearsed.refusal
         if is_unfit and self._descriptions[RIG].pop(REHEARSED, None) is not None:
             return Answer(True, "the loop is rehearsed again")
         return self._machine.reset(moving=any(self._phase(n) == "running" for n in self._rig_nodes))
 
-    def _in_time(self, request: Callable[[], Answer], what: str) -> Callable[[], Answer]:
-        """Refuse requests that may have waited while this process stalled."""
+    def _serve(self, name: str, request: Callable[[], Answer], _: Any, response: Any) -> Any:
+        found = self._shell.attempt("a service", self._answer, name, request) or FAULTY
+        response.success, response.message = found.accepted, found.text
+        return response
 
-        def answer() -> Answer:
+    def _answer(self, name: str, request: Callable[[], Answer]) -> Answer:
+        """Act on a request, unless it may have waited while this process stalled; a stop may."""
+        with self._lock:
             now = time.monotonic()
-            if now - self._looked_at > STOOD_STILL or now - self._woke_at < STOOD_STILL:
-                return Answer(False, f"can't {what}: the supervisor has stalled; try again")
-            return request()
-
-        return answer
-
-    def _service(self, request: Callable[[], Answer]) -> Callable[[Any, Any], Any]:
-        def answer() -> Answer:
-            with self._lock:
-                found = request()
-                self._follow_state()
-                self._publish_if_due()
-            return found
-
-        def serve(_: Any, response: Any) -> Any:
-            found = self._shell.attempt("a service", answer) or FAULTY
-            response.success, response.message = found.accepted, found.text
-            return response
-
-        return serve
+            stalled = now - self._looked_at > STOOD_STILL or now - self._woke_at < STOOD_STILL
+            if stalled and name in ("start", "reset"):
+                return Answer(False, f"can't {name}: the supervisor has stalled; try again")
+            found = request()
+            self._publish_if_due()
+        return found
 
     def _publish_if_due(self) -> None:
         """Publish the state when it has changed, and as a heartbeat."""
         self._follow_state()
         machine = self._machine
         values = {"detail": machine.detail}
-        if self._asked and machine.state is State.IDLE:
-            values[REHEARSE] = f"{self._asked:g}"
+        if self._rehearsed.asked and machine.state is State.IDLE:
+            values[REHEARSE] = f"{self._rehearsed.asked:g}"
         if machine.step is not None:
             time_s = self._shell.experiment.timebase.stamp_ns(machine.step) / 1e9
             values |= {"step": str(machine.step), "time_s": f"{time_s:.9g}"}
@@ -280,12 +246,10 @@ class SupervisorNode(NodeBody):
             values[START] = str(self._start_ns)
         level = LEVELS.get(machine.state, OK)
         status = Status("experiment", level, str(machine.state), values=values)
-        if status != self._published:
-            self._published, self._message = status, encode_status(status)
-        elif self._now - self._published_at < HEARTBEAT:
+        if status == self._published and self._now - self._published_at < HEARTBEAT:
             return
-        self._published_at = self._now
-        self._publish(self._message)
+        self._published, self._published_at = status, self._now
+        self._publish(encode_status(status))
         self._log(level)
 
     def _log(self, level: int) -> None:
@@ -313,12 +277,11 @@ class SupervisorNode(NodeBody):
         phase, reason = status.values.get("phase"), status.values.get("reason")
         is_rig = status.name in self._rig_nodes
         if phase == TRIPPED:
-            reason, machine = reason or status.message, self._machine
-            trip = machine.soft_trip if status.name in SOFT_PEERS else machine.hard_trip
+            reason = reason or status.message
             cause = reason if is_rig else f"{status.name}: {reason}"
-            trip(cause, status.number("step"))
+            self._trip(status.name, cause, status.number("step"))
             if status.name in self._lost and reason != STOPPED:
-                machine.note(cause)  # its trip while the link was cut
+                self._machine.note(cause)  # its trip while the link was cut
         elif is_rig and phase == FINISHED:
             if all(self._phase(rig) == FINISHED for rig in self._rig_nodes):
                 self._machine.finish(f"{status.values.get('steps')} steps done")

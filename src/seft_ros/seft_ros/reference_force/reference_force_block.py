@@ -131,11 +131,16 @@ class MotionBuffer:
         if first == 0 or not len(self._values):
             self._first, self._values = first, values.copy()
             return True
-        known = self._first + len(self._values) - first
+        known = self.end - first
         if known < 0:
             return False
         self._values = np.concatenate([self._values, values[known:]])
         return True
+
+    @property
+    def end(self) -> int:
+        """One beyond the last step."""
+        return self._first + len(self._values)
 
     def window(self, step: int, count: int) -> Floats | None:
         """Accelerations of ``count`` steps from ``step`` on, shape (count, n); None if missing."""

@@ -60,7 +60,6 @@ function tell({ kind, ...content }) {
     judge();
     show.showMargins(content.margins);
     show.showNodes(content.nodes, content.refused);
-    show.showParameters(content.parameters);
   } else if (kind === "events") show.showEvents(content.events);
   else if (kind === "motion") known.motion = content.motion;
   else if (kind === "round_trips") known.trips = content.round_trips;

@@ -118,8 +118,3 @@ export function showEvents(events) {
     row(make("time", new Date(1000 * at).toLocaleTimeString()),
       make("b", NAMES[what] ?? what, LEVELS[level]), make("span", detail))));
 }
-
-export function showParameters(parameters) {
-  element("parameters").replaceChildren(...Object.entries(parameters).flatMap(([name, value]) =>
-    [make("dt", name), make("dd", value)]));
-}
