@@ -70,13 +70,17 @@ class Samples:
 
 
 def node_processes() -> dict[str, int]:
-    """Process numbers of the nodes that this process has started."""
+    """Process numbers of the nodes that this process has had started."""
     found = {}
-    me = os.getpid()
-    for pid in map(int, Path(f"/proc/{me}/task/{me}/children").read_text().split()):
+    for pid in [each for starter in children(os.getpid()) for each in children(starter)]:
         words = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
         found |= {node: pid for node, module in MODULES.items() if module in words}
     return found
+
+
+def children(pid: int) -> list[int]:
+    """Process numbers of what a process's first thread has started."""
+    return [int(each) for each in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
 def anonymous_memory(pid: int) -> float:

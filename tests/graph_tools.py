@@ -53,19 +53,24 @@ def wait_for(condition: Callable[[], object], what: str) -> object:
 
 
 def children(pid: int) -> dict[str, int]:
-    """Node processes that a `seft run` has started: node, with its rig's name -> pid."""
-    found = {}
+    """Node processes that a `seft run` has had started: node, with its rig's name -> pid."""
+    found: dict[str, int] = {}
+    try:
+        starters = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    except OSError:  # it has ended
+        return found
     for entry in Path("/proc").iterdir():
         if not entry.name.isdigit():
             continue
         try:
+            if (entry / "stat").read_text().rsplit(")", 1)[1].split()[1] not in starters:
+                continue
             words = (entry / "cmdline").read_bytes().decode().split("\0")
-            parent = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
         except (OSError, ValueError):
             continue
         below = [word.removeprefix("__ns:=/") + "/" for word in words if word.startswith("__ns:=/")]
         for node, module in MODULES.items():
-            if parent == pid and (module in words or (COMPOSED in words and node in words)):
+            if module in words or (COMPOSED in words and node in words):
                 found["".join([*below, node])] = int(entry.name)
     return found
 

@@ -12,10 +12,6 @@ from hypothesis import strategies as st
 from seft_msgs_py.node import realtime
 from seft_msgs_py.node.realtime import LONGEST_GAP, AwakeClock
 
-EQUAL_ADDRESSES = pytest.mark.skipif(
-    subprocess.run(["setarch", "-R", "true"], stderr=subprocess.DEVNULL).returncode != 0,
-    reason="a container's filter denies equal addresses",
-)
 WISH = {"cpu_core": -1, "keep_awake": False, "lock_memory": False, "thread_priority": 0}
 PROGRAM = """
 import ctypes, json, os, resource, sys
@@ -143,28 +139,6 @@ def test_the_middleware_names_its_threads_as_is_read_here():
     done = subprocess.run([sys.executable, "-c", GRAPH], stdout=subprocess.PIPE, check=True)
     aside, named = map(int, done.stdout.split())
     assert 0 < aside < named
-
-
-@EQUAL_ADDRESSES
-def test_programs_at_equal_addresses_have_their_parts_in_the_same_places():
-    def places(how):
-        words = [sys.executable, "-c", "print(open('/proc/self/maps').read())"]
-        done = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True, preexec_fn=how)
-        return sorted(line.split()[0] for line in done.stdout.splitlines() if ".so" in line)
-
-    equal = places(realtime.take_equal_addresses)
-    assert equal
-    assert equal == places(realtime.take_equal_addresses)
-    assert equal != places(None)
-
-
-@EQUAL_ADDRESSES
-@pytest.mark.parametrize("equal", [False, True])
-def test_equal_addresses_are_told(equal):
-    words = [sys.executable, "-c", PROGRAM, json.dumps(WISH), ""]
-    how = realtime.take_equal_addresses if equal else None
-    done = subprocess.run(words, stdout=subprocess.PIPE, check=True, preexec_fn=how)
-    assert json.loads(done.stdout)["granted"]["equal_addresses"] is equal
 
 
 PRECEDENCE = """

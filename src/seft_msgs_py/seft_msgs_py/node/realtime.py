@@ -37,7 +37,6 @@ _REMEDY = (
 )
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _PR_SET_TIMERSLACK, _SLACK_NS = 29, 1
-_ADDR_NO_RANDOMIZE, _ASK = 0x0040000, 0xFFFFFFFF
 _AWAKE = Path("/dev/cpu_dma_latency")
 _LIBC = ctypes.CDLL(None, use_errno=True)
 _held: list[int] = []
@@ -62,16 +61,6 @@ def wake_on_time() -> None:
     Otherwise Linux may wake them up to 50 µs later, to save power.
     """
     _LIBC.prctl(_PR_SET_TIMERSLACK, _SLACK_NS, 0, 0, 0)
-
-
-def take_equal_addresses() -> None:
-    """Make the program that this process will execute use the same addresses as others.
-
-    Otherwise Linux chooses addresses at random (`personality(2)`). The nodes of the loop run the
-    same interpreter and middleware, in turn on one core; at equal addresses each finds the
-    processor's caches prepared by the previous one. If a container denies it, nothing changes.
-    """
-    _LIBC.personality(_personality() | _ADDR_NO_RANDOMIZE)
 
 
 def take_precedence(pid: int) -> bool:
@@ -121,7 +110,6 @@ def granted() -> dict[str, Any]:
         "locked_kb": memory_kb("VmLck"),
         "cores": sorted(os.sched_getaffinity(0)),
         "keeps_awake": bool(_held),
-        "equal_addresses": bool(_personality() & _ADDR_NO_RANDOMIZE),
         "boot": boot(),
         "process": [os.getpid(), started(os.getpid())],
     }
@@ -148,11 +136,6 @@ def process_stat(pid: int) -> list[str]:
     except OSError:
         return []
     return stat.rsplit(")", 1)[1].split()
-
-
-def _personality() -> int:
-    """Read the flags of `personality(2)` of this process; none if reading them is denied."""
-    return max(0, int(_LIBC.personality(_ASK)))
 
 
 def side_threads(pid: int | str = "self") -> list[int]:

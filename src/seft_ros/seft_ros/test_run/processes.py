@@ -7,8 +7,6 @@ import platform
 import shutil
 import signal
 import struct
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Collection, Iterable, Iterator
@@ -23,13 +21,12 @@ from seft_msgs_py.node.realtime import (
     may_keep_awake,
     process_stat,
     side_threads,
-    take_equal_addresses,
     take_precedence,
     threads_of,
 )
 from seft_msgs_py.wire.topics import bare, rig_name
 
-from seft_ros.test_run.orphan_reaper import OrphanReaper
+from seft_ros.test_run.node_starter import NodeStarter, StartedNode
 
 LOOP_NODES = ("rig", "reference_force", "force_controller")
 """Nodes that work one after the other within a step."""
@@ -79,13 +76,12 @@ class Placement:
         OSError
             If it has ended.
         """
-        if bare(node) not in LOOP_NODES:
-            os.sched_setaffinity(pid, self.others)
-            return
-        os.sched_setaffinity(pid, self.loop)
-        if self._lockstep:
-            os.sched_setscheduler(pid, os.SCHED_BATCH, os.sched_param(0))
-        else:
+        in_loop = bare(node) in LOOP_NODES
+        for thread in threads_of(pid):  # those that it makes from now on inherit this
+            os.sched_setaffinity(thread, self.loop if in_loop else self.others)
+            if in_loop and self._lockstep:
+                os.sched_setscheduler(thread, os.SCHED_BATCH, os.sched_param(0))
+        if in_loop and not self._lockstep:
             _hurry(pid)
 
     def settle(self, pid: int, *, lockstep: bool) -> None:
@@ -179,14 +175,14 @@ MODULES = {
 """Module of each node, for ``python -m``: it works with and without a ROS installation."""
 COMPOSED = "seft_ros.nodes.loop_node"
 
-_PR_SET_PDEATHSIG = 1
-
 
 class NodeProcesses:
     """Processes of some nodes, each with its log file.
 
     Parameters
     ----------
+    starter : NodeStarter
+        Starts them.
     nodes : iterable of str
         Names of the nodes.
     parameters : Path
@@ -206,6 +202,7 @@ class NodeProcesses:
 
     def __init__(
         self,
+        starter: NodeStarter,
         nodes: Iterable[str],
         parameters: Path,
         logs: Path,
@@ -213,14 +210,14 @@ class NodeProcesses:
         *,
         lockstep: bool,
     ) -> None:
-        self._logs, nodes = logs, list(nodes)
+        self._starter, self._logs, nodes = starter, logs, list(nodes)
         self.bag: Path | None = None
         self._cores = os.sched_getaffinity(0)
         self._placement = layout.placement(nodes, lockstep=lockstep)
         if self._placement is not None:
             os.sched_setaffinity(0, self._placement.others)  # this process, too
         self._logs_of: dict[str, Path] = {}
-        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._processes: dict[str, StartedNode] = {}
         try:
             for group in layout.groups(nodes):
                 self._processes.update(dict.fromkeys(group, self._start(group, parameters)))
@@ -274,37 +271,22 @@ class NodeProcesses:
     def stop(self, patience: float = 10.0) -> None:
         """Ask all processes to end, and kill what has not after ``patience`` seconds."""
         for process in set(self._processes.values()):
-            if process.poll() is None:
-                process.send_signal(signal.SIGINT)
-                process.send_signal(signal.SIGCONT)  # so that a stopped one ends cleanly, too
+            process.send_signals(signal.SIGINT, signal.SIGCONT)  # a stopped one ends cleanly, too
         deadline = time.monotonic() + patience
         for process in self._processes.values():
-            try:
-                process.wait(max(0.01, deadline - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+            while not process.wait(max(0.01, deadline - time.monotonic())):
+                process.send_signals(signal.SIGKILL)
         os.sched_setaffinity(0, self._cores)  # as before
 
-    def _start(self, group: tuple[str, ...], parameters: Path) -> "subprocess.Popen[bytes]":
+    def _start(self, group: tuple[str, ...], parameters: Path) -> StartedNode:
         names, rig = [bare(node) for node in group], rig_name(group[0])
-        what = [MODULES[names[0]]] if len(group) == 1 else [COMPOSED, "--nodes", *names]
-        command = [sys.executable, "-m", *what, "--ros-args", "--params-file", str(parameters)]
+        words = [MODULES[names[0]]] if len(group) == 1 else [COMPOSED, "--nodes", *names]
+        words += ["--ros-args", "--params-file", str(parameters)]
         if rig:
-            command += ["-r", f"__ns:=/{rig}"]
-        shares_a_core = self._placement is not None and names[0] in LOOP_NODES
-        path = self._logs / ("_".join(node.replace("/", "_") for node in group) + ".log")
-        self._logs_of.update(dict.fromkeys(group, path))
-        with path.open("wb") as log:
-            process = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,  # this process passes Ctrl-C on, in order
-                preexec_fn=_begin_in_the_loop if shares_a_core else _end_with_parent,
-                env=os.environ | {"ROS_LOG_DIR": str(self._logs)},
-            )
+            words += ["-r", f"__ns:=/{rig}"]
+        log = self._logs / ("_".join(node.replace("/", "_") for node in group) + ".log")
+        self._logs_of.update(dict.fromkeys(group, log))
+        process = self._starter.start(words, log, ROS_LOG_DIR=str(self._logs))
         if self._placement is not None:
             self._placement.put(names[0], process.pid)
         return process
@@ -315,18 +297,9 @@ class NodeProcesses:
         return problems[-1] if problems else "it wrote nothing about it"
 
 
-def _end_with_parent() -> None:
-    """Have the kernel end the calling process when the one that started it dies."""
-    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-
-
-def _begin_in_the_loop() -> None:
-    _end_with_parent()
-    take_equal_addresses()
-
-
 @contextmanager
 def node_processes(
+    starter: NodeStarter,
     nodes: Iterable[str],
     experiment: Experiment,
     layout: ProcessLayout,
@@ -338,6 +311,8 @@ def node_processes(
 
     Parameters
     ----------
+    starter : NodeStarter
+        Starts them.
     nodes : iterable of str
         Names of the nodes.
     experiment : Experiment
@@ -354,23 +329,25 @@ def node_processes(
     parameters = folder / "parameters.yaml"
     try:
         parameters.write_text(experiment.to_yaml(), encoding="utf-8")
-        with OrphanReaper() as reaper:
-            processes = NodeProcesses(nodes, parameters, folder, layout, lockstep=lockstep)
-            try:
-                reaper.watch(processes.pids().values())
-                processes.bag = bag
-                yield processes
-            finally:
-                bag = processes.bag
-                processes.stop()
+        processes = NodeProcesses(starter, nodes, parameters, folder, layout, lockstep=lockstep)
+        try:
+            processes.bag = bag
+            yield processes
+        finally:
+            bag = processes.bag
+            processes.stop()
     finally:
         if bag is not None and bag.is_dir():
             shutil.copytree(folder, bag / "logs", dirs_exist_ok=True)
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def one_node(
-    node: str, experiment: Experiment, *, lockstep: bool
-) -> contextlib.AbstractContextManager[NodeProcesses]:
+@contextmanager
+def one_node(node: str, experiment: Experiment, *, lockstep: bool) -> Iterator[NodeProcesses]:
     """Run one node, for a command that stands in for the others; see `node_processes`."""
-    return node_processes([node], experiment, ProcessLayout(pin=not lockstep), lockstep=lockstep)
+    layout = ProcessLayout(pin=not lockstep)
+    with (
+        NodeStarter() as starter,
+        node_processes(starter, [node], experiment, layout, lockstep=lockstep) as processes,
+    ):
+        yield processes

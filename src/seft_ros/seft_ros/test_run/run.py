@@ -15,6 +15,7 @@ from seft_msgs_py.wire.outcome import ENDED, State
 from seft_msgs_py.wire.topics import EXPERIMENT_STATE, NODES, LoopTopic, bare, topics_of, with_rigs
 
 from seft_ros.bags.lasting_bag import obstacle
+from seft_ros.test_run.node_starter import NodeStarter
 from seft_ros.test_run.observer import Observer
 from seft_ros.test_run.parameter_tables import RECORDER
 from seft_ros.test_run.peers import CONFLICT, RUNS, SILENT, UNFIT
@@ -287,10 +288,12 @@ def run_experiment(
     # the pace is the rig's own; an external rig tells it later
     lockstep = "rig" not in map(bare, nodes) or experiment["rig"]["pace"] == "lockstep"
     progress("looking for other tests", 0)
-    with closing(Observer(with_rigs(NODES, experiment.rigs))) as observer:
+    with NodeStarter() as starter, closing(Observer(with_rigs(NODES, experiment.rigs))) as observer:
         observer.refuse_other_tests(external)
         progress("starting the nodes", 0)
-        with node_processes(nodes, experiment, layout, lockstep=lockstep, bag=bag) as processes:
+        with node_processes(
+            starter, nodes, experiment, layout, lockstep=lockstep, bag=bag
+        ) as processes:
             monitor = RunMonitor(observer, processes, progress, experiment)
             monitor.start()
             try:

@@ -1,0 +1,115 @@
+"""The process that starts the nodes of a run, and ends those that are left behind."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from seft_msgs_py.errors import ExperimentError
+from seft_ros.test_run.node_starter import NodeStarter
+
+SLEEPER = """
+import ctypes, os, signal, sys, time
+
+def main():
+    what, log = sys.argv[1:]
+    if what == "raise":
+        raise ValueError("a fault of its own")
+    if what == "sleep":
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+        print("asleep", os.environ["MARK"], hex(id(sys)), ctypes.pythonapi.Py_IsInitialized)
+        sys.stdout.flush()
+        time.sleep(60)
+    return int(what)
+"""
+PATIENCE = 60.0  # s
+
+
+@pytest.fixture
+def start(tmp_path, monkeypatch):
+    """Start a process that does as it is told, and wait until it has said so, or has ended."""
+    (tmp_path / "sleeper.py").write_text(SLEEPER)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+
+    def start(starter, what, name="log"):
+        log = tmp_path / name
+        node = starter.start(["sleeper", what, str(log)], log, MARK="here")
+        while node.poll() is None and "asleep here" not in (
+            log.read_text() if log.exists() else ""
+        ):
+            time.sleep(0.01)
+        return node, log
+
+    return start
+
+
+def alive(pid):
+    return Path(f"/proc/{pid}").exists()
+
+
+@pytest.mark.parametrize("status", [0, 3])
+def test_it_knows_how_a_node_ended(start, status):
+    with NodeStarter() as starter:
+        node, _ = start(starter, str(status))
+        assert node.wait(0.0)
+        assert node.poll() == status
+
+
+def test_a_fault_is_in_the_log(start):
+    with NodeStarter() as starter:
+        node, log = start(starter, "raise")
+        assert node.poll() == 1
+        assert log.read_text().strip().endswith("ValueError: a fault of its own")
+
+
+def test_a_log_that_cannot_be_made_ends_the_node(start, tmp_path):
+    with NodeStarter() as starter:
+        node = starter.start(["sleeper", "sleep", ""], tmp_path / "missing" / "log")
+        assert node.wait(PATIENCE)
+        assert node.poll() == 1
+
+
+def test_a_node_ends_by_a_signal(start):
+    with NodeStarter() as starter:
+        node, _ = start(starter, "sleep")
+        assert not node.wait(0.01)
+        node.send_signals(signal.SIGKILL)
+        assert node.wait(PATIENCE)
+        assert node.poll() == -signal.SIGKILL
+        node.send_signals(signal.SIGKILL)  # which finds none, and no other
+
+
+def test_a_node_has_its_session_its_command_line_and_the_addresses_of_others(start):
+    with NodeStarter() as starter:
+        (one, log), (other, its_log) = start(starter, "sleep", "1"), start(starter, "sleep", "2")
+        for node, file in (one, log), (other, its_log):
+            assert os.getsid(node.pid) == node.pid
+            words = Path(f"/proc/{node.pid}/cmdline").read_bytes().decode().rstrip("\0")
+            assert words.split("\0")[1:] == ["-m", "sleeper", "sleep", str(file)]
+        assert log.read_text() == its_log.read_text()
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+def test_what_a_run_leaves_behind_ends_with_it(start, stopped):
+    with NodeStarter() as starter:
+        node, _ = start(starter, "sleep")
+        if stopped:
+            os.kill(node.pid, signal.SIGSTOP)
+    assert not alive(node.pid)
+
+
+def test_nodes_end_with_their_starter(start, tmp_path):
+    with NodeStarter() as starter:
+        node, _ = start(starter, "sleep")
+        os.kill(os.getsid(starter._process.pid), signal.SIGKILL)
+        assert node.wait(PATIENCE)
+        assert node.poll() == -signal.SIGTERM
+        with pytest.raises(ExperimentError, match="the process that starts the nodes has ended"):
+            starter.start(["sleeper", "0", ""], tmp_path / "log")
+
+
+def test_it_has_one_thread_when_it_starts_nodes(start):
+    with NodeStarter() as starter:
+        start(starter, "0")
+        assert len(list(Path(f"/proc/{starter._process.pid}/task").iterdir())) == 1
