@@ -7,7 +7,6 @@ import cmath
 import math
 from dataclasses import asdict
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 from typing import Any, Optional
 
@@ -24,8 +23,6 @@ from seft_ros.cli.options import (
     Json,
     Params,
     Plant,
-    Scheduler,
-    Workers,
     check_out,
     complain,
     dds_test,
@@ -160,8 +157,6 @@ def preflight(
         "the specimen's local stiffness.",
         "FILE",
     ),
-    workers: Workers = None,
-    scheduler: Scheduler = "",
     write: Optional[Path] = option(
         None, "Write limits that fit the test into a parameter file, for --params-file.", "FILE"
     ),
@@ -204,14 +199,10 @@ def preflight(
         summarise,
         write_limits,
     )
-    from seft_ros.design.stability_map import (
-        preflight_figure,
-        stability_maps,
-    )
+    from seft_ros.design.stability_map import preflight_figure, stability_maps
     from seft_ros.design.stability_verdict import next_steps
     from seft_ros.design.stability_verdict import preflight as fly
     from seft_ros.drawing.style import check_figure, save_figure
-    from seft_ros.ensemble.workers import free_cores, parallel_map
     from seft_ros.reference_force.compensator import NotLinearError
 
     path = check_figure(figure) if figure is not None else None
@@ -239,8 +230,7 @@ def preflight(
         if write is not None:
             write_limits(write, limits)
         if path is not None:
-            spread = partial(parallel_map, workers or free_cores(), scheduler)
-            maps = stability_maps(plan, found.margins, progress, spread)
+            maps = stability_maps(plan, found.margins, progress)
             save_figure(preflight_figure(plan, found, maps), path)
             summary["figure"] = str(path)
     tables = preflight_tables(plan, found, f"preflight of {config}")
