@@ -83,7 +83,6 @@ def test_plant_loop_and_closed_loop_agree_with_the_analytic_model(identify, name
     assert found["delay_s"] == pytest.approx(known.tracking.delay_s, rel=0.02)
     assert found["closed_loop_flat_to_hz"] == pytest.approx(known.tracking.flat_to_hz, rel=0.03)
     assert found["bandwidth_hz"] == pytest.approx(known.tracking.bandwidth_hz, rel=0.02)
-    assert [row["hz"] for row in found["delay_by_frequency"]] == [1, 2, 5, 10, 15, 20, 25, 30]
     assert found["tripped"] == {"pilot": None, "open_loop": None, "closed_loop": None}
     assert found["fit_error"] < 0.06
 

@@ -17,7 +17,6 @@ from seft_ros.design.plant import Plant, SampledPlant
 from seft_ros.drawing.style import CENTRED, Number, make_table, rows_of
 
 LOWEST_HZ = 0.1
-_COMPARED = ("crossover_hz", "phase_margin_deg", "gain_margin_db", "sensitivity_peak")
 _TRACKING = ("flat_to_hz", "bandwidth_hz", "delay_s", "dip_db", "dip_hz")
 
 
@@ -47,25 +46,6 @@ class Responses:
 
 
 @dataclass(frozen=True)
-class PhaseCost:
-    """Phase that a loop loses at its crossover, against one in continuous time; degrees.
-
-    By the zero-order hold (and what it folds back from above half the rate), the step from a
-    sample to the command that answers it, and the discretisation of the controller.
-    """
-
-    hold: float
-    latency: float
-    dead_time: float
-    bilinear: float
-
-    @property
-    def total(self) -> float:
-        """All together."""
-        return self.hold + self.latency + self.dead_time + self.bilinear
-
-
-@dataclass(frozen=True)
 class LoopDesign:
     """The force loop of one axis.
 
@@ -79,8 +59,11 @@ class LoopDesign:
         Shape (N,), up to half the sampling rate, Hz.
     continuous, sampled : Responses
         In continuous time and without dead time; and as it runs.
-    phase_cost : PhaseCost or None
-        Where ``margins`` lost phase; None without a crossover.
+    phase_cost : dict or None
+        Phase in degrees that the loop loses at its crossover, against one in continuous time: by
+        the zero-order ``hold`` (and what it folds back from above half the rate), the ``latency``
+        from a sample to the command that answers it, the ``dead_time``, the ``bilinear``
+        transform of the controller, and in ``total``; None without a crossover.
     stable : bool
         Whether the sampled loop is stable, by its eigenvalues.
     """
@@ -90,7 +73,7 @@ class LoopDesign:
     frequencies_hz: Floats
     continuous: Responses
     sampled: Responses
-    phase_cost: PhaseCost | None
+    phase_cost: dict[str, float] | None
     stable: bool
 
     @property
@@ -127,7 +110,9 @@ def shape_loop(plant: Plant, controller: Controller, dt: float) -> LoopDesign:
         discretised = controller.response(at) / controller.sampled_response(at, dt)
         hold, bilinear = (float(np.angle(part, deg=True)[0]) for part in (held, discretised))
         hold = (hold - latency + 180.0) % 360.0 - 180.0
-        cost = PhaseCost(hold, latency, 360.0 * crossover * plant.delay, bilinear)
+        dead_time = 360.0 * crossover * plant.delay
+        cost = {"hold": hold, "latency": latency, "dead_time": dead_time, "bilinear": bilinear}
+        cost["total"] = sum(cost.values())
     stable = abs(force_loop(plant, controller, dt).dominant()) < 1
     return LoopDesign(plant, controller, f, continuous, sampled, cost, stable)
 
@@ -152,26 +137,28 @@ def _number(label: str, key: str, unit: str, at: str = "", scale: float = 1.0) -
     return Number(label, key, unit, scale, ".3g", "none", at)
 
 
-_MARGINS = (
+MARGINS = (
     _number("crossover", "crossover_hz", "Hz"),
     _number("phase margin", "phase_margin_deg", "deg"),
     _number("gain margin", "gain_margin_db", "dB", "phase_crossover_hz"),
 )
-_LOOP = (
-    *_MARGINS,
-    _number("sensitivity peak", "sensitivity_peak", "", "sensitivity_peak_hz"),
-    _number("flat within 1 dB to", "flat_to_hz", "Hz"),
+TRACKING = (
+    _number("flat within 1 dB to", "closed_loop_flat_to_hz", "Hz"),
     _number("bandwidth (-3 dB)", "bandwidth_hz", "Hz"),
     _number("delay", "delay_s", "ms", scale=1e3),
     _number("dip within 25 Hz", "dip_db", "dB", "dip_hz"),
 )
+_SENSITIVITY = _number("sensitivity peak", "sensitivity_peak", "", "sensitivity_peak_hz")
 
 
 def design_table(design: LoopDesign, title: str) -> Table:
     """Tabulate the force loop of one axis under a title."""
     plant, controller, cost = design.plant, design.controller, design.phase_cost
     zero = plant.antiresonance()
-    loops = (vars(m) | vars(t) for m, t in (design.continuous.numbers, design.sampled.numbers))
+    loops = (
+        asdict(margins) | tracking_numbers(tracking)
+        for margins, tracking in (design.continuous.numbers, design.sampled.numbers)
+    )
     rows: list[list[str] | None] = [
         ["plant zero (specimen)", "", str(zero or "none")],
         ["plant pole (oil column)", "", str(plant.oil_column() or "none")],
@@ -180,13 +167,13 @@ def design_table(design: LoopDesign, title: str) -> Table:
         *(["controller zero", "", str(root)] for root in controller.zeros),
         *(["controller pole", "", str(root)] for root in controller.poles),
         None,
-        *rows_of(_LOOP, *loops),
+        *rows_of((*MARGINS, _SENSITIVITY, *TRACKING), *loops),
     ]
     if zero is not None:
         rows.append(["delay at the zero", "", f"{1e3 * design.delay_at(zero.hz):.3g} ms"])
     caption = cost and (
-        f"phase lost at crossover: {cost.total:.3g} deg (hold {cost.hold:.2g}, "
-        f"latency {cost.latency:.2g}, dead time {cost.dead_time:.2g}, bilinear {cost.bilinear:.2g})"
+        "phase lost at crossover: {total:.3g} deg (hold {hold:.2g}, latency {latency:.2g}, "
+        "dead time {dead_time:.2g}, bilinear {bilinear:.2g})".format(**cost)
     )
     headings = ("", "continuous", "as it runs")
     return make_table(headings, rows, title=title, caption=caption, **CENTRED)
@@ -194,12 +181,10 @@ def design_table(design: LoopDesign, title: str) -> Table:
 
 def axes_table(axes: list[dict[str, Any]]) -> Table:
     """Tabulate the margins of several axes, as `summarise_axes` gives them."""
-    columns = [Number("axis", "axis"), *(replace(number, at="") for number in _MARGINS)]
-    rows = [
-        [*(column.text(axis) for column in columns), "stable" if axis["stable"] else "unstable"]
-        for axis in axes
-    ]
-    headings = (*(column.label for column in columns), "")
+    stable = Number("", "stable", form=lambda is_stable: "stable" if is_stable else "unstable")
+    columns = (Number("axis", "axis"), *MARGINS, stable)
+    rows = [[column.text(axis) for column in columns] for axis in axes]
+    headings = [column.label for column in columns]
     title = "axes, each with the valves of the others closed"
     return make_table(headings, rows, wrap=True, left=(4,), title=title, **CENTRED)
 
@@ -209,12 +194,11 @@ def summarise(design: LoopDesign) -> dict[str, Any]:
 
     All but ``discretisation: continuous`` is of the sampled loop. What does not exist is None.
     """
-    zero, controller, cost = design.plant.antiresonance(), design.controller, design.phase_cost
-    loops = {"continuous": design.continuous, "sampled": design.sampled}
+    zero, controller = design.plant.antiresonance(), design.controller
     return {
         "plant_source": design.plant.source,
         **plant_numbers(design.plant),
-        **_margins(design.margins),
+        **asdict(design.margins),
         **tracking_numbers(design.tracking),
         "delay_at_zero_s": design.delay_at(zero.hz) if zero else None,
         "controller": {
@@ -225,11 +209,9 @@ def summarise(design: LoopDesign) -> dict[str, Any]:
             "zeros": [asdict(root) for root in controller.zeros],
         },
         "discretisation": {
-            **{
-                which: {name: getattr(responses.numbers[0], name) for name in _COMPARED}
-                for which, responses in loops.items()
-            },
-            "phase_cost_deg": cost and {**asdict(cost), "total": cost.total},
+            "continuous": asdict(design.continuous.numbers[0]),
+            "sampled": asdict(design.margins),
+            "phase_cost_deg": design.phase_cost,
         },
     }
 
@@ -253,15 +235,9 @@ def tracking_numbers(tracking: Tracking | None) -> dict[str, Any]:
 def summarise_axes(axes: Sequence[str], designs: Sequence[LoopDesign]) -> list[dict[str, Any]]:
     """Name, margins and stability of every axis, each with the valves of the others closed."""
     return [
-        {"axis": axis, **_margins(design.margins), "stable": design.stable}
+        {"axis": axis, **asdict(design.margins), "stable": design.stable}
         for axis, design in zip(axes, designs, strict=True)
     ]
-
-
-def _margins(margins: LoopMargins) -> dict[str, Any]:
-    values = asdict(margins)
-    del values["stable"]  # the eigenvalues say it exactly
-    return {**values, "crossovers_hz": list(margins.crossovers_hz)}
 
 
 PHASE_MARGIN_DEG = 45.0
@@ -343,7 +319,7 @@ class _Search:
             unscaled = candidate.sampled_response(at, dt) * plant_at
             controller = candidate.scaled(sign / float(abs(unscaled[0])))
             loop = controller.sampled_response(self._f, dt) * self._response
-            phase = np.angle(-np.sign(controller.gain) * unscaled[0], deg=True)
+            phase = np.angle(-sign * unscaled[0], deg=True)
             if phase < PHASE_MARGIN_DEG or self._lacks_gain_margin(loop, crossover_hz):
                 continue
             margins = loop_margins(self._f, loop)
@@ -366,20 +342,17 @@ class _Search:
     def _candidates(self, crossover_hz: float) -> Iterator[Controller]:
         """Yield controllers of gain 1, the simplest first, roll-offs from the highest down."""
         zero = Root(self._zero.hz, max(self._zero.damping or 0.0, _LEAST_DAMPING))
-        poles = [self._prewarped(zero)]
-        yield Controller.from_roots(1.0, [], poles)
-        roll_offs = np.geomspace(0.45 / self._dt, crossover_hz, _ROLL_OFFS, endpoint=False).tolist()
-        for damping in (None, _ROLL_OFF_DAMPING):
-            for hz in roll_offs:
-                yield Controller.from_roots(1.0, [], [*poles, Root(hz, damping)])
-        oil = self._oil_column
+        hz = np.geomspace(0.45 / self._dt, crossover_hz, _ROLL_OFFS, endpoint=False).tolist()
+        single, double = ([[Root(f, zeta)] for f in hz] for zeta in (None, _ROLL_OFF_DAMPING))
+        poles, oil = [self._prewarped(zero)], self._oil_column
+        for roll_off in ([], *single, *double):
+            yield Controller.from_roots(1.0, [], [*poles, *roll_off])
         if oil is None or oil.hz >= 0.45 / self._dt:
             return
         notch = self._prewarped(oil)
         poles.append(Root(notch.hz, _NOTCH_DAMPING))
-        yield Controller.from_roots(1.0, [notch], poles)
-        for hz in roll_offs:
-            yield Controller.from_roots(1.0, [notch], [*poles, Root(hz)])
+        for roll_off in ([], *single):
+            yield Controller.from_roots(1.0, [notch], [*poles, *roll_off])
 
     def highest_crossover(self, wish_hz: float) -> float | None:
         """Highest possible crossover below a wish, to three digits."""

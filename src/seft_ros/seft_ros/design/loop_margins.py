@@ -36,10 +36,6 @@ class LoopMargins:
         Largest |S| = 1 / |1 + L|.
     sensitivity_peak_hz : float or None
         Where.
-    stable : bool or None
-        Whether the closed loop is stable, by Nyquist's criterion for a loop that is stable
-        while open; None where |L| is not below 1 at the highest frequency. Of a model
-        `seft_ros.design.closed_loop.force_loop` says it exactly.
     """
 
     crossover_hz: float | None = None
@@ -49,7 +45,6 @@ class LoopMargins:
     phase_crossover_hz: float | None = None
     sensitivity_peak: float | None = None
     sensitivity_peak_hz: float | None = None
-    stable: bool | None = None
 
 
 def loop_margins(frequencies_hz: Floats, loop: Complexes) -> LoopMargins:
@@ -76,7 +71,6 @@ def loop_margins(frequencies_hz: Floats, loop: Complexes) -> LoopMargins:
         phase_crossover = float(phase_omegas[least] / (2 * np.pi))
     sensitivity = 1 / np.maximum(np.abs(1 + loop), 1e-9)
     peak = int(sensitivity.argmax())
-    turning = np.unwrap(np.angle(1 + loop))[-1]
     return LoopMargins(
         crossover_hz=crossovers[falls] if len(crossovers) > falls else None,
         crossovers_hz=tuple(crossovers),
@@ -85,7 +79,6 @@ def loop_margins(frequencies_hz: Floats, loop: Complexes) -> LoopMargins:
         phase_crossover_hz=phase_crossover,
         sensitivity_peak=float(sensitivity[peak]),
         sensitivity_peak_hz=float(omega[peak] / (2 * np.pi)),
-        stable=bool(abs(turning) < np.pi / 2) if abs(loop[-1]) < 1 else None,
     )
 
 
