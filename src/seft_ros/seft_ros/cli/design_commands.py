@@ -45,16 +45,6 @@ def design(
     axis: Optional[str] = option(None, "Axis to show; default the first.", "NAME"),
     crossover: Optional[float] = option(None, "Propose a controller for this crossover.", "HZ"),
     gain_margin: float = option(6.0, "Least gain margin of a proposal in dB.", "DB"),
-    gain: Optional[float] = option(None, "Try gain * product(s - zeros) / product(s - poles)."),
-    zero: Optional[list[str]] = option(
-        None,
-        "Zero of the controller: real, or with a damping ratio a conjugate pair; 0 is a "
-        "differentiator. May be given many times.",
-        "HZ[,DAMPING]",
-    ),
-    pole: Optional[list[str]] = option(
-        None, "Pole of the controller; 0 is an integrator.", "HZ[,DAMPING]"
-    ),
     numerator: Optional[str] = option(None, 'Numerator in s, highest power first: "37".'),
     denominator: Optional[str] = option(None, 'Denominator: "1 17.14 4002".'),
     out: Optional[Path] = option(None, "Write the controller to a new parameter file.", "FILE"),
@@ -80,17 +70,10 @@ def design(
 
         seft simulate config/jhu.yaml --params-file controller.yaml
 
-        seft design config/jhu.yaml --gain 37 --pole 10.07,0.1355
-
         seft design config/jhu.yaml --numerator 37 --denominator "1 17.14 4002"
     """
     from seft_ros.design.closed_loop import force_loop
-    from seft_ros.design.controller import (
-        Controller,
-        check_new,
-        given_controller,
-        write_controller,
-    )
+    from seft_ros.design.controller import Controller, given_controller, write_controller
     from seft_ros.design.loop_design import (
         axes_table,
         design_table,
@@ -101,18 +84,18 @@ def design(
     )
     from seft_ros.design.loop_figures import design_figure
     from seft_ros.design.plant import choose_plant
-    from seft_ros.drawing.style import check_figure, save_figure
+    from seft_ros.drawing.style import check_figure, check_folder, save_figure
 
     path = check_figure(figure) if figure is not None else None
     if out is not None:
-        check_new(out)
+        check_folder(out)
     experiment = load_experiment(config, param, params_file)
     dt, axes = experiment.timebase.dt, experiment.axes
     if axis is not None and axis not in axes:
         raise InputError(f"--axis {axis}: there is no such axis{nearest(axis, axes)}")
     shown = 0 if axis is None else axes.index(axis)
     whole = choose_plant(experiment, plant)
-    controller = given_controller(gain, zero or (), pole or (), numerator, denominator)
+    controller = given_controller(numerator, denominator)
     if crossover is not None:
         if controller is not None:
             raise InputError("--crossover proposes a controller: leave out what gives one")
@@ -127,12 +110,12 @@ def design(
     summary = summarise(loop)
     summary["axes"] = summarise_axes(axes, loops)
     summary |= {"stable": stable, "proposed": crossover is not None}
-    if path is not None:
-        save_figure(design_figure(loop, title), path)
-        summary["figure"] = str(path)
     if out is not None and stable:
         write_controller(controller, out)
         summary["out"] = str(out)
+    if path is not None:
+        save_figure(design_figure(loop, title), path)
+        summary["figure"] = str(path)
     tables = [design_table(loop, title), *([axes_table(summary["axes"])] if axes[1:] else [])]
     show(summary, json, tables, "figure", "out")
     if stable:

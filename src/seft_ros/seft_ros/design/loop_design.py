@@ -59,11 +59,6 @@ class LoopDesign:
         Shape (N,), up to half the sampling rate, Hz.
     continuous, sampled : Responses
         In continuous time and without dead time; and as it runs.
-    phase_cost : dict or None
-        Phase in degrees that the loop loses at its crossover, against one in continuous time: by
-        the zero-order ``hold`` (and what it folds back from above half the rate), the ``latency``
-        from a sample to the command that answers it, the ``dead_time``, the ``bilinear``
-        transform of the controller, and in ``total``; None without a crossover.
     stable : bool
         Whether the sampled loop is stable, by its eigenvalues.
     """
@@ -73,7 +68,6 @@ class LoopDesign:
     frequencies_hz: Floats
     continuous: Responses
     sampled: Responses
-    phase_cost: dict[str, float] | None
     stable: bool
 
     @property
@@ -101,20 +95,10 @@ def shape_loop(plant: Plant, controller: Controller, dt: float) -> LoopDesign:
     plant = plant.axis(0)
     f = loop_frequencies(plant, dt)
     continuous = Responses(f, replace(plant, delay=0.0).response(f), controller.response(f))
-    sampled_plant = SampledPlant.of(plant, dt)
-    sampled = Responses(f, sampled_plant.response(f), controller.sampled_response(f, dt))
-    cost, crossover = None, sampled.numbers[0].crossover_hz
-    if crossover is not None:
-        at, latency = np.array([crossover]), 360.0 * crossover * dt
-        held = plant.response(at) / sampled_plant.response(at)
-        discretised = controller.response(at) / controller.sampled_response(at, dt)
-        hold, bilinear = (float(np.angle(part, deg=True)[0]) for part in (held, discretised))
-        hold = (hold - latency + 180.0) % 360.0 - 180.0
-        dead_time = 360.0 * crossover * plant.delay
-        cost = {"hold": hold, "latency": latency, "dead_time": dead_time, "bilinear": bilinear}
-        cost["total"] = sum(cost.values())
+    plant_response = SampledPlant.of(plant, dt).response(f)
+    sampled = Responses(f, plant_response, controller.sampled_response(f, dt))
     stable = abs(force_loop(plant, controller, dt).dominant()) < 1
-    return LoopDesign(plant, controller, f, continuous, sampled, cost, stable)
+    return LoopDesign(plant, controller, f, continuous, sampled, stable)
 
 
 def loop_frequencies(plant: Plant, dt: float, count: int = 1500) -> Floats:
@@ -153,7 +137,7 @@ _SENSITIVITY = _number("sensitivity peak", "sensitivity_peak", "", "sensitivity_
 
 def design_table(design: LoopDesign, title: str) -> Table:
     """Tabulate the force loop of one axis under a title."""
-    plant, controller, cost = design.plant, design.controller, design.phase_cost
+    plant, controller = design.plant, design.controller
     zero = plant.antiresonance()
     loops = (
         asdict(margins) | tracking_numbers(tracking)
@@ -171,12 +155,8 @@ def design_table(design: LoopDesign, title: str) -> Table:
     ]
     if zero is not None:
         rows.append(["delay at the zero", "", f"{1e3 * design.delay_at(zero.hz):.3g} ms"])
-    caption = cost and (
-        "phase lost at crossover: {total:.3g} deg (hold {hold:.2g}, latency {latency:.2g}, "
-        "dead time {dead_time:.2g}, bilinear {bilinear:.2g})".format(**cost)
-    )
     headings = ("", "continuous", "as it runs")
-    return make_table(headings, rows, title=title, caption=caption, **CENTRED)
+    return make_table(headings, rows, title=title, **CENTRED)
 
 
 def axes_table(axes: list[dict[str, Any]]) -> Table:
@@ -211,7 +191,6 @@ def summarise(design: LoopDesign) -> dict[str, Any]:
         "discretisation": {
             "continuous": asdict(design.continuous.numbers[0]),
             "sampled": asdict(design.margins),
-            "phase_cost_deg": design.phase_cost,
         },
     }
 
@@ -289,7 +268,7 @@ def propose_controller(
     )
     highest = search.highest_crossover(crossover_hz)
     if highest is None:
-        raise InputError(f"{wish}, nor can a lower one; give gain, poles and zeros by hand")
+        raise InputError(f"{wish}, nor can a lower one; give --numerator and --denominator")
     raise InputError(f"{wish}; the highest that can is {highest:g} Hz")
 
 
@@ -301,7 +280,7 @@ class _Search:
         if zero is None or zero.hz >= 0.5 / dt:
             raise InputError(
                 "the plant has no lightly damped zeros below half the rate to put the controller's "
-                "poles on; give gain, poles and zeros by hand"
+                "poles on; give --numerator and --denominator"
             )
         self._plant, self._dt, self._gain_margin_db = plant, dt, gain_margin_db
         self._zero, self._oil_column = zero, plant.oil_column()
@@ -346,13 +325,13 @@ class _Search:
         single, double = ([[Root(f, zeta)] for f in hz] for zeta in (None, _ROLL_OFF_DAMPING))
         poles, oil = [self._prewarped(zero)], self._oil_column
         for roll_off in ([], *single, *double):
-            yield Controller.from_roots(1.0, [], [*poles, *roll_off])
+            yield Controller.from_roots([], [*poles, *roll_off])
         if oil is None or oil.hz >= 0.45 / self._dt:
             return
         notch = self._prewarped(oil)
         poles.append(Root(notch.hz, _NOTCH_DAMPING))
         for roll_off in ([], *single):
-            yield Controller.from_roots(1.0, [notch], [*poles, *roll_off])
+            yield Controller.from_roots([notch], [*poles, *roll_off])
 
     def highest_crossover(self, wish_hz: float) -> float | None:
         """Highest possible crossover below a wish, to three digits."""

@@ -77,7 +77,8 @@ def stability_maps(
     size = int(np.clip(np.sqrt(PATIENCE / len(swept) / each), COARSEST, FINEST))
     shown = 2.0 * max(plan.mass_ratio, 0.5)
     highest = max(shown, 1.5 * critical) if critical < 4 * shown else shown
-    mass_ratios, maps = np.linspace(0.0, highest, size), []
+    mass_ratios = np.linspace(0.0, highest, size)
+    maps: list[StabilityMap] = []
     for name, (high, unit, planned) in swept.items():
         others, growth = np.linspace(0.0, high, size), np.empty((size, size))
         for index, other in enumerate((others / unit).tolist()):
@@ -131,8 +132,9 @@ def _draw(axes: Axes, area: StabilityMap, scale: float, verdict: str) -> None:
     if bent.min() < 0 < bent.max():
         axes.contour(x, y, bent, levels=[0.0], colors=TEXT, linewidths=1.8)
     planned = area.planned[0], scale * area.planned[1]
-    colours = {"mfc": _PLAN[verdict], "mec": "white"}
-    axes.plot(*planned, "o", ms=9, mew=1.5, clip_on=False, zorder=5, **colours)
+    axes.plot(
+        *planned, "o", ms=9, mfc=_PLAN[verdict], mec="white", mew=1.5, clip_on=False, zorder=5
+    )
     axes.annotate("planned", planned, (9, 7), textcoords="offset points", fontsize=9, color=TEXT)
     axes.set_xlabel("mass ratio $\\alpha$", color=TEXT)
     axes.tick_params(colors=TEXT, labelsize=9)
