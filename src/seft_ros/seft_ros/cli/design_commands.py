@@ -207,7 +207,7 @@ def preflight(
         summary |= {"expected_peaks": peaks, "proposed_limits": limits}
         timed = model_time(experiment)
         if timed is not None:
-            summary["model"] = timed.numbers()
+            summary["model"] = asdict(timed)
         steps = next_steps(plan, found, peaks, once_more(config, param, params_file, external))
         summary["next"] = [asdict(step) for step in steps]
         if write is not None:
@@ -220,8 +220,8 @@ def preflight(
     lines = [line for step in steps for line in (f"{step.found}:", *_indented(step.commands))]
     if timed is not None:
         lines = [
-            f"computed model: {1e3 * timed.median:.2g} ms for a step, {1e3 * timed.p999:.2g} ms "
-            f"for one of 1000, of {1e3 * timed.budget:.2g} ms",
+            f"computed model: {1e3 * timed.median_s:.2g} ms for a step, "
+            f"{1e3 * timed.p999_s:.2g} ms for one of 1000, of {1e3 * timed.budget_s:.2g} ms",
             "the tables above take its tangent at rest",
             *lines,
         ]
@@ -387,7 +387,7 @@ def identify(
         "files": {what: str(path) for what, path in files.items()},
     }
     if identified is not None:
-        tables = [identified_table(f"{config} as identified", identified.axes, summary)]
+        tables = [identified_table(f"{config} as identified", summary)]
     show(summary, json, [*tables, *(f"{what + ':':13}{path}" for what, path in files.items())])
     for name, test in tests.items():
         if test.trip is not None:

@@ -323,18 +323,18 @@ _TABLE = (  # of an axis, by section
 )
 
 
-def identified_table(title: str, axes: tuple[str, ...], summary: Mapping[str, Any]) -> Table:
+def identified_table(title: str, summary: Mapping[str, Any]) -> Table:
     """Tabulate the result of `summarise_identified`, one column for each axis; notes below."""
     matrices = {name: np.atleast_2d(summary["specimen"][name]) for name in _MATRICES}
     by_axis = [
         {**axis, "specimen": {name: matrix[index, index] for name, matrix in matrices.items()}}
-        for index, axis in enumerate(summary.get("axes", [summary]))
+        for index, axis in enumerate(summary["axes"])
     ]
     rows: list[list[str] | None] = []
     for section in _TABLE:
         known = [n for n in section if any(look_up(axis, n.key) is not None for axis in by_axis)]
         rows += [*rows_of(known, *by_axis), None]
-    headings = ["", *(axis if len(axes) > 1 else "" for axis in axes)]
+    headings = ["", *(axis["axis"] for axis in by_axis)]
     caption = Text("\n".join(summary["notes"]))
     return make_table(headings, rows, wrap=True, title=Text(title), caption=caption)
 
@@ -347,25 +347,24 @@ def summarise_identified(identified: Identified) -> dict[str, Any]:
     dict
         Of the first axis ``actuator``, the plant that it makes with the specimen, margins of the
         digital loop, the measured closed loop, and ``coherence`` of both tests; ``axes`` has these
-        for each axis where there are several. ``specimen`` has mass, damping and stiffness
+        for each axis. ``specimen`` has mass, damping and stiffness
         (numbers, of several axes matrices), natural frequencies and
         dampings; ``notes`` says what could not be identified. What was not measured is null.
     """
-    by_axis = [_of_axis(identified, index) for index in range(len(identified.axes))]
-    several = len(by_axis) > 1
-    named = [{"axis": name, **one} for name, one in zip(identified.axes, by_axis, strict=True)]
-    specimen = identified.specimen
-    roots = specimen.roots()
-    matrices = {name: getattr(specimen, name) for name in _MATRICES}
+    by_axis = [
+        {"axis": axis, **_of_axis(identified, index)} for index, axis in enumerate(identified.axes)
+    ]
+    specimen, roots = identified.specimen, identified.specimen.roots()
+    matrices = {name: getattr(specimen, name).squeeze().tolist() for name in _MATRICES}
     summary = {
         **by_axis[0],
         "specimen": {
-            **{k: (m.tolist() if several else float(m[0, 0])) for k, m in matrices.items()},
+            **matrices,
             "frequencies_hz": [root.hz for root in roots],
             "dampings": [root.damping for root in roots],
             "fit_error": specimen.error,
         },
-        **({"axes": named} if several else {}),
+        "axes": by_axis,
         "notes": notes(identified),
     }
     return {key: json_safe(value) for key, value in summary.items()}

@@ -30,22 +30,32 @@ _MASS = "specimen.mass"
 
 @dataclass(frozen=True)
 class Mode:
-    """Natural frequency in Hz and damping ratio of the whole structure, and of the test."""
+    """A mode of the whole structure, and in the test.
+
+    Attributes
+    ----------
+    exact_hz, exact_damping, hz, damping : float
+        Natural frequency in Hz and damping ratio of the structure, and of the test.
+    false_damping : float
+        What the test adds to the damping ratio.
+    frequency_error : float
+        Relative error of the natural frequency.
+    """
 
     exact_hz: float
     exact_damping: float
     hz: float
     damping: float
+    false_damping: float
+    frequency_error: float
 
-    @property
-    def false_damping(self) -> float:
-        """What the test adds to the damping ratio."""
-        return self.damping - self.exact_damping
-
-    @property
-    def frequency_error(self) -> float:
-        """Relative error of the natural frequency."""
-        return self.hz / self.exact_hz - 1
+    @classmethod
+    def of_poles(cls, exact: complex, test: complex) -> "Mode":
+        """Compare a pole of the structure with that in the test, 1/s."""
+        exact_hz, hz = (abs(pole) / (2 * np.pi) for pole in (exact, test))
+        exact_damping, damping = (-pole.real / abs(pole) for pole in (exact, test))
+        added = damping - exact_damping
+        return cls(exact_hz, exact_damping, hz, damping, added, hz / exact_hz - 1)
 
 
 def predicted_modes(plan: Plan) -> list[Mode]:
@@ -75,11 +85,7 @@ def predicted_modes(plan: Plan) -> list[Mode]:
         fitness = np.log(moved / np.maximum(np.abs(1 - np.abs(z)), 1e-12)) - distance
     fits = (distance < np.log(NEAR)) & np.isfinite(fitness)
     pairs = zip(*linear_sum_assignment(np.where(fits, -fitness, _UNFIT)), strict=True)
-    return [Mode(*_natural(exact[m]), *_natural(s[p])) for m, p in pairs if fits[m, p]]
-
-
-def _natural(pole: complex) -> tuple[float, float]:
-    return abs(pole) / (2 * np.pi), -pole.real / abs(pole)
+    return [Mode.of_poles(exact[m], s[p]) for m, p in pairs if fits[m, p]]
 
 
 Verdict = Literal["stable", "marginal", "unstable"]
@@ -108,14 +114,12 @@ IDENTIFIED = (
     "identification."
 )
 ADAPTIVE = (
-    "The method adapts: this holds for the filter as it is at the start, and as long as its "
-    "estimates stay near. It does not promise that the estimates stay there, nor that the test "
-    "is stable while they change."
+    "The method adapts: this holds as long as its estimates stay near those at the start, and does "
+    "not promise that they do, nor that the test is stable while they change."
 )
 FOLLOWS = (
-    "The method follows the specimen: all numbers are the worse of the loop as it starts, and of "
-    "the loop with the restoring force as measured. They do not cover the time while an estimate "
-    "changes."
+    "The method follows the specimen: all numbers are the worse of the loops at the start and with "
+    "the restoring force as measured, and do not cover the time while an estimate changes."
 )
 
 
